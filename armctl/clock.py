@@ -1,0 +1,58 @@
+"""Time as an argument.
+
+Two kinds of time exist inside armctl: monotonic nanoseconds (everything that measures or schedules) and
+epoch nanoseconds (what log files and people read). A `Clock` deals in monotonic time only.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+NS_PER_S = 1_000_000_000
+
+
+class Clock(Protocol):
+    """Monotonic time and the only way to wait for it."""
+
+    def now_ns(self) -> int:
+        """Monotonic time [ns]."""
+        ...
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        """Return at `deadline_ns` or, if it has passed, at once."""
+        ...
+
+
+class MonotonicClock:
+    """The machine's CLOCK_MONOTONIC: one time base for all processes of a boot."""
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
+            time.sleep(left_ns / NS_PER_S)
+
+
+class VirtualClock:
+    """A clock that moves only when told to; sleeping is instantaneous."""
+
+    def __init__(self, start_ns: int = NS_PER_S) -> None:
+        self._now_ns = start_ns
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        self._now_ns = max(self._now_ns, deadline_ns)
+
+    def advance_ns(self, duration_ns: int) -> None:
+        """Move time forward.
+
+        Raises:
+            ValueError: the duration is negative.
+        """
+        if duration_ns < 0:
+            raise ValueError(f"a clock cannot go back: {duration_ns} ns")
+        self._now_ns += duration_ns

@@ -1,0 +1,126 @@
+"""Imports go down only: the layers of ARCHITECTURE.md, held by reading every import statement."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "armctl"
+
+# Lower layers first; a module may import its own layer and those below it.
+LAYERS: tuple[tuple[str, ...], ...] = (
+    ("armctl", "armctl.errors", "armctl.clock", "armctl.dynamixel", "armctl.dynamixel.ax12a"),
+    ("armctl.config", "armctl.messages"),
+    ("armctl.dynamixel.packet", "armctl.kinematics", "armctl.trajectory", "armctl.genetic"),
+    ("armctl.control", "armctl.control.machine", "armctl.control.step", "armctl.control.faults"),
+    ("armctl.dynamixel.port", "armctl.dynamixel.bus", "armctl.sim", "armctl.recording", "armctl.control.link"),
+    ("armctl.control.loop", "armctl.control.process", "armctl.jobs", "armctl.report"),
+    ("armctl.api", "armctl.client", "armctl.daemon"),
+    ("armctl.cli",),
+)
+PURE = (
+    "armctl.dynamixel.packet",
+    "armctl.dynamixel.ax12a",
+    "armctl.kinematics",
+    "armctl.trajectory",
+    "armctl.genetic",
+    "armctl.control.machine",
+    "armctl.control.step",
+    "armctl.control.faults",
+)
+IMPURE = {
+    "serial",
+    "dynamixel_sdk",
+    "threading",
+    "socket",
+    "time",
+    "asyncio",
+    "subprocess",
+    "multiprocessing",
+    "os",
+    "pathlib",
+}
+SEPARATE = (
+    ("armctl.sim", "armctl.dynamixel.bus"),
+    ("armctl.recording", "armctl.daemon"),
+    ("armctl.client", "armctl.daemon"),
+)
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+MODULES = modules()
+
+
+def imports(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            base = node.module or ""
+            names.add(base)
+            names.update(f"{base}.{alias.name}" for alias in node.names if f"{base}.{alias.name}" in MODULES)
+    return names
+
+
+def within(module: str, part: str) -> bool:
+    return module == part or module.startswith(part + ".")
+
+
+def layer(module: str) -> int:
+    """Index of the layer whose most specific entry holds the module."""
+    matches = [(len(part), index) for index, parts in enumerate(LAYERS) for part in parts if within(module, part)]
+    specific = [match for match in matches if match[0] > len("armctl")]
+    if specific:
+        return max(specific)[1]
+    assert module == "armctl", f"{module} stands in no layer; add it to LAYERS and ARCHITECTURE.md"
+    return 0
+
+
+@pytest.mark.parametrize("module", sorted(MODULES))
+def test_imports_go_down_only(module: str) -> None:
+    for name in imports(MODULES[module]):
+        if within(name, "armctl"):
+            assert layer(name) <= layer(module), f"{module} imports {name}, which stands above it"
+
+
+@pytest.mark.parametrize("module", sorted(name for name in MODULES if any(within(name, part) for part in PURE)))
+def test_pure_modules_touch_neither_time_nor_files_nor_threads(module: str) -> None:
+    roots = {name.split(".")[0] for name in imports(MODULES[module])}
+    assert not roots & IMPURE
+    assert not re.search(r"\bopen\(", MODULES[module].read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(("one", "other"), SEPARATE)
+def test_parts_that_must_not_know_each_other_do_not(one: str, other: str) -> None:
+    for module, path in MODULES.items():
+        for a, b in ((one, other), (other, one)):
+            if within(module, a):
+                assert not any(within(name, b) for name in imports(path)), f"{module} imports {b}"
+
+
+def test_nothing_asks_whether_the_servos_are_simulated() -> None:
+    for module, path in MODULES.items():
+        assert not re.search(r"\bif\b.*\b(is_)?simulated\b", path.read_text(encoding="utf-8")), module
+
+
+def test_no_module_hides_behind_a_name_that_says_nothing() -> None:
+    assert not {module.split(".")[-1] for module in MODULES} & {"utils", "helpers", "common", "misc", "manager"}
+
+
+def test_the_top_level_holds_only_what_belongs_there() -> None:
+    allowed = {"pyproject.toml", "armctl", "calibration", "tools", "tests", "systemd", "README.md", "ARCHITECTURE.md"}
+    allowed |= {"CHANGELOG.md", "LICENSE", "armctl-demo", "build", "dist"}
+    assert {path.name for path in ROOT.iterdir() if not path.name.startswith(".")} <= allowed
