@@ -1,0 +1,329 @@
+"""YAML files -> frozen configuration, once, strictly.
+
+Two files exist. `Config` says how the daemon runs (`armctl.yaml`, optional: every key has a default).
+`ArmConfig` describes one physical arm (`calibration/NAME.yaml`). Units stand in the key; angles are degrees in
+the files, because people write them, and radians in every property the code reads.
+
+A file is refused as a whole, with file, key, value and bound of everything that is wrong in it. YAML is read
+without its surprises: no aliases, no duplicate keys, no `.nan`, no `1:30` or `0o17` numbers, 64 KiB at most.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import re
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from armctl.dynamixel import ax12a
+from armctl.errors import ConfigError
+
+MAX_YAML_BYTES = 65536
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Compliance(_Frozen):
+    """Position-control registers of one servo, in register units."""
+
+    margin: int = Field(1, ge=0, le=254)
+    slope: int = Field(32, ge=1, le=254)
+    punch: int = Field(32, ge=0, le=1023)
+
+
+class JointConfig(_Frozen):
+    """One servo and the joint it turns: position_rad = direction * (tick - zero_tick) * TICK_RAD."""
+
+    name: Name
+    servo_id: int = Field(ge=0, le=253)
+    direction: Literal[1, -1] = 1
+    zero_tick: float = Field(512.0, ge=-1023.0, le=2046.0)
+    limits_deg: tuple[Degrees, Degrees] = Field(strict=False)
+    speed_limit_deg_s: float = Field(60.0, gt=0.0, le=354.0)
+    acceleration_limit_deg_s2: float = Field(400.0, gt=0.0, le=20000.0)
+    rest_deg: Degrees = 0.0
+    torque_limit_ratio: float = Field(1.0, gt=0.0, le=1.0)
+    """Fraction of full torque the daemon allows once the arm holds."""
+    compliance: Compliance = Compliance()
+
+    @model_validator(mode="after")
+    def _check(self) -> JointConfig:
+        low, high = self.limits_deg
+        if not low < high:
+            raise ValueError(f"limits_deg [{low}, {high}]: the first must be below the second")
+        if not low <= self.rest_deg <= high:
+            raise ValueError(f"rest_deg {self.rest_deg} lies outside limits_deg [{low}, {high}]")
+        for limit in (low, high):
+            tick = self.tick(math.radians(limit))
+            if not -0.5 <= tick <= ax12a.TICK_MAX + 0.5:
+                raise ValueError(
+                    f"limits_deg {limit} is tick {tick:.0f} with zero_tick {self.zero_tick}; a servo reaches 0 to 1023"
+                )
+        return self
+
+    def tick(self, position_rad: float) -> float:
+        """Servo position [tick, unrounded] of a joint position [rad]."""
+        return self.zero_tick + self.direction * position_rad / ax12a.TICK_RAD
+
+    def position_rad(self, tick: float) -> float:
+        """Joint position [rad] of a servo position [tick]."""
+        return self.direction * (tick - self.zero_tick) * ax12a.TICK_RAD
+
+    @cached_property
+    def limits_rad(self) -> tuple[float, float]:
+        return math.radians(self.limits_deg[0]), math.radians(self.limits_deg[1])
+
+    @cached_property
+    def limits_tick(self) -> tuple[int, int]:
+        """Lowest and highest whole goal tick inside the limits."""
+        ends = sorted(self.tick(limit) for limit in self.limits_rad)
+        return max(0, math.ceil(ends[0] - 1e-9)), min(ax12a.TICK_MAX, math.floor(ends[1] + 1e-9))
+
+    @property
+    def speed_limit_rad_s(self) -> float:
+        return math.radians(self.speed_limit_deg_s)
+
+    @property
+    def acceleration_limit_rad_s2(self) -> float:
+        return math.radians(self.acceleration_limit_deg_s2)
+
+    @property
+    def rest_rad(self) -> float:
+        return math.radians(self.rest_deg)
+
+
+class ArmConfig(_Frozen):
+    """One physical arm: its servos, their calibration and the robot model they form."""
+
+    arm_id: Name
+    robot: Name
+    lengths_m: dict[str, float] = {}
+    """Link lengths that differ from the robot's own, by the robot's parameter names."""
+    floor_m: float = 0.0
+    """Height of the surface the arm stands on, in the base frame; no plan goes below it."""
+    tool_speed_limit_m_s: float = Field(0.25, gt=0.0, le=2.0)
+    joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
+
+    @model_validator(mode="after")
+    def _check(self) -> ArmConfig:
+        for what in ("name", "servo_id"):
+            seen: set[object] = set()
+            for joint in self.joints:
+                value = getattr(joint, what)
+                if value in seen:
+                    raise ValueError(f"two joints have {what} {value}")
+                seen.add(value)
+        return self
+
+    @cached_property
+    def servo_ids(self) -> tuple[int, ...]:
+        return tuple(joint.servo_id for joint in self.joints)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def calibration_hash(self) -> str:
+        """Short fingerprint that tells whether a log was recorded with this calibration."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+
+
+class LogConfig(_Frozen):
+    """Where logs go and when a file is full."""
+
+    rotate_s: float = Field(3600.0, ge=1.0)
+    rotate_bytes: int = Field(128 * 2**20, ge=2**16)
+    free_bytes: int = Field(256 * 2**20, ge=0)
+    """Logging stops, and control goes on, when less than this is free."""
+
+
+class Config(_Frozen):
+    """How the daemon runs."""
+
+    port: str = ""
+    """Serial device, or the link of a simulator; empty: the --port option must name one."""
+    baud: int = Field(1_000_000, ge=7_843, le=1_000_000)
+    arm: str = "ax12-line"
+    """Name of a file in `calibration/`, or a path."""
+    period_s: float = Field(0.1, ge=0.01, le=1.0)
+    data_dir: str = ""
+    """Folder of logs, recordings and plans; empty: below the user's XDG data folder."""
+    log: LogConfig = LogConfig()
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """SafeLoader without aliases, duplicate keys and surprising scalars."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.events.AliasEvent):
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem="aliases are not allowed", problem_mark=event.start_mark)
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise yaml.MarkedYAMLError(problem="a key must be a plain word", problem_mark=key_node.start_mark)
+            if key_node.value in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key_node.value!r} stands twice", problem_mark=key_node.start_mark
+                )
+            seen.add(key_node.value)
+        return super().construct_mapping(node, deep)
+
+
+for _tag, _regexp, _first in (
+    ("tag:yaml.org,2002:null", r"^(?:~|null|)$", ["~", "n", ""]),
+    ("tag:yaml.org,2002:bool", r"^(?:true|false)$", list("tf")),
+    ("tag:yaml.org,2002:int", r"^[-+]?(?:0|[1-9][0-9]*)$", list("-+0123456789")),
+    ("tag:yaml.org,2002:float", r"^[-+]?[0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]+)?$", list("-+0123456789")),
+):
+    _StrictLoader.add_implicit_resolver(_tag, re.compile(_regexp), _first)
+
+
+def parse_yaml(text: str, file: str) -> dict[str, Any]:
+    """The top-level mapping of a YAML text.
+
+    Raises:
+        ConfigError: not YAML, not a mapping, too large, or using a feature that is not allowed.
+    """
+    if len(text.encode(errors="replace")) > MAX_YAML_BYTES:
+        raise ConfigError(file, "", f"larger than {MAX_YAML_BYTES} bytes")
+    try:
+        data = yaml.load(text, Loader=_StrictLoader)  # a SafeLoader with fewer features
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise ConfigError(file, where, error.problem or "not valid YAML") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(file, "", f"not valid YAML: {error}") from None
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigError(file, "", f"holds a {type(data).__name__}, not keys and values")
+    return data
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def validate(model: type[M], data: object, file: str) -> M:
+    """`data` as a `model`.
+
+    Raises:
+        ConfigError: naming the file and, for every fault in it, key, value and bound.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        faults = error.errors()
+        lines = []
+        for fault in faults:
+            key = ".".join(str(part) for part in fault["loc"])
+            message = fault["msg"].removeprefix("Value error, ")
+            if fault["type"] == "extra_forbidden":
+                message = "unknown key"
+            if fault["type"] not in ("missing", "value_error"):
+                message += f" (found {str(fault['input'])[:60]!r})"
+            lines.append((key, message))
+        first, *rest = lines
+        text = first[1] + "".join(f"\n  {key}: {message}" for key, message in rest)
+        raise ConfigError(file, first[0], text) from None
+
+
+def read_text(path: Path, what: str) -> str:
+    """A configuration file's text.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(str(path), "", f"cannot read the {what}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(str(path), "", f"the {what} is not UTF-8 text") from None
+
+
+def calibration_dirs() -> tuple[Path, ...]:
+    """Folders searched for an arm's name, first hit wins."""
+    package = Path(__file__).resolve().parent
+    config_home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    return (
+        config_home / "armctl" / "calibration",
+        Path("/etc/armctl/calibration"),
+        package / "calibration",
+        package.parent / "calibration",
+    )
+
+
+def find_arm_file(arm: str) -> Path:
+    """The calibration file of an arm given by name or path.
+
+    Raises:
+        ConfigError: there is none; the message lists the known names.
+    """
+    if "/" in arm or arm.endswith((".yaml", ".yml")):
+        return Path(arm)
+    known: set[str] = set()
+    for folder in calibration_dirs():
+        path = folder / f"{arm}.yaml"
+        if re.match(NAME_PATTERN, arm) and path.is_file():
+            return path
+        known.update(found.stem for found in folder.glob("*.yaml") if folder.is_dir())
+    raise ConfigError(
+        arm, "", "no such arm", f"known: {', '.join(sorted(known)) or 'none'}; or give the path of a calibration file"
+    )
+
+
+def load_arm(arm: str) -> ArmConfig:
+    """The arm of that name or path."""
+    path = find_arm_file(arm)
+    return validate(ArmConfig, parse_yaml(read_text(path, "calibration"), str(path)), str(path))
+
+
+def load_config(path: str | None = None) -> Config:
+    """The daemon's configuration: `path`, else `ARMCTL_CONFIG`, else the user's or the system's file, else defaults."""
+    chosen = path or os.environ.get("ARMCTL_CONFIG")
+    if chosen:
+        return validate(Config, parse_yaml(read_text(Path(chosen), "configuration"), chosen), chosen)
+    config_home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    for candidate in (config_home / "armctl" / "armctl.yaml", Path("/etc/armctl/armctl.yaml")):
+        if candidate.is_file():
+            return validate(Config, parse_yaml(read_text(candidate, "configuration"), str(candidate)), str(candidate))
+    return Config()
+
+
+def data_dir(config: Config) -> Path:
+    """Folder that holds `logs/`, `recordings/` and `plans/`."""
+    if config.data_dir:
+        return Path(config.data_dir)
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "armctl"
+
+
+def socket_path(override: str | None = None) -> Path:
+    """Where the daemon listens: `override`, else `ARMCTL_SOCKET`, else the user's or the service's socket."""
+    chosen = override or os.environ.get("ARMCTL_SOCKET")
+    if chosen:
+        return Path(chosen)
+    service = Path("/run/armctl/armctl.sock")
+    if service.exists():
+        return service
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    return (Path(runtime) if runtime else data_dir(Config())) / "armctl.sock"

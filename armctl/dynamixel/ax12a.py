@@ -1,0 +1,144 @@
+"""AX-12A: control table and units.
+
+Source: ROBOTIS e-manual, AX-12A control table. Everything outside this module and the YAML files is SI;
+ticks, percent and degrees stop here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntFlag
+
+MODEL_NUMBER = 12
+TABLE_SIZE = 50
+EEPROM_END = 24
+"""First RAM address; everything below is EEPROM and writable only with torque off."""
+
+TICK_RAD = math.radians(300.0) / 1023.0
+"""Angle of one position tick; 0..1023 spans 300 deg."""
+TICK_MAX = 1023
+SPEED_UNIT_RAD_S = 0.111 * 2.0 * math.pi / 60.0
+"""One unit of moving or present speed (0.111 rpm)."""
+LOAD_MAX = 1023
+STALL_TORQUE_NM = 1.5
+NO_LOAD_SPEED_RAD_S = 59.0 * 2.0 * math.pi / 60.0
+STATUS_BEGIN = 24
+STATUS_SIZE = 26
+"""Bytes 24..49: everything that tells position, load, heat and every kind of lost torque, in one read."""
+
+
+class ErrorBit(IntFlag):
+    """Bits of the error byte of a status packet."""
+
+    VOLTAGE = 1
+    ANGLE_LIMIT = 2
+    OVERHEAT = 4
+    RANGE = 8
+    CHECKSUM = 16
+    OVERLOAD = 32
+    INSTRUCTION = 64
+
+    @classmethod
+    def names(cls, error: int) -> tuple[str, ...]:
+        """Names of every bit that is set, lowest first."""
+        return tuple(bit.name or "" for bit in cls if error & bit)
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """One entry of the control table."""
+
+    name: str
+    address: int
+    size: int
+    writable: bool
+    default: int
+    minimum: int = 0
+    maximum: int = 1023
+
+    @property
+    def eeprom(self) -> bool:
+        return self.address < EEPROM_END
+
+
+MODEL = Register("model_number", 0, 2, False, MODEL_NUMBER, 0, 0xFFFF)
+FIRMWARE = Register("firmware_version", 2, 1, False, 24, 0, 255)
+ID = Register("id", 3, 1, True, 1, 0, 253)
+BAUD = Register("baud_rate", 4, 1, True, 1, 0, 254)
+RETURN_DELAY = Register("return_delay_time", 5, 1, True, 250, 0, 254)
+CW_LIMIT = Register("cw_angle_limit", 6, 2, True, 0)
+CCW_LIMIT = Register("ccw_angle_limit", 8, 2, True, 1023)
+TEMPERATURE_LIMIT = Register("temperature_limit", 11, 1, True, 70, 0, 150)
+MIN_VOLTAGE = Register("min_voltage_limit", 12, 1, True, 60, 50, 250)
+MAX_VOLTAGE = Register("max_voltage_limit", 13, 1, True, 140, 50, 250)
+MAX_TORQUE = Register("max_torque", 14, 2, True, 1023)
+RETURN_LEVEL = Register("status_return_level", 16, 1, True, 2, 0, 2)
+ALARM_LED = Register("alarm_led", 17, 1, True, 36, 0, 127)
+SHUTDOWN = Register("shutdown", 18, 1, True, 36, 0, 127)
+TORQUE_ENABLE = Register("torque_enable", 24, 1, True, 0, 0, 1)
+LED = Register("led", 25, 1, True, 0, 0, 1)
+CW_MARGIN = Register("cw_compliance_margin", 26, 1, True, 1, 0, 254)
+CCW_MARGIN = Register("ccw_compliance_margin", 27, 1, True, 1, 0, 254)
+CW_SLOPE = Register("cw_compliance_slope", 28, 1, True, 32, 1, 254)
+CCW_SLOPE = Register("ccw_compliance_slope", 29, 1, True, 32, 1, 254)
+GOAL = Register("goal_position", 30, 2, True, 0)
+MOVING_SPEED = Register("moving_speed", 32, 2, True, 0, 0, 2047)
+TORQUE_LIMIT = Register("torque_limit", 34, 2, True, 1023)
+PRESENT_POSITION = Register("present_position", 36, 2, False, 0)
+PRESENT_SPEED = Register("present_speed", 38, 2, False, 0, 0, 2047)
+PRESENT_LOAD = Register("present_load", 40, 2, False, 0, 0, 2047)
+PRESENT_VOLTAGE = Register("present_voltage", 42, 1, False, 120, 0, 255)
+PRESENT_TEMPERATURE = Register("present_temperature", 43, 1, False, 30, 0, 255)
+REGISTERED = Register("registered", 44, 1, False, 0, 0, 1)
+MOVING = Register("moving", 46, 1, False, 0, 0, 1)
+LOCK = Register("lock", 47, 1, True, 0, 0, 1)
+PUNCH = Register("punch", 48, 2, True, 32)
+
+REGISTERS: tuple[Register, ...] = (
+    MODEL, FIRMWARE, ID, BAUD, RETURN_DELAY, CW_LIMIT, CCW_LIMIT, TEMPERATURE_LIMIT, MIN_VOLTAGE,
+    MAX_VOLTAGE, MAX_TORQUE, RETURN_LEVEL, ALARM_LED, SHUTDOWN, TORQUE_ENABLE, LED, CW_MARGIN,
+    CCW_MARGIN, CW_SLOPE, CCW_SLOPE, GOAL, MOVING_SPEED, TORQUE_LIMIT, PRESENT_POSITION, PRESENT_SPEED,
+    PRESENT_LOAD, PRESENT_VOLTAGE, PRESENT_TEMPERATURE, REGISTERED, MOVING, LOCK, PUNCH,
+)  # fmt: skip
+"""The control table in address order."""
+
+
+def register_value(register: Register, block: bytes, begin: int = STATUS_BEGIN) -> int:
+    """Value of `register` in `block`, a copy of the table that starts at address `begin`.
+
+    Raises:
+        ValueError: the block does not hold the register.
+    """
+    offset = register.address - begin
+    if offset < 0 or offset + register.size > len(block):
+        raise ValueError(
+            f"{register.name} (address {register.address}) is not in a block of {len(block)} bytes from {begin}"
+        )
+    return int.from_bytes(block[offset : offset + register.size], "little")
+
+
+def signed_magnitude(value: int) -> int:
+    """Present speed or load as a signed number, CCW positive (bit 10 set means CW)."""
+    magnitude = value & 0x3FF
+    return -magnitude if value & 0x400 else magnitude
+
+
+def to_signed_magnitude(value: int) -> int:
+    """The inverse of `signed_magnitude`, saturating at 1023."""
+    return min(abs(value), 1023) | (0x400 if value < 0 else 0)
+
+
+def speed_rad_s(raw: int) -> float:
+    """Present speed [rad/s], CCW positive."""
+    return signed_magnitude(raw) * SPEED_UNIT_RAD_S
+
+
+def load_ratio(raw: int) -> float:
+    """Present load as a fraction of full output, CCW positive."""
+    return signed_magnitude(raw) / LOAD_MAX
+
+
+def moving_speed_units(speed: float) -> int:
+    """Moving-speed register for |speed| [rad/s], at least 1 (0 would mean no limit), at most 1023."""
+    return max(1, min(1023, math.ceil(abs(speed) / SPEED_UNIT_RAD_S - 1e-9)))

@@ -1,0 +1,324 @@
+"""The one schema of what moves between parts: bus, control step, log, API, dashboard.
+
+Frozen dataclasses of plain values, so that every one of them can be compared, pickled between processes and
+written as JSON without loss (`to_json`, `from_json`; Python's float text round-trips every bit). Joint order is
+the calibration file's order everywhere; positions are radians, time is monotonic nanoseconds.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from functools import cache
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import Field, TypeAdapter
+
+# ---------------------------------------------------------------------------------------------- bus -> step
+
+
+@dataclass(frozen=True, slots=True)
+class ServoReading:
+    """What one servo said, and when. A servo that missed this tick keeps its last registers and their old stamp."""
+
+    servo_id: int
+    registers: bytes
+    """Control table 24..49 (26 bytes) of the last good reply; empty if it never answered."""
+    stamp_ns: int
+    """When `registers` arrived; 0 if never."""
+    fresh: bool
+    """Whether `registers` were read in this very sample."""
+    error: int = 0
+    """Error byte of the last good reply."""
+    problem: str = ""
+    """Why this sample got no good reply: NO_REPLY, BUS_NOISE, PORT_GONE or nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading of every servo."""
+
+    time_ns: int
+    """The instant the reading began; the time of every message of this tick."""
+    servos: tuple[ServoReading, ...]
+    bus_us: int = 0
+    """Duration of the whole reading [us]."""
+    retries: int = 0
+    port_open: bool = True
+
+
+# ------------------------------------------------------------------------------------------ client -> step
+
+
+@dataclass(frozen=True, slots=True)
+class JointTrajectory:
+    """Joint positions on a uniform time grid; straight lines in joint space between neighbours.
+
+    The plan proper occupies [begin_s, end_s]; what lies before is approach, what lies after is settling.
+    """
+
+    period_s: float
+    positions_rad: tuple[tuple[float, ...], ...]
+    begin_s: float = 0.0
+    end_s: float = 0.0
+    label: str = ""
+
+    @property
+    def duration_s(self) -> float:
+        return self.period_s * (len(self.positions_rad) - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Decelerate along the path and freeze the last goal. Served in every state; `stop` is this."""
+
+    request_id: int
+    kind: Literal["hold"] = "hold"
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """Switch torque off. The caller has done the countdown and warned that the arm drops."""
+
+    request_id: int
+    kind: Literal["release"] = "release"
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueOn:
+    """Carefully energise the arm where it is."""
+
+    request_id: int
+    kind: Literal["torque_on"] = "torque_on"
+
+
+@dataclass(frozen=True, slots=True)
+class Teach:
+    """Make the arm limp and verified so, for hand guiding; from holding or off."""
+
+    request_id: int
+    kind: Literal["teach"] = "teach"
+
+
+@dataclass(frozen=True, slots=True)
+class TeachEnd:
+    """Leave teach mode; the arm stays limp (off)."""
+
+    request_id: int
+    kind: Literal["teach_end"] = "teach_end"
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Execute a trajectory that starts where the arm is commanded to be now."""
+
+    request_id: int
+    trajectory: JointTrajectory
+    kind: Literal["run"] = "run"
+
+
+@dataclass(frozen=True, slots=True)
+class Clear:
+    """Acknowledge the latched fault; refused while its cause persists."""
+
+    request_id: int
+    kind: Literal["clear"] = "clear"
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """The bus was (re)opened and every servo identified; `problems` are what forbids torque."""
+
+    problems: tuple[Problem, ...] = ()
+    restarted: bool = False
+    kind: Literal["connected"] = "connected"
+
+
+@dataclass(frozen=True, slots=True)
+class HostLost:
+    """The host process is gone: hold, then leave."""
+
+    kind: Literal["host_lost"] = "host_lost"
+
+
+Command = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Clear | Connected | HostLost
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One reason why a connected bus is not fit for motion."""
+
+    code: str
+    text: str
+    servo_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Everything one control step sees; logging them is enough to repeat it."""
+
+    tick: int
+    now_ns: int
+    sample: Sample
+    commands: tuple[Command, ...] = ()
+    late_ns: int = 0
+    """How far behind its deadline this tick began."""
+
+
+# ------------------------------------------------------------------------------------------ step -> outside
+
+
+class Mode(StrEnum):
+    """States of the control machine (see control/machine.py)."""
+
+    OFF = "off"
+    ENERGISING = "energising"
+    HOLDING = "holding"
+    MOVING = "moving"
+    TEACHING = "teaching"
+    FAULTED = "faulted"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A latched fault; the card a person reads is derived from it (see control/faults.py)."""
+
+    code: str
+    text: str
+    since_ns: int
+    servo_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Write:
+    """One register write to one servo, answered by it."""
+
+    servo_id: int
+    address: int
+    size: int
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """One SYNC_WRITE of goal position [tick] and moving speed [register units] for every servo in order."""
+
+    ticks: tuple[int, ...]
+    speeds: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Outcome of a request, told once."""
+
+    request_id: int
+    ok: bool
+    code: str = ""
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something worth a line in the log: a transition, a fault, a mark in a run."""
+
+    severity: Literal["info", "warning", "error"]
+    code: str
+    text: str
+    servo_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JointState:
+    """One joint as the daemon sees it; NaN-free: `known` is False until its servo has answered once."""
+
+    known: bool
+    position_rad: float
+    velocity_rad_s: float
+    load_ratio: float
+    voltage_V: float
+    temperature_degC: float
+    torque_enabled: bool
+    age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ToolPose:
+    """Tool frame in the base frame: position [m], unit quaternion (x, y, z, w)."""
+
+    position_m: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """Everything one control step says."""
+
+    mode: Mode
+    fault: Fault | None
+    joints: tuple[JointState, ...]
+    tool: ToolPose | None
+    """None until every joint is known."""
+    writes: tuple[Write, ...] = ()
+    goal: Goal | None = None
+    """None: nothing is sent, the servos keep the goal they have."""
+    replies: tuple[Reply, ...] = ()
+    events: tuple[Event, ...] = ()
+    progress: float | None = None
+    """Fraction of the running trajectory, None when none runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class TickRecord:
+    """What the control process hands to the host after each tick."""
+
+    inputs: Inputs
+    outputs: Outputs
+    lateness_us: int = 0
+    write_us: int = 0
+    keyframe: str = ""
+    """JSON of the step's state after this tick, on some ticks: where a replay can begin."""
+    dropped: int = 0
+    """Tick records lost before this one because the host did not take them."""
+
+
+# -------------------------------------------------------------------------------------------------- as JSON
+
+T = TypeVar("T")
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, bytes):
+        return value.hex()
+    raise TypeError(f"no JSON form for {type(value).__name__}")
+
+
+def to_json(message: Any) -> str:
+    """Any message of this module as one line of JSON; bytes become hexadecimal."""
+    return json.dumps(asdict(message), default=_plain, separators=(",", ":"), allow_nan=False)
+
+
+def from_json(kind: type[T], text: str) -> T:
+    """The message of type `kind` written by `to_json`.
+
+    Raises:
+        ValueError: the text is not such a message.
+    """
+    adapter: TypeAdapter[Any] = _adapter(kind)  # type: ignore[arg-type]  # classes are hashable
+    message: T = adapter.validate_python(json.loads(text))
+    return message
+
+
+def command_from_json(text: str) -> Command:
+    """A command written by `to_json`, told apart by its `kind`.
+
+    Raises:
+        ValueError: the text is no command.
+    """
+    command: Command = _adapter(Annotated[Command, Field(discriminator="kind")]).validate_python(json.loads(text))
+    return command
