@@ -1,0 +1,1 @@
+"""Kinematics of serial arms: one Denavit-Hartenberg implementation for both conventions."""
