@@ -1,0 +1,123 @@
+"""The control loop: the only caller of the bus and of the step, on any clock.
+
+Deadlines are absolute: tick k is due at start + k * period. A tick that comes too late is skipped, never made
+up for in a burst. While the port is gone the loop keeps ticking (so that the fault is seen, logged and
+published) and looks for the port again every half second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from armctl.clock import NS_PER_S, Clock
+from armctl.config import ArmConfig
+from armctl.control.machine import State
+from armctl.control.step import step
+from armctl.dynamixel.bus import ServoBus
+from armctl.errors import BusError
+from armctl.kinematics.robots.robot import Robot
+from armctl.messages import Clear, Command, Connected, Inputs, Mode, TickRecord, to_json
+
+REOPEN_NS = NS_PER_S // 2
+SKIP_NS = 50_000_000
+KEYFRAME_TICKS = 600
+
+
+class ControlLoop:
+    """Owns the bus and the state; one call of `tick` is one tick."""
+
+    def __init__(
+        self,
+        bus: ServoBus,
+        clock: Clock,
+        arm: ArmConfig,
+        robot: Robot,
+        period_s: float,
+        *,
+        restarted: bool = False,
+    ) -> None:
+        self.state = State()
+        self._bus, self._clock, self._arm, self._robot = bus, clock, arm, robot
+        self._period_s = period_s
+        self._period_ns = round(period_s * NS_PER_S)
+        self._restarted = restarted
+        self._tick = 0
+        self._deadline_ns = 0
+        self._next_open_ns = 0
+        self._dropped = 0
+        self._keyframe_due = True
+
+    def open(self) -> None:
+        """Open the port for the first time.
+
+        Raises:
+            BusError: the port is missing, busy or not ours to open.
+        """
+        self._bus.open()
+
+    def tick(self, commands: Sequence[Command]) -> TickRecord:
+        """Wait for the next deadline, then read, decide, write."""
+        clock = self._clock
+        self._deadline_ns = self._deadline_ns or clock.now_ns()
+        clock.sleep_until_ns(self._deadline_ns)
+        late_ns = clock.now_ns() - self._deadline_ns
+        commands = (*self._connect(commands), *commands)
+        sample = self._bus.read_sample()
+        inputs = Inputs(self._tick, clock.now_ns(), sample, commands, late_ns)
+        self.state, outputs = step(self.state, inputs, self._arm, self._robot, self._period_s)
+        write_begin_ns = clock.now_ns()
+        for write in outputs.writes:
+            # A write that fails is seen where it counts: the next sample does not show its value.
+            self._bus.write(write)
+        if outputs.goal is not None:
+            self._bus.write_goal(outputs.goal)
+        keyframe = ""
+        if self._keyframe_due or self._tick % KEYFRAME_TICKS == 0:
+            keyframe, self._keyframe_due = to_json(self.state), False
+        record = TickRecord(
+            inputs,
+            outputs,
+            lateness_us=late_ns // 1000,
+            write_us=(clock.now_ns() - write_begin_ns) // 1000,
+            keyframe=keyframe,
+            dropped=self._dropped,
+        )
+        self._tick += 1
+        self._deadline_ns += self._period_ns
+        behind_ns = clock.now_ns() - self._deadline_ns
+        if behind_ns > SKIP_NS:
+            self._deadline_ns += -(-behind_ns // self._period_ns) * self._period_ns
+        return record
+
+    def run(
+        self, inbox: Callable[[], Sequence[Command]], outbox: Callable[[TickRecord], bool], leave: Callable[[], bool]
+    ) -> None:
+        """Tick until `leave` says so and nothing moves any more.
+
+        Args:
+            inbox: Commands that arrived since the last call.
+            outbox: Takes a record; False if it could not, which the next record tells.
+        """
+        while not (leave() and self.state.motion is None and self.state.mode is not Mode.ENERGISING):
+            record = self.tick(inbox())
+            if outbox(record):
+                self._dropped = 0
+            else:
+                self._dropped += 1
+                self._keyframe_due = True
+
+    def _connect(self, commands: Sequence[Command]) -> tuple[Command, ...]:
+        """Open a lost port again, and identify the servos where that is due."""
+        now_ns = self._clock.now_ns()
+        due = not self._bus.is_open and now_ns >= self._next_open_ns
+        if due:
+            self._next_open_ns = now_ns + REOPEN_NS
+            self._bus.close()
+            try:
+                self._bus.open()
+            except BusError:
+                return ()
+        first = self._tick == 0
+        if not self._bus.is_open or not (due or first or any(isinstance(command, Clear) for command in commands)):
+            return ()
+        return (Connected(self._bus.identify(self._arm), restarted=self._restarted and first),)

@@ -1,0 +1,131 @@
+"""The control machine: its states, what may happen in each, and nothing else.
+
+Theory. The arm is limp (`off`, `teaching`), on its way to torque (`energising`), under torque (`holding`,
+`moving`) or latched (`faulted`: whatever torque there is stays, nothing advances, only `release` and `clear` are
+heard). Every change of mode is one row of `TRANSITIONS`; an event without a row in the present mode is illegal
+and changes nothing. Who may ask for what, and in which words a request is refused, follows from the same table.
+
+    off --torque_on--> energising --energised--> holding --run--> moving --stopped--> holding
+    off, holding --teach--> teaching --teach_end--> off
+    any --fault--> faulted --clear_limp--> off, --clear_powered--> holding
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from types import MappingProxyType
+
+from armctl.errors import IllegalTransition
+from armctl.messages import Fault, JointTrajectory, Mode, Problem
+
+
+class Trigger(StrEnum):
+    """What moves the machine."""
+
+    ADOPT_POWERED = "adopt_powered"
+    TORQUE_ON = "torque_on"
+    ENERGISED = "energised"
+    ENERGISE_FAILED = "energise_failed"
+    RUN = "run"
+    STOPPED = "stopped"
+    RELEASE = "release"
+    TEACH = "teach"
+    TEACH_END = "teach_end"
+    FAULT = "fault"
+    CLEAR_LIMP = "clear_limp"
+    CLEAR_POWERED = "clear_powered"
+
+
+TRANSITIONS = MappingProxyType(
+    {
+        (Mode.OFF, Trigger.ADOPT_POWERED): Mode.HOLDING,
+        (Mode.OFF, Trigger.TORQUE_ON): Mode.ENERGISING,
+        (Mode.OFF, Trigger.RELEASE): Mode.OFF,
+        (Mode.OFF, Trigger.TEACH): Mode.TEACHING,
+        (Mode.OFF, Trigger.FAULT): Mode.FAULTED,
+        (Mode.ENERGISING, Trigger.ENERGISED): Mode.HOLDING,
+        (Mode.ENERGISING, Trigger.ENERGISE_FAILED): Mode.OFF,
+        (Mode.ENERGISING, Trigger.RELEASE): Mode.OFF,
+        (Mode.ENERGISING, Trigger.FAULT): Mode.FAULTED,
+        (Mode.HOLDING, Trigger.RUN): Mode.MOVING,
+        (Mode.HOLDING, Trigger.RELEASE): Mode.OFF,
+        (Mode.HOLDING, Trigger.TEACH): Mode.TEACHING,
+        (Mode.HOLDING, Trigger.FAULT): Mode.FAULTED,
+        (Mode.MOVING, Trigger.STOPPED): Mode.HOLDING,
+        (Mode.MOVING, Trigger.FAULT): Mode.FAULTED,
+        (Mode.TEACHING, Trigger.TEACH_END): Mode.OFF,
+        (Mode.TEACHING, Trigger.RELEASE): Mode.OFF,
+        (Mode.TEACHING, Trigger.FAULT): Mode.FAULTED,
+        (Mode.FAULTED, Trigger.RELEASE): Mode.FAULTED,
+        (Mode.FAULTED, Trigger.CLEAR_LIMP): Mode.OFF,
+        (Mode.FAULTED, Trigger.CLEAR_POWERED): Mode.HOLDING,
+    }
+)
+
+_ADVICE: dict[Mode, str] = {
+    Mode.OFF: "the arm is limp; `armctl torque on` first",
+    Mode.ENERGISING: "torque is coming on; wait until it holds",
+    Mode.HOLDING: "the arm is holding under torque",
+    Mode.MOVING: "the arm is moving; `armctl stop` first",
+    Mode.TEACHING: "the arm is limp for teaching; end the teaching first",
+    Mode.FAULTED: "a fault is latched; see `armctl status`, then `armctl clear`",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A trajectory under way."""
+
+    trajectory: JointTrajectory
+    request_id: int
+    progress_s: float = 0.0
+    """Where along the trajectory the arm is commanded to be now."""
+    rate: float = 1.0
+    """Trajectory seconds per second; a stop lowers it to 0 along the path."""
+    stop_code: str = ""
+    """Why it is being stopped; empty while it runs."""
+    begun: bool = False
+    ended: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything the control step remembers from one tick to the next; plain values only."""
+
+    mode: Mode = Mode.OFF
+    connected: bool = False
+    """Whether the servos of the open port have been identified."""
+    adopted: bool = False
+    """Whether the torque found at connection has been taken over."""
+    problems: tuple[Problem, ...] = ()
+    fault: Fault | None = None
+    phase: int = 0
+    """Ticks spent in the present mode; the sequence counter of `energising` and `teaching`."""
+    request_id: int | None = None
+    """Whose reply is due when the present sequence ends."""
+    hold_request_ids: tuple[int, ...] = ()
+    """Who waits to hear that the arm is still."""
+    goal: tuple[int, ...] | None = None
+    """Last goal sent [tick]."""
+    previous_goal: tuple[int, ...] | None = None
+    """The goal before it: what a servo shows that missed the last one."""
+    anchor: tuple[int, ...] | None = None
+    """Positions [tick] when energising began."""
+    motion: Motion | None = None
+    error_since_ns: tuple[int, ...] = ()
+    """Since when each joint has been farther from its goal than allowed; 0: it is not."""
+    last_ticks: tuple[int, ...] = ()
+    """Positions of the previous sample [tick]."""
+
+
+def transition(state: State, trigger: Trigger) -> State:
+    """The state after `trigger`.
+
+    Raises:
+        IllegalTransition: the trigger has no row in this mode; says why in the user's words.
+    """
+    target = TRANSITIONS.get((state.mode, trigger))
+    if target is None:
+        raise IllegalTransition(f"{trigger.value.replace('_', ' ')} is not possible now: {_ADVICE[state.mode]}")
+    return replace(state, mode=target, phase=0)

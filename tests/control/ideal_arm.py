@@ -1,0 +1,135 @@
+"""Servos that do exactly what they are told by the next tick: enough to drive the pure step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from armctl.config import ArmConfig, load_arm
+from armctl.control.machine import State
+from armctl.control.step import step
+from armctl.dynamixel import ax12a
+from armctl.kinematics import robots
+from armctl.messages import Command, Connected, Inputs, Mode, Outputs, Reply, Sample, ServoReading
+
+PERIOD_S = 0.1
+PERIOD_NS = 100_000_000
+
+
+@dataclass
+class IdealArm:
+    """Register blocks 24..49 of every servo, the step's state, and everything the step said."""
+
+    arm: ArmConfig = field(default_factory=lambda: load_arm("ax12-line"))
+    state: State = field(default_factory=State)
+    tick: int = 0
+    now_ns: int = 1_000_000_000
+    silent: set[int] = field(default_factory=set)
+    stuck: set[int] = field(default_factory=set)
+    """Joints that hear every write but do not turn."""
+    deaf: set[int] = field(default_factory=set)
+    """Joints that answer but hear no goal."""
+    port_open: bool = True
+    late_ns: int = 0
+    outputs: Outputs | None = None
+    replies: dict[int, Reply] = field(default_factory=dict)
+    events: list[str] = field(default_factory=list)
+    goals: list[tuple[int, ...]] = field(default_factory=list)
+    after_write: Callable[[IdealArm], None] = lambda _arm: None
+
+    def __post_init__(self) -> None:
+        self.robot = robots.get(self.arm.robot)
+        self.blocks = []
+        self.stamps = [0] * len(self.arm.joints)
+        for joint in self.arm.joints:
+            block = bytearray(ax12a.STATUS_SIZE)
+            self.blocks.append(block)
+            rest = round(joint.tick(joint.rest_rad))
+            index = len(self.blocks) - 1
+            for register, value in (
+                (ax12a.PRESENT_POSITION, rest),
+                (ax12a.GOAL, rest),
+                (ax12a.TORQUE_LIMIT, 1023),
+                (ax12a.CW_MARGIN, 1),
+                (ax12a.CCW_MARGIN, 1),
+                (ax12a.CW_SLOPE, 32),
+                (ax12a.CCW_SLOPE, 32),
+                (ax12a.PUNCH, 32),
+                (ax12a.PRESENT_VOLTAGE, 120),
+                (ax12a.PRESENT_TEMPERATURE, 31),
+            ):
+                self.put(index, register, value)
+        self.seen = [bytes(block) for block in self.blocks]
+
+    def put(self, index: int, register: ax12a.Register, value: int) -> None:
+        begin = register.address - ax12a.STATUS_BEGIN
+        self.blocks[index][begin : begin + register.size] = value.to_bytes(register.size, "little")
+
+    def get(self, index: int, register: ax12a.Register) -> int:
+        return ax12a.register_value(register, bytes(self.blocks[index]))
+
+    def run_tick(self, *commands: Command) -> Outputs:
+        """One tick: read, step, write."""
+        self.now_ns += PERIOD_NS
+        readings = []
+        for index, joint in enumerate(self.arm.joints):
+            fresh = self.port_open and index not in self.silent
+            if fresh:
+                self.stamps[index], self.seen[index] = self.now_ns, bytes(self.blocks[index])
+            readings.append(
+                ServoReading(
+                    joint.servo_id,
+                    self.seen[index] if self.stamps[index] else b"",
+                    self.stamps[index],
+                    fresh,
+                    problem="" if fresh else "NO_REPLY",
+                )
+            )
+        sample = Sample(self.now_ns, tuple(readings), port_open=self.port_open)
+        inputs = Inputs(self.tick, self.now_ns + 2_000_000, sample, commands, self.late_ns)
+        self.state, outputs = step(self.state, inputs, self.arm, self.robot, PERIOD_S)
+        self.tick += 1
+        self.outputs = outputs
+        self.replies.update({reply.request_id: reply for reply in outputs.replies})
+        self.events.extend(event.code for event in outputs.events)
+        for write in outputs.writes:
+            index = self.arm.servo_ids.index(write.servo_id)
+            register = next(r for r in ax12a.REGISTERS if r.address == write.address)
+            if index not in self.silent:
+                self.put(index, register, write.value)
+        if outputs.goal is not None:
+            self.goals.append(outputs.goal.ticks)
+            for index, tick in enumerate(outputs.goal.ticks):
+                if index in self.silent or index in self.deaf:
+                    continue
+                self.put(index, ax12a.GOAL, tick)
+                self.put(index, ax12a.TORQUE_ENABLE, 1)  # an AX-12A may energise by a goal alone
+                if index not in self.stuck:
+                    self.put(index, ax12a.PRESENT_POSITION, tick)
+        self.after_write(self)
+        return outputs
+
+    def run_ticks(self, count: int) -> Outputs:
+        """`count` ticks without a command; what the last tick said."""
+        for _ in range(count):
+            self.run_tick()
+        assert self.outputs is not None
+        return self.outputs
+
+    def mode(self) -> Mode:
+        return self.state.mode
+
+    def connect(self) -> IdealArm:
+        self.run_tick(Connected())
+        return self
+
+    def power(self) -> IdealArm:
+        """Torque on at every servo, as a predecessor may have left it."""
+        for index in range(len(self.blocks)):
+            self.put(index, ax12a.TORQUE_ENABLE, 1)
+        return self
+
+    def positions_rad(self) -> tuple[float, ...]:
+        return tuple(
+            joint.position_rad(self.get(index, ax12a.PRESENT_POSITION)) for index, joint in enumerate(self.arm.joints)
+        )
