@@ -10,6 +10,8 @@ _NEXT: dict[str, str] = {
     "SERVO_SILENT": "check the servo's cable and LED, then type `armctl clear`",
     "WRONG_MODEL": "put an AX-12A with that ID on the bus (or correct the calibration file), then type `armctl clear`",
     "EEPROM_MISMATCH": "set the servo's EEPROM (or the calibration file) right, then type `armctl clear`",
+    "DUPLICATE_ID": "give one of the two servos another ID, alone on the bus, then type `armctl clear`",
+    "SLOW_ADAPTER": "set the USB adapter's latency timer to 1 ms, then type `armctl clear`",
     "LOST_TORQUE": "support the arm, type `armctl release`, then `armctl clear` and `armctl torque on`",
     "TRIPPED": "support the arm, remove the load, type `armctl release`, let the servo cool, then `armctl clear` "
     "and `armctl torque on`",

@@ -1,0 +1,399 @@
+"""The servo bus: one owner of the port, one transaction at a time, and no reply believed before it is checked.
+
+Rules:
+
+1. A reply counts only if it is no echo of the request, comes from the servo asked, has the exact length, a good
+   checksum, registers within the control table's bounds, and a position the servo can have reached since the last one.
+   Only the checksum and the id are the SDK's work.
+2. A bad or missing reply is repeated once, after the line has fallen quiet. A sample spends at most `SAMPLE_RETRIES`
+   repetitions, and asks a servo that missed `SILENT_MISSES` samples in a row only every `PROBE_EVERY`-th time, so a
+   silent bus costs a bounded part of the tick.
+3. What was not read in this sample says so: `fresh` is False and the registers keep their old stamp.
+4. Trouble is data (`NO_REPLY`, `BUS_NOISE`, `PORT_GONE`); only `open` raises. After `PORT_GONE` the bus is closed until
+   someone opens it again.
+5. No read asks for two bytes: such a request could be mistaken for a reply to itself (length 4, error bit 1).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL, GroupSyncWrite, Protocol1PacketHandler
+from dynamixel_sdk.robotis_def import INST_READ, INST_WRITE
+
+from armctl.clock import NS_PER_S, Clock
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, ServoPort
+from armctl.errors import PortGone
+from armctl.messages import Goal, Problem, Sample, ServoReading, Write
+
+NO_REPLY = "NO_REPLY"
+BUS_NOISE = "BUS_NOISE"
+PORT_GONE = "PORT_GONE"
+
+SAMPLE_RETRIES = 2
+SILENT_MISSES = 3
+PROBE_EVERY = 5
+
+IDENTIFY_LATENCY_MS = 20.0
+"""Allowance while identifying: an adapter with the 16 ms latency timer is slow, not silent."""
+SLOW_ADAPTER_MS = 8.0
+"""Six reads with this much each fit half a tick of 100 ms; the usual timers are 1 and 16 ms."""
+DUPLICATE_PROBES = 3
+"""Reads of changing registers per servo that tell two servos with one id."""
+
+MOTION_MARGIN = 1.5
+MOTION_MARGIN_TICKS = 3.0
+SPEED_MAX_TICK_S = ax12a.NO_LOAD_SPEED_RAD_S / ax12a.TICK_RAD
+
+HEADER_SIZE = 5
+STATUS_OVERHEAD = 6
+"""Bytes of a status packet beside its parameters: header, id, length, error, checksum."""
+REFUSED = ErrorBit.RANGE | ErrorBit.CHECKSUM | ErrorBit.INSTRUCTION
+"""Error bits that say the very request was not carried out."""
+
+_log = logging.getLogger(__name__)
+
+
+def _impossible_bits() -> int:
+    """Bits of the block 24..49, as a little-endian number, that the control table never sets."""
+    mask = 0
+    for register in ax12a.REGISTERS:
+        if not register.eeprom and register.maximum & (register.maximum + 1) == 0:
+            unused = (1 << 8 * register.size) - 1 - register.maximum
+            mask |= unused << 8 * (register.address - ax12a.STATUS_BEGIN)
+    return mask
+
+
+IMPOSSIBLE_BITS = _impossible_bits()
+
+
+@dataclass(frozen=True, slots=True)
+class _Reply:
+    data: bytes = b""
+    error: int = 0
+    problem: str = ""
+    elapsed_ns: int = 0
+
+
+@dataclass(slots=True)
+class _Track:
+    """What the bus remembers of one servo between samples."""
+
+    reading: ServoReading
+    misses: int = 0
+    """Samples in a row without any answer."""
+    suspect: tuple[int, int] | None = None
+    """Position [tick] and time [ns] of a read that no servo could have moved to; believed if the next one agrees."""
+
+
+class ServoBus:
+    """The servos of one arm behind one port; the port's only user. Not thread-safe."""
+
+    def __init__(self, port: ServoPort, servo_ids: Sequence[int], clock: Clock) -> None:
+        self.is_open = False
+        self.servo_ids = tuple(servo_ids)
+        self._port = port
+        self._clock = clock
+        self._handler = Protocol1PacketHandler()
+        self._goal_writer = GroupSyncWrite(port, self._handler, ax12a.GOAL.address, 4)
+        self._tracks = [_Track(ServoReading(servo_id, b"", 0, False)) for servo_id in self.servo_ids]
+        self._sample_count = 0
+
+    def open(self) -> None:
+        """Open the port.
+
+        Raises:
+            PortMissing, PortBusy, PortGone: see the port.
+        """
+        self._port.openPort()
+        self._port.latency_ms = ADAPTER_LATENCY_MS
+        self.is_open = True
+        for track in self._tracks:
+            track.misses, track.suspect = 0, None
+
+    def close(self) -> None:
+        """Close the port; does nothing if it is closed."""
+        self.is_open = False
+        self._port.closePort()
+
+    # ----------------------------------------------------------------------------------------- every tick
+
+    def read_sample(self) -> Sample:
+        """Bytes 24..49 of every servo.
+
+        Servo and port trouble is in the sample, never raised. A silent servo costs two reply timeouts at first and
+        one of them every fifth sample later.
+        """
+        begin_ns = self._clock.now_ns()
+        retries = 0
+        try:
+            for index, track in enumerate(self._tracks):
+                if track.misses >= SILENT_MISSES and (self._sample_count + index) % PROBE_EVERY:
+                    self._miss(track, NO_REPLY)
+                    continue
+                problem = self._read_status(track)
+                if problem and track.misses < SILENT_MISSES and retries < SAMPLE_RETRIES:
+                    retries += 1
+                    problem = self._read_status(track)
+                if problem:
+                    self._miss(track, problem)
+        except PortGone as error:
+            self._lose_port(error)
+            for track in self._tracks:
+                self._miss(track, PORT_GONE)
+        self._sample_count += 1
+        return Sample(
+            time_ns=begin_ns,
+            servos=tuple(track.reading for track in self._tracks),
+            bus_us=(self._clock.now_ns() - begin_ns) // 1000,
+            retries=retries,
+            port_open=self.is_open,
+        )
+
+    def write_goal(self, goal: Goal) -> bool:
+        """Send goal position and moving speed to all servos in one SYNC_WRITE, which nobody answers.
+
+        Returns:
+            Whether it left; False: the port is gone or stuck.
+        Raises:
+            ValueError: a goal that is no whole tick or speed in 0..1023, or not one for each servo.
+        """
+        for what, values in (("goal position", goal.ticks), ("moving speed", goal.speeds)):
+            if len(values) != len(self.servo_ids):
+                raise ValueError(f"{len(values)} values of {what} for {len(self.servo_ids)} servos")
+            for servo_id, value in zip(self.servo_ids, values, strict=True):
+                if not (isinstance(value, int) and 0 <= value <= ax12a.TICK_MAX):
+                    raise ValueError(f"servo {servo_id}: {what} {value!r} is no whole number in 0..{ax12a.TICK_MAX}")
+        self._goal_writer.clearParam()
+        for servo_id, tick, speed in zip(self.servo_ids, goal.ticks, goal.speeds, strict=True):
+            self._goal_writer.addParam(servo_id, [*tick.to_bytes(2, "little"), *speed.to_bytes(2, "little")])
+        try:
+            self._check_open()
+            sent: bool = self._goal_writer.txPacket() == COMM_SUCCESS
+        except PortGone as error:
+            self._lose_port(error)
+            return False
+        finally:
+            self._port.is_using = False
+        return sent
+
+    # -------------------------------------------------------------------------------------------- one servo
+
+    def write(self, write: Write) -> bool:
+        """Write one register and have it confirmed; False: no good reply, or the servo refused.
+
+        Raises:
+            ValueError: the value does not fit the size, or there is no such servo id.
+        """
+        if write.size not in (1, 2) or not 0 <= write.value < 1 << 8 * write.size:
+            raise ValueError(f"servo {write.servo_id}: {write.value} does not fit {write.size} bytes")
+        parameters = (write.address, *write.value.to_bytes(write.size, "little"))
+        try:
+            reply = self._transact_twice(write.servo_id, INST_WRITE, parameters, 0)
+        except PortGone as error:
+            self._lose_port(error)
+            return False
+        if reply.error & REFUSED:
+            named = ", ".join(ErrorBit.names(reply.error))
+            _log.warning("servo %d refused %d at address %d: %s", write.servo_id, write.value, write.address, named)
+        return not reply.problem and not reply.error & REFUSED
+
+    def ping(self, servo_id: int) -> int | None:
+        """Model number of a servo; None: it does not answer."""
+        return self.read(servo_id, ax12a.MODEL)
+
+    def read(self, servo_id: int, register: Register) -> int | None:
+        """Value of one register; None: no good reply."""
+        begin = max(0, register.address - 1)  # three bytes, never two: rule 5
+        try:
+            reply = self._transact_twice(servo_id, INST_READ, (begin, 3), 3)
+        except PortGone as error:
+            self._lose_port(error)
+            return None
+        return None if reply.problem else ax12a.register_value(register, reply.data, begin)
+
+    # ------------------------------------------------------------------------------------------- connecting
+
+    def identify(self, arm: ArmConfig) -> tuple[Problem, ...]:
+        """Everything that makes this bus unfit for the arm of `arm`; empty: fit.
+
+        Also measures the adapter's latency and sets the port's allowance for it. Takes up to 50 ms a silent servo.
+        """
+        self._port.latency_ms = IDENTIFY_LATENCY_MS
+        try:
+            tables = [
+                self._transact_twice(joint.servo_id, INST_READ, (0, ax12a.EEPROM_END), ax12a.EEPROM_END)
+                for joint in arm.joints
+            ]
+            if all(table.problem for table in tables):
+                self._port.latency_ms = ADAPTER_LATENCY_MS
+                return (_bus_dead([table.problem for table in tables], self._port),)
+            problems = self._adapter_problems(tables)
+            for joint, table in zip(arm.joints, tables, strict=True):
+                servo = f"servo {joint.servo_id} ({joint.name})"
+                if table.problem == NO_REPLY:
+                    text = "no reply; check its cable, its supply, its id, and that its status return level is 2"
+                    problems.append(Problem("SERVO_SILENT", f"{servo}: {text}", joint.servo_id))
+                elif table.problem or self._answers_twice(joint.servo_id):
+                    text = "garbled replies while others answer well; two servos with this id, or a bad cable: "
+                    text += "connect them one at a time and give each its own id"
+                    problems.append(Problem("DUPLICATE_ID", f"{servo}: {text}", joint.servo_id))
+                else:
+                    problems += _table_problems(servo, joint.servo_id, table.data, joint.limits_tick)
+        except PortGone as error:
+            self._lose_port(error)
+            return (Problem(PORT_GONE, str(error)),)
+        return tuple(problems)
+
+    def _adapter_problems(self, tables: Sequence[_Reply]) -> list[Problem]:
+        """Judge the adapter by the median good reply, less wire time and that servo's own return delay."""
+        wire_ns = (2 * STATUS_OVERHEAD + 2 + ax12a.EEPROM_END) * self._port.byte_ns
+        latency_ms = median(
+            (table.elapsed_ns - wire_ns) / NS_PER_MS - 0.002 * ax12a.register_value(ax12a.RETURN_DELAY, table.data, 0)
+            for table in tables
+            if not table.problem
+        )
+        self._port.latency_ms = max(ADAPTER_LATENCY_MS, latency_ms)
+        if latency_ms <= SLOW_ADAPTER_MS:
+            return []
+        return [
+            Problem(
+                "SLOW_ADAPTER",
+                f"{self._port.port_name}: the adapter adds {latency_ms:.1f} ms to every reply, at most "
+                f"{SLOW_ADAPTER_MS:.0f} ms are fit for motion; install the udev rule, or set its latency timer: "
+                "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB*/latency_timer",
+            )
+        ]
+
+    def _answers_twice(self, servo_id: int) -> bool:
+        """Whether replies with changing content collide, or a second one follows the first."""
+        bad = 0
+        for _ in range(DUPLICATE_PROBES):
+            reply = self._transact(servo_id, INST_READ, (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE), ax12a.STATUS_SIZE)
+            bad += reply.problem == BUS_NOISE or self._port.drain() > 0
+        return bad > DUPLICATE_PROBES // 2
+
+    # ----------------------------------------------------------------------------------------- transactions
+
+    def _read_status(self, track: _Track) -> str:
+        """Read one servo into `track`; returns the problem, if any."""
+        servo_id = track.reading.servo_id
+        reply = self._transact(servo_id, INST_READ, (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE), ax12a.STATUS_SIZE)
+        if not reply.problem and (int.from_bytes(reply.data, "little") & IMPOSSIBLE_BITS):
+            reply = self._bad(BUS_NOISE, 0)
+        if reply.problem:
+            return reply.problem
+        now_ns = self._clock.now_ns()
+        position = ax12a.register_value(ax12a.PRESENT_POSITION, reply.data)
+        if not _possible_motion(track, position, now_ns):
+            track.suspect = (position, now_ns)
+            return BUS_NOISE
+        if reply.error != track.reading.error:
+            named = ", ".join(ErrorBit.names(reply.error)) or "none"
+            _log.warning("servo %d: error bits are now: %s", servo_id, named)
+        track.misses, track.suspect = 0, None
+        track.reading = ServoReading(servo_id, reply.data, now_ns, True, reply.error)
+        return ""
+
+    def _miss(self, track: _Track, problem: str) -> None:
+        track.misses = track.misses + 1 if problem == NO_REPLY else 0
+        old = track.reading
+        track.reading = ServoReading(old.servo_id, old.registers, old.stamp_ns, False, old.error, problem)
+
+    def _transact_twice(self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int) -> _Reply:
+        reply = self._transact(servo_id, instruction, parameters, reply_size)
+        return self._transact(servo_id, instruction, parameters, reply_size) if reply.problem else reply
+
+    def _transact(self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int) -> _Reply:
+        """One request and its reply, checked as far as every instruction allows; after a bad one the line is quiet.
+
+        Raises:
+            PortGone: the port vanished or was never opened.
+            ValueError: no such servo id.
+        """
+        if not 0 <= servo_id <= ax12a.ID.maximum:
+            raise ValueError(f"servo id {servo_id} is not in 0..{ax12a.ID.maximum}")
+        request = [0xFF, 0xFF, servo_id, len(parameters) + 2, instruction, *parameters, 0]
+        begin_ns = self._clock.now_ns()
+        try:
+            self._check_open()
+            packet, result, error = self._handler.txRxPacket(self._port, request)
+            elapsed_ns = self._clock.now_ns() - begin_ns
+            # The SDK has put the checksum into `request` by now, so an echo equals it.
+            if result == COMM_SUCCESS and len(packet) == reply_size + STATUS_OVERHEAD and packet != request:
+                return _Reply(bytes(packet[HEADER_SIZE:-1]), error, "", elapsed_ns)
+            silent = result == COMM_TX_FAIL or (result == COMM_RX_TIMEOUT and not self._port.heard)
+            return self._bad(NO_REPLY if silent else BUS_NOISE, elapsed_ns)
+        finally:
+            self._port.is_using = False
+
+    def _bad(self, problem: str, elapsed_ns: int) -> _Reply:
+        """A reply not to be believed; whatever may still be on its way is drained first."""
+        self._port.drain()
+        return _Reply(problem=problem, elapsed_ns=elapsed_ns)
+
+    def _check_open(self) -> None:
+        if not self.is_open:
+            raise PortGone(f"{self._port.port_name}: the bus is closed; open it first")
+
+    def _lose_port(self, error: PortGone) -> None:
+        if self.is_open:
+            _log.error("%s", error)
+        self.is_open = False
+
+
+def _possible_motion(track: _Track, position: int, now_ns: int) -> bool:
+    """Whether a servo can have moved to `position` since it was last read, or since the read that was doubted."""
+    known = [] if track.suspect is None else [track.suspect]
+    if track.reading.registers:
+        known.append((ax12a.register_value(ax12a.PRESENT_POSITION, track.reading.registers), track.reading.stamp_ns))
+    return not known or any(
+        abs(position - tick) <= MOTION_MARGIN * SPEED_MAX_TICK_S * (now_ns - stamp_ns) / NS_PER_S + MOTION_MARGIN_TICKS
+        for tick, stamp_ns in known
+    )
+
+
+def _bus_dead(found: Sequence[str], port: ServoPort) -> Problem:
+    if BUS_NOISE in found:
+        return Problem(
+            "BUS_DEAD",
+            f"{port.port_name}: {len(found)} servos asked, only garbled bytes came; check that every servo runs at "
+            f"{port.baudrate} baud, that the adapter does not echo, the data wire and the common ground",
+        )
+    return Problem(
+        "BUS_DEAD",
+        f"{port.port_name}: {len(found)} servos asked, not a byte came; check that the servos' 12 V supply is on, "
+        f"that they run at {port.baudrate} baud, and the cable between adapter and first servo",
+    )
+
+
+def _table_problems(servo: str, servo_id: int, table: bytes, limits_tick: tuple[int, int]) -> list[Problem]:
+    """What in the EEPROM (bytes 0..23) of a servo forbids motion of a joint with these limits."""
+    model = ax12a.register_value(ax12a.MODEL, table, 0)
+    if model != ax12a.MODEL_NUMBER:
+        text = f"{servo}: model number {model}, wanted {ax12a.MODEL_NUMBER} (AX-12A); use an AX-12A, or the right id"
+        return [Problem("WRONG_MODEL", text, servo_id)]
+    cw, ccw, level = (
+        ax12a.register_value(register, table, 0) for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT, ax12a.RETURN_LEVEL)
+    )
+    low, high = limits_tick
+    faults = []
+    if cw == ccw == 0:
+        faults.append(
+            f"cw_angle_limit and ccw_angle_limit are 0 (wheel mode), wanted at most {low} and at least {high}"
+        )
+    else:
+        if cw > low:
+            faults.append(f"cw_angle_limit is {cw}, wanted at most {low}")
+        if ccw < high:
+            faults.append(f"ccw_angle_limit is {ccw}, wanted at least {high}")
+    if level != ax12a.RETURN_LEVEL.default:
+        faults.append(f"status_return_level is {level}, wanted {ax12a.RETURN_LEVEL.default}")
+    remedy = "; write the servo's EEPROM with its torque off, or correct the calibration file"
+    return [Problem("EEPROM_MISMATCH", f"{servo}: {fault}{remedy}", servo_id) for fault in faults]

@@ -1,0 +1,299 @@
+"""The serial port as the Dynamixel SDK wants it, without the SDK's own way of opening, timing and waiting.
+
+Rules:
+
+1. All timing is monotonic and comes from a `Clock`; a reply is waited for as long as it can take and no longer
+   (about 4.5 ms for 26 bytes at 1 Mbps, where the SDK waits 34 ms).
+2. Reading blocks until the bytes are there or the packet's time is over; nothing spins.
+3. Bytes that have arrived count even when the host looks late, but one packet hears at most `HEARD_MAX` bytes: a
+   babbling line cannot hold the caller.
+4. A port has one user. Whatever goes wrong with it is a `PortMissing`, `PortBusy` or `PortGone` that says what to do.
+"""
+
+from __future__ import annotations
+
+import array
+import errno
+import fcntl
+import grp
+import os
+import select
+import termios
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import ClassVar
+
+import serial
+from dynamixel_sdk import PortHandler
+from serial.tools import list_ports
+
+from armctl.clock import NS_PER_S, Clock
+from armctl.errors import BusError, PortBusy, PortGone, PortMissing
+
+NS_PER_MS = 1_000_000
+BITS_PER_BYTE = 10
+RETURN_DELAY_WORST_US = 508.0
+"""Largest value of the servo's return delay register, 254 units of 2 us."""
+ADAPTER_LATENCY_MS = 2.0
+"""What a USB adapter in low-latency mode may add to a round trip: two frames of 1 ms."""
+MARGIN_MS = 1.5
+QUIET_MS = 0.5
+"""A line silent for this long, and four bytes more, carries no reply."""
+HEARD_MAX = 256
+DRAIN_BYTES = 64
+DRAIN_ROUNDS = 8
+
+
+class ServoPort(PortHandler):  # type: ignore[misc]  # the SDK has no types
+    """Base of every transport: the SDK's port contract with all timing by a clock.
+
+    A transport overrides `openPort`, `closePort`, `clearPort`, `getBytesAvailable`, `_receive` and `_send`; the SDK
+    and `ServoBus` call the rest. Any of them but `closePort` may raise `PortGone`.
+    """
+
+    is_open: bool
+    is_using: bool
+    baudrate: int
+    port_name: str
+
+    def __init__(self, name: str, baud: int, clock: Clock) -> None:
+        super().__init__(name)
+        self.clock = clock
+        self.return_delay_us = RETURN_DELAY_WORST_US
+        self.latency_ms = ADAPTER_LATENCY_MS
+        self.heard = 0
+        """Bytes read since the last packet timeout was set."""
+        self._deadline_ns = 0
+        self._request_size = 0
+        self.setBaudRate(baud)
+
+    # ------------------------------------------------------------------------------------ for the transport
+
+    def _receive(self, length: int) -> bytes:
+        """Up to `length` bytes; waits for them until `_deadline_ns`, then returns what has arrived."""
+        raise NotImplementedError
+
+    def _send(self, packet: bytes) -> int:
+        """Hand `packet` to the line without blocking; the number of bytes taken."""
+        raise NotImplementedError
+
+    # ------------------------------------------------------------------------------------------ for the SDK
+
+    @property
+    def byte_ns(self) -> int:
+        """Wire time of one byte [ns]."""
+        return BITS_PER_BYTE * NS_PER_S // self.baudrate
+
+    def setBaudRate(self, baudrate: int) -> bool:
+        """Set the rate [bit/s]; an open port is opened again with it."""
+        self.baudrate = baudrate
+        if self.is_open:
+            self.closePort()
+            self.openPort()
+        return True
+
+    def getCurrentTime(self) -> float:
+        """Monotonic time [ms]."""
+        return self.clock.now_ns() / NS_PER_MS
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        """Start waiting for a reply of `packet_length` bytes to the packet written last.
+
+        Request and reply on the wire, the servo's return delay, the adapter's latency and a margin.
+        """
+        wire_ms = (self._request_size + packet_length) * self.byte_ns / NS_PER_MS
+        self.setPacketTimeoutMillis(wire_ms + self.return_delay_us / 1000.0 + self.latency_ms + MARGIN_MS)
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:
+        """Start waiting for `msec` milliseconds."""
+        super().setPacketTimeoutMillis(msec)
+        self._deadline_ns = self.clock.now_ns() + round(msec * NS_PER_MS)
+        self.heard = 0
+
+    def isPacketTimeout(self) -> bool:
+        """Whether the packet's time, or its share of bytes, is used up."""
+        return self.clock.now_ns() >= self._deadline_ns or self.heard >= HEARD_MAX
+
+    def readPort(self, length: int) -> bytes:
+        """Up to `length` bytes, waiting for them until the packet timeout."""
+        if length <= 0 or self.heard >= HEARD_MAX:
+            return b""
+        data = self._receive(length)
+        self.heard += len(data)
+        return data
+
+    def writePort(self, packet: Sequence[int]) -> int:
+        """Send a packet; the number of bytes taken, fewer if the line is stuck."""
+        self._request_size = len(packet)
+        return self._send(bytes(packet))
+
+    # ------------------------------------------------------------------------------------------ for the bus
+
+    def drain(self) -> int:
+        """Read until the line is quiet, at most a few milliseconds; the number of bytes thrown away."""
+        quiet_ms = QUIET_MS + 4 * self.byte_ns / NS_PER_MS
+        drained = 0
+        for _ in range(DRAIN_ROUNDS):
+            self.setPacketTimeoutMillis(quiet_ms)
+            data = self.readPort(DRAIN_BYTES)
+            if not data:
+                break
+            drained += len(data)
+        return drained
+
+
+class SerialPort(ServoPort):
+    """A tty: exclusive, raw, non-blocking, with low latency where the driver knows it.
+
+    `low_latency` is the driver's flag read back after opening; None: the driver has none (a pty, for one).
+    """
+
+    ser: serial.Serial | None
+    low_latency: bool | None = None
+    _ASYNC_LOW_LATENCY: ClassVar[int] = 0x2000
+
+    def openPort(self) -> bool:
+        """Open the port for this process alone.
+
+        Raises:
+            PortMissing: no such port, no serial port, or no permission; the text lists what is there.
+            PortBusy: another process holds it; the text names the process where /proc shows it.
+        """
+        if self.is_open:
+            self.closePort()
+        try:
+            self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
+            # The mark lives until the tty's last descriptor closes. Who owns a pty's master may hold its slave too,
+            # and would lock us out after a crash of ours; there the advisory lock must do.
+            if not _is_pty(self.ser.fileno()):
+                fcntl.ioctl(self.ser.fileno(), termios.TIOCEXCL)
+        except (OSError, termios.error, ValueError) as error:
+            self.closePort()
+            raise _open_error(self.port_name, self.baudrate, error) from None
+        self.low_latency = self._ask_low_latency(self.ser)
+        self.is_open = True
+        return True
+
+    def closePort(self) -> None:
+        self.is_open = False
+        if self.ser is not None:
+            with suppress(OSError):  # an unplugged device may refuse even this; the descriptor is gone all the same
+                self.ser.close()
+            self.ser = None
+
+    def clearPort(self) -> None:
+        """Throw away what was received and not read."""
+        with self._gone():
+            termios.tcflush(self._fd(), termios.TCIFLUSH)
+
+    def getBytesAvailable(self) -> int:
+        with self._gone():
+            self._fd()
+            assert self.ser is not None
+            return self.ser.in_waiting
+
+    def _receive(self, length: int) -> bytes:
+        data = b""
+        with self._gone():
+            fd = self._fd()
+            while len(data) < length:
+                left_s = max(0, self._deadline_ns - self.clock.now_ns()) / NS_PER_S
+                if not select.select([fd], [], [], left_s)[0]:
+                    break
+                try:
+                    arrived = os.read(fd, length - len(data))
+                except BlockingIOError:
+                    continue
+                if not arrived:
+                    raise OSError(errno.EIO, "end of file")
+                data += arrived
+        return data
+
+    def _send(self, packet: bytes) -> int:
+        with self._gone():
+            fd = self._fd()
+            try:
+                sent = os.write(fd, packet)
+            except BlockingIOError:
+                sent = 0
+            if sent < len(packet):  # nothing that waits here may reach the servos later, in a burst
+                termios.tcflush(fd, termios.TCOFLUSH)
+        return sent
+
+    def _fd(self) -> int:
+        if self.ser is None:
+            raise PortGone(f"{self.port_name}: the port is not open; open it first")
+        return self.ser.fileno()
+
+    @contextmanager
+    def _gone(self) -> Iterator[None]:
+        """Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them)."""
+        try:
+            yield
+        except (OSError, termios.error) as error:
+            raise PortGone(
+                f"{self.port_name}: the port vanished ({_reason(error)}); plug the adapter in again"
+            ) from None
+
+    def _ask_low_latency(self, ser: serial.Serial) -> bool | None:
+        state = array.array("i", [0] * 32)
+        try:
+            ser.set_low_latency_mode(True)
+            fcntl.ioctl(ser.fileno(), termios.TIOCGSERIAL, state)
+        except (ValueError, OSError):
+            return None
+        return bool(state[4] & self._ASYNC_LOW_LATENCY)
+
+
+def _is_pty(fd: int) -> bool:
+    return 136 <= os.major(os.fstat(fd).st_rdev) <= 143  # Unix98 pty slaves
+
+
+def _reason(error: Exception) -> str:
+    number = error.args[0] if error.args else None
+    return os.strerror(number) if isinstance(number, int) else str(error)
+
+
+def _open_error(path: str, baud: int, error: Exception) -> BusError:
+    """The expected failure behind what open, flock, ioctl or tcsetattr raised."""
+    number = error.args[0] if error.args else None
+    if number == errno.ENOENT:
+        found = sorted(port.device for port in list_ports.comports() if port.hwid != "n/a")
+        return PortMissing(
+            f"{path}: no such port; found: {', '.join(found) or 'no USB serial port at all'}; "
+            "plug the adapter in, or name another port with --port"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN):
+        holders = ", ".join(_holders(path)) or "another process (of another user)"
+        return PortBusy(f"{path}: in use by {holders}; stop it, one program at a time can drive the bus")
+    if number in (errno.EACCES, errno.EPERM):
+        group = _group(path)
+        return PortMissing(
+            f"{path}: no permission; it belongs to group {group}: sudo usermod -aG {group} $USER, then log in again"
+        )
+    if isinstance(error, ValueError):
+        return PortMissing(f"{path}: the adapter cannot do {baud} baud ({error}); set another baud rate")
+    return PortMissing(f"{path}: no usable serial port ({_reason(error)}); name another one with --port")
+
+
+def _holders(path: str) -> list[str]:
+    """Processes that have the port open, as far as /proc lets us see: `name (pid 123)`."""
+    device = os.path.realpath(path)
+    found: dict[str, str] = {}
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        try:
+            if os.readlink(link) == device:
+                process = link.parent.parent
+                found[process.name] = f"{(process / 'comm').read_text().strip()} (pid {process.name})"
+        except OSError:  # ended meanwhile, or not ours to see
+            continue
+    return list(found.values())
+
+
+def _group(path: str) -> str:
+    gid = os.stat(path).st_gid
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return str(gid)

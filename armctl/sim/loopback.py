@@ -1,0 +1,78 @@
+"""A port in virtual time: the Dynamixel SDK on one side, the simulated bus on the other, no kernel between.
+
+Rules:
+
+1. Only reading moves the clock, and only to where something happens: the next reply byte, or the packet's deadline.
+2. No threads and no real time, so the same calls give the same bytes at the same instants.
+
+Not modelled: the kernel's buffers, scheduling delays, and an adapter that drops what it is sent.
+"""
+
+from __future__ import annotations
+
+from armctl.clock import VirtualClock
+from armctl.dynamixel.port import ServoPort
+from armctl.errors import PortGone, PortMissing
+from armctl.sim.bus import SimulatedBus
+
+
+class LoopbackPort(ServoPort):
+    """`ServoPort` over a `SimulatedBus`; waiting costs virtual time only."""
+
+    def __init__(self, bus: SimulatedBus, clock: VirtualClock, baud: int = 1_000_000) -> None:
+        super().__init__("loopback", baud, clock)
+        self._bus = bus
+        self._plugged = True
+        self._received = b""
+
+    def unplug(self) -> None:
+        """From now on every use of the port raises `PortGone`, and opening it `PortMissing`."""
+        self._plugged = False
+
+    def replug(self) -> None:
+        """Let the port be opened again."""
+        self._plugged = True
+
+    def openPort(self) -> bool:
+        if not self._plugged:
+            raise PortMissing("loopback: unplugged; call replug()")
+        self.is_open = True
+        self.clearPort()
+        return True
+
+    def closePort(self) -> None:
+        self.is_open = False
+
+    def clearPort(self) -> None:
+        self._arrive()
+        self._received = b""
+
+    def getBytesAvailable(self) -> int:
+        self._arrive()
+        return len(self._received)
+
+    def _receive(self, length: int) -> bytes:
+        self._arrive()
+        while len(self._received) < length:
+            next_ns = self._bus.next_transmit_ns()
+            if next_ns is None or next_ns > self._deadline_ns:
+                self.clock.sleep_until_ns(self._deadline_ns)
+                break
+            self.clock.sleep_until_ns(next_ns)
+            self._arrive()
+        data, self._received = self._received[:length], self._received[length:]
+        return data
+
+    def _send(self, packet: bytes) -> int:
+        self._check()
+        self._bus.receive(packet, self.clock.now_ns())
+        return len(packet)
+
+    def _arrive(self) -> None:
+        self._check()
+        self._received += self._bus.transmit(self.clock.now_ns())
+
+    def _check(self) -> None:
+        if not (self._plugged and self.is_open):
+            self.is_open = False
+            raise PortGone("loopback: the port vanished; plug the adapter in again")

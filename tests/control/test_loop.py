@@ -1,0 +1,221 @@
+"""The loop with the real bus and SDK on simulated servos and a virtual clock; and the link between processes."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import pytest
+
+from armctl.clock import VirtualClock
+from armctl.config import load_arm
+from armctl.control.link import Link, LinkClosed, Ready
+from armctl.control.loop import ControlLoop
+from armctl.control.machine import State
+from armctl.dynamixel.bus import ServoBus
+from armctl.kinematics import robots
+from armctl.messages import (
+    Clear,
+    Command,
+    Connected,
+    Hold,
+    HostLost,
+    JointTrajectory,
+    Mode,
+    Release,
+    Reply,
+    Run,
+    Teach,
+    TickRecord,
+    TorqueOn,
+    from_json,
+)
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.loopback import LoopbackPort
+
+ARM = load_arm("ax12-line")
+
+
+@dataclass
+class Rig:
+    """A control loop that owns a simulated arm."""
+
+    seed: int = 3
+    clock: VirtualClock = field(default_factory=VirtualClock)
+    records: list[TickRecord] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.simulated = SimulatedArm(ARM, seed=self.seed)
+        self.port = LoopbackPort(SimulatedBus(self.simulated), self.clock)
+        self.loop = self.make_loop()
+
+    def make_loop(self, restarted: bool = False) -> ControlLoop:
+        bus = ServoBus(self.port, ARM.servo_ids, self.clock)
+        loop = ControlLoop(bus, self.clock, ARM, robots.get(ARM.robot), 0.1, restarted=restarted)
+        loop.open()
+        return loop
+
+    def ticks(self, count: int, *commands: Command) -> TickRecord:
+        for index in range(count):
+            self.records.append(self.loop.tick(commands if index == 0 else ()))
+        return self.records[-1]
+
+    def mode(self) -> Mode:
+        return self.loop.state.mode
+
+    def replies(self) -> dict[int, Reply]:
+        return {reply.request_id: reply for record in self.records for reply in record.outputs.replies}
+
+    def codes(self) -> list[str]:
+        return [event.code for record in self.records for event in record.outputs.events]
+
+    def line(self, ticks: int = 30) -> JointTrajectory:
+        goal = self.loop.state.goal
+        assert goal is not None
+        start = [joint.position_rad(tick) for joint, tick in zip(ARM.joints, goal, strict=True)]
+        points = tuple((start[0] + 0.02 * k, *start[1:]) for k in range(ticks + 1))
+        return JointTrajectory(0.1, points, 0.0, 0.1 * ticks, "line")
+
+
+def holding(seed: int = 3) -> Rig:
+    rig = Rig(seed)
+    rig.ticks(3)
+    rig.ticks(15, TorqueOn(1))
+    assert rig.mode() is Mode.HOLDING
+    return rig
+
+
+def test_a_run_moves_the_arm_and_ends_where_it_was_sent() -> None:
+    rig = holding()
+    rig.ticks(40, Run(2, rig.line()))
+    assert rig.replies()[2].ok
+    assert rig.simulated.true_positions()[0] == pytest.approx(0.6, abs=0.03)
+
+
+def test_the_same_seed_gives_the_same_records() -> None:
+    def story() -> list[TickRecord]:
+        rig = holding()
+        rig.ticks(20, Run(2, rig.line()))
+        rig.ticks(10, Hold(3))
+        rig.ticks(5, Release(4))
+        return rig.records
+
+    assert story() == story()
+
+
+def test_ticks_keep_their_absolute_deadlines() -> None:
+    rig = Rig()
+    rig.ticks(20)
+    begins = [record.inputs.sample.time_ns for record in rig.records[1:]]
+    assert {b - a for a, b in pairwise(begins)} == {100_000_000}
+
+
+def test_late_ticks_are_skipped_and_never_made_up_for_in_a_burst() -> None:
+    rig = Rig()
+    rig.ticks(3)
+    before_ns = rig.records[-1].inputs.sample.time_ns
+    rig.clock.advance_ns(730_000_000)
+    rig.ticks(3)
+    times = [record.inputs.sample.time_ns for record in rig.records[-3:]]
+    assert rig.records[-3].inputs.late_ns > 500_000_000
+    assert times[1] - before_ns == 800_000_000
+    assert times[2] - times[1] == 100_000_000
+
+
+def test_a_new_loop_adopts_a_holding_arm_without_moving_it() -> None:
+    rig = holding()
+    before = rig.simulated.true_positions()
+    rig.loop = rig.make_loop(restarted=True)
+    rig.records.clear()
+    rig.ticks(20)
+    assert rig.mode() is Mode.HOLDING
+    assert "RESTARTED" in rig.codes()
+    assert not any(record.outputs.goal or record.outputs.writes for record in rig.records)
+    assert rig.simulated.true_positions() == pytest.approx(before, abs=0.005)
+
+
+def test_unplugging_latches_and_a_replug_leads_back_to_holding_by_clear() -> None:
+    rig = holding()
+    rig.ticks(5, Run(2, rig.line()))
+    rig.port.unplug()
+    rig.ticks(2)
+    assert rig.mode() is Mode.FAULTED
+    assert rig.replies()[2].code == "PORT_GONE"
+    rig.ticks(10)
+    rig.port.replug()
+    rig.ticks(7)
+    assert "PORT_BACK" in rig.codes()
+    assert rig.mode() is Mode.FAULTED
+    rig.ticks(1, Clear(3))
+    assert rig.replies()[3].ok
+    assert rig.mode() is Mode.HOLDING
+
+
+def test_a_limp_arm_can_be_taught() -> None:
+    rig = holding()
+    rig.ticks(4, Teach(5))
+    assert rig.replies()[5].ok
+    assert not any(servo.torque_enabled for servo in rig.simulated.servos)
+
+
+def test_leaving_waits_until_the_motion_has_come_to_rest() -> None:
+    rig = holding()
+    rig.ticks(5, Run(2, rig.line()))
+
+    def outbox(record: TickRecord) -> bool:
+        rig.records.append(record)
+        return True
+
+    rig.loop.run(lambda: (HostLost(),), outbox, lambda: True)
+    assert rig.mode() is Mode.HOLDING
+    assert rig.replies()[2].code == "HOST_LOST"
+
+
+def test_records_the_host_did_not_take_are_counted_and_followed_by_a_keyframe() -> None:
+    rig = Rig()
+    answers = iter([True, False, False, True, True])
+
+    def outbox(record: TickRecord) -> bool:
+        rig.records.append(record)
+        return next(answers)
+
+    rig.loop.run(lambda: (), outbox, lambda: len(rig.records) == 5)
+    assert [record.dropped for record in rig.records] == [0, 0, 1, 2, 0]
+    assert [bool(record.keyframe) for record in rig.records] == [True, False, True, True, False]
+    assert from_json(State, rig.records[3].keyframe).connected
+
+
+def test_identification_happens_at_first_and_before_a_clear_only() -> None:
+    rig = Rig()
+    rig.ticks(3)
+    rig.ticks(1, Clear(1))
+    connected = [any(isinstance(c, Connected) for c in record.inputs.commands) for record in rig.records]
+    assert connected == [True, False, False, True]
+
+
+def test_a_link_carries_messages_whole_and_in_order_and_tells_the_end() -> None:
+    link, theirs = Link.pair()
+    other = Link(theirs)
+    assert other.receive() == []
+    assert link.send(Ready(7))
+    assert link.send(Hold(1))
+    assert other.receive() == [Ready(7), Hold(1)]
+    assert link.send(Hold(2))
+    link.close()
+    assert other.receive() == [Hold(2)]
+    with pytest.raises(LinkClosed):
+        other.receive()
+    other.close()
+
+
+def test_a_link_whose_other_side_does_not_read_refuses_instead_of_blocking() -> None:
+    link, theirs = Link.pair()
+    assert isinstance(theirs, socket.socket)
+    sent = 0
+    while link.send(b"x" * 10_000):
+        sent += 1
+    assert sent > 10
+    link.close()
+    theirs.close()

@@ -1,0 +1,336 @@
+"""SerialPort on real pseudo terminals, and the timing every ServoPort shares."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import grp
+import os
+import subprocess
+import sys
+import termios
+import threading
+import time
+import tty
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.clock import MonotonicClock, VirtualClock
+from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.port import HEARD_MAX, SerialPort, ServoPort
+from armctl.errors import PortBusy, PortGone, PortMissing
+from armctl.messages import Goal
+
+BAUD = 1_000_000
+
+
+class EndlessPort(ServoPort):
+    """A line that always has another byte."""
+
+    def _receive(self, length: int) -> bytes:
+        return b"\x55" * length
+
+    def _send(self, packet: bytes) -> int:
+        return len(packet)
+
+
+class Pty:
+    """A pseudo terminal whose master side the test plays."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        self.path = os.ttyname(self.slave)
+
+    def unplug(self) -> None:
+        for fd in (self.slave, self.master):
+            if fd >= 0:
+                os.close(fd)
+        self.master = self.slave = -1
+
+
+@pytest.fixture
+def pty() -> Iterator[Pty]:
+    pty = Pty()
+    yield pty
+    pty.unplug()
+
+
+@pytest.fixture
+def port(pty: Pty) -> Iterator[SerialPort]:
+    port = SerialPort(pty.path, BAUD, MonotonicClock())
+    port.openPort()
+    yield port
+    port.closePort()
+
+
+# ----------------------------------------------------------------------------------------------------- timing
+
+
+def test_status_read_is_waited_for_about_5_ms() -> None:
+    clock = VirtualClock()
+    port = EndlessPort("line", BAUD, clock)
+    port.writePort([0] * 8)
+    port.setPacketTimeout(32)
+    clock.advance_ns(4_400_000)
+    assert not port.isPacketTimeout()
+    clock.advance_ns(100_000)
+    assert port.isPacketTimeout()
+    assert port.isPacketTimeout()
+
+
+@given(
+    baud=st.sampled_from([9_600, 57_600, 115_200, 1_000_000]),
+    request=st.integers(6, 200),
+    reply=st.integers(6, 200),
+    delay_us=st.floats(0, 508),
+    latency_ms=st.floats(0, 20),
+)
+@settings(deadline=None)
+def test_timeout_covers_wire_return_delay_and_adapter(
+    baud: int, request: int, reply: int, delay_us: float, latency_ms: float
+) -> None:
+    clock = VirtualClock()
+    port = EndlessPort("line", baud, clock)
+    port.return_delay_us, port.latency_ms = delay_us, latency_ms
+    port.writePort([0] * request)
+    port.setPacketTimeout(reply)
+    needed_ns = round((request + reply) * 1e10 / baud + delay_us * 1e3 + latency_ms * 1e6)
+    clock.advance_ns(needed_ns)
+    assert not port.isPacketTimeout()
+    clock.advance_ns(2_000_000)
+    assert port.isPacketTimeout()
+
+
+def test_timeout_in_milliseconds_is_exact_and_by_the_clock() -> None:
+    clock = VirtualClock(start_ns=10**15 + 7)
+    port = EndlessPort("line", BAUD, clock)
+    assert port.getCurrentTime() == pytest.approx(1e9)
+    port.setPacketTimeoutMillis(3)
+    clock.advance_ns(2_999_999)
+    assert not port.isPacketTimeout()
+    clock.advance_ns(1)
+    assert port.isPacketTimeout()
+
+
+def test_one_packet_hears_a_bounded_number_of_bytes() -> None:
+    port = EndlessPort("line", BAUD, VirtualClock())
+    port.setPacketTimeoutMillis(1000)
+    while port.readPort(6):
+        pass
+    assert HEARD_MAX <= port.heard < HEARD_MAX + 6
+    assert port.isPacketTimeout()
+    assert port.readPort(-3) == b""
+    assert 0 < port.drain() < 10_000
+
+
+def test_transport_without_its_two_methods_is_no_port() -> None:
+    port = ServoPort("line", BAUD, VirtualClock())
+    with pytest.raises(NotImplementedError):
+        port.readPort(1)
+    with pytest.raises(NotImplementedError):
+        port.writePort([1])
+
+
+# ---------------------------------------------------------------------------------------------------- opening
+
+
+def test_missing_path_lists_what_is_there_and_what_to_do(tmp_path: Path) -> None:
+    path = str(tmp_path / "ttyUSB9")
+    with pytest.raises(PortMissing, match=rf"{path}: no such port; found: .*; plug the adapter in"):
+        SerialPort(path, BAUD, MonotonicClock()).openPort()
+
+
+def test_file_that_is_no_tty_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("")
+    port = SerialPort(str(path), BAUD, MonotonicClock())
+    with pytest.raises(PortMissing, match="no usable serial port"):
+        port.openPort()
+    assert not port.is_open
+
+
+def test_no_permission_names_the_group(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "tty"
+    path.write_text("")
+    os.chown(path, -1, os.getgid())
+
+    def refuse(*args: Any, **kwargs: Any) -> None:
+        raise serial.SerialException(errno.EACCES, "could not open port")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(PortMissing, match=r"no permission; it belongs to group (\S+): sudo usermod -aG \1 "):
+        SerialPort(str(path), BAUD, MonotonicClock()).openPort()
+    monkeypatch.setattr(grp, "getgrgid", {}.__getitem__)
+    with pytest.raises(PortMissing, match=f"group {os.getgid()}:"):
+        SerialPort(str(path), BAUD, MonotonicClock()).openPort()
+
+
+def test_baud_rate_the_adapter_refuses_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*args: Any, **kwargs: Any) -> None:
+        raise ValueError("Failed to set custom baud rate (12345)")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(PortMissing, match="cannot do 12345 baud"):
+        SerialPort("/dev/null", 12_345, MonotonicClock()).openPort()
+
+
+@pytest.mark.parametrize(("flags", "low_latency"), [(0x2000, True), (0, False)])
+def test_low_latency_is_read_back_from_the_driver(
+    monkeypatch: pytest.MonkeyPatch, port: SerialPort, flags: int, low_latency: bool
+) -> None:
+    def driver(fd: int, request: int, state: array[int]) -> None:
+        if request == termios.TIOCGSERIAL:
+            state[4] = flags
+
+    assert port.ser is not None
+    monkeypatch.setattr(fcntl, "ioctl", driver)
+    assert port._ask_low_latency(port.ser) is low_latency
+
+
+@pytest.mark.pty
+def test_pty_opens_without_low_latency(port: SerialPort) -> None:
+    assert port.is_open
+    assert port.low_latency is None
+
+
+@pytest.mark.pty
+def test_second_open_is_refused_and_names_the_holder(port: SerialPort) -> None:
+    second = SerialPort(port.port_name, BAUD, MonotonicClock())
+    with pytest.raises(PortBusy, match=rf"in use by .*\(pid {os.getpid()}\)"):
+        second.openPort()
+    assert not second.is_open
+    port.closePort()
+    assert second.openPort()
+    second.closePort()
+
+
+@pytest.mark.pty
+def test_port_held_by_another_process_is_free_again_when_that_is_killed(pty: Pty) -> None:
+    code = (
+        "import sys, time; from armctl.clock import MonotonicClock; from armctl.dynamixel.port import SerialPort\n"
+        f"port = SerialPort({pty.path!r}, {BAUD}, MonotonicClock()); port.openPort(); print('open', flush=True)\n"
+        "time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"open\n"
+        port = SerialPort(pty.path, BAUD, MonotonicClock())
+        with pytest.raises(PortBusy, match=rf"\(pid {process.pid}\)"):
+            port.openPort()
+        process.kill()
+    port.openPort()
+    port.closePort()
+    mark = array("i", [1])
+    fcntl.ioctl(pty.slave, 0x80045440, mark)  # TIOCGEXCL
+    assert mark[0] == 0, "an exclusive mark would outlive a killed owner and lock out everybody but root"
+
+
+@pytest.mark.pty
+def test_opening_again_and_changing_baud_leak_no_descriptors(port: SerialPort) -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(5):
+        port.openPort()
+        port.setBaudRate(57_600)
+    assert len(os.listdir("/proc/self/fd")) == before
+    assert port.byte_ns == 173_611
+    port.closePort()
+    port.closePort()
+    assert len(os.listdir("/proc/self/fd")) < before
+
+
+# -------------------------------------------------------------------------------------------- reading, writing
+
+
+@pytest.mark.pty
+def test_written_bytes_arrive_and_answers_are_read(pty: Pty, port: SerialPort) -> None:
+    assert port.writePort([0xFF, 0xFF, 1, 2, 1, 0xFB]) == 6
+    assert os.read(pty.master, 100) == b"\xff\xff\x01\x02\x01\xfb"
+    os.write(pty.master, bytes(range(20)))
+    port.setPacketTimeoutMillis(1000)
+    assert port.readPort(6) == bytes(range(6))
+    assert port.getBytesAvailable() == 14
+    assert port.readPort(14) == bytes(range(6, 20))
+
+
+@pytest.mark.pty
+def test_cleared_bytes_are_never_read(pty: Pty, port: SerialPort) -> None:
+    os.write(pty.master, b"old")
+    port.clearPort()
+    port.setPacketTimeoutMillis(1)
+    assert port.readPort(3) == b""
+
+
+@pytest.mark.pty
+def test_waiting_for_a_reply_burns_no_cpu_and_ends_at_the_deadline(port: SerialPort) -> None:
+    begin_s, begin_cpu_s = time.monotonic(), time.thread_time()
+    port.setPacketTimeoutMillis(100)
+    assert port.readPort(6) == b""
+    assert port.isPacketTimeout()
+    assert time.monotonic() - begin_s >= 0.1
+    assert time.thread_time() - begin_cpu_s < 0.02
+
+
+@pytest.mark.pty
+def test_bytes_that_arrived_count_even_after_the_deadline(pty: Pty, port: SerialPort) -> None:
+    port.setPacketTimeoutMillis(0)
+    os.write(pty.master, b"reply")
+    assert port.readPort(5) == b"reply"
+
+
+@pytest.mark.pty
+def test_line_that_takes_no_more_drops_what_waits(pty: Pty, port: SerialPort) -> None:
+    sent = [port.writePort([0x55] * 200) for _ in range(1000)]
+    assert sent[0] == 200
+    assert min(sent) < 200
+
+
+@pytest.mark.pty
+def test_every_use_of_an_unplugged_port_is_port_gone(pty: Pty, port: SerialPort) -> None:
+    pty.unplug()
+    port.setPacketTimeoutMillis(1000)
+    for use in (
+        lambda: port.readPort(6),
+        lambda: port.writePort([1]),
+        port.clearPort,
+        port.getBytesAvailable,
+    ):
+        with pytest.raises(PortGone, match=r"vanished .*; plug the adapter in again"):
+            use()
+    port.closePort()
+    with pytest.raises(PortMissing):
+        port.openPort()
+    with pytest.raises(PortGone, match="not open"):
+        port.readPort(1)
+
+
+@pytest.mark.pty
+def test_unplugging_in_the_middle_of_a_read_is_data(pty: Pty, port: SerialPort) -> None:
+    bus = ServoBus(port, (1, 2), port.clock)
+    bus.open()
+    port.latency_ms = 5000.0
+
+    def unplug_after_the_request() -> None:
+        os.read(pty.master, 8)
+        os.write(pty.master, b"\xff\xff\x01")
+        pty.unplug()
+
+    hand = threading.Thread(target=unplug_after_the_request)
+    hand.start()
+    sample = bus.read_sample()
+    hand.join()
+    assert not sample.port_open
+    assert [(reading.fresh, reading.problem) for reading in sample.servos] == [(False, "PORT_GONE")] * 2
+    assert not bus.is_open
+    assert not port.is_using
+    assert not bus.write_goal(Goal((512, 512), (10, 10)))
+    bus.close()
+    with pytest.raises(PortMissing):
+        bus.open()

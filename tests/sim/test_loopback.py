@@ -1,0 +1,181 @@
+"""The stock SDK and ServoBus against the simulated bus, in virtual time."""
+
+from __future__ import annotations
+
+import pytest
+
+from armctl.clock import VirtualClock
+from armctl.config import ArmConfig, load_arm
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.bus import NO_REPLY, PORT_GONE, ServoBus
+from armctl.errors import PortGone, PortMissing
+from armctl.messages import Goal, Sample, Write
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.loopback import LoopbackPort
+
+TICK_NS = 100_000_000
+
+
+class Bench:
+    """One simulated arm, its bus, the port and the ServoBus over it."""
+
+    def __init__(self, *, seed: int = 0, latency_ms: float = 0.0, baud: int = 1_000_000) -> None:
+        self.config: ArmConfig = load_arm("ax12-line")
+        self.clock = VirtualClock()
+        self.arm = SimulatedArm(self.config, seed=seed)
+        self.port = LoopbackPort(SimulatedBus(self.arm, baud=baud, latency_ms=latency_ms, seed=seed), self.clock, baud)
+        self.bus = ServoBus(self.port, self.config.servo_ids, self.clock)
+        self.bus.open()
+
+    def tick(self) -> Sample:
+        self.clock.advance_ns(TICK_NS)
+        return self.bus.read_sample()
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_sample_takes_exactly_its_wire_time(bench: Bench) -> None:
+    sample = bench.tick()
+    assert all(reading.fresh for reading in sample.servos)
+    assert sample.retries == 0
+    assert sample.bus_us == 6 * (80 + 500 + 320)
+    assert not bench.port.is_using
+
+
+def test_position_read_is_where_the_arm_is(bench: Bench) -> None:
+    for joint, reading, true_rad in zip(
+        bench.config.joints, bench.tick().servos, bench.arm.true_positions(), strict=True
+    ):
+        tick = ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers)
+        assert joint.position_rad(tick) == pytest.approx(true_rad, abs=4 * ax12a.TICK_RAD)
+
+
+def test_goal_moves_the_arm_and_reads_back(bench: Bench) -> None:
+    at = [ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers) for reading in bench.tick().servos]
+    at[0] += 60
+    for _ in range(15):
+        assert bench.bus.write_goal(Goal(tuple(at), (100,) * 6))
+        sample = bench.tick()
+    base = sample.servos[0].registers
+    assert ax12a.register_value(ax12a.GOAL, base) == at[0]
+    assert ax12a.register_value(ax12a.PRESENT_POSITION, base) == pytest.approx(at[0], abs=8)
+    assert bench.bus.read(1, ax12a.MOVING_SPEED) == 100
+
+
+def test_same_seed_same_calls_same_samples() -> None:
+    def run() -> list[Sample]:
+        bench = Bench(seed=7, latency_ms=1.0)
+        samples = [bench.tick()]
+        bench.bus.write_goal(Goal((520, 640, 60, 700, 500, 512), (40,) * 6))
+        bench.arm.servos[3].set(ax12a.ID, 99)
+        return samples + [bench.tick() for _ in range(10)]
+
+    assert run() == run()
+
+
+def test_silent_servo_costs_at_most_10_ms_of_virtual_time(bench: Bench) -> None:
+    whole_us = bench.tick().bus_us
+    bench.arm.servos[3].set(ax12a.ID, 99)
+    sample = bench.tick()
+    assert sample.servos[3].problem == NO_REPLY
+    assert sample.bus_us - whole_us <= 10_000
+
+
+def test_registers_of_the_simulated_arm_are_fit(bench: Bench) -> None:
+    assert bench.bus.identify(bench.config) == ()
+
+
+def test_write_is_confirmed_and_a_locked_servo_refuses(bench: Bench) -> None:
+    assert bench.bus.write(Write(1, ax12a.TORQUE_LIMIT.address, 2, 150))
+    assert bench.bus.read(1, ax12a.TORQUE_LIMIT) == 150
+    assert bench.bus.write(Write(1, ax12a.LOCK.address, 1, 1))
+    assert not bench.bus.write(Write(1, ax12a.PUNCH.address, 2, 40))
+
+
+def test_two_servos_with_one_id_are_told(bench: Bench) -> None:
+    bench.arm.servos[3].set(ax12a.ID, 3)
+    problems = bench.bus.identify(bench.config)
+    assert [(problem.code, problem.servo_id) for problem in problems] == [("DUPLICATE_ID", 3), ("SERVO_SILENT", 4)]
+
+
+def test_wheel_mode_and_other_baud_are_told(bench: Bench) -> None:
+    bench.arm.servos[1].set(ax12a.CW_LIMIT, 0)
+    bench.arm.servos[1].set(ax12a.CCW_LIMIT, 0)
+    bench.arm.servos[5].set(ax12a.BAUD, 34)
+    problems = bench.bus.identify(bench.config)
+    assert [(problem.code, problem.servo_id) for problem in problems] == [("EEPROM_MISMATCH", 2), ("SERVO_SILENT", 6)]
+    assert "wheel mode" in problems[0].text
+
+
+def test_host_at_another_baud_finds_a_dead_bus() -> None:
+    bench = Bench(baud=57_600)
+    assert [problem.code for problem in bench.bus.identify(bench.config)] == ["BUS_DEAD"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_adapter_with_16_ms_timer_is_slow_but_not_silent(seed: int) -> None:
+    bench = Bench(seed=seed, latency_ms=16.0)
+    assert [problem.code for problem in bench.bus.identify(bench.config)] == ["SLOW_ADAPTER"]
+    assert all(reading.fresh for _ in range(5) for reading in bench.tick().servos)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_adapter_with_1_ms_timer_is_fit(seed: int) -> None:
+    bench = Bench(seed=seed, latency_ms=1.0)
+    assert bench.bus.identify(bench.config) == ()
+    sample = bench.tick()
+    assert all(reading.fresh for reading in sample.servos)
+    assert sample.retries == 0
+
+
+def test_unplugged_port_is_data_and_replugged_is_read_again(bench: Bench) -> None:
+    bench.tick()
+    bench.port.unplug()
+    sample = bench.tick()
+    assert not sample.port_open
+    assert not bench.bus.is_open
+    assert {reading.problem for reading in sample.servos} == {PORT_GONE}
+    assert not bench.bus.write_goal(Goal((512,) * 6, (50,) * 6))
+    bench.bus.close()
+    with pytest.raises(PortMissing, match="unplugged"):
+        bench.bus.open()
+    bench.port.replug()
+    bench.bus.open()
+    assert all(reading.fresh for reading in bench.tick().servos)
+
+
+def test_every_use_of_an_unplugged_port_is_port_gone(bench: Bench) -> None:
+    bench.port.unplug()
+    bench.port.setPacketTimeoutMillis(1)
+    for use in (
+        lambda: bench.port.readPort(1),
+        lambda: bench.port.writePort([1]),
+        bench.port.clearPort,
+        bench.port.getBytesAvailable,
+    ):
+        with pytest.raises(PortGone):
+            use()
+    assert not bench.port.is_open
+
+
+def test_reading_returns_early_bytes_at_the_deadline_and_clearing_drops_them(bench: Bench) -> None:
+    bench.port.writePort([0xFF, 0xFF, 1, 2, 1, 0xFB])
+    bench.port.setPacketTimeoutMillis(0.06 + 0.5 + 0.025)
+    deadline_ns = bench.clock.now_ns() + 585_000
+    assert bench.port.readPort(6) == b"\xff\xff"
+    assert bench.clock.now_ns() == deadline_ns
+    bench.clock.advance_ns(1_000_000)
+    assert bench.port.getBytesAvailable() == 4
+    bench.port.clearPort()
+    assert bench.port.getBytesAvailable() == 0
+    assert bench.port.readPort(1) == b""
+
+
+def test_changed_baud_is_the_wire_time(bench: Bench) -> None:
+    assert bench.port.setBaudRate(500_000)
+    assert bench.port.is_open
+    assert bench.port.byte_ns == 20_000
