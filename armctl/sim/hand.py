@@ -1,0 +1,193 @@
+"""The hand that guides an arm: a torque-limited spring and damper at every joint, pulling along a path.
+
+One take: carry the arm from where it is to the start, dwell, lead the tool roughly along a straight line, dwell,
+and then support the arm at the end until `release` or the next take. A person does neither follow the line nor
+begin and end on its ends: a smooth random wobble, drawn by the take's seed, is added along each axis, the
+posture differs a little, and the speed varies about a minimum-jerk profile. The hand is strong enough for a limp arm;
+a powered one resists it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.errors import UnreachableTarget
+from armctl.kinematics.inverse import solve_position
+from armctl.kinematics.transform import FloatArray
+
+if TYPE_CHECKING:
+    from armctl.sim.arm import SimulatedArm
+
+STIFFNESS_NM_RAD = 60.0
+DAMPING_NM_S = 0.6
+MAX_TORQUE_NM = 2.0
+CARRY_SPEED_RAD_S = 0.8
+"""Fastest joint while the arm is carried to the start."""
+CARRY_MIN_S = 1.0
+DWELL_BEFORE_S = 0.7
+DWELL_AFTER_S = 1.2
+DURATION_S = (4.2, 5.8)
+"""Range of the time along the line when none is asked for."""
+KNOT_S = 0.04
+"""Inverse kinematics is solved this often; straight joint-space lines in between."""
+WOBBLE_M = (0.005, 0.015)
+"""Range of the wobble's amplitude along each axis."""
+WOBBLE_CYCLES = (0.4, 1.0, 1.7)
+"""Waves of wobble along the line, each weaker than the one before."""
+POSTURE_RAD = 0.05
+"""Standard deviation of the posture among takes."""
+
+
+@dataclass(frozen=True)
+class Guided:
+    """When a take happens, in seconds from its acceptance."""
+
+    duration_s: float
+    """Everything: carrying, both dwells and the line."""
+    begin_s: float
+    """The tool leaves for the line's end."""
+    end_s: float
+    """It has arrived there."""
+
+
+@dataclass
+class _Take:
+    start_s: float
+    when: Guided
+    from_rad: FloatArray
+    """Where the arm was taken up."""
+    guess_rad: FloatArray
+    line_m: tuple[FloatArray, FloatArray]
+    amplitude_m: FloatArray
+    """Shape (waves, 3)."""
+    phase_rad: FloatArray
+    pace: FloatArray
+    """Weights of the sines that vary the speed."""
+    knots_rad: list[FloatArray]
+
+
+class Hand:
+    """A person's hand at a simulated arm; it begins with hands off."""
+
+    def __init__(self, arm: SimulatedArm) -> None:
+        self._arm = arm
+        self._take: _Take | None = None
+        limits = np.array([joint.limits_rad for joint in arm.config.joints])
+        self._limits = limits[: arm.chain.n]
+        span = self._limits[:, 1] - self._limits[:, 0]
+        # Bent the same way at every joint beyond the second: an arm arched over its work, far from its stops.
+        self._posture = self._limits.mean(axis=1) - 0.2 * span * (np.arange(arm.chain.n) >= 2)
+
+    @property
+    def holding(self) -> bool:
+        """Whether the hand is at the arm."""
+        return self._take is not None
+
+    def guide(self, from_m: FloatArray, to_m: FloatArray, *, seed: int, duration_s: float | None = None) -> Guided:
+        """Begin a take now, from wherever the arm is; one under way is broken off.
+
+        Args:
+            from_m: Begin of the line in the base frame [m], shape (3,).
+            to_m: End of the line [m], shape (3,).
+            duration_s: Time along the line; by the seed when None.
+        Raises:
+            UnreachableTarget: an end of the line, or its middle, is out of reach.
+            ValueError: the duration is not positive.
+        """
+        if duration_s is not None and not 0.0 < duration_s < math.inf:
+            raise ValueError(f"duration_s {duration_s}: a take lasts longer than 0 s")
+        rng = np.random.default_rng(seed)
+        line = (np.asarray(from_m, dtype=np.float64), np.asarray(to_m, dtype=np.float64))
+        n = self._arm.chain.n
+        waves = len(WOBBLE_CYCLES)
+        peak = rng.uniform(*WOBBLE_M, size=3)
+        share = np.array([0.5, 0.3, 0.2])[:, None]
+        guess = self._posture + POSTURE_RAD * rng.standard_normal(n)
+        line_s = float(rng.uniform(*DURATION_S)) if duration_s is None else duration_s
+        take = _Take(
+            start_s=self._arm.time_s,
+            when=Guided(0.0, 0.0, 0.0),
+            # A hand that already holds the arm keeps its grip, else the arm would sag for a moment.
+            from_rad=np.array(self.aim(self._arm.time_s)[0]) if self.holding else self._arm.true_positions(),
+            guess_rad=guess,
+            line_m=line,
+            amplitude_m=share * peak,
+            phase_rad=rng.uniform(0.0, 2.0 * math.pi, size=(waves, 3)),
+            pace=rng.uniform(-0.3, 0.3, size=2),
+            knots_rad=[],
+        )
+        # The line's own points are required, the wobble is not.
+        q = guess
+        for share_of_line in (0.0, 0.5, 1.0):
+            q = solve_position(self._arm.chain, line[0] + share_of_line * (line[1] - line[0]), q, self._limits)
+        take.knots_rad.append(self._solve(take, 0.0, line_s, guess))
+        way = np.abs(take.knots_rad[0] - take.from_rad[:n]).max()
+        carry_s = max(CARRY_MIN_S, 1.875 * float(way) / CARRY_SPEED_RAD_S)  # minimum jerk peaks at 1.875 of its mean
+        begin_s = carry_s + DWELL_BEFORE_S
+        take.when = Guided(begin_s + line_s + DWELL_AFTER_S, begin_s, begin_s + line_s)
+        self._take = take
+        return take.when
+
+    def release(self) -> None:
+        """Let go of the arm."""
+        self._take = None
+
+    def aim(self, time_s: float) -> tuple[list[float], list[float]]:
+        """Where a hand that holds wants every joint [rad], and how fast [rad/s], at a time of the arm."""
+        take = self._take
+        assert take is not None
+        time_s -= take.start_s
+        n = self._arm.chain.n
+        ahead_s = 1e-3
+        here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
+        others = take.from_rad[n:].tolist()
+        speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
+        return here + others, speeds + [0.0] * len(others)
+
+    @staticmethod
+    def torque(behind_rad: float, slower_rad_s: float) -> float:
+        """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower."""
+        torque = STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s
+        return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
+
+    def _at(self, take: _Take, time_s: float) -> list[float]:
+        """Aim of the chain's joints [rad] at a time within the take."""
+        begin_s, end_s = take.when.begin_s, take.when.end_s
+        if time_s < begin_s:
+            s = _minimum_jerk(time_s / (begin_s - DWELL_BEFORE_S))
+            return [a + s * (b - a) for a, b in zip(take.from_rad.tolist(), take.knots_rad[0].tolist(), strict=False)]
+        line_s = end_s - begin_s
+        x = min(time_s - begin_s, line_s) / KNOT_S
+        k = int(x)
+        # Solved one by one as time passes, so that no single call takes long.
+        while len(take.knots_rad) < k + 2:
+            knot_s = min(len(take.knots_rad) * KNOT_S, line_s)
+            take.knots_rad.append(self._solve(take, knot_s, line_s, take.knots_rad[-1]))
+        before, after = take.knots_rad[k].tolist(), take.knots_rad[k + 1].tolist()
+        return [a + (x - k) * (b - a) for a, b in zip(before, after, strict=True)]
+
+    def _solve(self, take: _Take, time_s: float, line_s: float, guess: FloatArray) -> FloatArray:
+        u = time_s / line_s
+        # Time itself is bent, staying monotone: the weights' sum is below 1.
+        bent = u + sum(float(w) * math.sin(k * math.pi * u) / (k * math.pi) for k, w in enumerate(take.pace, start=1))
+        line_from, line_to = take.line_m
+        wobble = np.zeros(3)
+        for cycles, amplitude, phase in zip(WOBBLE_CYCLES, take.amplitude_m, take.phase_rad, strict=True):
+            wobble += amplitude * np.sin(2.0 * math.pi * cycles * u + phase)
+        on_line = line_from + _minimum_jerk(bent) * (line_to - line_from)
+        # Where the wobble leads out of reach the hand keeps to the line, and where that does too it waits.
+        for target in (on_line + wobble, on_line):
+            with contextlib.suppress(UnreachableTarget):
+                return solve_position(self._arm.chain, target, guess, self._limits, tolerance_m=1e-5, iterations=50)
+        return guess
+
+
+def _minimum_jerk(u: float) -> float:
+    """Share of the way at the share u of the time, at rest at both ends."""
+    u = min(max(u, 0.0), 1.0)
+    return u * u * u * (10.0 + u * (6.0 * u - 15.0))

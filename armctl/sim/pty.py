@@ -1,0 +1,180 @@
+"""The simulated arm as a program: a pseudo terminal in real time that any Dynamixel program can open.
+
+One loop, one thread: drain the host's bytes at once (a client that flushes its output would discard them), act on
+them, let reply bytes go when they would have arrived, advance the physics and keep the truth every 10 ms, serve
+the control socket. The host's baud setting is read off the terminal, so servos at another baud stay silent. The
+terminal's far end is held open here, or the first client to close it would end it; `link` is a symlink to it that
+always names the present one and vanishes with it.
+
+Not modelled: what a UART does to bytes (overrun, framing), modem lines, and an echo. A host that flushes its output
+right behind a packet without reply (pypot does after SYNC_WRITE) may lose it before it ever arrives here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import select
+import signal
+import socket
+import struct
+import termios
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.errors import ConfigError
+from armctl.sim.arm import DEFAULT_SPEC, ArmSpec, SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.control import TRUTH_PERIOD_NS, Controls, ControlServer, TruthRing, control_path
+
+MAX_RETURN_DELAY_US = 2 * ax12a.RETURN_DELAY.maximum
+_TCGETS2 = 0x802C542A
+"""Linux: the terminal's settings with the baud as a plain number, also where no Bxxx constant exists."""
+_TERMIOS2 = struct.Struct("4I20B2I")
+
+
+class PseudoTerminal:
+    """A raw pseudo terminal whose far end is published as a symlink, and can be pulled out."""
+
+    def __init__(self, link: Path) -> None:
+        """A port that is not plugged in yet."""
+        self._link = link
+        self._master = self._slave = -1
+        self._name = ""
+
+    @property
+    def plugged(self) -> bool:
+        return self._master >= 0
+
+    def fileno(self) -> int:
+        """The end to wait on for the host's bytes; only while plugged."""
+        return self._master
+
+    def replug(self) -> None:
+        """A new terminal, the link pointing at it; nothing if plugged.
+
+        Raises:
+            ConfigError: `link` is something else than a symlink, or cannot be created.
+        """
+        if self.plugged:
+            return
+        if os.path.lexists(self._link) and not self._link.is_symlink():
+            raise ConfigError(str(self._link), "", "exists and is no symlink", "remove it or choose another --link")
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        settings = termios.tcgetattr(self._slave)
+        settings[4] = settings[5] = termios.B1000000
+        termios.tcsetattr(self._slave, termios.TCSANOW, settings)
+        os.set_blocking(self._master, False)
+        self._name = os.ttyname(self._slave)
+        # A symlink cannot be rewritten: make one beside it and rename, so that the link always names a terminal.
+        fresh = self._link.with_name(f".{self._link.name}.{os.getpid()}")
+        try:
+            fresh.symlink_to(self._name)
+            fresh.replace(self._link)
+        except OSError as error:
+            fresh.unlink(missing_ok=True)
+            self._close()
+            raise ConfigError(str(self._link), "", f"cannot create the link: {error.strerror}") from None
+
+    def unplug(self) -> None:
+        """Close the terminal, as a pulled cable does, and remove the link if it is still ours."""
+        if not self.plugged:
+            return
+        with contextlib.suppress(OSError):
+            if os.readlink(self._link) == self._name:
+                self._link.unlink()
+        self._close()
+
+    def _close(self) -> None:
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = self._slave = -1
+
+    def baud(self) -> int:
+        """What the host set."""
+        return int(_TERMIOS2.unpack(fcntl.ioctl(self._master, _TCGETS2, bytes(_TERMIOS2.size)))[-1])
+
+    def read(self) -> bytes:
+        """Every byte the host has written so far."""
+        data = bytearray()
+        with contextlib.suppress(BlockingIOError):
+            while piece := os.read(self._master, 4096):
+                data += piece
+        return bytes(data)
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to the host; what it leaves unread until the terminal is full is lost."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._master, data)
+
+
+def run(
+    arm: ArmConfig,
+    *,
+    link: Path,
+    ready: Callable[[str], None],
+    seed: int = 0,
+    latency_ms: float = 0.0,
+    return_delay_us: int | None = None,
+    spec: ArmSpec = DEFAULT_SPEC,
+) -> None:
+    """Simulate an arm until SIGTERM or SIGINT; from the main thread only.
+
+    Args:
+        link: Where the port appears; the control socket appears beside it, see `control_path`.
+        ready: Called with the link's path once a client may open it.
+        latency_ms: Timer of the adapter: replies reach the host only when it fires.
+        return_delay_us: Of every servo, 0..508 in steps of 2; None: the factory's 500.
+    Raises:
+        ConfigError: an argument out of range, or a path that cannot be used.
+        PortBusy: another simulator serves this link.
+    """
+    if return_delay_us is not None and not 0 <= return_delay_us <= MAX_RETURN_DELAY_US:
+        raise ConfigError("return_delay_us", str(return_delay_us), f"outside 0..{MAX_RETURN_DELAY_US}")
+    if not 0.0 <= latency_ms <= 1000.0:
+        raise ConfigError("latency_ms", str(latency_ms), "outside 0..1000")
+    simulated = SimulatedArm(arm, seed=seed, spec=spec)
+    if return_delay_us is not None:
+        for servo in simulated.servos:
+            servo.set(ax12a.RETURN_DELAY, return_delay_us // 2)
+    bus = SimulatedBus(simulated, latency_ms=latency_ms, seed=seed)
+    ring = TruthRing(len(arm.joints))
+    terminal = PseudoTerminal(link)
+    controls = Controls(simulated, ring, terminal, time.monotonic_ns)
+    stop: list[int] = []
+    with contextlib.ExitStack() as cleanup:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            cleanup.callback(signal.signal, number, signal.signal(number, lambda signum, _frame: stop.append(signum)))
+        # The socket first: it tells whether the link belongs to a living simulator.
+        server = ControlServer(control_path(link), controls.answer)
+        cleanup.callback(server.close)
+        terminal.replug()
+        cleanup.callback(terminal.unplug)
+        truth_ns = time.monotonic_ns()
+        ready(str(link))
+        while not stop:
+            reply_ns = bus.next_transmit_ns()
+            wake_ns = truth_ns if reply_ns is None else min(truth_ns, reply_ns)
+            left_s = max(0, wake_ns - time.monotonic_ns()) / 1e9
+            readers: list[socket.socket | PseudoTerminal] = [
+                *server.readers(),
+                *([terminal] if terminal.plugged else []),
+            ]
+            readable, writable, _ = select.select(readers, server.writers(), [], left_s)
+            now_ns = time.monotonic_ns()
+            while truth_ns <= now_ns:
+                simulated.advance(truth_ns)
+                ring.add(truth_ns, simulated.true_positions())
+                truth_ns += TRUTH_PERIOD_NS
+            if terminal in readable:
+                bus.baud = terminal.baud() or bus.baud
+                bus.receive(terminal.read(), now_ns)
+            if (replies := bus.transmit(now_ns)) and terminal.plugged:
+                terminal.write(replies)
+            server.serve([*(s for s in readable if isinstance(s, socket.socket)), *writable])

@@ -1,0 +1,325 @@
+"""One simulated AX-12A: its control table and how it answers packets.
+
+Rules, from ROBOTIS' e-manual and the AX-12 user's manual unless marked:
+
+- PING is answered at any status return level, READ from level 1, the rest at level 2; a broadcast never is.
+- A write counts as a whole or not at all. Out of range, read-only, beyond the table, EEPROM while torque is on
+  (assumed: the manual only forbids it), or outside 24..35 once LOCK is set: range error. A goal outside the angle
+  limits: angle-limit error. ACTION with nothing registered, or a wrong number of parameters: instruction error.
+- An unknown instruction is met with silence, a bad checksum addressed to the servo with a checksum error.
+- Voltage, overheat and overload bits stand in every reply while their cause lasts; a cause that is also set in
+  the shutdown register trips the servo: torque limit 0 and torque off. It stays overloaded until torque is
+  enabled again with a torque limit above 0.
+- Both angle limits 0 is wheel mode; this servo then refuses to turn.
+
+What differs between reports and firmwares is a field of `ServoVariants`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Instruction, Packet, encode_status
+
+LOCKED_WRITABLE = range(24, 36)
+"""Addresses that stay writable after LOCK."""
+
+
+@dataclass(frozen=True)
+class ServoVariants:
+    """Behaviour that is unconfirmed on hardware; the defaults are the ones that surprise a careless program."""
+
+    goal_write_energises: bool = True
+    """Writing a goal to a limp servo switches its torque on."""
+    speed_write_energises: bool = True
+    """Writing a moving speed to a limp servo switches its torque on."""
+    goal_follows_when_limp: bool = True
+    """The goal register follows the position while torque is off; otherwise it keeps the old goal."""
+    ramp_from_reference: bool = True
+    """A new goal continues the speed ramp from the reference in force; otherwise from the present position."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the registers tell the position controller; ticks count CCW, outputs are fractions of full output."""
+
+    enabled: bool
+    goal_tick: int
+    ramp_tick_s: float
+    """Speed of the reference; 0: the reference jumps to the goal."""
+    output_limit: float
+    punch: float
+    cw_margin: int
+    ccw_margin: int
+    cw_gain: float
+    """Output per tick beyond the margin."""
+    ccw_gain: float
+
+
+def compliance_slope(register: int) -> int:
+    """Slope [tick] of a compliance-slope register: the steps are 2, 4, 8, ..., 128."""
+    return max(2, 1 << (register.bit_length() - 1))
+
+
+class SimulatedServo:
+    """Registers, instructions and error bits of one AX-12A; the arm's physics moves it."""
+
+    def __init__(
+        self,
+        servo_id: int,
+        rng: np.random.Generator,
+        *,
+        position_tick: float = 512.0,
+        noise_tick: float = 0.0,
+        variants: ServoVariants = ServoVariants(),
+    ) -> None:
+        """A servo just powered up, with the factory's registers except its id.
+
+        Args:
+            noise_tick: Standard deviation of the reported position.
+        """
+        self._table = bytearray(ax12a.TABLE_SIZE)
+        self._rng = rng
+        self._noise_tick = noise_tick
+        self._variants = variants
+        self._registered: tuple[int, bytes] | None = None
+        self.position_tick = position_tick
+        """Output shaft as its potentiometer sees it, before quantisation and noise."""
+        self.velocity_rad_s = 0.0
+        self.output = 0.0
+        """Motor output, -1..1, CCW positive."""
+        self.reference_tick = position_tick
+        """Where the speed ramp stands."""
+        self.voltage_V = 12.0
+        self.temperature_degC = 30.0
+        self.overloaded = False
+        self.writes = 0
+        """Counts whatever may change `drive`."""
+        self._restore_factory_table()
+        self.set(ax12a.ID, servo_id)
+
+    # ------------------------------------------------------------------------------------------ registers
+
+    def get(self, register: Register) -> int:
+        """Value of a register, as a READ would report it but without noise."""
+        self._refresh(0.0)
+        return self._value(register)
+
+    def set(self, register: Register, value: int) -> None:
+        """Put a value into the table without any check or effect: the factory's or a wizard's hand."""
+        self._table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
+        self.writes += 1
+
+    @property
+    def torque_enabled(self) -> bool:
+        return bool(self._table[ax12a.TORQUE_ENABLE.address])
+
+    @property
+    def wheel_mode(self) -> bool:
+        return self._value(ax12a.CW_LIMIT) == 0 == self._value(ax12a.CCW_LIMIT)
+
+    @property
+    def baud(self) -> float:
+        return 2e6 / (self._value(ax12a.BAUD) + 1)
+
+    @property
+    def return_delay_ns(self) -> int:
+        return self._value(ax12a.RETURN_DELAY) * 2000
+
+    @property
+    def drive(self) -> Drive:
+        """The position controller's settings now."""
+        limit = min(self._value(ax12a.TORQUE_LIMIT), self._value(ax12a.MAX_TORQUE)) / ax12a.LOAD_MAX
+        punch = self._value(ax12a.PUNCH) / ax12a.LOAD_MAX
+        speed = self._value(ax12a.MOVING_SPEED) * ax12a.SPEED_UNIT_RAD_S
+        return Drive(
+            enabled=self.torque_enabled,
+            goal_tick=self._value(ax12a.GOAL),
+            ramp_tick_s=speed / ax12a.TICK_RAD,
+            output_limit=0.0 if self.wheel_mode else limit,
+            punch=punch,
+            cw_margin=self._value(ax12a.CW_MARGIN),
+            ccw_margin=self._value(ax12a.CCW_MARGIN),
+            cw_gain=(1.0 - punch) / compliance_slope(self._value(ax12a.CW_SLOPE)),
+            ccw_gain=(1.0 - punch) / compliance_slope(self._value(ax12a.CCW_SLOPE)),
+        )
+
+    def _value(self, register: Register) -> int:
+        return int.from_bytes(self._table[register.address : register.address + register.size], "little")
+
+    def _quantised_tick(self, noise_tick: float = 0.0) -> int:
+        return min(max(math.floor(self.position_tick + noise_tick + 0.5), 0), ax12a.TICK_MAX)
+
+    def _refresh(self, noise_tick: float) -> None:
+        """Bring the measured registers up to date."""
+        table = self._table
+        enabled = self.torque_enabled
+        speed = round(self.velocity_rad_s / ax12a.SPEED_UNIT_RAD_S)
+        position = self._quantised_tick(noise_tick)
+        if not enabled and self._variants.goal_follows_when_limp:
+            table[30:32] = position.to_bytes(2, "little")
+        table[36:38] = position.to_bytes(2, "little")
+        table[38:40] = ax12a.to_signed_magnitude(speed).to_bytes(2, "little")
+        table[40:42] = ax12a.to_signed_magnitude(round(self.output * ax12a.LOAD_MAX)).to_bytes(2, "little")
+        table[42] = min(max(round(self.voltage_V * 10.0), 0), 255)
+        table[43] = min(max(round(self.temperature_degC), 0), 255)
+        table[44] = self._registered is not None
+        table[46] = enabled and (self.reference_tick != self._value(ax12a.GOAL) or speed != 0)
+
+    # --------------------------------------------------------------------------------------- instructions
+
+    def handle(self, packet: Packet | BadChecksum) -> bytes | None:
+        """React to a packet on the bus; the status packet sent back, or None for silence."""
+        servo_id, level = self._value(ax12a.ID), self._value(ax12a.RETURN_LEVEL)
+        if packet.servo_id != servo_id and (packet.servo_id != BROADCAST_ID or isinstance(packet, BadChecksum)):
+            return None
+        reply = b""
+        if isinstance(packet, BadChecksum):
+            code, error = None, ErrorBit.CHECKSUM
+        else:
+            code = packet.code
+            match code:
+                case Instruction.PING:
+                    error = ErrorBit(0)
+                case Instruction.READ:
+                    error, reply = self._read(packet.parameters)
+                case Instruction.WRITE:
+                    error = self._write(packet.parameters[:1], packet.parameters[1:])
+                case Instruction.REG_WRITE:
+                    error = self._register_write(packet.parameters[:1], packet.parameters[1:])
+                case Instruction.ACTION:
+                    error = self._action()
+                case Instruction.RESET:
+                    error = ErrorBit(0)
+                    self._restore_factory_table()
+                case Instruction.SYNC_WRITE:
+                    error = self._sync_write(servo_id, packet.parameters)
+                case _:
+                    return None
+        answers = code == Instruction.PING or level == 2 or (level == 1 and code == Instruction.READ)
+        if packet.servo_id == BROADCAST_ID or not answers:
+            return None
+        return encode_status(servo_id, error | self._alarms(), reply)
+
+    def _read(self, parameters: bytes) -> tuple[ErrorBit, bytes]:
+        if len(parameters) != 2:
+            return ErrorBit.INSTRUCTION, b""
+        begin, size = parameters
+        if size == 0 or begin + size > ax12a.TABLE_SIZE:
+            return ErrorBit.RANGE, b""
+        noise = self._noise_tick * float(self._rng.standard_normal()) if self._noise_tick else 0.0
+        self._refresh(noise)
+        return ErrorBit(0), bytes(self._table[begin : begin + size])
+
+    def _write(self, address: bytes, data: bytes) -> ErrorBit:
+        error = self._refusal(address, data)
+        if not error:
+            self._apply(address[0], data)
+        return error
+
+    def _register_write(self, address: bytes, data: bytes) -> ErrorBit:
+        error = self._refusal(address, data)
+        if not error:
+            self._registered = (address[0], data)
+        return error
+
+    def _action(self) -> ErrorBit:
+        if self._registered is None:
+            return ErrorBit.INSTRUCTION
+        address, data = self._registered
+        self._registered = None
+        return self._write(bytes((address,)), data)
+
+    def _sync_write(self, servo_id: int, parameters: bytes) -> ErrorBit:
+        size = parameters[1] + 1 if len(parameters) > 1 else 0
+        if size < 2 or (len(parameters) - 2) % size:
+            return ErrorBit.INSTRUCTION
+        error = ErrorBit(0)
+        for begin in range(2, len(parameters), size):
+            if parameters[begin] == servo_id:
+                error |= self._write(parameters[:1], parameters[begin + 1 : begin + size])
+        return error
+
+    def _refusal(self, address: bytes, data: bytes) -> ErrorBit:
+        """Why this write must not happen."""
+        if not data:
+            return ErrorBit.INSTRUCTION
+        begin, end = address[0], address[0] + len(data)
+        if end > ax12a.TABLE_SIZE:
+            return ErrorBit.RANGE
+        locked = bool(self._table[ax12a.LOCK.address])
+        if locked and not (begin in LOCKED_WRITABLE and end - 1 in LOCKED_WRITABLE):
+            return ErrorBit.RANGE
+        after = bytearray(self._table)
+        after[begin:end] = data
+        error = ErrorBit(0)
+        for register in _touched(begin, end):
+            value = int.from_bytes(after[register.address : register.address + register.size], "little")
+            highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not self.wheel_mode else register.maximum
+            if (
+                not register.writable
+                or not register.minimum <= value <= highest
+                or (register.eeprom and self.torque_enabled)
+            ):
+                error |= ErrorBit.RANGE
+            elif register is ax12a.GOAL and not self.wheel_mode:
+                low, high = self._value(ax12a.CW_LIMIT), self._value(ax12a.CCW_LIMIT)
+                if not low <= value <= high:
+                    error |= ErrorBit.ANGLE_LIMIT
+        return error
+
+    def _apply(self, address: int, data: bytes) -> None:
+        touched = _touched(address, address + len(data))
+        was_enabled = self.torque_enabled
+        self._refresh(0.0)  # a goal that followed the position is where it is now
+        self._table[address : address + len(data)] = data
+        self.writes += 1
+        energising = (ax12a.GOAL in touched and self._variants.goal_write_energises) or (
+            ax12a.MOVING_SPEED in touched and self._variants.speed_write_energises
+        )
+        if energising and ax12a.TORQUE_ENABLE not in touched:
+            self._table[ax12a.TORQUE_ENABLE.address] = 1
+        if not self.torque_enabled:
+            self.output = 0.0
+        elif not was_enabled:
+            self.reference_tick = self._quantised_tick()
+            if self._value(ax12a.TORQUE_LIMIT) > 0:
+                self.overloaded = False
+        elif ax12a.GOAL in touched and not self._variants.ramp_from_reference:
+            self.reference_tick = self._quantised_tick()
+
+    def _restore_factory_table(self) -> None:
+        for register in ax12a.REGISTERS:
+            self.set(register, register.default)
+        self.set(ax12a.GOAL, self._quantised_tick())
+        self._registered = None
+        self.output = 0.0
+
+    # --------------------------------------------------------------------------------------------- alarms
+
+    def _alarms(self) -> ErrorBit:
+        error = ErrorBit.OVERLOAD if self.overloaded else ErrorBit(0)
+        low, high = self._value(ax12a.MIN_VOLTAGE), self._value(ax12a.MAX_VOLTAGE)
+        if not low <= round(self.voltage_V * 10.0) <= high:
+            error |= ErrorBit.VOLTAGE
+        if round(self.temperature_degC) > self._value(ax12a.TEMPERATURE_LIMIT):
+            error |= ErrorBit.OVERHEAT
+        return error
+
+    def protect(self, *, overloaded: bool = False) -> None:
+        """Note an overload, and shut down if an alarm that stands is also in the shutdown register."""
+        self.overloaded |= overloaded
+        if self.torque_enabled and self._alarms() & self._value(ax12a.SHUTDOWN):
+            self.set(ax12a.TORQUE_LIMIT, 0)
+            self.set(ax12a.TORQUE_ENABLE, 0)
+            self.output = 0.0
+
+
+def _touched(begin: int, end: int) -> tuple[Register, ...]:
+    """Registers that overlap the addresses begin..end-1."""
+    return tuple(r for r in ax12a.REGISTERS if r.address < end and r.address + r.size > begin)

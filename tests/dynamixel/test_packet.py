@@ -1,0 +1,164 @@
+"""Protocol 1.0 packets: laws of the codec, and equality with ROBOTIS' own bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import dynamixel_sdk
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.dynamixel.packet import (
+    BROADCAST_ID,
+    MAX_LENGTH,
+    BadChecksum,
+    Decoder,
+    Instruction,
+    Packet,
+    encode_instruction,
+    encode_status,
+)
+
+packets = st.builds(Packet, st.integers(0, BROADCAST_ID), st.integers(0, 255), st.binary(max_size=40))
+garbage = st.binary(max_size=20).map(lambda data: data.replace(b"\xff", b"\x00"))
+
+
+def encode(packet: Packet) -> bytes:
+    return encode_instruction(packet.servo_id, packet.code, packet.parameters)
+
+
+@settings(deadline=None)
+@given(packets)
+def test_decode_inverts_encode_at_every_split_point(packet: Packet) -> None:
+    data = encode(packet)
+    for split in range(len(data) + 1):
+        decoder = Decoder()
+        assert decoder.feed(data[:split]) + decoder.feed(data[split:]) == [packet]
+
+
+@settings(deadline=None)
+@given(st.lists(packets, max_size=5), st.data())
+def test_garbage_between_packets_is_skipped(expected: list[Packet], data: st.DataObject) -> None:
+    stream = data.draw(garbage)
+    for packet in expected:
+        stream += encode(packet) + data.draw(garbage)
+    assert Decoder().feed(stream) == expected
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=300), st.data())
+def test_result_depends_on_the_bytes_and_not_on_their_cuts(stream: bytes, data: st.DataObject) -> None:
+    # Bytes of headers and small lengths, so that the search meets every false beginning.
+    stream = bytes((0xFF, 0xFF, 1, 2, 3, byte)[byte % 6] for byte in stream)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
+    decoder = Decoder()
+    found = [
+        event for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True) for event in decoder.feed(stream[a:b])
+    ]
+    assert found == Decoder().feed(stream)
+
+
+@settings(deadline=None)
+@given(packets, st.data())
+def test_any_single_wrong_byte_behind_the_length_is_a_bad_checksum(packet: Packet, data: st.DataObject) -> None:
+    good = encode(packet)
+    at = data.draw(st.integers(4, len(good) - 1))
+    raw = bytearray(good)
+    raw[at] ^= data.draw(st.integers(1, 255))
+    first, *_ = Decoder().feed(bytes(raw))
+    assert first == BadChecksum(bytes(raw))
+    assert isinstance(first, BadChecksum)
+    assert first.servo_id == packet.servo_id
+
+
+def test_packet_after_a_bad_checksum_is_found() -> None:
+    bad = bytearray(encode_status(3, 0, b"\x01\x02"))
+    bad[-1] ^= 1
+    good = encode_status(4, 0, b"\x07")
+    assert Decoder().feed(bytes(bad) + good) == [BadChecksum(bytes(bad)), Packet(4, 0, b"\x07")]
+
+
+def test_packet_inside_a_false_header_is_found() -> None:
+    good = encode_status(4, 0, b"\x07")
+    events = Decoder().feed(b"\xff\xff\x01\x05" + good)
+    assert events[-1] == Packet(4, 0, b"\x07")
+
+
+@pytest.mark.parametrize(
+    "junk", [b"\xff", b"\xff\xff\xff", b"\xff\xff\x01\x00", b"\xff\xff\x01\x01", b"\xff\xff\x01\xf7"]
+)
+def test_what_cannot_begin_a_packet_holds_nothing_back(junk: bytes) -> None:
+    assert Decoder().feed(junk + encode_status(1, 0)) == [Packet(1, 0)]
+
+
+def test_reset_forgets_a_half_packet_and_nothing_else() -> None:
+    decoder = Decoder()
+    assert decoder.feed(b"\xff\xff\x01\xf0\x03") == []
+    decoder.reset()
+    assert decoder.feed(encode_status(1, 0)) == [Packet(1, 0)]
+
+
+@settings(deadline=None)
+@given(st.lists(st.binary(max_size=200), max_size=20))
+def test_memory_is_bounded(pieces: list[bytes]) -> None:
+    decoder = Decoder()
+    for piece in pieces:
+        decoder.feed(piece)
+        assert len(decoder._buffer) < MAX_LENGTH + 4
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: encode_instruction(255, 1), "servo id 255"),
+        (lambda: encode_status(254, 0), "servo id 254"),
+        (lambda: encode_instruction(1, 256), "code 256"),
+        (lambda: encode_instruction(1, 3, bytes(245)), "245 parameters"),
+    ],
+)
+def test_what_no_packet_can_hold_is_refused(make: Callable[[], bytes], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+class WirePort:
+    """What the SDK's packet handler needs of a port: it keeps what is written and reads what it is given."""
+
+    def __init__(self, incoming: bytes = b"") -> None:
+        self.is_using = False
+        self.written = b""
+        self.incoming = incoming
+
+    def clearPort(self) -> None:
+        pass
+
+    def writePort(self, packet: list[int]) -> int:
+        self.written = bytes(packet)
+        return len(packet)
+
+    def readPort(self, length: int) -> list[int]:
+        data, self.incoming = self.incoming[:length], self.incoming[length:]
+        return list(data)
+
+    def isPacketTimeout(self) -> bool:
+        return not self.incoming
+
+
+@settings(deadline=None)
+@given(st.integers(0, 253), st.sampled_from(list(Instruction)), st.binary(max_size=60))
+def test_instruction_packets_are_the_sdks_bytes(servo_id: int, instruction: Instruction, parameters: bytes) -> None:
+    port = WirePort()
+    packet = [0, 0, servo_id, len(parameters) + 2, instruction, *parameters, 0]
+    result = dynamixel_sdk.Protocol1PacketHandler().txPacket(port, packet)
+    assert result == dynamixel_sdk.COMM_SUCCESS
+    assert port.written == encode_instruction(servo_id, instruction, parameters)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 253), st.integers(0, 127), st.binary(max_size=60))
+def test_the_sdk_accepts_status_packets(servo_id: int, error: int, parameters: bytes) -> None:
+    status = encode_status(servo_id, error, parameters)
+    received, result = dynamixel_sdk.Protocol1PacketHandler().rxPacket(WirePort(status))
+    assert result == dynamixel_sdk.COMM_SUCCESS
+    assert bytes(received) == status

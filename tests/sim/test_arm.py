@@ -1,0 +1,260 @@
+"""Laws of the simulated arm's physics, on virtual time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.kinematics import robots
+from armctl.kinematics.chain import SerialChain, link_frames
+from armctl.kinematics.inverse import solve_position
+from armctl.kinematics.transform import FloatArray
+from armctl.sim.arm import GRAVITY_M_S2, ArmSpec, SimulatedArm, _links, gravity_loads
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.servo import ServoVariants
+from tests.sim.conftest import sync_write
+
+WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
+CHAIN = robots.get("ax12-line").chain
+
+
+class Bench:
+    """An arm on a bus at time 0 s."""
+
+    def __init__(self, arm: ArmConfig, *, seed: int = 0, spec: ArmSpec = ArmSpec()) -> None:  # noqa: B008
+        self.arm = SimulatedArm(arm, seed=seed, spec=spec)
+        self.bus = SimulatedBus(self.arm)
+        self.now_ns = NS_PER_S
+        self.arm.advance(self.now_ns)
+
+    def goto(self, positions_rad: FloatArray, speeds: list[int], wait_s: float) -> None:
+        self.bus.receive(sync_write(self.arm.config, positions_rad.tolist(), speeds), self.now_ns)
+        self.wait(wait_s)
+
+    def wait(self, wait_s: float) -> None:
+        self.now_ns += round(wait_s * 1e9)
+        self.arm.advance(self.now_ns)
+
+
+def mass_points(chain: SerialChain, q: FloatArray) -> FloatArray:
+    """The points `gravity_loads` puts masses on, from the one forward kinematics."""
+    frames = link_frames(chain, q)[:, :3, 3]
+    axes = frames[:-1] if chain.convention == "standard" else frames[1:]
+    return np.vstack([axes, (axes[-1] + frames[-1]) / 2.0, frames[-1]])
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.floats(-2.5, 2.5), min_size=5, max_size=5))
+def test_gravity_is_the_slope_of_potential_energy(convention: str, q: list[float]) -> None:
+    chain = SerialChain(CHAIN.rows, "standard" if convention == "standard" else "modified")
+    kg = (0.07, 0.08, 0.09, 0.1, 0.11, 0.12, 0.13)
+    step = 1e-5
+    for i, (torque, inertia) in enumerate(gravity_loads(_links(chain), kg, q)):
+        ahead, behind = np.array(q), np.array(q)
+        ahead[i] += step
+        behind[i] -= step
+        slope = (mass_points(chain, ahead) - mass_points(chain, behind)) / (2.0 * step)
+        assert torque == pytest.approx(-GRAVITY_M_S2 * float(slope[:, 2] @ kg), abs=1e-6)
+        assert inertia == pytest.approx(float((slope**2).sum(axis=1) @ kg), abs=1e-8)
+
+
+def test_arm_starts_limp_in_its_rest_pose_and_stays(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    bench.wait(1e6)  # at rest time costs nothing, or this would take hours
+    rest = [joint.rest_rad for joint in arm.joints]
+    assert bench.arm.true_positions() == pytest.approx(rest, abs=1e-9)
+    assert not any(servo.torque_enabled for servo in bench.arm.servos)
+
+
+def test_servos_carry_the_calibrations_ids_and_limits(arm: ArmConfig) -> None:
+    for servo, joint in zip(SimulatedArm(arm).servos, arm.joints, strict=True):
+        assert servo.get(ax12a.ID) == joint.servo_id
+        assert (servo.get(ax12a.CW_LIMIT), servo.get(ax12a.CCW_LIMIT)) == joint.limits_tick
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.lists(st.integers(1, 400_000_000), max_size=12))
+def test_result_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
+    at_once, in_pieces = Bench(arm, seed=3), Bench(arm, seed=3)
+    for bench in (at_once, in_pieces):
+        bench.goto(WORKING_RAD, [100] * 6, 0.0)
+        bench.arm.hand.guide(np.array([0.2, 0.0, 0.1]), np.array([0.2, 0.1, 0.1]), seed=1)
+    for piece in pieces_ns:
+        in_pieces.wait(piece / 1e9)
+    at_once.wait(sum(pieces_ns) / 1e9)
+    assert in_pieces.arm.true_positions().tolist() == at_once.arm.true_positions().tolist()
+
+
+def test_same_seed_same_arm_and_other_seed_other_arm(arm: ArmConfig) -> None:
+    benches = [Bench(arm, seed=seed) for seed in (1, 1, 2)]
+    for bench in benches:
+        bench.goto(WORKING_RAD, [100] * 6, 4.0)
+    first, same, other = (bench.arm.true_positions().tolist() for bench in benches)
+    assert first == same
+    assert first != other
+
+
+def test_an_earlier_instant_changes_nothing(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    bench.goto(WORKING_RAD, [100] * 6, 0.5)
+    before = bench.arm.true_positions().tolist()
+    bench.arm.advance(bench.now_ns - 300_000_000)
+    assert bench.arm.true_positions().tolist() == before
+
+
+def test_held_arm_sags_and_comes_to_rest(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    off_deg = np.degrees(bench.arm.true_positions() - WORKING_RAD)
+    assert -6.0 < off_deg[1] < -2.0
+    assert abs(off_deg[0]) < 1.0
+    settled = bench.arm.true_positions().tolist()
+    bench.wait(2e4)
+    assert bench.arm.true_positions().tolist() == settled
+    assert bench.arm.servos[1].output > 0.2
+    assert bench.arm.servos[1].velocity_rad_s == 0.0
+
+
+def test_limp_arm_falls_to_its_stops_and_not_beyond(arm: ArmConfig) -> None:
+    spec = ArmSpec()
+    bench = Bench(arm, spec=spec)
+    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    height = bench.arm.true_tool_position()[2]
+    for servo in bench.arm.servos:
+        servo.set(ax12a.TORQUE_ENABLE, 0)
+    bench.wait(5.0)
+    assert bench.arm.true_tool_position()[2] < height - 0.05
+    margin = math.radians(spec.stop_deg) + 1e-9
+    for position, joint in zip(bench.arm.true_positions(), arm.joints, strict=True):
+        low, high = joint.limits_rad
+        assert low - margin <= position <= high + margin
+
+
+def test_moving_speed_bounds_the_speed_of_the_base(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    bench.goto(WORKING_RAD, [60] * 6, 6.0)
+    target = WORKING_RAD.copy()
+    target[0] = 1.0
+    begin = bench.arm.true_positions()[0]
+    bench.goto(target, [60] * 6, 0.0)
+    bench.wait(1.0)
+    travelled = bench.arm.true_positions()[0] - begin
+    assert travelled == pytest.approx(60 * ax12a.SPEED_UNIT_RAD_S, rel=0.1)
+
+
+def test_speed_zero_means_as_fast_as_the_motor_can(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    bench.goto(WORKING_RAD, [60] * 6, 6.0)
+    target = WORKING_RAD.copy()
+    target[0] = 1.0
+    bench.goto(target, [0] * 6, 0.5)
+    assert bench.arm.true_positions()[0] > 0.9
+
+
+def test_shaft_never_leaves_its_play(arm: ArmConfig) -> None:
+    bench = Bench(arm, seed=4)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        bench.goto(WORKING_RAD + 0.3 * rng.standard_normal(6), [200] * 6, 0.3)
+        for joint in bench.arm._joints:
+            assert abs(joint.shaft - joint.motor) <= joint.half_play + 1e-9
+
+
+def test_gravity_decides_the_flank_of_the_play(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    for approach in (0.3, -0.3):
+        start = WORKING_RAD.copy()
+        start[1] += approach
+        bench.goto(start, [100] * 6, 5.0)
+        bench.goto(WORKING_RAD, [100] * 6, 3.0)
+        shoulder = bench.arm._joints[1]
+        assert shoulder.shaft - shoulder.motor == pytest.approx(-shoulder.half_play)
+
+
+def test_reported_position_hides_the_zero_offset(arm: ArmConfig) -> None:
+    bench = Bench(arm, spec=ArmSpec(noise_tick=0.0, zero_offset_tick=5.0))
+    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    reported = [
+        joint.position_rad(servo.get(ax12a.PRESENT_POSITION))
+        for joint, servo in zip(arm.joints, bench.arm.servos, strict=True)
+    ]
+    off_tick = np.abs(bench.arm.true_positions() - reported) / ax12a.TICK_RAD
+    assert off_tick.max() > 2.0
+    exact = Bench(arm, spec=ArmSpec(noise_tick=0.0, zero_offset_tick=0.0))
+    exact.goto(WORKING_RAD, [100] * 6, 6.0)
+    for joint, servo, true in zip(arm.joints, exact.arm.servos, exact.arm.true_positions(), strict=True):
+        assert joint.position_rad(servo.get(ax12a.PRESENT_POSITION)) == pytest.approx(true, abs=0.51 * ax12a.TICK_RAD)
+
+
+def test_length_errors_move_the_tool_and_are_off_by_default(arm: ArmConfig) -> None:
+    assert SimulatedArm(arm).chain == CHAIN
+    wrong = SimulatedArm(arm, spec=ArmSpec(length_error_m=0.002)).chain
+    assert 0.0 < abs(wrong.rows[1].a - CHAIN.rows[1].a) < 0.01
+
+
+def test_too_heavy_a_tool_trips_the_shoulder(arm: ArmConfig) -> None:
+    bench = Bench(arm, spec=ArmSpec(tool_kg=(0.6, 0.6)))
+    bench.goto(WORKING_RAD, [100] * 6, 3.0)
+    shoulder = bench.arm.servos[1]
+    watched = (ax12a.TORQUE_ENABLE, ax12a.TORQUE_LIMIT)
+    assert [shoulder.get(register) for register in watched] == [1, 1023]
+    bench.wait(6.0)
+    assert shoulder.overloaded
+    assert [shoulder.get(register) for register in watched] == [0, 0]
+
+
+def test_direction_minus_one_mirrors_the_servo(arm: ArmConfig) -> None:
+    mirrored = arm.model_copy(
+        update={
+            "joints": tuple(j.model_copy(update={"direction": -1, "zero_tick": 1023 - j.zero_tick}) for j in arm.joints)
+        }
+    )
+    spec = ArmSpec(zero_offset_tick=0.0)
+    benches = [Bench(arm, spec=spec), Bench(mirrored, spec=spec)]
+    for bench in benches:
+        bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    plain, mirror = (bench.arm.true_positions() for bench in benches)
+    assert mirror == pytest.approx(plain, abs=2.0 * ax12a.TICK_RAD)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_uncorrected_streamed_line_misses_by_15_to_25_mm(arm: ArmConfig, seed: int) -> None:
+    """The simulator is not kind: 5 s at 10 Hz through the bus, as a straightforward program would do it."""
+    begin, end = np.array([0.18, -0.125, 0.10]), np.array([0.18, 0.125, 0.10])
+    limits = np.array([joint.limits_rad for joint in arm.joints])[:5]
+    path, q = [], WORKING_RAD[:5]
+    for share in np.linspace(0.0, 1.0, 51):
+        q = solve_position(CHAIN, begin + share * (end - begin), q, limits)
+        path.append(np.append(q, 0.0))
+    bench = Bench(arm, seed=seed)
+    bench.goto(path[0], [60] * 6, 8.0)
+    tool = []
+    for before, goal in zip([path[0], *path], path, strict=False):
+        speeds = [ax12a.moving_speed_units(way / 0.1) for way in goal - before]
+        bench.goto(goal, speeds, 0.1)
+        tool.append(bench.arm.true_tool_position())
+    along = (end - begin) / np.linalg.norm(end - begin)
+    miss_mm = 1e3 * np.linalg.norm(np.cross(np.array(tool) - begin, along), axis=1)
+    assert 15.0 < miss_mm.mean() < 25.0
+    assert miss_mm.max() < 40.0
+
+
+def test_ramp_that_restarts_at_the_position_sags_more_when_streamed(arm: ArmConfig) -> None:
+    heights = []
+    for continues in (True, False):
+        bench = Bench(arm, spec=ArmSpec(variants=ServoVariants(ramp_from_reference=continues)))
+        bench.goto(WORKING_RAD, [60] * 6, 8.0)
+        target = WORKING_RAD.copy()
+        for _ in range(30):
+            target = target + np.radians([1.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+            bench.goto(target, [ax12a.moving_speed_units(math.radians(10.0))] * 6, 0.1)
+        heights.append(bench.arm.true_positions()[1])
+    assert heights[1] < heights[0] - math.radians(1.0)

@@ -1,0 +1,133 @@
+"""Timing and parsing of the simulated bus, byte by byte on virtual time."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet, encode_instruction
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+
+BEGIN_NS = 10**9
+FAR_NS = 10**13
+PING = encode_instruction(1, Instruction.PING)
+READ_STATUS = encode_instruction(2, Instruction.READ, bytes((ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)))
+
+
+def arrivals(bus: SimulatedBus) -> list[tuple[int, int]]:
+    """Every byte under way: when it arrives and what it is."""
+    found = []
+    while (at := bus.next_transmit_ns()) is not None:
+        assert bus.transmit(at - 1) == b""
+        found += [(at, byte) for byte in bus.transmit(at)]
+    return found
+
+
+def replies(bus: SimulatedBus) -> list[Packet | BadChecksum]:
+    return Decoder().feed(bus.transmit(FAR_NS))
+
+
+@pytest.mark.parametrize(("baud", "byte_ns"), [(1_000_000, 10_000), (57_600, 173_611)])
+@pytest.mark.parametrize("delay", [0, 250])
+def test_reply_comes_after_wire_time_and_return_delay(arm: ArmConfig, baud: int, byte_ns: int, delay: int) -> None:
+    simulated = SimulatedArm(arm)
+    for servo in simulated.servos:
+        servo.set(ax12a.BAUD, round(2e6 / baud) - 1)
+        servo.set(ax12a.RETURN_DELAY, delay)
+    bus = SimulatedBus(simulated, baud=baud)
+    bus.receive(READ_STATUS, BEGIN_NS)
+    times = [at for at, _ in arrivals(bus)]
+    first = BEGIN_NS + len(READ_STATUS) * byte_ns + delay * 2000 + byte_ns
+    assert times == [first + i * byte_ns for i in range(6 + ax12a.STATUS_SIZE)]
+
+
+def test_replies_never_overlap_on_the_wire(arm: ArmConfig) -> None:
+    bus = SimulatedBus(SimulatedArm(arm))
+    for servo in bus.arm.servos:
+        servo.set(ax12a.RETURN_DELAY, 0)
+    bus.receive(READ_STATUS + PING + READ_STATUS, BEGIN_NS)
+    times = [at for at, _ in arrivals(bus)]
+    assert all(b - a >= 10_000 for a, b in itertools.pairwise(times))
+    assert len(times) == 2 * 32 + 6
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(0, len(READ_STATUS + PING)), max_size=5))
+def test_host_bytes_may_be_cut_anywhere(arm: ArmConfig, cuts: list[int]) -> None:
+    stream = READ_STATUS + PING
+    bus = SimulatedBus(SimulatedArm(arm))
+    for a, b in zip([0, *sorted(cuts)], [*sorted(cuts), len(stream)], strict=True):
+        bus.receive(stream[a:b], BEGIN_NS)
+    assert [reply.servo_id for reply in replies(bus)] == [2, 1]
+
+
+@pytest.mark.parametrize(("gap_ns", "answered"), [(99_000_000, True), (101_000_000, False)])
+def test_gap_of_100_ms_between_bytes_resets_the_parser(arm: ArmConfig, gap_ns: int, answered: bool) -> None:
+    bus = SimulatedBus(SimulatedArm(arm))
+    bus.receive(PING[:3], BEGIN_NS)
+    bus.receive(PING[3:], BEGIN_NS + gap_ns)
+    assert bool(replies(bus)) == answered
+    bus.receive(PING, BEGIN_NS + 3 * gap_ns)
+    assert replies(bus) == [Packet(1, 0)]
+
+
+def test_adapter_latency_delivers_in_batches(arm: ArmConfig) -> None:
+    bus = SimulatedBus(SimulatedArm(arm), latency_ms=16.0, seed=1)
+    now_ns = BEGIN_NS
+    for _ in range(6):
+        bus.receive(READ_STATUS, now_ns)
+        times = {at for at, _ in arrivals(bus)}
+        assert len(times) == 1
+        now_ns = times.pop()
+    assert 80_000_000 < now_ns - BEGIN_NS <= 96_000_000
+
+
+def test_servo_at_another_baud_hears_nothing(arm: ArmConfig) -> None:
+    bus = SimulatedBus(SimulatedArm(arm), baud=57_600)
+    bus.receive(PING, BEGIN_NS)
+    assert bus.next_transmit_ns() is None
+    bus.baud = 1_000_000
+    bus.receive(PING, 2 * BEGIN_NS)
+    assert replies(bus) == [Packet(1, 0)]
+
+
+def test_two_servos_with_one_id_corrupt_each_others_reply(arm: ArmConfig) -> None:
+    bus = SimulatedBus(SimulatedArm(arm))
+    bus.arm.servos[2].set(ax12a.ID, 2)
+    bus.receive(encode_instruction(2, Instruction.READ, bytes((36, 2))), BEGIN_NS)
+    assert [type(reply) for reply in replies(bus)] == [BadChecksum]
+
+
+def test_bad_checksum_is_answered_with_its_error_bit(arm: ArmConfig) -> None:
+    bus = SimulatedBus(SimulatedArm(arm))
+    bus.receive(PING[:-1] + b"\x00", BEGIN_NS)
+    assert replies(bus) == [Packet(1, ax12a.ErrorBit.CHECKSUM)]
+
+
+def test_same_seed_same_bytes_on_the_wire(arm: ArmConfig) -> None:
+    wires = []
+    for _ in range(2):
+        bus = SimulatedBus(SimulatedArm(arm, seed=5))
+        for k in range(20):
+            bus.receive(READ_STATUS, BEGIN_NS + k * 10_000_000)
+        wires.append(arrivals(bus))
+    assert wires[0] == wires[1]
+
+
+def test_nothing_received_is_nothing(arm: ArmConfig) -> None:
+    bus = SimulatedBus(SimulatedArm(arm))
+    bus.receive(b"", BEGIN_NS)
+    assert bus.next_transmit_ns() is None
+    assert bus.transmit(FAR_NS) == b""
+
+
+@pytest.mark.parametrize(("baud", "latency_ms"), [(0, 0.0), (1_000_000, -1.0)])
+def test_impossible_settings_are_refused(arm: ArmConfig, baud: int, latency_ms: float) -> None:
+    with pytest.raises(ValueError, match="baud"):
+        SimulatedBus(SimulatedArm(arm), baud=baud, latency_ms=latency_ms)

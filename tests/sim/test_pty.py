@@ -1,0 +1,215 @@
+"""Programs that armctl did not write, on the simulated arm's pseudo terminal, in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import dynamixel_sdk
+import numpy as np
+import pytest
+import serial
+
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.errors import ConfigError, RequestRefused
+from armctl.sim.control import SimulatorClient, control_path
+from armctl.sim.pty import PseudoTerminal, run
+
+pytestmark = pytest.mark.pty
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from armctl.config import load_arm
+from armctl.sim.pty import run
+run(load_arm("ax12-line"), link=Path(sys.argv[1]), ready=lambda link: print("ready", link, flush=True))
+"""
+
+
+@contextlib.contextmanager
+def simulator(link: Path) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen([sys.executable, "-c", PROGRAM, str(link)], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == f"ready {link}\n"
+            yield process
+        finally:
+            process.terminate()
+            process.wait(10.0)
+
+
+@pytest.fixture(scope="module")
+def link(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    path = tmp_path_factory.mktemp("sim") / "port"
+    with simulator(path):
+        yield path
+
+
+@pytest.fixture
+def control(link: Path) -> Iterator[SimulatorClient]:
+    with SimulatorClient(control_path(link)) as client:
+        yield client
+        client.replug()
+        client.let_go()
+
+
+@pytest.fixture
+def port(link: Path) -> Iterator[dynamixel_sdk.PortHandler]:
+    handler = dynamixel_sdk.PortHandler(str(link))
+    assert handler.openPort()
+    yield handler
+    handler.closePort()
+
+
+SDK = dynamixel_sdk.PacketHandler(1.0)
+
+
+def test_stock_sdk_finds_six_servos_and_no_more(port: dynamixel_sdk.PortHandler) -> None:
+    found = [i for i in range(9) if SDK.ping(port, i) == (ax12a.MODEL_NUMBER, dynamixel_sdk.COMM_SUCCESS, 0)]
+    assert found == [1, 2, 3, 4, 5, 6]
+
+
+def test_stock_sdk_reads_writes_and_moves(port: dynamixel_sdk.PortHandler, control: SimulatorClient) -> None:
+    assert SDK.read2ByteTxRx(port, 1, ax12a.PRESENT_POSITION.address)[1:] == (dynamixel_sdk.COMM_SUCCESS, 0)
+    assert SDK.write2ByteTxRx(port, 1, ax12a.MOVING_SPEED.address, 300) == (dynamixel_sdk.COMM_SUCCESS, 0)
+    assert SDK.write2ByteTxRx(port, 1, ax12a.GOAL.address, 560) == (dynamixel_sdk.COMM_SUCCESS, 0)
+    assert control.state()["servos"][0]["goal_tick"] == 560
+    moving = dynamixel_sdk.GroupSyncWrite(port, SDK, ax12a.GOAL.address, 4)
+    for servo_id, tick in ((1, 540), (6, 500)):
+        assert moving.addParam(servo_id, [*tick.to_bytes(2, "little"), *(300).to_bytes(2, "little")])
+    assert moving.txPacket() == dynamixel_sdk.COMM_SUCCESS
+    deadline = time.monotonic() + 5.0
+    while time.monotonic() < deadline:
+        ticks = [SDK.read2ByteTxRx(port, i, ax12a.PRESENT_POSITION.address)[0] for i in (1, 6)]
+        if np.abs(np.array(ticks) - (540, 500)).max() <= 4:
+            break
+    assert np.abs(np.array(ticks) - (540, 500)).max() <= 4
+    for servo_id in (1, 6):
+        assert SDK.write1ByteTxRx(port, servo_id, ax12a.TORQUE_ENABLE.address, 0) == (dynamixel_sdk.COMM_SUCCESS, 0)
+
+
+def test_group_reply_time_is_the_wires(port: dynamixel_sdk.PortHandler) -> None:
+    """Factory return delay: six status reads take 6 * (80 + 500 + 320) us on the wire, and never less here."""
+    begin = time.monotonic()
+    for servo_id in range(1, 7):
+        _, result, error = SDK.readTxRx(port, servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+        assert (result, error) == (dynamixel_sdk.COMM_SUCCESS, 0)
+    assert time.monotonic() - begin >= 6 * 900e-6
+
+
+def test_host_at_another_baud_hears_nothing(link: Path) -> None:
+    ping = b"\xff\xff\x01\x02\x01\xfb"
+    with serial.Serial(str(link), 57_600, timeout=0.05) as wrong:
+        wrong.write(ping)
+        assert wrong.read(6) == b""
+    with serial.Serial(str(link), 1_000_000, timeout=1.0) as right:
+        right.write(ping)
+        assert right.read(6) == b"\xff\xff\x01\x02\x00\xfc"
+
+
+def test_pypot_scans_reads_and_moves(link: Path, control: SimulatorClient) -> None:
+    from pypot.dynamixel import DxlIO
+
+    with DxlIO(str(link), baudrate=1_000_000) as io:
+        assert io.scan(range(1, 8)) == [1, 2, 3, 4, 5, 6]
+        assert set(io.get_model((1, 6))) == {"AX-12"}
+        before = io.get_present_position((6,))[0]
+        io.set_goal_position({6: before + 10.0})
+        time.sleep(0.1)  # pypot flushes its output before each packet, and so what the kernel has not yet passed on
+        assert io.get_goal_position((6,))[0] == pytest.approx(before + 10.0, abs=0.3)
+        assert io.is_torque_enabled((6,)) == (True,)
+        io.disable_torque((6,))
+        time.sleep(0.1)
+    assert control.state()["servos"][5]["torque_enabled"] is False
+
+
+def test_unplugged_port_vanishes_and_comes_back_under_its_link(link: Path, control: SimulatorClient) -> None:
+    with serial.Serial(str(link), 1_000_000, timeout=1.0) as port:
+        control.unplug()
+        assert not link.is_symlink()
+        with pytest.raises(OSError, match=r"no data|Input/output error"):
+            port.read(6)
+    assert control.state()["plugged"] is False
+    control.replug()
+    with serial.Serial(str(link), 1_000_000, timeout=1.0) as port:
+        port.write(b"\xff\xff\x01\x02\x01\xfb")
+        assert len(port.read(6)) == 6
+
+
+def test_hand_moves_the_arm_and_truth_tells_so(link: Path, control: SimulatorClient) -> None:
+    begin_ns = time.monotonic_ns()
+    guided = control.guide((0.18, -0.1, 0.1), (0.18, 0.1, 0.1), seed=1, duration_s=4.0)
+    assert guided.end_s - guided.begin_s == pytest.approx(4.0)
+    deadline = time.monotonic() + 5.0
+    while np.linalg.norm((truth := control.truth(begin_ns, time.monotonic_ns())).tool_m[-1:] - truth.tool_m[:1]) < 0.01:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert np.diff(truth.time_ns).tolist() == [10_000_000] * (len(truth.time_ns) - 1)
+    assert truth.tool_m.shape == (len(truth.time_ns), 3)
+    assert truth.joints_rad.shape == (len(truth.time_ns), 6)
+    assert control.truth(0, 1).time_ns.size == 0
+    with pytest.raises(RequestRefused, match="within the joint limits"):
+        control.guide((0.9, 0.0, 0.1), (0.18, 0.1, 0.1), seed=1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signal_ends_it_cleanly_and_nothing_is_left(tmp_path: Path, number: signal.Signals) -> None:
+    link = tmp_path / "deep" / "port"
+    with simulator(link) as process:
+        assert sorted(path.name for path in link.parent.iterdir()) == ["port", "port.control"]
+        process.send_signal(number)
+        assert process.wait(5.0) == 0
+    assert list(link.parent.iterdir()) == []
+
+
+def test_second_simulator_on_the_same_link_is_refused(link: Path) -> None:
+    before = os.readlink(link)
+    second = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(link)], capture_output=True, text=True, timeout=30.0, check=False
+    )
+    assert second.returncode != 0
+    assert "another simulator runs here" in second.stderr
+    assert os.readlink(link) == before
+
+
+def test_link_replaces_a_dead_link_but_nothing_else(tmp_path: Path) -> None:
+    link = tmp_path / "port"
+    link.symlink_to("/dev/pts/nowhere")
+    terminal = PseudoTerminal(link)
+    terminal.replug()
+    terminal.replug()
+    assert os.readlink(link).startswith("/dev/")
+    assert terminal.baud() == 1_000_000
+    terminal.unplug()
+    terminal.unplug()
+    assert not link.is_symlink()
+    link.write_text("precious")
+    with pytest.raises(ConfigError, match="exists and is no symlink"):
+        terminal.replug()
+    assert link.read_text() == "precious"
+    with pytest.raises(ConfigError, match="cannot create the link"):
+        PseudoTerminal(Path("/proc/armctl/port")).replug()
+
+
+def test_unread_replies_do_not_block_the_simulator(tmp_path: Path) -> None:
+    terminal = PseudoTerminal(tmp_path / "port")
+    terminal.replug()
+    for _ in range(100):
+        terminal.write(bytes(1000))
+    with serial.Serial(str(tmp_path / "port"), 1_000_000) as port:
+        port.write(b"abc")
+        assert terminal.read() == b"abc"
+    terminal.unplug()
+
+
+@pytest.mark.parametrize("setting", [{"return_delay_us": 509}, {"latency_ms": -1.0}])
+def test_settings_out_of_range_are_refused(arm: ArmConfig, tmp_path: Path, setting: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match="outside 0"):
+        run(arm, link=tmp_path / "port", ready=print, **setting)  # type: ignore[arg-type]

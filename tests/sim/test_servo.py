@@ -1,0 +1,320 @@
+"""The simulated servo's table and instructions, packet by packet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.packet import (
+    BROADCAST_ID,
+    BadChecksum,
+    Decoder,
+    Instruction,
+    Packet,
+)
+from armctl.sim.servo import ServoVariants, SimulatedServo, compliance_slope
+
+
+def servo(variants: ServoVariants = ServoVariants(), *, noise_tick: float = 0.0) -> SimulatedServo:  # noqa: B008
+    return SimulatedServo(5, np.random.default_rng(0), position_tick=400.0, noise_tick=noise_tick, variants=variants)
+
+
+def tell(one: SimulatedServo, instruction: int, parameters: bytes = b"", servo_id: int = 5) -> Packet | None:
+    status = one.handle(Packet(servo_id, instruction, parameters))
+    if status is None:
+        return None
+    (reply,) = Decoder().feed(status)
+    assert isinstance(reply, Packet)
+    return reply
+
+
+def write(one: SimulatedServo, register: Register, value: int, instruction: int = Instruction.WRITE) -> int:
+    reply = tell(one, instruction, bytes((register.address,)) + value.to_bytes(register.size, "little"))
+    assert reply is not None
+    return reply.code
+
+
+def read(one: SimulatedServo, register: Register) -> int:
+    reply = tell(one, Instruction.READ, bytes((register.address, register.size)))
+    assert reply is not None
+    assert reply.code == 0
+    return int.from_bytes(reply.parameters, "little")
+
+
+def test_powered_up_servo_holds_the_factory_table_and_is_limp() -> None:
+    one = servo()
+    for register in ax12a.REGISTERS:
+        expected = {ax12a.ID: 5, ax12a.GOAL: 400, ax12a.PRESENT_POSITION: 400}.get(register, register.default)
+        assert read(one, register) == expected, register.name
+    assert not one.torque_enabled
+
+
+@settings(deadline=None)
+@given(st.sampled_from(ax12a.REGISTERS), st.integers(0, 0xFFFF))
+def test_every_register_keeps_its_access_and_range(register: Register, value: int) -> None:
+    one = servo()
+    value &= 0xFF if register.size == 1 else 0xFFFF
+    before = one.get(register)
+    highest = 1023 if register is ax12a.MOVING_SPEED else register.maximum
+    accepted = register.writable and register.minimum <= value <= highest
+    code = write(one, register, value)
+    alarms = ErrorBit.VOLTAGE | ErrorBit.OVERHEAT  # the write may move a limit over the measured value
+    assert code & ~alarms == (0 if accepted else ErrorBit.RANGE)
+    assert one.get(register) == (value if accepted else before)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 255), st.integers(0, 255))
+def test_a_read_beyond_the_table_is_a_range_error(begin: int, size: int) -> None:
+    reply = tell(servo(), Instruction.READ, bytes((begin, size)))
+    assert reply is not None
+    if 0 < size <= ax12a.TABLE_SIZE - begin:
+        assert reply.code == 0
+        assert len(reply.parameters) == size
+    else:
+        assert reply == Packet(5, ErrorBit.RANGE)
+
+
+def test_one_bad_register_refuses_the_whole_write() -> None:
+    one = servo()
+    data = (500).to_bytes(2, "little") + (1024).to_bytes(2, "little")
+    assert tell(one, Instruction.WRITE, bytes((30,)) + data) == Packet(5, ErrorBit.RANGE)
+    assert one.get(ax12a.GOAL) == 400
+    assert not one.torque_enabled
+    assert tell(one, Instruction.WRITE, bytes((48, 32, 0, 0))) == Packet(5, ErrorBit.RANGE)
+
+
+def test_eeprom_is_writable_only_with_torque_off() -> None:
+    one = servo()
+    assert write(one, ax12a.CW_LIMIT, 100) == 0
+    assert write(one, ax12a.TORQUE_ENABLE, 1) == 0
+    assert write(one, ax12a.CW_LIMIT, 200) == ErrorBit.RANGE
+    assert read(one, ax12a.CW_LIMIT) == 100
+
+
+def test_lock_leaves_24_to_35_writable_until_power_off() -> None:
+    one = servo()
+    assert write(one, ax12a.LOCK, 1) == 0
+    assert write(one, ax12a.LOCK, 0) == ErrorBit.RANGE
+    assert write(one, ax12a.ID, 7) == ErrorBit.RANGE
+    assert write(one, ax12a.PUNCH, 40) == ErrorBit.RANGE
+    assert write(one, ax12a.LED, 1) == 0
+    assert write(one, ax12a.TORQUE_LIMIT, 500) == 0
+
+
+def test_goal_outside_the_angle_limits_is_refused_with_its_own_bit() -> None:
+    one = servo()
+    write(one, ax12a.CW_LIMIT, 300)
+    write(one, ax12a.CCW_LIMIT, 700)
+    write(one, ax12a.GOAL, 650)
+    for goal in (299, 701):
+        assert write(one, ax12a.GOAL, goal) == ErrorBit.ANGLE_LIMIT
+        assert read(one, ax12a.GOAL) == 650
+    assert write(one, ax12a.GOAL, 300) == 0
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_status_return_level(level: int) -> None:
+    one = servo()
+    write(one, ax12a.RETURN_LEVEL, level)
+    assert tell(one, Instruction.PING) == Packet(5, 0)
+    assert (tell(one, Instruction.READ, bytes((0, 1))) is not None) == (level >= 1)
+    assert (tell(one, Instruction.WRITE, bytes((25, 1))) is not None) == (level == 2)
+    assert (one.handle(BadChecksum(b"\xff\xff\x05\x02\x01\x00")) is not None) == (level == 2)
+
+
+def test_bad_checksum_is_answered_by_the_addressed_servo_only() -> None:
+    status = servo().handle(BadChecksum(b"\xff\xff\x05\x02\x01\x00"))
+    assert status is not None
+    assert Decoder().feed(status) == [Packet(5, ErrorBit.CHECKSUM)]
+    assert servo().handle(BadChecksum(b"\xff\xff\x06\x02\x01\x00")) is None
+    assert servo().handle(BadChecksum(b"\xff\xff\xfe\x02\x01\x00")) is None
+
+
+@pytest.mark.parametrize("instruction", [0x00, 0x07, 0x55, 0x82, 0x92, 0xFF])
+def test_unknown_instructions_meet_silence(instruction: int) -> None:
+    assert tell(servo(), instruction, bytes((0, 5, 2))) is None
+
+
+def test_broadcasts_are_carried_out_in_silence() -> None:
+    one = servo()
+    for instruction, parameters in ((1, b""), (2, b"\x00\x01"), (3, b"\x19\x01"), (6, b"")):
+        assert tell(one, instruction, parameters, BROADCAST_ID) is None
+        if instruction == Instruction.WRITE:
+            assert one.get(ax12a.LED) == 1
+    assert one.get(ax12a.ID) == 1
+
+
+def test_other_ids_are_ignored() -> None:
+    one = servo()
+    assert tell(one, Instruction.WRITE, b"\x19\x01", servo_id=6) is None
+    assert one.get(ax12a.LED) == 0
+
+
+@pytest.mark.parametrize(
+    ("instruction", "parameters"), [(2, b""), (2, b"\x00"), (2, b"\x00\x01\x02"), (3, b""), (3, b"\x19")]
+)
+def test_wrong_number_of_parameters_is_an_instruction_error(instruction: int, parameters: bytes) -> None:
+    assert tell(servo(), instruction, parameters) == Packet(5, ErrorBit.INSTRUCTION)
+
+
+def test_registered_write_waits_for_action() -> None:
+    one = servo()
+    assert tell(one, Instruction.ACTION) == Packet(5, ErrorBit.INSTRUCTION)
+    assert write(one, ax12a.GOAL, 600, Instruction.REG_WRITE) == 0
+    assert read(one, ax12a.REGISTERED) == 1
+    assert not one.torque_enabled
+    assert tell(one, Instruction.ACTION, servo_id=BROADCAST_ID) is None
+    assert read(one, ax12a.REGISTERED) == 0
+    assert read(one, ax12a.GOAL) == 600
+    assert write(one, ax12a.GOAL, 1024, Instruction.REG_WRITE) == ErrorBit.RANGE
+    assert read(one, ax12a.REGISTERED) == 0
+
+
+def test_reset_restores_the_factory_and_answers_with_the_old_id() -> None:
+    one = servo()
+    write(one, ax12a.CW_LIMIT, 100)
+    write(one, ax12a.TORQUE_ENABLE, 1)
+    assert tell(one, Instruction.RESET) == Packet(5, 0)
+    assert [one.get(r) for r in (ax12a.ID, ax12a.CW_LIMIT, ax12a.TORQUE_ENABLE)] == [1, 0, 0]
+
+
+def test_new_id_answers_after_the_reply_to_its_write() -> None:
+    one = servo()
+    assert write(one, ax12a.ID, 9) == 0
+    assert tell(one, Instruction.PING) is None
+    assert tell(one, Instruction.PING, servo_id=9) == Packet(9, 0)
+
+
+def test_sync_write_takes_this_servos_share() -> None:
+    one = servo()
+    data = bytes((30, 4, 4, 1, 0, 1, 0, 5, 88, 2, 9, 0))
+    assert tell(one, Instruction.SYNC_WRITE, data, BROADCAST_ID) is None
+    assert read(one, ax12a.GOAL) == 600
+    assert read(one, ax12a.MOVING_SPEED) == 9
+
+
+@pytest.mark.parametrize("data", [b"", b"\x1e", b"\x1e\x00\x05", b"\x1e\x04\x05\x00\x01", b"\x1e\x02\x05\x00\x04"])
+def test_malformed_sync_write_changes_nothing(data: bytes) -> None:
+    one = servo()
+    tell(one, Instruction.SYNC_WRITE, data, BROADCAST_ID)
+    assert one.get(ax12a.GOAL) == 400
+    assert not one.torque_enabled
+
+
+@pytest.mark.parametrize(
+    ("register", "field"), [(ax12a.GOAL, "goal_write_energises"), (ax12a.MOVING_SPEED, "speed_write_energises")]
+)
+@pytest.mark.parametrize("does", [False, True])
+def test_variant_writing_goal_or_speed_energises(register: Register, field: str, does: bool) -> None:
+    one = servo(ServoVariants(**{field: does}))
+    assert write(one, register, 410) == 0
+    assert one.torque_enabled is does
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_variant_goal_follows_position_while_limp(follows: bool) -> None:
+    one = servo(ServoVariants(goal_follows_when_limp=follows))
+    one.position_tick = 450.0
+    assert read(one, ax12a.GOAL) == (450 if follows else 400)
+    write(one, ax12a.TORQUE_ENABLE, 1)
+    one.position_tick = 470.0
+    assert one.drive.goal_tick == (450 if follows else 400)
+    assert one.reference_tick == 450
+
+
+@pytest.mark.parametrize("continues", [False, True])
+def test_variant_ramp_restarts_at_the_reference_or_at_the_position(continues: bool) -> None:
+    one = servo(ServoVariants(ramp_from_reference=continues))
+    write(one, ax12a.GOAL, 500)
+    one.reference_tick, one.position_tick = 440.0, 431.2
+    write(one, ax12a.GOAL, 510)
+    assert one.reference_tick == (440.0 if continues else 431)
+
+
+def test_explicit_torque_off_in_a_goal_write_wins() -> None:
+    one = servo()
+    tell(one, Instruction.WRITE, bytes((24, 0, 0, 1, 1, 32, 32, 88, 2)))
+    assert not one.torque_enabled
+
+
+def test_trip_drops_torque_and_needs_limit_and_enable_to_recover() -> None:
+    one = servo()
+    write(one, ax12a.GOAL, 600)
+    one.protect(overloaded=True)
+    assert not one.torque_enabled
+    assert one.get(ax12a.TORQUE_LIMIT) == 0
+    assert write(one, ax12a.TORQUE_ENABLE, 1) == ErrorBit.OVERLOAD
+    one.protect()
+    assert not one.torque_enabled
+    assert write(one, ax12a.TORQUE_LIMIT, 500) == ErrorBit.OVERLOAD
+    assert write(one, ax12a.TORQUE_ENABLE, 1) == 0
+    one.protect()
+    assert one.torque_enabled
+
+
+def test_alarm_without_its_shutdown_bit_does_not_trip() -> None:
+    one = servo()
+    write(one, ax12a.SHUTDOWN, 0)
+    write(one, ax12a.GOAL, 600)
+    one.protect(overloaded=True)
+    assert one.torque_enabled
+    assert tell(one, Instruction.PING) == Packet(5, ErrorBit.OVERLOAD)
+
+
+def test_heat_and_voltage_stand_in_every_reply_while_they_last() -> None:
+    one = servo()
+    one.temperature_degC = 71.0
+    one.voltage_V = 5.9
+    assert tell(one, Instruction.PING) == Packet(5, ErrorBit.OVERHEAT | ErrorBit.VOLTAGE)
+    reply = tell(one, Instruction.READ, bytes((42, 2)))
+    assert reply is not None
+    assert reply.parameters == bytes((59, 71))
+    write(one, ax12a.TORQUE_ENABLE, 1)
+    one.protect()
+    assert not one.torque_enabled
+    one.temperature_degC, one.voltage_V = 40.0, 12.0
+    assert tell(one, Instruction.PING) == Packet(5, 0)
+
+
+def test_measured_registers_are_signed_magnitude_and_clamped() -> None:
+    one = servo()
+    write(one, ax12a.GOAL, 500)
+    one.velocity_rad_s, one.output, one.position_tick = -1.0, -0.5, -3.0
+    assert ax12a.signed_magnitude(read(one, ax12a.PRESENT_SPEED)) == -round(1.0 / ax12a.SPEED_UNIT_RAD_S)
+    assert ax12a.load_ratio(read(one, ax12a.PRESENT_LOAD)) == pytest.approx(-0.5, abs=1e-3)
+    assert read(one, ax12a.PRESENT_POSITION) == 0
+    assert read(one, ax12a.MOVING) == 1
+
+
+def test_reported_position_has_the_noise_asked_for() -> None:
+    one = servo(noise_tick=0.5)
+    ticks = [read(one, ax12a.PRESENT_POSITION) for _ in range(2000)]
+    assert np.mean(ticks) == pytest.approx(400.0, abs=0.05)
+    assert np.std(ticks) == pytest.approx(np.sqrt(0.25 + 1.0 / 12.0), abs=0.05)
+
+
+def test_wheel_mode_refuses_to_turn() -> None:
+    one = servo()
+    write(one, ax12a.CCW_LIMIT, 0)
+    assert one.wheel_mode
+    assert write(one, ax12a.MOVING_SPEED, 2047) == 0
+    assert one.drive.output_limit == 0.0
+
+
+@pytest.mark.parametrize(
+    ("register", "slope"), [(1, 2), (2, 2), (3, 2), (4, 4), (32, 32), (63, 32), (64, 64), (254, 128)]
+)
+def test_compliance_slope_is_quantised(register: int, slope: int) -> None:
+    assert compliance_slope(register) == slope
+
+
+def test_output_limit_is_the_lower_of_torque_limit_and_max_torque() -> None:
+    one = servo()
+    write(one, ax12a.TORQUE_LIMIT, 700)
+    write(one, ax12a.MAX_TORQUE, 512)
+    assert one.drive.output_limit == pytest.approx(512 / 1023)
