@@ -184,6 +184,12 @@ class SimulatedArm:
         """Time integrated since the first `advance` [s]."""
         return self._step * STEP_S
 
+    def draw_noise(self) -> None:
+        """Let the servos' noise from here on depend on this moment of the take alone, not on what was read before."""
+        seed, time_s = self.hand.moment(self.time_s)
+        for i, servo in enumerate(self._servos):
+            servo.noise = np.random.default_rng((seed, round(time_s / STEP_S), i))
+
     def true_positions(self) -> FloatArray:
         """Joint positions of the output shafts [rad], shape (n,): no quantisation, noise or zero offset."""
         return np.array([joint.position_rad() for joint in self._joints])

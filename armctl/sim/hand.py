@@ -57,6 +57,7 @@ class Guided:
 
 @dataclass
 class _Take:
+    seed: int
     start_s: float
     when: Guided
     from_rad: FloatArray
@@ -88,6 +89,10 @@ class Hand:
         """Whether the hand is at the arm."""
         return self._take is not None
 
+    def moment(self, time_s: float) -> tuple[int, float]:
+        """The seed of the take under way, and the time since it began; 0 and all the arm's time with hands off."""
+        return (0, time_s) if self._take is None else (self._take.seed, time_s - self._take.start_s)
+
     def guide(self, from_m: FloatArray, to_m: FloatArray, *, seed: int, duration_s: float | None = None) -> Guided:
         """Begin a take now, from wherever the arm is; one under way is broken off.
 
@@ -110,6 +115,7 @@ class Hand:
         guess = self._posture + POSTURE_RAD * rng.standard_normal(n)
         line_s = float(rng.uniform(*DURATION_S)) if duration_s is None else duration_s
         take = _Take(
+            seed=seed,
             start_s=self._arm.time_s,
             when=Guided(0.0, 0.0, 0.0),
             # A hand that already holds the arm keeps its grip, else the arm would sag for a moment.

@@ -122,6 +122,7 @@ def run(
     seed: int = 0,
     latency_ms: float = 0.0,
     return_delay_us: int | None = None,
+    lockstep: bool = False,
     spec: ArmSpec = DEFAULT_SPEC,
 ) -> None:
     """Simulate an arm until SIGTERM or SIGINT; from the main thread only.
@@ -130,6 +131,7 @@ def run(
         link: Where the port appears; the control socket appears beside it, see `control_path`.
         ready: Called with the link's path once a client may open it.
         latency_ms: Timer of the adapter: replies reach the host only when it fires.
+        lockstep: Whether the world follows the bus master's cycles instead of the wall clock, see `Lockstep`.
         return_delay_us: Of every servo, 0..508 in steps of 2; None: the factory's 500.
     Raises:
         ConfigError: an argument out of range, or a path that cannot be used.
@@ -144,9 +146,10 @@ def run(
         for servo in simulated.servos:
             servo.set(ax12a.RETURN_DELAY, return_delay_us // 2)
     bus = SimulatedBus(simulated, latency_ms=latency_ms, seed=seed)
-    ring = TruthRing(len(arm.joints))
     terminal = PseudoTerminal(link)
-    controls = Controls(simulated, ring, terminal, time.monotonic_ns)
+    ring = TruthRing(len(arm.joints))
+    world = Lockstep(simulated, bus, ring) if lockstep else RealTime(simulated, bus, ring)
+    controls = Controls(simulated, ring, terminal, world.now_ns)
     stop: list[int] = []
     with contextlib.ExitStack() as cleanup:
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -156,25 +159,94 @@ def run(
         cleanup.callback(server.close)
         terminal.replug()
         cleanup.callback(terminal.unplug)
-        truth_ns = time.monotonic_ns()
         ready(str(link))
         while not stop:
-            reply_ns = bus.next_transmit_ns()
-            wake_ns = truth_ns if reply_ns is None else min(truth_ns, reply_ns)
-            left_s = max(0, wake_ns - time.monotonic_ns()) / 1e9
             readers: list[socket.socket | PseudoTerminal] = [
                 *server.readers(),
                 *([terminal] if terminal.plugged else []),
             ]
-            readable, writable, _ = select.select(readers, server.writers(), [], left_s)
-            now_ns = time.monotonic_ns()
-            while truth_ns <= now_ns:
-                simulated.advance(truth_ns)
-                ring.add(truth_ns, simulated.true_positions())
-                truth_ns += TRUTH_PERIOD_NS
+            readable, writable, _ = select.select(readers, server.writers(), [], world.patience_s())
+            heard = b""
             if terminal in readable:
                 bus.baud = terminal.baud() or bus.baud
-                bus.receive(terminal.read(), now_ns)
-            if (replies := bus.transmit(now_ns)) and terminal.plugged:
+                heard = terminal.read()
+            if (replies := world.pass_on(heard)) and terminal.plugged:
                 terminal.write(replies)
             server.serve([*(s for s in readable if isinstance(s, socket.socket)), *writable])
+
+
+class RealTime:
+    """The world's time is the wall clock's; replies wait for their bytes' time on the wire."""
+
+    def __init__(self, arm: SimulatedArm, bus: SimulatedBus, ring: TruthRing) -> None:
+        self._arm, self._bus, self._ring = arm, bus, ring
+        self._truth_ns = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def patience_s(self) -> float:
+        """How long nothing is due."""
+        reply_ns = self._bus.next_transmit_ns()
+        wake_ns = self._truth_ns if reply_ns is None else min(self._truth_ns, reply_ns)
+        return max(0, wake_ns - time.monotonic_ns()) / 1e9
+
+    def pass_on(self, heard: bytes) -> bytes:
+        """Let the world go on to now, with the host's bytes; the bytes that reach the host by now."""
+        now_ns = time.monotonic_ns()
+        while self._truth_ns <= now_ns:
+            self._arm.advance(self._truth_ns)
+            self._ring.add(self._truth_ns, self._arm.true_positions())
+            self._truth_ns += TRUTH_PERIOD_NS
+        if heard:
+            self._bus.receive(heard, now_ns)
+        return self._bus.transmit(now_ns)
+
+
+class Lockstep:
+    """The world's time is the bus master's: `PERIOD_NS` from one cycle's first byte to the next cycle's.
+
+    A cycle begins with the first byte after a pause of the host. Within it, time passes by the bytes on the wire
+    alone, and replies leave at once. So what the servos answer is a function of the bytes they got, whatever the
+    machine is busy with; noise is drawn anew from the take's seed and the cycle's number in it. A world without
+    a master stands still. The truth is stamped with the wall clock, to be held against the master's samples.
+    """
+
+    PERIOD_NS = 100_000_000
+    PAUSE_NS = 50_000_000
+
+    def __init__(self, arm: SimulatedArm, bus: SimulatedBus, ring: TruthRing) -> None:
+        self._arm, self._bus, self._ring = arm, bus, ring
+        self._cycle_ns = self._now_ns = self._truth_ns = time.monotonic_ns()
+        self._heard_ns = 0
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def patience_s(self) -> float:
+        """How long nothing is due."""
+        return 0.1
+
+    def pass_on(self, heard: bytes) -> bytes:
+        """Let the world go on by the host's bytes; their replies."""
+        if not heard:
+            return b""
+        wall_ns = time.monotonic_ns()
+        if wall_ns - self._heard_ns > self.PAUSE_NS:
+            self._begin_cycle(wall_ns)
+        self._heard_ns = wall_ns
+        self._bus.receive(heard, self._now_ns)
+        replies = bytearray()
+        while (reply_ns := self._bus.next_transmit_ns()) is not None:
+            self._now_ns = max(self._now_ns, reply_ns)
+            replies += self._bus.transmit(self._now_ns)
+        return bytes(replies)
+
+    def _begin_cycle(self, wall_ns: int) -> None:
+        self._cycle_ns = self._now_ns = max(self._cycle_ns + self.PERIOD_NS, self._now_ns)
+        while self._truth_ns <= self._now_ns:
+            self._arm.advance(self._truth_ns)
+            self._ring.add(self._truth_ns + wall_ns - self._now_ns, self._arm.true_positions())
+            self._truth_ns += TRUTH_PERIOD_NS
+        self._arm.advance(self._now_ns)
+        self._arm.draw_noise()

@@ -84,7 +84,8 @@ class SimulatedServo:
             noise_tick: Standard deviation of the reported position.
         """
         self._table = bytearray(ax12a.TABLE_SIZE)
-        self._rng = rng
+        self.noise = rng
+        """Where the position reading's noise is drawn from."""
         self._noise_tick = noise_tick
         self._variants = variants
         self._registered: tuple[int, bytes] | None = None
@@ -212,7 +213,7 @@ class SimulatedServo:
         begin, size = parameters
         if size == 0 or begin + size > ax12a.TABLE_SIZE:
             return ErrorBit.RANGE, b""
-        noise = self._noise_tick * float(self._rng.standard_normal()) if self._noise_tick else 0.0
+        noise = self._noise_tick * float(self.noise.standard_normal()) if self._noise_tick else 0.0
         self._refresh(noise)
         return ErrorBit(0), bytes(self._table[begin : begin + size])
 

@@ -1,0 +1,147 @@
+"""URDF of an arm, and its frames.
+
+Rules.
+1. Every row i of the Denavit-Hartenberg table is A_i = G_i Rz(q_i) F_i with constant G_i and F_i. URDF puts a
+   joint's axis at the origin of its child, so a row becomes two links: horn_i, which turns, and link_i, fixed to
+   it, which is the Denavit-Hartenberg frame i.
+2. Joints beyond the chain (a wrist roll) turn about the x axis of the frame before them and move no tool point.
+3. `tool` is the chain's last frame: what forward kinematics gives.
+4. Shapes are primitive: what matters is where the frames are.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.kinematics.chain import DHRow, SerialChain, link_frames
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray, rpy_from_matrix
+
+BASE = "base_link"
+TOOL = "tool"
+RADIUS_M = 0.014
+
+
+def moving_links(arm: ArmConfig) -> tuple[str, ...]:
+    """Name of the link each joint moves, in joint order."""
+    return tuple(f"link_{i}" for i in range(1, len(arm.joints) + 1))
+
+
+def moving_frames(arm: ArmConfig, robot: Robot, q: FloatArray) -> FloatArray:
+    """Pose of every moving link in the base frame.
+
+    Args:
+        q: Joint positions [rad], shape (joints,).
+    Returns:
+        T_base_link, shape (joints, 4, 4).
+    """
+    n = robot.chain.n
+    frames = list(link_frames(robot.chain, q[:n])[1:])
+    for position in q[n : len(arm.joints)].tolist():
+        frames.append(frames[-1] @ _rotation_x(position))
+    return np.array(frames)
+
+
+def fixed_frames(arm: ArmConfig, robot: Robot) -> tuple[tuple[str, str, FloatArray], ...]:
+    """The frames that never move against a moving link: (parent, child, T_parent_child)."""
+    chain = robot.chain
+    links = moving_links(arm)
+    frames: list[tuple[str, str, FloatArray]] = [
+        (link, _horn(link), _inverse(_row_parts(chain, row)[1])) for link, row in zip(links, chain.rows, strict=False)
+    ]
+    return (*frames, (links[chain.n - 1], TOOL, np.eye(4)))
+
+
+def urdf(arm: ArmConfig, robot: Robot) -> str:
+    """The arm as URDF; joint names and limits from the calibration, frames from the robot's chain."""
+    chain, links = robot.chain, moving_links(arm)
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(arm.arm_id)}>"]
+    lines += _link(BASE, np.zeros(3), np.zeros(3))
+    for index, (parent, link) in enumerate(pairwise((BASE, *links))):
+        joint = arm.joints[index]
+        if index < chain.n:
+            G, F = _row_parts(chain, chain.rows[index])
+            axis, child = "0 0 1", _horn(link)
+        else:
+            G, axis, child = np.eye(4), "1 0 0", link
+        low, high = joint.limits_rad
+        lines += [
+            f'  <joint name={quoteattr(joint.name)} type="revolute">',
+            f"    <parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>",
+            f'    {_origin(G)}<axis xyz="{axis}"/>',
+            f'    <limit lower="{low!r}" upper="{high!r}" effort="{ax12a.STALL_TORQUE_NM}" '
+            f'velocity="{joint.speed_limit_rad_s!r}"/>',
+            "  </joint>",
+        ]
+        if index < chain.n:
+            lines += _link(child, np.zeros(3), F[:3, 3])
+            lines += _fixed(f"{link}:offset", child, link, F)
+        lines += _link(link, np.zeros(3), np.zeros(3))
+    lines += _fixed(f"{TOOL}:offset", links[chain.n - 1], TOOL, np.eye(4))
+    lines += [f"  <link name={quoteattr(TOOL)}/>", "</robot>", ""]
+    return "\n".join(lines)
+
+
+def _horn(link: str) -> str:
+    return link.replace("link", "horn")
+
+
+def _row_parts(chain: SerialChain, row: DHRow) -> tuple[FloatArray, FloatArray]:
+    """(G, F) of one row: its transform is G Rz(q) F."""
+    one = SerialChain((row,), chain.convention)
+    A0 = link_frames(one, np.zeros(1))[1]
+    # Standard: Rz(q) comes first. Modified: it stands before Tz(d), with which it commutes.
+    return (np.eye(4), A0) if chain.convention == "standard" else (A0, np.eye(4))
+
+
+def _inverse(T: FloatArray) -> FloatArray:
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse
+
+
+def _rotation_x(angle: float) -> FloatArray:
+    T = np.eye(4)
+    c, s = math.cos(angle), math.sin(angle)
+    T[1:3, 1:3] = [[c, -s], [s, c]]
+    return T
+
+
+def _vector(values: FloatArray) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _origin(T: FloatArray) -> str:
+    return f'<origin xyz="{_vector(T[:3, 3])}" rpy="{_vector(np.array(rpy_from_matrix(T[:3, :3])))}"/>'
+
+
+def _fixed(name: str, parent: str, child: str, T: FloatArray) -> list[str]:
+    return [
+        f'  <joint name={quoteattr(name)} type="fixed">',
+        f"    <parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>",
+        f"    {_origin(T)}",
+        "  </joint>",
+    ]
+
+
+def _link(name: str, begin: FloatArray, end: FloatArray) -> list[str]:
+    """A link with a ball at `begin` and, where it has a length, a rod to `end`."""
+    shapes = [(begin, (0.0, 0.0, 0.0), f'<sphere radius="{RADIUS_M * 1.4}"/>')]
+    span = end - begin
+    length = float(np.linalg.norm(span))
+    if length > 0.0:
+        x, y, z = (span / length).tolist()
+        rpy = (0.0, math.acos(max(-1.0, min(1.0, z))), math.atan2(y, x))
+        shapes.append(((begin + end) / 2.0, rpy, f'<cylinder radius="{RADIUS_M}" length="{length!r}"/>'))
+    lines = [f"  <link name={quoteattr(name)}>"]
+    for centre, rpy, shape in shapes:
+        origin = f'<origin xyz="{_vector(centre)}" rpy="{_vector(np.array(rpy))}"/>'
+        lines.append(f"    <visual>{origin}<geometry>{shape}</geometry></visual>")
+    return [*lines, "  </link>"]

@@ -1,0 +1,354 @@
+"""What a tick becomes in the log: topics, types, and the values of their messages.
+
+Rules.
+1. `tick_messages` is pure: a tick record, the file's clock anchor, arm and robot give the messages, bit for bit.
+   Replay calls the same function with outputs it computed itself, and compares bytes.
+2. Every message of a tick carries the instant of its sample, as log time, publish time and header stamp;
+   its sequence number is the tick.
+3. Inputs come first, outputs after them, and `/armctl/cycle` is last: a tick whose cycle is missing was cut.
+4. What is not known is left out: a joint whose servo never answered is not in `/joint_states`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
+from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
+from armctl.messages import Event, Goal, JointTrajectory, Outputs, Run, Sample, TickRecord, ToolPose, to_json
+from armctl.recording.cdr import Codec, Value, codec
+from armctl.recording.schemas import full_name
+
+OVERRUN_NS = 50_000_000
+"""A tick that begins later than this is an overrun."""
+CONTROL = "armctl.control"
+RECORDING = "armctl.recording"
+"""Who wrote a line of /rosout: the control step (repeated by replay) or the recorder."""
+
+JOINT_STATES = "/joint_states"
+JOINT_COMMANDS = "/joint_commands"
+TF = "/tf"
+TF_STATIC = "/tf_static"
+TCP_POSE = "/tcp_pose"
+SERVOS = "/armctl/servos"
+CYCLE = "/armctl/cycle"
+COMMAND = "/armctl/command"
+STATE = "/armctl/state"
+JOINT_TRAJECTORY = "/joint_trajectory"
+DIAGNOSTICS = "/diagnostics"
+ROSOUT = "/rosout"
+ROBOT_DESCRIPTION = "/robot_description"
+
+Message = tuple[str, Value]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One channel of a log."""
+
+    name: str
+    type: str
+    latched: bool = False
+
+    @property
+    def codec(self) -> Codec:
+        return codec(self.type)
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Channel metadata: the quality of service rosbag2 offers when it plays the file."""
+        durability = 1 if self.latched else 2  # transient_local, volatile
+        forever = "{sec: 9223372036, nsec: 854775807}"
+        return {
+            "offered_qos_profiles": (
+                f"- history: 1\n  depth: {1 if self.latched else 10}\n  reliability: 1\n  durability: {durability}\n"
+                f"  deadline: {forever}\n  lifespan: {forever}\n  liveliness: 1\n"
+                f"  liveliness_lease_duration: {forever}\n  avoid_ros_namespace_conventions: false\n"
+            )
+        }
+
+
+TOPICS: dict[str, Topic] = {
+    topic.name: topic
+    for topic in (
+        Topic(JOINT_STATES, full_name("sensor_msgs/JointState")),
+        Topic(JOINT_COMMANDS, full_name("sensor_msgs/JointState")),
+        Topic(TF, full_name("tf2_msgs/TFMessage")),
+        Topic(TF_STATIC, full_name("tf2_msgs/TFMessage"), latched=True),
+        Topic(TCP_POSE, full_name("geometry_msgs/PoseStamped")),
+        Topic(SERVOS, full_name("armctl_msgs/ServoArray")),
+        Topic(CYCLE, full_name("armctl_msgs/Cycle")),
+        Topic(COMMAND, full_name("std_msgs/String")),
+        Topic(STATE, full_name("std_msgs/String")),
+        Topic(JOINT_TRAJECTORY, full_name("trajectory_msgs/JointTrajectory")),
+        Topic(DIAGNOSTICS, full_name("diagnostic_msgs/DiagnosticArray")),
+        Topic(ROSOUT, full_name("rcl_interfaces/Log")),
+        Topic(ROBOT_DESCRIPTION, full_name("std_msgs/String"), latched=True),
+    )
+}
+"""Every channel of a log, registered at the start of each file whether used or not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """One instant in both kinds of time; it turns monotonic into epoch nanoseconds for a whole file."""
+
+    wall_ns: int
+    monotonic_ns: int
+
+    @classmethod
+    def now(cls) -> Anchor:
+        return cls(time.time_ns(), time.monotonic_ns())
+
+    def epoch_ns(self, time_ns: int) -> int:
+        """Epoch time [ns] of a monotonic time [ns]; never before the epoch, which no log format can express."""
+        return max(0, self.wall_ns + time_ns - self.monotonic_ns)
+
+
+def input_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
+    """What the control step saw in this tick, save what is in the cycle: servos, then commands in their order."""
+    inputs = record.inputs
+    header = _header(anchor.epoch_ns(inputs.sample.time_ns), BASE)
+    return [
+        (SERVOS, _servos(header, inputs.sample, arm)),
+        *((COMMAND, _string(f'{{"tick":{inputs.tick},"command":{to_json(command)}}}')) for command in inputs.commands),
+    ]
+
+
+def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
+    """What the control step said in this tick: the part of the log a replay can compute again."""
+    inputs, outputs = record.inputs, record.outputs
+    epoch_ns = anchor.epoch_ns(inputs.sample.time_ns)
+    header = _header(epoch_ns, BASE)
+    messages: list[Message] = [(JOINT_STATES, _joint_states(header, outputs, arm))]
+    if outputs.goal is not None:
+        messages.append((JOINT_COMMANDS, _joint_commands(header, outputs.goal, arm)))
+    if outputs.tool is not None:
+        q = np.array([joint.position_rad for joint in outputs.joints])
+        links = zip(moving_links(arm), moving_frames(arm, robot, q), strict=True)
+        messages.append((TF, {"transforms": [_transform(header, link, T) for link, T in links]}))
+        messages.append((TCP_POSE, _pose(header, outputs.tool)))
+    messages += [
+        (JOINT_TRAJECTORY, _joint_trajectory(header, command.trajectory, arm))
+        for command in inputs.commands
+        if isinstance(command, Run)
+    ]
+    messages += [(COMMAND, _string(f'{{"tick":{inputs.tick},"reply":{to_json(reply)}}}')) for reply in outputs.replies]
+    messages += [(ROSOUT, log_line(event, epoch_ns, CONTROL)) for event in outputs.events]
+    return messages
+
+
+def cycle_message(record: TickRecord, anchor: Anchor, *, inputs_only: bool = False) -> Message:
+    """How the tick went; the last message of every tick."""
+    inputs, sample = record.inputs, record.inputs.sample
+    return (
+        CYCLE,
+        {
+            "header": _header(anchor.epoch_ns(sample.time_ns), BASE),
+            "tick": inputs.tick,
+            "now_ns": inputs.now_ns,
+            "time_ns": sample.time_ns,
+            "late_ns": inputs.late_ns,
+            "lateness_us": record.lateness_us,
+            "bus_us": sample.bus_us,
+            "write_us": record.write_us,
+            "retries": sample.retries,
+            "dropped": record.dropped,
+            "overrun": inputs.late_ns > OVERRUN_NS,
+            "port_open": sample.port_open,
+            "inputs_only": inputs_only,
+        },
+    )
+
+
+def tick_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
+    """Every message of one tick in file order, save those that are not due every tick (state, diagnostics)."""
+    return [
+        *input_messages(record, anchor, arm),
+        *output_messages(record, anchor, arm, robot),
+        cycle_message(record, anchor),
+    ]
+
+
+def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:
+    """The frames that do not move against a link, once for a file."""
+    frames = fixed_frames(arm, robot)
+    return TF_STATIC, {"transforms": [_transform(_header(epoch_ns, parent), child, T) for parent, child, T in frames]}
+
+
+def string_message(topic: str, text: str) -> Message:
+    """Free text (a robot description, JSON) on a std_msgs/String topic."""
+    return topic, _string(text)
+
+
+def diagnostics(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Message:
+    """Mode and fault of the arm, and the health of every servo."""
+    outputs, sample = record.outputs, record.inputs.sample
+    fault = outputs.fault
+    status = [
+        _status(
+            2 if fault is not None else 0,
+            "armctl: arm",
+            f"{outputs.mode}" if fault is None else f"{outputs.mode}: {fault.code}: {fault.text}",
+            arm.arm_id,
+            {"mode": outputs.mode, "fault": "" if fault is None else fault.code, "port_open": sample.port_open},
+        )
+    ]
+    for config, joint, reading in zip(arm.joints, outputs.joints, sample.servos, strict=True):
+        values: dict[str, object] = {
+            "temperature_degC": joint.temperature_degC,
+            "voltage_V": joint.voltage_V,
+            "load_ratio": joint.load_ratio,
+            "torque_enabled": joint.torque_enabled,
+            "age_s": joint.age_s,
+        }
+        errors = " ".join(ax12a.ErrorBit.names(reading.error)) if reading.error else ""
+        message = reading.problem or errors or "ok"
+        level = 3 if not joint.known else 1 if message != "ok" else 0
+        status.append(
+            _status(
+                level,
+                f"armctl: {config.name}",
+                message if joint.known else "never answered",
+                f"servo {config.servo_id}",
+                values if joint.known else {},
+            )
+        )
+    return DIAGNOSTICS, {"header": _header(anchor.epoch_ns(sample.time_ns), BASE), "status": status}
+
+
+def log_line(event: Event, epoch_ns: int, source: str) -> Value:
+    """An event as a line of /rosout; its code stands in `function`."""
+    where = "" if event.servo_id is None else f" (servo {event.servo_id})"
+    return {
+        "stamp": _stamp(epoch_ns),
+        "level": {"info": 20, "warning": 30, "error": 40}[event.severity],
+        "name": source,
+        "msg": f"{event.code}{where}: {event.text}",
+        "file": "",
+        "function": event.code,
+        "line": 0,
+    }
+
+
+def parse_record(text: str) -> tuple[int, str, Any] | None:
+    """(tick, "command" or "reply", its JSON) of a line on /armctl/command; None for the notes of others."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if isinstance(data, dict) and list(data) in (["tick", "command"], ["tick", "reply"]):
+        _, kind = data
+        return data["tick"], kind, data[kind]
+    return None
+
+
+def _stamp(epoch_ns: int) -> Value:
+    return {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
+
+
+def _header(epoch_ns: int, frame_id: str) -> Value:
+    return {"stamp": _stamp(epoch_ns), "frame_id": frame_id}
+
+
+def _string(text: str) -> Value:
+    return {"data": text}
+
+
+def _joint_states(header: Value, outputs: Outputs, arm: ArmConfig) -> Value:
+    known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
+    return {
+        "header": header,
+        "name": [name for name, _ in known],
+        "position": [joint.position_rad for _, joint in known],
+        "velocity": [joint.velocity_rad_s for _, joint in known],
+        "effort": [joint.load_ratio for _, joint in known],
+    }
+
+
+def _joint_commands(header: Value, goal: Goal, arm: ArmConfig) -> Value:
+    return {
+        "header": header,
+        "name": list(arm.joint_names),
+        "position": [joint.position_rad(tick) for joint, tick in zip(arm.joints, goal.ticks, strict=True)],
+        "velocity": [speed * ax12a.SPEED_UNIT_RAD_S for speed in goal.speeds],
+        "effort": [],
+    }
+
+
+def _vector(values: FloatArray) -> Value:
+    x, y, z = values.tolist()
+    return {"x": x, "y": y, "z": z}
+
+
+def _quaternion(values: tuple[float, float, float, float]) -> Value:
+    x, y, z, w = values
+    return {"x": x, "y": y, "z": z, "w": w}
+
+
+def _transform(header: Value, child: str, T: FloatArray) -> Value:
+    return {
+        "header": header,
+        "child_frame_id": child,
+        "transform": {
+            "translation": _vector(T[:3, 3]),
+            "rotation": _quaternion(quaternion_from_matrix(T[:3, :3])),
+        },
+    }
+
+
+def _pose(header: Value, tool: ToolPose) -> Value:
+    x, y, z = tool.position_m
+    pose = {"position": {"x": x, "y": y, "z": z}, "orientation": _quaternion(tool.quaternion)}
+    return {"header": header, "pose": pose}
+
+
+def _servos(header: Value, sample: Sample, arm: ArmConfig) -> Value:
+    return {
+        "header": header,
+        "servos": [
+            {
+                "id": reading.servo_id,
+                "name": name,
+                "fresh": reading.fresh,
+                "error": reading.error,
+                "problem": reading.problem,
+                "stamp_ns": reading.stamp_ns,
+                "registers": reading.registers,
+            }
+            for name, reading in zip(arm.joint_names, sample.servos, strict=True)
+        ],
+    }
+
+
+def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig) -> Value:
+    def point(index: int, positions: tuple[float, ...]) -> Value:
+        return {
+            "positions": list(positions),
+            "velocities": [],
+            "accelerations": [],
+            "effort": [],
+            "time_from_start": _stamp(round(index * trajectory.period_s * NS_PER_S)),
+        }
+
+    points = [point(index, positions) for index, positions in enumerate(trajectory.positions_rad)]
+    return {"header": header, "joint_names": list(arm.joint_names), "points": points}
+
+
+def _status(level: int, name: str, message: str, hardware_id: str, values: dict[str, object]) -> Value:
+    return {
+        "level": level,
+        "name": name,
+        "message": message,
+        "hardware_id": hardware_id,
+        "values": [{"key": key, "value": str(value)} for key, value in values.items()],
+    }

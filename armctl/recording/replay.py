@@ -1,0 +1,258 @@
+"""Replay: a log's inputs through the control step again, its outputs compared byte for byte.
+
+Rules.
+1. Configuration, calibration, robot and clock anchor are the file's own.
+2. It begins at the first keyframe. Where ticks are missing, or the log says that some were dropped, it waits for
+   the next keyframe; where a keyframe comes along the way, the state must equal it.
+3. The messages are made by the very function that made them for the log (channels.py).
+4. A tick whose cycle is missing was cut off and is not judged.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any, Protocol
+
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig, parse_yaml, validate
+from armctl.control.machine import State
+from armctl.control.step import step as control_step
+from armctl.errors import ConfigError, LogError
+from armctl.kinematics import robots
+from armctl.kinematics.robots.robot import Robot
+from armctl.messages import (
+    Inputs,
+    Outputs,
+    Sample,
+    ServoReading,
+    TickRecord,
+    command_from_json,
+    from_json,
+)
+from armctl.recording import channels
+from armctl.recording.cdr import Value
+from armctl.recording.channels import TOPICS, Anchor
+from armctl.recording.reader import LogFile, LogMessage
+
+PROGRESS_TICKS = 500
+_COMPARED = (
+    channels.JOINT_STATES,
+    channels.JOINT_COMMANDS,
+    channels.TF,
+    channels.TCP_POSE,
+    channels.JOINT_TRAJECTORY,
+    channels.COMMAND,
+    channels.ROSOUT,
+)
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """Outcome of a check. `messages` were compared, `mismatches` of them differ; `first_mismatch` says where."""
+
+    ticks: int
+    messages: int
+    mismatches: int
+    seconds: float
+    realtime_ratio: float
+    first_mismatch: str
+
+
+class Step(Protocol):
+    """A control step (see control/step.py)."""
+
+    def __call__(
+        self, state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: float, /
+    ) -> tuple[State, Outputs]: ...
+
+
+@dataclass(frozen=True)
+class LogSetup:
+    """What a file says about the arm it is of."""
+
+    arm: ArmConfig
+    robot: Robot
+    period_s: float
+    anchor: Anchor
+
+
+def log_setup(log: LogFile) -> LogSetup:
+    """Arm, robot, period and clock anchor from a file's own attachments.
+
+    Raises:
+        LogError: the file was not written by armctl, or its beginning is damaged.
+    """
+    where = f"{log.path}: calibration.yaml"
+    try:
+        arm = validate(ArmConfig, parse_yaml(log.text("calibration.yaml"), where), where)
+        facts, robot = log.facts, log.seed()["robot"]
+        return LogSetup(
+            arm=arm,
+            robot=robots.get(robot["name"], robot["lengths_m"]),
+            period_s=float(facts["period_s"]),
+            anchor=Anchor(int(facts["anchor_wall_ns"]), int(facts["anchor_monotonic_ns"])),
+        )
+    except (KeyError, TypeError, ValueError, ConfigError) as error:
+        raise LogError(
+            f"{log.path}: does not say what it is a log of ({error}); it was not written by armctl"
+        ) from None
+
+
+@dataclass
+class _Tick:
+    """The messages of one tick, collected until its cycle completes them."""
+
+    servos: Value | None = None
+    records: list[tuple[int, str, Any]] = field(default_factory=list)
+    logged: dict[str, list[bytes]] = field(default_factory=dict)
+
+
+def check(
+    path: Path,
+    progress: Callable[[float], None] | None = None,
+    *,
+    step: Step = control_step,
+) -> ReplayResult:
+    """Run a log's inputs through the control step and compare with what is logged.
+
+    Args:
+        progress: Called with the fraction done.
+        step: What to run the inputs through.
+    Raises:
+        LogError: the file is no log of armctl's, holds no keyframe, or cannot be parsed.
+    """
+    begun_s = time.perf_counter()
+    with LogFile(path) as log:
+        replay = _Replay(log, log_setup(log), step)
+        for message in log.messages():
+            replay.take(message)
+            if progress is not None and message.topic == channels.CYCLE and replay.ticks % PROGRESS_TICKS == 0:
+                progress(log.progress)
+    if not replay.keyframes:
+        raise LogError(f"{path}: holds no keyframe; there is no state to begin at")
+    seconds = time.perf_counter() - begun_s
+    return ReplayResult(
+        ticks=replay.ticks,
+        messages=replay.messages,
+        mismatches=replay.mismatches,
+        seconds=seconds,
+        realtime_ratio=replay.duration_ns / NS_PER_S / max(seconds, 1e-9),
+        first_mismatch=replay.first_mismatch,
+    )
+
+
+class _Replay:
+    """The running comparison."""
+
+    def __init__(self, log: LogFile, setup: LogSetup, step: Step) -> None:
+        self.ticks = self.messages = self.mismatches = self.keyframes = self.duration_ns = 0
+        self.first_mismatch = ""
+        self._log, self._setup, self._step = log, setup, step
+        self._state: State | None = None
+        self._last_tick: int | None = None
+        self._last_ns = 0
+        self._tick = _Tick()
+
+    def take(self, message: LogMessage) -> None:
+        """The next message of the file."""
+        topic, data = message.topic, message.data
+        if topic == channels.STATE:
+            self._keyframe(self._decode(message)["data"])
+        elif topic == channels.SERVOS:
+            # Servos come first: whatever was collected without a cycle belonged to a tick that was cut.
+            self._tick = _Tick(servos=self._decode(message))
+        elif topic == channels.COMMAND:
+            record = channels.parse_record(self._decode(message)["data"])
+            if record is not None:
+                self._tick.records.append(record)
+                if record[1] == "reply":
+                    self._tick.logged.setdefault(topic, []).append(data)
+        elif topic == channels.CYCLE:
+            tick, self._tick = self._tick, _Tick()
+            self._finish(tick, self._decode(message))
+        elif topic == channels.ROSOUT:
+            if self._decode(message)["name"] == channels.CONTROL:
+                self._tick.logged.setdefault(topic, []).append(data)
+        elif topic in _COMPARED:
+            self._tick.logged.setdefault(topic, []).append(data)
+
+    def _decode(self, message: LogMessage) -> Value:
+        return self._log.codec(message.topic).decode(message.data)
+
+    def _keyframe(self, text: str) -> None:
+        self.keyframes += 1
+        state = self._parsed(from_json, State, text)
+        if self._state is not None:
+            self._compare(channels.STATE, [state], [self._state])
+        self._state = state
+
+    def _finish(self, tick: _Tick, cycle: Value) -> None:
+        number, time_ns = cycle["tick"], cycle["time_ns"]
+        gap = self._last_tick is not None and number != self._last_tick + 1
+        if gap or cycle["dropped"] or tick.servos is None:
+            self._state = None
+        previous_ns = self._last_ns
+        self._last_tick, self._last_ns = number, time_ns
+        if self._state is None or tick.servos is None:
+            return
+        setup = self._setup
+        inputs = self._inputs(tick.servos, tick.records, cycle)
+        try:
+            self._state, outputs = self._step(self._state, inputs, setup.arm, setup.robot, setup.period_s)
+        except Exception as error:  # the log may be anybody's, and say anything
+            raise LogError(f"{self._log.path}: tick {number}: the control step cannot take it: {error!r}") from error
+        if cycle["inputs_only"]:
+            return
+        self.ticks += 1
+        self.duration_ns += time_ns - previous_ns if previous_ns else 0
+        computed: dict[str, list[bytes]] = {}
+        for topic, value in channels.output_messages(TickRecord(inputs, outputs), setup.anchor, setup.arm, setup.robot):
+            computed.setdefault(topic, []).append(TOPICS[topic].codec.encode(value))
+        for topic in _COMPARED:
+            self._compare(topic, tick.logged.get(topic, []), computed.get(topic, []))
+
+    def _inputs(self, servos: Value, records: list[tuple[int, str, Any]], cycle: Value) -> Inputs:
+        ids = tuple(servo["id"] for servo in servos["servos"])
+        if ids != self._setup.arm.servo_ids:
+            raise LogError(f"{self._log.path}: servos {ids} in a log of an arm with {self._setup.arm.servo_ids}")
+        sample = Sample(
+            time_ns=cycle["time_ns"],
+            servos=tuple(
+                ServoReading(
+                    servo_id=servo["id"],
+                    registers=servo["registers"],
+                    stamp_ns=servo["stamp_ns"],
+                    fresh=servo["fresh"],
+                    error=servo["error"],
+                    problem=servo["problem"],
+                )
+                for servo in servos["servos"]
+            ),
+            bus_us=cycle["bus_us"],
+            retries=cycle["retries"],
+            port_open=cycle["port_open"],
+        )
+        commands = tuple(
+            self._parsed(command_from_json, json.dumps(data))
+            for tick, kind, data in records
+            if kind == "command" and tick == cycle["tick"]
+        )
+        return Inputs(cycle["tick"], cycle["now_ns"], sample, commands, cycle["late_ns"])
+
+    def _parsed(self, parse: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return parse(*arguments)
+        except (ValueError, RecursionError) as error:
+            raise LogError(f"{self._log.path}: a record cannot be understood: {error}") from None
+
+    def _compare(self, topic: str, logged: list[Any], computed: list[Any]) -> None:
+        self.messages += max(len(logged), len(computed))
+        wrong = sum(a != b for a, b in zip_longest(logged, computed))
+        self.mismatches += wrong
+        if wrong and not self.first_mismatch:
+            self.first_mismatch = f"tick {self._last_tick}, {topic}: {wrong} of {len(logged)} messages differ"

@@ -1,0 +1,304 @@
+"""One log file, written so that a kill at any moment costs at most what came after the last flush.
+
+Rules.
+1. The file is PATH.part while it is written, and becomes PATH when it is closed; PATH is never replaced.
+2. All schemas and channels stand in the first chunk, and once more in an attachment before it: if that chunk
+   is damaged the others can still be read.
+3. `flush` ends the chunk and syncs the data to the disk.
+4. A file opens alone: description, calibration, configuration, static transforms and a keyframe come first.
+5. The part is locked while it is written, so that nobody recovers it under its writer.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.writer import CompressionType, Writer
+
+from armctl import __version__
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig, Config
+from armctl.errors import LogError
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.urdf import urdf
+from armctl.messages import Event, TickRecord
+from armctl.recording import channels
+from armctl.recording.channels import TOPICS, Anchor, Message
+from armctl.recording.schemas import schema_text, short_name
+
+CHUNK_BYTES = 2**20
+PART = ".part"
+LIBRARY = f"armctl {__version__}"
+PROFILE = "ros2"
+SEED = "armctl.json"
+"""Attachment: schemas, channels and everything of the metadata record, with a checksum over it."""
+DIAGNOSTICS_PERIOD_NS = NS_PER_S
+
+
+@dataclass(frozen=True)
+class LogContext:
+    """What every file of one daemon has in common."""
+
+    arm: ArmConfig
+    robot: Robot
+    config: Config
+    port: str
+    period_s: float
+
+
+class LogWriter:
+    """One MCAP file; for one thread.
+
+    Args:
+        path: Final name.
+        keyframe: State of the control step (JSON) before the first tick that is written; empty: not known.
+        previous: Name of the file before this one.
+        anchor: Clock anchor of the file; now, if none is given.
+        inputs_only: Ticks between the keyframe and the file's own beginning. Only their inputs are written, so
+            that a replay can begin at the keyframe although the file begins later.
+    Raises:
+        LogError: the name is taken, or the file cannot be written. After an error of any method the only
+            thing left to do is `abandon`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        context: LogContext,
+        *,
+        keyframe: str = "",
+        previous: str = "",
+        anchor: Anchor | None = None,
+        inputs_only: Sequence[TickRecord] = (),
+    ) -> None:
+        self.path, self.part = path, path.with_name(path.name + PART)
+        self.context = context
+        self.anchor = anchor or Anchor.now()
+        self.begin_ns = self.anchor.monotonic_ns
+        self._keyframe, self._inputs_only = keyframe, inputs_only
+        self._begun = False
+        self._sequence = 0
+        self._diagnosed: tuple[object, ...] = ()
+        if path.exists():
+            raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")
+        with self._errors():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = open(self.part, "xb")  # noqa: SIM115  # closed by close or abandon
+        try:
+            with self._errors():
+                fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._writer = Writer(self._stream, CHUNK_BYTES, CompressionType.ZSTD)
+                self._channels = self._head(previous)
+                self._stream.flush()
+                self._head_bytes = self._stream.tell()
+        except LogError:
+            self.abandon()
+            self.part.unlink(missing_ok=True)
+            raise
+
+    @property
+    def size_bytes(self) -> int:
+        """What has gone to the file since its head."""
+        return self._stream.tell() - self._head_bytes
+
+    def begin(self, keyframe: str, inputs_only: Sequence[TickRecord]) -> None:
+        """Give keyframe and earlier ticks after the construction but before the first tick."""
+        assert not self._begun
+        self._keyframe, self._inputs_only = keyframe, inputs_only
+
+    def write_tick(self, record: TickRecord) -> None:
+        """Every message of one tick."""
+        context, anchor = self.context, self.anchor
+        with self._errors():
+            self._begin(record.inputs.sample.time_ns)
+            self._write(record, channels.input_messages(record, anchor, context.arm))
+            self._write(record, channels.output_messages(record, anchor, context.arm, context.robot))
+            if record.dropped:
+                text = f"{record.dropped} tick records were lost before tick {record.inputs.tick}"
+                self.write_event(Event("warning", "DROPPED", text), record.inputs.sample.time_ns)
+            fault = record.outputs.fault
+            second = record.inputs.sample.time_ns // DIAGNOSTICS_PERIOD_NS
+            now = (second, record.outputs.mode, fault)
+            if now != self._diagnosed:
+                self._diagnosed = now
+                self._write(record, [channels.diagnostics(record, anchor, context.arm)])
+            self._write(record, [channels.cycle_message(record, anchor)])
+            if record.keyframe:
+                self._write(record, [channels.string_message(channels.STATE, record.keyframe)])
+
+    def write_note(self, topic: str, text: str, time_ns: int) -> None:
+        """Text (JSON) on a std_msgs/String topic, at a monotonic time.
+
+        Raises:
+            ValueError: the topic is not one of them.
+        """
+        if topic not in TOPICS or short_name(TOPICS[topic].type) != "std_msgs/String":
+            raise ValueError(f"topic {topic}: notes go to {channels.COMMAND}")
+        with self._errors():
+            self._begin(time_ns)
+            self._add(channels.string_message(topic, text), self.anchor.epoch_ns(time_ns))
+
+    def write_event(self, event: Event, time_ns: int) -> None:
+        """A line of the recorder's own on /rosout, at a monotonic time."""
+        with self._errors():
+            self._begin(time_ns)
+            epoch_ns = self.anchor.epoch_ns(time_ns)
+            self._add((channels.ROSOUT, channels.log_line(event, epoch_ns, channels.RECORDING)), epoch_ns)
+
+    def flush(self) -> None:
+        """End the chunk, and return when its data are on the disk."""
+        with self._errors():
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            os.fdatasync(self._stream.fileno())
+
+    def close(self) -> None:
+        """Finish the file and give it its final name; without an effect once that is done."""
+        if self._stream.closed:
+            return
+        with self._errors():
+            self._begin(self.begin_ns)
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._stream.flush()
+            os.fdatasync(self._stream.fileno())
+            publish(self.part, self.path)
+            self._stream.close()
+
+    def abandon(self) -> None:
+        """Let go of a file that can no longer be written; the part stays, to be recovered."""
+        # What Python still buffers is after the last flush: it may not fit any more, and is given up.
+        try:
+            self._stream.close()
+        except OSError:
+            self._stream.raw.close()
+
+    def _head(self, previous: str) -> dict[str, int]:
+        context = self.context
+        writer, now_ns = self._writer, self.anchor.wall_ns
+        facts = {
+            "version": __version__,
+            "host": platform.node(),
+            "port": context.port,
+            "arm_id": context.arm.arm_id,
+            "calibration_hash": context.arm.calibration_hash,
+            "period_s": repr(context.period_s),
+            "anchor_wall_ns": str(self.anchor.wall_ns),
+            "anchor_monotonic_ns": str(self.anchor.monotonic_ns),
+            "previous": previous,
+        }
+        schemas: dict[str, int] = {}
+        ids: dict[str, int] = {}
+        writer.start(PROFILE, LIBRARY)
+        for topic in TOPICS.values():
+            if topic.type not in schemas:
+                text = schema_text(short_name(topic.type))
+                schemas[topic.type] = writer.register_schema(topic.type, "ros2msg", text.encode())
+            ids[topic.name] = writer.register_channel(topic.name, "cdr", schemas[topic.type], topic.metadata)
+        seed = {
+            "armctl": facts,
+            "robot": {"name": context.robot.name, "lengths_m": context.robot.lengths_m},
+            "schemas": [
+                {"id": number, "name": name, "text": schema_text(short_name(name))} for name, number in schemas.items()
+            ],
+            "channels": [
+                {"id": ids[topic.name], "topic": topic.name, "schema": schemas[topic.type], "metadata": topic.metadata}
+                for topic in TOPICS.values()
+            ],
+        }
+        description = urdf(context.arm, context.robot)
+        for name, media_type, text in (
+            (SEED, "application/json", json.dumps(seed, separators=(",", ":"))),
+            ("robot.urdf", "application/xml", description),
+            ("config.yaml", "application/yaml", _yaml(context.config.model_dump(mode="json"))),
+            ("calibration.yaml", "application/yaml", _yaml(context.arm.model_dump(mode="json"))),
+        ):
+            writer.add_attachment(now_ns, now_ns, name, media_type, text.encode())
+        writer.add_metadata("armctl", facts)
+        self._description = description
+        return ids
+
+    def _begin(self, time_ns: int) -> None:
+        """Once, before the first message: what makes the file complete in itself."""
+        if self._begun:
+            return
+        self._begun = True
+        first = self._inputs_only[0].inputs.sample.time_ns if self._inputs_only else time_ns
+        self.begin_ns = time_ns
+        epoch_ns = self.anchor.epoch_ns(first)
+        context = self.context
+        self._add(channels.string_message(channels.ROBOT_DESCRIPTION, self._description), epoch_ns)
+        self._add(channels.static_transforms(epoch_ns, context.arm, context.robot), epoch_ns)
+        if self._keyframe:
+            self._add(channels.string_message(channels.STATE, self._keyframe), epoch_ns)
+        for record in self._inputs_only:
+            self._write(record, channels.input_messages(record, self.anchor, context.arm))
+            self._write(record, [channels.cycle_message(record, self.anchor, inputs_only=True)])
+        self._inputs_only = ()
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._head_bytes = self._stream.tell()
+
+    def _write(self, record: TickRecord, messages: Sequence[Message]) -> None:
+        self._sequence = record.inputs.tick & 0xFFFFFFFF
+        epoch_ns = self.anchor.epoch_ns(record.inputs.sample.time_ns)
+        for message in messages:
+            self._add(message, epoch_ns)
+
+    def _add(self, message: Message, epoch_ns: int) -> None:
+        topic, value = message
+        data = TOPICS[topic].codec.encode(value)
+        self._writer.add_message(self._channels[topic], epoch_ns, data, epoch_ns, self._sequence)
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        with writing(self.part):
+            yield
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn the operating system's errors into one that says what could not be written.
+
+    Raises:
+        LogError: with the OSError as its cause.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def publish(part: Path, path: Path) -> None:
+    """Give a finished file its name, unless the name is taken; the folder entry is on the disk afterwards.
+
+    Raises:
+        LogError: the name is taken; the part stays.
+        OSError: the folder cannot be written.
+    """
+    try:
+        os.link(part, path)
+        part.unlink()
+    except FileExistsError:
+        raise LogError(f"{path}: appeared meanwhile; nothing is overwritten, the data are in {part.name}") from None
+    except OSError as error:
+        # File systems without hard links (FAT): the check and the renaming are two steps there.
+        if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS) or path.exists():
+            raise
+        part.rename(path)
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _yaml(data: dict[str, Any]) -> str:
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)

@@ -1,0 +1,124 @@
+"""The URDF and the frames in it against the chain it is made from."""
+
+from __future__ import annotations
+
+import math
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.config import load_arm
+from armctl.kinematics import robots
+from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, link_frames
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.urdf import BASE, TOOL, fixed_frames, moving_frames, moving_links, urdf
+
+ARM = load_arm("ax12-line")
+LINE = robots.get(ARM.robot)
+ROWS = (
+    DHRow(a=0.05, alpha=math.pi / 2, d=0.1, offset=0.3),
+    DHRow(a=0.2, alpha=-0.7, d=-0.03),
+    DHRow(a=0.0, alpha=-math.pi / 2, d=0.2, offset=-math.pi / 2),
+    DHRow(a=0.1, alpha=math.pi, d=0.0),
+    DHRow(a=-0.04, alpha=0.2, d=0.06, offset=1.0),
+    DHRow(d=0.05),
+)
+MODIFIED = Robot("modified", "", {}, lambda _: SerialChain(ROWS, "modified"))
+STANDARD = Robot("standard", "", {}, lambda _: SerialChain(ROWS, "standard"))
+ANGLES = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array)
+
+
+def _transform(xyz: str, rpy: str) -> FloatArray:
+    T = np.eye(4)
+    r, p, y = (float(word) for word in rpy.split())
+    Rx = np.array([[1, 0, 0], [0, math.cos(r), -math.sin(r)], [0, math.sin(r), math.cos(r)]])
+    Ry = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
+    Rz = np.array([[math.cos(y), -math.sin(y), 0], [math.sin(y), math.cos(y), 0], [0, 0, 1]])
+    T[:3, :3] = Rz @ Ry @ Rx
+    T[:3, 3] = [float(word) for word in xyz.split()]
+    return T
+
+
+def _rotation(axis: str, angle: float) -> FloatArray:
+    x, y, z = (float(word) for word in axis.split())
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    T = np.eye(4)
+    T[:3, :3] += math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
+    return T
+
+
+def poses(text: str, q: dict[str, float]) -> dict[str, FloatArray]:
+    """Pose of every link in the base frame, as a URDF reader computes them."""
+    found = {BASE: np.eye(4)}
+    for joint in ElementTree.fromstring(text).findall("joint"):
+        parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
+        assert parent is not None
+        assert child is not None
+        assert origin is not None
+        T = found[parent.attrib["link"]] @ _transform(origin.attrib["xyz"], origin.attrib["rpy"])
+        axis = joint.find("axis")
+        if joint.attrib["type"] == "revolute":
+            assert axis is not None
+            T = T @ _rotation(axis.attrib["xyz"], q[joint.attrib["name"]])
+        found[child.attrib["link"]] = T
+    return found
+
+
+@pytest.mark.parametrize("robot", [LINE, MODIFIED, STANDARD], ids=lambda robot: robot.name)
+def test_urdf_link_frames_are_the_denavit_hartenberg_frames(robot: Robot) -> None:
+    text = urdf(ARM, robot)
+
+    @settings(deadline=None, max_examples=30)
+    @given(ANGLES)
+    def check(q: FloatArray) -> None:
+        found = poses(text, dict(zip(ARM.joint_names, q.tolist(), strict=True)))
+        n = robot.chain.n
+        frames = link_frames(robot.chain, q[:n])
+        for link, T in zip(moving_links(ARM)[:n], frames[1:], strict=True):
+            np.testing.assert_allclose(found[link], T, atol=1e-12)
+        np.testing.assert_allclose(found[TOOL], forward_kinematics(robot.chain, q[:n]), atol=1e-12)
+        for link, T in zip(moving_links(ARM), moving_frames(ARM, robot, q), strict=True):
+            np.testing.assert_allclose(found[link], T, atol=1e-12)
+        for parent, child, T in fixed_frames(ARM, robot):
+            np.testing.assert_allclose(found[child], found[parent] @ T, atol=1e-12)
+
+    check()
+
+
+def test_every_link_has_a_frame_in_tf_or_tf_static() -> None:
+    links = {link.attrib["name"] for link in ElementTree.fromstring(urdf(ARM, LINE)).findall("link")}
+    assert links == {BASE, *moving_links(ARM), *(child for _, child, _ in fixed_frames(ARM, LINE))}
+
+
+def test_joints_have_the_names_and_limits_of_the_calibration() -> None:
+    joints = [j for j in ElementTree.fromstring(urdf(ARM, LINE)).findall("joint") if j.attrib["type"] == "revolute"]
+    assert tuple(joint.attrib["name"] for joint in joints) == ARM.joint_names
+    for joint, config in zip(joints, ARM.joints, strict=True):
+        limit = joint.find("limit")
+        assert limit is not None
+        assert (float(limit.attrib["lower"]), float(limit.attrib["upper"])) == config.limits_rad
+
+
+def test_a_roll_beyond_the_chain_does_not_move_the_tool() -> None:
+    text = urdf(ARM, LINE)
+    q = dict.fromkeys(ARM.joint_names, 0.2)
+    np.testing.assert_array_equal(poses(text, q)[TOOL], poses(text, {**q, "roll": 1.5})[TOOL])
+
+
+def test_rods_reach_from_one_frame_to_the_next() -> None:
+    text = urdf(ARM, LINE)
+    found = poses(text, dict.fromkeys(ARM.joint_names, 0.4))
+    for link in ElementTree.fromstring(text).findall("link"):
+        for visual in link.findall("visual"):
+            cylinder, origin = visual.find("geometry/cylinder"), visual.find("origin")
+            if cylinder is None:
+                continue
+            assert origin is not None
+            horn = link.attrib["name"]
+            T = found[horn] @ _transform(origin.attrib["xyz"], origin.attrib["rpy"])
+            end = T @ np.array([0.0, 0.0, float(cylinder.attrib["length"]) / 2.0, 1.0])
+            np.testing.assert_allclose(end[:3], found[horn.replace("horn", "link")][:3, 3], atol=1e-12)

@@ -1,0 +1,188 @@
+"""The codec against mcap-ros2-support and rosbags, for every type."""
+
+from __future__ import annotations
+
+import math
+import struct
+from contextlib import suppress
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from armctl.errors import LogError
+from armctl.recording.cdr import HEADER, Value, codec, schema_codec
+from armctl.recording.schemas import MESSAGES, PRIMITIVES, fields, full_name, parse_schema, schema_text
+
+NAMES = sorted(MESSAGES)
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+
+
+def _primitive(kind: str) -> st.SearchStrategy[Any]:
+    if kind == "string":
+        return TEXT
+    if kind == "bool":
+        return st.booleans()
+    if kind.startswith("float"):
+        return st.floats(width=64)
+    if kind == "byte":  # rosbags takes the octet as signed
+        return st.integers(0, 127)
+    size = struct.calcsize(PRIMITIVES[kind])
+    if PRIMITIVES[kind].islower():
+        return st.integers(-(2 ** (8 * size - 1)), 2 ** (8 * size - 1) - 1)
+    return st.integers(0, 2 ** (8 * size) - 1)
+
+
+def values(name: str) -> st.SearchStrategy[Value]:
+    """Any value of a message type."""
+    members = {}
+    for field in fields(name):
+        single = values(field.type) if field.type in MESSAGES else _primitive(field.type)
+        if field.is_array:
+            single = st.binary(max_size=30) if field.type == "uint8" else st.lists(single, max_size=3)
+        members[field.name] = single
+    return st.fixed_dictionaries(members)
+
+
+def _plain(message: Any) -> Any:
+    """A decoded message of another library as plain values; NaN as a word, so that equal means equal."""
+    if hasattr(message, "__dataclass_fields__"):
+        return {key: _plain(getattr(message, key)) for key in message.__dataclass_fields__ if key[0].islower()}
+    if hasattr(message, "__slots__") and not isinstance(message, str | bytes | int | float):
+        return {key: _plain(getattr(message, key)) for key in message.__slots__}
+    if isinstance(message, dict):
+        return {key: _plain(value) for key, value in message.items()}
+    if hasattr(message, "tolist"):
+        message = message.tolist()
+    if isinstance(message, bytes):
+        message = list(message)
+    if isinstance(message, list):
+        return [_plain(value) for value in message]
+    if isinstance(message, float) and math.isnan(message):
+        return "nan"
+    return message
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bytes_equal_those_of_mcap_ros2_support(name: str) -> None:
+    encoder = serialize_dynamic(full_name(name), schema_text(name))[full_name(name)]
+    decoder = generate_dynamic(full_name(name), schema_text(name))[full_name(name)]
+
+    @settings(deadline=None, max_examples=40)
+    @given(values(name))
+    def check(value: Value) -> None:
+        data = codec(name).encode(value)
+        assert data == encoder(value)
+        assert _plain(decoder(data)) == _plain(value)
+        assert _plain(codec(name).decode(data)) == _plain(value)
+
+    check()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rosbags_decodes_every_type(name: str) -> None:
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(schema_text(name), full_name(name)))
+
+    @settings(deadline=None, max_examples=25)
+    @given(values(name))
+    def check(value: Value) -> None:
+        assert _plain(store.deserialize_cdr(codec(name).encode(value), full_name(name))) == _plain(value)
+
+    check()
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith("armctl_msgs/")])
+def test_standard_types_are_declared_as_ros_declares_them(name: str) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    ours = get_types_from_msg(schema_text(name), full_name(name))
+    assert ours[full_name(name)][1] == store.fielddefs[full_name(name)][1]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_stored_schema_gives_the_same_codec(name: str) -> None:
+    assert {key: parse_schema(full_name(name), schema_text(name))[key].split() for key in [name]} == {
+        name: MESSAGES[name].split()
+    }
+
+    @settings(deadline=None, max_examples=10)
+    @given(values(name))
+    def check(value: Value) -> None:
+        data = codec(name).encode(value)
+        assert _plain(schema_codec(full_name(name), schema_text(name)).decode(data)) == _plain(value)
+
+    check()
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {"sec": 1},
+        {"sec": 1, "nanosecond": 2},
+        {"sec": 1, "nanosec": 2, "more": 3},
+        {"sec": "1", "nanosec": 2},
+        {"sec": 2**31, "nanosec": 2},
+    ],
+)
+def test_a_wrong_field_or_value_is_refused_by_name_of_the_type(value: Value) -> None:
+    with pytest.raises(ValueError, match="builtin_interfaces/Time"):
+        codec("builtin_interfaces/Time").encode(value)
+
+
+def test_a_misspelled_nested_field_is_refused() -> None:
+    header = {"stamp": {"sec": 0, "nsec": 0}, "frame_id": ""}
+    with pytest.raises(ValueError, match="nanosec"):
+        codec("std_msgs/Header").encode(header)
+
+
+@settings(deadline=None)
+@given(st.sampled_from(NAMES).flatmap(lambda name: st.tuples(st.just(name), values(name))), st.data())
+def test_a_cut_message_is_an_error_or_decodes_to_nothing_longer(named: tuple[str, Value], data: st.DataObject) -> None:
+    name, value = named
+    encoded = codec(name).encode(value)
+    cut = data.draw(st.integers(0, len(encoded) - 1))
+    with pytest.raises(LogError, match=name):
+        codec(name).decode(encoded[:cut])
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.sampled_from(NAMES), st.binary(max_size=200))
+def test_any_bytes_decode_or_raise_a_log_error(name: str, data: bytes) -> None:
+    with suppress(LogError):
+        codec(name).decode(HEADER + data)
+
+
+def test_big_endian_is_refused() -> None:
+    with pytest.raises(LogError, match="little-endian"):
+        codec("std_msgs/String").decode(b"\x00\x00\x00\x00\x00\x00\x00\x01\x00")
+
+
+def test_an_empty_message_type_has_one_byte() -> None:
+    data = schema_codec("std_msgs/msg/Empty", "").encode({"structure_needs_at_least_one_member": 0})
+    assert data == HEADER + b"\0"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "pkg/Missing x",
+        "float64[3] fixed",
+        "float64 x y",
+        "float64 Bad-Name",
+        "pkg/Self again",
+        "pkg/Self[] again",
+        "".join(f"pkg/Many a{i}\n" for i in range(1100)),
+    ],
+)
+def test_a_schema_that_cannot_be_read_is_a_log_error(text: str) -> None:
+    text += f"\n{'=' * 80}\nMSG: pkg/Many\nstring x\n"
+    with pytest.raises(LogError, match="pkg/"):
+        schema_codec("pkg/msg/Self", text)
+
+
+def test_constants_and_comments_are_no_fields() -> None:
+    value = schema_codec("pkg/msg/A", "byte OK=0 # fine\n# nothing\nint8 x # the value\n\n").decode(HEADER + b"\xff")
+    assert value == {"x": -1}

@@ -1,0 +1,165 @@
+"""What stands in the log of a tick."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from armctl.dynamixel import ax12a
+from armctl.kinematics.chain import link_frames
+from armctl.messages import Event, Fault, Reply, TickRecord, command_from_json
+from armctl.recording import channels
+from armctl.recording.cdr import Value
+from armctl.recording.channels import TOPICS, Anchor, Topic
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command
+
+RECORDS = make_records(60)
+MOVING = RECORDS[30]
+
+
+def messages(record: TickRecord) -> dict[str, list[Value]]:
+    found: dict[str, list[Value]] = {}
+    for topic, value in channels.tick_messages(record, ANCHOR, ARM, ROBOT):
+        data = TOPICS[topic].codec.encode(value)
+        found.setdefault(topic, []).append(TOPICS[topic].codec.decode(data))
+    return found
+
+
+def test_joint_states_are_those_of_the_outputs() -> None:
+    (states,) = messages(MOVING)["/joint_states"]
+    assert states["name"] == list(ARM.joint_names)
+    assert states["position"] == [joint.position_rad for joint in MOVING.outputs.joints]
+    assert states["velocity"] == [joint.velocity_rad_s for joint in MOVING.outputs.joints]
+    assert states["effort"] == [joint.load_ratio for joint in MOVING.outputs.joints]
+
+
+def test_a_joint_that_never_answered_is_left_out() -> None:
+    joints = (replace(MOVING.outputs.joints[0], known=False), *MOVING.outputs.joints[1:])
+    found = messages(replace(MOVING, outputs=replace(MOVING.outputs, joints=joints, tool=None)))
+    assert found["/joint_states"][0]["name"] == list(ARM.joint_names[1:])
+    assert "/tf" not in found
+    assert "/tcp_pose" not in found
+
+
+def test_joint_commands_are_the_goal_ticks_through_the_calibration() -> None:
+    goal = MOVING.outputs.goal
+    assert goal is not None
+    (commands,) = messages(MOVING)["/joint_commands"]
+    ticks = [joint.tick(q) for joint, q in zip(ARM.joints, commands["position"], strict=True)]
+    assert ticks == pytest.approx(goal.ticks, abs=1e-9)
+    assert commands["velocity"] == [speed * ax12a.SPEED_UNIT_RAD_S for speed in goal.speeds]
+
+
+def test_joint_commands_are_silent_where_no_goal_is_sent() -> None:
+    assert RECORDS[1].outputs.goal is None
+    assert "/joint_commands" not in messages(RECORDS[1])
+
+
+def test_tf_is_forward_kinematics() -> None:
+    (tf,) = messages(MOVING)["/tf"]
+    q = np.array([joint.position_rad for joint in MOVING.outputs.joints])
+    frames = link_frames(ROBOT.chain, q[: ROBOT.chain.n])[1:]
+    assert [t["child_frame_id"] for t in tf["transforms"]] == [f"link_{i}" for i in range(1, 7)]
+    for transform, T in zip(tf["transforms"], frames, strict=False):
+        assert transform["header"]["frame_id"] == "base_link"
+        assert list(transform["transform"]["translation"].values()) == T[:3, 3].tolist()
+        x, y, z, w = transform["transform"]["rotation"].values()
+        R = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        np.testing.assert_allclose(R, T[:3, :3], atol=1e-12)
+
+
+def test_tcp_pose_is_the_tool_of_the_outputs() -> None:
+    (pose,) = messages(MOVING)["/tcp_pose"]
+    assert MOVING.outputs.tool is not None
+    assert tuple(pose["pose"]["position"].values()) == MOVING.outputs.tool.position_m
+    assert tuple(pose["pose"]["orientation"].values()) == MOVING.outputs.tool.quaternion
+
+
+def test_servo_registers_are_logged_bit_for_bit() -> None:
+    (servos,) = messages(MOVING)["/armctl/servos"]
+    for logged, reading in zip(servos["servos"], MOVING.inputs.sample.servos, strict=True):
+        assert logged["registers"] == reading.registers
+        assert (logged["id"], logged["stamp_ns"], logged["fresh"]) == (
+            reading.servo_id,
+            reading.stamp_ns,
+            reading.fresh,
+        )
+
+
+def test_every_header_carries_the_instant_of_the_sample() -> None:
+    epoch_ns = ANCHOR.epoch_ns(MOVING.inputs.sample.time_ns)
+    for values in messages(MOVING).values():
+        for value in values:
+            if "header" in value:
+                stamp = value["header"]["stamp"]
+                assert stamp["sec"] * 10**9 + stamp["nanosec"] == epoch_ns
+
+
+def test_the_cycle_is_the_last_message_of_a_tick() -> None:
+    for record in RECORDS:
+        assert channels.tick_messages(record, ANCHOR, ARM, ROBOT)[-1][0] == "/armctl/cycle"
+
+
+def test_commands_and_replies_stand_in_the_log_with_their_tick() -> None:
+    record = RECORDS[20]
+    record = replace(record, outputs=replace(record.outputs, replies=(Reply(9, False, "BUSY", "no"),)))
+    texts = [value["data"] for value in messages(record)["/armctl/command"]]
+    parsed = [channels.parse_record(text) for text in texts]
+    assert parsed[0] is not None
+    assert parsed[0][:2] == (20, "command")
+    assert command_from_json(json.dumps(parsed[0][2])) == run_command()
+    assert parsed[1] == (20, "reply", {"request_id": 9, "ok": False, "code": "BUSY", "message": "no"})
+    (trajectory,) = messages(record)["/joint_trajectory"]
+    assert trajectory["points"][10]["time_from_start"] == {"sec": 1, "nanosec": 0}
+    assert trajectory["points"][10]["positions"] == list(run_command().trajectory.positions_rad[10])
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"tick":1}', '{"request":1}', "[" * 100_000])
+def test_notes_of_others_are_no_records(text: str) -> None:
+    assert channels.parse_record(text) is None
+
+
+def test_an_event_keeps_its_code_and_severity() -> None:
+    line = channels.log_line(Event("error", "TRIPPED", "it tripped", 4), 1_500_000_001, "armctl.control")
+    assert (line["level"], line["function"]) == (40, "TRIPPED")
+    assert line["msg"] == "TRIPPED (servo 4): it tripped"
+    assert line["stamp"] == {"sec": 1, "nanosec": 500_000_001}
+
+
+def test_diagnostics_tell_fault_and_silent_servos() -> None:
+    joints = (replace(MOVING.outputs.joints[0], known=False), *MOVING.outputs.joints[1:])
+    servos = list(MOVING.inputs.sample.servos)
+    servos[1] = replace(servos[1], error=0x24)
+    record = replace(
+        MOVING,
+        inputs=replace(MOVING.inputs, sample=replace(MOVING.inputs.sample, servos=tuple(servos))),
+        outputs=replace(MOVING.outputs, joints=joints, fault=Fault("TRIPPED", "it tripped", 5, 2)),
+    )
+    topic, value = channels.diagnostics(record, ANCHOR, ARM)
+    assert topic == "/diagnostics"
+    assert [status["level"] for status in value["status"]] == [2, 3, 1, 0, 0, 0, 0]
+    assert "TRIPPED" in value["status"][0]["message"]
+    assert value["status"][2]["message"] == "OVERHEAT OVERLOAD"
+    TOPICS[topic].codec.encode(value)
+
+
+@pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.name)
+def test_every_channel_offers_a_quality_of_service(topic: Topic) -> None:
+    (profile,) = yaml.safe_load(topic.metadata["offered_qos_profiles"])
+    assert profile["durability"] == (1 if topic.name in ("/tf_static", "/robot_description") else 2)
+    assert profile["reliability"] == 1
+
+
+def test_epoch_time_is_the_anchor_plus_the_monotonic_difference() -> None:
+    assert Anchor(1_000, 300).epoch_ns(350) == 1_050
+    assert Anchor(10, 300).epoch_ns(200) == 0

@@ -1,0 +1,562 @@
+"""Files: written, cut, damaged, read, recovered, replayed."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from armctl.config import ArmConfig, Config, parse_yaml, validate
+from armctl.control.step import step
+from armctl.errors import LogError
+from armctl.messages import Event, Hold, Inputs, Outputs, Release, Teach, TeachEnd, TickRecord
+from armctl.recording import reader, recordings, replay
+from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.recover import PartInUse, recover, recover_folder
+from armctl.recording.replay import check, log_setup
+from armctl.recording.schemas import schema_text
+from armctl.recording.writer import LogWriter, publish
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S, ROBOT, RUN_SCRIPT, make_records, with_dropped
+
+RECORDS = make_records(100, keyframe_ticks=40)
+
+
+def write(path: Path, records: list[TickRecord], **options: Any) -> Path:
+    """A finished file, flushed once a second."""
+    writer = LogWriter(path, CONTEXT, anchor=ANCHOR, **options)
+    for record in records:
+        writer.write_tick(record)
+        if record.inputs.tick % 10 == 9:
+            writer.flush()
+    writer.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+
+
+def raw(path: Path) -> list[LogMessage]:
+    with LogFile(path) as file:
+        return list(file.messages())
+
+
+# ------------------------------------------------------------------------------------------------ whole files
+
+
+def test_rosbags_reads_every_message(log: Path) -> None:
+    ours = list(reader.read(log))
+    with AnyReader([log]) as bag:
+        found: list[tuple[str, int, Any]] = [
+            (c.topic, t, bag.deserialize(data, c.msgtype)) for c, t, data in bag.messages()
+        ]
+        qos = {c.topic: c.ext.offered_qos_profiles[0].durability.name for c in bag.connections}  # type: ignore[union-attr]
+    assert len(found) == len(ours) == reader.info(log).messages
+    assert qos["/tf_static"] == qos["/robot_description"] == "TRANSIENT_LOCAL"
+    assert qos["/joint_states"] == "VOLATILE"
+    positions = [message.position.tolist() for topic, _, message in found if topic == "/joint_states"]
+    assert positions == [message.value["position"] for message in ours if message.topic == "/joint_states"]
+
+
+def test_mcap_reads_every_message_with_checksums(log: Path) -> None:
+    with log.open("rb") as stream:
+        stock = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert stock.get_header().profile == "ros2"
+        found = [(c.topic, m.log_time, m.sequence, m.data) for _, c, m in stock.iter_messages(log_time_order=False)]
+        decoded = sum(1 for _ in stock.iter_decoded_messages())
+        assert [a.name for a in stock.iter_attachments()][1:] == ["robot.urdf", "config.yaml", "calibration.yaml"]
+        assert [m.name for m in stock.iter_metadata()] == ["armctl"]
+    assert found == [tuple(message) for message in raw(log)]
+    assert decoded == len(found)
+
+
+def test_log_time_sequence_and_header_belong_to_the_tick(log: Path) -> None:
+    for message in reader.read(log):
+        if "header" in message.value:
+            stamp = message.value["header"]["stamp"]
+            assert stamp["sec"] * 10**9 + stamp["nanosec"] == message.log_time_ns
+        if message.topic in ("/joint_states", "/armctl/servos", "/armctl/cycle"):
+            assert message.log_time_ns == ANCHOR.epoch_ns(RECORDS[message.sequence].inputs.sample.time_ns)
+
+
+def test_every_input_can_be_rebuilt_from_the_log(log: Path) -> None:
+    seen: list[Inputs] = []
+
+    def note(state: Any, inputs: Inputs, arm: ArmConfig, robot: Any, period_s: float) -> tuple[Any, Outputs]:
+        seen.append(inputs)
+        return step(state, inputs, arm, robot, period_s)
+
+    check(log, step=note)
+    assert seen == [record.inputs for record in RECORDS[1:]]
+
+
+def test_the_file_says_what_it_is_a_log_of(log: Path) -> None:
+    with LogFile(log) as file:
+        setup = log_setup(file)
+        assert file.facts["arm_id"] == ARM.arm_id
+        assert file.facts["calibration_hash"] == ARM.calibration_hash
+        assert file.metadata["armctl"] == file.facts
+        config = validate(Config, parse_yaml(file.text("config.yaml"), "config"), "config")
+    assert setup.arm == ARM
+    assert setup.arm.calibration_hash == ARM.calibration_hash
+    assert setup.robot.lengths_m == ROBOT.lengths_m
+    assert (setup.period_s, setup.anchor) == (PERIOD_S, ANCHOR)
+    assert config == CONTEXT.config
+
+
+def test_static_topics_come_once_and_first(log: Path) -> None:
+    topics = [message.topic for message in raw(log)]
+    assert topics[:2] == ["/robot_description", "/tf_static"]
+    assert topics.count("/robot_description") == topics.count("/tf_static") == 1
+
+
+def test_diagnostics_come_at_1_hz_and_on_change(log: Path) -> None:
+    changes = sum(a.outputs.mode != b.outputs.mode for a, b in pairwise(RECORDS))
+    assert changes == 4
+    assert 10 + changes - 4 <= reader.info(log).topics["/diagnostics"] <= 10 + changes
+
+
+def test_info_counts_and_times_the_messages(log: Path) -> None:
+    info = reader.info(log)
+    assert info.complete
+    assert info.messages == sum(info.topics.values())
+    assert info.topics["/joint_states"] == len(RECORDS)
+    assert info.duration_s == pytest.approx(9.9)
+    assert info.start_s == pytest.approx(ANCHOR.wall_ns / 1e9)
+
+
+def test_joint_states_come_as_arrays(log: Path) -> None:
+    track = reader.ticks(log)
+    assert track.names == ARM.joint_names
+    np.testing.assert_allclose(track.time_s, np.arange(100) * 0.1, atol=1e-9)
+    for name in ("position_rad", "velocity_rad_s", "load_ratio"):
+        expected = [[getattr(joint, name) for joint in record.outputs.joints] for record in RECORDS]
+        np.testing.assert_array_equal(getattr(track, name), expected)
+
+
+def test_ticks_in_which_a_joint_was_unknown_are_left_out_of_the_arrays(tmp_path: Path) -> None:
+    joints = (replace(RECORDS[0].outputs.joints[0], known=False), *RECORDS[0].outputs.joints[1:])
+    first = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, joints=joints, tool=None))
+    track = reader.ticks(write(tmp_path / "a.mcap", [first, *RECORDS[1:]]))
+    assert track.position_rad.shape == (99, 6)
+
+
+def test_a_file_without_ticks_is_a_log_all_the_same(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", [])
+    assert set(reader.info(path).topics) == {"/robot_description", "/tf_static"}
+    with pytest.raises(LogError, match="no joint states"):
+        reader.ticks(path)
+    with pytest.raises(LogError, match="no keyframe"):
+        check(path)
+
+
+def test_a_note_is_kept_and_disturbs_no_replay(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    for record in RECORDS:
+        writer.write_note("/armctl/command", json.dumps({"request": record.inputs.tick}), record.inputs.now_ns)
+        writer.write_event(Event("info", "NOTE", "by the recorder"), record.inputs.now_ns)
+        writer.write_tick(record)
+    writer.close()
+    assert check(writer.path).mismatches == 0
+    assert '{"request":0}'.replace(":", ": ") in [
+        m.value["data"] for m in reader.read(writer.path, ["/armctl/command"])
+    ]
+    with pytest.raises(ValueError, match="notes go to"):
+        writer.write_note("/tf", "", 0)
+
+
+# -------------------------------------------------------------------------------------------------- the writer
+
+
+def test_an_existing_file_is_never_overwritten(tmp_path: Path, log: Path) -> None:
+    for name in ("a.mcap", "a.mcap.part"):
+        taken = tmp_path / name
+        taken.write_bytes(b"mine")
+        with pytest.raises(LogError, match=r"a\.mcap"):
+            LogWriter(tmp_path / "a.mcap", CONTEXT)
+        assert taken.read_bytes() == b"mine"
+        taken.unlink()
+
+
+def test_a_name_taken_meanwhile_keeps_both(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    writer.write_tick(RECORDS[0])
+    writer.path.write_bytes(b"mine")
+    with pytest.raises(LogError, match="appeared meanwhile"):
+        writer.close()
+    writer.abandon()
+    assert writer.path.read_bytes() == b"mine"
+    assert reader.info(writer.part).complete
+
+
+def test_file_systems_without_links_get_the_file_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EPERM, "no hard links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    assert reader.info(write(tmp_path / "a.mcap", RECORDS[:5])).complete
+    (tmp_path / "b.part").write_bytes(b"")
+    with pytest.raises(OSError, match="no hard links"):
+        publish(tmp_path / "b.part", tmp_path / "a.mcap")
+
+
+def test_closing_twice_is_harmless(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    writer.close()
+    writer.close()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_an_unwritable_folder_is_a_log_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(LogError, match="cannot be written"):
+        LogWriter(tmp_path / "file" / "a.mcap", CONTEXT)
+
+
+def test_a_failing_disk_is_a_log_error_and_leaves_a_part_to_recover(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    for record in RECORDS[:20]:
+        writer.write_tick(record)
+    writer.flush()
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fdatasync", full)
+    with pytest.raises(LogError, match="No space left"):
+        writer.flush()
+    writer.abandon()
+    monkeypatch.undo()
+    (result,) = recover_folder(tmp_path)
+    assert reader.info(result.path).topics["/joint_states"] == 20
+
+
+def test_a_head_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Writer, "add_metadata", full)
+    with pytest.raises(LogError, match="No space left"):
+        LogWriter(tmp_path / "a.mcap", CONTEXT)
+    assert list(tmp_path.iterdir()) == []
+
+
+# ------------------------------------------------------------------------------------------------ cut, damaged
+
+
+def flushed(path: Path, records: list[TickRecord]) -> tuple[bytes, list[tuple[int, int]]]:
+    """A part's bytes, and after each flush (bytes on the disk, ticks in them)."""
+    writer, marks = LogWriter(path, CONTEXT, anchor=ANCHOR), []
+    for record in records:
+        writer.write_tick(record)
+        if record.inputs.tick % 10 == 9:
+            writer.flush()
+            marks.append((writer.part.stat().st_size, record.inputs.tick + 1))
+    data = writer.part.read_bytes()
+    writer.abandon()
+    writer.part.unlink()
+    return data, marks
+
+
+def test_a_cut_anywhere_yields_only_true_values_and_everything_flushed(tmp_path: Path, log: Path) -> None:
+    data, marks = flushed(tmp_path / "b.mcap", RECORDS)
+    whole = raw(log)
+    rng = random.Random(1)
+    cuts = [rng.randrange(9, len(data)) for _ in range(120)] + [mark for mark, _ in marks]
+    for cut in cuts:
+        path = tmp_path / "cut.mcap.part"
+        path.write_bytes(data[:cut])
+        found = raw(path)
+        assert found == whole[: len(found)]
+        ticks = sum(message.topic == "/armctl/cycle" for message in found)
+        assert ticks >= max((n for size, n in marks if size <= cut), default=0)
+        assert not reader.info(path).complete
+
+
+def test_a_flipped_bit_anywhere_yields_only_true_values(tmp_path: Path, log: Path) -> None:
+    data = log.read_bytes()
+    whole = set(raw(log))
+    rng = random.Random(2)
+    path = tmp_path / "flipped.mcap"
+    worst = len(whole)
+    for _ in range(250):
+        at = rng.randrange(8, len(data))
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)]) + data[at + 1 :])
+        found = raw(path)
+        assert set(found) <= whole
+        assert len(found) == len(set(found))
+        worst = min(worst, len(found))
+    # The largest chunk is one of ten: nothing but one chunk is ever lost.
+    assert worst >= 0.85 * len(whole)
+
+
+def test_any_bytes_behind_the_magic_are_read_or_are_a_log_error(tmp_path: Path, log: Path) -> None:
+    rng = random.Random(3)
+    head = log.read_bytes()[:40_000]
+    path = tmp_path / "noise.mcap"
+    for _ in range(60):
+        noise = bytearray(head)
+        for _ in range(rng.randrange(1, 40)):
+            at, length = rng.randrange(8, len(noise)), rng.randrange(1, 30)
+            noise[at : at + length] = rng.randbytes(length)
+        path.write_bytes(noise)
+        for attempt in (reader.info, reader.ticks, check, recordings.load, lambda p: list(reader.read(p))):
+            with suppress(LogError):
+                attempt(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a log at all", b"\x89MCAP0\r"])
+def test_what_is_no_log_is_a_log_error(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r"x\.mcap"):
+        reader.info(path)
+
+
+def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="No such file"):
+        reader.info(tmp_path / "none.mcap")
+    with pytest.raises(LogError, match="No such file"):
+        recover(tmp_path / "none.mcap")
+
+
+def foreign(path: Path, compression: CompressionType = CompressionType.NONE, **options: Any) -> Iterator[Writer]:
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=compression, **options)
+        writer.start("ros2", "somebody")
+        yield writer
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_logs_of_others_are_read_by_their_own_schemas(tmp_path: Path, compression: CompressionType) -> None:
+    path = tmp_path / "foreign.mcap"
+    for writer in foreign(path, compression):
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", schema_text("std_msgs/String").encode())
+        channel = writer.register_channel("/chatter", "cdr", schema)
+        writer.add_message(channel, 5, b"\x00\x01\x00\x00\x02\x00\x00\x00a\x00", 5)
+    (message,) = reader.read(path)
+    assert message == ("/chatter", 5, 0, {"data": "a"})
+    assert reader.info(path).complete
+    with pytest.raises(LogError, match="not written by armctl"):
+        check(path)
+    with pytest.raises(LogError, match="no joint states"):
+        recordings.load(path)
+    with pytest.raises(LogError, match="no topic /other"):
+        LogFile(path).codec("/other")
+    assert reader.info(recover(path).path).messages == 1
+
+
+def test_encodings_armctl_does_not_know_are_a_log_error(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    for writer in foreign(path):
+        writer.add_message(writer.register_channel("/json", "json", 0), 5, b"{}", 5)
+        bad = writer.register_schema("std_msgs/msg/String", "ros2msg", b"\xff")
+        writer.add_message(writer.register_channel("/bad", "cdr", bad), 5, b"{}", 5)
+    assert reader.info(path).topics == {"/json": 1, "/bad": 1}
+    with pytest.raises(LogError, match="ros2msg schema"):
+        list(reader.read(path, ["/json"]))
+    with pytest.raises(LogError, match="damaged"):
+        list(reader.read(path, ["/bad"]))
+
+
+def test_messages_outside_chunks_are_not_trusted(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    for writer in foreign(path, use_chunking=False):
+        writer.add_message(writer.register_channel("/json", "json", 0), 5, b"{}", 5)
+    info = reader.info(path)
+    assert (info.messages, info.complete) == (0, False)
+
+
+@pytest.mark.parametrize("claimed", [2**30, 1000])
+def test_a_chunk_is_never_inflated_beyond_its_bound(tmp_path: Path, claimed: int) -> None:
+    bomb = zstandard.compress(bytes(2**27))
+    body = struct.pack("<QQQII", 0, 1, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(bomb)) + bomb
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(reader.MAGIC + struct.pack("<BQ", 6, len(body)) + body)
+    info = reader.info(path)
+    assert (info.messages, info.complete) == (0, False)
+
+
+# ---------------------------------------------------------------------------------------------------- recovery
+
+
+def test_recovery_keeps_every_intact_chunk_and_removes_the_part(tmp_path: Path, log: Path) -> None:
+    part = tmp_path / "b.mcap.part"
+    part.write_bytes(log.read_bytes()[: int(log.stat().st_size * 0.7)])
+    found = raw(part)
+    (tmp_path / "b.mcap.recovering").write_bytes(b"killed while recovering")
+    result = recover(part)
+    assert result.path == tmp_path / "b.mcap"
+    assert result.recovered_messages == len(found)
+    assert 0.0 <= result.lost_s <= 1.0
+    assert raw(result.path) == found
+    assert reader.info(result.path).complete
+    assert [p.name for p in tmp_path.iterdir()] == ["b.mcap"]
+    assert check(result.path).mismatches == 0
+    with LogFile(result.path) as file:
+        assert log_setup(file).anchor == ANCHOR
+        assert file.metadata["recovered"]["messages"] == str(len(found))
+    with result.path.open("rb") as stream:
+        assert make_reader(stream, validate_crcs=True).get_summary() is not None
+
+
+def test_a_damaged_finished_file_is_kept_beside_the_recovered_one(tmp_path: Path, log: Path) -> None:
+    data = bytearray(log.read_bytes())
+    data[len(data) // 3] ^= 8
+    path = tmp_path / "c.mcap"
+    path.write_bytes(data)
+    names = [recover(path).path.name for _ in range(3)]
+    assert names == ["c-recovered.mcap", "c-recovered-2.mcap", "c-recovered-3.mcap"]
+    assert path.read_bytes() == data
+    result = recover(path, tmp_path / "d.mcap")
+    assert len(raw(log)) * 0.85 < result.recovered_messages < len(raw(log))
+    assert 0.0 < result.lost_s <= 1.1
+    with pytest.raises(LogError, match="exists already"):
+        recover(path, tmp_path / "d.mcap")
+
+
+def test_the_start_recovers_every_part_but_those_being_written(tmp_path: Path, log: Path) -> None:
+    (tmp_path / "a.mcap.part").write_bytes(log.read_bytes()[:-100])
+    (tmp_path / "a.mcap").write_bytes(b"taken")
+    (tmp_path / "empty.mcap.part").write_bytes(b"")
+    (tmp_path / "link.mcap.part").symlink_to(log)
+    live = LogWriter(tmp_path / "live.mcap", CONTEXT, anchor=ANCHOR)
+    live.write_tick(RECORDS[0])
+    with pytest.raises(PartInUse, match="being written"):
+        recover(live.part)
+    (result,) = recover_folder(tmp_path)
+    assert result.path.name == "a-recovered.mcap"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "a-recovered.mcap",
+        "a.mcap",
+        "empty.mcap.part.broken",
+        "link.mcap.part",
+        "live.mcap.part",
+    ]
+    live.close()
+    assert recover_folder(tmp_path / "nowhere") == ()
+
+
+def test_a_finished_file_that_still_has_its_old_name_loses_it(tmp_path: Path, log: Path) -> None:
+    (tmp_path / "a.mcap.part").write_bytes(log.read_bytes())
+    os.link(tmp_path / "a.mcap.part", tmp_path / "a.mcap")
+    assert recover_folder(tmp_path) == ()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize("body", [b"\x05" + bytes(8), b"\x04" + struct.pack("<Q", 2) + b"ab", b"\x0e" + bytes(8)])
+def test_nonsense_inside_a_chunk_is_damage(tmp_path: Path, body: bytes) -> None:
+    chunk = struct.pack("<QQQII", 0, 1, len(body), 0, 0) + struct.pack("<Q", len(body)) + body
+    end = struct.pack("<BQI", 15, 4, 0) + reader.MAGIC
+    path = tmp_path / "a.mcap"
+    path.write_bytes(reader.MAGIC + struct.pack("<BQ", 6, len(chunk)) + chunk + end)
+    assert (reader.info(path).messages, reader.info(path).complete) == (0, False)
+
+
+def test_a_part_without_an_intact_message_is_not_recovered(tmp_path: Path, log: Path) -> None:
+    part = tmp_path / "b.mcap.part"
+    part.write_bytes(log.read_bytes()[:20_000])
+    with pytest.raises(LogError, match="no intact message"):
+        recover(part)
+    assert [p.name for p in tmp_path.iterdir()] == ["b.mcap.part"]
+
+
+# ------------------------------------------------------------------------------------------------------ replay
+
+
+def test_replay_gives_the_logged_bytes(log: Path) -> None:
+    fractions: list[float] = []
+    result = check(log, fractions.append)
+    assert (result.ticks, result.mismatches, result.first_mismatch) == (99, 0, "")
+    assert result.messages > 3 * 99
+    assert result.realtime_ratio > 1.0
+    assert fractions
+    assert all(0.0 < fraction <= 1.0 for fraction in fractions)
+
+
+def test_replay_covers_teaching_stops_and_refusals(tmp_path: Path) -> None:
+    script = {**RUN_SCRIPT, 30: (Hold(3),), 45: (Teach(4), Release(5)), 60: (TeachEnd(6),)}
+    records = make_records(80, script, keyframe_ticks=25)
+    result = check(write(tmp_path / "a.mcap", records))
+    assert (result.ticks, result.mismatches) == (79, 0)
+
+
+def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
+
+    def other(state: Any, inputs: Inputs, arm: ArmConfig, robot: Any, period_s: float) -> tuple[Any, Outputs]:
+        state, outputs = step(state, inputs, arm, robot, period_s)
+        if inputs.tick == 50:
+            first = outputs.joints[0]
+            joints = (replace(first, load_ratio=first.load_ratio + 1e-15), *outputs.joints[1:])
+            outputs = replace(outputs, joints=joints)
+        return state, outputs
+
+    result = check(log, step=other)
+    assert result.mismatches == 1
+    assert "tick 50, /joint_states" in result.first_mismatch
+
+
+def test_replay_goes_on_at_the_next_keyframe_after_a_gap(tmp_path: Path) -> None:
+    gap = write(tmp_path / "gap.mcap", [*RECORDS[:30], *RECORDS[33:]])
+    assert (check(gap).ticks, check(gap).mismatches) == (29 + 59, 0)
+    dropped = write(tmp_path / "dropped.mcap", [*RECORDS[:30], with_dropped(RECORDS[30], 3), *RECORDS[31:]])
+    assert (check(dropped).ticks, check(dropped).mismatches) == (29 + 59, 0)
+    lines = [m.value for m in reader.read(dropped, ["/rosout"]) if m.value["name"] == "armctl.recording"]
+    assert [line["function"] for line in lines] == ["DROPPED"]
+
+
+def test_a_file_that_begins_between_keyframes_replays_from_its_beginning(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", RECORDS[55:], keyframe=RECORDS[40].keyframe, inputs_only=RECORDS[41:55])
+    result = check(path)
+    assert (result.ticks, result.mismatches) == (45, 0)
+    assert reader.ticks(path).position_rad.shape == (45, 6)
+    assert recordings.load(path).duration_s == pytest.approx(4.4)
+
+
+def test_a_file_that_begins_right_after_a_keyframe_replays_whole(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", RECORDS[41:], keyframe=RECORDS[40].keyframe)
+    assert (check(path).ticks, check(path).mismatches) == (59, 0)
+
+
+def test_a_step_that_cannot_take_the_log_is_a_log_error(log: Path) -> None:
+    def broken(*_: object) -> tuple[Any, Outputs]:
+        raise IndexError("no")
+
+    with pytest.raises(LogError, match="tick 1: the control step cannot take it"):
+        check(log, step=broken)
+
+
+def test_a_log_of_other_servos_or_states_is_a_log_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "a.mcap", RECORDS[41:50], keyframe='{"mode":"asleep"}')
+    with pytest.raises(LogError, match="cannot be understood"):
+        check(path)
+    servos = tuple(replace(reading, servo_id=reading.servo_id + 1) for reading in RECORDS[41].inputs.sample.servos)
+    odd = replace(
+        RECORDS[41], inputs=replace(RECORDS[41].inputs, sample=replace(RECORDS[41].inputs.sample, servos=servos))
+    )
+    path = write(tmp_path / "b.mcap", [odd], keyframe=RECORDS[40].keyframe)
+    with pytest.raises(LogError, match="servos"):
+        check(path)
+    monkeypatch.setattr(replay, "validate", lambda *_: (_ for _ in ()).throw(ValueError("no")))
+    with pytest.raises(LogError, match="not written by armctl"):
+        check(path)
