@@ -1,0 +1,317 @@
+"""From hand to line: teach, recordings, optimize, run."""
+
+from __future__ import annotations
+
+import json
+import math
+import select
+import sys
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from armctl.cli.arm import COUNTDOWN, count_down
+from armctl.cli.output import POINT, Output, config_option, output_option, socket_option
+from armctl.errors import ConfigError, LogError, NoDaemon
+
+if TYPE_CHECKING:
+    from armctl.client import Client
+
+Point = tuple[float, float, float]
+
+TEACHING_SPEED_M_S = 0.25
+"""ISO 10218-1's manual reduced speed; faster hands are warned."""
+MOVED_RAD = math.radians(3.0)
+STILL_RAD = math.radians(1.0)
+STILL_S = 1.0
+
+
+@click.command("teach")
+@click.argument("name")
+@click.option("--takes", type=click.IntRange(1, 100), default=1, show_default=True, help="How many to record.")
+@click.option("--from", "from_m", type=POINT, help="Start of the wanted line, metres: shows each take's error.")
+@click.option("--to", "to_m", type=POINT, help="End of the wanted line, metres.")
+@COUNTDOWN
+@socket_option
+@output_option
+def teach_command(
+    output: Output,
+    name: str,
+    takes: int,
+    from_m: Point | None,
+    to_m: Point | None,
+    countdown: int,
+    socket: str | None,
+) -> None:
+    """Make the arm limp, and record while you guide it by hand.
+
+    A take begins when the arm moves and ends when it rests for a second (or on Enter). Takes are named NAME, or
+    NAME-1, NAME-2, ... and never overwrite one another.
+
+    Example: armctl teach line --takes 5 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10
+    """
+    from armctl.client import Client
+
+    if (from_m is None) != (to_m is None):
+        raise ConfigError("armctl teach", "--from/--to", "one end of the line is missing", "give both or neither")
+    names = [name] if takes == 1 else [f"{name}-{take}" for take in range(1, takes + 1)]
+    made = []
+    with Client(socket) as commander, Client(socket) as watcher:
+        taken = {recording["name"] for recording in commander.call("recordings_list")["recordings"]} & set(names)
+        if taken:
+            raise LogError(f"recording {sorted(taken)[0]} exists; choose another name, or delete it")
+        if any(joint["torque_enabled"] for joint in commander.call("status")["joints"]):
+            count_down(output, countdown)
+        commander.call("teach_begin")
+        output.say("the arm is limp; guide it from the start of the line to its end, slowly")
+        try:
+            for take in names:
+                output.say(f"{take}: waiting for the arm to move")
+                commander.call("take_begin", name=take)
+                _follow(output, watcher, take)
+                commander.call("take_end")
+                line: dict[str, Any] = {} if from_m is None else {"from_m": from_m, "to_m": to_m}
+                made.append(commander.call("recordings_show", name=take, **line))
+                output.say(_described(made[-1]))
+        finally:
+            commander.call("teach_end")
+    output.result({"recordings": made})
+
+
+def _follow(output: Output, watcher: Client, take: str) -> None:
+    """Return when the arm has moved and come to rest again, or on Enter."""
+    recent: deque[list[float]] = deque()
+    last_tool: list[float] | None = None
+    moved = warned = False
+    period_s = 0.1
+    for snapshot in watcher.subscribe():
+        if snapshot["state"] != "teaching":
+            return
+        period_s = snapshot["period_s"]
+        positions = [joint["position_rad"] for joint in snapshot["joints"]]
+        tool = snapshot["tool"]["position_m"]
+        speed_m_s = 0.0 if last_tool is None else math.dist(tool, last_tool) / period_s
+        last_tool = tool
+        if speed_m_s > TEACHING_SPEED_M_S and not warned:
+            output.say(
+                f"{take}: the tool moves at {speed_m_s * 1000.0:.0f} mm/s; slower than 250 is safer and smoother"
+            )
+            warned = True
+        recent.append(positions)
+        if not moved:
+            moved = _spread(recent) > MOVED_RAD
+            if moved:
+                output.say(f"{take}: recording")
+        while len(recent) > STILL_S / period_s:
+            recent.popleft()
+        if moved and len(recent) >= round(STILL_S / period_s) and _spread(recent) < STILL_RAD:
+            return
+        if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0.0)[0]:
+            sys.stdin.readline()
+            return
+
+
+def _spread(positions: deque[list[float]]) -> float:
+    """Largest change of any joint [rad]."""
+    return max((max(column) - min(column) for column in zip(*positions, strict=True)), default=0.0)
+
+
+def _described(recording: dict[str, Any]) -> str:
+    return (
+        f"{recording['name']}: {recording['duration_s']:.1f} s, {recording['samples']} samples, "
+        f"{recording['mean_error_mm']:.1f} mm mean and {recording['max_error_mm']:.1f} mm at most off the line"
+    )
+
+
+@click.group("recordings", invoke_without_command=True)
+@socket_option
+@output_option
+@click.pass_context
+def recordings_command(ctx: click.Context, output: Output, socket: str | None) -> None:
+    """The recorded candidates."""
+    if ctx.invoked_subcommand is None:
+        _list(output, socket)
+
+
+def _list(output: Output, socket: str | None) -> None:
+    from armctl.client import Client
+
+    with Client(socket) as client:
+        found = client.call("recordings_list")
+    if output.result(found):
+        return
+    if not found["recordings"]:
+        output.say("no recordings; make some with `armctl teach NAME`")
+    for recording in found["recordings"]:
+        output.say(_described(recording))
+
+
+@recordings_command.command("list")
+@socket_option
+@output_option
+def recordings_list(output: Output, socket: str | None) -> None:
+    """Every recording; errors are against the line from its first to its last tool point."""
+    _list(output, socket)
+
+
+@recordings_command.command("show")
+@click.argument("name")
+@socket_option
+@output_option
+def recordings_show(output: Output, name: str, socket: str | None) -> None:
+    """One recording."""
+    from armctl.client import Client
+
+    with Client(socket) as client:
+        found = client.call("recordings_show", name=name)
+    if not output.result({"recordings": [found]}):
+        output.say(_described(found))
+        output.say(found["path"])
+
+
+@recordings_command.command("rename")
+@click.argument("name")
+@click.argument("to")
+@socket_option
+@output_option
+def recordings_rename(output: Output, name: str, to: str, socket: str | None) -> None:
+    """Give a recording another name, never one that is taken."""
+    from armctl.client import Client
+
+    with Client(socket) as client:
+        renamed = client.call("recordings_rename", name=name, to=to)
+    if not output.result({"recordings": [renamed]}):
+        output.say(renamed["path"])
+
+
+@recordings_command.command("delete")
+@click.argument("name")
+@socket_option
+@output_option
+def recordings_delete(output: Output, name: str, socket: str | None) -> None:
+    """Delete a recording."""
+    from armctl.client import Client
+
+    with Client(socket) as client:
+        deleted = client.call("recordings_delete", name=name)
+    if not output.result({"recordings": [deleted]}):
+        output.say(f"{name} deleted")
+
+
+@click.command("optimize")
+@click.argument("recordings", nargs=-1, required=True)
+@click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
+@click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
+@click.option("--via", type=click.IntRange(0, 20), default=2, show_default=True, help="Intermediate points.")
+@click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), help="The plan file.  [default: plan-viaN.json]"
+)
+@socket_option
+@config_option
+@output_option
+def optimize_command(
+    output: Output,
+    recordings: tuple[str, ...],
+    from_m: Point,
+    to_m: Point,
+    via: int,
+    duration_s: float,
+    seed: int,
+    out: Path | None,
+    socket: str | None,
+    config_file: str | None,
+) -> None:
+    """Straighten RECORDINGS (names, or files) by a genetic algorithm and choose the intermediate points.
+
+    Works in a process of the daemon's; without a daemon, in this one.
+
+    Example: armctl optimize line-1 line-2 line-3 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 2
+    """
+    from armctl.client import Client
+    from armctl.genetic.algorithm import DEFAULT
+
+    out = out or Path(f"plan-via{via}.json")
+    if out.exists():
+        raise LogError(f"{out} exists; choose another name with --out, or delete it")
+    wanted: dict[str, Any] = {"from_m": from_m, "to_m": to_m, "via": [via], "duration_s": duration_s, "seed": seed}
+    with output.progress("optimising", DEFAULT.generations) as show:
+        try:
+            if any("/" in recording for recording in recordings):
+                raise NoDaemon  # files by path need no daemon
+            with Client(socket) as client:
+                result = client.call(
+                    "optimize",
+                    recordings=recordings,
+                    on_progress=lambda p: show(p["generation"] + 1, f"{p['best']:.3f} mm"),
+                    **wanted,
+                )
+        except NoDaemon:
+            result = _optimize_here(
+                recordings, config_file, wanted, lambda g, best, _mean: show(g + 1, f"{best:.3f} mm")
+            )
+    (plan,) = result["plans"]
+    try:
+        out.write_text(plan["text"], encoding="utf-8")
+    except OSError as error:
+        raise LogError(f"{out}: cannot write the plan: {error.strerror}") from None
+    plan = {"path": str(out)} | {key: value for key, value in plan.items() if key != "text"}
+    if output.result({**{key: result[key] for key in ("baseline", "ga", "exact", "gap_ratio")}, "plan": plan}):
+        return
+    for one in result["baseline"]:
+        output.say(f"{one['name']:<20} {one['mean_error_mm']:7.2f} mm mean  {one['max_error_mm']:7.2f} mm at most")
+    output.say(f"{'genetic algorithm':<20} {result['ga']['mean_error_mm']:7.2f} mm mean")
+    output.say(f"{'exact optimum':<20} {result['exact']['mean_error_mm']:7.2f} mm mean; gap {result['gap_ratio']:.2%}")
+    output.say(
+        f"plan with {via} via points predicts {plan['predicted_mean_error_mm']:.2f} mm mean and "
+        f"{plan['predicted_max_error_mm']:.2f} mm at most on perfect servos; run it with: armctl run {out}"
+    )
+
+
+def _optimize_here(
+    recordings: tuple[str, ...], config_file: str | None, wanted: dict[str, Any], progress: Any
+) -> dict[str, Any]:
+    from armctl.config import data_dir, load_arm, load_config
+    from armctl.jobs import OptimizeRequest, optimize_task
+
+    config = load_config(config_file)
+    folder = data_dir(config) / "recordings"
+    paths = tuple(Path(name) if "/" in name else folder / f"{name}.mcap" for name in recordings)
+    request = OptimizeRequest(
+        arm=load_arm(config.arm),
+        recordings=paths,
+        from_m=wanted["from_m"],
+        to_m=wanted["to_m"],
+        via=tuple(wanted["via"]),
+        duration_s=wanted["duration_s"],
+        seed=wanted["seed"],
+    )
+    return optimize_task(request, progress)
+
+
+@click.command("run")
+@click.argument("plan", type=click.Path(dir_okay=False, path_type=Path))
+@socket_option
+@output_option
+def run_command(output: Output, plan: Path, socket: str | None) -> None:
+    """Pre-flight PLAN, approach its start slowly, run it, record it and compare with the prediction.
+
+    Ctrl-C stops the arm.
+    """
+    from armctl.client import Client
+    from armctl.config import read_text
+    from armctl.trajectory.plan import plan_from_text
+
+    parsed = plan_from_text(read_text(plan, "plan"), str(plan))
+    with Client(socket) as client:
+        output.say("running; Ctrl-C stops the arm")
+        result = client.call("run", plan=json.loads(parsed.model_dump_json()))
+    if not output.result(result):
+        output.say(
+            f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "
+            f"off the line in {result['duration_s']:.1f} s (by the encoders; predicted on perfect servos: "
+            f"{result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})"
+        )

@@ -1,0 +1,119 @@
+"""What every command shares: options, and the two ways of answering, for people and for programs.
+
+With `--json` stdout holds exactly one JSON object (one a line for streams), also when the command fails;
+everything else goes to stderr.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from armctl.errors import ArmctlError, RequestRefused
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Output:
+    """Where a command's answer goes."""
+
+    def __init__(self) -> None:
+        self.json = False
+        self.console = Console()
+        self.messages = Console(stderr=True)
+
+    def result(self, data: dict[str, Any]) -> bool:
+        """Print `data` if JSON was asked for; whether it was."""
+        if self.json:
+            print(json.dumps(data, allow_nan=False), flush=True)
+        return self.json
+
+    def say(self, text: str) -> None:
+        """A message for a person; never on stdout when JSON was asked for."""
+        (self.messages if self.json else self.console).print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def failure(self, error: ArmctlError) -> None:
+        """Tell an expected failure."""
+        code = getattr(error, "code", type(error).__name__)
+        if isinstance(error, RequestRefused) and len(error.reasons) > 1:
+            text = f"{code}:\n" + "\n".join(f"  - {reason}" for reason in error.reasons)
+        else:
+            text = str(error)
+        self.messages.print(f"armctl: {text}", markup=False, highlight=False, soft_wrap=True)
+        reasons = list(getattr(error, "reasons", [str(error)]))
+        self.result({"error": {"code": code, "message": str(error), "reasons": reasons}})
+
+    @contextmanager
+    def progress(self, label: str, total: float) -> Iterator[Callable[[float, str], None]]:
+        """A progress bar with the time left, on stderr; yields a function of (done, text)."""
+        columns = (
+            TextColumn("{task.description:<24}"),
+            BarColumn(30),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"),
+        )
+        with Progress(*columns, console=self.messages, disable=not self.messages.is_terminal) as bars:
+            bar = bars.add_task(label, total=total, note="")
+
+            def show(done: float, note: str) -> None:
+                bars.update(bar, completed=done, note=note)
+
+            yield show
+
+
+def output_option(function: F) -> F:
+    """Adds `--json`; the command receives the `Output` as its first argument."""
+
+    def remember(ctx: click.Context, _parameter: click.Parameter, value: bool) -> None:
+        ctx.ensure_object(Output).json |= value
+
+    option = click.option(
+        "--json", is_flag=True, expose_value=False, is_eager=True, callback=remember, help="One JSON object on stdout."
+    )
+    return click.pass_obj(option(function))  # type: ignore[return-value]
+
+
+def socket_option(function: F) -> F:
+    """Adds `--socket`."""
+    return click.option("--socket", "socket", metavar="PATH", help="The daemon's socket (ARMCTL_SOCKET).")(function)
+
+
+def config_option(function: F) -> F:
+    """Adds `--config`."""
+    return click.option("--config", "config_file", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")(function)
+
+
+class PointType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
+    """`x,y,z` in metres."""
+
+    name = "x,y,z"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float, float]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            x, y, z = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not three numbers x,y,z in metres, such as 0.18,-0.125,0.10", param, ctx)
+        if not all(math.isfinite(part) and abs(part) <= 10.0 for part in (x, y, z)):
+            self.fail(f"{value!r}: each coordinate must be finite and within 10 m (the unit is metres)", param, ctx)
+        return x, y, z
+
+
+POINT = PointType()
+
+
+def exit_failed() -> int:
+    """Exit status of a command whose check did not hold."""
+    sys.stdout.flush()
+    return 1

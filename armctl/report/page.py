@@ -1,0 +1,84 @@
+"""One HTML page of text, tables and plotly figures that opens without a network."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armctl.errors import ArmctlError
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 0 auto; padding: 1rem 1.25rem 3rem;
+  color: #1d2733; background: #fff; }
+h1 { font-size: 1.7rem; margin: .5rem 0; } h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem; }
+p { max-width: 46rem; } .wide { overflow-x: auto; }
+table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; }
+th, td { padding: .3rem .8rem; border-bottom: 1px solid #d5dbe3; text-align: right; }
+th:first-child, td:first-child { text-align: left; } th { border-bottom-color: #8794a5; }
+caption { caption-side: bottom; text-align: left; color: #5a6878; font-size: .87rem; padding-top: .4rem; }
+"""
+
+
+def plotly() -> type[go.Figure]:
+    """plotly's Figure class.
+
+    Raises:
+        ArmctlError: plotly is not installed; names the extra that brings it.
+    """
+    try:
+        from plotly.graph_objects import Figure
+    except ImportError:
+        raise ArmctlError("reports need plotly; install it with: pip install 'armctl[report]'") from None
+    figure: type[go.Figure] = Figure
+    return figure
+
+
+class Page:
+    """Collects blocks in order and writes them as one file."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._blocks: list[str] = [f"<h1>{html.escape(title)}</h1>"]
+        self._has_script = False
+
+    def heading(self, text: str) -> None:
+        self._blocks.append(f"<h2>{html.escape(text)}</h2>")
+
+    def text(self, text: str) -> None:
+        self._blocks.append(f"<p>{html.escape(text)}</p>")
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
+        def line(cells: Sequence[object], tag: str) -> str:
+            return "<tr>" + "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+        body = "".join(line(row, "td") for row in rows)
+        note = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+        self._blocks.append(
+            f'<div class="wide"><table>{note}<thead>{line(header, "th")}</thead><tbody>{body}</tbody></table></div>'
+        )
+
+    def figure(self, figure: go.Figure, description: str) -> None:
+        """Add a plotly figure; `description` says in words what it shows."""
+        markup = figure.to_html(
+            full_html=False,
+            include_plotlyjs="inline" if not self._has_script else False,
+            config={"displaylogo": False, "responsive": True},
+        )
+        self._has_script = True
+        label = html.escape(description, quote=True)
+        self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{markup}</figure>')
+
+    def write(self, path: Path) -> None:
+        """Write the page to `path`."""
+        path.write_text(
+            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(self._title)}</title>'
+            f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{_STYLE}</style></head>'
+            f"<body>{''.join(self._blocks)}</body></html>\n",
+            encoding="utf-8",
+        )

@@ -1,0 +1,185 @@
+"""Stand-ins for what the host talks to: ideal servos behind the real control step, and a recorder in memory."""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ParamSpec, TypeVar, cast
+
+from armctl.clock import VirtualClock
+from armctl.config import ArmConfig, Config
+from armctl.control.link import Link, LinkClosed, Ready
+from armctl.dynamixel import ax12a
+from armctl.errors import LogError
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import Command, Connected, Inputs, Mode, Run, Sample, ServoReading, TickRecord
+from armctl.recording.writer import LogContext, LogWriter
+from armctl.trajectory.plan import Plan
+from tests.control.ideal_arm import PERIOD_S, IdealArm
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class IdealControl:
+    """A control process without a process: it ticks when told to, on the host's own clock."""
+
+    def __init__(self, clock: VirtualClock, arm: IdealArm | None = None, *, restarted: bool = False) -> None:
+        self.arm = IdealArm(now_ns=clock.now_ns()) if arm is None else arm
+        self.pid = 4242
+        self.link, theirs = Link.pair()
+        self._theirs = Link(theirs)
+        self._clock = clock
+        self._connect: tuple[Command, ...] = (Connected(restarted=restarted),)
+        self.commands: list[Command] = []
+        self.alive = True
+        self.terminated = False
+
+    def ready(self) -> IdealControl:
+        self._theirs.send(Ready(self.pid))
+        return self
+
+    def say(self, message: object) -> None:
+        self._theirs.send(message)
+
+    def tick(self) -> TickRecord:
+        """One tick with the commands that wait in the link."""
+        commands = tuple(cast("list[Command]", self._theirs.receive()))
+        self.commands += commands
+        arm = self.arm
+        outputs = arm.run_tick(*self._connect, *commands)
+        self._connect = ()
+        readings = tuple(
+            ServoReading(joint.servo_id, seen, stamp, fresh=stamp == arm.now_ns)
+            for joint, seen, stamp in zip(arm.arm.joints, arm.seen, arm.stamps, strict=True)
+        )
+        sample = Sample(arm.now_ns, readings, bus_us=2500, port_open=arm.port_open)
+        inputs = Inputs(arm.tick - 1, arm.now_ns + 2_000_000, sample, commands)
+        self._clock.sleep_until_ns(inputs.now_ns)
+        return TickRecord(inputs, outputs, lateness_us=100)
+
+    def tick_over_link(self) -> None:
+        """One tick, told to the host; the last one once the host has closed the link."""
+        try:
+            self._theirs.send(self.tick())
+        except LinkClosed:
+            self.die()
+
+    def undisturbed(self) -> bool:
+        """Whether a motion is under way and no command waits."""
+        moving = self.arm.mode() is Mode.MOVING and bool(self.commands) and isinstance(self.commands[-1], Run)
+        return moving and not select.select([self._theirs], [], [], 0.0)[0]
+
+    def die(self) -> None:
+        self.alive = False
+        self._theirs.close()
+
+    def poll(self) -> int | None:
+        return -9
+
+    def terminate(self, timeout_s: float) -> None:
+        assert timeout_s > 0.0
+        self.terminated = True
+        self.link.close()
+
+
+class InlineExecutor(ThreadPoolExecutor):
+    """Does at once what the host gives to a thread, so that no test waits for the scheduler."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@dataclass
+class MemoryRecorder:
+    """Takes by name, notes in order."""
+
+    folder: Path = Path("/recordings")
+    log_path: Path | None = Path("/logs/log.mcap")
+    problem: str = ""
+    records: list[TickRecord] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    takes: dict[str, int] = field(default_factory=dict)
+    """Number of ticks in each take that has ended."""
+    begun: tuple[str, int] | None = None
+    on_begin: Callable[[], None] = lambda: None
+    closed: bool = False
+
+    def put(self, record: TickRecord) -> None:
+        self.records.append(record)
+
+    def note(self, topic: str, text: str, time_ns: int) -> None:
+        assert topic == "/armctl/command"
+        assert time_ns > 0
+        self.notes.append(text)
+
+    def begin_take(self, name: str) -> Path:
+        self.on_begin()
+        if name in self.takes:
+            raise LogError(f"take {name}: there is one of that name")
+        assert self.begun is None
+        self.begun = name, len(self.records)
+        return self.folder / f"{name}.mcap"
+
+    def end_take(self) -> Path | None:
+        if self.begun is None:
+            return None
+        name, begin = self.begun
+        self.takes[name], self.begun = len(self.records) - begin, None
+        return self.folder / f"{name}.mcap"
+
+    def close(self) -> None:
+        self.end_take()
+        self.closed = True
+
+
+@dataclass(eq=False)
+class NamedClient:
+    """A client as the host knows it."""
+
+    name: str
+
+
+def write_take(path: Path, samples: FloatArray, arm: ArmConfig) -> None:
+    """A take as the recorder would have written it while a hand moved the arm through `samples` [rad], (m, joints)."""
+    ideal = IdealArm(arm)
+    control = IdealControl(VirtualClock(ideal.now_ns), ideal)
+    context = LogContext(arm=arm, robot=ideal.robot, config=Config(), port="/dev/robot", period_s=PERIOD_S)
+    writer = LogWriter(path, context)
+    for row in samples:
+        for index, joint in enumerate(arm.joints):
+            ideal.put(index, ax12a.PRESENT_POSITION, round(joint.tick(row[index])))
+        writer.write_tick(control.tick())
+    writer.close()
+    control.die()
+    control.link.close()
+
+
+def small_plan(arm: IdealArm, **changes: object) -> Plan:
+    """A short, slow plan near where the arm rests that every pre-flight accepts."""
+    start = arm.positions_rad()
+    low = (start[0], start[1] - 0.5, *start[2:])
+    high = (start[0] + 0.1, start[1] - 0.6, *start[2:])
+    values: dict[str, object] = {
+        "arm_id": arm.arm.arm_id,
+        "calibration_hash": arm.arm.calibration_hash,
+        "from_m": (0.1, 0.0, 0.2),
+        "to_m": (0.1, 0.1, 0.2),
+        "duration_s": 2.0,
+        "via": 0,
+        "interpolation": "linear",
+        "waypoints_rad": (low, high),
+        "waypoint_progress": (0.0, 1.0),
+        "predicted_mean_error_mm": 1.5,
+        "predicted_max_error_mm": 2.5,
+        "seed": 0,
+    }
+    return Plan.model_validate(values | changes)

@@ -1,0 +1,487 @@
+"""The daemon as a whole, on ideal servos that tick as fast as the host takes it, spoken to by the real client."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import stat
+import tempfile
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+from armctl import daemon
+from armctl.client import Client
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.config import Config, load_arm
+from armctl.control.link import StartFailed
+from armctl.control.process import ControlSettings
+from armctl.daemon import MAX_DEATHS, PATIENT_WAIT_S, listen, notify_service, restart_wait_s, run_daemon
+from armctl.errors import ArmctlError, BusError, ConfigError, NoDaemon, PortBusy, PortGone, PortMissing, RequestRefused
+from armctl.messages import Hold, Mode
+from armctl.recording.writer import LogContext
+from tests.control.ideal_arm import IdealArm
+from tests.host.doubles import IdealControl, InlineExecutor, MemoryRecorder, small_plan
+
+PATIENCE_S = 30.0
+T = TypeVar("T")
+
+
+class Bench:
+    """A running daemon, its control processes, its recorder, and the ticks that drive it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.socket = folder / "run" / "s"
+        self.clock = VirtualClock()
+        self.recorder = MemoryRecorder()
+        self.controls: list[IdealControl] = []
+        self.ready = asyncio.Event()
+        self.failing_start: StartFailed | None = None
+        self.frozen = False
+        """Whether a motion waits where it is for the next command."""
+        self.status = 0
+        self.lines: list[str] = []
+        self.threads = ThreadPoolExecutor()
+
+    def start_control(self, settings: ControlSettings, *, restarted: bool = False) -> IdealControl:
+        assert settings.port == "/dev/robot"
+        arm = self.controls[-1].arm if self.controls else None
+        if arm is not None:  # the servos keep what they were told; the new process knows nothing
+            arm.state, arm.tick = type(arm.state)(), 0
+        control = IdealControl(self.clock, arm, restarted=restarted)
+        if self.failing_start is not None:
+            control.say(self.failing_start)
+            control.die()
+        else:
+            control.ready()
+        self.controls.append(control)
+        return control
+
+    def make_recorder(self, context: LogContext, log_dir: Path, recordings_dir: Path) -> MemoryRecorder:
+        assert (log_dir.name, recordings_dir.name) == ("logs", "recordings")
+        return self.recorder
+
+    def say_ready(self, line: str) -> None:
+        self.lines.append(line)
+        self.ready.set()
+
+    async def run(self) -> int:
+        return await run_daemon(
+            Config(data_dir=str(self.folder)),
+            load_arm("ax12-line"),
+            port="/dev/robot",
+            socket=self.socket,
+            log_dir=None,
+            ready=self.say_ready,
+            start_control=self.start_control,
+            make_recorder=self.make_recorder,
+            clock=self.clock,
+        )
+
+    async def tick(self) -> None:
+        """Tick whatever control process lives, for ever."""
+        while True:
+            if self.controls and self.controls[-1].alive and not (self.frozen and self.controls[-1].undisturbed()):
+                self.controls[-1].tick_over_link()
+            await asyncio.sleep(0)
+
+    @property
+    def arm(self) -> IdealArm:
+        return self.controls[-1].arm
+
+    async def client(self) -> Client:
+        return await self.in_thread(lambda: Client(self.socket, timeout_s=PATIENCE_S))
+
+    async def call(self, client: Client, method: str, **params: Any) -> dict[str, Any]:
+        return await self.in_thread(lambda: client.call(method, **params))
+
+    async def in_thread(self, work: Callable[[], T]) -> T:
+        """What a client waits for; the daemon's own work needs no thread here."""
+        return await asyncio.get_running_loop().run_in_executor(self.threads, work)
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not condition():
+                await asyncio.sleep(0)
+
+
+@asynccontextmanager
+async def bench() -> AsyncIterator[Bench]:
+    """A bench whose daemon is not yet running."""
+    with tempfile.TemporaryDirectory() as folder:
+        found = Bench(Path(folder))
+        asyncio.get_running_loop().set_default_executor(InlineExecutor())
+        ticking = asyncio.create_task(found.tick())
+        try:
+            yield found
+        finally:
+            ticking.cancel()
+            found.threads.shutdown(wait=False)
+            for control in found.controls:
+                control.die()
+                control.link.close()
+
+
+@asynccontextmanager
+async def running() -> AsyncIterator[Bench]:
+    """A bench whose daemon serves; it is ended by SIGTERM."""
+    async with bench() as found:
+        task = asyncio.create_task(found.run())
+        async with asyncio.timeout(PATIENCE_S):
+            await asyncio.wait((task, asyncio.create_task(found.ready.wait())), return_when=asyncio.FIRST_COMPLETED)
+        if task.done():
+            task.result()
+        try:
+            yield found
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+            async with asyncio.timeout(PATIENCE_S):
+                found.status = await task
+
+
+def on_loop(test: Callable[[], Awaitable[T]]) -> T:
+    async def main() -> T:
+        return await test()
+
+    return asyncio.run(main())
+
+
+async def holding(b: Bench) -> Client:
+    client = await b.client()
+    assert await b.call(client, "torque_on") == {"state": "holding"}
+    return client
+
+
+async def moving(b: Bench, client: Client) -> asyncio.Task[dict[str, Any]]:
+    """The client's run, under way until something stops it."""
+    b.frozen = True
+    run = asyncio.create_task(b.call(client, "run", plan=small_plan(b.arm).model_dump(mode="json")))
+    await b.until(lambda: b.arm.mode() is Mode.MOVING)
+    return run
+
+
+# ------------------------------------------------------------------------------------------------- serving
+
+
+def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group() -> None:
+    async def test() -> None:
+        async with running() as b:
+            assert b.lines == [str(b.socket)]
+            assert stat.S_IMODE(b.socket.stat().st_mode) == 0o660
+            assert stat.S_IMODE(b.socket.parent.stat().st_mode) == 0o750
+            with await b.client() as client:
+                status = await b.call(client, "status")
+                assert status["state"] == "off"
+                assert status["pids"] == {"daemon": os.getpid(), "control": 4242}
+                assert (await b.call(client, "log")) == {"path": "/logs/log.mcap", "problem": "", "dropped": 0}
+
+    on_loop(test)
+
+
+def test_a_run_over_the_socket_is_recorded_and_measured() -> None:
+    async def test() -> None:
+        async with running() as b:
+            with await holding(b) as client:
+                plan = small_plan(b.arm).model_dump(mode="json")
+                result = await b.call(client, "run", plan=plan)
+            assert result.keys() == {
+                "recording",
+                "mean_error_mm",
+                "max_error_mm",
+                "duration_s",
+                "predicted_mean_error_mm",
+                "predicted_max_error_mm",
+                "begin_ns",
+                "end_ns",
+            }
+            assert list(b.recorder.takes) == [result["recording"]]
+
+    on_loop(test)
+
+
+def test_commands_and_their_outcome_stand_in_the_log() -> None:
+    async def test() -> None:
+        async with running() as b:
+            with await holding(b) as client:
+                with pytest.raises(RequestRefused):
+                    await b.call(client, "torque_on")
+                with pytest.raises(RequestRefused):
+                    await b.call(client, "take_begin", name="x")
+                await b.call(client, "stop")
+            notes = [json.loads(note) for note in b.recorder.notes]
+            assert [(note["request"], note["outcome"]) for note in notes] == [
+                ("torque_on", "ok"),
+                ("torque_on", "ILLEGAL_TRANSITION"),
+                ("take_begin", "ILLEGAL_TRANSITION"),
+                ("stop", "ok"),
+            ]
+            assert notes[2]["params"] == {"name": "x"}
+            assert f"uid {os.getuid()}" in notes[0]["who"]
+
+    on_loop(test)
+
+
+def test_release_has_to_be_confirmed() -> None:
+    async def test() -> None:
+        async with running() as b:
+            with await holding(b) as client:
+                for params in ({}, {"confirm": False}):
+                    with pytest.raises(ConfigError, match="confirm"):
+                        await b.call(client, "release", **params)
+                assert await b.call(client, "release", confirm=True) == {"state": "off"}
+
+    on_loop(test)
+
+
+def test_a_plan_with_a_fault_is_refused_by_its_key() -> None:
+    async def test() -> None:
+        async with running() as b:
+            with await holding(b) as client:
+                plan = small_plan(b.arm).model_dump(mode="json") | {"duration_s": -1.0}
+                with pytest.raises(ConfigError, match=r"plan\.duration_s"):
+                    await b.call(client, "run", plan=plan)
+
+    on_loop(test)
+
+
+def test_subscribers_see_every_tick() -> None:
+    async def test() -> None:
+        async with running() as b:
+            with await b.client() as client:
+
+                def watch() -> list[dict[str, Any]]:
+                    snapshots = client.subscribe()
+                    return [next(snapshots) for _ in range(50)]
+
+                seen = await b.in_thread(watch)
+            for before, after in pairwise(seen):
+                assert after["tick"] == before["tick"] + 1 + after["gap"]
+
+    on_loop(test)
+
+
+def test_a_second_client_is_told_who_commands_and_may_stop() -> None:
+    async def test() -> None:
+        async with running() as b:
+            with await holding(b) as first, await b.client() as second:
+                run = await moving(b, first)
+                with pytest.raises(RequestRefused, match="commands the arm now") as busy:
+                    await b.call(second, "clear")
+                assert busy.value.code == "BUSY"
+                assert await b.call(second, "stop") == {"state": "holding"}
+                with pytest.raises(RequestRefused) as stopped:
+                    await run
+                assert stopped.value.code == "STOPPED"
+
+    on_loop(test)
+
+
+def test_a_client_killed_during_its_run_stops_the_arm() -> None:
+    async def test() -> None:
+        async with running() as b:
+            client = await holding(b)
+            b.frozen = True
+            plan = small_plan(b.arm).model_dump(mode="json")
+            run = {"jsonrpc": "2.0", "id": 9, "method": "run", "params": {"plan": plan}}
+            client._socket.sendall(json.dumps(run).encode() + b"\n")
+            await b.until(lambda: b.arm.mode() is Mode.MOVING)
+            client.close()
+            await b.until(lambda: b.arm.mode() is Mode.HOLDING)
+            await b.until(lambda: len(b.recorder.takes) == 1)
+            assert any("LEASE_LOST" in note for note in b.recorder.notes)
+
+    on_loop(test)
+
+
+# ------------------------------------------------------------------------------------------------ lifetime
+
+
+def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on() -> None:
+    async def test() -> Bench:
+        async with running() as b:
+            client = await holding(b)
+            run = await moving(b, client)
+            os.kill(os.getpid(), signal.SIGTERM)
+            with pytest.raises(RequestRefused) as stopped:
+                await run
+            assert stopped.value.code == "STOPPED"
+            client.close()
+        assert b.arm.mode() is Mode.HOLDING
+        assert sum(isinstance(command, Hold) for command in b.controls[0].commands) == 1
+        assert b.recorder.closed
+        assert b.controls[0].terminated
+        assert not b.socket.exists()
+        assert b.status == 0
+        return b
+
+    on_loop(test)
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [("PORT_MISSING", PortMissing), ("PORT_BUSY", PortBusy), ("PORT_GONE", PortGone), ("ODD", BusError)],
+)
+def test_a_port_that_cannot_be_had_is_one_clear_error(code: str, kind: type[BusError]) -> None:
+    async def test() -> None:
+        async with bench() as b:
+            b.failing_start = StartFailed(code, "/dev/robot: there is no such port")
+            with pytest.raises(kind, match="no such port") as caught:
+                await b.run()
+            assert caught.value.code == code
+            assert b.recorder.closed
+            assert not b.ready.is_set()
+            assert not b.socket.exists()
+
+    on_loop(test)
+
+
+def test_a_control_process_that_never_ticks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        async with bench() as b:
+            monkeypatch.setattr(daemon, "START_S", 0.05)
+            mute = IdealControl(b.clock)
+            monkeypatch.setattr(b, "start_control", lambda settings: mute)
+            with pytest.raises(RequestRefused, match="did not tick"):
+                await b.run()
+            assert mute.terminated
+            mute.die()
+
+    on_loop(test)
+
+
+def test_a_recorder_that_cannot_be_made_ends_the_control_process() -> None:
+    async def test() -> None:
+        async with bench() as b:
+
+            def broken(context: LogContext, log_dir: Path, recordings_dir: Path) -> MemoryRecorder:
+                raise OSError("no disk")
+
+            b.make_recorder = broken  # type: ignore[method-assign]
+            with pytest.raises(OSError, match="no disk"):
+                await b.run()
+            assert b.controls[0].terminated
+
+    on_loop(test)
+
+
+def test_a_dead_control_process_fails_the_run_and_another_takes_the_arm_over() -> None:
+    async def test() -> None:
+        async with running() as b:
+            with await holding(b) as client:
+                run = await moving(b, client)
+                b.controls[0].die()
+                with pytest.raises(RequestRefused) as broken:
+                    await run
+                assert broken.value.code == "RESTARTED"
+                await b.until(lambda: len(b.controls) == 2)
+                await b.until(lambda: b.arm.mode() is Mode.HOLDING)
+                assert b.controls[0].terminated
+                assert "RESTARTED" in b.arm.events
+                assert await b.call(client, "stop") == {"state": "holding"}
+                assert any("RESTARTED" in note for note in b.recorder.notes)
+
+    on_loop(test)
+
+
+def test_control_processes_that_fail_to_start_again_are_tried_again() -> None:
+    async def test() -> None:
+        async with running() as b:
+            b.failing_start = StartFailed("PORT_GONE", "unplugged")
+            b.controls[0].die()
+            await b.until(lambda: len(b.controls) == 3)
+            b.failing_start = None
+            with await b.client() as client:
+                async with asyncio.timeout(PATIENCE_S):
+                    while (await b.call(client, "status"))["state"] != "off":
+                        await asyncio.sleep(0)
+
+    on_loop(test)
+
+
+def test_restarts_come_at_once_until_they_come_often() -> None:
+    second = NS_PER_S
+    assert restart_wait_s(deque([0])) == 0.0
+    assert restart_wait_s(deque(range(0, MAX_DEATHS * second, second))) == 0.0
+    assert restart_wait_s(deque(range(0, (MAX_DEATHS + 1) * second, second))) == PATIENT_WAIT_S
+    assert restart_wait_s(deque(range(0, (MAX_DEATHS + 1) * 20 * second, 20 * second))) == 0.0
+
+
+# -------------------------------------------------------------------------------------------------- socket
+
+
+def test_a_second_daemon_on_a_socket_is_refused(tmp_path: Path) -> None:
+    with listen(tmp_path / "s"), pytest.raises(RequestRefused, match="another daemon"):
+        listen(tmp_path / "s")
+
+
+def test_a_socket_nobody_serves_is_replaced(tmp_path: Path) -> None:
+    listen(tmp_path / "s").close()
+    assert (tmp_path / "s").is_socket()
+    listen(tmp_path / "s").close()
+
+
+def test_a_file_in_the_socket_s_place_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    path.write_text("precious")
+    with pytest.raises(ConfigError, match="in use"):
+        listen(path)
+    assert path.read_text() == "precious"
+
+
+def test_a_path_too_long_for_a_socket_is_a_configuration_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="too long"):
+        listen(tmp_path / ("x" * 120))
+
+
+# ------------------------------------------------------------------------------------------ service manager
+
+
+@pytest.mark.parametrize("abstract", [True, False])
+def test_the_service_manager_is_told(abstract: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    address = f"@armctl-test-{os.getpid()}" if abstract else str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind("\0" + address[1:] if abstract else address)
+        manager.settimeout(PATIENCE_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", address)
+        notify_service("READY=1")
+        assert manager.recv(100) == b"READY=1"
+
+
+def test_without_a_service_manager_nothing_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    notify_service("READY=1")
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+    notify_service("READY=1")
+
+
+def test_the_daemon_tells_ready_watchdog_and_stopping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(daemon, "notify_service", told.append)
+
+    async def test() -> None:
+        async with running():
+            pass
+
+    on_loop(test)
+    assert set(told) == {"WATCHDOG=1", "READY=1", "STOPPING=1"}
+    assert told.index("READY=1") < told.index("STOPPING=1")
+
+
+# -------------------------------------------------------------------------------------------------- client
+
+
+def test_no_daemon_is_an_error_with_its_remedy(tmp_path: Path) -> None:
+    with pytest.raises(NoDaemon, match=r"armctl daemon --port") as caught:
+        Client(tmp_path / "none")
+    assert caught.value.exit_status == 3
+    assert isinstance(caught.value, ArmctlError)

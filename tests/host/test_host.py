@@ -1,0 +1,574 @@
+"""The arm as its clients share it: leases, requests, runs and the snapshot, over ideal servos, on a virtual clock."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armctl.api import host as host_module
+from armctl.api.host import Host
+from armctl.clock import VirtualClock
+from armctl.control.link import Link
+from armctl.dynamixel import ax12a
+from armctl.errors import IllegalTransition, LogError, RequestRefused
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.transform import rpy_from_matrix
+from armctl.messages import Hold, Mode, Run, TeachEnd, TickRecord
+from armctl.trajectory.plan import Plan
+from tests.control.ideal_arm import PERIOD_S, IdealArm
+from tests.host.doubles import IdealControl, InlineExecutor, MemoryRecorder, NamedClient, small_plan
+
+
+class Bench:
+    """A host over ideal servos; `tick` is one tick, `served` ticks until something is done."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        self.recorder = MemoryRecorder()
+        self.control = IdealControl(self.clock)
+        self.arm = self.control.arm
+        self.host = Host(self.arm.arm, self.arm.robot, PERIOD_S, self.recorder, self.clock)
+        self.host.attach(self.control)
+        self.anna, self.ben = NamedClient("anna"), NamedClient("ben")
+
+    def tick(self, **changes: Any) -> TickRecord:
+        record = replace(self.control.tick(), **changes)
+        self.host.receive(record)
+        return record
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        for _ in range(5_000):
+            if condition():
+                return
+            await asyncio.sleep(0)
+            self.tick()
+        raise AssertionError("it never came to pass")
+
+    async def served(self, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
+        task = asyncio.ensure_future(work)
+        await asyncio.sleep(0)
+        await self.until(task.done)
+        return task.result()
+
+    async def refused(self, work: Awaitable[dict[str, Any]]) -> RequestRefused:
+        with pytest.raises(RequestRefused) as caught:
+            await self.served(work)
+        return caught.value
+
+    async def holding(self) -> Bench:
+        self.tick()
+        self.tick()
+        assert await self.served(self.host.torque_on(self.anna)) == {"state": "holding"}
+        return self
+
+    def plan(self, **changes: object) -> Plan:
+        return small_plan(self.arm, **changes)
+
+    async def running(self) -> asyncio.Task[dict[str, Any]]:
+        """Anna's run, under way."""
+        task = asyncio.ensure_future(self.host.run(self.anna, self.plan()))
+        await self.until(lambda: self.arm.mode() is Mode.MOVING)
+        return task
+
+
+def on_bench(test: Callable[[Bench], Awaitable[None]]) -> Callable[[], None]:
+    """Run an async test on a fresh bench."""
+
+    async def run() -> None:
+        async with _bench() as bench:
+            await test(bench)
+
+    def wrapper() -> None:
+        asyncio.run(run())
+
+    wrapper.__name__ = test.__name__
+    return wrapper
+
+
+@asynccontextmanager
+async def _bench() -> AsyncIterator[Bench]:
+    bench = Bench()
+    asyncio.get_running_loop().set_default_executor(InlineExecutor())
+    try:
+        yield bench
+    finally:
+        bench.control.die()
+        bench.control.link.close()
+
+
+# ---------------------------------------------------------------------------------------------- requests
+
+
+@on_bench
+async def test_torque_on_is_answered_when_the_arm_holds(bench: Bench) -> None:
+    await bench.holding()
+    assert bench.arm.mode() is Mode.HOLDING
+
+
+@on_bench
+async def test_a_refusal_of_the_control_step_reaches_the_client_as_it_is(bench: Bench) -> None:
+    await bench.holding()
+    error = await bench.refused(bench.host.torque_on(bench.anna))
+    assert isinstance(error, IllegalTransition)
+    assert "holding" in str(error)
+
+
+@on_bench
+async def test_release_makes_the_arm_limp(bench: Bench) -> None:
+    await bench.holding()
+    assert await bench.served(bench.host.release(bench.anna)) == {"state": "off"}
+
+
+@on_bench
+async def test_clear_without_a_fault_is_done(bench: Bench) -> None:
+    bench.tick()
+    assert await bench.served(bench.host.clear(bench.anna)) == {"state": "off"}
+
+
+@on_bench
+async def test_an_unanswered_request_fails_in_bounded_time(bench: Bench) -> None:
+    bench.tick()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(host_module.Host._request, "__defaults__", (0.01,))
+        with pytest.raises(RequestRefused) as caught:
+            await bench.host.clear(bench.anna)
+    assert caught.value.code == "NO_ANSWER"
+
+
+@on_bench
+async def test_a_full_link_delays_a_command_and_loses_nothing(bench: Bench) -> None:
+    bench.tick()
+
+    class FullOnce:
+        pid = 1
+        link: Any
+
+        def __init__(self, link: Link) -> None:
+            self.link, self.inner, self.full = self, link, True
+
+        def send(self, message: object) -> bool:
+            full, self.full = self.full, False
+            return not full and self.inner.send(message)
+
+    bench.host.attach(FullOnce(bench.control.link))
+    assert await bench.served(bench.host.clear(bench.anna)) == {"state": "off"}
+
+
+@on_bench
+async def test_a_request_to_a_dead_control_process_fails_at_once(bench: Bench) -> None:
+    bench.tick()
+    bench.host.control_lost()
+    for work in (bench.host.stop(), bench.host.clear(bench.anna), bench.host.run(bench.anna, bench.plan())):
+        with pytest.raises(RequestRefused) as caught:
+            await work
+        assert caught.value.code == "RESTARTED"
+
+
+@on_bench
+async def test_requests_under_way_fail_when_the_control_process_dies(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    bench.host.control_lost()
+    with pytest.raises(RequestRefused) as caught:
+        await task
+    assert caught.value.code == "RESTARTED"
+    assert len(bench.recorder.takes) == 1, "the take of the broken run is kept"
+    assert bench.recorder.begun is None
+
+
+# --------------------------------------------------------------------------------------------------- stop
+
+
+@on_bench
+async def test_anyone_may_stop_a_run_and_the_run_says_so(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    assert await bench.served(bench.host.stop()) == {"state": "holding"}
+    error = await bench.refused(task)
+    assert error.code == "STOPPED"
+    assert len(bench.recorder.takes) == 1
+
+
+@on_bench
+async def test_many_stops_at_once_are_one_command(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    stops = asyncio.gather(*(bench.host.stop() for _ in range(500)))
+    await bench.until(stops.done)
+    assert stops.result() == [{"state": "holding"}] * 500
+    assert sum(isinstance(command, Hold) for command in bench.control.commands) == 1
+    assert (await bench.refused(task)).code == "STOPPED"
+
+
+@on_bench
+async def test_a_stop_after_a_run_was_sent_is_a_command_of_its_own(bench: Bench) -> None:
+    await bench.holding()
+    early = asyncio.ensure_future(bench.host.stop())
+    await asyncio.sleep(0)
+    bench.host._hold = None  # what sending a run does
+    late = asyncio.ensure_future(bench.host.stop())
+    await bench.until(lambda: early.done() and late.done())
+    assert sum(isinstance(command, Hold) for command in bench.control.commands) == 2
+
+
+# ---------------------------------------------------------------------------------------------------- run
+
+
+@on_bench
+async def test_a_run_is_recorded_and_compared_with_its_line(bench: Bench) -> None:
+    await bench.holding()
+    plan = bench.plan()
+    start, end = tool_position(bench.arm.robot.chain, _chain_joints(bench.arm, plan))
+    plan = bench.plan(from_m=tuple(start.tolist()), to_m=tuple(end.tolist()))
+    result = await bench.served(bench.host.run(bench.anna, plan))
+    assert result["recording"].startswith("run-line-via-0-")
+    assert list(bench.recorder.takes) == [result["recording"]]
+    # A servo resolves 0.29 deg, 1 to 2 mm at the tool; straight in joint space is not straight in space.
+    assert 0.0 < result["mean_error_mm"] < result["max_error_mm"] < 10.0
+    assert result["duration_s"] == pytest.approx(plan.duration_s, abs=2 * PERIOD_S)
+    assert result["end_ns"] - result["begin_ns"] == pytest.approx(result["duration_s"] * 1e9)
+    assert (result["predicted_mean_error_mm"], result["predicted_max_error_mm"]) == (1.5, 2.5)
+    ended_ns = bench.recorder.records[-1].inputs.sample.time_ns
+    assert ended_ns - result["end_ns"] >= host_module.TAIL_NS, "the recording goes on a little after the motion"
+
+
+def _chain_joints(arm: IdealArm, plan: Plan) -> Any:
+    return np.array(plan.waypoints_rad)[:, : arm.robot.chain.n]
+
+
+@on_bench
+async def test_a_refused_preflight_tells_every_reason_and_moves_nothing(bench: Bench) -> None:
+    await bench.holding()
+    error = await bench.refused(bench.host.run(bench.anna, bench.plan(arm_id="other", duration_s=0.05)))
+    assert error.code == "PREFLIGHT"
+    assert len(error.reasons) > 1
+    assert "other" in error.reasons[0]
+    assert not any(isinstance(command, Run) for command in bench.control.commands)
+    assert not bench.recorder.takes
+
+
+@on_bench
+async def test_a_plan_outside_the_limits_is_refused_as_such(bench: Bench) -> None:
+    await bench.holding()
+    start = bench.arm.positions_rad()
+    far = (math.radians(149.0), *start[1:])
+    error = await bench.refused(bench.host.run(bench.anna, bench.plan(waypoints_rad=(start, far), duration_s=20.0)))
+    assert error.code == "LIMIT"
+
+
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.TEACHING, Mode.FAULTED, Mode.ENERGISING, Mode.MOVING])
+def test_a_run_needs_a_holding_arm_and_says_how_to_get_there(mode: Mode) -> None:
+    async def test(bench: Bench) -> None:
+        record = bench.control.tick()
+        bench.host.receive(replace(record, outputs=replace(record.outputs, mode=mode)))
+        with pytest.raises(IllegalTransition, match=mode.value):
+            await bench.host.run(bench.anna, bench.plan())
+        assert not bench.recorder.takes
+
+    on_bench(test)()
+
+
+@on_bench
+async def test_a_run_that_cannot_be_recorded_does_not_start(bench: Bench) -> None:
+    await bench.holding()
+
+    def full() -> None:
+        raise LogError("the disk is full")
+
+    bench.recorder.on_begin = full
+    with pytest.raises(LogError):
+        await bench.served(bench.host.run(bench.anna, bench.plan()))
+    assert not any(isinstance(command, Run) for command in bench.control.commands)
+    assert bench.host.status()["recording"] is None
+
+
+@on_bench
+async def test_a_client_that_leaves_during_its_run_stops_the_arm(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    bench.host.client_gone(bench.ben)
+    assert not any(isinstance(command, Hold) for command in bench.control.commands)
+    bench.host.client_gone(bench.anna)
+    error = await bench.refused(task)
+    assert error.code == "STOPPED"
+    assert bench.arm.mode() is Mode.HOLDING
+    assert any("LEASE_LOST" in note for note in bench.recorder.notes)
+
+
+@on_bench
+async def test_a_client_that_leaves_before_its_run_begins_moves_nothing(bench: Bench) -> None:
+    await bench.holding()
+    bench.recorder.on_begin = lambda: bench.host.client_gone(bench.anna)
+    error = await bench.refused(bench.host.run(bench.anna, bench.plan()))
+    assert error.code == "LEASE_LOST"
+    assert not any(isinstance(command, Run) for command in bench.control.commands)
+
+
+@on_bench
+async def test_a_run_whose_marks_were_lost_is_not_given_a_figure(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    while not task.done():
+        await asyncio.sleep(0)
+        record = bench.control.tick()
+        kept = tuple(event for event in record.outputs.events if event.code != "PLAN_BEGIN")
+        bench.host.receive(replace(record, outputs=replace(record.outputs, events=kept)))
+    with pytest.raises(RequestRefused) as caught:
+        task.result()
+    assert caught.value.code == "RECORDS_LOST"
+
+
+@on_bench
+async def test_a_run_that_does_not_end_is_stopped(bench: Bench) -> None:
+    await bench.holding()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(host_module, "PAUSES_S", -1e6)
+        with pytest.raises(RequestRefused) as caught:
+            await bench.host.run(bench.anna, bench.plan())
+    assert caught.value.code == "NO_ANSWER"
+    await bench.until(lambda: any(isinstance(command, Hold) for command in bench.control.commands))
+
+
+# ------------------------------------------------------------------------------------------------- leases
+
+
+@on_bench
+async def test_one_client_commands_and_the_other_is_told_who(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    host, ben = bench.host, bench.ben
+    for work in (
+        host.release(ben),
+        host.torque_on(ben),
+        host.clear(ben),
+        host.teach_begin(ben),
+        host.run(ben, bench.plan()),
+        host.run(bench.anna, bench.plan()),
+        host.release(bench.anna),
+    ):
+        error = await bench.refused(work)
+        assert error.code == "BUSY"
+    assert "anna" in str(await bench.refused(host.release(ben)))
+    assert bench.host.status()["commander"] == "anna: run"
+    await bench.served(task)
+    assert bench.host.status()["commander"] is None
+
+
+# ----------------------------------------------------------------------------------------------- teaching
+
+
+@on_bench
+async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
+    await bench.holding()
+    host, anna = bench.host, bench.anna
+    assert await bench.served(host.teach_begin(anna)) == {"state": "teaching"}
+    first = await bench.served(host.take_begin(anna, "first"))
+    assert first == {"recording": "first", "path": "/recordings/first.mcap"}
+    assert host.status()["recording"] == "first"
+    for _ in range(5):
+        bench.tick()
+    assert await bench.served(host.take_end(anna)) == first
+    assert bench.recorder.takes["first"] >= 5
+    assert await bench.served(host.teach_end(anna)) == {"state": "off"}
+    assert await bench.served(host.torque_on(bench.ben)) == {"state": "holding"}
+
+
+@on_bench
+async def test_takes_belong_to_whoever_teaches(bench: Bench) -> None:
+    bench.tick()
+    host, anna, ben = bench.host, bench.anna, bench.ben
+    for work in (host.take_begin(anna, "x"), host.take_end(anna), host.teach_end(anna)):
+        assert isinstance(await bench.refused(work), IllegalTransition)
+    await bench.served(host.teach_begin(anna))
+    assert isinstance(await bench.refused(host.take_end(anna)), IllegalTransition)
+    await bench.served(host.take_begin(anna, "x"))
+    assert isinstance(await bench.refused(host.take_begin(anna, "y")), IllegalTransition)
+    for work in (host.take_begin(ben, "y"), host.take_end(ben), host.teach_end(ben)):
+        assert isinstance(await bench.refused(work), IllegalTransition)
+    for work in (host.torque_on(ben), host.teach_begin(anna), host.run(anna, bench.plan())):
+        assert (await bench.refused(work)).code == "BUSY"
+
+
+@on_bench
+async def test_a_refused_take_is_no_take(bench: Bench) -> None:
+    bench.tick()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    bench.recorder.takes["old"] = 1
+    with pytest.raises(LogError):
+        await bench.served(bench.host.take_begin(bench.anna, "old"))
+    assert bench.host.status()["recording"] is None
+
+
+@on_bench
+async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    await bench.served(bench.host.stop())
+    assert (await bench.refused(task)).code == "STOPPED"
+    bench.arm.silent = {1}
+    await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
+    assert isinstance(await bench.refused(bench.host.teach_begin(bench.anna)), IllegalTransition)
+    assert bench.host.status()["commander"] is None
+
+
+@on_bench
+async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_take(bench: Bench) -> None:
+    await bench.holding()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.take_begin(bench.anna, "orphan"))
+    for _ in range(3):
+        bench.tick()
+    bench.host.client_gone(bench.anna)
+    await bench.until(lambda: bench.arm.mode() is Mode.OFF)
+    assert bench.recorder.takes["orphan"] >= 3
+    assert any("ORPHAN_TAKE" in note for note in bench.recorder.notes)
+    assert not any(bench.arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
+    assert await bench.served(bench.host.teach_begin(bench.ben)) == {"state": "teaching"}
+
+
+@on_bench
+async def test_a_client_that_leaves_while_the_arm_becomes_limp_keeps_no_lease(bench: Bench) -> None:
+    await bench.holding()
+    task = asyncio.ensure_future(bench.host.teach_begin(bench.anna))
+    await asyncio.sleep(0)
+    bench.host.client_gone(bench.anna)
+    await bench.until(task.done)
+    await bench.until(lambda: bench.arm.mode() is Mode.OFF)
+    assert bench.host.status()["commander"] is None
+
+
+@on_bench
+async def test_teaching_that_a_fault_has_ended_can_be_ended(bench: Bench) -> None:
+    bench.tick()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.take_begin(bench.anna, "cut"))
+    bench.arm.silent = {1}
+    await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
+    assert await bench.served(bench.host.teach_end(bench.anna)) == {"state": "faulted"}
+    assert "cut" in bench.recorder.takes
+    assert not any(isinstance(command, TeachEnd) for command in bench.control.commands)
+
+
+# ------------------------------------------------------------------------------------------------- status
+
+STATUS_KEYS = {"state", "fault", "tick", "period_s", "joints", "tool", "cycle", "recording"}
+JOINT_KEYS = {
+    "name",
+    "servo_id",
+    "position_rad",
+    "velocity_rad_s",
+    "load_ratio",
+    "voltage_V",
+    "temperature_degC",
+    "torque_enabled",
+    "age_s",
+}
+FAULT_KEYS = {"code", "servo_id", "since_s", "arm", "next", "text"}
+CYCLE_KEYS = {"bus_us_p50", "bus_us_p99", "lateness_us_p99", "overruns", "retries"}
+
+
+@on_bench
+async def test_the_snapshot_has_the_keys_of_the_contract_before_and_after_the_first_tick(bench: Bench) -> None:
+    for state in ("starting", "off"):
+        status = bench.host.status()
+        json.dumps(status, allow_nan=False)
+        assert status.keys() >= STATUS_KEYS
+        assert status["state"] == state
+        assert status["fault"] is None
+        assert all(joint.keys() == JOINT_KEYS for joint in status["joints"])
+        assert status["cycle"].keys() == CYCLE_KEYS
+        bench.tick()
+    assert status["arm_id"] == "ax12-line"
+    assert status["pids"]["control"] == 4242
+    assert status["tool"].keys() == {"position_m", "rpy_rad"}
+    assert status["joints"][1]["position_rad"] == pytest.approx(math.radians(158.0), abs=ax12a.TICK_RAD)
+    assert status["cycle"]["bus_us_p50"] == status["cycle"]["bus_us_p99"] == 2500
+
+
+@on_bench
+async def test_the_tool_is_given_in_roll_pitch_yaw(bench: Bench) -> None:
+    bench.tick()
+    tool = bench.host.status()["tool"]
+    T = forward_kinematics(bench.arm.robot.chain, _positions(bench))
+    assert tool["position_m"] == pytest.approx(T[:3, 3].tolist())
+    assert tool["rpy_rad"] == pytest.approx(rpy_from_matrix(T[:3, :3]), abs=1e-9)
+
+
+def _positions(bench: Bench) -> Any:
+    return np.array(bench.arm.positions_rad()[: bench.arm.robot.chain.n])
+
+
+@on_bench
+async def test_ages_grow_when_no_tick_comes(bench: Bench) -> None:
+    bench.tick()
+    before = bench.host.status()
+    bench.clock.advance_ns(700_000_000)
+    after = bench.host.status()
+    assert after["age_s"] - before["age_s"] == pytest.approx(0.7)
+    for old, new in zip(before["joints"], after["joints"], strict=True):
+        assert new["age_s"] - old["age_s"] == pytest.approx(0.7)
+
+
+@on_bench
+async def test_a_joint_that_never_answered_has_no_values(bench: Bench) -> None:
+    bench.arm.silent = {2}
+    bench.tick()
+    joint = bench.host.status()["joints"][2]
+    assert joint["name"] == "elbow"
+    assert all(joint[key] is None for key in JOINT_KEYS - {"name", "servo_id"})
+    assert bench.host.status()["tool"] is None
+
+
+@on_bench
+async def test_a_fault_tells_code_servo_time_what_the_arm_does_and_what_to_type(bench: Bench) -> None:
+    bench.tick()
+    bench.arm.silent = {1}
+    await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
+    bench.clock.advance_ns(2_000_000_000)
+    fault = bench.host.status()["fault"]
+    assert fault.keys() == FAULT_KEYS
+    assert (fault["code"], fault["servo_id"]) == ("SERVO_SILENT", 2)
+    assert fault["since_s"] == pytest.approx(2.0, abs=0.01)
+    assert "armctl clear" in fault["next"]
+
+
+@on_bench
+async def test_a_dead_control_process_is_a_fault_until_the_next_one_ticks(bench: Bench) -> None:
+    bench.tick()
+    bench.host.control_lost()
+    status = bench.host.status()
+    assert (status["state"], status["fault"]["code"]) == ("restarting", "RESTARTED")
+    assert status["fault"].keys() == FAULT_KEYS
+    assert status["pids"]["control"] is None
+    bench.host.attach(bench.control)
+    bench.tick()
+    assert bench.host.status()["fault"] is None
+    assert bench.host.status()["state"] == "off"
+
+
+@on_bench
+async def test_the_cycle_figures_cover_the_last_600_ticks(bench: Bench) -> None:
+    record = bench.tick(lateness_us=90_000)
+    assert bench.host.status()["cycle"]["overruns"] == 1
+    assert bench.host.status()["cycle"]["lateness_us_p99"] == 90_000
+    for _ in range(600):
+        bench.host.receive(record := replace(record, lateness_us=5))
+    assert bench.host.status()["cycle"]["overruns"] == 0
+    assert bench.host.status()["cycle"]["lateness_us_p99"] == 5
+
+
+@on_bench
+async def test_ticks_the_host_was_too_slow_for_are_counted(bench: Bench) -> None:
+    bench.tick(dropped=3)
+    bench.tick(dropped=2)
+    assert bench.host.status()["log"] == {"path": "/logs/log.mcap", "problem": "", "dropped": 5}
+    bench.recorder.log_path = None
+    assert bench.host.log()["path"] is None

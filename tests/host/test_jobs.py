@@ -1,0 +1,159 @@
+"""Jobs in a process of their own: results, progress, errors with their fields, cancelling; and the optimisation."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armctl.errors import ConfigError, LogError, RequestRefused
+from armctl.genetic.algorithm import DEFAULT
+from armctl.jobs import OptimizeRequest, Progress, optimize_task, run_job
+from armctl.trajectory.plan import plan_from_text
+from tests.genetic import hand
+from tests.host.doubles import write_take
+
+PATIENCE_S = 60.0
+
+# What a job does, by its argument; tasks must be found by name in the spawned process.
+
+
+def task(what: str, progress: Progress) -> dict[str, Any]:
+    for generation in range(1, 2000):
+        progress(generation, 2.0, 3.0)
+    match what:
+        case "result":
+            return {"pid": os.getpid()}
+        case "refuse":
+            raise RequestRefused("BAD_LINE", ["too short", "too low"])
+        case "misconfigure":
+            raise ConfigError("plan", "via", "too many", "take fewer")
+        case "break":
+            raise ZeroDivisionError("a defect")
+        case "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "hang":
+            signal.pause()
+    raise AssertionError(what)
+
+
+def outcome(what: str) -> tuple[Any, list[tuple[int, float, float]]]:
+    seen: list[tuple[int, float, float]] = []
+
+    async def main() -> Any:
+        async with asyncio.timeout(PATIENCE_S):
+            return await run_job(task, what, lambda *values: seen.append(values))
+
+    return asyncio.run(main()), seen
+
+
+def test_a_job_runs_elsewhere_and_its_progress_is_rare() -> None:
+    result, seen = outcome("result")
+    assert result["pid"] != os.getpid()
+    assert seen[0] == (1, 2.0, 3.0)
+    assert len(seen) < 50
+
+
+@pytest.mark.parametrize(
+    ("what", "kind", "fields"),
+    [
+        ("refuse", RequestRefused, {"code": "BAD_LINE", "reasons": ("too short", "too low")}),
+        ("misconfigure", ConfigError, {"file": "plan", "key": "via", "remedy": "take fewer"}),
+        ("break", RequestRefused, {"code": "JOB_FAILED"}),
+        ("die", RequestRefused, {"code": "JOB_FAILED"}),
+    ],
+)
+def test_a_job_s_error_is_raised_with_its_fields(what: str, kind: type[Exception], fields: dict[str, Any]) -> None:
+    with pytest.raises(kind) as caught:
+        outcome(what)
+    assert vars(caught.value) | fields == vars(caught.value)
+    assert str(caught.value)
+
+
+def test_cancelling_ends_the_process() -> None:
+    async def main() -> None:
+        begun = asyncio.Event()
+        work = asyncio.create_task(run_job(task, "hang", lambda *_: begun.set()))
+        async with asyncio.timeout(PATIENCE_S):
+            await begun.wait()
+            work.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await work
+
+    # A process that was not ended and joined would leave a ResourceWarning, an error here.
+    asyncio.run(main())
+
+
+# -------------------------------------------------------------------------------------------- optimisation
+
+SETTINGS = replace(DEFAULT, population=40, generations=12)
+
+
+def request(folder: Path, count: int = 3) -> OptimizeRequest:
+    paths = []
+    for number, samples in enumerate(hand.recordings(count, seed=1)):
+        paths.append(folder / f"take-{number}.mcap")
+        write_take(paths[-1], samples, hand.arm())
+    return OptimizeRequest(
+        arm=hand.arm(),
+        recordings=tuple(paths),
+        from_m=tuple(hand.A.tolist()),
+        to_m=tuple(hand.B.tolist()),
+        via=(0, 2),
+        duration_s=6.0,
+        seed=3,
+        settings=SETTINGS,
+    )
+
+
+def test_an_optimisation_says_everything_the_contract_names(tmp_path: Path) -> None:
+    asked = request(tmp_path)
+    seen: list[tuple[int, float, float]] = []
+    result = optimize_task(asked, lambda *values: seen.append(values))
+    assert [generation for generation, _, _ in seen] == list(range(1, 13))
+    assert [entry["name"] for entry in result["baseline"]] == ["take-0", "take-1", "take-2"]
+    assert result["ga"]["generations"] == 12
+    assert result["ga"]["evaluations"] > 0
+    assert result["ga"]["evaluations_per_s"] > 0.0
+    assert result["ga"]["mean_error_mm"] < min(entry["mean_error_mm"] for entry in result["baseline"])
+    assert result["gap_ratio"] >= 0.0
+    assert result["exact"]["mean_error_mm"] > 0.0
+    assert [entry["via"] for entry in result["plans"]] == [0, 2]
+    for entry in result["plans"]:
+        plan = plan_from_text(entry["text"], "plan")
+        assert (plan.via, plan.seed, plan.duration_s) == (entry["via"], 3, 6.0)
+        assert plan.predicted_mean_error_mm == entry["predicted_mean_error_mm"]
+    assert len(result["history"]["best_cost_mm"]) == len(result["history"]["mean_cost_mm"]) == 12
+
+
+def test_an_optimisation_repeats_itself_elsewhere(tmp_path: Path) -> None:
+    asked = request(tmp_path)
+    here = optimize_task(asked, lambda *_: None)
+
+    async def main() -> dict[str, Any]:
+        async with asyncio.timeout(PATIENCE_S):
+            return await run_job(optimize_task, asked, lambda *_: None)
+
+    there = asyncio.run(main())
+    del here["ga"]["evaluations_per_s"], there["ga"]["evaluations_per_s"]
+    assert here == there
+
+
+def test_recordings_of_another_arm_are_refused_each_by_name(tmp_path: Path) -> None:
+    asked = request(tmp_path, count=2)
+    other = replace(asked, arm=asked.arm.model_copy(update={"arm_id": "other"}))
+    with pytest.raises(RequestRefused) as caught:
+        optimize_task(other, lambda *_: None)
+    assert caught.value.code == "FOREIGN_LOG"
+    assert [reason.split()[1] for reason in caught.value.reasons] == ["take-0", "take-1"]
+
+
+def test_a_missing_recording_is_a_log_error(tmp_path: Path) -> None:
+    asked = replace(request(tmp_path, count=1), recordings=(tmp_path / "none.mcap",))
+    with pytest.raises(LogError):
+        optimize_task(asked, lambda *_: None)

@@ -1,0 +1,153 @@
+"""The wire: strict JSON, the standard's codes, and errors that survive the way."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.api import jsonrpc
+from armctl.api.jsonrpc import MAX_DEPTH, MAX_LINE_BYTES, ProtocolError, TokenBucket, decode
+from armctl.errors import ConfigError, IllegalTransition, LogError, PortBusy, RequestRefused, UnreachableTarget
+
+
+def request(**changes: Any) -> bytes:
+    return json.dumps({"jsonrpc": "2.0", "id": 1, "method": "status", "params": {}} | changes).encode()
+
+
+def refusal(line: bytes) -> ProtocolError:
+    with pytest.raises(ProtocolError) as caught:
+        decode(line)
+    return caught.value
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=10,
+)
+
+
+@settings(deadline=None)
+@given(st.text(), st.dictionaries(st.text(), JSON, max_size=4), st.integers() | st.text() | st.none())
+def test_a_request_is_read_as_it_was_written(method: str, params: dict[str, Any], request_id: int | str | None) -> None:
+    found = decode(request(method=method, params=params, id=request_id))
+    assert (found.method, found.params, found.id, found.answered) == (method, params, request_id, True)
+
+
+@settings(deadline=None)
+@given(st.binary() | JSON.map(lambda value: json.dumps(value).encode()))
+def test_whatever_comes_is_a_request_or_a_protocol_error(line: bytes) -> None:
+    refused = None
+    try:
+        decode(line)
+    except ProtocolError as error:
+        refused = error
+    if refused is not None:
+        assert refused.number in (jsonrpc.PARSE_ERROR, jsonrpc.INVALID_REQUEST)
+        assert json.loads(jsonrpc.error_line(refused.id, refused))["error"]["code"] == refused.number
+
+
+def test_a_request_without_id_is_not_answered() -> None:
+    assert not decode(b'{"jsonrpc":"2.0","method":"stop"}').answered
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999"])
+def test_numbers_are_finite(number: str) -> None:
+    error = refusal(b'{"jsonrpc":"2.0","id":1,"method":"m","params":{"a":%b}}' % number.encode())
+    assert error.number == jsonrpc.PARSE_ERROR
+    assert number in error.problem
+
+
+def test_a_key_stands_once_at_every_level() -> None:
+    for line in (b'{"id":1,"id":2}', b'{"jsonrpc":"2.0","id":1,"method":"m","params":{"a":{"b":1,"b":1}}}'):
+        assert "stands twice" in refusal(line).problem
+
+
+def nested(depth: int) -> bytes:
+    """A request nested `depth` deep, itself and its params being the first two."""
+    return request().replace(b'"params": {}', b'"params": {"a": ' + b"[" * (depth - 2) + b"]" * (depth - 2) + b"}")
+
+
+def test_nesting_is_bounded() -> None:
+    decode(nested(MAX_DEPTH))
+    assert "deep" in refusal(nested(MAX_DEPTH + 1)).problem
+    assert "deep" in refusal(nested(30_000)).problem
+
+
+def test_a_line_is_at_most_64_kib() -> None:
+    line = request(params={"a": "x" * (MAX_LINE_BYTES - 100)})
+    decode(line + b" " * (MAX_LINE_BYTES - len(line)))
+    assert refusal(line + b" " * (MAX_LINE_BYTES - len(line) + 1)).number == jsonrpc.PARSE_ERROR
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"jsonrpc": "1.0"}, "jsonrpc"),
+        ({"method": 3}, "method"),
+        ({"params": [1]}, "params"),
+        ({"id": True}, "id"),
+        ({"id": 1.5}, "id"),
+        ({"extra": 1}, "extra"),
+    ],
+)
+def test_a_malformed_request_is_refused_by_the_name_of_its_fault(changes: dict[str, Any], named: str) -> None:
+    error = refusal(request(**changes))
+    assert error.number == jsonrpc.INVALID_REQUEST
+    assert named in error.problem
+
+
+def test_batches_are_refused() -> None:
+    assert "batch" in refusal(b"[" + request() + b"]").problem
+
+
+def test_invalid_utf_8_and_a_number_of_5000_digits_are_parse_errors() -> None:
+    assert refusal(b'{"jsonrpc":"\xff"}').number == jsonrpc.PARSE_ERROR
+    assert refusal(request().replace(b"1", b"9" * 5000, 1)).number == jsonrpc.PARSE_ERROR
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "exit_status"),
+    [
+        (RequestRefused("PREFLIGHT", ["too fast", "too low"]), "PREFLIGHT", 1),
+        (IllegalTransition("not now"), "ILLEGAL_TRANSITION", 1),
+        (ConfigError("plan", "via", "too many"), "CONFIG", 2),
+        (LogError("no such recording"), "LOG", 1),
+        (PortBusy("held by pid 1"), "PORT_BUSY", 1),
+        (UnreachableTarget("too far", 0.1), "UNREACHABLE", 1),
+    ],
+)
+def test_an_armctl_error_says_code_reasons_and_exit_status(error: Exception, code: str, exit_status: int) -> None:
+    answer = json.loads(jsonrpc.error_line(7, error))
+    assert answer["id"] == 7
+    assert answer["error"]["code"] == jsonrpc.ARMCTL_ERROR
+    data = answer["error"]["data"]
+    assert (data["code"], data["exit_status"], data["type"]) == (code, exit_status, type(error).__name__)
+    assert "; ".join(data["reasons"]) == str(error)
+
+
+def test_a_defect_shows_no_more_than_its_kind() -> None:
+    answer = json.loads(jsonrpc.error_line(1, KeyError("secret")))["error"]
+    assert answer["code"] == jsonrpc.INTERNAL_ERROR
+    assert "KeyError" in answer["message"]
+    assert "secret" not in json.dumps(answer)
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=300))
+def test_a_token_bucket_never_grants_more_than_burst_and_rate(steps_s: list[float]) -> None:
+    bucket, now_s, granted = TokenBucket(20.0, 10.0, 0.0), 0.0, 0
+    for step_s in steps_s:
+        now_s += step_s
+        granted += bucket.take(now_s)
+        assert granted <= 10.0 + 20.0 * now_s + 1e-6
+
+
+def test_a_token_bucket_serves_a_burst_and_then_the_rate() -> None:
+    bucket = TokenBucket(200.0, 400.0, 0.0)
+    assert sum(bucket.take(0.0) for _ in range(1000)) == 400
+    assert sum(bucket.take(1.0) for _ in range(1000)) == 200

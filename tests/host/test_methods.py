@@ -1,0 +1,198 @@
+"""What clients can ask for: parameters held to their bounds, recordings, and the one optimisation at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from armctl.api.host import Host
+from armctl.api.methods import Methods, describe
+from armctl.api.server import Connection
+from armctl.clock import VirtualClock
+from armctl.config import validate
+from armctl.errors import ConfigError, LogError, RequestRefused
+from armctl.genetic.algorithm import DEFAULT
+from armctl.jobs import OptimizeRequest, Progress
+from armctl.recording.recordings import Recording, load
+from tests.genetic import hand
+from tests.host.doubles import MemoryRecorder, write_take
+
+
+class Asker:
+    """A connection as methods know it."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.notified: list[tuple[str, dict[str, Any]]] = []
+
+    def notify(self, method: str, params: dict[str, Any]) -> None:
+        self.notified.append((method, params))
+
+
+class Bench:
+    """Methods over an arm that nobody asks, and an optimisation that waits to be told."""
+
+    def __init__(self, folder: Path) -> None:
+        host = Host(hand.arm(), hand.robot(), 0.1, MemoryRecorder(), VirtualClock())
+        self.requests: list[OptimizeRequest] = []
+        self.gate = asyncio.Event()
+        self.methods = Methods(host, folder, self.optimise)
+        self.table = self.methods.table()
+        self.anna, self.ben = Asker("anna"), Asker("ben")
+
+    async def optimise(self, request: OptimizeRequest, progress: Progress) -> dict[str, Any]:
+        self.requests.append(request)
+        progress(1, 2.0, 3.0)
+        await self.gate.wait()
+        return {"gap_ratio": 0.0}
+
+    def ask(self, client: Asker, method: str, **params: Any) -> Awaitable[dict[str, Any]]:
+        entry = self.table[method]
+        return entry.handle(cast("Connection", client), validate(entry.params, params, method))
+
+
+def on_bench(folder: Path, test: Callable[[Bench], Awaitable[None]]) -> None:
+    async def main() -> None:
+        await test(Bench(folder))
+
+    asyncio.run(main())
+
+
+LINE: dict[str, Any] = {"recordings": ["a"], "from_m": [0.18, -0.125, 0.1], "to_m": [0.18, 0.125, 0.1], "via": [0]}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, samples in zip("ab", hand.recordings(2, seed=1), strict=True):
+        write_take(tmp_path / f"{name}.mcap", samples, hand.arm())
+    return tmp_path
+
+
+def test_an_optimisation_gets_what_was_asked_for_and_tells_its_progress(folder: Path) -> None:
+    async def test(bench: Bench) -> None:
+        bench.gate.set()
+        settings = {"generations": 50, "selection": "roulette"}
+        result = await bench.ask(bench.anna, "optimize", **LINE, seed=7, duration_s=3.0, settings=settings)
+        assert result == {"job": 1, "gap_ratio": 0.0}
+        [request] = bench.requests
+        assert request.recordings == (folder / "a.mcap",)
+        assert (request.from_m, request.to_m) == ((0.18, -0.125, 0.1), (0.18, 0.125, 0.1))
+        assert (request.via, request.seed, request.duration_s) == ((0,), 7, 3.0)
+        assert (request.settings.generations, request.settings.selection) == (50, "roulette")
+        assert request.settings.population == DEFAULT.population
+        assert bench.anna.notified == [("progress", {"job": 1, "generation": 1, "best": 2.0, "mean": 3.0})]
+
+    on_bench(folder, test)
+
+
+def test_one_optimisation_at_a_time(folder: Path) -> None:
+    async def test(bench: Bench) -> None:
+        first = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
+        while not bench.requests:
+            await asyncio.sleep(0)
+        with pytest.raises(RequestRefused, match="anna") as busy:
+            await bench.ask(bench.ben, "optimize", **LINE)
+        assert busy.value.code == "BUSY"
+        bench.gate.set()
+        await first
+        assert (await bench.ask(bench.ben, "optimize", **LINE))["job"] == 2
+
+    on_bench(folder, test)
+
+
+def test_an_optimisation_ends_with_its_client_and_with_no_other(folder: Path) -> None:
+    async def test(bench: Bench) -> None:
+        work = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
+        while not bench.requests:
+            await asyncio.sleep(0)
+        bench.methods.client_gone(cast("Connection", bench.ben))
+        await asyncio.sleep(0)
+        assert not work.done()
+        bench.methods.client_gone(cast("Connection", bench.anna))
+        with pytest.raises(RequestRefused) as ended:
+            await work
+        assert ended.value.code == "CANCELLED"
+
+    on_bench(folder, test)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"via": [21]}, "via"),
+        ({"via": []}, "via"),
+        ({"recordings": []}, "recordings"),
+        ({"recordings": ["../a"]}, "recordings"),
+        ({"from_m": [0.1, 0.2]}, "from_m"),
+        ({"from_m": [11.0, 0.0, 0.0]}, "from_m"),
+        ({"to_m": [math.nan, 0.0, 0.0]}, "to_m"),
+        ({"duration_s": 0.0}, "duration_s"),
+        ({"duration_s": "5"}, "duration_s"),
+        ({"seed": -1}, "seed"),
+        ({"settings": {"colour": 1}}, "colour"),
+        ({"settings": {"population": 0}}, "population"),
+        ({"settings": {"population": "many"}}, "population"),
+        ({"settings": 3}, "settings"),
+        ({"interpolation": "spline"}, "interpolation"),
+        ({"speed": 1}, "speed"),
+    ],
+)
+def test_a_wrong_parameter_is_refused_by_name(tmp_path: Path, changes: dict[str, Any], named: str) -> None:
+    async def test(bench: Bench) -> None:
+        with pytest.raises(ConfigError, match=named):
+            await bench.ask(bench.anna, "optimize", **(LINE | changes))
+
+    on_bench(tmp_path, test)
+
+
+def test_an_unknown_recording_is_answered_with_the_known_ones(folder: Path) -> None:
+    async def test(bench: Bench) -> None:
+        for method, params in (
+            ("optimize", LINE | {"recordings": ["a", "c"]}),
+            ("recordings_show", {"name": "c"}),
+            ("recordings_rename", {"name": "c", "to": "d"}),
+            ("recordings_delete", {"name": "c"}),
+        ):
+            with pytest.raises(LogError, match="a, b"):
+                await bench.ask(bench.anna, method, **params)
+
+    on_bench(folder, test)
+
+
+def test_recordings_are_listed_shown_renamed_and_deleted(folder: Path) -> None:
+    async def test(bench: Bench) -> None:
+        listed = (await bench.ask(bench.anna, "recordings_list"))["recordings"]
+        assert [entry["name"] for entry in listed] == ["a", "b"]
+        for entry in listed:
+            assert entry.keys() >= {"name", "path", "duration_s", "samples", "mean_error_mm", "max_error_mm"}
+            assert 0.0 < entry["mean_error_mm"] < entry["max_error_mm"] < 100.0
+        assert await bench.ask(bench.anna, "recordings_show", name="b") == listed[1]
+        ends = {"from_m": LINE["from_m"], "to_m": LINE["to_m"]}
+        against = await bench.ask(bench.anna, "recordings_show", name="b", **ends)
+        assert against["mean_error_mm"] != listed[1]["mean_error_mm"]
+        assert 0.0 < against["mean_error_mm"] < against["max_error_mm"] < 100.0
+        with pytest.raises(ConfigError, match="both ends"):
+            await bench.ask(bench.anna, "recordings_show", name="b", from_m=LINE["from_m"])
+        with pytest.raises(LogError):
+            await bench.ask(bench.anna, "recordings_rename", name="a", to="b")
+        renamed = await bench.ask(bench.anna, "recordings_rename", name="a", to="z")
+        assert renamed == {"name": "z", "path": str(folder / "z.mcap")}
+        await bench.ask(bench.anna, "recordings_delete", name="b")
+        assert [path.name for path in folder.glob("*.mcap")] == ["z.mcap"]
+
+    on_bench(folder, test)
+
+
+def test_a_recording_that_never_moved_has_no_error_to_show(tmp_path: Path) -> None:
+    samples = np.repeat(hand.recordings(1, seed=1)[0][:1], 5, axis=0)
+    write_take(tmp_path / "still.mcap", samples, hand.arm())
+    recording: Recording = load(tmp_path / "still.mcap")
+    described = describe(recording, hand.robot())
+    assert described["samples"] == 5
+    assert described["mean_error_mm"] is described["max_error_mm"] is None
