@@ -21,7 +21,7 @@ from typing import Any
 
 from armctl import errors
 from armctl.config import socket_path
-from armctl.errors import ArmctlError, NoDaemon, RequestRefused
+from armctl.errors import ArmctlError, NoDaemon, RequestRefused, rebuilt
 
 MAX_WAITING_NOTIFICATIONS = 64
 
@@ -138,7 +138,5 @@ def _error(answer: dict[str, Any]) -> ArmctlError:
     kind = getattr(errors, data["type"], None)
     if not (isinstance(kind, type) and issubclass(kind, ArmctlError)):
         return RequestRefused(data["code"], data["reasons"])
-    error = kind.__new__(kind, answer["message"])
     fields = {key: tuple(value) if isinstance(value, list) else value for key, value in data["fields"].items()}
-    vars(error).update(fields)
-    return error
+    return rebuilt(kind, answer["message"], fields)

@@ -7,13 +7,24 @@ status of the command line is a property of the error, so that no caller has to 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 
 class ArmctlError(Exception):
     """Base of every expected failure; its text is fit for the user's eyes."""
 
     exit_status: ClassVar[int] = 1
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # The default would call the constructor with the finished message.
+        return rebuilt, (type(self), str(self), vars(self))
+
+
+def rebuilt(kind: type[ArmctlError], message: str, fields: dict[str, Any]) -> ArmctlError:
+    """The error as it was raised elsewhere: in another process, or behind the daemon's socket."""
+    error = kind.__new__(kind, message)
+    vars(error).update(fields)
+    return error
 
 
 class ConfigError(ArmctlError):

@@ -75,7 +75,7 @@ async def run_job(task: Task[A, R], argument: A, progress: Progress) -> R:
         elif kind == "result":
             outcome.set_result(values[0])
         elif kind == "refused":
-            outcome.set_exception(_rebuilt(*values))
+            outcome.set_exception(values[0])
         else:
             logger.error("job %s failed\n%s", task.__name__, values[0])
             outcome.set_exception(RequestRefused("JOB_FAILED", "the job broke; the daemon's log has the traceback"))
@@ -106,18 +106,11 @@ def _work(pipe: Connection, task: Task[A, R], argument: A) -> None:
     try:
         pipe.send(("result", task(argument, progress)))
     except ArmctlError as error:
-        pipe.send(("refused", type(error), str(error), vars(error)))
+        pipe.send(("refused", error))
     except BrokenPipeError:
         pass  # nobody waits for the result any more
     except Exception:  # everything else is a defect: told where it can be read
         pipe.send(("broken", traceback.format_exc()))
-
-
-def _rebuilt(kind: type[ArmctlError], message: str, fields: dict[str, Any]) -> ArmctlError:
-    """An error as it was raised; pickle would call its constructor with the finished message."""
-    error = kind.__new__(kind, message)
-    vars(error).update(fields)
-    return error
 
 
 # -------------------------------------------------------------------------------------------- optimisation

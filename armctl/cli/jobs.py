@@ -14,7 +14,7 @@ import click
 
 from armctl.cli.arm import COUNTDOWN, count_down
 from armctl.cli.output import POINT, Output, config_option, output_option, socket_option
-from armctl.errors import ConfigError, LogError, NoDaemon
+from armctl.errors import ConfigError, LogError, NoDaemon, RequestRefused
 
 if TYPE_CHECKING:
     from armctl.client import Client
@@ -23,9 +23,14 @@ Point = tuple[float, float, float]
 
 TEACHING_SPEED_M_S = 0.25
 """ISO 10218-1's manual reduced speed; faster hands are warned."""
-MOVED_RAD = math.radians(3.0)
-STILL_RAD = math.radians(1.0)
-STILL_S = 1.0
+AT_START_M = 0.04
+"""How near its start a take begins."""
+MOVED_M = 0.03
+"""How far the tool goes before a rest can end a take."""
+STILL_M = 0.004
+"""Largest change of the tool's place that still counts as rest."""
+SETTLE_S = 0.5
+REST_S = 1.0
 
 
 @click.command("teach")
@@ -47,8 +52,9 @@ def teach_command(
 ) -> None:
     """Make the arm limp, and record while you guide it by hand.
 
-    A take begins when the arm moves and ends when it rests for a second (or on Enter). Takes are named NAME, or
-    NAME-1, NAME-2, ... and never overwrite one another.
+    Carry the tool to the start and rest it there for half a second (or press Enter): the take begins. Guide it along
+    the line; it ends when the tool rests for a second (or on Enter). Every further take begins where the first did.
+    Takes are named NAME, or NAME-1, NAME-2, ... and never overwrite one another.
 
     Example: armctl teach line --takes 5 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10
     """
@@ -65,12 +71,17 @@ def teach_command(
         if any(joint["torque_enabled"] for joint in commander.call("status")["joints"]):
             count_down(output, countdown)
         commander.call("teach_begin")
-        output.say("the arm is limp; guide it from the start of the line to its end, slowly")
+        output.say("the arm is limp; support it")
+        tool = _Tool(output, watcher)
+        start = from_m
         try:
             for take in names:
-                output.say(f"{take}: waiting for the arm to move")
+                place = "start" if start is None else "start at " + ", ".join(f"{x:.3f}" for x in start)
+                output.say(f"{take}: carry the tool to the {place} and rest it there (or press Enter)")
+                start = tool.settle(start)
                 commander.call("take_begin", name=take)
-                _follow(output, watcher, take)
+                output.say(f"{take}: recording; guide it along the line and rest it at the end (or press Enter)")
+                tool.guided(start)
                 commander.call("take_end")
                 line: dict[str, Any] = {} if from_m is None else {"from_m": from_m, "to_m": to_m}
                 made.append(commander.call("recordings_show", name=take, **line))
@@ -80,48 +91,67 @@ def teach_command(
     output.result({"recordings": made})
 
 
-def _follow(output: Output, watcher: Client, take: str) -> None:
-    """Return when the arm has moved and come to rest again, or on Enter."""
-    recent: deque[list[float]] = deque()
-    last_tool: list[float] | None = None
-    moved = warned = False
-    period_s = 0.1
-    for snapshot in watcher.subscribe():
+class _Tool:
+    """The tool's place as the daemon sees it, followed tick by tick."""
+
+    def __init__(self, output: Output, watcher: Client) -> None:
+        self._output = output
+        self._snapshots = watcher.subscribe()
+        self._recent: deque[Point] = deque(maxlen=100)
+        self._warned = False
+
+    def settle(self, start: Point | None) -> Point:
+        """Wait until the tool rests near `start` (anywhere if None), or for Enter; returns where it is."""
+        moved = start is not None
+        self._recent.clear()
+        while True:
+            place, period_s, entered = self._next()
+            moved = moved or math.dist(place, self._recent[0]) > MOVED_M
+            near = start is None or math.dist(place, start) <= AT_START_M
+            if entered or (moved and near and self._rests(SETTLE_S, period_s)):
+                return place
+
+    def guided(self, start: Point) -> None:
+        """Wait until the tool has gone along and rests again, or for Enter."""
+        moved = False
+        self._recent.clear()
+        while True:
+            place, period_s, entered = self._next()
+            moved = moved or math.dist(place, start) > AT_START_M + MOVED_M
+            if entered or (moved and self._rests(REST_S, period_s)):
+                return
+
+    def _rests(self, seconds: float, period_s: float) -> bool:
+        count = round(seconds / period_s)
+        recent = list(self._recent)[-count:]
+        return len(recent) == count and all(math.dist(place, recent[-1]) < STILL_M for place in recent)
+
+    def _next(self) -> tuple[Point, float, bool]:
+        """The tool's place after the next tick, the tick's length, and whether Enter was pressed."""
+        snapshot = next(self._snapshots)
         if snapshot["state"] != "teaching":
-            return
-        period_s = snapshot["period_s"]
-        positions = [joint["position_rad"] for joint in snapshot["joints"]]
-        tool = snapshot["tool"]["position_m"]
-        speed_m_s = 0.0 if last_tool is None else math.dist(tool, last_tool) / period_s
-        last_tool = tool
-        if speed_m_s > TEACHING_SPEED_M_S and not warned:
-            output.say(
-                f"{take}: the tool moves at {speed_m_s * 1000.0:.0f} mm/s; slower than 250 is safer and smoother"
-            )
-            warned = True
-        recent.append(positions)
-        if not moved:
-            moved = _spread(recent) > MOVED_RAD
-            if moved:
-                output.say(f"{take}: recording")
-        while len(recent) > STILL_S / period_s:
-            recent.popleft()
-        if moved and len(recent) >= round(STILL_S / period_s) and _spread(recent) < STILL_RAD:
-            return
-        if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0.0)[0]:
+            fault = snapshot["fault"]
+            why = f"{fault['code']}: {fault['text']}" if fault else f"the arm is {snapshot['state']}"
+            raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")
+        x, y, z = snapshot["tool"]["position_m"]
+        place, period_s = (x, y, z), float(snapshot["period_s"])
+        speed_m_s = math.dist(place, self._recent[-1]) / period_s if self._recent else 0.0
+        if speed_m_s > TEACHING_SPEED_M_S and not self._warned:
+            self._warned = True
+            self._output.say(f"the tool moves at {speed_m_s * 1000.0:.0f} mm/s; slower than 250 is safer and smoother")
+        self._recent.append(place)
+        entered = sys.stdin.isatty() and bool(select.select([sys.stdin], [], [], 0.0)[0])
+        if entered:
             sys.stdin.readline()
-            return
-
-
-def _spread(positions: deque[list[float]]) -> float:
-    """Largest change of any joint [rad]."""
-    return max((max(column) - min(column) for column in zip(*positions, strict=True)), default=0.0)
+        return place, period_s, entered
 
 
 def _described(recording: dict[str, Any]) -> str:
+    text = f"{recording['name']}: {recording['duration_s']:.1f} s, {recording['samples']} samples"
+    if recording["mean_error_mm"] is None:
+        return f"{text}, the tool never left its place"
     return (
-        f"{recording['name']}: {recording['duration_s']:.1f} s, {recording['samples']} samples, "
-        f"{recording['mean_error_mm']:.1f} mm mean and {recording['max_error_mm']:.1f} mm at most off the line"
+        f"{text}, {recording['mean_error_mm']:.1f} mm mean and {recording['max_error_mm']:.1f} mm at most off the line"
     )
 
 
