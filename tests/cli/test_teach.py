@@ -1,0 +1,77 @@
+"""When a take begins and ends: the tool followed through snapshots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, cast
+
+import pytest
+
+from armctl.cli.jobs import _Tool
+from armctl.cli.output import Output
+from armctl.client import Client
+from armctl.errors import RequestRefused
+
+Place = tuple[float, float, float]
+START: Place = (0.18, -0.12, 0.1)
+
+
+class Snapshots:
+    """A watcher that has seen the tool at these places; ends like a daemon whose teaching ended."""
+
+    def __init__(self, places: list[Place]) -> None:
+        self.left = len(places)
+        self._places = places
+
+    def subscribe(self) -> Iterator[dict[str, Any]]:
+        for place in self._places:
+            self.left -= 1
+            yield {"state": "teaching", "fault": None, "period_s": 0.1, "tool": {"position_m": list(place)}}
+        yield {"state": "off", "fault": None, "period_s": 0.1, "tool": None}
+
+
+def follow(places: list[Place]) -> tuple[_Tool, Snapshots]:
+    snapshots = Snapshots(places)
+    return _Tool(Output(), cast("Client", snapshots)), snapshots
+
+
+def rest(place: Place, ticks: int) -> list[Place]:
+    return [place] * ticks
+
+
+def way(a: Place, b: Place, ticks: int) -> list[Place]:
+    return [(a[0], a[1] + (b[1] - a[1]) * k / ticks, a[2]) for k in range(1, ticks + 1)]
+
+
+END: Place = (0.18, 0.12, 0.1)
+
+
+def test_a_take_begins_when_the_tool_rests_at_the_start() -> None:
+    places = rest(END, 20) + way(END, START, 20) + rest(START, 6) + rest(START, 30)
+    tool, snapshots = follow(places)
+    assert tool.settle(START) == START
+    assert snapshots.left == 32  # half a second, the arrival included
+
+
+def test_without_a_named_start_the_arm_must_first_be_moved() -> None:
+    tool, snapshots = follow(rest(END, 20) + way(END, START, 20) + rest(START, 20))
+    assert tool.settle(None) == START
+    assert snapshots.left == 16
+
+
+def test_resting_elsewhere_begins_nothing() -> None:
+    tool, _ = follow(rest(END, 50))
+    with pytest.raises(RequestRefused, match="teaching ended"):
+        tool.settle(START)
+
+
+def test_a_take_ends_when_the_tool_rests_after_it_went_along() -> None:
+    tool, snapshots = follow(rest(START, 25) + way(START, END, 40) + rest(END, 15))
+    tool.guided(START)
+    assert 3 <= snapshots.left <= 7
+
+
+def test_a_fast_hand_is_warned_once(capsys: pytest.CaptureFixture[str]) -> None:
+    tool, _ = follow(rest(START, 5) + way(START, END, 4) + way(END, START, 4) + way(START, END, 4) + rest(END, 12))
+    tool.guided(START)
+    assert capsys.readouterr().out.count("slower than 250") == 1
