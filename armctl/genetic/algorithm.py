@@ -1,0 +1,172 @@
+"""A genetic algorithm over whole-number genes, driven from outside: ask for individuals, tell their costs.
+
+The cycle is the paper's (Fig. 6, after Michalewicz): reproduction first (crossover, then mutation), then selection,
+with elitism. The caller evaluates a whole population at a time and minimises; nothing here knows what a gene means.
+
+Crossover is one of
+- "one cut": the paper's, random pairs cut at a random place;
+- "fitted": a run of a donor's genes, cut where it fits; some donors are individuals of the first population, so that
+  what selection has lost can come back. It looks the fit up in a table of triple costs.
+Selection is one of
+- "roulette": the elite (fitness at or above a threshold) of parents and offspring stays, the rest is drawn from the
+  offspring in proportion to fitness (eqs. 21, 22);
+- "truncation": the best of parents and offspring together survive (mu + lambda), of equal costs only one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from armctl.errors import ConfigError
+from armctl.genetic import operators
+from armctl.genetic.triple_cost import IntArray
+from armctl.kinematics.transform import FloatArray
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What shapes a run; probabilities, threshold and fraction are within 0..1."""
+
+    population: int
+    generations: int
+    crossover: Literal["one cut", "fitted"]
+    crossover_probability: float
+    """Share of the chromosomes that take part in crossover (Pc)."""
+    mutation_probability: float
+    """Share of all genes of the population that change (Pm)."""
+    selection: Literal["roulette", "truncation"]
+    charge_shares: tuple[float, ...] = (1.0,)
+    """Charges for broken limits as shares of the true ones, one for each equal part of the generations, the last 1.
+    While charges are low, evolution passes through paths that break a limit to better ones behind them."""
+    elite_threshold: float = 1.0
+    """Fitness, relative to the best, from which on an individual is elite (roulette only)."""
+    elite_fraction: float = 0.1
+    """Most of the population that may be elite (roulette only)."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("population", 2, 100_000),
+            ("generations", 1, 1_000_000),
+            ("crossover_probability", 0, 1),
+            ("mutation_probability", 0, 1),
+            ("elite_threshold", 0, 1),
+            ("elite_fraction", 0, 1),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigError("genetic algorithm", name, f"{value} is outside {low} to {high}")
+        shares = self.charge_shares
+        if not 1 <= len(shares) <= self.generations or shares[-1] != 1.0 or not all(share >= 0.0 for share in shares):
+            raise ConfigError(
+                "genetic algorithm",
+                "charge_shares",
+                f"{shares} must be 1 to {self.generations} numbers (the generations), not negative, the last of them 1",
+            )
+
+
+PAPER = Settings(
+    population=100,
+    generations=300,
+    crossover="one cut",
+    crossover_probability=0.6,
+    mutation_probability=0.01,
+    selection="roulette",
+    elite_threshold=0.95,
+)
+"""The paper's operators. It prints no numbers; these are common ones."""
+
+DEFAULT = Settings(
+    population=4000,
+    generations=72,
+    crossover="fitted",
+    crossover_probability=1.0,
+    mutation_probability=0.0,
+    selection="truncation",
+    charge_shares=(0.001, 0.01, 0.1, 1.0),
+)
+"""What comes near the exact optimum."""
+
+_FIRST_DONORS = 0.3
+"""Share of fitted crossovers whose donor comes from the first population."""
+
+
+class GeneticAlgorithm:
+    """State of one run: `ask`, evaluate, `tell`, for as long as wanted."""
+
+    def __init__(
+        self,
+        initial: IntArray,
+        choices: int,
+        settings: Settings,
+        rng: np.random.Generator,
+        *,
+        triple_cost: FloatArray | None = None,
+    ) -> None:
+        """Start from the chromosomes `initial`, shape (any, genes), repeated or cut to the population's size.
+
+        Raises:
+            ValueError: fitted crossover without `triple_cost`, shape (genes - 2, choices, choices, choices).
+        """
+        if settings.crossover == "fitted" and triple_cost is None:
+            raise ValueError("fitted crossover needs a table of triple costs to know what fits")
+        self._settings, self._choices, self._rng, self._table = settings, choices, rng, triple_cost
+        self._initial = initial
+        self._asked = np.resize(initial, (settings.population, initial.shape[1]))
+        self._parents = self._asked[:0]
+        self._parent_cost: FloatArray = np.empty(0)
+        self.best: IntArray = self._asked[0].copy()
+        self.best_cost = np.inf
+        self.evaluations = 0
+
+    def restart(self, triple_cost: FloatArray) -> None:
+        """Go on with the first population and the survivors under a new cost; what is best is asked anew."""
+        self._table = triple_cost
+        self._asked = np.concatenate([self._initial, self._parents])[: self._settings.population]
+        self._parents, self._parent_cost = self._asked[:0], np.empty(0)
+        self.best_cost = np.inf
+
+    @property
+    def mean_cost(self) -> float:
+        """Mean cost of the individuals that the last selection kept."""
+        return float(self._parent_cost.mean())
+
+    def ask(self) -> IntArray:
+        """The individuals whose costs `tell` wants next, shape (population, genes)."""
+        return self._asked
+
+    def tell(self, cost: FloatArray) -> None:
+        """Select by the costs (>= 0, shape (population,)) of the individuals asked for, and reproduce."""
+        self.evaluations += len(cost)
+        if cost.min() < self.best_cost:
+            self.best, self.best_cost = self._asked[cost.argmin()].copy(), float(cost.min())
+        pool = np.concatenate([self._parents, self._asked])
+        pool_cost = np.concatenate([self._parent_cost, cost])
+        kept = self._truncation(pool_cost) if self._settings.selection == "truncation" else self._roulette(pool_cost)
+        self._parents, self._parent_cost = pool[kept], pool_cost[kept]
+        self._asked = self._offspring()
+
+    def _truncation(self, cost: FloatArray) -> IntArray:
+        # Equal cost nearly always means the same chromosome, and copies would crowd everything else out.
+        _, distinct = np.unique(cost, return_index=True)
+        return np.resize(distinct, self._settings.population)
+
+    def _roulette(self, cost: FloatArray) -> IntArray:
+        settings = self._settings
+        fitness = operators.fitness_from_cost(cost)
+        elite = operators.elite(fitness, settings.elite_threshold, round(settings.elite_fraction * settings.population))
+        newborn = len(self._parents)
+        drawn = operators.roulette(fitness[newborn:], settings.population - len(elite), self._rng)
+        return np.concatenate([elite, newborn + drawn])
+
+    def _offspring(self) -> IntArray:
+        settings, rng, parents = self._settings, self._rng, self._parents
+        if self._table is not None and settings.crossover == "fitted":
+            old = self._initial[rng.integers(0, len(self._initial), len(parents))]
+            donors = np.where(rng.random((len(parents), 1)) < _FIRST_DONORS, old, rng.permutation(parents))
+            children = operators.fitted_crossover(parents, donors, self._table, settings.crossover_probability, rng)
+        else:
+            children = operators.one_cut_crossover(parents, settings.crossover_probability, rng)
+        return operators.mutate(children, self._choices, settings.mutation_probability, rng)

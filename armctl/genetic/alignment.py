@@ -1,0 +1,121 @@
+"""Recordings made by hand -> candidates: joint paths at the same stations of progress along AB.
+
+A recording has dead time at both ends, stops and goes back, and every one its own speed; what it shares with the others
+is the way from A to B. So time is thrown away:
+1. Positions outside the joint limits are clipped to them, because nothing else can be commanded; the tool path of a
+   recording is that of the clipped positions.
+2. The dead ends go, and with them the way to A, from wherever the arm was: the way begins where progress was last at 0
+   before, once near A, it first reaches 1 (or its greatest value).
+3. Progress is kept monotone: only samples further along than all before count.
+4. Both ends are held: the first and last configuration of the way, corrected by inverse kinematics until the tool is
+   on A and on B exactly, become its points of progress 0 and 1. They stay each recording's own. A common end (the
+   mean of all) would be a jump for every recording of another posture, and then no candidate could be followed.
+5. Joint positions are interpolated linearly at stations of equal progress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.kinematics.chain import SerialChain, tool_position
+from armctl.kinematics.inverse import solve_position
+from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.straightness import progress_along_line
+
+REACH_M = 0.04
+"""How near A and B a recording must come; a quarter of the line's length where that is less."""
+SHORTEST_LINE_M = 0.01
+MAX_RECORDINGS = 40
+"""Tables of the search grow with the third power: 40 recordings take 50 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """R aligned recordings at m stations."""
+
+    progress: FloatArray
+    """Progress of the stations, 0 to 1, shape (m,)."""
+    positions_rad: FloatArray
+    """Joint positions, shape (R, m, joints)."""
+    tool_m: FloatArray
+    """Tool points, shape (R, m, 3)."""
+
+
+def align(
+    recordings: Sequence[FloatArray], arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray, stations: int
+) -> Candidates:
+    """The recordings as candidates for the line from A to B.
+
+    Args:
+        recordings: Joint positions [rad], each of shape (samples, joints).
+        A, B: Ends of the line in the base frame [m], shape (3,).
+        stations: Number of stations, at least 3.
+    Raises:
+        RequestRefused: nothing to align, A and B are (nearly) the same or out of reach, or a recording does not
+            lead from A to B; names every recording that is unfit and why.
+    """
+    length = float(np.linalg.norm(B - A))
+    if not length >= SHORTEST_LINE_M:
+        raise RequestRefused(
+            "BAD_LINE",
+            f"A and B are {length * 1e3:.1f} mm apart, at least {SHORTEST_LINE_M * 1e3:.0f} mm; move one of them",
+        )
+    if not 1 <= len(recordings) <= MAX_RECORDINGS:
+        raise RequestRefused(
+            "BAD_RECORDINGS", f"{len(recordings)} recordings given; give 1 to {MAX_RECORDINGS} that lead from A to B"
+        )
+    progress = np.linspace(0.0, 1.0, stations)
+    aligned, reasons = [], []
+    for number, samples in enumerate(recordings, 1):
+        try:
+            aligned.append(_along_line(np.asarray(samples, dtype=np.float64), arm, chain, A, B, progress))
+        except (ValueError, UnreachableTarget) as error:
+            reasons.append(f"recording {number}: {error}")
+    if reasons:
+        raise RequestRefused("BAD_RECORDINGS", reasons)
+    positions = np.array(aligned)
+    return Candidates(progress, positions, tool_position(chain, positions[..., : chain.n]))
+
+
+def _along_line(
+    samples: FloatArray, arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray, stations: FloatArray
+) -> FloatArray:
+    if samples.ndim != 2 or samples.shape[1] != len(arm.joints) or len(samples) < 2 or not np.isfinite(samples).all():
+        raise ValueError(
+            f"shape {samples.shape} is not two or more samples of the arm's {len(arm.joints)} joints, all finite; "
+            "leave it out or record it again with this arm"
+        )
+    limits = np.array([joint.limits_rad for joint in arm.joints])
+    q = np.clip(samples, limits[:, 0], limits[:, 1])
+    tool = tool_position(chain, q[:, : chain.n])
+    p = progress_along_line(tool, A, B)
+
+    reach = min(REACH_M, float(np.linalg.norm(B - A)) / 4.0)
+    arrived = int(np.argmax(np.linalg.norm(tool - A, axis=1) <= reach))  # 0 if it never comes near A
+    after = p[arrived:]
+    at_B = arrived + (int(np.argmax(after >= 1.0)) if (after >= 1.0).any() else int(after.argmax()))
+    before = p[arrived : at_B + 1]
+    at_A = arrived + (int(np.flatnonzero(before <= 0.0)[-1]) if (before <= 0.0).any() else int(before.argmin()))
+    for name, end, passed in (("A", A, tool[: at_B + 1]), ("B", B, tool[at_A:])):
+        nearest = float(np.linalg.norm(passed - end, axis=1).min())
+        if nearest > reach:
+            raise ValueError(
+                f"on its way from A to B it comes no nearer to {name} than {nearest * 1e3:.0f} mm, "
+                f"at most {reach * 1e3:.0f} mm; record from A to B, or correct {name}"
+            )
+
+    way = slice(at_A, at_B + 1)
+    q, p = q[way], p[way]
+    furthest = np.maximum.accumulate(np.concatenate([[0.0], p]))[:-1]
+    kept = (p > furthest) & (p < 1.0)
+    ends = [q[0].copy(), q[-1].copy()]
+    for end, target in zip(ends, (A, B), strict=True):
+        end[: chain.n] = solve_position(chain, target, end[: chain.n], limits[: chain.n])
+    q = np.concatenate([ends[:1], q[kept], ends[1:]])
+    p = np.concatenate([[0.0], p[kept], [1.0]])
+    return np.stack([np.interp(stations, p, joint) for joint in q.T], axis=1)

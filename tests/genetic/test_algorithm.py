@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armctl.errors import ConfigError
+from armctl.genetic.algorithm import DEFAULT, PAPER, GeneticAlgorithm, Settings
+from armctl.genetic.triple_cost import IntArray, evaluate
+from armctl.kinematics.transform import FloatArray
+
+PLAIN = replace(DEFAULT, population=40, crossover="one cut", mutation_probability=0.05, charge_shares=(1.0,))
+
+
+WEIGHTS = np.random.default_rng(5).uniform(1.0, 2.0, 15)
+
+
+def weighed(population: IntArray) -> FloatArray:
+    """Cost: the weight of all genes that are not 0."""
+    return np.asarray(((population != 0) * WEIGHTS).sum(axis=1))
+
+
+def evolved(settings: Settings, seed: int, generations: int) -> tuple[GeneticAlgorithm, list[float]]:
+    initial = np.random.default_rng(99).integers(0, 3, (20, 15))
+    algorithm = GeneticAlgorithm(initial, 3, settings, np.random.default_rng(seed))
+    best = []
+    for _ in range(generations):
+        algorithm.tell(weighed(algorithm.ask()))
+        best.append(algorithm.best_cost)
+    return algorithm, best
+
+
+def test_the_first_population_is_the_initial_one_repeated() -> None:
+    initial = np.arange(6).reshape(2, 3)
+    algorithm = GeneticAlgorithm(initial, 6, replace(PLAIN, population=5), np.random.default_rng(0))
+    assert algorithm.ask().tolist() == [[0, 1, 2], [3, 4, 5], [0, 1, 2], [3, 4, 5], [0, 1, 2]]
+
+
+@pytest.mark.parametrize("settings", [PLAIN, PAPER])
+def test_the_best_never_gets_worse_and_is_the_cheapest_asked(settings: Settings) -> None:
+    algorithm, best = evolved(settings, 1, 60)
+    assert best == sorted(best, reverse=True)
+    assert best[-1] < best[0]
+    assert weighed(algorithm.best[None])[0] == algorithm.best_cost
+    assert algorithm.evaluations == 60 * settings.population
+
+
+def test_truncation_solves_a_plain_problem() -> None:
+    assert evolved(PLAIN, 1, 200)[0].best_cost == 0.0
+
+
+@pytest.mark.parametrize("settings", [PLAIN, PAPER])
+def test_same_seed_gives_the_same_individuals_and_another_does_not(settings: Settings) -> None:
+    first, second, other = (evolved(settings, seed, 20)[0].ask() for seed in (7, 7, 8))
+    assert np.array_equal(first, second)
+    assert not np.array_equal(first, other)
+
+
+def test_truncation_keeps_the_best_of_parents_and_offspring_one_for_each_cost() -> None:
+    settings = replace(PLAIN, population=4, crossover_probability=0.0, mutation_probability=0.0)
+    algorithm = GeneticAlgorithm(
+        np.arange(4)[:, None] * np.ones(3, dtype=np.intp), 9, settings, np.random.default_rng(0)
+    )
+    algorithm.tell(np.array([3.0, 1.0, 1.0, 2.0]))
+    assert algorithm.ask()[:, 0].tolist() == [1, 3, 0, 1]
+    algorithm.tell(np.array([9.0, 0.5, 9.0, 9.0]))
+    assert algorithm.ask()[:, 0].tolist() == [3, 1, 3, 0]
+    assert algorithm.mean_cost == pytest.approx((0.5 + 1.0 + 2.0 + 3.0) / 4)
+
+
+def test_roulette_keeps_the_elite_of_the_parents() -> None:
+    settings = replace(PAPER, population=10, crossover_probability=0.0, mutation_probability=0.0, elite_fraction=0.2)
+    algorithm = GeneticAlgorithm(
+        np.arange(10)[:, None] * np.ones(3, dtype=np.intp), 10, settings, np.random.default_rng(0)
+    )
+    algorithm.tell(np.where(algorithm.ask()[:, 0] == 4, 1.0, 1e9))
+    algorithm.tell(np.full(10, 2.0))
+    assert algorithm.ask()[0].tolist() == [4, 4, 4]
+    assert algorithm.best.tolist() == [4, 4, 4]
+
+
+def test_fitted_crossover_needs_and_uses_the_table() -> None:
+    initial = np.repeat(np.arange(3)[:, None], 8, axis=1)
+    with pytest.raises(ValueError, match="triple costs"):
+        GeneticAlgorithm(initial, 3, DEFAULT, np.random.default_rng(0))
+    table = np.random.default_rng(3).random((6, 3, 3, 3))
+    algorithm = GeneticAlgorithm(
+        initial, 3, replace(DEFAULT, population=60), np.random.default_rng(0), triple_cost=table
+    )
+    for _ in range(30):
+        algorithm.tell(evaluate(table, algorithm.ask()))
+    alone = evaluate(table, initial).min()
+    assert algorithm.best_cost < alone
+
+
+def test_restart_asks_the_first_population_and_the_survivors_under_the_new_cost() -> None:
+    initial = np.repeat(np.arange(3)[:, None], 8, axis=1)
+    table = np.random.default_rng(3).random((6, 3, 3, 3))
+    algorithm = GeneticAlgorithm(
+        initial, 3, replace(DEFAULT, population=60), np.random.default_rng(0), triple_cost=table
+    )
+    for _ in range(5):
+        algorithm.tell(evaluate(table, algorithm.ask()))
+    before = algorithm.best.copy()
+    algorithm.restart(table + 1.0)
+    asked = algorithm.ask()
+    assert asked.shape == (60, 8)
+    assert (asked[:3] == initial).all()
+    assert (asked == before).all(axis=1).any()
+    algorithm.tell(evaluate(table + 1.0, asked))
+    assert algorithm.best_cost == pytest.approx(float(evaluate(table + 1.0, before)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"population": 1}, "population: 1 is outside 2"),
+        ({"generations": 0}, "generations"),
+        ({"crossover_probability": 1.1}, "crossover_probability: 1.1 is outside 0 to 1"),
+        ({"mutation_probability": float("nan")}, "mutation_probability"),
+        ({"elite_fraction": -0.1}, "elite_fraction"),
+        ({"charge_shares": ()}, "charge_shares"),
+        ({"charge_shares": (0.5,)}, "the last of them 1"),
+        ({"charge_shares": (-1.0, 1.0)}, "not negative"),
+        ({"generations": 2, "charge_shares": (1.0, 1.0, 1.0)}, "1 to 2 numbers"),
+    ],
+)
+def test_settings_out_of_range_are_refused(changes: dict[str, float], match: str) -> None:
+    with pytest.raises(ConfigError, match=match):
+        replace(PAPER, **changes)  # type: ignore[arg-type]

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.genetic.operators import elite, fitness_from_cost, fitted_crossover, mutate, one_cut_crossover, roulette
+from armctl.genetic.triple_cost import evaluate
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def test_fitness_is_1_for_the_best_and_halves_for_twice_the_cost() -> None:
+    assert fitness_from_cost(np.array([4.0, 2.0, 8.0])).tolist() == [0.5, 1.0, 0.25]
+
+
+def test_a_perfect_individual_leaves_no_fitness_to_the_others() -> None:
+    assert fitness_from_cost(np.array([0.0, 2.0, 0.0])).tolist() == [1.0, 0.0, 1.0]
+
+
+def test_roulette_draws_in_proportion_to_fitness() -> None:
+    fitness = np.array([1.0, 0.0, 3.0, 4.0])
+    drawn = np.bincount(roulette(fitness, 80_000, np.random.default_rng(1)), minlength=4)
+    np.testing.assert_allclose(drawn / 80_000, fitness / 8.0, atol=0.01)
+    assert drawn[1] == 0
+
+
+def test_elite_keeps_the_best_above_the_threshold_first() -> None:
+    fitness = np.array([0.5, 1.0, 0.94, 0.96, 0.99])
+    assert elite(fitness, 0.95, 10).tolist() == [1, 4, 3]
+    assert elite(fitness, 0.95, 2).tolist() == [1, 4]
+    assert elite(fitness, 0.95, 0).tolist() == []
+
+
+@given(seeds, st.integers(2, 30), st.integers(2, 12))
+@settings(deadline=None)
+def test_one_cut_crossover_swaps_tails_within_pairs(seed: int, rows: int, genes: int) -> None:
+    population = np.arange(rows)[:, None] * np.ones(genes, dtype=np.intp)
+    before = population.copy()
+    children = one_cut_crossover(population, 1.0, np.random.default_rng(seed))
+    assert (population == before).all()
+    assert (np.sort(children, axis=0) == before).all()  # every gene of every place is still there
+    assert (np.count_nonzero(np.diff(children, axis=1), axis=1) <= 1).all()
+    crossed = (children != before).any(axis=1)
+    assert crossed.sum() == rows // 2 * 2
+    assert (children[:, 0] == before[:, 0]).all()
+
+
+def test_one_cut_crossover_without_probability_changes_nothing() -> None:
+    population = np.arange(12).reshape(4, 3)
+    assert (one_cut_crossover(population, 0.0, np.random.default_rng(0)) == population).all()
+
+
+@given(seeds, st.integers(3, 9), st.integers(2, 4))
+@settings(deadline=None)
+def test_fitted_crossover_takes_one_run_of_the_donor(seed: int, genes: int, choices: int) -> None:
+    rng = np.random.default_rng(seed)
+    table = rng.random((genes - 2, choices, choices, choices))
+    population, donors = rng.integers(0, choices, (2, 20, genes))
+    children = fitted_crossover(population, donors, table, 1.0, rng)
+    for child, receiver, donor in zip(children, population, donors, strict=True):
+        runs = [
+            (begin, end)
+            for begin in range(genes)
+            for end in range(begin + 1, genes + 1)
+            if (child == np.concatenate([receiver[:begin], donor[begin:end], receiver[end:]])).all()
+        ]
+        assert runs
+
+
+def test_fitted_crossover_cuts_where_nothing_breaks() -> None:
+    # Genes 0 and 1 may meet between the places 2 | 3 and 6 | 7 only.
+    genes = 10
+    table = np.zeros((genes - 2, 2, 2, 2))
+    for k in range(genes - 2):
+        for i, j in ((0, 1), (1, 0)):
+            if k not in (2, 6):
+                table[k, i, j, :] += 1.0
+            if k + 1 not in (2, 6):
+                table[k, :, i, j] += 1.0
+        table[k, 1, :, :] -= 0.01 if 3 <= k <= 6 else -0.01
+    receiver, donor = np.zeros((50, genes), dtype=np.intp), np.ones((50, genes), dtype=np.intp)
+    children = fitted_crossover(receiver, donor, table, 1.0, np.random.default_rng(0))
+    assert (evaluate(table, children) < 0.5).all()
+    assert any((child == [0, 0, 0, 1, 1, 1, 1, 0, 0, 0]).all() for child in children)
+
+
+def test_fitted_crossover_without_probability_changes_nothing() -> None:
+    population = np.zeros((7, 5), dtype=np.intp)
+    children = fitted_crossover(population, population + 1, np.zeros((3, 2, 2, 2)), 0.0, np.random.default_rng(0))
+    assert (children == population).all()
+
+
+@given(seeds, st.floats(0.0, 1.0))
+@settings(deadline=None)
+def test_mutation_changes_at_most_its_share_of_genes_to_valid_values(seed: int, probability: float) -> None:
+    population = np.full((10, 8), 3, dtype=np.intp)
+    mutated = mutate(population, 5, probability, np.random.default_rng(seed))
+    assert np.count_nonzero(mutated != 3) <= round(80 * probability)
+    assert mutated.min() >= 0
+    assert mutated.max() < 5
+    assert (population == 3).all()
+
+
+def test_mutation_reaches_every_value() -> None:
+    mutated = mutate(np.zeros((50, 50), dtype=np.intp), 4, 1.0, np.random.default_rng(2))
+    share = np.bincount(mutated.ravel(), minlength=4) / mutated.size
+    assert share[1:] == pytest.approx([0.158] * 3, abs=0.02)  # (1 - 1/e) / 4: places are drawn with replacement

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.errors import ConfigError
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, tool_position
+
+angles = st.lists(st.floats(-math.pi, math.pi), min_size=5, max_size=5)
+
+
+@given(angles)
+@settings(deadline=None)
+def test_equations_7_to_18_hold_with_their_two_corrections(angles: list[float]) -> None:
+    robot = robots.get("ax12-line")
+    d1, a2, a3, a4, a56 = (robot.lengths_m[name] for name in ("d1", "a2", "a3", "a4", "a56"))
+    t1, t2, t3, t4, t5 = angles
+    C1, S1, C2, S2, C4, S4 = (f(t) for t in (t1, t2, t4) for f in (math.cos, math.sin))
+    C23, S23, C45, S45 = (f(t) for t in (t2 + t3, t4 + t5) for f in (math.cos, math.sin))
+    along, across = a4 * C4 + a56 * C45, a4 * S4 + a56 * S45
+    expected = [
+        [
+            C1 * C23 * C45 - C1 * S23 * S45,  # (eq. 7)
+            -C1 * S23 * C45 - C1 * C23 * S45,  # (eq. 8)
+            S1,  # (eq. 9)
+            # (eq. 10); print lacks the last term
+            C1 * (a2 * C2 + a3 * C23) + C1 * C23 * along - C1 * S23 * across,
+        ],
+        [
+            S1 * C23 * C45 - S1 * S23 * S45,  # (eq. 11)
+            -S1 * S23 * C45 - S1 * C23 * S45,  # (eq. 12)
+            -C1,  # (eq. 13)
+            # (eq. 14); print has a2 C2 - a3 C23
+            S1 * (a2 * C2 + a3 * C23) + S1 * C23 * along - S1 * S23 * across,
+        ],
+        [
+            S23 * C45 + C23 * S45,  # (eq. 15)
+            C23 * C45 - S23 * S45,  # (eq. 16)
+            0.0,  # (eq. 17)
+            d1 + S23 * along + C23 * across + a2 * S2 + a3 * S23,  # (eq. 18)
+        ],
+    ]
+    np.testing.assert_allclose(forward_kinematics(robot.chain, np.array(angles))[:3], expected, atol=1e-12)
+
+
+def test_equations_10_and_14_as_printed_are_wrong() -> None:
+    robot = robots.get("ax12-line")
+    L = robot.lengths_m
+    q = np.array([0.5, 0.7, -0.4, 0.3, 0.2])
+    C2, C23, S23 = math.cos(0.7), math.cos(0.3), math.sin(0.3)
+    along = L["a4"] * math.cos(0.3) + L["a56"] * math.cos(0.5)
+    across = L["a4"] * math.sin(0.3) + L["a56"] * math.sin(0.5)
+    printed_x = math.cos(0.5) * (L["a2"] * C2 + L["a3"] * C23) + math.cos(0.5) * C23 * along
+    printed_y = math.sin(0.5) * (L["a2"] * C2 - L["a3"] * C23 + C23 * along - S23 * across)
+    x, y, _ = tool_position(robot.chain, q)
+    assert x - printed_x == pytest.approx(-math.cos(0.5) * S23 * across, abs=1e-12)
+    assert y - printed_y == pytest.approx(2.0 * math.sin(0.5) * L["a3"] * C23, abs=1e-12)
+
+
+def test_stretched_forward_the_arm_reaches_0_38_m_from_the_shoulder() -> None:
+    np.testing.assert_allclose(tool_position(robots.get("ax12-line").chain, np.zeros(5)), [0.38, 0.0, 0.10], atol=1e-15)
+
+
+def test_lengths_are_replaced_by_name() -> None:
+    longer = robots.get("ax12-line", {"a2": 0.205})
+    np.testing.assert_allclose(tool_position(longer.chain, np.zeros(5)), [0.48, 0.0, 0.10], atol=1e-15)
+    assert robots.get("ax12-line", {}) is robots.get("ax12-line")
+
+
+def test_unknown_robot_and_unknown_length_name_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match=r"known: .*ax12-line"):
+        robots.get("hal")
+    with pytest.raises(ConfigError, match="a9: no such length; known: d1, a2, a3, a4, a56"):
+        robots.get("ax12-line", {"a9": 1.0})
+    assert "ax12-line" in robots.names()

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, link_frames, link_transforms
+from armctl.kinematics.chain import tool_position as tool
+from armctl.kinematics.transform import FloatArray
+
+length = st.floats(-0.5, 0.5)
+alpha = st.one_of(st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
+row = st.builds(DHRow, a=length, alpha=alpha, d=length, offset=st.floats(-math.pi, math.pi))
+chains = st.builds(
+    SerialChain, st.lists(row, min_size=1, max_size=7).map(tuple), st.sampled_from(["standard", "modified"])
+)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def rotation_z(t: float) -> FloatArray:
+    return np.array([[math.cos(t), -math.sin(t), 0, 0], [math.sin(t), math.cos(t), 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+def rotation_x(t: float) -> FloatArray:
+    return np.array([[1, 0, 0, 0], [0, math.cos(t), -math.sin(t), 0], [0, math.sin(t), math.cos(t), 0], [0, 0, 0, 1.0]])
+
+
+def translation(x: float, z: float) -> FloatArray:
+    T = np.eye(4)
+    T[0, 3], T[2, 3] = x, z
+    return T
+
+
+def product_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
+    T = np.eye(4)
+    for r, angle in zip(chain.rows, q, strict=True):
+        turn = rotation_z(angle + r.offset) @ translation(0.0, r.d)
+        twist = translation(r.a, 0.0) @ rotation_x(r.alpha)
+        T = (
+            T @ turn @ twist
+            if chain.convention == "standard"
+            else T @ rotation_x(r.alpha) @ translation(r.a, 0.0) @ turn
+        )
+    return T
+
+
+def some_q(chain: SerialChain, seed: int, *shape: int) -> FloatArray:
+    return np.random.default_rng(seed).uniform(-math.pi, math.pi, (*shape, chain.n))
+
+
+@given(chains, seeds)
+@settings(deadline=None)
+def test_forward_kinematics_is_the_product_of_screw_matrices(chain: SerialChain, seed: int) -> None:
+    q = some_q(chain, seed)
+    np.testing.assert_allclose(forward_kinematics(chain, q), product_by_hand(chain, q), atol=1e-12)
+
+
+@given(chains, seeds)
+@settings(deadline=None)
+def test_jacobian_equals_finite_differences(chain: SerialChain, seed: int) -> None:
+    q = some_q(chain, seed)
+    J = jacobian(chain, q)
+    h = 1e-6
+    for i in range(chain.n):
+        step = np.zeros(chain.n)
+        step[i] = h
+        ahead, behind = forward_kinematics(chain, q + step), forward_kinematics(chain, q - step)
+        rate = (ahead - behind) / (2.0 * h)
+        spin = rate[:3, :3] @ forward_kinematics(chain, q)[:3, :3].T
+        np.testing.assert_allclose(J[:3, i], rate[:3, 3], atol=1e-8)
+        np.testing.assert_allclose(J[3:, i], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-8)
+
+
+@given(chains, seeds)
+@settings(deadline=None)
+def test_rotations_are_orthonormal_and_right_handed(chain: SerialChain, seed: int) -> None:
+    R = link_frames(chain, some_q(chain, seed))[:, :3, :3]
+    np.testing.assert_allclose(R @ R.swapaxes(-1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-12)
+
+
+@given(chains, seeds)
+@settings(deadline=None)
+def test_one_pose_and_a_batch_give_the_same_bits(chain: SerialChain, seed: int) -> None:
+    q = some_q(chain, seed, 2, 3)
+    batch = forward_kinematics(chain, q)
+    for i in range(2):
+        for j in range(3):
+            assert np.array_equal(batch[i, j], forward_kinematics(chain, q[i, j]))
+            assert np.array_equal(batch[i, j, :3, 3], tool(chain, q[i, j]))
+    assert jacobian(chain, q).shape == (2, 3, 6, chain.n)
+
+
+@pytest.mark.parametrize("q", [np.zeros(3), np.zeros((2, 1)), np.float64(0.0)])
+def test_wrong_number_of_joints_is_an_error(q: FloatArray) -> None:
+    chain = SerialChain((DHRow(a=1.0), DHRow(a=1.0)))
+    with pytest.raises(ValueError, match="last axis must be 2"):
+        link_transforms(chain, q)

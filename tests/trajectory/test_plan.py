@@ -1,0 +1,249 @@
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.config import ArmConfig
+from armctl.errors import ConfigError
+from armctl.kinematics.chain import tool_position
+from armctl.trajectory.plan import (
+    DWELL_S,
+    SETTLE_S,
+    Plan,
+    joint_trajectory,
+    plan_from_text,
+    plan_positions,
+    plan_to_text,
+    preflight,
+)
+from tests.genetic import hand
+
+ARM, ROBOT = hand.arm(), hand.robot()
+LINE = np.column_stack([hand.joint_line(), np.full(65, 0.3)])
+REST = [joint.rest_rad for joint in ARM.joints]
+
+
+def make_plan(**changes: Any) -> Plan:
+    kept = [0, 20, 44, 64]
+    fields: dict[str, Any] = {
+        "arm_id": ARM.arm_id,
+        "calibration_hash": ARM.calibration_hash,
+        "from_m": tuple(hand.A.tolist()),
+        "to_m": tuple(hand.B.tolist()),
+        "duration_s": 5.0,
+        "via": 2,
+        "interpolation": "cubic",
+        "waypoints_rad": tuple(map(tuple, LINE[kept].tolist())),
+        "waypoint_progress": tuple(index / 64 for index in kept),
+        "predicted_mean_error_mm": 0.2,
+        "predicted_max_error_mm": 0.4,
+        "seed": 3,
+    }
+    return Plan(**(fields | changes))
+
+
+def changed(arm: ArmConfig, joint: int | None = None, **changes: Any) -> ArmConfig:
+    data = arm.model_dump()
+    (data if joint is None else data["joints"][joint]).update(changes)
+    return ArmConfig.model_validate(data)
+
+
+def reasons_for(arm: ArmConfig, plan: Plan | None = None, q_now: list[float] = REST) -> tuple[str, ...]:
+    plan = plan or make_plan()
+    return preflight(plan.model_copy(update={"calibration_hash": arm.calibration_hash}), arm, ROBOT, q_now)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.sampled_from(["linear", "cubic"]))
+@settings(deadline=None)
+def test_a_plan_survives_its_text_form_bit_for_bit(seed: int, via: int, interpolation: str) -> None:
+    rng = np.random.default_rng(seed)
+    plan = make_plan(
+        via=via,
+        interpolation=interpolation,
+        duration_s=float(rng.uniform(1, 9)),
+        waypoints_rad=tuple(map(tuple, rng.standard_normal((via + 2, 6)).tolist())),
+        waypoint_progress=(0.0, *sorted(rng.uniform(0.01, 0.99, via).tolist()), 1.0),
+    )
+    assert plan_from_text(plan_to_text(plan), "line.plan") == plan
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("colour", 1, "colour: unknown key"),
+        ("duration_s", math.nan, "duration_s: .*finite"),
+        ("duration_s", 0.0, "duration_s: .*greater than 0"),
+        ("duration_s", "5", "duration_s"),
+        ("from_m", [0.1, 0.2], "from_m"),
+        ("from_m", [0.1, 0.2, math.inf], "from_m.2: .*finite"),
+        ("interpolation", "quadratic", "interpolation"),
+        ("via", 1, "waypoints_rad has 4 rows; via 1 needs 3"),
+        ("waypoints_rad", [[0.0], [0.0], [0.0], [0.0, 1.0]], "must name the same"),
+        ("waypoints_rad", [[], [], [], []], "at least one"),
+        ("waypoints_rad", [[0.0, None]] * 4, "waypoints_rad.0.1"),
+        ("waypoint_progress", [0.0, 0.5, 1.0], "4 numbers from 0 to 1"),
+        ("waypoint_progress", [0.0, 0.5, 0.9, 0.99], "4 numbers from 0 to 1"),
+        ("waypoint_progress", [0.0, 0.5, 0.5, 1.0], "increase strictly"),
+        ("arm_id", "../x", "arm_id"),
+        ("seed", -1, "seed"),
+        ("predicted_max_error_mm", True, "predicted_max_error_mm"),
+    ],
+)
+def test_a_wrong_plan_is_refused_naming_the_key(key: str, value: object, match: str) -> None:
+    data = json.loads(plan_to_text(make_plan())) | {key: value}
+    with pytest.raises(ConfigError, match=match) as caught:
+        plan_from_text(json.dumps(data), "line.plan")
+    assert str(caught.value).startswith("line.plan: ")
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "not even JSON"),
+        ("[" * 100_000, "not even JSON"),
+        ("[]", "line.plan"),
+        ('{"seed": 1, "seed": 2}', "seed: the key stands twice"),
+        ("{}", "arm_id: Field required"),
+    ],
+)
+def test_text_that_is_no_plan_is_refused(text: str, match: str) -> None:
+    with pytest.raises(ConfigError, match=match):
+        plan_from_text(text, "line.plan")
+
+
+def test_huge_numbers_in_the_text_are_refused_as_infinite() -> None:
+    text = plan_to_text(make_plan()).replace('"duration_s": 5.0', '"duration_s": 1e999')
+    with pytest.raises(ConfigError, match=r"duration_s: .*finite"):
+        plan_from_text(text, "line.plan")
+
+
+def test_the_plan_runs_between_its_ends_and_stands_still_outside() -> None:
+    plan = make_plan()
+    q = plan_positions(plan, np.array([-1.0, 0.0, 2.5, 5.0, 6.0]))
+    np.testing.assert_allclose(q[[0, 1, 3, 4]], LINE[[0, 0, 64, 64]], atol=1e-12)
+    np.testing.assert_allclose(tool_position(ROBOT.chain, q[:, :5])[2], [0.18, 0.0, 0.10], atol=1e-3)
+
+
+@given(st.sampled_from([0.01, 0.05, 0.1]), st.floats(1.0, 9.0), st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=40)
+def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_marks(
+    period_s: float, duration_s: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    q_now = (np.array(REST) + rng.uniform(-1.5, 1.5, 6)).tolist()
+    plan = make_plan(duration_s=duration_s)
+    trajectory = joint_trajectory(plan, ARM, q_now, period_s)
+    q = np.array(trajectory.positions_rad)
+    time_s = np.arange(len(q)) * period_s
+    assert trajectory.positions_rad[0] == tuple(q_now)
+    assert trajectory.end_s - trajectory.begin_s == pytest.approx(duration_s)
+    assert trajectory.duration_s >= trajectory.end_s + SETTLE_S - 1e-9
+    inside = (time_s >= trajectory.begin_s - 1e-9) & (time_s <= trajectory.end_s)
+    np.testing.assert_allclose(
+        q[inside], plan_positions(plan, np.clip(time_s[inside] - trajectory.begin_s, 0, None)), atol=1e-9
+    )
+    dwell = (time_s >= trajectory.begin_s - DWELL_S + 1e-9) & (time_s <= trajectory.begin_s)
+    np.testing.assert_allclose(q[dwell], np.broadcast_to(LINE[0], q[dwell].shape), atol=1e-9)
+    np.testing.assert_allclose(q[time_s > trajectory.end_s][-1], LINE[64], atol=1e-12)
+    approach = np.abs(np.diff(q[time_s < trajectory.begin_s], axis=0)) / period_s
+    assert np.degrees(approach.max()) <= 20.0 + 1e-6
+
+
+def test_an_arm_that_stands_at_the_start_only_dwells() -> None:
+    trajectory = joint_trajectory(make_plan(), ARM, LINE[0].tolist(), 0.05)
+    assert trajectory.begin_s == DWELL_S
+    assert trajectory.end_s == DWELL_S + 5.0
+
+
+def test_the_approach_keeps_slower_joints_and_the_tool_within_their_limits() -> None:
+    q_now = LINE[0].copy()
+    q_now[0] += 0.3
+    usual = joint_trajectory(make_plan(), ARM, q_now.tolist(), 0.01)
+    slow = joint_trajectory(make_plan(), changed(ARM, 0, speed_limit_deg_s=5.0), q_now.tolist(), 0.01)
+    gentle = joint_trajectory(make_plan(), changed(ARM, 0, acceleration_limit_deg_s2=2.0), q_now.tolist(), 0.01)
+    crawling = joint_trajectory(make_plan(), changed(ARM, tool_speed_limit_m_s=0.01), q_now.tolist(), 0.01)
+    for trajectory in (slow, gentle, crawling):
+        assert trajectory.begin_s > usual.begin_s
+    q = np.array(slow.positions_rad)[: int(slow.begin_s * 100)]
+    assert np.degrees(np.abs(np.diff(q, axis=0)).max()) * 100.0 <= 5.0 + 1e-6
+    q = np.array(gentle.positions_rad)[: int(gentle.begin_s * 100)]
+    assert np.degrees(np.abs(np.diff(q, 2, axis=0)).max()) * 1e4 <= 2.0 + 1e-3
+    tool = tool_position(ROBOT.chain, np.array(crawling.positions_rad)[: int(crawling.begin_s * 100), :5])
+    assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() * 100.0 <= 0.01
+
+
+@pytest.mark.parametrize("q_now", [REST[:5], [*REST[:5], math.nan]])
+def test_unknown_joint_positions_make_no_trajectory(q_now: list[float]) -> None:
+    with pytest.raises(ValueError, match="one finite number"):
+        joint_trajectory(make_plan(), ARM, q_now, 0.05)
+    (reason,) = preflight(make_plan(), ARM, ROBOT, q_now)
+    assert "not 6 known joint angles" in reason
+
+
+@pytest.mark.parametrize("period_s", [0.0, -0.1, math.nan, math.inf])
+def test_a_period_must_be_positive(period_s: float) -> None:
+    with pytest.raises(ValueError, match="period_s"):
+        joint_trajectory(make_plan(), ARM, REST, period_s)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "cubic"])
+def test_a_sound_plan_may_run_from_the_rest_pose(interpolation: str) -> None:
+    assert preflight(make_plan(interpolation=interpolation), ARM, ROBOT, REST) == ()
+
+
+def test_a_plan_of_another_arm_or_calibration_may_not_run() -> None:
+    (reason,) = preflight(make_plan(arm_id="other"), ARM, ROBOT, REST)
+    assert "arm 'other', this is 'ax12-line'" in reason
+    (reason,) = preflight(make_plan(calibration_hash="0000"), ARM, ROBOT, REST)
+    assert "calibration 0000" in reason
+
+
+def test_a_plan_of_fewer_joints_may_not_run() -> None:
+    rows = tuple(tuple(row[:5]) for row in make_plan().waypoints_rad)
+    (reason,) = preflight(make_plan(waypoints_rad=rows), ARM, ROBOT, REST)
+    assert "moves 5 joints, the arm has 6" in reason
+
+
+def test_limits_are_named_with_joint_value_and_bound() -> None:
+    (reason,) = reasons_for(changed(ARM, 1, limits_deg=(-10, 100), rest_deg=90), q_now=LINE[0].tolist())
+    assert "shoulder would go to 108.7 deg, outside its limits -10.0 to 100.0 deg" in reason
+    (reason,) = reasons_for(ARM, q_now=[math.radians(-147.0), *REST[1:]])
+    assert "base stands at -147.0 deg, outside its limits -145.0 to 145.0 deg" in reason
+
+
+def test_half_a_tick_outside_a_limit_is_rounding() -> None:
+    assert reasons_for(ARM, q_now=[math.radians(-145.1), *REST[1:]]) == ()
+
+
+def test_joint_speed_and_acceleration_name_a_duration_that_suffices() -> None:
+    arm = changed(ARM, 0, speed_limit_deg_s=15.0)
+    (reason,) = reasons_for(arm)
+    assert "base would reach" in reason
+    assert "at most 15.0 deg/s" in reason
+    needed_s = float(reason.split("duration of ")[1].split(" s")[0])
+    assert reasons_for(arm, make_plan(duration_s=needed_s + 0.1)) == ()
+    arm = changed(ARM, 0, acceleration_limit_deg_s2=20.0)
+    (reason,) = reasons_for(arm)
+    assert "at most 20.0 deg/s2" in reason
+    needed_s = float(reason.split("duration of ")[1].split(" s")[0])
+    assert reasons_for(arm, make_plan(duration_s=needed_s + 0.1)) == ()
+
+
+def test_tool_speed_and_floor_are_watched_over_the_whole_motion() -> None:
+    (reason,) = reasons_for(changed(ARM, tool_speed_limit_m_s=0.03))
+    assert "the tool would reach 0.06" in reason
+    assert "at most 0.030 m/s" in reason
+    (reason,) = reasons_for(changed(ARM, floor_m=0.105), q_now=LINE[0].tolist())
+    assert "come down to 0.09" in reason or "come down to 0.10" in reason
+    assert "floor at 0.105 m" in reason
+
+
+def test_every_reason_is_told_at_once() -> None:
+    arm = changed(changed(ARM, 0, speed_limit_deg_s=15.0), tool_speed_limit_m_s=0.03, floor_m=0.12)
+    assert len(preflight(make_plan(arm_id="other"), arm, ROBOT, LINE[0].tolist())) == 4
