@@ -114,6 +114,10 @@ class ArmConfig(_Frozen):
     floor_m: float = 0.0
     """Height of the surface the arm stands on, in the base frame; no plan goes below it."""
     tool_speed_limit_m_s: float = Field(0.25, gt=0.0, le=2.0)
+    voltage_V: tuple[float, float] = Field((9.0, 13.0), strict=False)
+    """Supply voltage outside which the arm goes to rest."""
+    temperature_limit_degC: float = Field(65.0, gt=0.0, le=80.0)
+    """Temperature from which the arm goes to rest, before a servo's own trip drops it."""
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
 
     @model_validator(mode="after")

@@ -119,6 +119,14 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class Park:
+    """Go slowly to the rest pose, and switch torque off there."""
+
+    request_id: int
+    kind: Literal["park"] = "park"
+
+
+@dataclass(frozen=True, slots=True)
 class Clear:
     """Acknowledge the latched fault; refused while its cause persists."""
 
@@ -142,7 +150,7 @@ class HostLost:
     kind: Literal["host_lost"] = "host_lost"
 
 
-Command = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Clear | Connected | HostLost
+Command = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Park | Clear | Connected | HostLost
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +184,7 @@ class Mode(StrEnum):
     ENERGISING = "energising"
     HOLDING = "holding"
     MOVING = "moving"
+    PARKING = "parking"
     TEACHING = "teaching"
     FAULTED = "faulted"
 

@@ -15,10 +15,17 @@ _NEXT: dict[str, str] = {
     "LOST_TORQUE": "support the arm, type `armctl release`, then `armctl clear` and `armctl torque on`",
     "TRIPPED": "support the arm, remove the load, type `armctl release`, let the servo cool, then `armctl clear` "
     "and `armctl torque on`",
+    "HOT": "let the servo cool; see its temperature in `armctl status`, then type `armctl clear`",
+    "VOLTAGE": "check the power supply and its plug, then type `armctl clear`",
+    "OVERLOAD": "take the load off the arm, then type `armctl clear`",
+    "BUS_NOISE": "check the bus cable, its length and its ground, then type `armctl clear`",
     "OTHER_WRITER": "end the other program that writes to the bus, then type `armctl clear`",
     "BLOCKED": "free the joint, then type `armctl clear`",
     "NOT_LIMP": "end the other program that writes to the bus, then type `armctl release` and `armctl clear`",
 }
+
+SETTLING = frozenset({"HOT", "VOLTAGE", "OVERLOAD"})
+"""Faults that would soon end in a dropped arm: it goes to rest while it can."""
 
 CODES: tuple[str, ...] = tuple(_NEXT)
 """Every code a fault can latch with."""
@@ -32,6 +39,8 @@ def card(fault: Fault, mode: Mode) -> tuple[str, str]:
     """
     if fault.code == "PORT_GONE":
         arm = "out of reach; every servo keeps the last goal it was given, with the torque it had"
+    elif fault.code in SETTLING:
+        arm = "on its way to the rest pose, where torque goes off; or still, where it could not go there"
     elif fault.code in ("LOST_TORQUE", "TRIPPED"):
         arm = "the servo named here is limp; the others keep the torque they have at their last goal"
     else:

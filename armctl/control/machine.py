@@ -1,11 +1,13 @@
 """The control machine: its states, what may happen in each, and nothing else.
 
 Theory. The arm is limp (`off`, `teaching`), on its way to torque (`energising`), under torque (`holding`,
-`moving`) or latched (`faulted`: whatever torque there is stays, nothing advances, only `release` and `clear` are
-heard). Every change of mode is one row of `TRANSITIONS`; an event without a row in the present mode is illegal
-and changes nothing. Who may ask for what, and in which words a request is refused, follows from the same table.
+`moving`, `parking`) or latched (`faulted`). A latched arm keeps what torque it has; only `release` and `clear` are
+heard, and nothing advances but the deceleration and, for a fault that would soon drop the arm anyway, the slow way
+to rest. Every change of mode is one row of `TRANSITIONS`; an event without a row in the present mode is illegal and
+changes nothing. Who may ask for what, and in which words a request is refused, follows from the same table.
 
     off --torque_on--> energising --energised--> holding --run--> moving --stopped--> holding
+    holding --park--> parking --parked--> off, --stopped--> holding
     off, holding --teach--> teaching --teach_end--> off
     any --fault--> faulted --clear_limp--> off, --clear_powered--> holding
 """
@@ -29,6 +31,8 @@ class Trigger(StrEnum):
     ENERGISE_FAILED = "energise_failed"
     RUN = "run"
     STOPPED = "stopped"
+    PARK = "park"
+    PARKED = "parked"
     RELEASE = "release"
     TEACH = "teach"
     TEACH_END = "teach_end"
@@ -54,6 +58,10 @@ TRANSITIONS = MappingProxyType(
         (Mode.HOLDING, Trigger.FAULT): Mode.FAULTED,
         (Mode.MOVING, Trigger.STOPPED): Mode.HOLDING,
         (Mode.MOVING, Trigger.FAULT): Mode.FAULTED,
+        (Mode.HOLDING, Trigger.PARK): Mode.PARKING,
+        (Mode.PARKING, Trigger.PARKED): Mode.OFF,
+        (Mode.PARKING, Trigger.STOPPED): Mode.HOLDING,
+        (Mode.PARKING, Trigger.FAULT): Mode.FAULTED,
         (Mode.TEACHING, Trigger.TEACH_END): Mode.OFF,
         (Mode.TEACHING, Trigger.RELEASE): Mode.OFF,
         (Mode.TEACHING, Trigger.FAULT): Mode.FAULTED,
@@ -68,6 +76,7 @@ _ADVICE: dict[Mode, str] = {
     Mode.ENERGISING: "torque is coming on; wait until it holds",
     Mode.HOLDING: "the arm is holding under torque",
     Mode.MOVING: "the arm is moving; `armctl stop` first",
+    Mode.PARKING: "the arm is on its way to rest; `armctl stop` first",
     Mode.TEACHING: "the arm is limp for teaching; end the teaching first",
     Mode.FAULTED: "a fault is latched; see `armctl status`, then `armctl clear`",
 }
@@ -78,7 +87,8 @@ class Motion:
     """A trajectory under way."""
 
     trajectory: JointTrajectory
-    request_id: int
+    request_id: int | None
+    """Who hears of its end; None: nobody asked, a fault did."""
     progress_s: float = 0.0
     """Where along the trajectory the arm is commanded to be now."""
     rate: float = 1.0
@@ -87,6 +97,17 @@ class Motion:
     """Why it is being stopped; empty while it runs."""
     begun: bool = False
     ended: bool = False
+
+
+class Settle(StrEnum):
+    """How far the way to rest has come."""
+
+    NO = "no"
+    STOP = "stop"
+    """Whatever moves comes to rest first."""
+    MOVE = "move"
+    VERIFY = "verify"
+    """The rest pose has to be seen before torque goes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +134,13 @@ class State:
     anchor: tuple[int, ...] | None = None
     """Positions [tick] when energising began."""
     motion: Motion | None = None
+    settle: Settle = Settle.NO
     error_since_ns: tuple[int, ...] = ()
     """Since when each joint has been farther from its goal than allowed; 0: it is not."""
+    load_since_ns: tuple[int, ...] = ()
+    """Since when each servo's load has been above what it can bear; 0: it is not."""
+    noise: tuple[int, ...] = ()
+    """Readings lost to noise in each of the latest ticks."""
     last_ticks: tuple[int, ...] = ()
     """Positions of the previous sample [tick]."""
 

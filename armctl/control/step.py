@@ -6,8 +6,9 @@ Rules.
 2. Goals are positions of the trajectory one tick ahead; what stops feeding goals stops the arm within two.
 3. A stop runs the trajectory's own time down to zero within `STOP_S`, so the arm stays on its path.
 4. Torque is enabled only by the energising sequence, on request, at the position the arm has; it is disabled
-   only on request (`release`, `teach`) or to undo an energising that went wrong.
-5. A fault latches. While it is latched nothing advances, save the deceleration of rule 3.
+   only on request (`release`, `teach`), at a rest pose that is seen, or to undo an energising that went wrong.
+5. A fault latches. While it is latched nothing advances, save the deceleration of rule 3 and, for a fault that
+   would soon end in a dropped arm, the slow way to rest.
 6. What the servos report, not what was written, decides whether a sequence goes on.
 """
 
@@ -21,7 +22,8 @@ from itertools import pairwise
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.control.machine import Motion, State, Trigger, transition
+from armctl.control.faults import SETTLING
+from armctl.control.machine import Motion, Settle, State, Trigger, transition
 from armctl.dynamixel import ax12a
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import forward_kinematics
@@ -41,6 +43,7 @@ from armctl.messages import (
     JointTrajectory,
     Mode,
     Outputs,
+    Park,
     Release,
     Reply,
     Run,
@@ -50,6 +53,7 @@ from armctl.messages import (
     TorqueOn,
     Write,
 )
+from armctl.trajectory.approach import approach_trajectory, lowest_link_m
 
 STOP_S = 0.2
 """Time in which a stop brings the trajectory's rate from 1 to 0."""
@@ -74,6 +78,13 @@ SEQUENCE_TICKS = 5
 MINIMUM_SPEED_UNITS = 16
 """Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal."""
 MAX_POINTS = 4000
+LOAD_RATIO = 0.8
+LOAD_NS = 2_000_000_000
+"""Load above 80 % for this long: a servo's own trip is near."""
+NOISE_TICKS = 100
+NOISE_SHARE = 0.1
+REST_TOLERANCE_RAD = math.radians(3.0)
+VERIFY_TICKS = 20
 
 
 @dataclass
@@ -83,6 +94,7 @@ class _Step:
     state: State
     inputs: Inputs
     arm: ArmConfig
+    robot: Robot
     period_s: float
     joints: tuple[JointState, ...]
     registers: tuple[_Registers | None, ...]
@@ -126,6 +138,7 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
         state=replace(state, phase=state.phase + 1),
         inputs=inputs,
         arm=arm,
+        robot=robot,
         period_s=period_s,
         joints=_joint_states(inputs, arm),
         registers=tuple(_decode(reading.registers) for reading in inputs.sample.servos),
@@ -215,8 +228,12 @@ def _detect_faults(s: _Step) -> None:
         _latch(s, "BUS_DEAD", "no servo has answered for 0.5 s")
     elif silent:
         _latch_servo(s, "SERVO_SILENT", silent[0], "no reply for 0.5 s")
-    elif s.state.mode in (Mode.HOLDING, Mode.MOVING):
+    elif s.state.mode in (Mode.HOLDING, Mode.MOVING, Mode.PARKING):
         _detect_power_faults(s)
+        if s.state.fault is None:
+            _detect_strain(s)
+        if s.state.fault is None:
+            _detect_noise(s)
     elif s.state.mode is Mode.TEACHING and s.state.request_id is None:
         powered = [i for i, r in enumerate(s.registers) if r is not None and r.torque_enabled]
         if powered:
@@ -253,6 +270,36 @@ def _detect_power_faults(s: _Step) -> None:
     return None
 
 
+def _detect_strain(s: _Step) -> None:
+    """Heat, voltage and lasting load: what comes before a servo's own trip."""
+    since = list(s.state.load_since_ns) or [0] * len(s.joints)
+    low_V, high_V = s.arm.voltage_V
+    for i, (joint, reading) in enumerate(zip(s.joints, s.inputs.sample.servos, strict=True)):
+        if not reading.fresh:
+            continue
+        if joint.temperature_degC >= s.arm.temperature_limit_degC or reading.error & ax12a.ErrorBit.OVERHEAT:
+            bound = f"bound {s.arm.temperature_limit_degC:g}"
+            return _latch_servo(s, "HOT", i, f"{joint.temperature_degC:g} degC ({bound})")
+        if not low_V <= joint.voltage_V <= high_V or reading.error & ax12a.ErrorBit.VOLTAGE:
+            return _latch_servo(s, "VOLTAGE", i, f"{joint.voltage_V:.1f} V (bounds {low_V:g} to {high_V:g})")
+        since[i] = (since[i] or s.inputs.now_ns) if abs(joint.load_ratio) > LOAD_RATIO else 0
+        if since[i] and s.inputs.now_ns - since[i] >= LOAD_NS:
+            return _latch_servo(s, "OVERLOAD", i, f"load {abs(joint.load_ratio):.0%} for 2 s (bound 80%)")
+    s.state = replace(s.state, load_since_ns=tuple(since))
+    return None
+
+
+def _detect_noise(s: _Step) -> None:
+    noisy = sum(reading.problem == "BUS_NOISE" for reading in s.inputs.sample.servos)
+    noise = (*s.state.noise[1 - NOISE_TICKS :], noisy)
+    s.state = replace(s.state, noise=noise)
+    if sum(noise) > NOISE_SHARE * NOISE_TICKS * len(s.joints):
+        share = sum(noise) / (len(noise) * len(s.joints))
+        _latch(
+            s, "BUS_NOISE", f"{share:.0%} of the replies came damaged in {len(noise) * s.period_s:.0f} s (bound 10%)"
+        )
+
+
 def _latch_servo(s: _Step, code: str, index: int, problem: str) -> None:
     joint = s.arm.joints[index]
     _latch(s, code, f"servo {joint.servo_id} ({joint.name}): {problem}", joint.servo_id)
@@ -264,12 +311,18 @@ def _latch(s: _Step, code: str, text: str, servo_id: int | None = None) -> None:
         _finish_motion(s, code, text)
     elif s.state.motion is not None:
         s.state = replace(s.state, motion=replace(s.state.motion, stop_code=code))
+    if s.state.settle is not Settle.NO:
+        s.state = replace(s.state, settle=Settle.NO)
+    if code in SETTLING:
+        s.state = replace(s.state, settle=Settle.STOP)
     _end_sequence(s, code, text)
     s.go(Trigger.FAULT)
     s.state = replace(
         s.state,
         fault=Fault(code, text, s.inputs.now_ns, servo_id),
         error_since_ns=(),
+        load_since_ns=(),
+        noise=(),
         connected=s.state.connected and s.inputs.sample.port_open,
     )
 
@@ -296,6 +349,7 @@ def _command(s: _Step, command: Command) -> None:
                 if s.state.motion is not None:
                     _finish_motion(s, "RELEASED", "")
                 _end_sequence(s, "RELEASED")
+                s.state = replace(s.state, settle=Settle.NO)
                 _torque_off(s)
                 s.reply(request_id, True)
             case Teach(request_id):
@@ -308,6 +362,9 @@ def _command(s: _Step, command: Command) -> None:
                 s.reply(request_id, True)
             case Run(request_id, trajectory):
                 _run(s, request_id, trajectory)
+            case Park(request_id):
+                s.go(Trigger.PARK)
+                s.state = replace(s.state, request_id=request_id, settle=Settle.STOP)
             case Clear(request_id):
                 _clear(s, request_id)
     except RequestRefused as refusal:
@@ -333,6 +390,8 @@ def _connected(s: _Step, command: Connected) -> None:
 
 
 def _hold(s: _Step, request_id: int) -> None:
+    if s.state.settle is not Settle.NO:
+        _abandon_settling(s, "STOPPED", "it was stopped")
     if s.state.motion is not None:
         _stop(s, "STOPPED")
         s.state = replace(s.state, hold_request_ids=(*s.state.hold_request_ids, request_id))
@@ -446,7 +505,7 @@ def _clear(s: _Step, request_id: int) -> None:
     if s.state.fault is None:
         s.reply(request_id, True, message="no fault is latched")
         return
-    if s.state.motion is not None:
+    if s.state.motion is not None or s.state.settle is not Settle.NO:
         raise RequestRefused("NOT_CLEARED", "the arm is still coming to rest; try again")
     persisting = _persisting_cause(s)
     if persisting:
@@ -465,6 +524,16 @@ def _persisting_cause(s: _Step) -> str:
         return "the serial port is not open; plug the adapter in"
     if s.state.problems:
         return "; ".join(problem.text for problem in s.state.problems)
+    hot = [
+        j.name
+        for j, now in zip(s.arm.joints, s.joints, strict=True)
+        if now.temperature_degC >= s.arm.temperature_limit_degC
+    ]
+    if hot:
+        return f"{', '.join(hot)} above {s.arm.temperature_limit_degC:g} degC; let it cool"
+    low_V, high_V = s.arm.voltage_V
+    if not all(low_V <= now.voltage_V <= high_V for now in s.joints):
+        return f"the supply voltage is outside {low_V:g} to {high_V:g} V"
     silent = [j.name for j, reading in zip(s.arm.joints, s.inputs.sample.servos, strict=True) if not reading.fresh]
     if silent:
         return f"no reply from {', '.join(silent)}"
@@ -503,8 +572,55 @@ def _advance(s: _Step) -> None:
         _energise(s)
     elif s.state.mode is Mode.TEACHING and s.state.request_id is not None and s.state.phase > 0:
         _verify_limp(s)
+    if s.state.settle is not Settle.NO:
+        _settle(s)
     if s.state.motion is not None:
         _move(s, s.state.motion)
+
+
+def _settle(s: _Step) -> None:
+    """The slow way to rest: come to a stop, go there, see that it is there, switch torque off."""
+    goal = s.state.goal
+    assert goal is not None
+    if any(r is None or not r.torque_enabled or not r.torque_limit for r in s.registers):
+        return _abandon_settling(s, "LOST_TORQUE", "a servo has no torque")
+    if any(joint.age_s > SILENT_AGE_S for joint in s.joints):
+        return _abandon_settling(s, "SERVO_SILENT", "a servo does not answer")
+    if s.state.motion is not None:
+        return None
+    if s.state.settle is Settle.STOP:
+        q = [joint.position_rad(tick) for joint, tick in zip(s.arm.joints, goal, strict=True)]
+        rest = [joint.rest_rad for joint in s.arm.joints]
+        way = approach_trajectory(q, rest, s.arm, s.robot, s.period_s, "to rest")
+        if lowest_link_m(way, s.robot) < s.arm.floor_m:
+            return _abandon_settling(s, "LIMIT", "the straight way to rest leads below the floor")
+        s.state = replace(s.state, motion=Motion(way, None), settle=Settle.MOVE, phase=0)
+    elif s.state.settle is Settle.MOVE:
+        s.state = replace(s.state, settle=Settle.VERIFY, phase=0)
+    elif s.fresh and all(
+        abs(now.position_rad - joint.rest_rad) <= REST_TOLERANCE_RAD
+        for now, joint in zip(s.joints, s.arm.joints, strict=True)
+    ):
+        _torque_off(s)
+        s.events.append(Event("info", "PARKED", "the arm is at its rest pose; torque is off"))
+        s.reply(s.state.request_id, True)
+        if s.state.mode is Mode.PARKING:
+            s.go(Trigger.PARKED)
+        s.state = replace(s.state, settle=Settle.NO, request_id=None)
+    elif s.state.phase > VERIFY_TICKS:
+        _abandon_settling(s, "NOT_AT_REST", "the arm is over 3 deg from its rest pose")
+    return None
+
+
+def _abandon_settling(s: _Step, code: str, why: str) -> None:
+    """Hold instead: torque is never cut but at rest."""
+    _stop(s, code)
+    text = f"the arm does not go to rest: {why}; it holds"
+    s.events.append(Event("warning", code, text))
+    s.state = replace(s.state, settle=Settle.NO)
+    _end_sequence(s, code, text)
+    if s.state.mode is Mode.PARKING and s.state.motion is None:
+        s.go(Trigger.STOPPED)
 
 
 def _energise(s: _Step) -> None:
@@ -594,7 +710,7 @@ def _finish_motion(s: _Step, code: str, text: str) -> None:
     s.reply(motion.request_id, not code, code, text or (f"the motion was stopped ({code})" if code else ""))
     for request_id in s.state.hold_request_ids:
         s.reply(request_id, True)
-    if s.state.mode is Mode.MOVING:
+    if s.state.mode is Mode.MOVING or (s.state.mode is Mode.PARKING and s.state.settle is Settle.NO):
         s.go(Trigger.STOPPED)
     s.state = replace(s.state, motion=None, hold_request_ids=())
 

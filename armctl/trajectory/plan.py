@@ -20,21 +20,18 @@ from armctl.config import ArmConfig, Name, validate
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
-from armctl.kinematics.chain import link_frames, tool_position
+from armctl.kinematics.chain import link_frames
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
+from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.interpolate import (
-    QUINTIC_PEAK_ACCELERATION,
-    QUINTIC_PEAK_SPEED,
     Interpolation,
     joint_path,
     quintic,
     time_law,
 )
 
-APPROACH_SPEED_RAD_S = math.radians(20.0)
-SHORTEST_APPROACH_S = 0.5
 DWELL_S = 0.5
 SETTLE_S = 0.5
 MAX_VIA = 200
@@ -138,7 +135,7 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
         raise ValueError(f"q_now {q0.shape} and plan {start.shape} must be one finite number for each joint of the arm")
     if not 0.0 < period_s < math.inf:
         raise ValueError(f"period_s {period_s} must be above 0")
-    approach_s = _approach_duration_s(q0, start, arm)
+    approach_s = approach_duration_s(q0, start, arm, robots.get(arm.robot, arm.lengths_m))
     begin = math.ceil((approach_s + DWELL_S) / period_s - 1e-9)
     rows = begin + math.ceil((plan.duration_s + SETTLE_S) / period_s - 1e-9)
     time_s: FloatArray = np.arange(rows + 1) * np.float64(period_s)
@@ -152,22 +149,6 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
         end_s=begin * period_s + plan.duration_s,
         label=f"line via {plan.via}",
     )
-
-
-def _approach_duration_s(q0: FloatArray, q1: FloatArray, arm: ArmConfig) -> float:
-    distance = np.abs(q1 - q0)
-    if not distance.any():
-        return 0.0
-    speed = np.minimum([joint.speed_limit_rad_s for joint in arm.joints], APPROACH_SPEED_RAD_S)
-    acceleration = np.array([joint.acceleration_limit_rad_s2 for joint in arm.joints])
-    by_speed = float((QUINTIC_PEAK_SPEED * distance / speed).max())
-    by_acceleration = math.sqrt(float((QUINTIC_PEAK_ACCELERATION * distance / acceleration).max()))
-    duration_s = max(SHORTEST_APPROACH_S, by_speed, by_acceleration)
-    chain = robots.get(arm.robot, arm.lengths_m).chain
-    points = tool_position(chain, quintic(q0, q1, np.linspace(0.0, 1.0, 201))[:, : chain.n])
-    peak_m_s = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max()) * 200.0 / duration_s
-    # The margin covers what 200 chords miss of the true peak.
-    return duration_s * max(1.0, 1.02 * peak_m_s / arm.tool_speed_limit_m_s)
 
 
 def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) -> tuple[str, ...]:

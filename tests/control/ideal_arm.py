@@ -29,6 +29,8 @@ class IdealArm:
     """Joints that hear every write but do not turn."""
     deaf: set[int] = field(default_factory=set)
     """Joints that answer but hear no goal."""
+    noisy: set[int] = field(default_factory=set)
+    """Joints whose replies come damaged."""
     port_open: bool = True
     late_ns: int = 0
     outputs: Outputs | None = None
@@ -73,7 +75,7 @@ class IdealArm:
         self.now_ns += PERIOD_NS
         readings = []
         for index, joint in enumerate(self.arm.joints):
-            fresh = self.port_open and index not in self.silent
+            fresh = self.port_open and index not in self.silent | self.noisy
             if fresh:
                 self.stamps[index], self.seen[index] = self.now_ns, bytes(self.blocks[index])
             readings.append(
@@ -82,7 +84,7 @@ class IdealArm:
                     self.seen[index] if self.stamps[index] else b"",
                     self.stamps[index],
                     fresh,
-                    problem="" if fresh else "NO_REPLY",
+                    problem="" if fresh else "BUS_NOISE" if index in self.noisy else "NO_REPLY",
                 )
             )
         sample = Sample(self.now_ns, tuple(readings), port_open=self.port_open)

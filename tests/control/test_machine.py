@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from armctl.control.machine import TRANSITIONS, Motion, State, Trigger, transition
+from armctl.control.machine import TRANSITIONS, Motion, Settle, State, Trigger, transition
 from armctl.errors import IllegalTransition
 from armctl.messages import Fault, JointTrajectory, Mode, Problem, from_json, to_json
 
@@ -36,6 +36,7 @@ def test_torque_comes_on_only_through_energising_or_adoption() -> None:
         (Mode.OFF, Trigger.ADOPT_POWERED),
         (Mode.ENERGISING, Trigger.ENERGISED),
         (Mode.MOVING, Trigger.STOPPED),
+        (Mode.PARKING, Trigger.STOPPED),
         (Mode.FAULTED, Trigger.CLEAR_POWERED),
     }
 
@@ -47,6 +48,7 @@ def test_state_survives_json_bit_for_bit() -> None:
         problems=(Problem("EEPROM_MISMATCH", "servo 3: …", 3),),
         fault=Fault("BLOCKED", "stuck", 123456789, 4),
         goal=(1, 2, 3),
+        settle=Settle.VERIFY,
         motion=Motion(JointTrajectory(0.1, ((0.1 + 0.2, -0.0), (1e-300, 1 / 3)), label="x"), 9, progress_s=1 / 7),
         error_since_ns=(0, 5),
     )
