@@ -12,13 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.control import faults
-from armctl.control.step import (
-    MINIMUM_SPEED_UNITS,
-    SOFT_TORQUE,
-    START_TOLERANCE_RAD,
-    sample_trajectory,
-    step,
-)
+from armctl.control.requests import START_TOLERANCE_RAD
+from armctl.control.sequences import SOFT_TORQUE, sample_trajectory
+from armctl.control.step import step
+from armctl.control.tick import MINIMUM_SPEED_UNITS
 from armctl.dynamixel import ax12a
 from armctl.messages import (
     Clear,
