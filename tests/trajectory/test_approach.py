@@ -37,7 +37,7 @@ def test_a_tiny_way_still_takes_its_time_and_no_way_takes_none() -> None:
     q0 = np.zeros(6)
     assert approach_duration_s(q0, q0 + 1e-4, ARM, ROBOT) == pytest.approx(SHORTEST_APPROACH_S)
     assert approach_duration_s(q0, q0, ARM, ROBOT) == 0.0
-    assert len(approach_trajectory(q0, q0, ARM, ROBOT, PERIOD_S, "x").positions_rad) == 2
+    assert len(approach_trajectory(tuple(q0), tuple(q0), ARM, ROBOT, PERIOD_S, "x").positions_rad) == 2
 
 
 def test_the_lowest_point_is_the_lowest_over_the_whole_way() -> None:
