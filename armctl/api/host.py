@@ -41,6 +41,7 @@ from armctl.messages import (
     Hold,
     JointState,
     Mode,
+    Park,
     Release,
     Reply,
     Run,
@@ -57,6 +58,8 @@ ANSWER_S = 10.0
 """Longest wait for the control process's answer to anything but the end of a motion."""
 PAUSES_S = 60.0
 """How much longer than planned a motion may take: it pauses while a servo is silent."""
+PARK_S = 60.0
+"""Longest way to rest: half a turn of every joint at 20 deg/s takes a quarter of it."""
 TAIL_NS = 300_000_000
 """What a run's recording keeps after the motion has ended."""
 STATISTICS_TICKS = 600
@@ -246,8 +249,10 @@ class Host:
         if lease is None or lease.client is not client:
             return
         lease.lost = True
-        if lease.what == "run":
-            self.note({"event": "LEASE_LOST", "who": client.name, "text": "the client left during its run: hold"})
+        if lease.what in ("run", "park"):
+            self.note(
+                {"event": "LEASE_LOST", "who": client.name, "text": f"the client left during its {lease.what}: hold"}
+            )
             self._in_background(self.stop())
         elif lease.what == "teach":
             self._lease = None
@@ -285,6 +290,12 @@ class Host:
 
     async def clear(self, client: Client) -> dict[str, Any]:
         return await self._command(client, "clear", Clear)
+
+    async def park(self, client: Client) -> dict[str, Any]:
+        """Go slowly to rest, limp once there; returns then. A client that leaves meanwhile stops the arm."""
+        with self._commanding(client, "park"):
+            await self._request(Park, PARK_S)
+            return self._state()
 
     async def _command(self, client: Client, what: str, make: Callable[[int], Command]) -> dict[str, Any]:
         with self._commanding(client, what):
@@ -512,6 +523,7 @@ _TO_HOLD = {
     Mode.OFF: "`armctl torque on` first",
     Mode.ENERGISING: "wait until torque is on",
     Mode.MOVING: "wait, or `armctl stop`",
+    Mode.PARKING: "wait, or `armctl stop`",
     Mode.TEACHING: "end the teaching first",
     Mode.FAULTED: "see `armctl status`, then `armctl clear`",
 }

@@ -128,6 +128,7 @@ class Methods:
             "hold": commanded("hold", Nothing, lambda _, __: host.stop(), always=True),
             "release": commanded("release", Confirmed, lambda client, _: host.release(client)),
             "torque_on": commanded("torque_on", Nothing, lambda client, _: host.torque_on(client)),
+            "park": commanded("park", Nothing, lambda client, _: host.park(client)),
             "clear": commanded("clear", Nothing, lambda client, _: host.clear(client)),
             "teach_begin": commanded("teach_begin", Nothing, lambda client, _: host.teach_begin(client)),
             "take_begin": commanded("take_begin", Named, lambda client, p: host.take_begin(client, p.name)),

@@ -112,6 +112,14 @@ def clear_command(output: Output, socket: str | None) -> None:
     _request(output, socket, "clear")
 
 
+@click.command("park")
+@socket_option
+@output_option
+def park_command(output: Output, socket: str | None) -> None:
+    """Go slowly to the rest pose, and go limp there. `armctl stop` keeps the arm where it is."""
+    _request(output, socket, "park")
+
+
 COUNTDOWN = click.option(
     "--countdown", type=click.IntRange(0, 60), default=3, show_default=True, help="Seconds to take hold of the arm."
 )

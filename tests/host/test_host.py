@@ -128,6 +128,24 @@ async def test_release_makes_the_arm_limp(bench: Bench) -> None:
 
 
 @on_bench
+async def test_park_is_answered_when_the_arm_is_limp_at_rest(bench: Bench) -> None:
+    await bench.holding()
+    assert await bench.served(bench.host.park(bench.anna)) == {"state": "off"}
+
+
+@on_bench
+async def test_a_client_that_leaves_during_its_park_stops_the_arm(bench: Bench) -> None:
+    await bench.holding()
+    task = asyncio.ensure_future(bench.host.run(bench.anna, bench.plan()))
+    await bench.until(task.done)
+    task = asyncio.ensure_future(bench.host.park(bench.anna))
+    await bench.until(lambda: bench.arm.mode() is Mode.PARKING)
+    bench.host.client_gone(bench.anna)
+    assert (await bench.refused(task)).code == "STOPPED"
+    assert bench.arm.mode() is Mode.HOLDING
+
+
+@on_bench
 async def test_clear_without_a_fault_is_done(bench: Bench) -> None:
     bench.tick()
     assert await bench.served(bench.host.clear(bench.anna)) == {"state": "off"}
