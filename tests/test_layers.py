@@ -18,9 +18,9 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("armctl.dynamixel.packet", "armctl.kinematics", "armctl.trajectory", "armctl.genetic"),
     ("armctl.control",),
     ("armctl.dynamixel.port", "armctl.dynamixel.bus", "armctl.sim", "armctl.recording", "armctl.control.link"),
-    ("armctl.control.loop", "armctl.control.process", "armctl.jobs", "armctl.report"),
+    ("armctl.control.loop", "armctl.control.process", "armctl.jobs", "armctl.report", "armctl.commissioning"),
     ("armctl.api", "armctl.client", "armctl.daemon"),
-    ("armctl.demo",),
+    ("armctl.demo", "armctl.proving"),
     ("armctl.cli", "armctl.__main__"),
 )
 PURE = (

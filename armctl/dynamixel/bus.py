@@ -37,7 +37,8 @@ BUS_NOISE = "BUS_NOISE"
 PORT_GONE = "PORT_GONE"
 
 SAMPLE_RETRIES = 2
-SILENT_MISSES = 3
+SILENT_MISSES = 5
+"""Long enough (0.5 s at 10 Hz) that a servo which restarts after a brown-out, 0.3 s, is heard as soon as it speaks."""
 PROBE_EVERY = 5
 
 IDENTIFY_LATENCY_MS = 20.0
@@ -74,7 +75,9 @@ IMPOSSIBLE_BITS = _impossible_bits()
 
 
 @dataclass(frozen=True, slots=True)
-class _Reply:
+class Reply:
+    """What came back to one request; `problem` is empty when it is good."""
+
     data: bytes = b""
     error: int = 0
     problem: str = ""
@@ -104,6 +107,11 @@ class ServoBus:
         self._goal_writer = GroupSyncWrite(port, self._handler, ax12a.GOAL.address, 4)
         self._tracks = [_Track(ServoReading(servo_id, b"", 0, False)) for servo_id in self.servo_ids]
         self._sample_count = 0
+
+    @property
+    def port(self) -> ServoPort:
+        """The transport; its user is this bus."""
+        return self._port
 
     def open(self) -> None:
         """Open the port.
@@ -218,6 +226,28 @@ class ServoBus:
             return None
         return None if reply.problem else ax12a.register_value(register, reply.data, begin)
 
+    def read_block(self, servo_id: int, begin: int, size: int) -> Reply:
+        """Bytes of a servo's control table, with its error bits and the time it took; trouble is in the reply.
+
+        Raises:
+            ValueError: two bytes asked for (rule 5), or no such servo id.
+        """
+        if size == 2:
+            raise ValueError("a read of two bytes looks like a reply to itself; read three")
+        try:
+            return self._transact_twice(servo_id, INST_READ, (begin, size), size)
+        except PortGone as error:
+            self._lose_port(error)
+            return Reply(problem=PORT_GONE)
+
+    def answers_twice(self, servo_id: int) -> bool:
+        """Whether more than one servo answers to an id, as far as their replies differ; False without a port."""
+        try:
+            return self._answers_twice(servo_id)
+        except PortGone as error:
+            self._lose_port(error)
+            return False
+
     # ------------------------------------------------------------------------------------------- connecting
 
     def identify(self, arm: ArmConfig) -> tuple[Problem, ...]:
@@ -251,7 +281,7 @@ class ServoBus:
             return (Problem(PORT_GONE, str(error)),)
         return tuple(problems)
 
-    def _adapter_problems(self, tables: Sequence[_Reply]) -> list[Problem]:
+    def _adapter_problems(self, tables: Sequence[Reply]) -> list[Problem]:
         """Judge the adapter by the median good reply, less wire time and that servo's own return delay."""
         wire_ns = (2 * STATUS_OVERHEAD + 2 + ax12a.EEPROM_END) * self._port.byte_ns
         latency_ms = median(
@@ -306,11 +336,11 @@ class ServoBus:
         old = track.reading
         track.reading = ServoReading(old.servo_id, old.registers, old.stamp_ns, False, old.error, problem)
 
-    def _transact_twice(self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int) -> _Reply:
+    def _transact_twice(self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int) -> Reply:
         reply = self._transact(servo_id, instruction, parameters, reply_size)
         return self._transact(servo_id, instruction, parameters, reply_size) if reply.problem else reply
 
-    def _transact(self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int) -> _Reply:
+    def _transact(self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int) -> Reply:
         """One request and its reply, checked as far as every instruction allows; after a bad one the line is quiet.
 
         Raises:
@@ -327,16 +357,16 @@ class ServoBus:
             elapsed_ns = self._clock.now_ns() - begin_ns
             # The SDK has put the checksum into `request` by now, so an echo equals it.
             if result == COMM_SUCCESS and len(packet) == reply_size + STATUS_OVERHEAD and packet != request:
-                return _Reply(bytes(packet[HEADER_SIZE:-1]), error, "", elapsed_ns)
+                return Reply(bytes(packet[HEADER_SIZE:-1]), error, "", elapsed_ns)
             silent = result == COMM_TX_FAIL or (result == COMM_RX_TIMEOUT and not self._port.heard)
             return self._bad(NO_REPLY if silent else BUS_NOISE, elapsed_ns)
         finally:
             self._port.is_using = False
 
-    def _bad(self, problem: str, elapsed_ns: int) -> _Reply:
+    def _bad(self, problem: str, elapsed_ns: int) -> Reply:
         """A reply not to be believed; whatever may still be on its way is drained first."""
         self._port.drain()
-        return _Reply(problem=problem, elapsed_ns=elapsed_ns)
+        return Reply(problem=problem, elapsed_ns=elapsed_ns)
 
     def _check_open(self) -> None:
         if not self.is_open:

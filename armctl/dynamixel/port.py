@@ -19,10 +19,10 @@ import grp
 import os
 import select
 import termios
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import serial
 from dynamixel_sdk import PortHandler
@@ -41,6 +41,8 @@ MARGIN_MS = 1.5
 QUIET_MS = 0.5
 """A line silent for this long, and four bytes more, carries no reply."""
 HEARD_MAX = 256
+PIECE_NS = 500_000
+"""How long a reply under way may pause."""
 DRAIN_BYTES = 64
 DRAIN_ROUNDS = 8
 
@@ -56,6 +58,8 @@ class ServoPort(PortHandler):  # type: ignore[misc]  # the SDK has no types
     is_using: bool
     baudrate: int
     port_name: str
+    low_latency: bool | None = None
+    """The driver's low-latency flag, read back after opening; None: the driver has none (a pty, for one)."""
 
     def __init__(self, name: str, baud: int, clock: Clock) -> None:
         super().__init__(name)
@@ -66,6 +70,8 @@ class ServoPort(PortHandler):  # type: ignore[misc]  # the SDK has no types
         """Bytes read since the last packet timeout was set."""
         self._deadline_ns = 0
         self._request_size = 0
+        self._reply_size = 0
+        """Bytes awaited since the last packet timeout was set; 0: nobody knows."""
         self.setBaudRate(baud)
 
     # ------------------------------------------------------------------------------------ for the transport
@@ -104,12 +110,13 @@ class ServoPort(PortHandler):  # type: ignore[misc]  # the SDK has no types
         """
         wire_ms = (self._request_size + packet_length) * self.byte_ns / NS_PER_MS
         self.setPacketTimeoutMillis(wire_ms + self.return_delay_us / 1000.0 + self.latency_ms + MARGIN_MS)
+        self._reply_size = packet_length
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
         """Start waiting for `msec` milliseconds."""
         super().setPacketTimeoutMillis(msec)
         self._deadline_ns = self.clock.now_ns() + round(msec * NS_PER_MS)
-        self.heard = 0
+        self._reply_size = self.heard = 0
 
     def isPacketTimeout(self) -> bool:
         """Whether the packet's time, or its share of bytes, is used up."""
@@ -143,15 +150,38 @@ class ServoPort(PortHandler):  # type: ignore[misc]  # the SDK has no types
         return drained
 
 
-class SerialPort(ServoPort):
-    """A tty: exclusive, raw, non-blocking, with low latency where the driver knows it.
+class _Gone:
+    """Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them): all are PortGone.
 
-    `low_latency` is the driver's flag read back after opening; None: the driver has none (a pty, for one).
+    A class and not a generator: this is entered a few dozen times a tick, and costs a third.
     """
 
+    def __init__(self, port_name: str) -> None:
+        self._port_name = port_name
+
+    def __enter__(self) -> None:
+        return
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError | termios.error):
+            raise PortGone(
+                f"{self._port_name}: the port vanished ({_reason(error)}); plug the adapter in again"
+            ) from None
+
+
+class SerialPort(ServoPort):
+    """A tty: exclusive, raw, non-blocking, with low latency where the driver knows it."""
+
     ser: serial.Serial | None
-    low_latency: bool | None = None
+    _settings: list[Any]
+    _gone: _Gone
+    _received = b""
+    """Bytes that came with those asked for."""
     _ASYNC_LOW_LATENCY: ClassVar[int] = 0x2000
+
+    def __init__(self, name: str, baud: int, clock: Clock) -> None:
+        self._gone = _Gone(name)
+        super().__init__(name, baud, clock)
 
     def openPort(self) -> bool:
         """Open the port for this process alone.
@@ -164,6 +194,7 @@ class SerialPort(ServoPort):
             self.closePort()
         try:
             self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
+            self._settings = termios.tcgetattr(self.ser.fileno())
             # The mark lives until the tty's last descriptor closes. Who owns a pty's master may hold its slave too,
             # and would lock us out after a crash of ours; there the advisory lock must do.
             if not _is_pty(self.ser.fileno()):
@@ -184,34 +215,51 @@ class SerialPort(ServoPort):
 
     def clearPort(self) -> None:
         """Throw away what was received and not read."""
-        with self._gone():
+        self._received = b""
+        with self._gone:
             termios.tcflush(self._fd(), termios.TCIFLUSH)
 
     def getBytesAvailable(self) -> int:
-        with self._gone():
+        with self._gone:
             self._fd()
             assert self.ser is not None
-            return self.ser.in_waiting
+            return len(self._received) + self.ser.in_waiting
 
     def _receive(self, length: int) -> bytes:
-        data = b""
-        with self._gone():
+        if len(self._received) < length:
+            self._fill(length)
+        data, self._received = self._received[:length], self._received[length:]
+        return data
+
+    def _fill(self, length: int) -> None:
+        """Read until `length` bytes are there or the packet's time is over."""
+        with self._gone:
             fd = self._fd()
-            while len(data) < length:
-                left_s = max(0, self._deadline_ns - self.clock.now_ns()) / NS_PER_S
-                if not select.select([fd], [], [], left_s)[0]:
-                    break
+            self._wake_at(fd, self._reply_size or 1)
+            while len(self._received) < length:
+                wait_ns = self._deadline_ns - self.clock.now_ns()
+                if self._received or self.heard:  # what follows needs its time on the wire, and no more
+                    wait_ns = min(wait_ns, (length - len(self._received)) * self.byte_ns + PIECE_NS)
+                select.select([fd], [], [], max(0, wait_ns) / NS_PER_S)
                 try:
-                    arrived = os.read(fd, length - len(data))
+                    arrived = os.read(fd, HEARD_MAX)  # also when fewer are there than were to wake us
                 except BlockingIOError:
+                    if self.clock.now_ns() >= self._deadline_ns:
+                        break
                     continue
                 if not arrived:
                     raise OSError(errno.EIO, "end of file")
-                data += arrived
-        return data
+                self._received += arrived
+
+    def _wake_at(self, fd: int, size: int) -> None:
+        """Let `select` return when so many bytes are there: waking for each would cost more than all the rest."""
+        size = min(size, 255)
+        if self._settings[6][termios.VMIN] != size:
+            self._settings[6][termios.VMIN] = size
+            termios.tcsetattr(fd, termios.TCSANOW, self._settings)
 
     def _send(self, packet: bytes) -> int:
-        with self._gone():
+        with self._gone:
             fd = self._fd()
             try:
                 sent = os.write(fd, packet)
@@ -225,16 +273,6 @@ class SerialPort(ServoPort):
         if self.ser is None:
             raise PortGone(f"{self.port_name}: the port is not open; open it first")
         return self.ser.fileno()
-
-    @contextmanager
-    def _gone(self) -> Iterator[None]:
-        """Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them)."""
-        try:
-            yield
-        except (OSError, termios.error) as error:
-            raise PortGone(
-                f"{self.port_name}: the port vanished ({_reason(error)}); plug the adapter in again"
-            ) from None
 
     def _ask_low_latency(self, ser: serial.Serial) -> bool | None:
         state = array.array("i", [0] * 32)

@@ -645,3 +645,28 @@ def test_usual_adapter_latency_is_no_problem(bus: ServoBus, port: ScriptedPort, 
     port.adapter_us = 2_000
     assert bus.identify(arm) == ()
     assert all(reading.fresh for reading in bus.read_sample().servos)
+
+
+def test_block_of_a_servo_tells_its_bytes_its_error_bits_and_its_time(bus: ServoBus, port: ScriptedPort) -> None:
+    port.errors[2] = ax12a.ErrorBit.OVERLOAD
+    reply = bus.read_block(2, 0, ax12a.EEPROM_END)
+    assert (reply.data, reply.error, reply.problem) == (bytes(port.tables[2][:24]), ax12a.ErrorBit.OVERLOAD, "")
+    assert reply.elapsed_ns == (8 + 30) * BYTE_NS + 500_000
+    assert bus.read_block(77, 0, 3).problem == NO_REPLY
+    with pytest.raises(ValueError, match="two bytes"):
+        bus.read_block(2, 0, 2)
+
+
+def test_colliding_replies_answer_twice_and_others_do_not(bus: ServoBus, port: ScriptedPort) -> None:
+    port.spoils[3] = [bad_checksum] * 3
+    assert bus.answers_twice(3)
+    assert not bus.answers_twice(2)
+    assert not bus.answers_twice(77)
+    assert bus.port is port
+
+
+def test_block_of_a_vanished_port_is_data(bus: ServoBus, port: ScriptedPort) -> None:
+    port.gone_after = 0
+    assert bus.read_block(1, 0, 3).problem == PORT_GONE
+    assert not bus.is_open
+    assert not bus.answers_twice(1)

@@ -1,0 +1,364 @@
+"""Zero offsets and link lengths from touched points.
+
+A limp arm's tool tip is guided by hand to points whose place in the base frame is known; at each one the servos'
+positions are averaged. With q = direction (tick - zero_tick) TICK_RAD and the chain's tool position f, the zero
+ticks and lengths that make
+
+    sum_k | p_k - f(q_k(zero_ticks), lengths) |^2
+
+least are found by Gauss-Newton. The columns of its matrix are scaled to mm per tick and mm per mm, so that singular
+values mean something: along a singular vector, an error of e mm in the points becomes e / value ticks or mm.
+
+What can be told apart, and what cannot:
+
+- The points are in the base frame: origin where the chain begins (for `ax12-line` on the base yaw's axis, d1 below
+  the shoulder's), x ahead at base position 0, z up. The base's zero is therefore only as true as the sheet's
+  alignment, and d1 only as true as the sheet's height: moving the sheet down is the same as making d1 longer.
+- Servos beyond the chain (a wrist roll) do not move the tool point; their zeros are held.
+- If the tool always comes down at one angle, d1 and the last length are one number, and so are two neighbouring zeros
+  if the joint between their links hardly moves. Touch every point in several postures: elbow high and low, tool
+  steep and flat, near and far. A singular value below `WEAK` says that it was not done: the parameter that leans
+  most on that direction is held at its present value and named with those it cannot be told from, and the search
+  starts anew. The others then make up for what is wrong with it: right near these postures, less so elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+from armctl.clock import Clock
+from armctl.config import ArmConfig, parse_yaml, read_text, validate
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, ServoBus
+from armctl.errors import ConfigError, PortGone, RequestRefused
+from armctl.kinematics import robots
+from armctl.kinematics.chain import jacobian, tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+
+MM = 1000.0
+READINGS = 32
+READING_PERIOD_NS = 20_000_000
+MAX_SPREAD_TICK = 6
+"""Highest minus lowest reading of one joint while the tool rests on a point; more: the arm moved."""
+WEAK = 0.25
+"""Smallest singular value [mm per tick or mm] that counts as seen: there 0.25 mm are a whole tick."""
+HELD_ERROR_TICK = 5.0
+HELD_ERROR_MM = 2.0
+"""How wrong a value that is left alone may be; the others make up for that, and their standard errors say so."""
+CONFUSED = 0.3
+"""Component of a weak direction from which on a parameter is named."""
+Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Parameters -> residuals [mm] and their sensitivity."""
+BEYOND_CHAIN = "does not move the tool"
+ITERATIONS = 50
+STEP = 1e-9
+"""Gauss-Newton ends when no scaled parameter moves by more."""
+MAX_RMS_MM = 5.0
+"""Residuals above this come from points in the wrong order or frame, not from an arm."""
+LENGTH_STEP_M = 1e-3
+"""The tool position is linear in every length, so that a central difference of any width is its derivative."""
+
+
+class Touch(BaseModel):
+    """The tool tip on one known point."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    point_m: tuple[float, float, float] = Field(strict=False)
+    ticks: tuple[float, ...] = Field(strict=False)
+    """Mean position of every servo, in the calibration's order."""
+
+
+class Readings(BaseModel):
+    """All touches of one session."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    arm_id: str
+    touches: tuple[Touch, ...] = Field(strict=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One zero tick or length, before and after."""
+
+    name: str
+    """`JOINT.zero_tick` or `lengths_m.LENGTH`."""
+    unit: str
+    before: float
+    after: float
+    standard_error: float | None
+    """From the residuals, and from what held ones may be wrong by; None: held."""
+    held: str = ""
+    """Why it was left alone."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The result of a calibration."""
+
+    arm: ArmConfig
+    parameters: tuple[Parameter, ...]
+    residuals_mm: FloatArray
+    """Distance of the calibrated tool from each point, shape (m,)."""
+    rms_before_mm: float
+    rms_mm: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether the points showed everything that moves the tool."""
+        return not any(p.held and p.held != BEYOND_CHAIN for p in self.parameters)
+
+
+# ------------------------------------------------------------------------------------------------------- readings
+
+
+def read_points(path: Path) -> list[tuple[float, float, float]]:
+    """Points [m] from lines `x,y,z`; what follows a # is a remark.
+
+    Raises:
+        ConfigError: naming the line.
+    """
+    points = []
+    for number, line in enumerate(read_text(path, "points").splitlines(), start=1):
+        text = line.partition("#")[0].strip()
+        if not text:
+            continue
+        try:
+            x, y, z = (float(part) for part in text.split(","))
+        except ValueError:
+            raise ConfigError(str(path), f"line {number}", f"{text!r} is not x,y,z in metres") from None
+        if not all(math.isfinite(value) and abs(value) <= 10.0 for value in (x, y, z)):
+            raise ConfigError(str(path), f"line {number}", f"{text!r}: finite and within 10 m (the unit is metres)")
+        points.append((x, y, z))
+    if not points:
+        raise ConfigError(str(path), "", "holds no point", "one line x,y,z in metres for each")
+    return points
+
+
+def load_readings(path: Path, arm: ArmConfig) -> Readings:
+    """Readings as `readings_text` wrote them.
+
+    Raises:
+        ConfigError: what is wrong in the file, or that it belongs to another arm.
+    """
+    readings = validate(Readings, parse_yaml(read_text(path, "readings"), str(path)), str(path))
+    if readings.arm_id != arm.arm_id:
+        raise ConfigError(str(path), "arm_id", f"readings of {readings.arm_id!r}, the calibration is {arm.arm_id!r}")
+    for i, touch in enumerate(readings.touches):
+        if len(touch.ticks) != len(arm.joints):
+            raise ConfigError(
+                str(path), f"touches.{i}.ticks", f"{len(touch.ticks)} values for {len(arm.joints)} servos"
+            )
+    return readings
+
+
+def readings_text(readings: Readings) -> str:
+    """YAML of readings."""
+    return yaml.safe_dump(readings.model_dump(mode="json"), sort_keys=False, default_flow_style=None)
+
+
+def read_ticks(bus: ServoBus, arm: ArmConfig, clock: Clock) -> tuple[float, ...]:
+    """Mean position of every servo of a limp arm that is held still; takes 0.6 s, 3 s behind a slow adapter.
+
+    Raises:
+        RequestRefused: a servo is silent or has its torque on, or the arm moved.
+        PortGone: the port vanished.
+    """
+    ticks = np.empty((READINGS, len(arm.joints)))
+    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    due_ns = clock.now_ns()
+    for row in ticks:
+        clock.sleep_until_ns(due_ns)
+        due_ns += READING_PERIOD_NS
+        sample = bus.read_sample()
+        if not sample.port_open:
+            raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
+        for i, (joint, reading) in enumerate(zip(arm.joints, sample.servos, strict=True)):
+            servo = f"servo {joint.servo_id} ({joint.name})"
+            if not reading.fresh:
+                raise RequestRefused("SERVO_SILENT", f"{servo}: {reading.problem}; `armctl doctor` tells more")
+            if ax12a.register_value(ax12a.TORQUE_ENABLE, reading.registers):
+                text = "torque is on; support the arm and let it go limp: `armctl release`"
+                raise RequestRefused("TORQUE_ON", f"{servo}: {text}")
+            row[i] = ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers)
+    spread = np.ptp(ticks, axis=0)
+    if spread.max() > MAX_SPREAD_TICK:
+        moved = arm.joints[int(spread.argmax())].name
+        raise RequestRefused("MOVED", f"{moved} moved by {spread.max():.0f} ticks; hold the tool still on the point")
+    return tuple(ticks.mean(axis=0).round(3).tolist())
+
+
+# ------------------------------------------------------------------------------------------------------------ fit
+
+
+def touches_needed(arm: ArmConfig) -> int:
+    """Fewest touches for a fit: half as many equations again as unknowns."""
+    robot = robots.get(arm.robot)
+    return math.ceil(1.5 * (robot.chain.n + len(robot.lengths_m)) / 3.0)
+
+
+def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
+    """Zero ticks and lengths by least squares.
+
+    Raises:
+        RequestRefused: too few touches, or no arm of this model fits the points.
+    """
+    if len(touches) < touches_needed(arm):
+        raise RequestRefused("TOO_FEW_POINTS", f"{len(touches)} touches, at least {touches_needed(arm)} are needed")
+    robot = robots.get(arm.robot, arm.lengths_m)
+    n = robot.chain.n
+    names = list(robot.lengths_m)
+    directions = np.array([joint.direction for joint in arm.joints[:n]], dtype=np.float64)
+    points = np.array([touch.point_m for touch in touches])
+    ticks = np.array([touch.ticks[:n] for touch in touches])
+    start = np.array([joint.zero_tick for joint in arm.joints[:n]] + [robot.lengths_m[name] * MM for name in names])
+
+    def model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals [mm], shape (3 m,), and their sensitivity to x [ticks, mm], shape (3 m, n + lengths)."""
+        chosen = robot.with_lengths(dict(zip(names, (x[n:] / MM).tolist(), strict=True)))
+        q = directions * (ticks - x[:n]) * ax12a.TICK_RAD
+        residual = (points - tool_position(chosen.chain, q)) * MM
+        turned = jacobian(chosen.chain, q)[:, :3] * (-directions * ax12a.TICK_RAD * MM)
+        stretched = np.stack([_length_sensitivity(chosen, name, q) for name in names], axis=-1)
+        return residual.ravel(), np.concatenate([turned, stretched], axis=-1).reshape(-1, x.size)
+
+    held: dict[int, str] = {}
+    labels = [f"{joint.name}.zero_tick" for joint in arm.joints[:n]] + [f"lengths_m.{name}" for name in names]
+    before, J = model(start)
+    x, J = _solve(model, start, held)
+    while (weak := _weakest(J, held, labels)) is not None:
+        held[weak[0]] = weak[1]
+        x, J = _solve(model, start, held)
+    residual, _ = model(x)
+    rms_mm = _rms(residual)
+    if not rms_mm <= MAX_RMS_MM:
+        text = f"the best arm is {rms_mm:.1f} mm off its points, at most {MAX_RMS_MM:.0f} mm make sense"
+        remedy = "check the order and the unit of the points, the frame, and the joints' directions"
+        raise RequestRefused("POOR_FIT", f"{text}; {remedy}")
+    free = [i for i in range(x.size) if i not in held]
+    errors = np.full(x.size, np.nan)
+    variance = float(residual @ residual) / (residual.size - len(free))
+    left_alone = [i for i in range(x.size) if i in held]
+    absorbed = np.linalg.lstsq(J[:, free], J[:, left_alone], rcond=None)[0]
+    absorbed *= np.array([HELD_ERROR_TICK if i < n else HELD_ERROR_MM for i in left_alone])
+    errors[free] = np.sqrt(variance * np.diag(np.linalg.inv(J[:, free].T @ J[:, free])) + np.sum(absorbed**2, axis=1))
+    scale = np.array([1.0] * n + [1.0 / MM] * len(names))
+    parameters = [
+        Parameter(
+            labels[i],
+            "tick" if i < n else "m",
+            float(start[i] * scale[i]),
+            float(x[i] * scale[i]),
+            None if i in held else float(errors[i] * scale[i]),
+            held.get(i, ""),
+        )
+        for i in range(x.size)
+    ]
+    parameters += [
+        Parameter(f"{joint.name}.zero_tick", "tick", joint.zero_tick, joint.zero_tick, None, BEYOND_CHAIN)
+        for joint in arm.joints[n:]
+    ]
+    zeros = [*x[:n].tolist(), *(joint.zero_tick for joint in arm.joints[n:])]
+    lengths_m = {name: float(x[n + i] / MM) for i, name in enumerate(names) if n + i not in held}
+    return Fit(
+        arm=recalibrated(arm, zeros, {**arm.lengths_m, **lengths_m}),
+        parameters=tuple(parameters),
+        residuals_mm=np.linalg.norm(residual.reshape(-1, 3), axis=1),
+        rms_before_mm=_rms(before),
+        rms_mm=rms_mm,
+    )
+
+
+def _length_sensitivity(robot: Robot, name: str, q: FloatArray) -> FloatArray:
+    """d(tool position) / d(length), shape (m, 3)."""
+    ends = [
+        tool_position(robot.with_lengths({name: robot.lengths_m[name] + step}).chain, q)
+        for step in (-LENGTH_STEP_M, LENGTH_STEP_M)
+    ]
+    return (ends[1] - ends[0]) / (2.0 * LENGTH_STEP_M)
+
+
+def _solve(model: Model, start: FloatArray, held: dict[int, str]) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Newton over what is not held; parameters and the last matrix."""
+    x = start.copy()
+    free = [i for i in range(x.size) if i not in held]
+    _, J = model(x)
+    for _ in range(ITERATIONS):
+        residual, J = model(x)
+        # Minimum-norm: a direction the points do not show is not followed, whatever the numbers say.
+        step = np.linalg.lstsq(J[:, free], residual, rcond=1e-9)[0]
+        x[free] += step
+        if np.abs(step).max() <= STEP:
+            break
+    return x, J
+
+
+def _weakest(J: FloatArray, held: dict[int, str], labels: Sequence[str]) -> tuple[int, str] | None:
+    """The parameter that cannot be told, and why; None: all can."""
+    free = [i for i in range(J.shape[1]) if i not in held]
+    _, values, directions = np.linalg.svd(J[:, free], full_matrices=False)
+    if values[-1] >= WEAK:
+        return None
+    weight = np.abs(directions[-1])
+    worst = int(weight.argmax())
+    others = [labels[free[i]] for i in np.flatnonzero(weight > CONFUSED) if i != worst]
+    why = f"these points hardly tell it from {', '.join(others)}" if others else "these points do not show it"
+    return free[worst], why
+
+
+def _rms(residual_mm: FloatArray) -> float:
+    """Root mean square distance of points whose coordinates' residuals these are."""
+    return math.sqrt(3.0 * float(np.mean(residual_mm**2)))
+
+
+# --------------------------------------------------------------------------------------------------- the new file
+
+
+def zeroed(arm: ArmConfig, ticks: Sequence[float], positions_rad: Sequence[float]) -> ArmConfig:
+    """The arm whose joints stand at `positions_rad` when the servos read `ticks`."""
+    zeros = [
+        tick - joint.direction * position / ax12a.TICK_RAD
+        for joint, tick, position in zip(arm.joints, ticks, positions_rad, strict=True)
+    ]
+    return recalibrated(arm, zeros, arm.lengths_m)
+
+
+def recalibrated(arm: ArmConfig, zero_ticks: Sequence[float], lengths_m: dict[str, float]) -> ArmConfig:
+    """The arm with other zeros and lengths, its limits and rest pose staying at the same ticks.
+
+    Stops and EEPROM limits stand at ticks and do not move because an angle gets a truer number. Limits are
+    rounded inwards to 0.01 deg.
+
+    Raises:
+        ConfigError: a zero or length is beyond any arm.
+    """
+    data = arm.model_dump(mode="json", exclude_unset=True)
+    if lengths_m:
+        data["lengths_m"] = {name: round(length, 6) for name, length in lengths_m.items()}
+    for joint, item, zero in zip(arm.joints, data["joints"], zero_ticks, strict=True):
+        zero_tick = round(float(zero), 2)
+        if zero_tick == joint.zero_tick:
+            continue
+        moved = joint.model_copy(update={"zero_tick": zero_tick})
+        low, high = sorted(math.degrees(moved.position_rad(tick)) for tick in joint.limits_tick)
+        low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0
+        rest = round(math.degrees(moved.position_rad(joint.tick(joint.rest_rad))), 2)
+        item |= {"zero_tick": zero_tick, "limits_deg": [low, high], "rest_deg": min(max(rest, low), high)}
+    return validate(ArmConfig, data, "the new calibration")
+
+
+def calibration_text(arm: ArmConfig, remarks: Sequence[str]) -> str:
+    """The YAML file of an arm, opening with remarks."""
+    data = arm.model_dump(mode="json", exclude_unset=True)
+    return "".join(f"# {remark}\n" for remark in remarks) + yaml.safe_dump(
+        data, sort_keys=False, default_flow_style=None, width=120
+    )

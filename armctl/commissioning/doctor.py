@@ -1,0 +1,308 @@
+"""What stands between this computer and a moving arm, one fact and one remedy a line.
+
+Rules:
+
+1. Nothing is changed: only PING and READ go to the servos, and a port in use is left to its user.
+2. A check that cannot be made, because one before it failed, is left out.
+3. Every check that is not ok carries one remedy: a command to type where there is one.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from armctl import __version__
+from armctl.commissioning.scan import ALL_IDS, USUAL_BAUDS, FoundServo, Progress, scan
+from armctl.config import ArmConfig, JointConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS, STATUS_OVERHEAD, ServoBus
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS
+from armctl.errors import BusError, PortBusy, PortGone
+
+SYSFS = Path("/sys")
+MIN_PYTHON = (3, 11)
+MAX_LATENCY_TIMER_MS = 1
+MAX_RETURN_DELAY_US = 20
+"""Recommended is 0; some adapters need a few microseconds to turn the line around."""
+VOLTAGE_V = (9.0, 12.6)
+"""ROBOTIS names 9 to 12 V; a full battery of three cells has 12.6 V."""
+HOT_DEGC = 65
+NEEDED_SHUTDOWN = ErrorBit.OVERHEAT | ErrorBit.OVERLOAD
+CYCLES = 10
+CYCLE_SHARE = 0.5
+"""Of the period; the rest is for what the bus does not do, and for repetitions."""
+
+ERROR_REMEDIES = {
+    ErrorBit.VOLTAGE: "measure the supply at the servo under load: 9 to 12 V",
+    ErrorBit.ANGLE_LIMIT: "turn the limp joint into its angle limits by hand",
+    ErrorBit.OVERHEAT: "let it cool down, then look for what loads it",
+    ErrorBit.RANGE: "switch its power off and on; a program sends it values out of range",
+    ErrorBit.CHECKSUM: "check the data wire and the common ground; packets arrive damaged",
+    ErrorBit.OVERLOAD: "support the arm, relieve the joint, then switch its power off and on",
+    ErrorBit.INSTRUCTION: "switch its power off and on; another program sends it unknown instructions",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the doctor's report."""
+
+    name: str
+    ok: bool
+    value: str
+    fix: str = ""
+    """What to do; empty when ok."""
+    servo_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the doctor is told instead of asking for it."""
+
+    daemon: str
+    """Where a daemon answers; empty: none."""
+    log_dir: Path
+    free_bytes: int
+    """Needed in the folder of the logs."""
+    options: str = ""
+    """What to add to each command of armctl, such as " --port /dev/ttyUSB1"."""
+    sysfs: Path = SYSFS
+
+
+def check_host(surroundings: Surroundings) -> list[Check]:
+    """Versions, disk and daemon: what needs no port."""
+    version = platform.python_version()
+    folder = surroundings.log_dir
+    while not folder.is_dir() and folder != folder.parent:
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    writable = os.access(folder, os.W_OK)
+    disk = f"{free / 2**20:.0f} MiB free in {folder}" + ("" if writable else ", not writable")
+    disk_fix = f"delete old logs in {folder}" if writable else f"sudo chown $USER {folder}"
+    return [
+        _check("armctl", True, f"{__version__} on Python {version}"),
+        _check(
+            "python", tuple(map(int, version.split(".")[:2])) >= MIN_PYTHON, version, "install Python 3.11 or newer"
+        ),
+        _check("disk", writable and free >= surroundings.free_bytes, disk, disk_fix),
+        _check("daemon", True, f"runs: {surroundings.daemon}" if surroundings.daemon else "does not run"),
+    ]
+
+
+def check_port(bus: ServoBus, surroundings: Surroundings) -> list[Check]:
+    """The port: there, ours to open, free; the bus is open afterwards if all of that is so."""
+    path = Path(bus.port.port_name)
+    try:
+        bus.open()
+    except BusError as error:
+        value, _, fix = str(error).rpartition("; ")
+        if isinstance(error, PortBusy):
+            if surroundings.daemon:
+                fix = "if it is the daemon: `armctl status` shows its servos; stop it (Ctrl-C), then run doctor again"
+            return [_check("port", True, str(path)), Check("owner", False, value, fix)]
+        if path.exists() and not os.access(path, os.R_OK | os.W_OK):
+            return [_check("port", True, str(path)), Check("permission", False, value, fix)]
+        return [Check("port", False, value, fix)]
+    checks = [_check("port", True, _port_name(path)), _check("permission", True, "readable and writable")]
+    checks.append(_check("owner", True, "nobody else"))
+    timer = surroundings.sysfs / "class" / "tty" / path.resolve().name / "device" / "latency_timer"
+    set_timer = f"echo {MAX_LATENCY_TIMER_MS} | sudo tee {timer}"
+    if bus.port.low_latency is not None:
+        checks.append(_check("low_latency", bus.port.low_latency, "on" if bus.port.low_latency else "off", set_timer))
+    if timer.is_file():
+        timer_ms = int(timer.read_text())
+        checks.append(_check("latency_timer", timer_ms <= MAX_LATENCY_TIMER_MS, f"{timer_ms} ms", set_timer))
+    return checks
+
+
+def check_servos(
+    bus: ServoBus, arm: ArmConfig, period_s: float, surroundings: Surroundings, progress: Progress | None = None
+) -> list[Check]:
+    """Every servo of the calibration, and every other one on the bus; leaves the bus open.
+
+    Raises:
+        PortGone: the port vanished.
+    """
+    baud = bus.port.baudrate
+    found = {servo.servo_id: servo for servo in scan(bus, (baud,), ALL_IDS, progress)}
+    missing = [joint for joint in arm.joints if joint.servo_id not in found]
+    strays = [servo_id for servo_id in found if servo_id not in arm.servo_ids]
+    elsewhere: dict[int, FoundServo] = {}
+    if missing:
+        others = [other for other in USUAL_BAUDS if other != baud]
+        elsewhere = {servo.servo_id: servo for servo in scan(bus, others, [joint.servo_id for joint in missing])}
+        bus.port.setBaudRate(baud)
+    checks = [_baud_check(baud, len(found), len(arm.joints), elsewhere, surroundings.options)]
+    checks += _presence(arm, baud, missing, strays, elsewhere, surroundings.options)
+    if not found:
+        return checks
+    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    round_trips_ns: list[float] = []
+    for joint in arm.joints:
+        if joint.servo_id in found:
+            whom = str(joint.servo_id) if missing else "all"
+            slow = f"armctl servo set-return-delay {whom} 0{surroundings.options}"
+            checks += _servo_checks(bus, joint, found[joint.servo_id], surroundings.options, slow, round_trips_ns)
+    if round_trips_ns:
+        latency_ms = median(round_trips_ns) / NS_PER_MS
+        bus.port.latency_ms = max(ADAPTER_LATENCY_MS, latency_ms)
+        fix = f"echo {MAX_LATENCY_TIMER_MS} | sudo tee /sys/bus/usb-serial/devices/*/latency_timer"
+        value = f"adds {latency_ms:.1f} ms to every reply, at most {SLOW_ADAPTER_MS:.0f} ms are fit for motion"
+        checks.append(_check("adapter_latency", latency_ms <= SLOW_ADAPTER_MS, value, fix))
+        if not missing:
+            checks.append(_cycle_check(bus, period_s))
+    if not bus.is_open:
+        raise PortGone(f"{bus.port.port_name}: the port vanished meanwhile; plug the adapter in again")
+    return checks
+
+
+def _check(name: str, ok: bool, value: str, fix: str = "", servo_id: int | None = None) -> Check:
+    return Check(name, ok, value, "" if ok else fix, servo_id)
+
+
+def _port_name(path: Path, by_id: Path = Path("/dev/serial/by-id")) -> str:
+    """The path, and the name that stays the same when the adapter is plugged in again."""
+    for link in by_id.glob("*"):
+        if link.resolve() == path.resolve():
+            return f"{path} = {link}"
+    return str(path)
+
+
+def _baud_check(baud: int, found: int, wanted: int, elsewhere: dict[int, FoundServo], options: str) -> Check:
+    if found:
+        return Check("baud", True, f"{baud}, {found} servos answer")
+    if not elsewhere:
+        fix = "switch on the servos' supply, and check the cable between adapter and first servo"
+        return Check("baud", False, f"none of {wanted} servos answers at {baud} or any other usual baud", fix)
+    first = next(iter(elsewhere.values()))
+    value = f"nobody answers at {baud}, but {_listed(list(elsewhere))} at {first.baud}"
+    return Check("baud", False, value, _set_baud(first, baud, options))
+
+
+def _set_baud(servo: FoundServo, baud: int, options: str) -> str:
+    return f"armctl servo set-baud {servo.servo_id} {baud}{options} --baud {servo.baud}"  # the last --baud counts
+
+
+def _presence(
+    arm: ArmConfig,
+    baud: int,
+    missing: Sequence[JointConfig],
+    strays: Sequence[int],
+    elsewhere: dict[int, FoundServo],
+    options: str,
+) -> list[Check]:
+    """One line for each servo of the calibration and each stranger; strangers are taken for the missing, in order."""
+    mute = [joint.servo_id for joint in missing if joint.servo_id not in elsewhere]
+    pairs = dict(zip(mute, strays, strict=False))
+    checks = []
+    for joint in arm.joints:
+        servo_id = joint.servo_id
+        if joint not in missing:
+            checks.append(Check("present", True, "answers", "", servo_id))
+        elif servo_id in elsewhere:
+            value = f"{joint.name} answers at {elsewhere[servo_id].baud} baud"
+            fix = _set_baud(elsewhere[servo_id], baud, options)
+            checks.append(Check("present", False, value, fix, servo_id))
+        elif servo_id in pairs:
+            value = f"{joint.name} does not answer; servo {pairs[servo_id]}, which nobody expects, does"
+            checks.append(Check("present", False, value, _set_id(pairs[servo_id], servo_id, options), servo_id))
+        else:
+            fix = f"check the cable and the supply of {joint.name}, then `armctl scan --baud all{options}`"
+            checks.append(Check("present", False, f"{joint.name} does not answer", fix, servo_id))
+    wanted = {stray: servo_id for servo_id, stray in pairs.items()}
+    for stray in strays:
+        fix = "take it off the bus, or give the calibration a joint for it"
+        if stray in wanted:
+            fix = _set_id(stray, wanted[stray], options)
+        checks.append(Check("wrong_id", False, f"servo {stray} is not in the calibration {arm.arm_id}", fix, stray))
+    return checks
+
+
+def _set_id(old: int, new: int, options: str) -> str:
+    return f"armctl servo set-id {old} {new}{options}"
+
+
+def _servo_checks(
+    bus: ServoBus, joint: JointConfig, servo: FoundServo, options: str, delay_fix: str, round_trips_ns: list[float]
+) -> list[Check]:
+    """Registers of one servo that answers; adds what the adapter costs its replies to `round_trips_ns`."""
+    servo_id = joint.servo_id
+    checks: list[Check] = []
+
+    def check(name: str, ok: bool, value: str, fix: str) -> None:
+        checks.append(_check(name, ok, value, fix, servo_id))
+
+    def set_to(register: Register, value: int) -> str:
+        return f"armctl servo set {servo_id} {register.name} {value}{options}"
+
+    if servo.clash:
+        fix = f"take all but one off the bus, then `armctl servo set-id {servo_id} NEW{options}`"
+        check("id_clash", False, f"two servos answer to id {servo_id}", fix)
+        return checks
+    table = bus.read_block(servo_id, 0, ax12a.EEPROM_END)
+    status = bus.read_block(servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+    if table.problem or status.problem:
+        value = f"answers a PING but no READ ({table.problem or status.problem})"
+        check("return_level", False, value, set_to(ax12a.RETURN_LEVEL, ax12a.RETURN_LEVEL.default))
+        return checks
+
+    def stored(register: Register) -> int:
+        return ax12a.register_value(register, table.data, 0)
+
+    def now(register: Register) -> int:
+        return ax12a.register_value(register, status.data)
+
+    delay_us = 2 * stored(ax12a.RETURN_DELAY)
+    wire_ns = (2 * STATUS_OVERHEAD + 2 + ax12a.EEPROM_END) * bus.port.byte_ns
+    round_trips_ns.append(table.elapsed_ns - wire_ns - 1000 * delay_us)
+    model, level = stored(ax12a.MODEL), stored(ax12a.RETURN_LEVEL)
+    check("model", model == ax12a.MODEL_NUMBER, str(model), f"use an AX-12A (model {ax12a.MODEL_NUMBER})")
+    check("firmware", True, str(stored(ax12a.FIRMWARE)), "")
+    check("round_trip", True, f"{table.elapsed_ns // 1000} us for {ax12a.EEPROM_END} bytes", "")
+    check("return_delay", delay_us <= MAX_RETURN_DELAY_US, f"{delay_us} us (register {delay_us // 2})", delay_fix)
+    check("return_level", level == ax12a.RETURN_LEVEL.default, str(level), set_to(ax12a.RETURN_LEVEL, 2))
+    low, high = joint.limits_tick
+    cw, ccw = stored(ax12a.CW_LIMIT), stored(ax12a.CCW_LIMIT)
+    limits = f"{cw}..{ccw}, the calibration asks for {low}..{high}"
+    wrong = (ax12a.CCW_LIMIT, high) if ccw < high else (ax12a.CW_LIMIT, low)
+    check("angle_limits", cw <= low and ccw >= high, limits, set_to(*wrong))
+    mask = stored(ax12a.SHUTDOWN)
+    safe = mask | NEEDED_SHUTDOWN
+    check("shutdown", mask == safe, _bits(mask), set_to(ax12a.SHUTDOWN, safe))
+    volts = now(ax12a.PRESENT_VOLTAGE) / 10.0
+    inside = VOLTAGE_V[0] <= volts <= VOLTAGE_V[1]
+    check("voltage", inside, f"{volts:.1f} V", f"give the servos {VOLTAGE_V[0]:.0f} to {VOLTAGE_V[1]:.1f} V")
+    heat = now(ax12a.PRESENT_TEMPERATURE)
+    check("temperature", heat < HOT_DEGC, f"{heat} degC", "support the arm, `armctl release`, and let it cool down")
+    error = status.error | table.error
+    first = next((bit for bit in ErrorBit if error & bit), None)
+    check("error_bits", not error, _bits(error), ERROR_REMEDIES[first] if first else "")
+    tripped = now(ax12a.TORQUE_LIMIT) == 0
+    torque = "torque limit 0: it has shut itself down" if tripped else "on" if now(ax12a.TORQUE_ENABLE) else "off"
+    check("torque", not tripped, torque, "support the arm, relieve the joint, then switch its power off and on")
+    return checks
+
+
+def _cycle_check(bus: ServoBus, period_s: float) -> Check:
+    """The slowest of some cycles against the period."""
+    cycle_s = max(bus.read_sample().bus_us for _ in range(CYCLES)) / 1e6
+    value = (
+        f"{cycle_s * 1000.0:.1f} ms a cycle of {period_s * 1000.0:.0f} ms, {1.0 / max(cycle_s, 1e-6):.0f} Hz at best"
+    )
+    fix = "mend adapter_latency and return_delay first, or raise period_s in the configuration"
+    return _check("cycle_rate", cycle_s <= CYCLE_SHARE * period_s, value, fix)
+
+
+def _bits(value: int) -> str:
+    return ", ".join(name.lower() for name in ErrorBit.names(value)) or "none"
+
+
+def _listed(ids: Sequence[int]) -> str:
+    return ("servo " if len(ids) == 1 else "servos ") + ", ".join(map(str, ids))

@@ -1,0 +1,334 @@
+"""The servos' EEPROM: saving, comparing, restoring, and the two registers that change where a servo is found.
+
+Rules:
+
+1. A servo is written only if it alone answers to its id, its torque is off and its LOCK is off. Whatever speaks
+   against any write of a request is found before the first one.
+2. No status packet is believed: a write counts when the register has been read back. (A servo whose id, baud or
+   return level changes may answer either way, or not at all.)
+3. Nothing here writes RAM: no torque, no goal, no speed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from armctl.commissioning.scan import scan
+from armctl.config import parse_yaml, read_text, validate
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import Register
+from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, PORT_GONE, ServoBus
+from armctl.errors import ConfigError, PortGone, RequestRefused
+from armctl.messages import Write
+
+EEPROM_REGISTERS = tuple(register for register in ax12a.REGISTERS if register.eeprom)
+SETTABLE = tuple(r for r in EEPROM_REGISTERS if r.writable and r not in (ax12a.ID, ax12a.BAUD))
+"""What `write_register` and `restore` write; id and baud have functions of their own."""
+BAUD_UNIT = 2_000_000
+BAUD_TOLERANCE = 0.025
+"""A servo hears a host whose rate differs by up to 3 %; some of that belongs to its own clock."""
+MAX_BAUD = 1_000_000
+
+
+class ServoEeprom(BaseModel):
+    """EEPROM of one servo in register units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    servo_id: int = Field(ge=0, le=ax12a.ID.maximum)
+    registers: dict[str, int]
+
+    @model_validator(mode="after")
+    def _check(self) -> ServoEeprom:
+        known = {register.name: register for register in EEPROM_REGISTERS}
+        for name, value in self.registers.items():
+            if name not in known:
+                raise ValueError(f"no EEPROM register {name!r}; known: {', '.join(known)}")
+            register = known[name]
+            if not register.minimum <= value <= register.maximum:
+                raise ValueError(f"{name} {value} is outside {register.minimum}..{register.maximum}")
+        if self.registers.get(ax12a.ID.name, self.servo_id) != self.servo_id:
+            raise ValueError(f"registers.id {self.registers[ax12a.ID.name]} is not servo_id {self.servo_id}")
+        return self
+
+
+class Snapshot(BaseModel):
+    """EEPROM of the servos of one bus."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    servos: tuple[ServoEeprom, ...] = Field(min_length=1, strict=False)
+
+    @model_validator(mode="after")
+    def _check(self) -> Snapshot:
+        ids = [servo.servo_id for servo in self.servos]
+        for servo_id in ids:
+            if ids.count(servo_id) > 1:
+                raise ValueError(f"servo_id {servo_id} stands here twice")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A register that is not as a snapshot has it; `found` None: the servo cannot be read."""
+
+    servo_id: int
+    register: str
+    wanted: int
+    found: int | None
+
+
+# -------------------------------------------------------------------------------------------------------- reading
+
+
+def read_eeprom(bus: ServoBus, servo_id: int) -> ServoEeprom:
+    """Bytes 0..23 of one servo, by register.
+
+    Raises:
+        RequestRefused: it does not answer well.
+        PortGone: the port vanished.
+    """
+    table = _read(bus, servo_id, 0, ax12a.EEPROM_END)
+    return ServoEeprom.model_construct(  # unchecked: what a servo holds is a fact, even out of range
+        servo_id=servo_id,
+        registers={register.name: ax12a.register_value(register, table, 0) for register in EEPROM_REGISTERS},
+    )
+
+
+def save(bus: ServoBus, servo_ids: Iterable[int], path: Path) -> Snapshot:
+    """Write the EEPROM of the servos into a new file: JSON if its name ends so, else YAML.
+
+    Raises:
+        RequestRefused: a servo does not answer, or the file exists.
+        ConfigError: the file cannot be written.
+    """
+    snapshot = Snapshot.model_construct(servos=tuple(read_eeprom(bus, servo_id) for servo_id in servo_ids))
+    data = snapshot.model_dump(mode="json")
+    text = json.dumps(data, indent=1) if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False)
+    write_new(path, text)
+    return snapshot
+
+
+def load(path: Path) -> Snapshot:
+    """A snapshot as `save` wrote it.
+
+    Raises:
+        ConfigError: what is wrong in it, and where.
+    """
+    return validate(Snapshot, parse_yaml(read_text(path, "EEPROM file"), str(path)), str(path))
+
+
+def differences(bus: ServoBus, snapshot: Snapshot) -> list[Difference]:
+    """Every register of the snapshot's servos that now holds something else.
+
+    Raises:
+        PortGone: the port vanished.
+    """
+    found: list[Difference] = []
+    for servo in snapshot.servos:
+        try:
+            present = read_eeprom(bus, servo.servo_id).registers
+        except RequestRefused:
+            present = {}
+        found += [
+            Difference(servo.servo_id, name, wanted, present.get(name))
+            for name, wanted in servo.registers.items()
+            if present.get(name) != wanted
+        ]
+    return found
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a file that must not exist yet.
+
+    Raises:
+        RequestRefused: it exists.
+        ConfigError: it cannot be written.
+    """
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text if text.endswith("\n") else text + "\n")
+    except FileExistsError:
+        raise RequestRefused("FILE_EXISTS", f"{path}: exists and is not overwritten; choose another name") from None
+    except OSError as error:
+        raise ConfigError(str(path), "", f"cannot be written: {error.strerror}", "choose another place") from None
+
+
+# -------------------------------------------------------------------------------------------------------- writing
+
+
+def write_register(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+    """Write one EEPROM register of one servo and read it back.
+
+    Raises:
+        RequestRefused: the servo is not fit to be written (rule 1), or did not take the value.
+        ConfigError: not a register for this function, or the value is out of its range.
+        PortGone: the port vanished.
+    """
+    if register not in SETTABLE:
+        names = ", ".join(known.name for known in SETTABLE)
+        raise ConfigError(register.name, "", "is not set this way", f"one of {names}; id and baud have own commands")
+    if not register.minimum <= value <= register.maximum:
+        raise ConfigError(register.name, str(value), f"outside {register.minimum}..{register.maximum}")
+    # A servo that answers nothing but a PING can be asked nothing, and only this write can change that.
+    if register is not ax12a.RETURN_LEVEL or _reads(bus, servo_id) or not _answers(bus, servo_id):
+        require_writable(bus, servo_id)
+    _write(bus, servo_id, register, value)
+
+
+def restore(bus: ServoBus, snapshot: Snapshot, servo_ids: Sequence[int] = ()) -> list[Difference]:
+    """Write back what differs from the snapshot, but id and baud; every write is read back.
+
+    Args:
+        servo_ids: Which servos of the snapshot; none: all.
+    Returns:
+        What was changed, with the value each register had.
+    Raises:
+        RequestRefused: a servo is not fit to be written (found before anything is written), is another model, has
+            another baud than the snapshot, or did not take a value.
+        ConfigError: the snapshot does not hold a servo.
+        PortGone: the port vanished.
+    """
+    held = {servo.servo_id: servo for servo in snapshot.servos}
+    chosen = tuple(servo_ids) or tuple(held)
+    for servo_id in chosen:
+        if servo_id not in held:
+            raise ConfigError("servo", str(servo_id), "not in the file", f"it holds {', '.join(map(str, held))}")
+    refusals: list[str] = []
+    for servo_id in chosen:
+        try:
+            require_writable(bus, servo_id)
+        except RequestRefused as refusal:
+            refusals += refusal.reasons
+            continue
+        present = read_eeprom(bus, servo_id).registers
+        for register in (ax12a.MODEL, ax12a.BAUD):
+            wanted = held[servo_id].registers.get(register.name, present[register.name])
+            if present[register.name] != wanted:
+                remedy = "this is another servo" if register is ax12a.MODEL else "first use `armctl servo set-baud`"
+                reason = f"servo {servo_id}: {register.name} is {present[register.name]}, the file says {wanted}"
+                refusals.append(f"{reason}; {remedy}")
+    if refusals:
+        raise RequestRefused("NOT_RESTORED", refusals)
+    subset = Snapshot(servos=tuple(held[servo_id] for servo_id in chosen))
+    settable = {register.name: register for register in SETTABLE}
+    changed = [difference for difference in differences(bus, subset) if difference.register in settable]
+    for difference in changed:
+        _write(bus, difference.servo_id, settable[difference.register], difference.wanted)
+    return changed
+
+
+def set_id(bus: ServoBus, old: int, new: int) -> None:
+    """Give the servo `old` the id `new`.
+
+    Raises:
+        RequestRefused: `new` is taken, two servos answer to `old`, it is not fit to be written, or did not take it.
+        ConfigError: an id out of range, or both the same.
+        PortGone: the port vanished.
+    """
+    for servo_id in (old, new):
+        if not 0 <= servo_id <= ax12a.ID.maximum:
+            raise ConfigError("id", str(servo_id), f"outside 0..{ax12a.ID.maximum}")
+    if old == new:
+        raise ConfigError("id", str(new), "old and new are the same")
+    require_writable(bus, old)
+    if _answers(bus, new):
+        raise RequestRefused("ID_TAKEN", f"servo {new} already answers; give it another id first, or take it off")
+    bus.write(Write(old, ax12a.ID.address, ax12a.ID.size, new))
+    if bus.read(new, ax12a.ID) != new:
+        raise _not_taken(bus, f"servo {old}: it does not answer as {new}")
+    if _answers(bus, old):
+        raise RequestRefused("DUPLICATE_ID", f"servo {new} is found, but {old} still answers: there were two of them")
+
+
+def set_baud(bus: ServoBus, servo_id: int, baud: int) -> int:
+    """Set a servo's rate and find it again; the port is then at `baud`.
+
+    Returns:
+        The rate the servo really has, within 2.5 % of `baud`.
+    Raises:
+        RequestRefused: the servo is not fit to be written, its id is taken at the new rate, or it is not found there.
+        ConfigError: a rate no servo has.
+        PortMissing: a rate the adapter cannot do.
+        PortGone: the port vanished.
+    """
+    value = round(BAUD_UNIT / baud) - 1 if 0 < baud <= MAX_BAUD else -1
+    real = BAUD_UNIT // (value + 1) if value >= 0 else 0
+    if not 1 <= value <= ax12a.BAUD.maximum or abs(real / baud - 1.0) > BAUD_TOLERANCE:
+        usual = "1000000, 500000, 400000, 250000, 200000, 115200, 57600, 19200, 9600"
+        raise ConfigError("baud", str(baud), "no rate of an AX-12A", f"it has 2000000 / (n + 1): {usual}")
+    require_writable(bus, servo_id)
+    before = bus.port.baudrate
+    if before != baud:
+        bus.port.setBaudRate(baud)
+        taken = _answers(bus, servo_id)
+        bus.port.setBaudRate(before)
+        if taken:
+            raise RequestRefused("ID_TAKEN", f"another servo {servo_id} answers at {baud} baud; change its id first")
+    bus.write(Write(servo_id, ax12a.BAUD.address, ax12a.BAUD.size, value))
+    bus.port.setBaudRate(baud)
+    if bus.read(servo_id, ax12a.BAUD) == value:
+        return real
+    bus.port.setBaudRate(before)
+    where = f"it still answers at {before}" if _answers(bus, servo_id) else "try `armctl scan --baud all`"
+    raise _not_taken(bus, f"servo {servo_id}: not found at {baud} baud; {where}")
+
+
+def require_writable(bus: ServoBus, servo_id: int) -> None:
+    """Rule 1 for one servo; the port's patience becomes that of a slow adapter.
+
+    Raises:
+        RequestRefused: why it must not be written.
+        PortGone: the port vanished.
+    """
+    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    if bus.answers_twice(servo_id):
+        text = "two servos answer to this id; connect them one at a time and give each its own"
+        raise RequestRefused("DUPLICATE_ID", f"servo {servo_id}: {text}")
+    status = _read(bus, servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+    if ax12a.register_value(ax12a.TORQUE_ENABLE, status):
+        text = "torque is on, and then its EEPROM is read-only; support the arm and let it go limp: `armctl release`"
+        raise RequestRefused("TORQUE_ON", f"servo {servo_id}: {text}")
+    if ax12a.register_value(ax12a.LOCK, status):
+        text = "its EEPROM is locked until it is powered off; switch its power off and on"
+        raise RequestRefused("LOCKED", f"servo {servo_id}: {text}")
+
+
+def _write(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+    bus.write(Write(servo_id, register.address, register.size, value))
+    found = bus.read(servo_id, register)
+    if found != value:
+        raise _not_taken(bus, f"servo {servo_id}: {register.name} was to be {value} and reads {found}")
+
+
+def _not_taken(bus: ServoBus, text: str) -> RequestRefused | PortGone:
+    if not bus.is_open:
+        return PortGone(f"{bus.port.port_name}: the port vanished; {text}")
+    return RequestRefused("NOT_WRITTEN", text)
+
+
+def _answers(bus: ServoBus, servo_id: int) -> bool:
+    """Whether anything at all comes from an id, be it garbled or nothing but a PING's status."""
+    return bool(scan(bus, (bus.port.baudrate,), (servo_id,)))
+
+
+def _reads(bus: ServoBus, servo_id: int) -> bool:
+    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    return not bus.read_block(servo_id, ax12a.MODEL.address, 3).problem
+
+
+def _read(bus: ServoBus, servo_id: int, begin: int, size: int) -> bytes:
+    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    reply = bus.read_block(servo_id, begin, size)
+    if reply.problem == PORT_GONE:
+        raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
+    if reply.problem:
+        text = f"cannot be read at {bus.port.baudrate} baud ({reply.problem}); find it with `armctl scan --baud all`"
+        raise RequestRefused("SERVO_SILENT", f"servo {servo_id}: {text}")
+    return reply.data

@@ -1,0 +1,131 @@
+"""A simulated arm on a virtual clock, and a hand that holds it in any posture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.commissioning.calibration import Touch, read_ticks
+from armctl.config import ArmConfig, load_arm
+from armctl.dynamixel.bus import ServoBus
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.sim.arm import ArmSpec, SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.hand import Hand
+from armctl.sim.loopback import LoopbackPort
+
+
+class PosingHand(Hand):
+    """Carries every joint of a limp arm to where it is told, and holds it there."""
+
+    CARRY_S = 2.5
+
+    def __init__(self, arm: SimulatedArm) -> None:
+        super().__init__(arm)
+        self._simulated = arm
+        self._from_rad: FloatArray | None = None
+
+    @property
+    def holding(self) -> bool:
+        return self._from_rad is not None
+
+    def carry(self, posture_rad: FloatArray) -> None:
+        """Begin to move towards a posture [rad], shape (n,)."""
+        now_s = self._simulated.time_s
+        self._from_rad = np.array(self.aim(now_s)[0]) if self.holding else self._simulated.true_positions()
+        self._begin_s, self._to_rad = now_s, posture_rad
+
+    def aim(self, time_s: float) -> tuple[list[float], list[float]]:
+        assert self._from_rad is not None
+        way = self._to_rad - self._from_rad
+        u = min((time_s - self._begin_s) / self.CARRY_S, 1.0)
+        speed = 0.0 if u == 1.0 else 6.0 * u * (1.0 - u) / self.CARRY_S
+        return (self._from_rad + u * u * (3.0 - 2.0 * u) * way).tolist(), (speed * way).tolist()
+
+
+class Bench:
+    """Everything between a test and a simulated arm."""
+
+    def __init__(
+        self,
+        *,
+        seed: int = 0,
+        latency_ms: float = 0.0,
+        spec: ArmSpec | None = None,
+        simulated: ArmConfig | None = None,
+    ) -> None:
+        self.config = load_arm("ax12-line")
+        self.clock = VirtualClock()
+        self.arm = SimulatedArm(simulated or self.config, seed=seed, spec=spec or ArmSpec())
+        self.arm.advance(self.clock.now_ns())
+        self.servos = self.arm.servos
+        self.line = SimulatedBus(self.arm, latency_ms=latency_ms, seed=seed)
+        self.port = FollowedPort(self.line, self.clock)
+        self.bus = ServoBus(self.port, self.config.servo_ids, self.clock)
+        self.bus.open()
+
+    def elapsed_s(self, begin_ns: int) -> float:
+        return (self.clock.now_ns() - begin_ns) / NS_PER_S
+
+
+class FollowedPort(LoopbackPort):
+    """The simulated line runs at whatever the host sets, as a pseudo terminal's does."""
+
+    def setBaudRate(self, baudrate: int) -> bool:
+        if hasattr(self, "_bus"):
+            self._bus.baud = baudrate
+        return super().setBaudRate(baudrate)
+
+
+def postures(arm: ArmConfig, count: int, rng: np.random.Generator) -> FloatArray:
+    """Postures that touch a low sheet, a step or the air above it, in every way the limits allow; shape (m, n)."""
+    from armctl.kinematics import robots
+
+    chain = robots.get(arm.robot, arm.lengths_m).chain
+    limits = np.array([joint.limits_rad for joint in arm.joints])
+    margin = np.radians(8.0)
+    found: list[FloatArray] = []
+    while len(found) < count:
+        q = rng.uniform(limits[:, 0] + margin, limits[:, 1] - margin)
+        x, y, z = tool_position(chain, q[: chain.n])
+        if 0.0 <= z <= 0.3 and np.hypot(x, y) > 0.08:
+            found.append(q)
+    return np.array(found)
+
+
+def touch_points(bench: Bench, count: int, rng: np.random.Generator, *, touch_error_m: float = 0.0) -> list[Touch]:
+    """Guide the limp arm through `count` postures; each point is known but for the touch error."""
+    hand = PosingHand(bench.arm)
+    bench.arm.hand = hand
+    touches = []
+    for posture in postures(bench.config, count, rng):
+        hand.carry(posture)
+        bench.clock.advance_ns(3 * NS_PER_S)
+        bench.bus.read_sample()
+        ticks = read_ticks(bench.bus, bench.config, bench.clock)
+        true_m = bench.arm.true_tool_position() + touch_error_m * rng.standard_normal(3)
+        touches.append(Touch(point_m=tuple(true_m.tolist()), ticks=ticks))
+    return touches
+
+
+def planted(config: ArmConfig, rng: np.random.Generator, *, tick: float, length_m: float) -> ArmConfig:
+    """The arm as it truly is: zeros off by up to `tick`, every length off by `length_m` one way or the other."""
+    from armctl.kinematics import robots
+
+    lengths = robots.get(config.robot).lengths_m
+    return config.model_copy(
+        update={
+            "lengths_m": {name: value + length_m * float(rng.choice([-1, 1])) for name, value in lengths.items()},
+            "joints": tuple(
+                joint.model_copy(update={"zero_tick": joint.zero_tick + float(rng.uniform(-tick, tick))})
+                for joint in config.joints
+            ),
+        }
+    )
+
+
+EXACT = replace(ArmSpec(), zero_offset_tick=0.0)
+"""An arm that is exactly as its calibration says."""

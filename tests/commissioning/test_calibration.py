@@ -1,0 +1,239 @@
+"""Zero offsets and link lengths from touched points."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.commissioning import calibration
+from armctl.commissioning.calibration import Fit, Readings, Touch, fit, read_ticks, recalibrated, zeroed
+from armctl.config import ArmConfig, load_arm, parse_yaml, validate
+from armctl.dynamixel import ax12a
+from armctl.errors import ConfigError, PortGone, RequestRefused
+from armctl.kinematics import robots
+from armctl.kinematics.chain import tool_position
+from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
+
+TOUCHES = 24
+ARM = load_arm("ax12-line")
+
+
+def errors(found: Fit, true: ArmConfig) -> tuple[float, float]:
+    """Largest error of a zero [tick] that the tool shows, and of a length [mm]."""
+    zeros = [a.zero_tick - b.zero_tick for a, b in zip(found.arm.joints[:5], true.joints[:5], strict=True)]
+    lengths = [found.arm.lengths_m[name] - length for name, length in true.lengths_m.items()]
+    return max(map(abs, zeros)), 1000.0 * max(map(abs, lengths))
+
+
+def ideal_touches(true: ArmConfig, count: int, rng: np.random.Generator, *, flat: bool = False) -> list[Touch]:
+    """Touches without noise; `flat`: the tool always comes down at one angle."""
+    robot = robots.get(true.robot, true.lengths_m)
+    touches = []
+    for q in postures(true, count, rng):
+        if flat:
+            q[4] = -math.pi / 2.0 - q[1] - q[2] - q[3]
+        ticks = tuple(joint.tick(position) for joint, position in zip(true.joints, q, strict=True))
+        touches.append(Touch(point_m=tuple(tool_position(robot.chain, q[: robot.chain.n]).tolist()), ticks=ticks))
+    return touches
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_planted_zeros_and_3_mm_lengths_come_back(seed: int) -> None:
+    """To one tick and 0.5 mm, through the wire, with noise, ticks, gravity and play, the tip 0.3 mm off its point."""
+    rng = np.random.default_rng(seed)
+    true = planted(ARM, rng, tick=20.0, length_m=0.003)
+    bench = Bench(seed=seed, spec=EXACT, simulated=true)
+    before = [servo.writes for servo in bench.servos]
+    found = fit(ARM, touch_points(bench, TOUCHES, rng, touch_error_m=0.0003))
+    zero_tick, length_mm = errors(found, true)
+    assert zero_tick <= 1.0
+    assert length_mm <= 0.5
+    assert found.rms_mm < 1.0 < found.rms_before_mm
+    assert [parameter.name for parameter in found.parameters if parameter.held] == ["roll.zero_tick"]
+    assert found.complete
+    assert [servo.writes for servo in bench.servos] == before
+
+
+@settings(deadline=None, max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_without_noise_every_arm_is_found_exactly(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    true = planted(ARM, rng, tick=25.0, length_m=0.004)
+    zero_tick, length_mm = errors(fit(ARM, ideal_touches(true, 30, rng)), true)
+    assert zero_tick <= 0.0051  # the file's two decimals
+    assert length_mm <= 0.0006
+
+
+def test_standard_errors_are_what_repeated_calibrations_scatter() -> None:
+    rng = np.random.default_rng(1)
+    touches = ideal_touches(ARM, 20, rng)
+    found = []
+    for _ in range(60):
+        noisy = [
+            touch.model_copy(
+                update={"point_m": tuple((np.array(touch.point_m) + 0.0005 * rng.standard_normal(3)).tolist())}
+            )
+            for touch in touches
+        ]
+        found.append([p for p in fit(ARM, noisy).parameters if p.standard_error is not None])
+    after = np.array([[parameter.after for parameter in row] for row in found])
+    said = np.array([[parameter.standard_error for parameter in row] for row in found], dtype=np.float64).mean(axis=0)
+    assert after.std(axis=0) / said == pytest.approx(np.ones(10), abs=0.3)
+
+
+def test_a_tool_that_always_points_down_does_not_tell_d1_from_its_own_length() -> None:
+    rng = np.random.default_rng(3)
+    true = planted(ARM, rng, tick=0.0, length_m=0.0)
+    found = fit(ARM, ideal_touches(true, 30, rng, flat=True))
+    held = {p.name: p for p in found.parameters if p.held and p.name != "roll.zero_tick"}
+    assert held.keys() <= {"lengths_m.d1", "lengths_m.a56", "hand.zero_tick"}
+    assert held
+    for parameter in held.values():
+        assert parameter.standard_error is None
+        assert parameter.after == parameter.before
+        assert "points" in parameter.held
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_standard_errors_own_up_to_what_was_left_alone(seed: int) -> None:
+    """One way of holding the arm for all points: some parameters are held, and the others absorb their errors."""
+    rng = np.random.default_rng(seed)
+    true = planted(ARM, rng, tick=5.0, length_m=0.002)
+    robot = robots.get(true.robot, true.lengths_m)
+    touches = []
+    for _ in range(30):
+        q = np.array([0.0, 1.9, -1.2, -0.9, -0.9, 0.0]) + rng.normal(0.0, [0.5, 0.1, 0.1, 0.05, 0.05, 0.0])
+        ticks = tuple(joint.tick(position) for joint, position in zip(true.joints, q, strict=True))
+        point = tool_position(robot.chain, q[:5]) + 0.0003 * rng.standard_normal(3)
+        touches.append(Touch(point_m=tuple(point.tolist()), ticks=ticks))
+    found = fit(ARM, touches)
+    assert not found.complete
+    truth = {f"{joint.name}.zero_tick": joint.zero_tick for joint in true.joints}
+    truth |= {f"lengths_m.{name}": length for name, length in true.lengths_m.items()}
+    for parameter in found.parameters:
+        if parameter.standard_error is not None:
+            assert abs(parameter.after - truth[parameter.name]) <= 4.0 * parameter.standard_error
+
+
+def test_points_in_one_direction_hold_nothing_but_what_they_do_not_show() -> None:
+    """One posture for all: hardly anything is observable, and the calibration stays near what it was."""
+    rng = np.random.default_rng(4)
+    one = ideal_touches(ARM, 1, rng) * 12
+    found = fit(ARM, one)
+    assert sum(parameter.standard_error is not None for parameter in found.parameters) == 3
+    assert found.rms_mm < 1e-6
+
+
+def test_too_few_touches_and_points_in_the_wrong_order_are_refused() -> None:
+    rng = np.random.default_rng(5)
+    touches = ideal_touches(ARM, 12, rng)
+    with pytest.raises(RequestRefused, match="4 touches, at least 5"):
+        fit(ARM, touches[:4])
+    shuffled = [
+        touch.model_copy(update={"point_m": other.point_m})
+        for touch, other in zip(touches, touches[1:] + touches[:1], strict=True)
+    ]
+    with pytest.raises(RequestRefused, match="order and the unit") as refusal:
+        fit(ARM, shuffled)
+    assert refusal.value.code == "POOR_FIT"
+
+
+# --------------------------------------------------------------------------------------------------- the new file
+
+
+def test_limits_and_rest_stay_at_their_ticks() -> None:
+    zeros = [
+        joint.zero_tick + shift for joint, shift in zip(ARM.joints, (12.0, -9.5, 0.0, 3.3, -30.0, 0.0), strict=True)
+    ]
+    after = recalibrated(ARM, zeros, {"d1": 0.1031})
+    for old, new in zip(ARM.joints, after.joints, strict=True):
+        assert new.limits_tick[0] - old.limits_tick[0] in (0, 1)
+        assert old.limits_tick[1] - new.limits_tick[1] in (0, 1)
+        assert new.tick(new.rest_rad) == pytest.approx(old.tick(old.rest_rad), abs=0.02)
+    assert after.joints[2] == ARM.joints[2]
+    assert after.lengths_m == {"d1": 0.1031}
+    assert recalibrated(ARM, [joint.zero_tick for joint in ARM.joints], {}) == ARM
+
+
+def test_the_file_reads_back_as_the_arm_it_was_written_from() -> None:
+    after = recalibrated(ARM, [joint.zero_tick + 1.25 for joint in ARM.joints], {"a2": 0.1049})
+    text = calibration.calibration_text(after, ["one", "two"])
+    assert text.startswith("# one\n# two\n")
+    assert validate(ArmConfig, parse_yaml(text, "x"), "x") == after
+
+
+def test_zeroing_in_a_known_pose_takes_the_ticks_as_they_are() -> None:
+    ticks = [500.0, 690.5, 30.25, 760.0, 515.0, 512.0]
+    after = zeroed(ARM, ticks, [joint.rest_rad for joint in ARM.joints])
+    for joint, old, tick in zip(after.joints, ARM.joints, ticks, strict=True):
+        assert joint.position_rad(tick) == pytest.approx(old.rest_rad, abs=0.006 * ax12a.TICK_RAD)
+
+
+# -------------------------------------------------------------------------------------------------------- readings
+
+
+@pytest.mark.parametrize("latency_ms", [0.0, 16.0])
+def test_a_still_arm_is_read_to_a_fraction_of_a_tick(latency_ms: float) -> None:
+    bench = Bench(latency_ms=latency_ms)
+    ticks = read_ticks(bench.bus, bench.config, bench.clock)
+    true = [servo.position_tick for servo in bench.servos]
+    assert ticks == pytest.approx(true, abs=0.4)
+
+
+def test_readings_of_an_arm_that_is_powered_silent_moving_or_gone_are_refused() -> None:
+    bench = Bench()
+    bench.servos[1].set(ax12a.TORQUE_ENABLE, 1)
+    with pytest.raises(RequestRefused, match=r"servo 2 \(shoulder\): torque is on"):
+        read_ticks(bench.bus, bench.config, bench.clock)
+    bench.servos[1].set(ax12a.TORQUE_ENABLE, 0)
+    hand = PosingHand(bench.arm)
+    bench.arm.hand = hand
+    hand.carry(np.array([0.5, 2.0, -2.0, 1.0, 0.0, 0.0]))
+    bench.clock.advance_ns(500_000_000)
+    with pytest.raises(RequestRefused, match="hold the tool still"):
+        read_ticks(bench.bus, bench.config, bench.clock)
+    bench.servos[1].set(ax12a.ID, 9)
+    with pytest.raises(RequestRefused, match="NO_REPLY"):
+        read_ticks(bench.bus, bench.config, bench.clock)
+    bench.port.unplug()
+    with pytest.raises(PortGone):
+        read_ticks(bench.bus, bench.config, bench.clock)
+
+
+def test_readings_survive_their_file(tmp_path: Path) -> None:
+    readings = Readings(arm_id=ARM.arm_id, touches=tuple(ideal_touches(ARM, 3, np.random.default_rng(0))))
+    path = tmp_path / "r.yaml"
+    path.write_text(calibration.readings_text(readings))
+    assert calibration.load_readings(path, ARM) == readings
+    with pytest.raises(ConfigError, match="readings of 'ax12-line'"):
+        calibration.load_readings(path, ARM.model_copy(update={"arm_id": "mine"}))
+    short = ARM.model_copy(update={"joints": ARM.joints[:5]})
+    with pytest.raises(ConfigError, match=r"touches\.0\.ticks: 6 values for 5 servos"):
+        calibration.load_readings(path, short)
+
+
+def test_points_are_lines_with_remarks(tmp_path: Path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text("# sheet\n0.2,0,0.0 # ahead\n\n -0.1, 0.15 ,1e-2\n")
+    assert calibration.read_points(path) == [(0.2, 0.0, 0.0), (-0.1, 0.15, 0.01)]
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("0.1,0.2", "line 1: '0.1,0.2' is not x,y,z"),
+        ("\n180,0,0", "line 2.*metres"),
+        ("nan,0,0", "finite"),
+        ("#\n", "no point"),
+    ],
+)
+def test_wrong_points_are_refused_by_line(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=problem):
+        calibration.read_points(path)

@@ -1,0 +1,276 @@
+"""What the doctor finds on arms with planted troubles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from armctl.commissioning import doctor
+from armctl.commissioning.doctor import Check, Surroundings, check_host, check_port, check_servos
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.errors import PortBusy, PortGone, PortMissing
+from tests.commissioning.bench import Bench
+
+PERIOD_S = 0.1
+
+
+def surroundings(folder: Path, **changes: object) -> Surroundings:
+    return Surroundings(**{"daemon": "", "log_dir": folder / "logs", "free_bytes": 0, "sysfs": folder, **changes})  # type: ignore[arg-type]
+
+
+def examine(bench: Bench, folder: Path, **changes: object) -> dict[tuple[str, int | None], Check]:
+    checks = check_servos(bench.bus, bench.config, PERIOD_S, surroundings(folder, **changes))
+    assert len({(check.name, check.servo_id) for check in checks}) == len(checks)
+    assert all(bool(check.fix) != check.ok for check in checks)
+    return {(check.name, check.servo_id): check for check in checks}
+
+
+def failed(checks: dict[tuple[str, int | None], Check]) -> set[tuple[str, int | None]]:
+    return {key for key, check in checks.items() if not check.ok}
+
+
+def quick(**settings: float) -> Bench:
+    """An arm with nothing wrong but what the test does to it."""
+    bench = Bench(latency_ms=settings.get("latency_ms", 0.0))
+    for servo in bench.servos:
+        servo.set(ax12a.RETURN_DELAY, 0)
+    return bench
+
+
+def test_a_fit_arm_passes_and_nothing_is_written(tmp_path: Path) -> None:
+    bench = quick()
+    before = [servo.writes for servo in bench.servos]
+    checks = examine(bench, tmp_path)
+    assert failed(checks) == set()
+    assert checks["cycle_rate", None].value.startswith("2.4 ms a cycle of 100 ms")
+    assert len(checks) == 3 + 6 * 12
+    assert [servo.writes for servo in bench.servos] == before
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slow_adapter_return_delay_and_a_wrong_id_are_all_named_with_their_fixes(tmp_path: Path, seed: int) -> None:
+    bench = Bench(seed=seed, latency_ms=16.0)
+    bench.servos[3].set(ax12a.ID, 9)
+    checks = examine(bench, tmp_path, options=" --port /dev/x")
+    assert failed(checks) == {
+        ("adapter_latency", None), ("present", 4), ("wrong_id", 9), *(("return_delay", i) for i in (1, 2, 3, 5, 6)),
+    }  # fmt: skip
+    assert "latency_timer" in checks["adapter_latency", None].fix
+    assert checks["present", 4].fix == checks["wrong_id", 9].fix == "armctl servo set-id 9 4 --port /dev/x"
+    assert "wrist" in checks["present", 4].value
+    assert checks["return_delay", 1].value == "500 us (register 250)"
+    assert checks["return_delay", 1].fix == "armctl servo set-return-delay 1 0 --port /dev/x"
+
+
+def test_slow_adapter_also_costs_the_cycle_and_return_delay_is_set_for_all(tmp_path: Path) -> None:
+    checks = examine(Bench(latency_ms=16.0), tmp_path)
+    assert ("cycle_rate", None) in failed(checks)
+    assert checks["return_delay", 6].fix == "armctl servo set-return-delay all 0"
+
+
+Plant = Callable[[Bench], None]
+
+
+def plant(servo: int, register: ax12a.Register, value: int) -> Plant:
+    return lambda bench: bench.servos[servo - 1].set(register, value)
+
+
+def volts(bench: Bench) -> None:
+    bench.servos[1].voltage_V = 7.4
+
+
+def hot(bench: Bench) -> None:
+    bench.servos[1].temperature_degC = 66.0
+
+
+def overloaded(bench: Bench) -> None:
+    bench.servos[1].overloaded = True
+
+
+def too_hot(bench: Bench) -> None:
+    hot(bench)
+    overloaded(bench)
+    bench.servos[1].set(ax12a.TEMPERATURE_LIMIT, 60)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "names", "value", "fix"),
+    [
+        (plant(2, ax12a.MODEL, 18), {"model"}, "18", "use an AX-12A"),
+        (plant(2, ax12a.RETURN_LEVEL, 1), {"return_level"}, "1", "armctl servo set 2 status_return_level 2"),
+        (plant(2, ax12a.RETURN_LEVEL, 0), {"return_level"}, "no READ", "armctl servo set 2 status_return_level 2"),
+        (plant(2, ax12a.CW_LIMIT, 200), {"angle_limits"}, "200..750", "armctl servo set 2 cw_angle_limit 171"),
+        (plant(2, ax12a.CCW_LIMIT, 0), {"angle_limits"}, "171..0", "armctl servo set 2 ccw_angle_limit 750"),
+        (plant(2, ax12a.SHUTDOWN, 1), {"shutdown"}, "voltage", "armctl servo set 2 shutdown 37"),
+        (plant(2, ax12a.TORQUE_LIMIT, 0), {"torque"}, "shut itself down", "switch its power off and on"),
+        (volts, {"voltage"}, "7.4 V", "9 to 12.6 V"),
+        (hot, {"temperature"}, "66 degC", "cool down"),
+        (overloaded, {"error_bits"}, "overload", "relieve the joint"),
+        (too_hot, {"error_bits", "temperature"}, "overheat, overload", "cool down"),
+    ],
+)
+def test_each_trouble_of_one_servo_is_one_line_with_one_fix(
+    tmp_path: Path, trouble: Plant, names: set[str], value: str, fix: str
+) -> None:
+    bench = quick()
+    trouble(bench)
+    checks = examine(bench, tmp_path)
+    assert failed(checks) == {(name, 2) for name in names}
+    worst = checks[min(names), 2]
+    assert value in worst.value
+    assert fix in worst.fix
+
+
+def test_torque_that_is_on_is_told_and_no_trouble(tmp_path: Path) -> None:
+    bench = quick()
+    bench.servos[0].set(ax12a.TORQUE_ENABLE, 1)
+    checks = examine(bench, tmp_path)
+    assert checks["torque", 1] == Check("torque", True, "on", "", 1)
+    assert checks["torque", 2].value == "off"
+
+
+def test_two_servos_with_one_id_are_told(tmp_path: Path) -> None:
+    bench = quick()
+    bench.servos[3].set(ax12a.ID, 3)
+    checks = examine(bench, tmp_path)
+    assert failed(checks) == {("id_clash", 3), ("present", 4)}
+    assert "armctl servo set-id 3 NEW" in checks["id_clash", 3].fix
+    assert "check the cable" in checks["present", 4].fix
+
+
+def test_a_stranger_beside_a_full_arm_is_told(tmp_path: Path) -> None:
+    bench = quick()
+    short = ArmConfig(arm_id="short", robot=bench.config.robot, joints=bench.config.joints[:5])
+    checks = check_servos(bench.bus, short, PERIOD_S, surroundings(tmp_path))
+    assert [(check.name, check.servo_id) for check in checks if not check.ok] == [("wrong_id", 6)]
+
+
+def test_a_servo_at_another_baud_is_found_and_brought_back(tmp_path: Path) -> None:
+    bench = quick()
+    bench.servos[1].set(ax12a.BAUD, 34)
+    checks = examine(bench, tmp_path)
+    assert failed(checks) == {("present", 2)}
+    assert checks["present", 2].fix == "armctl servo set-baud 2 1000000 --baud 57600"
+    assert bench.port.baudrate == 1_000_000
+
+
+def test_a_whole_bus_at_another_baud_or_without_supply_is_told(tmp_path: Path) -> None:
+    bench = quick()
+    for servo in bench.servos:
+        servo.set(ax12a.BAUD, 34)
+    checks = examine(bench, tmp_path)
+    assert checks["baud", None].value == "nobody answers at 1000000, but servos 1, 2, 3, 4, 5, 6 at 57600"
+    assert checks["baud", None].fix == "armctl servo set-baud 1 1000000 --baud 57600"
+    for servo in bench.servos:
+        servo.set(ax12a.RETURN_LEVEL, 0)
+        servo.set(ax12a.ID, 253)
+    bench.line.baud = 1
+    for servo in bench.servos:
+        servo.set(ax12a.BAUD, 254)
+    checks = examine(bench, tmp_path)
+    assert "supply" in checks["baud", None].fix
+
+
+def test_a_port_that_vanishes_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = quick()
+
+    def unplug(*_: object) -> Check:
+        bench.bus.close()
+        return Check("x", True, "")
+
+    monkeypatch.setattr(doctor, "_cycle_check", unplug)
+    with pytest.raises(PortGone):
+        check_servos(bench.bus, bench.config, PERIOD_S, surroundings(tmp_path))
+
+
+# ---------------------------------------------------------------------------------------------------- host and port
+
+
+def test_host_checks_need_no_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    by_name = {check.name: check for check in check_host(surroundings(tmp_path, daemon="/run/x"))}
+    assert all(check.ok for check in by_name.values())
+    assert by_name["daemon"].value == "runs: /run/x"
+    full = {check.name: check for check in check_host(surroundings(tmp_path, free_bytes=1 << 60))}["disk"]
+    assert not full.ok
+    assert full.fix == f"delete old logs in {tmp_path}"
+    monkeypatch.setattr("os.access", lambda *_: False)
+    locked = {check.name: check for check in check_host(surroundings(tmp_path))}["disk"]
+    assert "not writable" in locked.value
+    assert "chown" in locked.fix
+
+
+def test_the_port_is_shown_with_the_name_that_stays(tmp_path: Path) -> None:
+    device, link = tmp_path / "ttyUSB0", tmp_path / "by-id" / "usb-FTDI"
+    device.touch()
+    link.parent.mkdir()
+    link.symlink_to(device)
+    (link.parent / "other").symlink_to(tmp_path)
+    assert doctor._port_name(device, link.parent) == f"{device} = {link}"
+    assert doctor._port_name(tmp_path / "ttyUSB1", link.parent) == str(tmp_path / "ttyUSB1")
+
+
+def test_latency_of_the_driver_is_read_and_its_fix_is_exact(tmp_path: Path) -> None:
+    bench = Bench()
+    bench.bus.close()
+    timer = tmp_path / "class" / "tty" / "loopback" / "device" / "latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text("16\n")
+    bench.port.low_latency = False
+    checks = check_port(bench.bus, surroundings(tmp_path))
+    assert [(check.name, check.ok) for check in checks] == [
+        ("port", True), ("permission", True), ("owner", True), ("low_latency", False), ("latency_timer", False),
+    ]  # fmt: skip
+    assert {check.fix for check in checks[3:]} == {f"echo 1 | sudo tee {timer}"}
+    assert bench.bus.is_open
+    timer.write_text("1\n")
+    bench.port.low_latency = True
+    assert all(check.ok for check in check_port(bench.bus, surroundings(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("error", "daemon", "name", "value", "fix"),
+    [
+        (
+            PortMissing("p: no such port; found: none; plug the adapter in"),
+            "",
+            "port",
+            "found: none",
+            "plug the adapter in",
+        ),
+        (PortBusy("p: in use by x (pid 7); stop it"), "", "owner", "x (pid 7)", "stop it"),
+        (PortBusy("p: in use by x (pid 7); stop it"), "/run/s", "owner", "x (pid 7)", "armctl status"),
+    ],
+)
+def test_a_port_that_does_not_open_ends_the_examination(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, daemon: str, name: str, value: str, fix: str
+) -> None:
+    bench = Bench()
+    bench.bus.close()
+
+    def refuse() -> bool:
+        raise error
+
+    monkeypatch.setattr(bench.port, "openPort", refuse)
+    last = check_port(bench.bus, surroundings(tmp_path, daemon=daemon))[-1]
+    assert (last.name, last.ok) == (name, False)
+    assert value in last.value
+    assert fix in last.fix
+    assert not bench.bus.is_open
+
+
+def test_missing_permission_is_a_check_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    bench.bus.close()
+    bench.port.port_name = str(tmp_path)
+
+    def refuse() -> bool:
+        raise PortMissing("p: no permission; it belongs to group dialout: sudo usermod -aG dialout $USER")
+
+    monkeypatch.setattr(bench.port, "openPort", refuse)
+    monkeypatch.setattr("os.access", lambda *_: False)
+    checks = check_port(bench.bus, surroundings(tmp_path))
+    assert [(check.name, check.ok) for check in checks] == [("port", True), ("permission", False)]
+    assert "usermod" in checks[-1].fix

@@ -1,0 +1,271 @@
+"""EEPROM of simulated servos: what is written, what is refused, and that nothing moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from armctl.commissioning import eeprom
+from armctl.commissioning.eeprom import Difference
+from armctl.dynamixel import ax12a
+from armctl.errors import ConfigError, PortGone, RequestRefused
+from tests.commissioning.bench import Bench
+
+
+@pytest.fixture(params=[0.0, 16.0], ids=["quick", "slow"])
+def bench(request: pytest.FixtureRequest) -> Bench:
+    return Bench(latency_ms=request.param)
+
+
+def writes(bench: Bench) -> list[int]:
+    return [servo.writes for servo in bench.servos]
+
+
+# ------------------------------------------------------------------------------------------------------ id and baud
+
+
+def test_a_servo_gets_its_id_and_only_that(bench: Bench) -> None:
+    before = [[servo.get(register) for register in ax12a.REGISTERS[3:18]] for servo in bench.servos]
+    eeprom.set_id(bench.bus, 4, 9)
+    assert [servo.get(ax12a.ID) for servo in bench.servos] == [1, 2, 3, 9, 5, 6]
+    assert [[servo.get(register) for register in ax12a.REGISTERS[3:18]] for servo in bench.servos] == before
+    assert not any(servo.torque_enabled for servo in bench.servos)
+
+
+def test_a_taken_id_is_refused_even_if_its_servo_reads_nothing(bench: Bench) -> None:
+    before = writes(bench)
+    bench.servos[4].set(ax12a.RETURN_LEVEL, 0)
+    for taken in (3, 5):
+        with pytest.raises(RequestRefused, match=f"servo {taken} already answers"):
+            eeprom.set_id(bench.bus, 4, taken)
+    assert writes(bench) == [n + (i == 4) for i, n in enumerate(before)]
+
+
+def test_two_servos_with_one_id_are_not_written(bench: Bench) -> None:
+    bench.servos[3].set(ax12a.ID, 3)
+    before = writes(bench)
+    for attempt in (
+        lambda: eeprom.set_id(bench.bus, 3, 4),
+        lambda: eeprom.set_baud(bench.bus, 3, 57_600),
+        lambda: eeprom.write_register(bench.bus, 3, ax12a.RETURN_DELAY, 0),
+    ):
+        with pytest.raises(RequestRefused, match="two servos answer") as refusal:
+            attempt()
+        assert refusal.value.code == "DUPLICATE_ID"
+    assert writes(bench) == before
+
+
+def test_with_torque_on_or_locked_nothing_is_written(bench: Bench) -> None:
+    bench.servos[0].set(ax12a.TORQUE_ENABLE, 1)
+    bench.servos[1].set(ax12a.LOCK, 1)
+    before = writes(bench)
+    for servo_id, code in ((1, "TORQUE_ON"), (2, "LOCKED"), (77, "SERVO_SILENT")):
+        for attempt in (
+            lambda i: eeprom.set_id(bench.bus, i, 50),
+            lambda i: eeprom.set_baud(bench.bus, i, 57_600),
+            lambda i: eeprom.write_register(bench.bus, i, ax12a.SHUTDOWN, 36),
+        ):
+            with pytest.raises(RequestRefused) as refusal:
+                attempt(servo_id)
+            assert refusal.value.code == code
+    assert writes(bench) == before
+
+
+@pytest.mark.parametrize(("old", "new"), [(1, 1), (1, 254), (-1, 3)])
+def test_impossible_ids_are_refused(old: int, new: int) -> None:
+    with pytest.raises(ConfigError, match="id"):
+        eeprom.set_id(Bench().bus, old, new)
+
+
+def test_an_id_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    monkeypatch.setattr(bench.bus, "write", lambda write: True)
+    with pytest.raises(RequestRefused, match="does not answer as 9") as refusal:
+        eeprom.set_id(bench.bus, 4, 9)
+    assert refusal.value.code == "NOT_WRITTEN"
+
+
+def test_twins_that_read_alike_are_told_after_the_fact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only one of two servos hears the write: the old id still answers."""
+    bench = Bench()
+    bench.servos[3].set(ax12a.ID, 3)
+    monkeypatch.setattr(bench.bus, "answers_twice", lambda servo_id: False)
+    monkeypatch.setattr(bench.bus, "write", lambda write: bench.servos[2].set(ax12a.ID, 9))
+    monkeypatch.setattr(eeprom, "_read", lambda *_: bytes(26))
+    with pytest.raises(RequestRefused, match="there were two of them"):
+        eeprom.set_id(bench.bus, 3, 9)
+
+
+@pytest.mark.parametrize(
+    ("baud", "real"), [(57_600, 57_142), (115_200, 117_647), (9_600, 9_615), (1_000_000, 1_000_000)]
+)
+def test_a_servo_is_found_again_at_its_new_baud(bench: Bench, baud: int, real: int) -> None:
+    assert eeprom.set_baud(bench.bus, 2, baud) == real
+    assert bench.port.baudrate == baud
+    assert bench.bus.ping(2) == 12
+    assert round(bench.servos[1].baud) == pytest.approx(real, abs=1)
+
+
+@pytest.mark.parametrize("baud", [0, -5, 1200, 2_000_000, 700_000])
+def test_bauds_no_servo_has_are_refused(baud: int) -> None:
+    with pytest.raises(ConfigError, match="1000000, 500000"):
+        eeprom.set_baud(Bench().bus, 1, baud)
+
+
+def test_a_baud_at_which_the_id_is_taken_is_refused() -> None:
+    bench = Bench()
+    bench.servos[1].set(ax12a.BAUD, 34)
+    bench.servos[1].set(ax12a.ID, 1)
+    with pytest.raises(RequestRefused, match="another servo 1 answers at 57600"):
+        eeprom.set_baud(bench.bus, 1, 57_600)
+    assert bench.port.baudrate == 1_000_000
+    assert bench.servos[0].get(ax12a.BAUD) == 1
+
+
+@pytest.mark.parametrize(("lost", "text"), [(False, "still answers at 1000000"), (True, "scan --baud all")])
+def test_a_baud_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch, lost: bool, text: str) -> None:
+    bench = Bench()
+
+    def write(_: object) -> bool:
+        if lost:
+            bench.servos[0].set(ax12a.BAUD, 9)
+        return True
+
+    monkeypatch.setattr(bench.bus, "write", write)
+    with pytest.raises(RequestRefused, match=text):
+        eeprom.set_baud(bench.bus, 1, 57_600)
+    assert bench.port.baudrate == 1_000_000
+
+
+# ---------------------------------------------------------------------------------------------------- registers
+
+
+def test_a_register_is_written_and_read_back(bench: Bench) -> None:
+    eeprom.write_register(bench.bus, 3, ax12a.CCW_LIMIT, 900)
+    assert bench.servos[2].get(ax12a.CCW_LIMIT) == 900
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_mute_servo_gets_its_return_level_back(bench: Bench, level: int) -> None:
+    bench.servos[2].set(ax12a.RETURN_LEVEL, level)
+    eeprom.write_register(bench.bus, 3, ax12a.RETURN_LEVEL, 2)
+    assert bench.servos[2].get(ax12a.RETURN_LEVEL) == 2
+
+
+@pytest.mark.parametrize("register", [ax12a.ID, ax12a.BAUD, ax12a.MODEL, ax12a.GOAL, ax12a.TORQUE_ENABLE])
+def test_only_settings_in_the_eeprom_are_written(register: ax12a.Register) -> None:
+    bench = Bench()
+    before = writes(bench)
+    with pytest.raises(ConfigError, match="not set this way"):
+        eeprom.write_register(bench.bus, 3, register, 1)
+    with pytest.raises(ConfigError, match=r"outside 0\.\.2"):
+        eeprom.write_register(bench.bus, 3, ax12a.RETURN_LEVEL, 3)
+    assert writes(bench) == before
+
+
+def test_a_value_that_does_not_read_back_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    monkeypatch.setattr(bench.bus, "write", lambda write: True)
+    with pytest.raises(RequestRefused, match="return_delay_time was to be 0 and reads 250"):
+        eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
+
+
+def test_an_unplugged_port_is_raised() -> None:
+    bench = Bench()
+    bench.port.unplug()
+    with pytest.raises(PortGone):
+        eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
+
+
+def test_a_port_that_vanishes_after_the_write_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    monkeypatch.setattr(bench.bus, "write", lambda write: bench.port.unplug())
+    with pytest.raises(PortGone, match="return_delay_time was to be 0"):
+        eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
+
+
+# -------------------------------------------------------------------------------------------- save, diff, restore
+
+
+@pytest.mark.parametrize("name", ["e.yaml", "e.json"])
+def test_what_was_saved_is_restored(bench: Bench, tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    saved = eeprom.save(bench.bus, bench.config.servo_ids, path)
+    assert eeprom.load(path) == saved
+    assert eeprom.differences(bench.bus, saved) == []
+    bench.servos[2].set(ax12a.SHUTDOWN, 4)
+    bench.servos[5].set(ax12a.CW_LIMIT, 100)
+    wanted = [Difference(3, "shutdown", 36, 4), Difference(6, "cw_angle_limit", 18, 100)]
+    assert eeprom.differences(bench.bus, saved) == wanted
+    assert eeprom.restore(bench.bus, saved, (3,)) == wanted[:1]
+    assert eeprom.restore(bench.bus, saved) == wanted[1:]
+    assert eeprom.restore(bench.bus, saved) == []
+    assert not any(servo.torque_enabled for servo in bench.servos)
+
+
+def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
+    bench = Bench()
+    path = tmp_path / "e.yaml"
+    path.write_text("precious")
+    with pytest.raises(RequestRefused, match="not overwritten"):
+        eeprom.save(bench.bus, (1,), path)
+    assert path.read_text() == "precious"
+    with pytest.raises(ConfigError, match="cannot be written"):
+        eeprom.save(bench.bus, (1,), tmp_path / "none" / "e.yaml")
+
+
+def test_a_silent_servo_is_a_difference_and_not_saved(tmp_path: Path) -> None:
+    bench = Bench()
+    saved = eeprom.save(bench.bus, (1, 2), tmp_path / "e.yaml")
+    bench.servos[1].set(ax12a.ID, 9)
+    found = eeprom.differences(bench.bus, saved)
+    assert {(difference.servo_id, difference.found) for difference in found} == {(2, None)}
+    with pytest.raises(RequestRefused, match="servo 2: cannot be read"):
+        eeprom.save(bench.bus, (1, 2), tmp_path / "f.yaml")
+    assert not (tmp_path / "f.yaml").exists()
+
+
+def test_restoring_names_every_obstacle_and_writes_nothing(tmp_path: Path) -> None:
+    bench = Bench()
+    saved = eeprom.save(bench.bus, bench.config.servo_ids, tmp_path / "e.yaml")
+    for servo in bench.servos:
+        servo.set(ax12a.RETURN_DELAY, 0)
+    bench.servos[1].set(ax12a.TORQUE_ENABLE, 1)
+    bench.servos[3].set(ax12a.MODEL, 18)
+    bench.servos[4].set(ax12a.ID, 99)
+    other_baud = saved.model_copy(
+        update={
+            "servos": tuple(
+                servo.model_copy(update={"registers": {**servo.registers, "baud_rate": 3}})
+                if servo.servo_id == 6
+                else servo
+                for servo in saved.servos
+            )
+        }
+    )
+    before = writes(bench)
+    with pytest.raises(RequestRefused) as refusal:
+        eeprom.restore(bench.bus, other_baud)
+    assert [reason.split(":")[0] for reason in refusal.value.reasons] == [f"servo {i}" for i in (2, 4, 5, 6)]
+    assert writes(bench) == before
+    with pytest.raises(ConfigError, match="it holds 1, 2, 3, 4, 5, 6"):
+        eeprom.restore(bench.bus, saved, (7,))
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("servos: []", "at least 1"),
+        ("servos: [{servo_id: 1, registers: {colour: 1}}]", "no EEPROM register 'colour'"),
+        ("servos: [{servo_id: 1, registers: {shutdown: 300}}]", r"outside 0\.\.127"),
+        ("servos: [{servo_id: 1, registers: {id: 2}}]", "is not servo_id 1"),
+        ("servos: [{servo_id: 1, registers: {}}, {servo_id: 1, registers: {}}]", "stands here twice"),
+        ("servos: [{servo_id: 254, registers: {}}]", "253"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "e.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=problem):
+        eeprom.load(path)
