@@ -1,4 +1,4 @@
-"""`armctl daemon`, `armctl sim` and the simulator's hand."""
+"""`armctl daemon`, `armctl sim`, and the simulator's hand and faults."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ import os
 import time
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from armctl.cli.output import POINT, Output, config_option, output_option, socket_option
+from armctl.cli.output import POINT, F, Output, config_option, output_option, socket_option
 from armctl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from armctl.sim.control import SimulatorClient
 
 DEFAULT_LINK = "armctl-servos"
 
@@ -18,6 +22,12 @@ DEFAULT_LINK = "armctl-servos"
 def default_link() -> Path:
     """Where `armctl sim` publishes its port when nothing else is said."""
     return Path(os.environ.get("XDG_RUNTIME_DIR") or "/tmp") / DEFAULT_LINK
+
+
+def simulator_option(function: F) -> F:
+    """Adds `--link`."""
+    text = "The simulator's port, as it printed it."
+    return click.option("--link", type=click.Path(path_type=Path), help=text)(function)
 
 
 @click.command("daemon")
@@ -63,6 +73,10 @@ def daemon_command(
 @click.option("--seed", default=0, show_default=True, help="Draws masses, friction, play, offsets and noise.")
 @click.option("--return-delay-us", type=click.IntRange(0, 508), help="Return delay of every servo.")
 @click.option("--latency-ms", type=click.FloatRange(0.0, 100.0), default=0.0, help="Latency timer of the adapter.")
+@click.option("--echo", is_flag=True, help="The adapter hears what the host says.")
+@click.option(
+    "--faults", "faults_file", type=click.Path(path_type=Path), metavar="FILE", help="What goes wrong and when (YAML)."
+)
 @click.option("--lockstep", is_flag=True, help="The arm's time advances with the bus master's ticks, not the clock's.")
 @output_option
 def sim_command(
@@ -72,35 +86,45 @@ def sim_command(
     seed: int,
     return_delay_us: int | None,
     latency_ms: float,
+    echo: bool,
+    faults_file: Path | None,
     lockstep: bool,
 ) -> int:
     """Play an arm: simulated servos that answer real protocol bytes on a pseudo terminal.
 
-    Prints `ready PATH`; any program that drives AX-12A servos can open PATH.
+    Prints `ready PATH`; any program that drives AX-12A servos can open PATH. What can go wrong, and how FILE says so:
+    armctl/docs/simulator.md and `armctl fault begin --help`.
 
     Example: armctl sim --link /tmp/servos
     """
-    from armctl.config import load_arm
+    from armctl.config import load_arm, read_text
     from armctl.sim import pty
+    from armctl.sim.faults import Fault, parse
+
+    played = load_arm(arm)
+    faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
+    if faults_file is not None:
+        faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
 
     def ready(path: str) -> None:
         if not output.result({"port": path}):
             click.echo(f"ready {path}")
 
     pty.run(
-        load_arm(arm),
+        played,
         link=(link or default_link()).absolute(),
         seed=seed,
         latency_ms=latency_ms,
         return_delay_us=return_delay_us,
         lockstep=lockstep,
+        faults=faults,
         ready=ready,
     )
     return 0
 
 
 @click.command("hand")
-@click.option("--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")
+@simulator_option
 @click.option("--from", "from_m", type=POINT, default="0.18,-0.125,0.10", show_default=True, help="Start, metres.")
 @click.option("--to", "to_m", type=POINT, default="0.18,0.125,0.10", show_default=True, help="End, metres.")
 @click.option("--seed", default=0, show_default=True, help="A different wobble for each number.")
@@ -118,10 +142,7 @@ def hand_command(
 
     Example: armctl teach demo --takes 5 & armctl hand --seed 1
     """
-    from armctl.sim.control import SimulatorClient, control_path
-
-    port = (link or default_link()).absolute()
-    with SimulatorClient(control_path(port)) as simulator:
+    with _simulator(link) as simulator:
         if let_go:
             simulator.let_go()
             output.result({"holding": False})
@@ -134,3 +155,85 @@ def hand_command(
                 show(passed_s, "")
                 time.sleep(0.1)
         output.result(asdict(plan))
+
+
+@click.group("fault")
+def fault_command() -> None:
+    """Let something go wrong with the simulated arm, now.
+
+    Example: armctl fault begin mute --servo 3 --for 2
+    """
+
+
+class _ExplainedKinds(click.Command):
+    """Lists the kinds of faults in its help; they are read when it is asked for."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from armctl.sim.faults import DESCRIPTIONS
+
+        with formatter.section("Kinds"):
+            formatter.write_dl(list(DESCRIPTIONS.items()))
+
+
+@fault_command.command("begin", cls=_ExplainedKinds)
+@click.argument("kind")
+@click.option("--servo", "servo_id", type=int, help="Which servo; every one when left out.")
+@click.option("--probability", default=1.0, show_default=True, help="On each occasion.")
+@click.option("--count", type=int, help="At most so many times.")
+@click.option("--for", "duration_s", type=float, metavar="SECONDS", help="Until it is ended when left out.")
+@click.option("--value", type=float, help="What it means depends on the kind.")
+@simulator_option
+@output_option
+def fault_begin_command(
+    output: Output,
+    kind: str,
+    servo_id: int | None,
+    probability: float,
+    count: int | None,
+    duration_s: float | None,
+    value: float | None,
+    link: Path | None,
+) -> None:
+    """Begin a fault; prints the number to end it by.
+
+    Example: armctl fault begin late --servo 2 --value 12 --probability 0.1
+    """
+    with _simulator(link) as simulator:
+        number = simulator.fault_begin(
+            kind, servo_id=servo_id, probability=probability, count=count, duration_s=duration_s, value=value
+        )
+    if not output.result({"id": number}):
+        click.echo(number)
+
+
+@fault_command.command("end")
+@click.argument("number", type=int)
+@simulator_option
+@output_option
+def fault_end_command(output: Output, number: int, link: Path | None) -> None:
+    """End a fault by its number."""
+    with _simulator(link) as simulator:
+        simulator.fault_end(number)
+    output.result({"id": number})
+
+
+@fault_command.command("list")
+@simulator_option
+@output_option
+def fault_list_command(output: Output, link: Path | None) -> None:
+    """Show what goes wrong now, and what is planned."""
+    with _simulator(link) as simulator:
+        faults = simulator.faults()
+    if output.result({"faults": faults}):
+        return
+    for fault in faults:
+        until = "until ended" if fault["end_s"] is None else f"to {fault['end_s']:.1f} s"
+        servo = "" if fault["servo_id"] is None else f" servo {fault['servo_id']}"
+        state = "now" if fault["active"] else "planned"
+        click.echo(f"{fault['id']:3d} {fault['kind']}{servo}: {state}, from {fault['begin_s']:.1f} s {until}")
+
+
+def _simulator(link: Path | None) -> SimulatorClient:
+    from armctl.sim.control import SimulatorClient, control_path
+
+    return SimulatorClient(control_path((link or default_link()).absolute()))

@@ -5,50 +5,52 @@ direction (CCW positive):
 
     output  = 0 inside the margin, `punch` at its edge, then a ramp over the slope, capped by the torque limits;
               the error is counted in whole ticks between the reference and the quantised shaft
-    motor   = stall_torque * (output - velocity / no_load_speed)      (nothing at all when limp)
+    motor   = stall_torque * (output * voltage / 12 V - velocity / no_load_speed)      (nothing at all when limp)
     inertia * acceleration = motor + gravity + hand - friction
 
 The shaft, which the potentiometer sees and the link hangs on, follows the motor through a play: gravity and hand
 push it to one flank; without them it is dragged along. The reference ramps to the goal at the moving speed.
-Joints are coupled by gravity and the diagonal inertia, both renewed from the true configuration every 4 ms; time
-advances on a fixed grid, so the result does not depend on how `advance` is called. Plain floats: for six joints
-they are several times faster than arrays.
+Joints are coupled by gravity and the diagonal inertia, both renewed from the true configuration every 4 ms, and by
+the supply, whose voltage falls with the current all motors draw; each motor's heat is first order. Time advances on
+a fixed grid, so the result does not depend on how `advance` is called, and faults begin and end on it. Plain floats:
+for six joints they are several times faster than arrays. Source and certainty of every figure: docs/simulator.md.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.packet import BROADCAST_ID, Instruction, Packet
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
+from armctl.sim.faults import Faults, Planned
 from armctl.sim.hand import Hand
-from armctl.sim.servo import Drive, ServoVariants, SimulatedServo
+from armctl.sim.servo import Drive, ServoVariants, SimulatedServo, sensed_tick
 
 STEP_NS = 1_000_000
 STEP_S = 1e-3
+FAULT_TOLERANCE_S = 1e-6
+"""So much before a step's instant counts as at it: what a sum of decimal seconds may be off."""
 CHUNK_STEPS = 4
 """Steps between two evaluations of gravity, inertia and the hand's aim."""
 GRAVITY_M_S2 = 9.81
+RATED_V = 12.0
+"""The supply at which stall torque and no-load speed are stated."""
 
 
 @dataclass(frozen=True)
 class ArmSpec:
     """Every physical number of a simulated arm.
 
-    A pair is a range from which each joint (or the tool) draws by the seed. Certain, from ROBOTIS' documents: mass,
-    stall torque, no-load speed, the tick. Plausible figures of a study, measured on no arm: friction, play,
-    noise, offsets, bracket and tool mass, and that the tool's mass sits at the tool point. Guesses: stiction ratio,
-    rotor inertia, stops, overload time, rest support.
-
-    Not modelled: collisions (links, floor, table), bending of links and gears, off-diagonal inertia and Coriolis
-    terms, loss of contact while the play is crossed, heating, supply sag, torque ripple, the potentiometer's
-    nonlinearity, and the dead zone beyond 0..1023.
+    A pair is a range from which each joint (or the tool) draws by the seed. docs/simulator.md says of each figure
+    whether it is ROBOTIS', a study's or a guess, and what is not modelled.
     """
 
     servo_kg: float = 0.0546
@@ -81,6 +83,19 @@ class ArmSpec:
     overload_output: float = 0.8
     overload_s: float = 4.0
     """A servo whose output stays over `overload_output` for this long reports an overload."""
+    supply_V: float = 12.0
+    """At the servos while no motor works."""
+    supply_ohm: float = 0.15
+    """Of supply and cables together."""
+    stall_current_A: float = 1.5
+    idle_degC: float = 30.0
+    """Where a servo's temperature settles while its motor rests."""
+    stall_heating_degC: float = 120.0
+    """How far above that it would settle at stall torque; as the square of the torque below."""
+    heating_s: float = 400.0
+    """Time constant of heating and cooling."""
+    boot_s: float = 0.3
+    """A servo is deaf for this long after its firmware restarts."""
     variants: ServoVariants = field(default_factory=ServoVariants)
 
 
@@ -105,6 +120,11 @@ class _Joint:
     load: float = 0.0
     inertia: float = 1.0
     loaded_steps: int = 0
+    dead_motor: bool = False
+    held: float | None = None
+    """Where something holds the shaft."""
+    boot_step: int = 0
+    """When its firmware runs again, while it is booting."""
 
     def position_rad(self) -> float:
         return self.direction * (self.shaft - self.zero_rad)
@@ -113,7 +133,9 @@ class _Joint:
 class SimulatedArm:
     """All servos of one arm and the body they move."""
 
-    def __init__(self, arm: ArmConfig, *, seed: int = 0, spec: ArmSpec = DEFAULT_SPEC) -> None:
+    def __init__(
+        self, arm: ArmConfig, *, seed: int = 0, spec: ArmSpec = DEFAULT_SPEC, faults: Faults | None = None
+    ) -> None:
         """The arm in its rest pose, just powered up: torque off, RAM at the factory's values.
 
         The servos' EEPROM is set up as the calibration asks: ids and angle limits; the rest is the factory's.
@@ -123,6 +145,7 @@ class SimulatedArm:
         """
         self.config = arm
         self.spec = spec
+        self.faults = Faults(seed=seed) if faults is None else faults
         rng = np.random.default_rng(seed)
         robot = robots.get(arm.robot, arm.lengths_m)
         lengths_m = {
@@ -161,6 +184,7 @@ class SimulatedArm:
                 noise_tick=spec.noise_tick,
                 variants=spec.variants,
             )
+            servo.voltage_V, servo.temperature_degC = spec.supply_V, spec.idle_degC
             servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
             servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
             servos.append(servo)
@@ -172,7 +196,16 @@ class SimulatedArm:
         self._weighed = False
         """Whether gravity and inertia belong to the present configuration."""
         self._resting = False
+        self._supply_V = self._voltage_V = spec.supply_V
+        """The supply's own voltage, and the servos' under load."""
+        self._warm_step = 0
+        """When the temperatures were brought up to date."""
+        self._decay = math.exp(-CHUNK_STEPS * STEP_S / spec.heating_s)
+        self._writer_goals: dict[tuple[int, int], int] = {}
+        """What each second writer (by its fault) tells each servo."""
         self.hand = Hand(self)
+        self.standing = False
+        """Whether time is held, see `Lockstep` in sim/pty.py."""
 
     @property
     def servos(self) -> tuple[SimulatedServo, ...]:
@@ -185,10 +218,11 @@ class SimulatedArm:
         return self._step * STEP_S
 
     def draw_noise(self) -> None:
-        """Let the servos' noise from here on depend on this moment of the take alone, not on what was read before."""
+        """One draw for every servo, by this moment of the take alone; it lasts until the next one."""
         seed, time_s = self.hand.moment(self.time_s)
-        for i, servo in enumerate(self._servos):
-            servo.noise = np.random.default_rng((seed, round(time_s / STEP_S), i))
+        draws = np.random.default_rng((seed, round(time_s / STEP_S))).standard_normal(len(self._servos))
+        for servo, draw in zip(self._servos, draws.tolist(), strict=True):
+            servo.noise = draw
 
     def true_positions(self) -> FloatArray:
         """Joint positions of the output shafts [rad], shape (n,): no quantisation, noise or zero offset."""
@@ -205,26 +239,131 @@ class SimulatedArm:
     def advance(self, now_ns: int) -> None:
         """Integrate up to the monotonic instant `now_ns`.
 
-        The first call sets the origin of time; an instant before the last one does nothing.
+        The first call sets the origin of time; an instant before the last one does nothing, as does any while the
+        world is `standing`.
         """
+        if self.standing:
+            return
         if self._origin_ns is None:
             self._origin_ns = now_ns
-        due = (now_ns - self._origin_ns) // STEP_NS - self._step
-        while due > 0:
+        end = (now_ns - self._origin_ns) // STEP_NS
+        while True:
+            if self.faults.due_s <= self.time_s + FAULT_TOLERANCE_S:
+                self._suffer()
+            due = end - self._step
+            if due <= 0:
+                return
+            if self.faults.due_s < end * STEP_S:
+                due = min(due, math.ceil((self.faults.due_s - FAULT_TOLERANCE_S / 2.0) / STEP_S) - self._step)
             for i, servo in enumerate(self._servos):
                 if servo.writes != self._writes[i]:
                     self._drives[i], self._writes[i] = servo.drive, servo.writes
                     self._resting = False
             if self._resting and not self.hand.holding:
-                self._step += due
-                break
+                # Time passes, and only temperatures change: up to the one that will trip a servo.
+                overheat = self._steps_to_overheat()
+                self._step += min(due, overheat)
+                self._warm()
+                self._resting = due < overheat
+                continue
             count = min(due, CHUNK_STEPS - self._step % CHUNK_STEPS)
-            self._integrate(count)
+            moved = self._integrate(count)
             self._step += count
-            due -= count
+            if self._step % CHUNK_STEPS == 0:
+                moved |= self._drain_supply()
+                self._warm()
+                # At rest nothing changes until an input does, if gravity is the one of this very configuration.
+                self._resting = self._weighed and not moved and not self.hand.holding
+                self._weighed &= not moved
+            else:
+                self._weighed &= not moved
 
-    def _integrate(self, count: int) -> None:
-        """`count` steps of every joint, at most to the end of the chunk."""
+    def _suffer(self) -> None:
+        """Begin and end the faults that are due."""
+        faults, spec = self.faults, self.spec
+        due = faults.advance(self.time_s + FAULT_TOLERANCE_S)
+        self._resting = self._weighed = False
+        for i, (joint, servo) in enumerate(zip(self._joints, self._servos, strict=True)):
+            servo_id = self.config.servo_ids[i]
+            for planned in due:
+                if planned.fault.servo_id in (None, servo_id):
+                    self._strike(planned, i)
+            joint.dead_motor = faults.in_force("stuck_joint", servo_id) is not None
+            if not faults.in_force("blocked_joint", servo_id):
+                joint.held = None
+            elif joint.held is None:
+                joint.held = joint.shaft
+            if not faults.in_force("frozen_sensor", servo_id):
+                servo.frozen_tick = None
+            elif servo.frozen_tick is None:
+                servo.freeze()
+        sag = faults.in_force("brown_out")
+        self._supply_V = spec.supply_V if sag is None else sag.amount
+        self._drain_supply()
+
+    def _strike(self, planned: Planned, i: int) -> None:
+        """Let a fault that begins, or a second writer whose write is due, strike servo i."""
+        servo, kind = self._servos[i], planned.fault.kind
+        if kind not in ("brown_out", "trip", "hot", "second_writer") or not planned.strikes():
+            return
+        if kind == "brown_out":
+            servo.reboot()
+            servo.booting = True
+            self._joints[i].boot_step = self._step + round(self.spec.boot_s / STEP_S)
+        elif kind == "trip":
+            servo.protect(overloaded=True)
+        elif kind == "hot":
+            servo.temperature_degC = planned.amount
+        else:
+            own = round(servo.position_tick + planned.amount)
+            goal = self._writer_goals.setdefault((planned.id, i), min(max(own, 0), ax12a.TICK_MAX))
+            data = bytes((ax12a.GOAL.address, 2, servo.get(ax12a.ID))) + goal.to_bytes(2, "little")
+            servo.handle(Packet(BROADCAST_ID, Instruction.SYNC_WRITE, data))
+
+    def _drain_supply(self) -> bool:
+        """The voltage under the present load; whether it is another than before."""
+        spec, current_A = self.spec, 0.0
+        for servo in self._servos:
+            if servo.output:
+                current_A += max(0.0, servo.output * self._effort(servo)) * spec.stall_current_A
+        voltage_V = max(0.0, self._supply_V - spec.supply_ohm * current_A)
+        if voltage_V == self._voltage_V:
+            return False
+        self._voltage_V = voltage_V
+        for servo in self._servos:
+            servo.voltage_V = voltage_V
+        return True
+
+    def _effort(self, servo: SimulatedServo) -> float:
+        """Motor current as a fraction of the stall current."""
+        return servo.output - servo.velocity_rad_s / self.spec.no_load_speed_rad_s if servo.output else 0.0
+
+    def _settled_degC(self, servo: SimulatedServo) -> float:
+        """Where the servo's temperature tends at its present effort."""
+        return self.spec.idle_degC + self.spec.stall_heating_degC * self._effort(servo) ** 2
+
+    def _warm(self) -> None:
+        """Bring the temperatures up to date."""
+        steps = self._step - self._warm_step
+        self._warm_step = self._step
+        decay = self._decay if steps == CHUNK_STEPS else math.exp(-steps * STEP_S / self.spec.heating_s)
+        for servo in self._servos:
+            settled = self._settled_degC(servo)
+            servo.temperature_degC = settled + (servo.temperature_degC - settled) * decay
+
+    def _steps_to_overheat(self) -> int:
+        """How long the arm may rest until some servo's temperature passes its limit."""
+        least = math.inf
+        for servo in self._servos:
+            limit = servo.get(ax12a.TEMPERATURE_LIMIT) + 0.5
+            settled = self._settled_degC(servo)
+            if servo.temperature_degC <= limit < settled:
+                share = (settled - servo.temperature_degC) / (settled - limit)
+                least = min(least, self.spec.heating_s * math.log(share) / STEP_S)
+        return sys.maxsize if least == math.inf else int(least) + 1
+
+    def _integrate(self, count: int) -> bool:
+        """`count` steps of every joint, at most to the end of the chunk; whether anything moved."""
         if self._step % CHUNK_STEPS == 0 and not self._weighed:
             self._weigh()
         chunk_s = (self._step - self._step % CHUNK_STEPS) * STEP_S
@@ -236,15 +375,16 @@ class SimulatedArm:
             else:
                 pull = joint.zero_rad + joint.direction * aim[0][i]
                 moved |= self._move(joint, servo, drive, count, pull, joint.direction * aim[1][i])
-            if drive.enabled and abs(servo.output) > self.spec.overload_output:
+            if drive.enabled and abs(self._effort(servo)) > self.spec.overload_output:
                 joint.loaded_steps += count
                 moved = True
             else:
                 joint.loaded_steps = 0
             servo.protect(overloaded=joint.loaded_steps * STEP_S > self.spec.overload_s)
-        # At rest nothing changes until an input does, if gravity is the one of this very configuration.
-        self._resting = self._weighed and not moved and aim is None
-        self._weighed &= not moved
+            if servo.booting:
+                servo.booting = self._step + count < joint.boot_step
+                moved = True
+        return moved
 
     def _move(
         self, joint: _Joint, servo: SimulatedServo, drive: Drive, count: int, pull: float | None, pull_speed: float
@@ -254,13 +394,20 @@ class SimulatedArm:
         tick_rad, floor = ax12a.TICK_RAD, math.floor
         gravity, rate = joint.load, STEP_S / joint.inertia
         coulomb, stiction, half_play = joint.coulomb, joint.stiction, joint.half_play
-        low, high = joint.low, joint.high
+        low, high = (joint.low, joint.high) if joint.held is None else (joint.held, joint.held)
+        frozen, spin = servo.frozen_tick, drive.spin
+        sound = frozen is None and low >= 0.0 and high <= ax12a.TICK_MAX * tick_rad
         shaft_friction, play_step = spec.shaft_friction_Nm, spec.play_speed_rad_s * STEP_S
         enabled, goal = drive.enabled, drive.goal_tick
-        stall, brake = spec.stall_torque_Nm, spec.stall_torque_Nm / spec.no_load_speed_rad_s
+        stall = spec.stall_torque_Nm * (self._voltage_V / RATED_V)
+        brake = spec.stall_torque_Nm / spec.no_load_speed_rad_s
+        if joint.dead_motor:
+            stall = brake = 0.0
         ramp = drive.ramp_tick_s * STEP_S
         cw_margin, ccw_margin, limit = -drive.cw_margin, drive.ccw_margin, drive.output_limit
         shaft, motor, omega, reference = joint.shaft, joint.motor, joint.omega, servo.reference_tick
+        if spin is not None:
+            reference = goal
         output = torque = 0.0
         moved = False
         first = self._step % CHUNK_STEPS
@@ -273,8 +420,14 @@ class SimulatedArm:
                         reference = goal
                     else:
                         reference += ramp if way > 0.0 else -ramp
-                error = floor(reference + 0.5) - floor(shaft / tick_rad + 0.5)
-                if error > ccw_margin:
+                if sound:
+                    sensed = floor(shaft / tick_rad + 0.5)
+                else:
+                    sensed = sensed_tick(shaft / tick_rad) if frozen is None else frozen
+                error = floor(reference + 0.5) - sensed
+                if spin is not None:
+                    output = spin
+                elif error > ccw_margin:
                     output = min(limit, drive.punch + (error - ccw_margin) * drive.ccw_gain)
                 elif error < cw_margin:
                     output = -min(limit, drive.punch + (cw_margin - error) * drive.cw_gain)

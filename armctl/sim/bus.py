@@ -4,7 +4,8 @@ A byte takes ten bits at `baud` both ways. A packet is acted on when its last by
 after the servo's own return delay, once the bus is free, and reaches the host byte by byte or, with an adapter
 latency, whenever the adapter's timer fires. More than 100 ms between two bytes put the servos' parser back to the
 header search. A servo set to another baud hears nothing. Two servos with one id talk over each other: the bus
-carries the bitwise AND. Not modelled: the host talking into a reply, bit errors, the adapter's 62-byte packets.
+carries the bitwise AND. What goes wrong on the way is up to `faults`. Not modelled: the host talking into a reply, the
+adapter's 62-byte packets.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ from itertools import zip_longest
 import numpy as np
 
 from armctl.clock import NS_PER_S
-from armctl.dynamixel.packet import BITS_PER_BYTE, BadChecksum, Decoder, Packet
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.packet import BITS_PER_BYTE, BadChecksum, Decoder, Packet, encode_status
 from armctl.sim.arm import SimulatedArm
+from armctl.sim.faults import Faults
+from armctl.sim.servo import SimulatedServo
 
 BYTE_GAP_NS = 100_000_000
 BAUD_TOLERANCE = 0.03
@@ -25,15 +29,27 @@ BAUD_TOLERANCE = 0.03
 class SimulatedBus:
     """The servos of one arm at the far end of a serial adapter."""
 
-    def __init__(self, arm: SimulatedArm, *, baud: int = 1_000_000, latency_ms: float = 0.0, seed: int = 0) -> None:
+    def __init__(
+        self,
+        arm: SimulatedArm,
+        *,
+        baud: int = 1_000_000,
+        latency_ms: float = 0.0,
+        seed: int = 0,
+        faults: Faults | None = None,
+    ) -> None:
         """A quiet bus; the seed draws the phase of the adapter's timer.
 
+        Args:
+            faults: Of this bus and its arm; None: those the arm has.
         Raises:
             ValueError: the baud is not positive or the latency negative.
         """
         if baud <= 0 or latency_ms < 0.0:
             raise ValueError(f"baud {baud} must be above 0, latency_ms {latency_ms} at least 0")
         self.arm = arm
+        if faults is not None:
+            arm.faults = faults
         self.baud = baud
         """The host's setting; may change at any time."""
         self._latency_ns = round(latency_ms * 1e6)
@@ -45,6 +61,20 @@ class SimulatedBus:
         """When the last reply leaves the wire."""
         self._replies: deque[tuple[int, int]] = deque()
         """Arrival at the host [ns] and value of each byte under way."""
+        self._strangers: dict[int, SimulatedServo] = {}
+        """The second servos with an id that is taken, by the number of their fault."""
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong here and with the arm."""
+        return self.arm.faults
+
+    def plugged(self, now_ns: int) -> bool:
+        """Whether the adapter is in the host."""
+        if not self.faults:
+            return True
+        self.arm.advance(now_ns)
+        return self.faults.in_force("unplug") is None
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes of the host.
@@ -60,8 +90,14 @@ class SimulatedBus:
             time_ns = max(now_ns, self._last_byte_ns)
             if time_ns - self._last_byte_ns > BYTE_GAP_NS:
                 self._decoder.reset()
+        echo = False
+        if self.faults:
+            self.arm.advance(now_ns)
+            echo = self.faults.in_force("echo") is not None
         for i in range(len(data)):
             time_ns += byte_ns
+            if echo:
+                self._hand_on(data[i], time_ns)
             for packet in self._decoder.feed(data[i : i + 1]):
                 self._dispatch(packet, time_ns, byte_ns)
         self._last_byte_ns = time_ns
@@ -79,29 +115,99 @@ class SimulatedBus:
 
     def _dispatch(self, packet: Packet | BadChecksum, time_ns: int, byte_ns: int) -> None:
         self.arm.advance(time_ns)
+        faults = self.faults
+        if faults and faults.in_force("dead_bus"):
+            return
         statuses: list[bytes] = []
-        delay_ns = 0
-        for servo in self.arm.servos:
-            if abs(servo.baud / self.baud - 1.0) > BAUD_TOLERANCE:
+        delay_ns = late_ns = 0
+        for servo_id, servo in zip(self.arm.config.servo_ids, self.arm.servos, strict=True):
+            if servo.booting or abs(servo.baud / self.baud - 1.0) > BAUD_TOLERANCE:
+                continue
+            if faults and faults.in_force("mute", servo_id):
                 continue
             servo_delay_ns = servo.return_delay_ns
             status = servo.handle(packet)
+            if faults:
+                if packet.servo_id == servo_id and (noise := faults.strike("garbage", servo_id)):
+                    self._quiet_ns = max(time_ns, self._quiet_ns)
+                    self._speak(noise.rng.bytes(round(noise.amount)), byte_ns, 0)
+                if status is not None:
+                    status, servo_late_ns = self._spoil(status, servo_id)
+                    late_ns = max(late_ns, servo_late_ns)
+                if stranger := self._stranger(servo_id, servo):
+                    statuses += filter(None, [stranger.handle(packet)])
             if status is not None:
                 statuses.append(status)
                 delay_ns = max(delay_ns, servo_delay_ns)
         if not statuses:
             return
         self._quiet_ns = max(time_ns + delay_ns, self._quiet_ns)
+        on_wire = bytearray()
         for values in zip_longest(*statuses, fillvalue=0xFF):
-            on_wire = 0xFF
+            together = 0xFF
             for value in values:
-                on_wire &= value
+                together &= value
+            on_wire.append(together)
+        self._speak(bytes(on_wire), byte_ns, late_ns)
+
+    def _spoil(self, status: bytes, servo_id: int) -> tuple[bytes | None, int]:
+        """What the faults leave of a reply, and how much later [ns] it reaches the host."""
+        faults = self.faults
+        if faults.strike("lost", servo_id):
+            return None, 0
+        if struck := faults.strike("wrong_id", servo_id):
+            wrong = (servo_id + 1) % (ax12a.ID.maximum + 1) if struck.fault.value is None else round(struck.amount)
+            status = encode_status(wrong, status[4], status[5:-1])
+        if struck := faults.strike("corrupted", servo_id):
+            at = int(struck.rng.integers(len(status)))
+            wrong = status[at] ^ int(struck.rng.integers(1, 256))
+            status = status[:at] + bytes((wrong,)) + status[at + 1 :]
+        if struck := faults.strike("truncated", servo_id):
+            keeps = int(struck.rng.integers(1, len(status))) if struck.fault.value is None else round(struck.amount)
+            status = status[:keeps]
+        if faults.strike("duplicated", servo_id):
+            status += status
+        late = faults.strike("late", servo_id)
+        return status, round(late.amount * 1e6) if late else 0
+
+    def _stranger(self, servo_id: int, servo: SimulatedServo) -> SimulatedServo | None:
+        """The second servo with this id, if there is one: alike but for its position."""
+        planned = self.faults.in_force("same_id", servo_id)
+        if planned is None:
+            return None
+        if planned.id not in self._strangers:
+            away_tick = -100.0 if servo.position_tick > ax12a.TICK_MAX / 2 else 100.0
+            stranger = SimulatedServo(
+                servo_id,
+                planned.rng,
+                position_tick=servo.position_tick + away_tick,
+                noise_tick=self.arm.spec.noise_tick,
+            )
+            for register in ax12a.REGISTERS:
+                if register.eeprom:
+                    stranger.set(register, servo.get(register))
+            self._strangers[planned.id] = stranger
+        return self._strangers[planned.id]
+
+    def _speak(self, data: bytes, byte_ns: int, late_ns: int) -> None:
+        """Put bytes on the wire as soon as it is quiet."""
+        for value in data:
             self._quiet_ns += byte_ns
-            self._replies.append((self._arrival_ns(self._quiet_ns), on_wire))
+            self._hand_on(value, self._quiet_ns + late_ns)
+
+    def _hand_on(self, value: int, time_ns: int) -> None:
+        """Let a byte that the adapter has at `time_ns` reach the host, after those before it."""
+        arrival_ns = self._arrival_ns(time_ns)
+        if self._replies:
+            arrival_ns = max(arrival_ns, self._replies[-1][0])
+        self._replies.append((arrival_ns, value))
 
     def _arrival_ns(self, time_ns: int) -> int:
         """When the adapter hands on a byte that it has at `time_ns`."""
-        if not self._latency_ns:
+        latency_ns = self._latency_ns
+        if self.faults and (other := self.faults.in_force("latency")):
+            latency_ns = round(other.amount * 1e6)
+        if not latency_ns:
             return time_ns
-        periods = -((self._phase_ns - time_ns) // self._latency_ns)
-        return self._phase_ns + periods * self._latency_ns
+        periods = -((self._phase_ns - time_ns) // latency_ns)
+        return self._phase_ns + periods * latency_ns

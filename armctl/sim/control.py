@@ -7,12 +7,19 @@ A Unix stream socket; one JSON object a line each way, answered in order:
     let_go, unplug, replug
         -> {"result": {}}
     state
-        -> {"result": {"time_ns", "joints_rad", "tool_m", "plugged", "guided", "servos": [...]}}
+        -> {"result": {"time_ns", "time_s", "joints_rad", "tool_m", "plugged", "guided", "servos": [...]}}
     truth {"begin_ns", "end_ns"}
         -> {"result": {"time_ns": [...], "tool_m": [[x, y, z], ...], "joints_rad": [[...], ...]}}
+    fault_begin {"kind", "servo_id", "probability", "count", "begin_s", "duration_s", "value"}
+        -> {"result": {"id": n}}    all but the kind optional, see `faults.Fault`; "begin_s" counts from now
+    fault_end {"id": n}
+        -> {"result": {}}
+    faults
+        -> {"result": {"faults": [{"id", "kind", ..., "begin_s", "end_s", "active", "struck"}, ...]}}
 
-A refusal is {"error": "why"}. Times are CLOCK_MONOTONIC; truth is kept every 10 ms for `TRUTH_S`. Long answers leave
-in small pieces between the bus's business, since a servo does not wait for a program to write JSON.
+A refusal is {"error": "why"}. Times in ns are CLOCK_MONOTONIC, "time_s" and a fault's are the simulator's own; truth is
+kept every 10 ms for `TRUTH_S`. Long answers leave in small pieces between the bus's business, since a servo does not
+wait for a program to write JSON.
 """
 
 from __future__ import annotations
@@ -30,10 +37,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.config import validate
 from armctl.dynamixel import ax12a
 from armctl.errors import ArmctlError, ConfigError, PortBusy, PortMissing, RequestRefused
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
+from armctl.sim.faults import Fault, check_servo
 from armctl.sim.hand import Guided
 
 TRUTH_S = 1200
@@ -97,6 +106,9 @@ class Controls:
             "state": self._state,
             "unplug": self._unplug,
             "replug": self._replug,
+            "fault_begin": self._fault_begin,
+            "fault_end": self._fault_end,
+            "faults": self._faults,
         }
 
     def answer(self, line: bytes) -> Iterator[str]:
@@ -141,6 +153,29 @@ class Controls:
         self._plug.replug()
         return _piece({"result": {}})
 
+    def _fault_begin(self, params: dict[str, Any]) -> Iterator[str]:
+        fault = validate(Fault, params, "fault")
+        check_servo(fault, self._arm.config.servo_ids, "fault", "servo_id")
+        now_ns = self._now_ns()
+        self._arm.advance(now_ns)
+        number = self._arm.faults.begin(fault, self._arm.time_s)
+        self._arm.advance(now_ns)
+        return _piece({"result": {"id": number}})
+
+    def _fault_end(self, params: dict[str, Any]) -> Iterator[str]:
+        _only(params, "id")
+        number = params.get("id")
+        if type(number) is not int:
+            raise ValueError(f"id {number!r}: the number that fault_begin gave")
+        self._arm.faults.end(number)
+        self._arm.advance(self._now_ns())
+        return _piece({"result": {}})
+
+    def _faults(self, params: dict[str, Any]) -> Iterator[str]:
+        _only(params)
+        self._arm.advance(self._now_ns())
+        return _piece({"result": {"faults": self._arm.faults.listing()}})
+
     def _state(self, params: dict[str, Any]) -> Iterator[str]:
         _only(params)
         now_ns = self._now_ns()
@@ -153,11 +188,15 @@ class Controls:
                 "position_tick": servo.position_tick,
                 "output": servo.output,
                 "torque_limit": servo.get(ax12a.TORQUE_LIMIT),
+                "voltage_V": servo.voltage_V,
+                "temperature_degC": servo.temperature_degC,
+                "led": servo.led,
             }
             for servo in self._arm.servos
         ]
         result = {
             "time_ns": now_ns,
+            "time_s": self._arm.time_s,
             "joints_rad": self._arm.true_positions().tolist(),
             "tool_m": self._arm.true_tool_position().tolist(),
             "plugged": self._plug.plugged,
@@ -394,6 +433,38 @@ class SimulatorClient:
     def replug(self) -> None:
         """Put the adapter back; the link names a new port."""
         self._call("replug")
+
+    def fault_begin(
+        self,
+        kind: str,
+        *,
+        servo_id: int | None = None,
+        probability: float = 1.0,
+        count: int | None = None,
+        duration_s: float | None = None,
+        value: float | None = None,
+    ) -> int:
+        """Let a fault begin now, see `faults.Fault`; its number.
+
+        Raises:
+            RequestRefused: no such kind or servo, or a parameter out of range.
+        """
+        params = {"kind": kind, "servo_id": servo_id, "probability": probability, "count": count}
+        number: int = self._call("fault_begin", {**params, "duration_s": duration_s, "value": value})["id"]
+        return number
+
+    def fault_end(self, id: int) -> None:
+        """End a fault; one that is over already is left so.
+
+        Raises:
+            RequestRefused: there never was a fault of this number.
+        """
+        self._call("fault_end", {"id": id})
+
+    def faults(self) -> list[dict[str, Any]]:
+        """Every fault planned or in force, see `faults.Faults.listing`."""
+        listing: list[dict[str, Any]] = self._call("faults")["faults"]
+        return listing
 
     def _call(self, method: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
         try:

@@ -34,8 +34,8 @@ class LoopbackPort(ServoPort):
         self._plugged = True
 
     def openPort(self) -> bool:
-        if not self._plugged:
-            raise PortMissing("loopback: unplugged; call replug()")
+        if not (self._plugged and self._bus.plugged(self.clock.now_ns())):
+            raise PortMissing("loopback: unplugged; call replug(), or wait for the end of the fault")
         self.is_open = True
         self.clearPort()
         return True
@@ -73,6 +73,6 @@ class LoopbackPort(ServoPort):
         self._received += self._bus.transmit(self.clock.now_ns())
 
     def _check(self) -> None:
-        if not (self._plugged and self.is_open):
+        if not (self._plugged and self.is_open and self._bus.plugged(self.clock.now_ns())):
             self.is_open = False
             raise PortGone("loopback: the port vanished; plug the adapter in again")

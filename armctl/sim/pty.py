@@ -4,9 +4,9 @@ One loop, one thread: drain the host's bytes at once (a client that flushes its 
 them, let reply bytes go when they would have arrived, advance the physics and keep the truth every 10 ms, serve
 the control socket. The host's baud setting is read off the terminal, so servos at another baud stay silent. The
 terminal's far end is held open here, or the first client to close it would end it; `link` is a symlink to it that
-always names the present one and vanishes with it.
+always names the present one and vanishes with it, by request or while an `unplug` fault is in force.
 
-Not modelled: what a UART does to bytes (overrun, framing), modem lines, and an echo. A host that flushes its output
+Not modelled: what a UART does to bytes (overrun, framing), and modem lines. A host that flushes its output
 right behind a packet without reply (pypot does after SYNC_WRITE) may lose it before it ever arrives here.
 """
 
@@ -22,15 +22,17 @@ import struct
 import termios
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet
 from armctl.errors import ConfigError
 from armctl.sim.arm import DEFAULT_SPEC, ArmSpec, SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.control import TRUTH_PERIOD_NS, Controls, ControlServer, TruthRing, control_path
+from armctl.sim.faults import Fault, Faults
 
 MAX_RETURN_DELAY_US = 2 * ax12a.RETURN_DELAY.maximum
 _TCGETS2 = 0x802C542A
@@ -123,6 +125,7 @@ def run(
     latency_ms: float = 0.0,
     return_delay_us: int | None = None,
     lockstep: bool = False,
+    faults: Sequence[Fault] = (),
     spec: ArmSpec = DEFAULT_SPEC,
 ) -> None:
     """Simulate an arm until SIGTERM or SIGINT; from the main thread only.
@@ -131,6 +134,7 @@ def run(
         link: Where the port appears; the control socket appears beside it, see `control_path`.
         ready: Called with the link's path once a client may open it.
         latency_ms: Timer of the adapter: replies reach the host only when it fires.
+        faults: What goes wrong, beside the live faults of the control socket.
         lockstep: Whether the world follows the bus master's cycles instead of the wall clock, see `Lockstep`.
         return_delay_us: Of every servo, 0..508 in steps of 2; None: the factory's 500.
     Raises:
@@ -141,7 +145,7 @@ def run(
         raise ConfigError("return_delay_us", str(return_delay_us), f"outside 0..{MAX_RETURN_DELAY_US}")
     if not 0.0 <= latency_ms <= 1000.0:
         raise ConfigError("latency_ms", str(latency_ms), "outside 0..1000")
-    simulated = SimulatedArm(arm, seed=seed, spec=spec)
+    simulated = SimulatedArm(arm, seed=seed, spec=spec, faults=Faults(faults, seed=seed))
     if return_delay_us is not None:
         for servo in simulated.servos:
             servo.set(ax12a.RETURN_DELAY, return_delay_us // 2)
@@ -159,7 +163,9 @@ def run(
         cleanup.callback(server.close)
         terminal.replug()
         cleanup.callback(terminal.unplug)
+        simulated.advance(world.now_ns())  # the origin of the faults' time
         ready(str(link))
+        pulled = False
         while not stop:
             readers: list[socket.socket | PseudoTerminal] = [
                 *server.readers(),
@@ -172,6 +178,9 @@ def run(
                 heard = terminal.read()
             if (replies := world.pass_on(heard)) and terminal.plugged:
                 terminal.write(replies)
+            if (bus.faults.in_force("unplug") is not None) != pulled:
+                pulled = not pulled
+                (terminal.unplug if pulled else terminal.replug)()
             server.serve([*(s for s in readable if isinstance(s, socket.socket)), *writable])
 
 
@@ -204,21 +213,29 @@ class RealTime:
 
 
 class Lockstep:
-    """The world's time is the bus master's: `PERIOD_NS` from one cycle's first byte to the next cycle's.
+    """The world's time is the bus master's: `PERIOD_NS` from one cycle to the next, and none within.
 
-    A cycle begins with the first byte after a pause of the host. Within it, time passes by the bytes on the wire
-    alone, and replies leave at once. So what the servos answer is a function of the bytes they got, whatever the
-    machine is busy with; noise is drawn anew from the take's seed and the cycle's number in it. A world without
-    a master stands still. The truth is stamped with the wall clock, to be held against the master's samples.
+    A cycle begins with the read that turns back: of a servo before the one read last, in the arm's order. Reading one
+    servo again, as a master does that has waited in vain, begins nothing. Within a cycle the arm stands still, a servo
+    reads the same however often it is asked, and replies leave at once. So what the servos answer is a function of
+    the bytes they got, whatever the machine is busy with; noise is drawn from the take's seed and the cycle's number
+    in it. A world without a master stands still, except while a fault has pulled the adapter out: then the wall
+    clock's periods pass, or it would stay out for ever. The truth is stamped with the wall clock, to be held against
+    the master's samples.
     """
 
     PERIOD_NS = 100_000_000
-    PAUSE_NS = 50_000_000
 
     def __init__(self, arm: SimulatedArm, bus: SimulatedBus, ring: TruthRing) -> None:
         self._arm, self._bus, self._ring = arm, bus, ring
-        self._cycle_ns = self._now_ns = self._truth_ns = time.monotonic_ns()
+        self._now_ns = self._truth_ns = time.monotonic_ns()
+        self._order = {servo_id: index for index, servo_id in enumerate(arm.config.servo_ids)}
+        self._decoder = Decoder()
+        self._last_read = -1
         self._heard_ns = 0
+        arm.advance(self._now_ns)
+        arm.draw_noise()
+        arm.standing = True
 
     def now_ns(self) -> int:
         return self._now_ns
@@ -229,24 +246,43 @@ class Lockstep:
 
     def pass_on(self, heard: bytes) -> bytes:
         """Let the world go on by the host's bytes; their replies."""
-        if not heard:
-            return b""
         wall_ns = time.monotonic_ns()
-        if wall_ns - self._heard_ns > self.PAUSE_NS:
-            self._begin_cycle(wall_ns)
+        if not heard:
+            if self._bus.faults.in_force("unplug") and wall_ns - self._heard_ns >= self.PERIOD_NS:
+                self._heard_ns = wall_ns
+                self._begin_cycle(wall_ns)
+            return b""
         self._heard_ns = wall_ns
+        begin, replies = 0, bytearray()
+        for end in range(1, len(heard) + 1):
+            packets = self._decoder.feed(heard[end - 1 : end])
+            if any(self._turns_back(packet) for packet in packets):
+                self._begin_cycle(wall_ns)
+            if packets or end == len(heard):
+                replies += self._answer(heard[begin:end])
+                begin = end
+        return bytes(replies)
+
+    def _turns_back(self, packet: Packet | BadChecksum) -> bool:
+        if not isinstance(packet, Packet) or packet.code != Instruction.READ or packet.servo_id not in self._order:
+            return False
+        before, self._last_read = self._last_read, self._order[packet.servo_id]
+        return self._last_read < before
+
+    def _answer(self, heard: bytes) -> bytes:
         self._bus.receive(heard, self._now_ns)
         replies = bytearray()
         while (reply_ns := self._bus.next_transmit_ns()) is not None:
-            self._now_ns = max(self._now_ns, reply_ns)
-            replies += self._bus.transmit(self._now_ns)
+            replies += self._bus.transmit(reply_ns)
         return bytes(replies)
 
     def _begin_cycle(self, wall_ns: int) -> None:
-        self._cycle_ns = self._now_ns = max(self._cycle_ns + self.PERIOD_NS, self._now_ns)
+        self._now_ns += self.PERIOD_NS
+        self._arm.standing = False
         while self._truth_ns <= self._now_ns:
             self._arm.advance(self._truth_ns)
             self._ring.add(self._truth_ns + wall_ns - self._now_ns, self._arm.true_positions())
             self._truth_ns += TRUTH_PERIOD_NS
         self._arm.advance(self._now_ns)
         self._arm.draw_noise()
+        self._arm.standing = True

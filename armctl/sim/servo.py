@@ -7,10 +7,13 @@ Rules, from ROBOTIS' e-manual and the AX-12 user's manual unless marked:
   (assumed: the manual only forbids it), or outside 24..35 once LOCK is set: range error. A goal outside the angle
   limits: angle-limit error. ACTION with nothing registered, or a wrong number of parameters: instruction error.
 - An unknown instruction is met with silence, a bad checksum addressed to the servo with a checksum error.
-- Voltage, overheat and overload bits stand in every reply while their cause lasts; a cause that is also set in
-  the shutdown register trips the servo: torque limit 0 and torque off. It stays overloaded until torque is
-  enabled again with a torque limit above 0.
-- Both angle limits 0 is wheel mode; this servo then refuses to turn.
+- Voltage, overheat and overload bits stand in every reply while their cause lasts. An error that is also set in the
+  shutdown register trips the servo: torque limit 0 and torque off; one set in the alarm-LED register makes the LED
+  blink. It stays overloaded until torque is enabled again with a torque limit above 0.
+- Both angle limits 0 is wheel mode: the goal means nothing, the moving speed is the output, bit 10 its direction.
+- A reboot restores the RAM (goal = present, torque limit = max torque, unlocked) and keeps the EEPROM.
+- Beyond 0..1023 the potentiometer saturates for `EDGE_TICK` and is open in the rest of the turn: what it reads there
+  is erratic (here a function of the angle alone, so that it repeats).
 
 What differs between reports and firmwares is a field of `ServoVariants`.
 """
@@ -19,6 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -28,6 +32,9 @@ from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Instruction, Pack
 
 LOCKED_WRITABLE = range(24, 36)
 """Addresses that stay writable after LOCK."""
+TURN_TICK = 2.0 * math.pi / ax12a.TICK_RAD
+EDGE_TICK = 10.0
+"""The resistive track ends this far beyond 0 and 1023: a guess."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +66,26 @@ class Drive:
     cw_gain: float
     """Output per tick beyond the margin."""
     ccw_gain: float
+    spin: float | None
+    """Output in wheel mode, which knows no goal; None: not in wheel mode."""
 
 
 def compliance_slope(register: int) -> int:
     """Slope [tick] of a compliance-slope register: the steps are 2, 4, 8, ..., 128."""
     return max(2, 1 << (register.bit_length() - 1))
+
+
+def sensed_tick(position_tick: float) -> int:
+    """What the potentiometer reads at a shaft angle, the dead zone included."""
+    tick = math.floor(position_tick + 0.5)
+    if 0 <= tick <= ax12a.TICK_MAX:
+        return tick
+    turned = position_tick % TURN_TICK
+    if turned > TURN_TICK - EDGE_TICK:
+        return 0
+    if turned > ax12a.TICK_MAX + EDGE_TICK:
+        return int(turned * 64.0) * 0x9E3779B1 >> 12 & ax12a.TICK_MAX  # erratic, yet the same at the same angle
+    return min(math.floor(turned + 0.5), ax12a.TICK_MAX)
 
 
 class SimulatedServo:
@@ -84,8 +106,9 @@ class SimulatedServo:
             noise_tick: Standard deviation of the reported position.
         """
         self._table = bytearray(ax12a.TABLE_SIZE)
-        self.noise = rng
-        """Where the position reading's noise is drawn from."""
+        self._rng = rng
+        self.noise: float | None = None
+        """Noise of every position reading, in standard deviations; None: each reading has its own."""
         self._noise_tick = noise_tick
         self._variants = variants
         self._registered: tuple[int, bytes] | None = None
@@ -99,6 +122,11 @@ class SimulatedServo:
         self.voltage_V = 12.0
         self.temperature_degC = 30.0
         self.overloaded = False
+        self.frozen_tick: int | None = None
+        """What a frozen position sensor reads; None: it works."""
+        self.booting = False
+        """Deaf and mute: its firmware has not started yet."""
+        self._last_error = 0
         self.writes = 0
         """Counts whatever may change `drive`."""
         self._restore_factory_table()
@@ -133,34 +161,47 @@ class SimulatedServo:
         return self._value(ax12a.RETURN_DELAY) * 2000
 
     @property
+    def led(self) -> Literal["off", "on", "blinking"]:
+        """The light on its case: blinking for an alarm the alarm-LED register asks for, else as its register says."""
+        if (self._alarms() | self._last_error) & self._value(ax12a.ALARM_LED):
+            return "blinking"
+        return "on" if self._value(ax12a.LED) else "off"
+
+    @property
     def drive(self) -> Drive:
         """The position controller's settings now."""
         limit = min(self._value(ax12a.TORQUE_LIMIT), self._value(ax12a.MAX_TORQUE)) / ax12a.LOAD_MAX
         punch = self._value(ax12a.PUNCH) / ax12a.LOAD_MAX
-        speed = self._value(ax12a.MOVING_SPEED) * ax12a.SPEED_UNIT_RAD_S
+        moving_speed = self._value(ax12a.MOVING_SPEED)
+        spin = min(max(ax12a.load_ratio(moving_speed), -limit), limit)
         return Drive(
             enabled=self.torque_enabled,
             goal_tick=self._value(ax12a.GOAL),
-            ramp_tick_s=speed / ax12a.TICK_RAD,
-            output_limit=0.0 if self.wheel_mode else limit,
+            ramp_tick_s=moving_speed * ax12a.SPEED_UNIT_RAD_S / ax12a.TICK_RAD,
+            output_limit=limit,
             punch=punch,
             cw_margin=self._value(ax12a.CW_MARGIN),
             ccw_margin=self._value(ax12a.CCW_MARGIN),
             cw_gain=(1.0 - punch) / compliance_slope(self._value(ax12a.CW_SLOPE)),
             ccw_gain=(1.0 - punch) / compliance_slope(self._value(ax12a.CCW_SLOPE)),
+            spin=spin if self.wheel_mode else None,
         )
 
     def _value(self, register: Register) -> int:
         return int.from_bytes(self._table[register.address : register.address + register.size], "little")
 
     def _quantised_tick(self, noise_tick: float = 0.0) -> int:
-        return min(max(math.floor(self.position_tick + noise_tick + 0.5), 0), ax12a.TICK_MAX)
+        return sensed_tick(self.position_tick + noise_tick) if self.frozen_tick is None else self.frozen_tick
+
+    def freeze(self) -> None:
+        """Let the position sensor read for ever what it reads now; `frozen_tick = None` mends it."""
+        self.frozen_tick = self._quantised_tick()
 
     def _refresh(self, noise_tick: float) -> None:
         """Bring the measured registers up to date."""
         table = self._table
         enabled = self.torque_enabled
-        speed = round(self.velocity_rad_s / ax12a.SPEED_UNIT_RAD_S)
+        speed = round(self.velocity_rad_s / ax12a.SPEED_UNIT_RAD_S) if self.frozen_tick is None else 0
         position = self._quantised_tick(noise_tick)
         if not enabled and self._variants.goal_follows_when_limp:
             table[30:32] = position.to_bytes(2, "little")
@@ -202,10 +243,13 @@ class SimulatedServo:
                     error = self._sync_write(servo_id, packet.parameters)
                 case _:
                     return None
+        errors = error | self._alarms()
+        self._last_error = errors
+        self._shut_down(errors)
         answers = code == Instruction.PING or level == 2 or (level == 1 and code == Instruction.READ)
         if packet.servo_id == BROADCAST_ID or not answers:
             return None
-        return encode_status(servo_id, error | self._alarms(), reply)
+        return encode_status(servo_id, errors, reply)
 
     def _read(self, parameters: bytes) -> tuple[ErrorBit, bytes]:
         if len(parameters) != 2:
@@ -213,7 +257,9 @@ class SimulatedServo:
         begin, size = parameters
         if size == 0 or begin + size > ax12a.TABLE_SIZE:
             return ErrorBit.RANGE, b""
-        noise = self._noise_tick * float(self.noise.standard_normal()) if self._noise_tick else 0.0
+        noise = 0.0
+        if self._noise_tick:
+            noise = self._noise_tick * (float(self._rng.standard_normal()) if self.noise is None else self.noise)
         self._refresh(noise)
         return ErrorBit(0), bytes(self._table[begin : begin + size])
 
@@ -296,26 +342,41 @@ class SimulatedServo:
 
     def _restore_factory_table(self) -> None:
         for register in ax12a.REGISTERS:
-            self.set(register, register.default)
+            if register.eeprom:
+                self.set(register, register.default)
+        self.reboot()
+
+    def reboot(self) -> None:
+        """Restart the firmware: the RAM forgets, the EEPROM stays, the torque is off."""
+        for register in ax12a.REGISTERS:
+            if not register.eeprom:
+                self.set(register, register.default)
         self.set(ax12a.GOAL, self._quantised_tick())
+        self.set(ax12a.TORQUE_LIMIT, self._value(ax12a.MAX_TORQUE))
         self._registered = None
+        self._last_error = 0
+        self.overloaded = False
         self.output = 0.0
 
     # --------------------------------------------------------------------------------------------- alarms
 
-    def _alarms(self) -> ErrorBit:
-        error = ErrorBit.OVERLOAD if self.overloaded else ErrorBit(0)
-        low, high = self._value(ax12a.MIN_VOLTAGE), self._value(ax12a.MAX_VOLTAGE)
-        if not low <= round(self.voltage_V * 10.0) <= high:
+    def _alarms(self) -> int:
+        """Error bits that stand; plain numbers, since the physics asks every few milliseconds."""
+        table = self._table
+        error = int(ErrorBit.OVERLOAD) if self.overloaded else 0
+        if not table[ax12a.MIN_VOLTAGE.address] <= round(self.voltage_V * 10.0) <= table[ax12a.MAX_VOLTAGE.address]:
             error |= ErrorBit.VOLTAGE
-        if round(self.temperature_degC) > self._value(ax12a.TEMPERATURE_LIMIT):
+        if round(self.temperature_degC) > table[ax12a.TEMPERATURE_LIMIT.address]:
             error |= ErrorBit.OVERHEAT
         return error
 
     def protect(self, *, overloaded: bool = False) -> None:
         """Note an overload, and shut down if an alarm that stands is also in the shutdown register."""
         self.overloaded |= overloaded
-        if self.torque_enabled and self._alarms() & self._value(ax12a.SHUTDOWN):
+        self._shut_down(self._alarms())
+
+    def _shut_down(self, error: int) -> None:
+        if error and self.torque_enabled and error & self._value(ax12a.SHUTDOWN):
             self.set(ax12a.TORQUE_LIMIT, 0)
             self.set(ax12a.TORQUE_ENABLE, 0)
             self.output = 0.0

@@ -12,13 +12,15 @@ from hypothesis import strategies as st
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.packet import Instruction, encode_instruction
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, link_frames
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import GRAVITY_M_S2, ArmSpec, SimulatedArm, _links, gravity_loads
 from armctl.sim.bus import SimulatedBus
-from armctl.sim.servo import ServoVariants
+from armctl.sim.faults import Fault
+from armctl.sim.servo import ServoVariants, SimulatedServo
 from tests.sim.conftest import sync_write
 
 WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
@@ -258,3 +260,103 @@ def test_ramp_that_restarts_at_the_position_sags_more_when_streamed(arm: ArmConf
             bench.goto(target, [ax12a.moving_speed_units(math.radians(10.0))] * 6, 0.1)
         heights.append(bench.arm.true_positions()[1])
     assert heights[1] < heights[0] - math.radians(1.0)
+
+
+def test_voltage_falls_under_load_and_comes_back(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    assert {servo.get(ax12a.PRESENT_VOLTAGE) for servo in bench.arm.servos} == {120}
+    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    held_V = bench.arm.servos[0].voltage_V
+    assert 11.8 < held_V < 12.0
+    bench.arm.faults.begin(Fault(kind="blocked_joint", servo_id=1), bench.arm.time_s)
+    target = WORKING_RAD + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    bench.goto(target, [0] * 6, 1.0)
+    stall_V = bench.arm.spec.supply_ohm * bench.arm.spec.stall_current_A
+    assert bench.arm.servos[5].voltage_V == pytest.approx(held_V - stall_V, abs=0.02)
+    for servo in bench.arm.servos:
+        servo.set(ax12a.TORQUE_ENABLE, 0)
+    bench.wait(5.0)
+    assert bench.arm.servos[0].voltage_V == 12.0
+
+
+def test_servo_heats_with_effort_and_cools_without(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    spec = bench.arm.spec
+    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    shoulder = bench.arm.servos[1]
+    settled = spec.idle_degC + spec.stall_heating_degC * shoulder.output**2
+    begin = shoulder.temperature_degC
+    bench.wait(spec.heating_s)
+    assert shoulder.temperature_degC == pytest.approx(settled - (settled - begin) * math.exp(-1.0), abs=1e-6)
+    bench.wait(20.0 * spec.heating_s)
+    assert shoulder.temperature_degC == pytest.approx(settled, abs=1e-3)
+    assert 40.0 < settled < 70.0
+    assert bench.arm.servos[5].temperature_degC == pytest.approx(spec.idle_degC, abs=0.1)
+    for servo in bench.arm.servos:
+        servo.set(ax12a.TORQUE_ENABLE, 0)
+    bench.wait(20.0 * spec.heating_s)
+    assert shoulder.temperature_degC == pytest.approx(spec.idle_degC, abs=1e-3)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_arm_left_holding_too_much_overheats_when_its_time_has_come(arm: ArmConfig, masked: bool) -> None:
+    bench = Bench(arm, spec=ArmSpec(stall_heating_degC=600.0))
+    shoulder = bench.arm.servos[1]
+    shoulder.set(ax12a.SHUTDOWN, ax12a.ErrorBit.OVERHEAT if masked else 0)
+    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    settled = 30.0 + 600.0 * shoulder.output**2
+    wait_s = 400.0 * math.log((settled - shoulder.temperature_degC) / (settled - 70.5))
+    bench.wait(wait_s - 1.0)
+    assert shoulder.torque_enabled
+    bench.wait(2.0)
+    assert shoulder.torque_enabled is not masked
+    assert round(shoulder.temperature_degC) in ((70, 71) if masked else (71,))  # without torque it cools
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.lists(st.integers(1, 200_000_000_000), max_size=5))
+def test_temperature_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
+    at_once, in_pieces = Bench(arm), Bench(arm)
+    for bench in (at_once, in_pieces):
+        bench.goto(WORKING_RAD, [100] * 6, 0.0)
+    for piece in pieces_ns:
+        in_pieces.wait(piece / 1e9)
+    at_once.wait(sum(pieces_ns) / 1e9)
+    cut, whole = ([servo.temperature_degC for servo in bench.arm.servos] for bench in (in_pieces, at_once))
+    assert cut == pytest.approx(whole, abs=1e-9)
+
+
+def wheel(bench: Bench, index: int, speed: int) -> SimulatedServo:
+    """Servo `index` in wheel mode at a moving speed, written as bytes."""
+    servo = bench.arm.servos[index]
+    for register, value in ((ax12a.CW_LIMIT, 0), (ax12a.CCW_LIMIT, 0), (ax12a.MOVING_SPEED, speed)):
+        data = bytes((register.address,)) + value.to_bytes(2, "little")
+        bench.bus.receive(encode_instruction(servo.get(ax12a.ID), Instruction.WRITE, data), bench.now_ns)
+    return servo
+
+
+@pytest.mark.parametrize(("speed", "sign"), [(400, 1.0), (1024 + 400, -1.0)])
+def test_wheel_turns_through_the_dead_zone_where_readings_are_erratic(arm: ArmConfig, speed: int, sign: float) -> None:
+    bench = Bench(arm, spec=ArmSpec(stop_deg=4000.0, noise_tick=0.0))
+    servo = wheel(bench, 5, speed)
+    shaft, seen = [], []
+    for _ in range(400):
+        bench.wait(0.01)
+        shaft.append(servo.position_tick)
+        seen.append(servo.get(ax12a.PRESENT_POSITION))
+    assert sign * (shaft[-1] - shaft[0]) > 1200.0
+    turned = np.array(shaft) % (2.0 * math.pi / ax12a.TICK_RAD)
+    well = (turned > 5.0) & (turned < 1018.0)
+    assert np.abs(np.array(seen)[well] - turned[well]).max() <= 0.51
+    assert np.std(np.array(seen)[turned > 1040.0]) > 100.0
+    assert servo.get(ax12a.MOVING) == 1
+    assert bench.arm.servos[5].torque_enabled
+
+
+def test_wheel_at_speed_zero_stands_still(arm: ArmConfig) -> None:
+    bench = Bench(arm)
+    servo = wheel(bench, 5, 0)
+    before = servo.position_tick
+    bench.wait(2.0)
+    assert servo.position_tick == before
+    assert servo.get(ax12a.MOVING) == 0

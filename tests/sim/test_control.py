@@ -14,6 +14,7 @@ import pytest
 
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, PortBusy, PortMissing
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.control import (
@@ -86,6 +87,29 @@ def test_plug_is_pulled_and_put_back(desk: Desk) -> None:
     assert desk.plug.plugged
 
 
+def test_fault_begins_is_listed_and_ends(desk: Desk) -> None:
+    assert desk.ask("faults") == {"result": {"faults": []}}
+    number = desk.ask("fault_begin", kind="mute", servo_id=2, duration_s=3)["result"]["id"]
+    later = desk.ask("fault_begin", kind="late", value=12, count=2, begin_s=5)["result"]["id"]
+    mute, late = desk.ask("faults")["result"]["faults"]
+    assert (mute["id"], mute["kind"], mute["servo_id"], mute["active"]) == (number, "mute", 2, True)
+    assert (late["id"], late["value"], late["active"], late["end_s"]) == (later, 12.0, False, None)
+    desk.clock.advance_ns(3 * NS_PER_S)
+    assert [fault["id"] for fault in desk.ask("faults")["result"]["faults"]] == [later]
+    assert desk.ask("fault_end", id=later) == {"result": {}}
+    assert desk.ask("faults") == {"result": {"faults": []}}
+
+
+def test_state_shows_supply_heat_and_light(desk: Desk) -> None:
+    desk.ask("fault_begin", kind="brown_out", servo_id=2, value=5)
+    desk.arm.servos[0].set(ax12a.ALARM_LED, ax12a.ErrorBit.VOLTAGE)
+    state = desk.ask("state")["result"]
+    assert [servo["led"] for servo in state["servos"]] == ["blinking"] + ["off"] * 5
+    assert {servo["voltage_V"] for servo in state["servos"]} == {5.0}
+    assert {servo["temperature_degC"] for servo in state["servos"]} == {30.0}
+    assert state["time_s"] == 0.0
+
+
 @pytest.mark.parametrize("samples", [0, 1, 99, 100, 101, 250])
 def test_truth_answers_in_pieces_that_make_one_object(desk: Desk, samples: int) -> None:
     for k in range(300):
@@ -126,6 +150,12 @@ def test_ring_forgets_the_oldest_first() -> None:
         (b'{"method": "guide", "params": {"from": [9, 0, 0], "to": [0, 0, 0], "seed": 1}}', "within the joint limits"),
         (b'{"method": "guide", "params": {"from": [0.2, 0, 0.1], "to": [0.2, 0.1, 0.1], "seed": 1, "duration_s": 0}}',
          "duration_s 0"),
+        (b'{"method": "fault_begin", "params": {"kind": "lsot"}}', "kind 'lsot' is unknown; known: lost"),
+        (b'{"method": "fault_begin", "params": {"kind": "lost", "servo": 1}}', "servo: unknown key"),
+        (b'{"method": "fault_begin", "params": {"kind": "lost", "servo_id": 9}}', "no servo 9 on this arm"),
+        (b'{"method": "fault_begin", "params": {"kind": "late", "value": NaN}}', "finite"),
+        (b'{"method": "fault_end", "params": {"id": "1"}}', "id '1'"),
+        (b'{"method": "fault_end", "params": {"id": 1}}', "there never was one"),
         (b'{"method": "truth", "params": {"begin_ns": true, "end_ns": 1}}', "begin_ns True"),
     ],
 )  # fmt: skip

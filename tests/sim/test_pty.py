@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 import serial
 
+from armctl.cli import main
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, RequestRefused
@@ -34,8 +36,12 @@ run(load_arm("ax12-line"), link=Path(sys.argv[1]), ready=lambda link: print("rea
 
 
 @contextlib.contextmanager
-def simulator(link: Path) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen([sys.executable, "-c", PROGRAM, str(link)], stdout=subprocess.PIPE, text=True) as process:
+def simulator(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """The simulator as a program: `run` alone or, with options, `armctl sim`."""
+    command = [sys.executable, "-c", PROGRAM, str(link)]
+    if options:
+        command = [sys.executable, "-m", "armctl", "sim", "--link", str(link), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == f"ready {link}\n"
@@ -56,6 +62,8 @@ def link(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def control(link: Path) -> Iterator[SimulatorClient]:
     with SimulatorClient(control_path(link)) as client:
         yield client
+        for fault in client.faults():
+            client.fault_end(fault["id"])
         client.replug()
         client.let_go()
 
@@ -157,6 +165,75 @@ def test_hand_moves_the_arm_and_truth_tells_so(link: Path, control: SimulatorCli
     assert control.truth(0, 1).time_ns.size == 0
     with pytest.raises(RequestRefused, match="within the joint limits"):
         control.guide((0.9, 0.0, 0.1), (0.18, 0.1, 0.1), seed=1)
+
+
+def test_live_fault_strikes_programs_at_once(port: dynamixel_sdk.PortHandler, control: SimulatorClient) -> None:
+    number = control.fault_begin("mute", servo_id=2)
+    assert SDK.ping(port, 2)[1] == dynamixel_sdk.COMM_RX_TIMEOUT
+    assert SDK.ping(port, 3)[1] == dynamixel_sdk.COMM_SUCCESS
+    assert [(fault["id"], fault["kind"]) for fault in control.faults()] == [(number, "mute")]
+    control.fault_end(number)
+    assert SDK.ping(port, 2)[1] == dynamixel_sdk.COMM_SUCCESS
+    with pytest.raises(RequestRefused, match="no servo 9"):
+        control.fault_begin("mute", servo_id=9)
+
+
+def wait_for(link: Path, *, there: bool) -> None:
+    deadline = time.monotonic() + 5.0
+    while link.is_symlink() is not there:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_unplug_fault_takes_the_port_away_for_its_time(link: Path, control: SimulatorClient) -> None:
+    begin_s = time.monotonic()
+    control.fault_begin("unplug", duration_s=0.3)
+    wait_for(link, there=False)
+    wait_for(link, there=True)
+    assert 0.25 < time.monotonic() - begin_s < 3.0
+
+
+def test_command_line_begins_lists_and_ends_faults(
+    link: Path, control: SimulatorClient, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def say(*words: str) -> str:
+        assert main(["fault", *words, "--link", str(link)]) == 0
+        return capsys.readouterr().out
+
+    number = say("begin", "late", "--servo", "2", "--value", "12", "--probability", "0.5", "--for", "60").strip()
+    assert f"{number} late servo 2: now, from" in " ".join(say("list").split())
+    (fault,) = json.loads(say("list", "--json"))["faults"]
+    assert (fault["kind"], fault["value"], fault["probability"]) == ("late", 12.0, 0.5)
+    assert say("end", number) == ""
+    assert control.faults() == []
+    assert main(["fault", "begin", "lsot", "--link", str(link)]) == 1
+    assert "unknown; known: lost" in capsys.readouterr().err.replace("\n", " ")
+    assert main(["fault", "begin", "--help"]) == 0
+    assert "second_writer" in capsys.readouterr().out
+
+
+def test_program_plays_its_fault_file_in_lockstep_too(tmp_path: Path) -> None:
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults:\n  - {kind: unplug, begin_s: 0, duration_s: 0.4}\n  - {kind: mute, servo_id: 2}\n")
+    link = tmp_path / "port"
+    with simulator(link, "--faults", str(script), "--echo", "--lockstep"):
+        wait_for(link, there=False)
+        wait_for(link, there=True)
+        with serial.Serial(str(link), 1_000_000, timeout=0.2) as port:
+            ping = b"\xff\xff\x01\x02\x01\xfb"
+            port.write(ping)
+            assert port.read(12) == ping + b"\xff\xff\x01\x02\x00\xfc"
+            time.sleep(0.1)
+            port.write(b"\xff\xff\x02\x02\x01\xfa")
+            assert port.read(12) == b"\xff\xff\x02\x02\x01\xfa"
+
+
+def test_wrong_fault_file_is_refused_before_anything_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults:\n  - {kind: lost, servo_id: 9}\n")
+    assert main(["sim", "--link", str(tmp_path / "port"), "--faults", str(script)]) == 2
+    assert "faults.0.servo_id: no servo 9" in capsys.readouterr().err
+    assert not (tmp_path / "port").is_symlink()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

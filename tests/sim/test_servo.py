@@ -16,7 +16,7 @@ from armctl.dynamixel.packet import (
     Instruction,
     Packet,
 )
-from armctl.sim.servo import ServoVariants, SimulatedServo, compliance_slope
+from armctl.sim.servo import TURN_TICK, ServoVariants, SimulatedServo, compliance_slope, sensed_tick
 
 
 def servo(variants: ServoVariants = ServoVariants(), *, noise_tick: float = 0.0) -> SimulatedServo:  # noqa: B008
@@ -298,12 +298,144 @@ def test_reported_position_has_the_noise_asked_for() -> None:
     assert np.std(ticks) == pytest.approx(np.sqrt(0.25 + 1.0 / 12.0), abs=0.05)
 
 
-def test_wheel_mode_refuses_to_turn() -> None:
+@pytest.mark.parametrize(
+    ("speed", "limit", "spin"),
+    [
+        (0, 1023, 0.0),
+        (512, 1023, 512 / 1023),
+        (1024 + 512, 1023, -512 / 1023),
+        (2047, 1023, -1.0),
+        (1023, 200, 200 / 1023),
+    ],
+)
+def test_wheel_mode_turns_by_speed_with_bit_10_for_the_direction(speed: int, limit: int, spin: float) -> None:
     one = servo()
     write(one, ax12a.CCW_LIMIT, 0)
     assert one.wheel_mode
-    assert write(one, ax12a.MOVING_SPEED, 2047) == 0
-    assert one.drive.output_limit == 0.0
+    assert write(one, ax12a.TORQUE_LIMIT, limit) == 0
+    assert write(one, ax12a.MOVING_SPEED, speed) == 0
+    assert one.torque_enabled
+    assert one.drive.spin == pytest.approx(spin)
+
+
+def test_outside_wheel_mode_nothing_spins_and_bit_10_is_out_of_range() -> None:
+    one = servo()
+    assert one.drive.spin is None
+    assert write(one, ax12a.MOVING_SPEED, 1024) == ErrorBit.RANGE
+
+
+@pytest.mark.parametrize("value", range(255))
+def test_baud_register_means_2_mbps_over_one_more(value: int) -> None:
+    one = servo()
+    assert write(one, ax12a.BAUD, value) == 0
+    assert one.baud == pytest.approx(2_000_000 / (value + 1))
+
+
+@pytest.mark.parametrize(
+    ("instruction", "parameters", "bit"),
+    [
+        (Instruction.WRITE, bytes((36, 0, 0)), ErrorBit.RANGE),
+        (Instruction.WRITE, bytes((30, 254, 3)), ErrorBit.ANGLE_LIMIT),
+        (Instruction.ACTION, b"", ErrorBit.INSTRUCTION),
+    ],
+)
+@pytest.mark.parametrize("masked", [False, True])
+def test_any_error_trips_and_blinks_if_and_only_if_its_mask_says_so(
+    instruction: Instruction, parameters: bytes, bit: ErrorBit, masked: bool
+) -> None:
+    one = servo()
+    write(one, ax12a.CCW_LIMIT, 1000)
+    write(one, ax12a.SHUTDOWN, bit if masked else 127 - bit)
+    write(one, ax12a.ALARM_LED, bit if masked else 127 - bit)
+    write(one, ax12a.GOAL, 400)
+    assert tell(one, instruction, parameters) == Packet(5, bit)
+    assert one.torque_enabled is not masked
+    assert one.get(ax12a.TORQUE_LIMIT) == (0 if masked else 1023)
+    assert one.led == ("blinking" if masked else "off")
+
+
+@pytest.mark.parametrize("bit", [ErrorBit.VOLTAGE, ErrorBit.OVERHEAT, ErrorBit.OVERLOAD])
+@pytest.mark.parametrize("masked", [False, True])
+def test_standing_alarm_trips_and_blinks_by_its_own_bit(bit: ErrorBit, masked: bool) -> None:
+    one = servo()
+    write(one, ax12a.SHUTDOWN, bit if masked else 127 - bit)
+    write(one, ax12a.ALARM_LED, bit if masked else 127 - bit)
+    write(one, ax12a.GOAL, 400)
+    if bit == ErrorBit.VOLTAGE:
+        one.voltage_V = 5.0
+    elif bit == ErrorBit.OVERHEAT:
+        one.temperature_degC = 80.0
+    one.protect(overloaded=bit == ErrorBit.OVERLOAD)
+    assert one.torque_enabled is not masked
+    assert one.led == ("blinking" if masked else "off")
+
+
+def test_led_follows_its_register_while_nothing_alarms() -> None:
+    one = servo()
+    shown = [one.led]
+    write(one, ax12a.LED, 1)
+    assert [*shown, one.led] == ["off", "on"]
+
+
+def test_reboot_forgets_the_ram_and_keeps_the_eeprom() -> None:
+    one = servo()
+    write(one, ax12a.MAX_TORQUE, 700)
+    write(one, ax12a.CW_LIMIT, 100)
+    write(one, ax12a.GOAL, 600)
+    write(one, ax12a.PUNCH, 50)
+    write(one, ax12a.LED, 1, Instruction.REG_WRITE)
+    write(one, ax12a.LOCK, 1)
+    one.protect(overloaded=True)
+    one.reboot()
+    kept = {ax12a.ID: 5, ax12a.MAX_TORQUE: 700, ax12a.CW_LIMIT: 100}
+    begun = {ax12a.GOAL: 400, ax12a.PRESENT_POSITION: 400, ax12a.TORQUE_LIMIT: 700}
+    for register in ax12a.REGISTERS:
+        assert read(one, register) == {**kept, **begun}.get(register, register.default), register.name
+    assert not one.torque_enabled
+    assert not one.overloaded
+    assert write(one, ax12a.PUNCH, 40) == 0
+
+
+@settings(deadline=None)
+@given(st.floats(-2500.0, 2500.0))
+def test_potentiometer_reads_a_tick_at_every_angle_and_the_angle_within_its_range(position_tick: float) -> None:
+    tick = sensed_tick(position_tick)
+    assert 0 <= tick <= 1023
+    assert tick == sensed_tick(position_tick)
+    turned = position_tick % TURN_TICK
+    if turned <= 1023.0:
+        assert abs(tick - turned) <= 0.5 + 1e-9 or abs(tick - turned) > 1022.0  # just below a whole turn it reads 0
+
+
+def test_dead_zone_saturates_at_its_edges_and_is_erratic_inside() -> None:
+    assert [sensed_tick(tick) for tick in (-8.0, -1.0, 1024.0, 1032.0)] == [0, 0, 1023, 1023]
+    inside = [sensed_tick(tick) for tick in np.arange(1034.0, 1217.0, 0.5)]
+    assert np.std(inside) > 200.0
+    assert np.abs(np.diff(inside)).mean() > 100.0
+
+
+def test_frozen_sensor_reads_one_position_and_no_speed() -> None:
+    one = servo(noise_tick=0.5)
+    one.freeze()
+    one.position_tick, one.velocity_rad_s = 700.0, 2.0
+    assert {read(one, ax12a.PRESENT_POSITION) for _ in range(20)} == {400}
+    assert read(one, ax12a.PRESENT_SPEED) == 0
+    one.frozen_tick = None
+    assert read(one, ax12a.PRESENT_POSITION) in (698, 699, 700, 701, 702)
+
+
+def test_moving_is_a_goal_not_reached_or_a_shaft_that_turns() -> None:
+    one = servo()
+    write(one, ax12a.TORQUE_ENABLE, 1)
+    assert read(one, ax12a.MOVING) == 0
+    write(one, ax12a.GOAL, 500)
+    assert read(one, ax12a.MOVING) == 1
+    one.reference_tick = 500.0
+    assert read(one, ax12a.MOVING) == 0
+    one.velocity_rad_s = 0.5
+    assert read(one, ax12a.MOVING) == 1
+    write(one, ax12a.TORQUE_ENABLE, 0)
+    assert read(one, ax12a.MOVING) == 0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,291 @@
+"""Faults of a simulated arm and its bus: what goes wrong, with which servo, how often, from when and for how long.
+
+Rules:
+
+1. A fault is in force from `begin_s` for `duration_s` (None: until it is ended), in the simulator's own time: seconds
+   since the arm began. It changes nothing before and leaves nothing behind, except what a servo itself keeps (a trip,
+   a reboot, a goal).
+2. Some kinds are a state, in force without pause. Others strike on occasions (a reply, a packet, a write of the second
+   writer, a servo at the fault's begin): each with `probability`, and at most `count` times.
+3. Every fault draws from a generator of its own, by the seed and its number, so faults do not disturb each other.
+4. Nobody but the bus, the arm and the port asks about faults, and where none is planned each asks a plain number.
+
+The file of `armctl sim --faults` holds one list:
+
+    faults:
+      - {kind: lost, servo_id: 3, probability: 0.2, begin_s: 5, duration_s: 10}
+      - {kind: late, count: 1, value: 12}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from armctl.config import parse_yaml, validate
+from armctl.errors import ConfigError
+
+WRITER_PERIOD_S = 0.1
+"""From one write of the second writer to its next."""
+
+
+@dataclass(frozen=True)
+class _Value:
+    what: str
+    default: float | None
+    """None: drawn each time."""
+    low: float
+    high: float
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class _Kind:
+    what: str
+    occasion: str = ""
+    """On what it strikes; empty: a state."""
+    value: _Value | None = None
+    bus_wide: bool = False
+    one_servo: bool = False
+
+
+_KINDS = {
+    "lost": _Kind("the servo acts, but its reply never comes", "reply"),
+    "late": _Kind("the reply, and what follows it, is held up", "reply", _Value("delay in ms", 10.0, 0.0, 60e3)),
+    "duplicated": _Kind("the reply comes twice", "reply"),
+    "corrupted": _Kind("one byte of the reply is another", "reply"),
+    "truncated": _Kind("only the beginning comes", "reply", _Value("bytes that come", None, 1, 255, True)),
+    "garbage": _Kind("random bytes before the reply", "packet", _Value("how many bytes", 8, 1, 255, True)),
+    "echo": _Kind("the adapter hears what the host says", bus_wide=True),
+    "wrong_id": _Kind("the reply names another servo", "reply", _Value("id named, else the next", None, 0, 253, True)),
+    "same_id": _Kind("a second servo with the same id joins the bus", one_servo=True),
+    "mute": _Kind("the servo neither hears nor answers; it keeps its power"),
+    "dead_bus": _Kind("no servo hears or answers; they keep their power", bus_wide=True),
+    "unplug": _Kind("the adapter is out of the host: the port vanishes, and comes back at the end", bus_wide=True),
+    "brown_out": _Kind(
+        "the supply sags; at the begin servos restart: RAM lost, torque off", "servo", _Value("volts", 5.5, 0.0, 20.0)
+    ),
+    "hot": _Kind("at the begin the servo's temperature jumps", "servo", _Value("degC", 75.0, -20.0, 150.0)),
+    "trip": _Kind("at the begin the servo takes itself for overloaded", "servo"),
+    "stuck_joint": _Kind("the motor turns nothing: no torque whatever its output"),
+    "blocked_joint": _Kind("something holds the joint where it is"),
+    "frozen_sensor": _Kind("the servo sees one position for ever, and steers by it"),
+    "latency": _Kind("the adapter's timer is another", value=_Value("period in ms", 16.0, 0.0, 1000.0), bus_wide=True),
+    "second_writer": _Kind(
+        "another program writes a goal ten times a second", "write",
+        _Value("ticks from where the servo was", 30, -1023, 1023, True),
+    ),
+}  # fmt: skip
+KINDS: tuple[str, ...] = tuple(_KINDS)
+DESCRIPTIONS: dict[str, str] = {
+    name: kind.what + (f" (value: {kind.value.what})" if kind.value else "") for name, kind in _KINDS.items()
+}
+
+
+class Fault(BaseModel):
+    """One fault, as planned; what `value` means depends on the kind, see `DESCRIPTIONS`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    kind: str
+    servo_id: int | None = Field(None, ge=0, le=253)
+    """By the calibration; None: every servo."""
+    probability: float = Field(1.0, ge=0.0, le=1.0)
+    count: int | None = Field(None, ge=1)
+    begin_s: float = Field(0.0, ge=0.0)
+    """Seconds of simulator time; for a live fault, from now."""
+    duration_s: float | None = Field(None, gt=0.0)
+    value: float | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Fault:
+        kind = _KINDS.get(self.kind)
+        if kind is None:
+            raise ValueError(f"kind {self.kind!r} is unknown; known: {', '.join(KINDS)}")
+        if kind.bus_wide and self.servo_id is not None:
+            raise ValueError(f"{self.kind} strikes the whole bus; leave servo_id out")
+        if kind.one_servo and self.servo_id is None:
+            raise ValueError(f"{self.kind} needs a servo_id")
+        if not kind.occasion and (self.probability != 1.0 or self.count is not None):
+            raise ValueError(f"{self.kind} is a state; probability and count do not apply, begin_s and duration_s do")
+        if self.value is not None:
+            if kind.value is None:
+                raise ValueError(f"{self.kind} takes no value")
+            wanted = kind.value
+            if not wanted.low <= self.value <= wanted.high or (wanted.whole and self.value % 1):
+                whole = "a whole number " if wanted.whole else ""
+                raise ValueError(
+                    f"value {self.value:g} of {self.kind} ({wanted.what}) must be {whole}"
+                    f"in {wanted.low:g}..{wanted.high:g}"
+                )
+        return self
+
+
+class _Script(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    faults: tuple[Fault, ...] = Field(strict=False)
+
+
+def parse(text: str, file: str, servo_ids: Collection[int] | None = None) -> tuple[Fault, ...]:
+    """The faults of a YAML text.
+
+    Args:
+        servo_ids: Servos of the arm; None: any will do.
+    Raises:
+        ConfigError: naming the file and every key that is wrong.
+    """
+    script = validate(_Script, parse_yaml(text, file), file).faults
+    for index, fault in enumerate(script):
+        check_servo(fault, servo_ids, file, f"faults.{index}.servo_id")
+    return script
+
+
+def check_servo(fault: Fault, servo_ids: Collection[int] | None, file: str, key: str) -> None:
+    """Refuse a fault of a servo that is not among `servo_ids` (None: any will do).
+
+    Raises:
+        ConfigError: there is no such servo.
+    """
+    if servo_ids is not None and fault.servo_id is not None and fault.servo_id not in servo_ids:
+        known = ", ".join(map(str, servo_ids))
+        raise ConfigError(file, key, f"no servo {fault.servo_id} on this arm", f"its servos are {known}")
+
+
+@dataclass
+class Planned:
+    """A fault from its announcement to its end."""
+
+    id: int
+    fault: Fault
+    begin_s: float
+    """Absolute."""
+    end_s: float
+    rng: np.random.Generator
+    begun: bool = False
+    struck: int = 0
+    next_write_s: float = math.inf
+
+    @property
+    def amount(self) -> float:
+        """The fault's value, or its kind's default.
+
+        Raises:
+            AssertionError: the kind has none; then whoever asks must look at `fault.value` himself.
+        """
+        wanted = _KINDS[self.fault.kind].value
+        value = wanted.default if self.fault.value is None and wanted else self.fault.value
+        assert value is not None
+        return value
+
+    def strikes(self) -> bool:
+        """Whether it strikes on an occasion; counts if so."""
+        fault = self.fault
+        if fault.count is not None and self.struck >= fault.count:
+            return False
+        if fault.probability < 1.0 and self.rng.random() >= fault.probability:
+            return False
+        self.struck += 1
+        return True
+
+
+class Faults:
+    """Every fault planned or in force; time comes from the arm, which calls `advance` whenever `due_s` has come."""
+
+    def __init__(self, script: Sequence[Fault] = (), *, seed: int = 0) -> None:
+        """Plan the faults of a script, whose `begin_s` count from the arm's begin."""
+        self._seed = seed
+        self._last_id = 0
+        self._planned: list[Planned] = []
+        self.due_s = math.inf
+        """When something changes next."""
+        for fault in script:
+            self.begin(fault, 0.0)
+
+    def __bool__(self) -> bool:
+        """Whether any is planned or in force."""
+        return bool(self._planned)
+
+    def begin(self, fault: Fault, now_s: float) -> int:
+        """Plan a fault, its `begin_s` counting from `now_s`; the number to end it by."""
+        self._last_id += 1
+        begin_s = now_s + fault.begin_s
+        end_s = math.inf if fault.duration_s is None else begin_s + fault.duration_s
+        rng = np.random.default_rng((self._seed, self._last_id))
+        self._planned.append(Planned(self._last_id, fault, begin_s, end_s, rng))
+        self.due_s = min(self.due_s, begin_s)
+        return self._last_id
+
+    def end(self, id: int) -> None:
+        """End a fault, or call it off; one that is over already is left so.
+
+        Raises:
+            ValueError: there never was a fault of this number.
+        """
+        if not 1 <= id <= self._last_id:
+            raise ValueError(f"fault {id}: there never was one; the numbers so far are 1..{self._last_id}")
+        for planned in self._planned:
+            if planned.id == id:
+                planned.end_s = -math.inf
+                self.due_s = -math.inf
+
+    def advance(self, now_s: float) -> list[Planned]:
+        """Begin and end what is due by `now_s`.
+
+        Returns:
+            What the arm has to do now: faults that begin, and second writers whose write is due.
+        """
+        self._planned = [planned for planned in self._planned if planned.end_s > now_s]
+        due = []
+        for planned in self._planned:
+            if planned.begin_s <= now_s and not planned.begun:
+                planned.begun = True
+                planned.next_write_s = planned.begin_s if planned.fault.kind == "second_writer" else math.inf
+                due.append(planned)
+            elif planned.next_write_s <= now_s:
+                due.append(planned)
+            while planned.next_write_s <= now_s:
+                planned.next_write_s += WRITER_PERIOD_S
+        self.due_s = min(
+            (min(p.end_s, p.next_write_s) if p.begun else p.begin_s for p in self._planned), default=math.inf
+        )
+        return due
+
+    def in_force(self, kind: str, servo_id: int | None = None) -> Planned | None:
+        """The newest fault of a kind in force for a servo (None: whichever)."""
+        for planned in reversed(self._planned):
+            fault = planned.fault
+            if planned.begun and fault.kind == kind and (servo_id is None or fault.servo_id in (None, servo_id)):
+                return planned
+        return None
+
+    def strike(self, kind: str, servo_id: int) -> Planned | None:
+        """The fault of a kind that strikes on this occasion, a servo's."""
+        for planned in self._planned:
+            fault = planned.fault
+            if planned.begun and fault.kind == kind and fault.servo_id in (None, servo_id) and planned.strikes():
+                return planned
+        return None
+
+    def active(self, now_s: float) -> tuple[tuple[int, Fault], ...]:
+        """Number and fault of everything in force at `now_s`, oldest first."""
+        return tuple((p.id, p.fault) for p in self._planned if p.begin_s <= now_s < p.end_s)
+
+    def listing(self) -> list[dict[str, Any]]:
+        """Everything planned or in force, as plain values; times are absolute, `end_s` None: not before it is ended."""
+        return [
+            {
+                "id": planned.id,
+                **planned.fault.model_dump(exclude={"begin_s", "duration_s"}),
+                "begin_s": planned.begin_s,
+                "end_s": None if planned.end_s == math.inf else planned.end_s,
+                "active": planned.begun,
+                "struck": planned.struck,
+            }
+            for planned in self._planned
+        ]

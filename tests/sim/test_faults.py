@@ -1,0 +1,458 @@
+"""Faults: their file, their calendar, and what each does to bytes and joints, on virtual time."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+import armctl
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet, encode_instruction
+from armctl.errors import ConfigError, PortGone, PortMissing
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.faults import _KINDS, DESCRIPTIONS, KINDS, Fault, Faults, parse
+from armctl.sim.loopback import LoopbackPort
+from tests.sim.conftest import sync_write
+
+WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
+REPLY = ("lost", "late", "duplicated", "corrupted", "truncated", "wrong_id")
+
+
+def read(servo_id: int, register: Register = ax12a.PRESENT_POSITION, size: int | None = None) -> bytes:
+    return encode_instruction(servo_id, Instruction.READ, bytes((register.address, size or register.size)))
+
+
+class Bench:
+    """A simulated arm behind a bus; time moves when told to."""
+
+    def __init__(self, arm: ArmConfig, *script: Fault, seed: int = 0) -> None:
+        self.arm = SimulatedArm(arm, seed=seed)
+        self.bus = SimulatedBus(self.arm, faults=Faults(script, seed=seed), seed=seed)
+        self.now_ns = NS_PER_S
+        self.arm.advance(self.now_ns)
+
+    def wait(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+        self.arm.advance(self.now_ns)
+
+    def ask(self, request: bytes) -> list[tuple[int, int]]:
+        """Every byte that comes back within 50 ms, with its time since the request's begin [ns]."""
+        begin_ns = self.now_ns
+        self.bus.receive(request, begin_ns)
+        self.wait(0.05)
+        heard = []
+        while (at := self.bus.next_transmit_ns()) is not None and at <= self.now_ns:
+            heard += [(at - begin_ns, value) for value in self.bus.transmit(at)]
+        return heard
+
+    def hear(self, request: bytes) -> bytes:
+        return bytes(value for _, value in self.ask(request))
+
+    def begin(self, kind: str, servo_id: int | None = None, value: float | None = None) -> int:
+        number = self.bus.faults.begin(Fault(kind=kind, servo_id=servo_id, value=value), self.arm.time_s)
+        self.arm.advance(self.now_ns)
+        return number
+
+    def hold(self) -> None:
+        """The arm in its working pose, at rest."""
+        self.bus.receive(sync_write(self.arm.config, WORKING_RAD.tolist(), [100] * 6), self.now_ns)
+        self.wait(6.0)
+
+
+@pytest.fixture
+def bench(arm: ArmConfig) -> Bench:
+    return Bench(arm)
+
+
+# ------------------------------------------------------------------------------------------------- the file
+
+
+def test_script_is_a_list_of_faults() -> None:
+    text = "faults:\n  - {kind: lost, servo_id: 3, probability: 0.2, begin_s: 5, duration_s: 10}\n  - {kind: unplug}\n"
+    lost, unplug = parse(text, "f.yaml", (1, 2, 3))
+    assert lost == Fault(kind="lost", servo_id=3, probability=0.2, begin_s=5.0, duration_s=10.0)
+    assert unplug == Fault(kind="unplug")
+    assert set(DESCRIPTIONS) == set(KINDS)
+
+
+@pytest.mark.parametrize(
+    ("entry", "why"),
+    [
+        ("{kind: lsot}", r"f\.yaml: faults\.0: kind 'lsot' is unknown; known: lost, late"),
+        ("{}", r"faults\.0\.kind: Field required"),
+        ("{kind: lost, servo: 3}", r"faults\.0\.servo: unknown key"),
+        ("{kind: lost, servo_id: 3.0}", r"faults\.0\.servo_id: .*integer"),
+        ("{kind: lost, servo_id: 9}", r"faults\.0\.servo_id: no servo 9 on this arm; its servos are 1, 2, 3"),
+        ("{kind: lost, probability: 1.5}", r"faults\.0\.probability: .*less than or equal to 1"),
+        ("{kind: lost, count: 0}", r"faults\.0\.count"),
+        ("{kind: lost, duration_s: 0}", r"faults\.0\.duration_s"),
+        ("{kind: lost, value: 3}", "lost takes no value"),
+        ("{kind: late, value: -1}", r"value -1 of late \(delay in ms\) must be in 0\.\.60000"),
+        ("{kind: garbage, value: 1.5}", "must be a whole number in 1..255"),
+        ("{kind: mute, count: 2}", "mute is a state"),
+        ("{kind: echo, servo_id: 2}", "echo strikes the whole bus"),
+        ("{kind: same_id}", "same_id needs a servo_id"),
+        ("{kind: late, value: .inf}", r"faults\.0\.value: .*valid number"),
+    ],
+)
+def test_wrong_script_is_refused_with_file_and_key(entry: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        parse(f"faults:\n  - {entry}\n", "f.yaml", (1, 2, 3))
+
+
+def test_docs_page_describes_every_kind_with_its_default() -> None:
+    page = (Path(armctl.__file__).parent / "docs" / "simulator.md").read_text(encoding="utf-8")
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    described = {row[0].strip("`"): row[-1].strip(" |") for row in rows}
+    for kind in KINDS:
+        assert kind in described
+        value = _KINDS[kind].value
+        if value is not None and value.default is not None:
+            assert described[kind].endswith(f", {value.default:g}"), kind
+
+
+# --------------------------------------------------------------------------------------------- the calendar
+
+
+def test_fault_is_in_force_from_its_begin_for_its_duration(arm: ArmConfig) -> None:
+    bench = Bench(arm, Fault(kind="mute", servo_id=2, begin_s=1.0, duration_s=0.5))
+    answers = [bool(bench.hear(read(2))) for _ in range(40)]
+    assert answers == [True] * 20 + [False] * 10 + [True] * 10
+    assert not bench.bus.faults
+    assert bench.bus.faults.due_s == math.inf
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, 3.0), st.floats(0.01, 3.0)), max_size=6), st.floats(0.0, 6.0))
+def test_active_faults_are_those_whose_time_it_is(times: list[tuple[float, float]], now_s: float) -> None:
+    faults = Faults([Fault(kind="mute", begin_s=begin_s, duration_s=span_s) for begin_s, span_s in times])
+    expected = [i for i, (begin_s, span_s) in enumerate(times, start=1) if begin_s <= now_s < begin_s + span_s]
+    assert [number for number, _ in faults.active(now_s)] == expected
+    faults.advance(now_s)
+    assert [entry["id"] for entry in faults.listing() if entry["active"]] == expected
+    assert (faults.in_force("mute") is not None) == bool(expected)
+    assert faults.due_s > now_s
+
+
+def test_live_fault_ends_when_ended_and_ending_twice_is_no_error(bench: Bench) -> None:
+    number = bench.begin("mute", 2)
+    assert bench.hear(read(2)) == b""
+    bench.bus.faults.end(number)
+    bench.bus.faults.end(number)
+    bench.wait(0.001)
+    assert bench.hear(read(2))
+    bench.bus.faults.end(number)
+    with pytest.raises(ValueError, match=r"fault 7: there never was one"):
+        bench.bus.faults.end(7)
+
+
+def test_count_and_probability_bound_the_strikes(arm: ArmConfig) -> None:
+    bench = Bench(arm, Fault(kind="lost", servo_id=1, count=3), Fault(kind="lost", servo_id=2, probability=0.3))
+    assert [bool(bench.hear(read(1))) for _ in range(6)] == [False] * 3 + [True] * 3
+    lost = sum(not bench.hear(read(2)) for _ in range(300))
+    assert 60 < lost < 120
+    assert [entry["struck"] for entry in bench.bus.faults.listing()] == [3, lost]
+
+
+def test_same_seed_same_bytes_and_other_seed_other_bytes(arm: ArmConfig) -> None:
+    script = [Fault(kind=kind, probability=0.3) for kind in (*REPLY, "garbage")]
+    script += [Fault(kind="second_writer", servo_id=1, begin_s=0.5, value=20), Fault(kind="brown_out", begin_s=1.0)]
+    wires = []
+    for seed in (1, 1, 2):
+        bench = Bench(arm, *script, seed=seed)
+        wires.append([bench.ask(read(1 + k % 6)) for k in range(60)])
+    assert wires[0] == wires[1]
+    assert wires[0] != wires[2]
+
+
+def test_one_fault_does_not_change_the_draws_of_another(arm: ArmConfig) -> None:
+    first = Fault(kind="lost", servo_id=1, probability=0.5)
+    alone, together = Bench(arm, first), Bench(arm, first, Fault(kind="corrupted", servo_id=2, probability=0.5))
+    for _ in range(50):
+        assert bool(alone.hear(read(1))) == bool(together.hear(read(1)))
+        together.hear(read(2))
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.lists(st.integers(1, 700_000_000), max_size=8))
+def test_physical_faults_do_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
+    script = (
+        Fault(kind="blocked_joint", servo_id=1, begin_s=0.3, duration_s=0.4),
+        Fault(kind="second_writer", servo_id=6, begin_s=0.55, value=-40),
+        Fault(kind="brown_out", begin_s=1.1003, duration_s=0.7, probability=0.5),
+    )
+    at_once, in_pieces = Bench(arm, *script), Bench(arm, *script)
+    for bench in (at_once, in_pieces):
+        bench.bus.receive(sync_write(arm, WORKING_RAD.tolist(), [100] * 6), bench.now_ns)
+    for piece in pieces_ns:
+        in_pieces.wait(piece / 1e9)
+    at_once.wait(sum(pieces_ns) / 1e9)
+    assert in_pieces.arm.true_positions().tolist() == at_once.arm.true_positions().tolist()
+    assert [s.torque_enabled for s in in_pieces.arm.servos] == [s.torque_enabled for s in at_once.arm.servos]
+
+
+# --------------------------------------------------------------------------------------------------- bytes
+
+
+def test_planned_but_not_begun_faults_change_no_byte(arm: ArmConfig) -> None:
+    plain, waiting = Bench(arm), Bench(arm, *(Fault(kind=kind, servo_id=1, begin_s=1e6) for kind in (*REPLY, "mute")))
+    assert [plain.ask(read(i)) for i in range(1, 7)] == [waiting.ask(read(i)) for i in range(1, 7)]
+
+
+def test_lost_reply_was_still_acted_on(bench: Bench) -> None:
+    bench.begin("lost", 2)
+    assert bench.hear(encode_instruction(2, Instruction.WRITE, bytes((ax12a.LED.address, 1)))) == b""
+    assert bench.arm.servos[1].get(ax12a.LED) == 1
+    assert bench.hear(read(3))
+
+
+def test_late_reply_holds_up_what_follows_it(bench: Bench) -> None:
+    on_time = bench.ask(read(2))
+    bench.bus.faults.begin(Fault(kind="late", servo_id=2, count=1, value=12.0), bench.arm.time_s)
+    bench.wait(0.001)
+    bench.bus.receive(read(2), bench.now_ns)
+    heard = bench.ask(read(3))
+    assert [packet.servo_id for packet in Decoder().feed(bytes(value for _, value in heard))] == [2, 3]
+    assert [at for at, _ in heard[:8]] == [at + 12_000_000 for at, _ in on_time]
+    assert heard[8][0] >= heard[7][0]
+
+
+def test_duplicated_reply_comes_twice(bench: Bench) -> None:
+    bench.begin("duplicated", 2)
+    first, second = Decoder().feed(bench.hear(read(2)))
+    assert first == second
+
+
+def test_corrupted_reply_never_passes(bench: Bench) -> None:
+    good = bench.hear(read(2, ax12a.MODEL))
+    bench.begin("corrupted", 2)
+    for _ in range(200):
+        bad = bench.hear(read(2, ax12a.MODEL))
+        assert sum(a != b for a, b in zip(good, bad, strict=True)) == 1
+        assert not any(isinstance(packet, Packet) for packet in Decoder().feed(bad))
+
+
+@pytest.mark.parametrize("keeps", [None, 1, 5])
+def test_truncated_reply_is_its_beginning(bench: Bench, keeps: int | None) -> None:
+    good = bench.hear(read(2, ax12a.MODEL))
+    bench.begin("truncated", 2, keeps)
+    sizes = set()
+    for _ in range(30):
+        bad = bench.hear(read(2, ax12a.MODEL))
+        assert good.startswith(bad)
+        sizes.add(len(bad))
+    assert sizes == ({keeps} if keeps else set(range(1, len(good))))
+
+
+def test_garbage_comes_before_the_reply(bench: Bench) -> None:
+    bench.begin("garbage", 2, 5)
+    heard = bench.hear(read(2, ax12a.MODEL))
+    assert len(heard) == 5 + 8
+    assert heard[5:] == b"\xff\xff\x02\x04\x00\x0c\x00\xed"
+    assert len(bench.hear(read(3))) == 8
+
+
+def test_echo_gives_the_host_its_own_bytes_first(bench: Bench) -> None:
+    bench.begin("echo")
+    request = read(2, ax12a.MODEL)
+    heard = bench.ask(request)
+    assert bytes(value for _, value in heard) == request + b"\xff\xff\x02\x04\x00\x0c\x00\xed"
+    assert [at for at, _ in heard[:3]] == [10_000, 20_000, 30_000]
+    assert bench.hear(encode_instruction(99, Instruction.PING)) == encode_instruction(99, Instruction.PING)
+
+
+@pytest.mark.parametrize(("value", "named"), [(None, 3), (5, 5)])
+def test_wrong_id_is_a_good_packet_of_another(bench: Bench, value: int | None, named: int) -> None:
+    bench.begin("wrong_id", 2, value)
+    assert Decoder().feed(bench.hear(read(2, ax12a.MODEL))) == [Packet(named, 0, b"\x0c\x00")]
+
+
+def test_second_servo_with_the_same_id_garbles_what_differs(bench: Bench) -> None:
+    number = bench.begin("same_id", 2)
+    (table,) = Decoder().feed(bench.hear(read(2, ax12a.MODEL, 24)))
+    assert isinstance(table, Packet)
+    status = Decoder().feed(bench.hear(read(2, ax12a.TORQUE_ENABLE, 26)))
+    assert [type(packet) for packet in status] == [BadChecksum]
+    assert len(bench.hear(read(3))) == 8
+    bench.bus.faults.end(number)
+    bench.wait(0.001)
+    assert [type(packet) for packet in Decoder().feed(bench.hear(read(2)))] == [Packet]
+
+
+def test_mute_servo_and_dead_bus_hear_nothing(bench: Bench) -> None:
+    light = bytes((ax12a.LED.address, 1))
+    bench.begin("mute", 2)
+    assert bench.hear(encode_instruction(2, Instruction.WRITE, light)) == b""
+    assert bench.arm.servos[1].get(ax12a.LED) == 0
+    bench.begin("dead_bus")
+    assert bench.hear(encode_instruction(3, Instruction.WRITE, light)) == b""
+    assert bench.arm.servos[2].get(ax12a.LED) == 0
+
+
+def test_latency_changes_and_changes_back(bench: Bench) -> None:
+    before = [at for at, _ in bench.ask(read(2))]
+    number = bench.begin("latency", value=16.0)
+    assert len({at for at, _ in bench.ask(read(2))}) == 1
+    bench.bus.faults.end(number)
+    bench.wait(0.001)
+    assert [at for at, _ in bench.ask(read(2))] == before
+
+
+def test_unplugged_port_vanishes_and_comes_back(arm: ArmConfig) -> None:
+    clock = VirtualClock()
+    faults = Faults([Fault(kind="unplug", begin_s=1.0, duration_s=2.0)])
+    port = LoopbackPort(SimulatedBus(SimulatedArm(arm), faults=faults), clock)
+    port.openPort()
+    clock.advance_ns(1_500_000_000)
+    with pytest.raises(PortGone):
+        port.getBytesAvailable()
+    with pytest.raises(PortMissing, match="unplugged"):
+        port.openPort()
+    clock.advance_ns(1_500_000_000)
+    assert port.openPort()
+
+
+def test_port_that_is_out_from_the_begin_comes_in_too(arm: ArmConfig) -> None:
+    clock = VirtualClock()
+    port = LoopbackPort(SimulatedBus(SimulatedArm(arm), faults=Faults([Fault(kind="unplug", duration_s=1.0)])), clock)
+    with pytest.raises(PortMissing):
+        port.openPort()
+    clock.advance_ns(NS_PER_S)
+    assert port.openPort()
+
+
+# --------------------------------------------------------------------------------------------------- joints
+
+
+def test_brown_out_restarts_servos_and_sags_the_supply(bench: Bench) -> None:
+    bench.hold()
+    number = bench.begin("brown_out", 2)
+    shoulder, others = bench.arm.servos[1], [s for i, s in enumerate(bench.arm.servos) if i != 1]
+    assert not shoulder.torque_enabled
+    assert shoulder.get(ax12a.MOVING_SPEED) == 0
+    assert all(servo.torque_enabled for servo in others)
+    assert bench.hear(read(2)) == b""  # its firmware starts
+    (reply,) = Decoder().feed(bench.hear(read(1)))
+    assert isinstance(reply, Packet)
+    assert reply.code == ErrorBit.VOLTAGE
+    bench.wait(0.4)
+    assert bench.hear(read(2))
+    bench.bus.faults.end(number)
+    bench.wait(0.01)
+    assert shoulder.voltage_V > 11.5
+    assert not shoulder.torque_enabled
+
+
+def test_brown_out_of_some_restarts_some(arm: ArmConfig) -> None:
+    bench = Bench(arm, Fault(kind="brown_out", begin_s=7.0, duration_s=1.0, count=2))
+    bench.hold()
+    bench.wait(3.0)
+    assert [servo.torque_enabled for servo in bench.arm.servos] == [False, False, True, True, True, True]
+
+
+def test_supply_may_sag_without_a_restart(arm: ArmConfig) -> None:
+    bench = Bench(arm, Fault(kind="brown_out", begin_s=7.0, duration_s=5.0, probability=0.0, value=8.5))
+    bench.hold()
+    bench.wait(2.0)
+    assert all(servo.torque_enabled for servo in bench.arm.servos)
+    assert 8.0 < bench.arm.servos[0].voltage_V < 8.5
+
+
+def test_trip_takes_torque_and_limit(bench: Bench) -> None:
+    bench.hold()
+    bench.begin("trip", 3)
+    elbow = bench.arm.servos[2]
+    assert (elbow.torque_enabled, elbow.get(ax12a.TORQUE_LIMIT), elbow.led) == (False, 0, "blinking")
+    assert bench.arm.servos[1].torque_enabled
+
+
+def test_hot_servo_says_so_and_shuts_down(bench: Bench) -> None:
+    bench.hold()
+    bench.begin("hot", 3, 80.0)
+    bench.wait(0.1)
+    (reply,) = Decoder().feed(bench.hear(read(3)))
+    assert isinstance(reply, Packet)
+    assert reply.code == ErrorBit.OVERHEAT
+    assert not bench.arm.servos[2].torque_enabled
+
+
+def test_blocked_joint_stays_and_its_servo_strains(bench: Bench) -> None:
+    bench.hold()
+    bench.begin("blocked_joint", 1)
+    before = bench.arm.true_positions()[0]
+    target = WORKING_RAD + np.radians([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    bench.bus.receive(sync_write(bench.arm.config, target.tolist(), [100] * 6), bench.now_ns)
+    bench.wait(3.0)
+    assert bench.arm.true_positions()[0] == pytest.approx(before, abs=1e-6)
+    assert bench.arm.servos[0].output == 1.0
+    bench.wait(4.0)
+    assert bench.arm.servos[0].overloaded
+    assert not bench.arm.servos[0].torque_enabled
+
+
+def test_blocked_joint_let_go_moves_again(arm: ArmConfig) -> None:
+    bench = Bench(arm, Fault(kind="blocked_joint", servo_id=1, begin_s=6.0, duration_s=2.0))
+    bench.hold()
+    target = WORKING_RAD + np.radians([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    bench.bus.receive(sync_write(arm, target.tolist(), [100] * 6), bench.now_ns)
+    bench.wait(4.0)
+    assert bench.arm.true_positions()[0] == pytest.approx(math.radians(40.0), abs=0.05)
+
+
+def test_stuck_joints_motor_strains_in_vain(bench: Bench) -> None:
+    bench.hold()
+    bench.begin("stuck_joint", 2)
+    height = bench.arm.true_tool_position()[2]
+    bench.wait(1.0)
+    assert bench.arm.true_tool_position()[2] < height - 0.02
+    assert bench.arm.servos[1].output > 0.2
+
+
+def test_frozen_sensor_reads_one_tick_while_the_joint_runs_away(bench: Bench) -> None:
+    bench.hold()
+    bench.begin("frozen_sensor", 1)
+    frozen = {bench.hear(read(1)) for _ in range(5)}
+    target = WORKING_RAD + np.radians([20.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    bench.bus.receive(sync_write(bench.arm.config, target.tolist(), [100] * 6), bench.now_ns)
+    bench.wait(1.0)
+    assert {bench.hear(read(1))} == frozen
+    assert bench.arm.servos[0].get(ax12a.PRESENT_SPEED) == 0
+    assert bench.arm.true_positions()[0] > math.radians(40.0)
+
+
+def test_second_writer_keeps_writing_its_own_goal(bench: Bench) -> None:
+    bench.hold()
+    own = bench.arm.servos[0].get(ax12a.GOAL)
+    number = bench.begin("second_writer", 1, 50)
+    written = bench.arm.servos[0].get(ax12a.GOAL)
+    assert abs(written - own - 50) <= 3
+    bench.bus.receive(sync_write(bench.arm.config, WORKING_RAD.tolist(), [100] * 6), bench.now_ns)
+    bench.wait(0.01)
+    assert bench.arm.servos[0].get(ax12a.GOAL) == own
+    bench.wait(0.1)
+    assert bench.arm.servos[0].get(ax12a.GOAL) == written
+    assert bench.arm.servos[5].get(ax12a.GOAL) != written
+    bench.bus.faults.end(number)
+    bench.bus.receive(sync_write(bench.arm.config, WORKING_RAD.tolist(), [100] * 6), bench.now_ns)
+    bench.wait(0.5)
+    assert bench.arm.servos[0].get(ax12a.GOAL) == own
+
+
+def test_second_writer_energises_a_limp_arm(bench: Bench) -> None:
+    bench.begin("second_writer", 6, 10)
+    assert [servo.torque_enabled for servo in bench.arm.servos] == [False] * 5 + [True]
+
+
+def test_fault_is_frozen() -> None:
+    with pytest.raises(ValidationError):
+        Fault(kind="mute").servo_id = 3  # type: ignore[misc]
