@@ -33,7 +33,7 @@ from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray, rpy_from_matrix
+from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
 from armctl.messages import (
     Clear,
     Command,
@@ -48,6 +48,7 @@ from armctl.messages import (
     Teach,
     TeachEnd,
     TickRecord,
+    ToolPose,
     TorqueOn,
 )
 from armctl.recording.channels import COMMAND, OVERRUN_NS
@@ -474,9 +475,7 @@ class Host:
                 {"name": joint.name, "servo_id": joint.servo_id, **_joint(state, age_s)}
                 for joint, state in zip(self.arm.joints, states, strict=True)
             ],
-            "tool": None
-            if tool is None
-            else {"position_m": list(tool.position_m), "rpy_rad": list(rpy_from_matrix(_rotation(tool.quaternion)))},
+            "tool": None if tool is None else _tool(tool),
             "cycle": self._cycle(),
             "recording": self._take,
             "progress": None if latest is None else latest.outputs.progress,
@@ -557,16 +556,9 @@ def _joint(state: JointState | None, tick_age_s: float | None) -> dict[str, Any]
     }
 
 
-def _rotation(quaternion: tuple[float, float, float, float]) -> FloatArray:
-    """Rotation matrix of a unit quaternion (x, y, z, w), shape (3, 3)."""
-    x, y, z, w = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def _tool(pose: ToolPose) -> dict[str, Any]:
+    rpy = rpy_from_matrix(matrix_from_quaternion(pose.quaternion))
+    return {"position_m": list(pose.position_m), "rpy_rad": list(rpy)}
 
 
 def _percentile(values: tuple[int, ...], percent: int) -> int:

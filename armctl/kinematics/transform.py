@@ -32,6 +32,18 @@ def quaternion_from_matrix(R: FloatArray) -> tuple[float, float, float, float]:
     return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
 
 
+def matrix_from_quaternion(quaternion: tuple[float, float, float, float]) -> FloatArray:
+    """Rotation matrix of a unit quaternion (x, y, z, w), shape (3, 3)."""
+    x, y, z, w = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
 def rpy_from_matrix(R: FloatArray) -> tuple[float, float, float]:
     """Roll about x, pitch about y, yaw about z [rad] with R = Rz(yaw) Ry(pitch) Rx(roll).
 
