@@ -88,11 +88,11 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         config.write_text(yaml.safe_dump({"port": str(port), "data_dir": str(out)}), encoding="utf-8")
         with stage("starting", 2) as show:
             cleanup.enter_context(
-                _program(out / "simulator.log", "sim", "--link", str(port), "--seed", str(seed), "--lockstep")
+                program(out / "simulator.log", "sim", "--link", str(port), "--seed", str(seed), "--lockstep")
             )
             show(1, "simulated servos")
             cleanup.enter_context(
-                _program(out / "daemon.log", "daemon", "--config", str(config), "--socket", str(socket))
+                program(out / "daemon.log", "daemon", "--config", str(config), "--socket", str(socket))
             )
             show(2, "daemon")
         session = _Session(
@@ -260,20 +260,25 @@ def _chart(
 
 
 @contextmanager
-def _program(log: Path, *arguments: str) -> Iterator[None]:
-    """Another armctl, started and waited for until it says `ready`, ended on leaving."""
-    with log.open("w", encoding="utf-8") as words:
+def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """An armctl of its own that has said `ready`; ended on leaving.
+
+    Args:
+        log: Where its messages go.
+    Raises:
+        ArmctlError: it did not start; its last words are in the message.
+    """
+    with log.open("a", encoding="utf-8") as words:
         process = subprocess.Popen(
             [sys.executable, "-m", "armctl", *arguments], stdout=subprocess.PIPE, stderr=words, text=True
         )
         assert process.stdout is not None
         try:
-            said = process.stdout.readline()
-            if not said.startswith("ready "):
+            if not process.stdout.readline().startswith("ready "):
                 process.wait(START_TIMEOUT_S)
                 told = log.read_text(encoding="utf-8").strip().splitlines()
-                raise ArmctlError(f"armctl {arguments[0]} did not start: {told[-1] if told else said.strip()}")
-            yield
+                raise ArmctlError(f"armctl {arguments[0]} did not start: {told[-1] if told else 'no word'}")
+            yield process
         finally:
             process.terminate()
             try:

@@ -11,6 +11,8 @@ from armctl.messages import (
     Mode,
 )
 
+PAUSE_AGE_S = 0.2
+"""A servo unheard for this long is not just a lost reply."""
 SILENT_AGE_S = 0.5
 """A servo unheard for this long latches a fault."""
 BLOCKED_RAD = math.radians(8.0)
@@ -32,7 +34,8 @@ def detect_faults(s: Tick) -> None:
     if not s.state.connected:
         return
     silent = [i for i, joint in enumerate(s.joints) if joint.age_s > SILENT_AGE_S]
-    if len(silent) == len(s.joints) > 1:
+    # The ages of a silent bus straddle the bound: its servos were not heard last in one instant.
+    if silent and len(s.joints) > 1 and all(joint.age_s > PAUSE_AGE_S for joint in s.joints):
         latch(s, "BUS_DEAD", "no servo has answered for 0.5 s")
     elif silent:
         latch_servo(s, "SERVO_SILENT", silent[0], "no reply for 0.5 s")
@@ -73,7 +76,7 @@ def _detect_power_faults(s: Tick) -> None:
             send_goal(s, [r.position if r else g for r, g in zip(s.registers, goal, strict=True)])
             return None
     s.state = replace(s.state, error_since_ns=tuple(since))
-    if lost:
+    if lost and s.fresh:
         send_goal(s, goal)
     return None
 

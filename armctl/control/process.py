@@ -2,7 +2,8 @@
 
 `python -m armctl.control.process FD` takes its settings as the first message on the inherited socket, opens the
 port, and ticks until the socket closes (its host is gone) or SIGTERM arrives. Either way it first lets a motion
-come to rest; torque stays as it is.
+come to rest; torque stays as it is. A port that is busy is waited for a little: the holder may be a predecessor
+that is doing just that.
 """
 
 from __future__ import annotations
@@ -18,17 +19,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from armctl.clock import MonotonicClock
+from armctl.clock import NS_PER_S, MonotonicClock
 from armctl.config import ArmConfig
 from armctl.control.link import Link, LinkClosed, Ready, StartFailed
 from armctl.control.loop import ControlLoop
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.port import SerialPort
-from armctl.errors import BusError
+from armctl.errors import BusError, PortBusy
 from armctl.kinematics import robots
 from armctl.messages import Command, HostLost
 
 SETTINGS_TIMEOUT_S = 10.0
+BUSY_NS = 2 * NS_PER_S
+"""How long a busy port is waited for: a control process whose host died comes to rest and leaves well within."""
+BUSY_POLL_NS = NS_PER_S // 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +99,15 @@ def main(descriptor: int) -> int:
     bus = ServoBus(SerialPort(settings.port, settings.baud, clock), settings.arm.servo_ids, clock)
     robot = robots.get(settings.arm.robot, settings.arm.lengths_m)
     loop = ControlLoop(bus, clock, settings.arm, robot, settings.period_s, restarted=restarted)
-    try:
-        loop.open()
-    except BusError as error:
-        link.send(StartFailed(error.code, str(error)))
-        return 1
+    give_up_ns = clock.now_ns() + BUSY_NS
+    while not bus.is_open:
+        try:
+            loop.open()
+        except BusError as error:
+            if leaving or clock.now_ns() >= give_up_ns or not isinstance(error, PortBusy):
+                link.send(StartFailed(error.code, str(error)))
+                return 1
+            clock.sleep_until_ns(clock.now_ns() + BUSY_POLL_NS)
     link.send(Ready(os.getpid()))
 
     def inbox() -> Sequence[Command]:

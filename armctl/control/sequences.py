@@ -31,8 +31,6 @@ from armctl.trajectory.approach import approach_trajectory, lowest_link_m
 
 STOP_S = 0.2
 """Time in which a stop brings the trajectory's rate from 1 to 0."""
-PAUSE_AGE_S = 0.2
-"""A motion pauses while any reading is older than this."""
 LATE_NS = 250_000_000
 STILL_TICKS = 3
 """Largest change between two samples of an arm that counts as still (noise is one tick)."""
@@ -140,11 +138,15 @@ def _move(s: Tick, motion: Motion) -> None:
     if s.inputs.late_ns > LATE_NS and not motion.stop_code:
         motion = replace(motion, stop_code="LATE")
         s.events.append(Event("warning", "LATE", f"a tick came {s.inputs.late_ns / 1e6:.0f} ms late (bound 250)"))
-    waiting = bool(motion.stop_code) or any(joint.age_s > PAUSE_AGE_S for joint in s.joints)
+    # A goal would energise a servo that has just restarted: none goes out while one is unheard.
+    waiting = bool(motion.stop_code) or not s.fresh
     change = s.period_s / STOP_S
     rate = max(0.0, motion.rate - change) if waiting else min(1.0, motion.rate + change)
     if rate == 0.0 and motion.stop_code:
         return finish_motion(s, motion.stop_code, "")
+    if not s.fresh:
+        s.state = replace(s.state, motion=replace(motion, rate=rate))
+        return None
     progress_s = min(motion.progress_s + rate * s.period_s, trajectory.duration_s)
     s.state = replace(s.state, motion=replace(motion, progress_s=progress_s, rate=rate))
     q = sample_trajectory(trajectory, progress_s)

@@ -367,6 +367,32 @@ def test_a_silent_bus_is_one_fault() -> None:
     assert arm.state.fault.code == "BUS_DEAD"
 
 
+def test_a_silent_bus_is_one_fault_also_where_its_servos_fell_silent_one_by_one() -> None:
+    arm = holding()
+    arm.silent = {0, 1}
+    arm.run_tick()
+    arm.silent = set(range(6))
+    arm.run_ticks(6)
+    assert arm.state.fault is not None
+    assert arm.state.fault.code == "BUS_DEAD"
+
+
+def test_no_goal_goes_out_while_a_servo_is_unheard_lest_it_wakes_one_that_restarted() -> None:
+    arm = holding()
+    arm.run_tick(Run(5, line(arm)))
+    arm.run_ticks(5)
+    arm.silent = {2}
+    arm.goals.clear()
+    arm.run_ticks(3)
+    assert not arm.goals
+    arm.silent = set()
+    arm.put(2, ax12a.TORQUE_ENABLE, 0)  # it restarted
+    arm.run_tick()
+    assert arm.state.fault is not None
+    assert arm.state.fault.code == "LOST_TORQUE"
+    assert arm.get(2, ax12a.TORQUE_ENABLE) == 0
+
+
 def test_unplugging_latches_at_once_and_clears_only_after_replugging() -> None:
     arm = holding()
     arm.run_tick(Run(5, line(arm)))
