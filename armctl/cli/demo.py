@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.box import SIMPLE
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from armctl.cli.output import Output, output_option
@@ -41,8 +41,13 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
 def _show(output: Output, result: dict[str, Any]) -> None:
     from armctl.report.line import PAPER_ROWS
 
-    table = Table(title="Distance of the tool from the line, mean / maximum, mm", title_justify="left", box=SIMPLE)
-    for column in ("via", "predicted", "encoders", "true", "time s", "paper", "paper s"):
+    table = Table(
+        title="Distance of the tool from the line, mean / maximum, mm",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for column in ("via", "predicted", "encoders", "true", "s", "paper", "s"):
         table.add_column(column, justify="right", no_wrap=True)
     for row in result["rows"]:
         paper = PAPER_ROWS[row["via"]]

@@ -53,7 +53,12 @@ class Output:
 
     @contextmanager
     def progress(self, label: str, total: float) -> Iterator[Callable[[float, str], None]]:
-        """A progress bar with the time left, on stderr; yields a function of (done, text)."""
+        """A progress bar with the time left, on stderr, or a line where stderr is no terminal.
+
+        Yields a function of (done, text).
+        """
+        if not self.messages.is_terminal:
+            self.messages.print(f"{label} ...", markup=False, highlight=False)
         columns = (
             TextColumn("{task.description:<24}"),
             BarColumn(30),
