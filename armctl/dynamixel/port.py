@@ -41,8 +41,6 @@ MARGIN_MS = 1.5
 QUIET_MS = 0.5
 """A line silent for this long, and four bytes more, carries no reply."""
 HEARD_MAX = 256
-PIECE_NS = 500_000
-"""How long a reply under way may pause."""
 DRAIN_BYTES = 64
 DRAIN_ROUNDS = 8
 
@@ -238,8 +236,10 @@ class SerialPort(ServoPort):
             self._wake_at(fd, self._reply_size or 1)
             while len(self._received) < length:
                 wait_ns = self._deadline_ns - self.clock.now_ns()
-                if self._received or self.heard:  # what follows needs its time on the wire, and no more
-                    wait_ns = min(wait_ns, (length - len(self._received)) * self.byte_ns + PIECE_NS)
+                if self._received or self.heard:
+                    # What follows needs its time on the wire, and where an adapter cut the reply, the adapter's.
+                    rest_ns = (length - len(self._received)) * self.byte_ns
+                    wait_ns = min(wait_ns, rest_ns + round((self.latency_ms + QUIET_MS) * NS_PER_MS))
                 select.select([fd], [], [], max(0, wait_ns) / NS_PER_S)
                 try:
                     arrived = os.read(fd, HEARD_MAX)  # also when fewer are there than were to wake us
