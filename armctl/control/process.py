@@ -8,6 +8,7 @@ that is doing just that.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import select
@@ -30,6 +31,7 @@ from armctl.kinematics import robots
 from armctl.messages import Command, HostLost
 
 SETTINGS_TIMEOUT_S = 10.0
+REALTIME_PRIORITY = 10
 BUSY_NS = 2 * NS_PER_S
 """How long a busy port is waited for: a control process whose host died comes to rest and leaves well within."""
 BUSY_POLL_NS = NS_PER_S // 10
@@ -121,6 +123,9 @@ def main(descriptor: int) -> int:
             return (HostLost(),)
 
     gc.freeze()
+    # Late ticks come from whatever else runs; where this is refused (no CAP_SYS_NICE, no RTPRIO limit) they may come.
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
     loop.run(inbox, link.send, lambda: leaving)
     bus.close()
     return 0

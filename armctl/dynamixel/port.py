@@ -148,6 +148,15 @@ class ServoPort(PortHandler):  # type: ignore[misc]  # the SDK has no types
         return drained
 
 
+BY_ID = Path("/dev/serial/by-id")
+
+
+def _usb_identity(path: str) -> Path | None:
+    """The name under /dev/serial/by-id of the adapter at `path`; None for a port that has none (a pty)."""
+    device = Path(path).resolve()
+    return next((link for link in sorted(BY_ID.glob("*")) if link.resolve() == device), None)
+
+
 class _Gone:
     """Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them): all are PortGone.
 
@@ -168,7 +177,11 @@ class _Gone:
 
 
 class SerialPort(ServoPort):
-    """A tty: exclusive, raw, non-blocking, with low latency where the driver knows it."""
+    """A tty: exclusive, raw, non-blocking, with low latency where the driver knows it.
+
+    The first opening remembers the adapter by its USB identity (/dev/serial/by-id carries the serial number); every
+    later one looks for that adapter, whatever name the kernel gave it after a replug, and takes no other.
+    """
 
     ser: serial.Serial | None
     _settings: list[Any]
@@ -179,6 +192,7 @@ class SerialPort(ServoPort):
 
     def __init__(self, name: str, baud: int, clock: Clock) -> None:
         self._gone = _Gone(name)
+        self._identity: Path | None = None
         super().__init__(name, baud, clock)
 
     def openPort(self) -> bool:
@@ -190,8 +204,9 @@ class SerialPort(ServoPort):
         """
         if self.is_open:
             self.closePort()
+        path = str(self._identity or self.port_name)
         try:
-            self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
+            self.ser = serial.Serial(path, self.baudrate, timeout=0, exclusive=True)
             self._settings = termios.tcgetattr(self.ser.fileno())
             # The mark lives until the tty's last descriptor closes. Who owns a pty's master may hold its slave too,
             # and would lock us out after a crash of ours; there the advisory lock must do.
@@ -199,7 +214,8 @@ class SerialPort(ServoPort):
                 fcntl.ioctl(self.ser.fileno(), termios.TIOCEXCL)
         except (OSError, termios.error, ValueError) as error:
             self.closePort()
-            raise _open_error(self.port_name, self.baudrate, error) from None
+            raise _open_error(path, self.baudrate, error) from None
+        self._identity = self._identity or _usb_identity(self.port_name)
         self.low_latency = self._ask_low_latency(self.ser)
         self.is_open = True
         return True

@@ -334,3 +334,27 @@ def test_unplugging_in_the_middle_of_a_read_is_data(pty: Pty, port: SerialPort) 
     bus.close()
     with pytest.raises(PortMissing):
         bus.open()
+
+
+@pytest.mark.pty
+def test_after_a_replug_the_same_adapter_is_opened_under_its_new_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armctl.dynamixel.port.BY_ID", tmp_path)
+    before, other, after = Pty(), Pty(), Pty()
+    identity = tmp_path / "usb-FTDI_A9"
+    (tmp_path / "usb-FTDI_B1").symlink_to(other.path)
+    identity.symlink_to(before.path)
+    port = SerialPort(before.path, 1_000_000, MonotonicClock())
+    port.openPort()
+    port.closePort()
+    identity.unlink()
+    with pytest.raises(PortMissing, match="usb-FTDI_A9"):
+        port.openPort()  # another device may have the old name by now
+    identity.symlink_to(after.path)
+    port.openPort()
+    assert port.ser is not None
+    assert os.fstat(port.ser.fileno()).st_rdev == os.stat(after.path).st_rdev
+    port.closePort()
+    for pty in (before, other, after):
+        pty.unplug()
