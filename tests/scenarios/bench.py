@@ -255,13 +255,13 @@ def wait_until_ns(instant_ns: int) -> None:
 
 
 def insist(client: Client, method: str) -> dict[str, Any]:
-    """What a request comes to that is refused while a servo's reply is missing, as may happen on a busy machine."""
+    """What a request comes to that is refused while servos answer late, as they may on a busy machine."""
     deadline = time.monotonic() + DEADLINE_S
     while True:
         try:
             return client.call(method)
         except RequestRefused as refusal:
-            if (refusal.code != "NO_REPLY" and "no reply from" not in str(refusal)) or time.monotonic() > deadline:
+            if refusal.code not in ("NO_REPLY", "NOT_CLEARED") or time.monotonic() > deadline:
                 raise
 
 
