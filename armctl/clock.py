@@ -6,6 +6,8 @@ epoch nanoseconds (what log files and people read). A `Clock` deals in monotonic
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time
 from typing import Protocol
 
@@ -56,3 +58,12 @@ class VirtualClock:
         if duration_ns < 0:
             raise ValueError(f"a clock cannot go back: {duration_ns} ns")
         self._now_ns += duration_ns
+
+
+def ask_for_real_time() -> None:
+    """Ask that this process does not wait for others (SCHED_FIFO); it goes on as it is where that is refused.
+
+    Late ticks, and late answers of simulated servos, come from whatever else runs on the machine.
+    """
+    with contextlib.suppress(OSError):  # no CAP_SYS_NICE and no RTPRIO limit
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))

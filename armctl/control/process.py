@@ -8,7 +8,6 @@ that is doing just that.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import select
@@ -20,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from armctl.clock import NS_PER_S, MonotonicClock
+from armctl.clock import NS_PER_S, MonotonicClock, ask_for_real_time
 from armctl.config import ArmConfig
 from armctl.control.link import Link, LinkClosed, Ready, StartFailed
 from armctl.control.loop import ControlLoop
@@ -31,7 +30,6 @@ from armctl.kinematics import robots
 from armctl.messages import Command, HostLost
 
 SETTINGS_TIMEOUT_S = 10.0
-REALTIME_PRIORITY = 10
 BUSY_NS = 2 * NS_PER_S
 """How long a busy port is waited for: a control process whose host died comes to rest and leaves well within."""
 BUSY_POLL_NS = NS_PER_S // 10
@@ -123,9 +121,7 @@ def main(descriptor: int) -> int:
             return (HostLost(),)
 
     gc.freeze()
-    # Late ticks come from whatever else runs; where this is refused (no CAP_SYS_NICE, no RTPRIO limit) they may come.
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
+    ask_for_real_time()
     loop.run(inbox, link.send, lambda: leaving)
     bus.close()
     return 0

@@ -3,7 +3,7 @@
 Bounds. The goal is one tick ahead, so the last one is reached within a tick (100 ms) of being sent. Behind it every
 shaft trails by what its controller needs against friction and gravity, and catches up with a time constant of about
 30 ms, the last tenths of a degree in steps, as stiction lets go of them: hence 0.5 deg from the bound on. A host's
-death takes up to one tick to be noticed and 200 ms to slow down on the path.
+death takes up to one tick to be noticed and 200 ms to slow down on the path; 500 ms are what the fault matrix allows.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def test_killed_host_stops_the_arm_and_the_next_recovers_log_and_arm(holding: Be
     ready_ns = time.monotonic_ns()
     assert not alive(holding.controls[0])
     assert holding.controls[1] != holding.controls[0]
-    assert arm.motion_deg(killed_ns + 400 * MS, ready_ns + 1000 * MS) < STOPPED_DEG
+    assert arm.motion_deg(killed_ns + 500 * MS, ready_ns + 1000 * MS) < STOPPED_DEG
     assert arm.motion_deg(ready_ns, ready_ns + 1000 * MS) < STILL_DEG
     assert arm.torque() == [True] * 6
 
@@ -136,7 +136,7 @@ def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on(holding: Benc
 
     with pytest.raises((NoDaemon, RequestRefused)):
         run.result()
-    assert arm.motion_deg(told_ns + 400 * MS, told_ns + 1400 * MS) < STOPPED_DEG
+    assert arm.motion_deg(told_ns + 500 * MS, told_ns + 1500 * MS) < STOPPED_DEG
     assert arm.torque() == [True] * 6
     assert not alive(holding.controls[0])
     assert not holding.socket.exists()
