@@ -3,12 +3,15 @@
 Standard:  A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
 Modified:  A_i = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)
 
-with theta_i = q_i + offset_i. Products are written out elementwise (no BLAS), so that the same input gives the
+with theta_i = q_i + offset_i. A frame is four columns, axes X, Y, Z and origin P, each with the poses side by side
+(shape (3, m)): turning about z mixes X and Y, twisting about x mixes Y and Z, and what a table has as zero is left
+out. Products are written out elementwise (no BLAS) and summed in a fixed order, so that the same input gives the
 same bits for one pose and for a batch.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -16,6 +19,13 @@ from typing import Literal
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
+
+BLOCK = 2048
+"""Poses worked on together: few enough for the cache, many enough to hide the interpreter."""
+
+Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""X, Y, Z and P of one frame, shape (3, m); (3, 1) while every pose has the same."""
+Axis = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,8 @@ class SerialChain:
 
     rows: tuple[DHRow, ...]
     convention: Literal["standard", "modified"] = "standard"
+    tool_m: float = 0.0
+    """How far the tool frame lies along x of the last link frame: the last row of a modified table, which moves not."""
 
     @property
     def n(self) -> int:
@@ -51,53 +63,31 @@ class SerialChain:
                 pairs.append((float(np.cos(row.alpha)), float(np.sin(row.alpha))))
         return tuple(pairs)
 
-
-def link_transforms(chain: SerialChain, q: FloatArray) -> FloatArray:
-    """Transform of every link frame to the one before it.
-
-    Args:
-        q: Joint positions [rad], shape (..., n).
-    Returns:
-        A, shape (..., n, 4, 4); translation in metres.
-    Raises:
-        ValueError: the last axis of q is not n.
-    """
-    q = np.asarray(q, dtype=np.float64)
-    if q.ndim == 0 or q.shape[-1] != chain.n:
-        raise ValueError(f"q has shape {q.shape}; the last axis must be {chain.n}, the chain's joints")
-    A = np.zeros((*q.shape, 4, 4))
-    A[..., 3, 3] = 1.0
-    for i, row in enumerate(chain.rows):
-        c, s = np.cos(q[..., i] + row.offset), np.sin(q[..., i] + row.offset)
-        ca, sa = chain._alpha_trig[i]
-        Ai = A[..., i, :, :]
-        if chain.convention == "standard":
-            Ai[..., 0, 0], Ai[..., 0, 1], Ai[..., 0, 2], Ai[..., 0, 3] = c, -s * ca, s * sa, row.a * c
-            Ai[..., 1, 0], Ai[..., 1, 1], Ai[..., 1, 2], Ai[..., 1, 3] = s, c * ca, -c * sa, row.a * s
-            Ai[..., 2, 1], Ai[..., 2, 2], Ai[..., 2, 3] = sa, ca, row.d
-        else:
-            Ai[..., 0, 0], Ai[..., 0, 1], Ai[..., 0, 3] = c, -s, row.a
-            Ai[..., 1, 0], Ai[..., 1, 1], Ai[..., 1, 2], Ai[..., 1, 3] = s * ca, c * ca, -sa, -row.d * sa
-            Ai[..., 2, 0], Ai[..., 2, 1], Ai[..., 2, 2], Ai[..., 2, 3] = s * sa, c * sa, ca, row.d * ca
-    return A
+    @cached_property
+    def _offsets(self) -> FloatArray:
+        return np.array([[row.offset] for row in self.rows])
 
 
 def link_frames(chain: SerialChain, q: FloatArray) -> FloatArray:
-    """Pose of the base (index 0) and of every link frame in the base frame.
+    """Pose of the base (index 0), of every link frame and of the tool in the base frame.
 
     Args:
         q: Joint positions [rad], shape (..., n).
     Returns:
-        T_base_link, shape (..., n + 1, 4, 4).
+        T_base_link, shape (..., n + 1, 4, 4), or (..., n + 2, 4, 4) where the tool is not the last link frame.
     Raises:
         ValueError: the last axis of q is not n.
     """
-    A = link_transforms(chain, q)
-    T = np.empty((*A.shape[:-3], chain.n + 1, 4, 4))
-    T[..., 0, :, :] = np.eye(4)
-    for i in range(chain.n):
-        T[..., i + 1, :, :] = _product(T[..., i, :, :], A[..., i, :, :])
-    return T
+    flat = _flat(chain, q)
+    count = chain.n + 1 + (chain.tool_m != 0.0)
+    T = np.zeros((len(flat), count, 4, 4))
+    T[:, :, 3, 3] = 1.0
+    T[:, 0, :, :] = np.eye(4)
+    for begin in range(0, len(flat), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        for i, columns in enumerate(_frames(chain, flat[block])):
+            _write(T[block, i + 1], columns)
+    return T.reshape(*np.shape(q)[:-1], count, 4, 4)
 
 
 def forward_kinematics(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -112,20 +102,83 @@ def forward_kinematics(chain: SerialChain, q: FloatArray) -> FloatArray:
     Raises:
         ValueError: the last axis of q is not n.
     """
-    return link_frames(chain, q)[..., -1, :, :]
+    flat = _flat(chain, q)
+    T = np.empty((len(flat), 4, 4))
+    T[:, 3, :] = (0.0, 0.0, 0.0, 1.0)
+    for begin in range(0, len(flat), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        *_, tool = _frames(chain, flat[block])
+        _write(T[block], tool)
+    return T.reshape(*np.shape(q)[:-1], 4, 4)
+
+
+def tool_pose(chain: SerialChain, q: Sequence[float]) -> tuple[Axis, Axis, Axis, Axis]:
+    """Columns X, Y, Z and P of the tool frame of one configuration, in plain floats.
+
+    The control step asks for it every tick, and for five joints most of numpy's time is its own. Same products in the
+    same order as `forward_kinematics`, hence the same bits.
+
+    Args:
+        q: Joint positions [rad], n of them.
+    """
+    angles = np.array([q]).T
+    if chain._offsets.any():
+        angles = angles + chain._offsets
+    x0, x1, x2, y0, y1, y2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    p0 = p1 = p2 = 0.0
+    standard = chain.convention == "standard"
+    cosines, sines = np.cos(angles).ravel().tolist(), np.sin(angles).ravel().tolist()
+    for row, (ca, sa), c, s in zip(chain.rows, chain._alpha_trig, cosines, sines, strict=True):
+        a, d = row.a, row.d
+        if standard:
+            ac, as_ = a * c, a * s
+            p0, p1, p2 = (
+                x0 * ac + y0 * as_ + z0 * d + p0,
+                x1 * ac + y1 * as_ + z1 * d + p1,
+                x2 * ac + y2 * as_ + z2 * d + p2,
+            )
+            x0, x1, x2, y0, y1, y2 = (
+                x0 * c + y0 * s,
+                x1 * c + y1 * s,
+                x2 * c + y2 * s,
+                y0 * c - x0 * s,
+                y1 * c - x1 * s,
+                y2 * c - x2 * s,
+            )
+        else:
+            p0, p1, p2 = x0 * a + p0, x1 * a + p1, x2 * a + p2
+        if sa != 0.0 or ca < 0.0:
+            y0, y1, y2, z0, z1, z2 = (
+                ca * y0 + sa * z0,
+                ca * y1 + sa * z1,
+                ca * y2 + sa * z2,
+                ca * z0 - sa * y0,
+                ca * z1 - sa * y1,
+                ca * z2 - sa * y2,
+            )
+        if not standard:
+            p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
+            x0, x1, x2, y0, y1, y2 = (
+                x0 * c + y0 * s,
+                x1 * c + y1 * s,
+                x2 * c + y2 * s,
+                y0 * c - x0 * s,
+                y1 * c - x1 * s,
+                y2 * c - x2 * s,
+            )
+    if chain.tool_m != 0.0:
+        p0, p1, p2 = x0 * chain.tool_m + p0, x1 * chain.tool_m + p1, x2 * chain.tool_m + p2
+    return (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2)
 
 
 def tool_position(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Tool point in the base frame [m], shape (..., 3), of joint positions q [rad], shape (..., n)."""
-    return forward_kinematics(chain, q)[..., :3, 3]
-
-
-def _product(A: FloatArray, B: FloatArray) -> FloatArray:
-    """A @ B of homogeneous transforms, summed in a fixed order."""
-    C = A[..., :, 0, None] * B[..., None, 0, :]
-    for k in range(1, 4):
-        C += A[..., :, k, None] * B[..., None, k, :]
-    return C
+    flat = _flat(chain, q)
+    points = np.empty((len(flat), 3))
+    for begin in range(0, len(flat), BLOCK):
+        *_, (_, _, _, P) = _frames(chain, flat[begin : begin + BLOCK])
+        points[begin : begin + BLOCK] = P.T
+    return points.reshape(*np.shape(q)[:-1], 3)
 
 
 def jacobian(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -138,12 +191,89 @@ def jacobian(chain: SerialChain, q: FloatArray) -> FloatArray:
     Raises:
         ValueError: the last axis of q is not n.
     """
-    T = link_frames(chain, q)
+    flat = _flat(chain, q)
+    J = np.empty((len(flat), 6, chain.n))
+    for begin in range(0, len(flat), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        axes, tool = joint_axes(chain, flat[block])
+        for i, (z, origin) in enumerate(axes):
+            J[block, :3, i] = cross(z, tool - origin).T
+            J[block, 3:, i] = z.T
+    return J.reshape(*np.shape(q)[:-1], 6, chain.n)
+
+
+def joint_axes(chain: SerialChain, q: FloatArray) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray]:
+    """Direction and origin of every joint's axis, and the tool point, in the base frame.
+
+    Args:
+        q: Joint positions [rad], shape (m, n).
+    Returns:
+        n pairs (direction, origin [m]) and the tool point [m], each of shape (3, m) or, where all are equal, (3, 1).
+    """
+    frames = [_BASE, *_frames(chain, q)]
     # Joint i turns about z of frame i - 1 (standard) or of its own frame i (modified).
-    axes = T[..., :-1, :, :] if chain.convention == "standard" else T[..., 1:, :, :]
-    z = axes[..., :3, 2]
-    lever = T[..., -1:, :3, 3] - axes[..., :3, 3]
-    J = np.empty((*np.shape(q)[:-1], 6, chain.n))
-    J[..., :3, :] = np.swapaxes(np.cross(z, lever), -1, -2)
-    J[..., 3:, :] = np.swapaxes(z, -1, -2)
-    return J
+    first = 0 if chain.convention == "standard" else 1
+    return [(Z, P) for _, _, Z, P in frames[first : first + chain.n]], frames[-1][3]
+
+
+def cross(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Vector product of columns, shape (3, m); either may be (3, 1)."""
+    return np.stack((u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]))
+
+
+_BASE: Columns = (
+    np.array([[1.0], [0.0], [0.0]]),
+    np.array([[0.0], [1.0], [0.0]]),
+    np.array([[0.0], [0.0], [1.0]]),
+    np.zeros((3, 1)),
+)
+
+
+def _flat(chain: SerialChain, q: FloatArray) -> FloatArray:
+    q = np.asarray(q, dtype=np.float64)
+    if q.ndim == 0 or q.shape[-1] != chain.n:
+        raise ValueError(f"q has shape {q.shape}; the last axis must be {chain.n}, the chain's joints")
+    return q.reshape(-1, chain.n)
+
+
+def _frames(chain: SerialChain, q: FloatArray) -> Iterator[Columns]:
+    """Every link frame, and the tool frame if it is another, of q, shape (m, n)."""
+    X, Y, Z, P = _BASE
+    angles = np.ascontiguousarray(q.T)
+    if chain._offsets.any():
+        angles = angles + chain._offsets
+    cosines, sines = np.cos(angles), np.sin(angles)
+    for row, (ca, sa), c, s in zip(chain.rows, chain._alpha_trig, cosines, sines, strict=True):
+        if chain.convention == "standard":
+            if row.a != 0.0:
+                along = X * (row.a * c) + Y * (row.a * s)
+                P = (along if row.d == 0.0 else along + Z * row.d) + P
+            elif row.d != 0.0:
+                P = Z * row.d + P
+            X, Y = X * c + Y * s, Y * c - X * s
+            Y, Z = _twist(Y, Z, ca, sa)
+        else:
+            if row.a != 0.0:
+                P = X * row.a + P
+            Y, Z = _twist(Y, Z, ca, sa)
+            if row.d != 0.0:
+                P = Z * row.d + P
+            X, Y = X * c + Y * s, Y * c - X * s
+        yield X, Y, Z, P
+    if chain.tool_m != 0.0:
+        yield X, Y, Z, X * chain.tool_m + P
+
+
+def _twist(Y: FloatArray, Z: FloatArray, ca: float, sa: float) -> tuple[FloatArray, FloatArray]:
+    """Turn Y and Z about x."""
+    if sa == 0.0:
+        return (Y, Z) if ca > 0.0 else (-Y, -Z)
+    if ca == 0.0:
+        return (Z, -Y) if sa > 0.0 else (-Z, Y)
+    return ca * Y + sa * Z, ca * Z - sa * Y
+
+
+def _write(T: FloatArray, columns: Columns) -> None:
+    """Columns of shape (3, m) into transforms of shape (m, 4, 4)."""
+    for i, column in enumerate(columns):
+        T[:, :3, i] = column.T

@@ -1,12 +1,19 @@
-"""Numeric inverse kinematics for any chain: damped least squares on the tool position."""
+"""Numeric inverse kinematics for any chain: damped least squares on the tool's position, or on its whole pose.
+
+Levenberg-Marquardt: the damping falls while steps help and rises when one does not. A pose that one start does not
+reach is tried from others. Position errors count in units of the arm's length, so that a turn does not outweigh them.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from armctl.errors import UnreachableTarget
-from armctl.kinematics.chain import SerialChain, jacobian, tool_position
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian, tool_position
+from armctl.kinematics.transform import FloatArray, rotation_error
+
+TURN_RAD = 2.0 * np.pi - 1e-9
+"""A joint whose range is at least this wide has no ends."""
 
 
 def solve_position(
@@ -75,3 +82,122 @@ def solve_position(
         f"{best_distance * 1000.0:.1f} mm within the joint limits",
         best_distance,
     )
+
+
+def pose_errors(chain: SerialChain, q: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance [m] and turn [rad] between the tool at q, shape (..., n), and poses T, shape (..., 4, 4)."""
+    reached = forward_kinematics(chain, q)
+    turn = rotation_error(reached[..., :3, :3], T[..., :3, :3])
+    return np.linalg.norm(reached[..., :3, 3] - T[..., :3, 3], axis=-1), np.linalg.norm(turn, axis=-1)
+
+
+def refine_poses(
+    chain: SerialChain,
+    T: FloatArray,
+    q_start: FloatArray,
+    limits: FloatArray,
+    *,
+    turned: bool = True,
+    iterations: int = 60,
+    tolerance: float = 1e-13,
+) -> FloatArray:
+    """Joint configurations near the starts that bring the tool as near to the poses as they go.
+
+    Args:
+        T: Wanted tool poses, shape (m, 4, 4).
+        q_start: Where each search begins [rad], shape (m, n).
+        limits: Lowest and highest position [rad], shape (n, 2); a joint with a whole turn is not clamped.
+        turned: Whether the rotation counts; without it the position alone does.
+        tolerance: Largest error, in arm lengths and radians, at which a pose is left alone.
+    Returns:
+        q, shape (m, n): never worse than the (clamped) start.
+    """
+    scale = 1.0 / max(sum(abs(row.a) + abs(row.d) for row in chain.rows) + abs(chain.tool_m), 1e-9)
+    turning = limits[:, 1] - limits[:, 0] >= TURN_RAD
+    low, high = np.where(turning, -np.inf, limits[:, 0]), np.where(turning, np.inf, limits[:, 1])
+    q = np.clip(np.asarray(q_start, dtype=np.float64), low, high)
+    weights = np.array([scale] * 3 + [1.0 if turned else 0.0] * 3)
+    error = _weighted_error(chain, q, T, weights)
+    cost = (error**2).sum(axis=-1)
+    damping = np.full(len(q), 1e-6)
+    for _ in range(iterations):
+        active = np.flatnonzero((cost > tolerance**2) & (damping < 1e5))
+        if not len(active):
+            break
+        J = jacobian(chain, q[active]) * weights[:, None]
+        JT = np.swapaxes(J, -1, -2)
+        gradient = (JT @ error[active][..., None])[..., 0]
+        # A joint pressed against its limit cannot help: its row and column leave the step.
+        held = ((q[active] <= low) & (gradient < 0.0)) | ((q[active] >= high) & (gradient > 0.0))
+        gradient[held] = 0.0
+        gram = JT @ J
+        gram[held[:, :, None] | held[:, None, :]] = 0.0
+        gram[:, np.arange(chain.n), np.arange(chain.n)] += damping[active][:, None] + held
+        step = np.linalg.solve(gram, gradient[..., None])[..., 0]
+        candidate = np.clip(q[active] + step, low, high)
+        candidate_error = _weighted_error(chain, candidate, T[active], weights)
+        candidate_cost = (candidate_error**2).sum(axis=-1)
+        better = candidate_cost < cost[active]
+        chosen = active[better]
+        q[chosen], error[chosen], cost[chosen] = candidate[better], candidate_error[better], candidate_cost[better]
+        damping[active] = np.where(better, np.maximum(damping[active] * 0.1, 1e-15), damping[active] * 10.0)
+    return within_a_turn(q, limits)
+
+
+def solve_poses(
+    chain: SerialChain,
+    T: FloatArray,
+    limits: FloatArray,
+    rng: np.random.Generator,
+    *,
+    q_start: FloatArray | None = None,
+    turned: bool = True,
+    restarts: int = 40,
+    tolerance_m: float = 1e-9,
+    tolerance_rad: float = 1e-9,
+) -> FloatArray:
+    """Joint configurations for poses of any chain: the first start as given, then random ones within the limits.
+
+    Args:
+        T: Wanted tool poses, shape (m, 4, 4).
+        limits: Lowest and highest position [rad], shape (n, 2).
+        q_start: First starts [rad], shape (m, n); random if not given.
+        turned: Whether the rotation counts; without it the position alone does.
+        restarts: Starts tried at most for each pose.
+    Returns:
+        q, shape (m, n): the best found; `pose_errors` tells how good it is.
+    """
+    best = np.empty((len(T), chain.n))
+    best_cost = np.full(len(T), np.inf)
+    open_poses = np.arange(len(T))
+    for attempt in range(restarts):
+        if attempt == 0 and q_start is not None:
+            starts = np.asarray(q_start, dtype=np.float64)
+        else:
+            starts = rng.uniform(limits[:, 0], limits[:, 1], (len(open_poses), chain.n))
+        q = refine_poses(chain, T[open_poses], starts, limits, turned=turned)
+        position, turn = pose_errors(chain, q, T[open_poses])
+        turn = turn * turned
+        cost = np.hypot(position, turn)
+        better = cost < best_cost[open_poses]
+        best[open_poses[better]], best_cost[open_poses[better]] = q[better], cost[better]
+        open_poses = open_poses[(position > tolerance_m) | (turn > tolerance_rad)]
+        if not len(open_poses):
+            break
+    return best
+
+
+def within_a_turn(q: FloatArray, limits: FloatArray) -> FloatArray:
+    """The same configurations, each angle moved by whole turns to where its range has it, or else to +-pi."""
+    turn = 2.0 * np.pi
+    near = q - turn * np.round(q / turn)
+    low, high = limits[:, 0] - 1e-9, limits[:, 1] + 1e-9
+    for shifted in (near + turn, near - turn):
+        near = np.where(((near < low) | (near > high)) & (shifted >= low) & (shifted <= high), shifted, near)
+    return np.asarray(near)
+
+
+def _weighted_error(chain: SerialChain, q: FloatArray, T: FloatArray, weights: FloatArray) -> FloatArray:
+    reached = forward_kinematics(chain, q)
+    gap = T[:, :3, 3] - reached[:, :3, 3]
+    return np.concatenate((gap, rotation_error(reached[:, :3, :3], T[:, :3, :3])), axis=1) * weights

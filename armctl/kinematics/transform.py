@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,15 @@ def quaternion_from_matrix(R: FloatArray) -> tuple[float, float, float, float]:
     Args:
         R: Rotation, shape (3, 3).
     """
-    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = R.tolist()
+    X, Y, Z = R.T.tolist()
+    return quaternion_from_columns(X, Y, Z)
+
+
+def quaternion_from_columns(
+    X: Sequence[float], Y: Sequence[float], Z: Sequence[float]
+) -> tuple[float, float, float, float]:
+    """`quaternion_from_matrix` of the three columns of a rotation."""
+    (m00, m10, m20), (m01, m11, m21), (m02, m12, m22) = X, Y, Z
     trace = m00 + m11 + m22
     candidates = (trace, m00, m11, m22)
     largest = candidates.index(max(candidates))
@@ -57,3 +66,59 @@ def rpy_from_matrix(R: FloatArray) -> tuple[float, float, float]:
     if horizontal < 1e-12:
         return 0.0, pitch, math.atan2(-float(R[0, 1]), float(R[1, 1]))
     return math.atan2(float(R[2, 1]), float(R[2, 2])), pitch, math.atan2(float(R[1, 0]), float(R[0, 0]))
+
+
+def matrix_from_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Rotation Rz(yaw) Ry(pitch) Rx(roll) of angles [rad], shape (3, 3)."""
+    cr, sr, cp, sp, cy, sy = (f(angle) for angle in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def pose_from_xyz_rpy(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Pose at a point [m] with the rotation of `matrix_from_rpy`, shape (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3] = matrix_from_rpy(roll, pitch, yaw)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def rotation_vector(R: FloatArray) -> FloatArray:
+    """Axis times angle [rad] of rotations, shape (..., 3, 3) -> (..., 3).
+
+    At half a turn, where the axis has two signs and the skew part vanishes, it is taken from the symmetric part.
+    """
+    R = np.asarray(R, dtype=np.float64)
+    skew = 0.5 * np.stack(
+        (R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]), axis=-1
+    )
+    sine = np.linalg.norm(skew, axis=-1)
+    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    vector = skew * np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 1.0)[..., None]
+    half_turn = (cosine < 0.0) & (sine < 1e-6)
+    if half_turn.any():
+        # R = 2 a a^T - 1 nearly: the largest column of R + 1 is along the axis a.
+        S = R[half_turn] + np.swapaxes(R[half_turn], -1, -2) + 2.0 * np.eye(3)
+        column = np.argmax(np.diagonal(S, axis1=-2, axis2=-1), axis=-1)
+        axis = np.take_along_axis(S, column[:, None, None], axis=-1)[..., 0]
+        axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+        sign = np.where((axis * skew[half_turn]).sum(axis=-1) < 0.0, -1.0, 1.0)
+        vector[half_turn] = axis * (sign * angle[half_turn])[:, None]
+    return np.asarray(vector)
+
+
+def rotation_error(R: FloatArray, R_wanted: FloatArray) -> FloatArray:
+    """The turn [rad] in the base frame that takes R to R_wanted, shape (..., 3)."""
+    return rotation_vector(np.asarray(R_wanted) @ np.swapaxes(R, -1, -2))
+
+
+def finite(rows: FloatArray) -> FloatArray:
+    """The rows (last axis) without a NaN, shape (k, n)."""
+    rows = rows.reshape(-1, rows.shape[-1])
+    return np.asarray(rows[np.isfinite(rows).all(axis=1)])

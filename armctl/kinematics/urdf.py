@@ -5,7 +5,7 @@ Rules.
    joint's axis at the origin of its child, so a row becomes two links: horn_i, which turns, and link_i, fixed to
    it, which is the Denavit-Hartenberg frame i.
 2. Joints beyond the chain (a wrist roll) turn about the x axis of the frame before them and move no tool point.
-3. `tool` is the chain's last frame: what forward kinematics gives.
+3. `tool` is the chain's tool frame: what forward kinematics gives.
 4. Shapes are primitive: what matters is where the frames are.
 """
 
@@ -42,7 +42,7 @@ def moving_frames(arm: ArmConfig, robot: Robot, q: FloatArray) -> FloatArray:
         T_base_link, shape (joints, 4, 4).
     """
     n = robot.chain.n
-    frames = list(link_frames(robot.chain, q[:n])[1:])
+    frames = list(link_frames(robot.chain, q[:n])[1 : n + 1])
     for position in q[n : len(arm.joints)].tolist():
         frames.append(frames[-1] @ _rotation_x(position))
     return np.array(frames)
@@ -55,7 +55,7 @@ def fixed_frames(arm: ArmConfig, robot: Robot) -> tuple[tuple[str, str, FloatArr
     frames: list[tuple[str, str, FloatArray]] = [
         (link, _horn(link), _inverse(_row_parts(chain, row)[1])) for link, row in zip(links, chain.rows, strict=False)
     ]
-    return (*frames, (links[chain.n - 1], TOOL, np.eye(4)))
+    return (*frames, (links[chain.n - 1], TOOL, _tool_offset(chain)))
 
 
 def urdf(arm: ArmConfig, robot: Robot) -> str:
@@ -83,7 +83,7 @@ def urdf(arm: ArmConfig, robot: Robot) -> str:
             lines += _link(child, np.zeros(3), F[:3, 3])
             lines += _fixed(f"{link}:offset", child, link, F)
         lines += _link(link, np.zeros(3), np.zeros(3))
-    lines += _fixed(f"{TOOL}:offset", links[chain.n - 1], TOOL, np.eye(4))
+    lines += _fixed(f"{TOOL}:offset", links[chain.n - 1], TOOL, _tool_offset(chain))
     lines += [f"  <link name={quoteattr(TOOL)}/>", "</robot>", ""]
     return "\n".join(lines)
 
@@ -98,6 +98,12 @@ def _row_parts(chain: SerialChain, row: DHRow) -> tuple[FloatArray, FloatArray]:
     A0 = link_frames(one, np.zeros(1))[1]
     # Standard: Rz(q) comes first. Modified: it stands before Tz(d), with which it commutes.
     return (np.eye(4), A0) if chain.convention == "standard" else (A0, np.eye(4))
+
+
+def _tool_offset(chain: SerialChain) -> FloatArray:
+    T = np.eye(4)
+    T[0, 3] = chain.tool_m
+    return T
 
 
 def _inverse(T: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, link_frames, link_transforms
+from armctl.kinematics.chain import BLOCK, DHRow, SerialChain, forward_kinematics, jacobian, link_frames
 from armctl.kinematics.chain import tool_position as tool
 from armctl.kinematics.transform import FloatArray
 
@@ -15,7 +15,10 @@ length = st.floats(-0.5, 0.5)
 alpha = st.one_of(st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
 row = st.builds(DHRow, a=length, alpha=alpha, d=length, offset=st.floats(-math.pi, math.pi))
 chains = st.builds(
-    SerialChain, st.lists(row, min_size=1, max_size=7).map(tuple), st.sampled_from(["standard", "modified"])
+    SerialChain,
+    st.lists(row, min_size=1, max_size=7).map(tuple),
+    st.sampled_from(["standard", "modified"]),
+    st.sampled_from([0.0, 0.13]),
 )
 seeds = st.integers(0, 2**32 - 1)
 
@@ -44,7 +47,7 @@ def product_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
             if chain.convention == "standard"
             else T @ rotation_x(r.alpha) @ translation(r.a, 0.0) @ turn
         )
-    return T
+    return T @ translation(chain.tool_m, 0.0)
 
 
 def some_q(chain: SerialChain, seed: int, *shape: int) -> FloatArray:
@@ -98,4 +101,29 @@ def test_one_pose_and_a_batch_give_the_same_bits(chain: SerialChain, seed: int) 
 def test_wrong_number_of_joints_is_an_error(q: FloatArray) -> None:
     chain = SerialChain((DHRow(a=1.0), DHRow(a=1.0)))
     with pytest.raises(ValueError, match="last axis must be 2"):
-        link_transforms(chain, q)
+        forward_kinematics(chain, q)
+
+
+@given(chains, seeds)
+@settings(deadline=None, max_examples=20)
+def test_a_batch_larger_than_a_block_gives_the_bits_of_its_parts(chain: SerialChain, seed: int) -> None:
+    q = some_q(chain, seed, BLOCK + 5)
+    T, J = forward_kinematics(chain, q), jacobian(chain, q)
+    assert np.array_equal(T[BLOCK - 3 :], forward_kinematics(chain, q[BLOCK - 3 :]))
+    assert np.array_equal(T[7], forward_kinematics(chain, q[7]))
+    assert np.array_equal(J[-1], jacobian(chain, q[-1]))
+    assert np.array_equal(tool(chain, q), T[:, :3, 3])
+    assert np.array_equal(link_frames(chain, q)[:, -1], T)
+
+
+def test_frames_end_with_the_tool_where_it_is_not_the_last_link() -> None:
+    chain = SerialChain((DHRow(), DHRow(a=0.1)), "modified", 0.05)
+    frames = link_frames(chain, np.zeros(2))
+    np.testing.assert_allclose(frames[:, 0, 3], [0.0, 0.0, 0.1, 0.15])
+    assert len(link_frames(SerialChain(chain.rows, "modified"), np.zeros(2))) == 3
+
+
+def test_no_pose_in_no_pose_out() -> None:
+    chain = SerialChain((DHRow(a=0.1),))
+    assert forward_kinematics(chain, np.zeros((0, 1))).shape == (0, 4, 4)
+    assert jacobian(chain, np.zeros((0, 1))).shape == (0, 6, 1)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from armctl.errors import UnreachableTarget
 from armctl.kinematics import robots
-from armctl.kinematics.chain import tool_position
-from armctl.kinematics.inverse import solve_position
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.inverse import pose_errors, refine_poses, solve_poses, solve_position, within_a_turn
 
 CHAIN = robots.get("ax12-line").chain
 LIMITS = np.radians([[-145, 145], [-10, 160], [-145, 145], [-110, 110], [-110, 110]])
@@ -60,3 +60,42 @@ def test_rest_pulls_redundancy_without_moving_the_tool() -> None:
     np.testing.assert_allclose(tool_position(CHAIN, pulled), target, atol=1e-9)
     assert np.linalg.norm(pulled - rest) < np.linalg.norm(free - rest)
     assert math.isfinite(float(pulled.sum()))
+
+
+@given(st.sampled_from(robots.names()), st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=30)
+def test_poses_are_refined_to_1e_12_from_nearby_and_stay_within_limits(name: str, seed: int) -> None:
+    robot, rng = robots.get(name), np.random.default_rng(seed)
+    limits = robot.limits_rad
+    truth = rng.uniform(limits[:, 0], limits[:, 1], (20, robot.chain.n))
+    T = forward_kinematics(robot.chain, truth)
+    starts = truth + rng.uniform(-0.05, 0.05, truth.shape)
+    before, after = (pose_errors(robot.chain, q, T) for q in (starts, refine_poses(robot.chain, T, starts, limits)))
+    q = refine_poses(robot.chain, T, starts, limits)
+    assert (q >= limits[:, 0] - 1e-9).all()
+    assert (q <= limits[:, 1] + 1e-9).all()
+    assert np.median(after[0]) < 1e-12
+    assert np.median(after[1]) < 1e-12
+    assert (np.hypot(*after) <= np.hypot(*before) * 2.0).all()
+
+
+def test_a_position_alone_is_refined_whatever_the_rotation() -> None:
+    robot = robots.get("lanzhou-4dof")
+    q = np.radians([[20.0, 60.0, 40.0, 10.0]])
+    T = forward_kinematics(robot.chain, q)
+    T[:, :3, :3] = np.eye(3)
+    found = refine_poses(robot.chain, T, q + 0.05, robot.limits_rad, turned=False)
+    np.testing.assert_allclose(tool_position(robot.chain, found), T[:, :3, 3], atol=1e-12)
+
+
+def test_a_search_is_repeated_by_its_seed() -> None:
+    robot = robots.get("puma560")
+    T = forward_kinematics(robot.chain, np.random.default_rng(3).uniform(-3.0, 3.0, (5, 6)))
+    first, second = (solve_poses(robot.chain, T, robot.limits_rad, np.random.default_rng(9)) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_angles_are_moved_by_whole_turns_into_their_range() -> None:
+    limits = np.radians([[-180.0, 180.0], [-200.0, 20.0], [7.0, 131.0]])
+    found = within_a_turn(np.radians([[370.0, 175.0, 367.0 + 20.0], [-190.0, 90.0, 200.0]]), limits)
+    np.testing.assert_allclose(np.degrees(found), [[10.0, -185.0, 27.0], [170.0, 90.0, -160.0]], atol=1e-9)

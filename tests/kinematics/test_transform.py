@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.kinematics.transform import FloatArray, matrix_from_quaternion, quaternion_from_matrix, rpy_from_matrix
+from armctl.kinematics.transform import (
+    FloatArray,
+    matrix_from_quaternion,
+    matrix_from_rpy,
+    quaternion_from_matrix,
+    rotation_error,
+    rotation_vector,
+    rpy_from_matrix,
+)
 
 angle = st.floats(-math.pi, math.pi)
 
@@ -54,3 +62,36 @@ def test_half_turns_have_a_quaternion(axis: int) -> None:
     expected = [0.0, 0.0, 0.0, 0.0]
     expected[axis] = 1.0
     np.testing.assert_allclose(np.abs(quaternion_from_matrix(R)), expected, atol=1e-15)
+
+
+@given(angle, st.floats(-1.5, 1.5), angle)
+@settings(deadline=None)
+def test_matrix_from_rpy_is_undone_by_rpy_from_matrix(roll: float, pitch: float, yaw: float) -> None:
+    R = matrix_from_rpy(roll, pitch, yaw)
+    np.testing.assert_allclose(matrix_from_rpy(*rpy_from_matrix(R)), R, atol=1e-12)
+    for c, s, axis in ((1.0, 0.0, 0), (0.0, 1.0, 1)):
+        # Rz Ry Rx on the x axis: yaw turns what pitch tilted.
+        assert R[axis, 0] == pytest.approx((c * math.cos(yaw) + s * math.sin(yaw)) * math.cos(pitch), abs=1e-12)
+
+
+@given(angle, angle, angle, st.floats(0.0, math.pi))
+@settings(deadline=None)
+def test_rotation_vector_is_axis_times_angle(x: float, y: float, z: float, turn: float) -> None:
+    axis = np.array([x, y, z + 4.0])
+    axis /= np.linalg.norm(axis)
+    half = math.sin(turn / 2.0)
+    R = matrix_from_quaternion((axis[0] * half, axis[1] * half, axis[2] * half, math.cos(turn / 2.0)))
+    found = rotation_vector(R)
+    if turn > math.pi - 1e-6:
+        found = found * np.sign(found @ axis)  # half a turn either way is the same
+    np.testing.assert_allclose(found, axis * turn, atol=1e-7 if turn > 3.0 else 1e-12)
+
+
+def test_rotation_error_turns_one_rotation_into_the_other() -> None:
+    rng = np.random.default_rng(0)
+    A, B = (np.array([matrix_from_rpy(*rng.uniform(-1.5, 1.5, 3)) for _ in range(20)]) for _ in range(2))
+    error = rotation_error(A, B)
+    angle = np.linalg.norm(error, axis=-1, keepdims=True)
+    half = error / angle * np.sin(angle / 2.0)
+    for R, wanted, v, w in zip(A, B, half, np.cos(angle[:, 0] / 2.0), strict=True):
+        np.testing.assert_allclose(matrix_from_quaternion((*v.tolist(), float(w))) @ R, wanted, atol=1e-12)

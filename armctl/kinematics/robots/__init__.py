@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from armctl.errors import ConfigError
-from armctl.kinematics.robots import ax12_line
+from armctl.kinematics.robots import ax12_line, lanzhou_4dof, puma560, transfer_6dof, xiang_6dof
 from armctl.kinematics.robots.robot import Robot
 
-_ROBOTS = {robot.name: robot for robot in (ax12_line.ROBOT,)}
+_ROBOTS = {
+    robot.name: robot
+    for robot in (xiang_6dof.ROBOT, puma560.ROBOT, ax12_line.ROBOT, lanzhou_4dof.ROBOT, transfer_6dof.ROBOT)
+}
 
 
 def names() -> tuple[str, ...]:

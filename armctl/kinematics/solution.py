@@ -1,0 +1,255 @@
+"""Inverse kinematics as a question with an answer: a target, every solution, and which to take.
+
+A target is a pose or a point. A solution reaches it to `REACHED`; where none exists the answer holds the
+configurations nearest to it and the exact least distance. Joint ranges do not make a target unreachable: each
+solution says whether it is within them. Solutions are sorted: within the ranges first, then the least weighted travel
+from the present configuration (Bao, Liu & Zhao eq. 10).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.errors import ConfigError
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.inverse import TURN_RAD, pose_errors, refine_poses, solve_poses, within_a_turn
+from armctl.kinematics.robots.robot import ClosedForm, Robot
+from armctl.kinematics.transform import FloatArray, finite
+
+REACHED_M = 1e-6
+REACHED_RAD = 1e-6
+"""Errors up to which a pose or a point counts as reached."""
+LIMIT_SLACK_RAD = 1e-9
+ROTATION_SLACK = 1e-4
+"""How far R R^T may be from 1, element by element: the rounding of numbers somebody typed."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the tool shall be: a point, or a pose if `T` is given."""
+
+    position_m: FloatArray
+    T: FloatArray | None = None
+
+    @property
+    def pose(self) -> FloatArray:
+        """The pose, that of a point without rotation, shape (4, 4)."""
+        if self.T is not None:
+            return self.T
+        T = np.eye(4)
+        T[:3, 3] = self.position_m
+        return T
+
+
+@dataclass(frozen=True)
+class Solution:
+    """One configuration and what it misses."""
+
+    q_rad: tuple[float, ...]
+    position_error_m: float
+    orientation_error_rad: float
+    """0 where the target is a point."""
+    within_limits: bool
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What there is to say about a target."""
+
+    reachable: bool
+    least_position_error_m: float
+    """How near the tool can come: to a point in any direction; to a pose, with its rotation where the arm has a
+    spherical wrist, else in any direction. 0 means that the position is no obstacle. Exact for robots with a closed
+    form, else the least found."""
+    solutions: tuple[Solution, ...]
+    """Best first; the nearest configurations where the target is out of reach."""
+
+
+def point_target(xyz: tuple[float, float, float] | FloatArray) -> Target:
+    """A target for the tool point [m].
+
+    Raises:
+        ConfigError: not three finite numbers.
+    """
+    point = np.asarray(xyz, dtype=np.float64)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise ConfigError("target", "xyz", f"{point.tolist()} is not three finite numbers", "give x,y,z in metres")
+    return Target(point)
+
+
+def pose_target(T: FloatArray) -> Target:
+    """A target for the tool's pose; the rotation is freed of the rounding of typed numbers.
+
+    Raises:
+        ConfigError: not 4x4, not finite, not a homogeneous transform, or its rotation is none.
+    """
+    T = np.asarray(T, dtype=np.float64)
+    if T.shape != (4, 4):
+        raise ConfigError("target", "T", f"shape {T.shape}", "give 4x4, row by row")
+    if not np.isfinite(T).all():
+        raise ConfigError("target", "T", "holds a number that is not finite")
+    if not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9):
+        raise ConfigError("target", "T", f"last row {T[3].tolist()}", "it must be 0 0 0 1")
+    R = T[:3, :3]
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    if off > ROTATION_SLACK:
+        raise ConfigError("target", "T", f"not a rotation: R R^T is off 1 by {off:.3g}", f"at most {ROTATION_SLACK:g}")
+    if np.linalg.det(R) < 0.0:
+        raise ConfigError("target", "T", "not a rotation but a reflection", "the columns must be right-handed")
+    U, _, V = np.linalg.svd(R)
+    clean = T.copy()
+    clean[:3, :3] = U @ V
+    return Target(clean[:3, 3].copy(), clean)
+
+
+def weighted_travel(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
+    """Joint travel from the present configuration, the waist counted double (Bao, Liu & Zhao eq. 10).
+
+    A joint with a whole turn goes the short way round.
+
+    Args:
+        q: Configurations [rad], shape (..., n).
+        present: Where the arm is [rad], shape (n,).
+    Returns:
+        Delta [rad], shape (...,).
+    """
+    travel = np.abs(q - present)
+    turning = limits[:, 1] - limits[:, 0] >= TURN_RAD
+    around = np.abs((travel + np.pi) % (2.0 * np.pi) - np.pi)
+    weights = np.where(np.arange(len(present)) == 0, 1.0, 0.5)
+    return np.asarray((np.where(turning, around, travel) * weights).sum(axis=-1))  # (eq. 10)
+
+
+def within_limits(q: FloatArray, limits: FloatArray) -> NDArray[np.bool_]:
+    """Whether each configuration, shape (..., n), keeps all joint ranges; bool, shape (...,)."""
+    inside = (q >= limits[:, 0] - LIMIT_SLACK_RAD) & (q <= limits[:, 1] + LIMIT_SLACK_RAD)
+    return np.asarray(inside.all(axis=-1))
+
+
+def solve(
+    robot: Robot,
+    target: Target,
+    *,
+    method: Literal["closed", "numeric"] = "closed",
+    present: FloatArray | None = None,
+    limits: FloatArray | None = None,
+    polish: bool = True,
+    seed: int = 0,
+) -> Answer:
+    """Every solution of a target, best first, or the nearest configurations.
+
+    Args:
+        method: "closed" lists one solution a branch; "numeric" finds one, and stands in where there is no closed form.
+        present: Where the arm is [rad], shape (n,); the middle of the joint ranges if not given.
+        limits: Joint ranges [rad], shape (n, 2); the robot's own if not given.
+        polish: Bring what is near the target onto it by damped least squares.
+        seed: Of the numeric method's random starts.
+    Raises:
+        ConfigError: `present` or `limits` have another number of joints than the chain.
+    """
+    limits = robot.limits_rad if limits is None else np.asarray(limits, dtype=np.float64)
+    present = limits.mean(axis=1) if present is None else np.asarray(present, dtype=np.float64)
+    if limits.shape != (robot.chain.n, 2) or present.shape != (robot.chain.n,):
+        found = f"present {present.shape}, limits {limits.shape}"
+        raise ConfigError(robot.name, "q", found, f"the chain has {robot.chain.n} joints")
+    if method == "closed" and robot.closed_form is not None:
+        q, least = _closed(robot.closed_form, robot, target, present, limits)
+    else:
+        q, least = _numeric(robot, target, present, limits, seed)
+    return answer(robot, target, q, present, limits, least=least, polish=polish)
+
+
+def answer(
+    robot: Robot,
+    target: Target,
+    q: FloatArray,
+    present: FloatArray,
+    limits: FloatArray,
+    *,
+    least: float,
+    polish: bool = True,
+) -> Answer:
+    """Configurations, shape (k, n), judged, polished and sorted; `least` is the least distance [m]."""
+    q = within_a_turn(q, limits)
+    if polish:
+        q = _polished(robot, target, q)
+    position_m, turn_rad = _errors(robot, target, q)
+    reached = (position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)
+    keep = np.flatnonzero(reached) if reached.any() else np.arange(len(q))
+    inside = within_limits(q[keep], limits)
+    misses = np.zeros(len(keep)) if reached.any() else np.round(position_m + turn_rad, 9)[keep]
+    order = keep[np.lexsort((weighted_travel(q[keep], present, limits), ~inside, misses))]
+    solutions: list[Solution] = []
+    for i in order:
+        if not any(np.abs(q[i] - other.q_rad).max() < 1e-9 for other in solutions):
+            solutions.append(
+                Solution(
+                    tuple(q[i].tolist()),
+                    float(position_m[i]),
+                    float(turn_rad[i]),
+                    bool(within_limits(q[i], limits)),
+                )
+            )
+    return Answer(bool(reached.any()), least, tuple(solutions))
+
+
+def _closed(
+    form: ClosedForm, robot: Robot, target: Target, present: FloatArray, limits: FloatArray
+) -> tuple[FloatArray, float]:
+    families = form.positions(target.position_m[None])[0] if target.T is None else form.pose_families(target.T)
+    q = np.array([_best(finite(family), present, limits) for family in families if np.isfinite(family).any()])
+    if len(q):
+        position_m, turn_rad = _errors(robot, target, q)
+        if ((position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)).any():
+            return q, 0.0
+    if target.T is not None:
+        return form.nearest_pose(target.T)
+    q, least = form.nearest_position(target.position_m)
+    return _numeric(robot, target, present, limits, 0) if least == 0.0 else (q, least)
+
+
+def _best(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
+    """Of configurations, shape (k, n), the one within limits with the least travel, else the least travel."""
+    q = within_a_turn(q, limits)
+    order = np.lexsort((weighted_travel(q, present, limits), ~within_limits(q, limits)))
+    return np.asarray(q[order[0]])
+
+
+def _numeric(
+    robot: Robot, target: Target, present: FloatArray, limits: FloatArray, seed: int
+) -> tuple[FloatArray, float]:
+    """The best configuration of several starts: within limits if there is one, else without them, else the nearest."""
+    rng = np.random.default_rng(seed)
+    free = np.tile([-np.pi, np.pi], (robot.chain.n, 1))
+    q = present[None]
+    for ranges in (limits, free):
+        q = solve_poses(robot.chain, target.pose[None], ranges, rng, q_start=present[None], turned=target.T is not None)
+        position_m, turn_rad = _errors(robot, target, q)
+        if position_m[0] <= REACHED_M and turn_rad[0] <= REACHED_RAD:
+            return q, 0.0
+    form = robot.closed_form
+    if form is None:
+        return q, float(position_m[0])
+    return form.nearest_position(target.position_m) if target.T is None else form.nearest_pose(target.T)
+
+
+def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if target.T is not None:
+        return pose_errors(robot.chain, q, np.broadcast_to(target.T, (len(q), 4, 4)))
+    gap = tool_position(robot.chain, q) - target.position_m
+    return np.linalg.norm(gap, axis=-1), np.zeros(len(q))
+
+
+def _polished(robot: Robot, target: Target, q: FloatArray) -> FloatArray:
+    """The configurations brought onto the target, each near where it was; as they are where that does not succeed."""
+    free = np.tile([-np.pi, np.pi], (robot.chain.n, 1))
+    T = np.broadcast_to(target.pose, (len(q), 4, 4))
+    refined = refine_poses(robot.chain, T, q, free, turned=target.T is not None)
+    position_m, turn_rad = _errors(robot, target, refined)
+    reached = (position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)
+    near = q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi
+    return np.where(reached[:, None], near, q)

@@ -1,0 +1,93 @@
+"""Each robot against what its paper prints."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from armctl.errors import ConfigError
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.robots import puma560, transfer_6dof, xiang_6dof
+from armctl.kinematics.transform import pose_from_xyz_rpy
+
+
+def test_the_five_robots_and_their_conventions() -> None:
+    known = {name: (robots.get(name).chain.convention, robots.get(name).chain.n) for name in robots.names()}
+    assert known == {
+        "xiang-6dof": ("standard", 5),
+        "puma560": ("standard", 6),
+        "ax12-line": ("standard", 5),
+        "lanzhou-4dof": ("modified", 4),
+        "transfer-6dof": ("modified", 6),
+    }
+
+
+@pytest.mark.parametrize("name", robots.names())
+def test_published_poses_hold(name: str) -> None:
+    robot = robots.get(name)
+    for pose in robot.check_poses:
+        np.testing.assert_allclose(tool_position(robot.chain, np.radians(pose.q_deg)), pose.position_m, atol=1e-12)
+    assert len(robot.check_poses) == (name in ("lanzhou-4dof", "transfer-6dof"))
+    assert robot.limits_rad.shape == (robot.chain.n, 2)
+
+
+def test_eq_2_of_lanzhou_holds() -> None:
+    robot = robots.get("lanzhou-4dof")
+    d1, a2, d2, a3, a4, a5 = (robot.lengths_m[name] for name in ("d1", "a2", "d2", "a3", "a4", "a5"))
+    for q in np.random.default_rng(0).uniform(-math.pi, math.pi, (50, 4)):
+        c1, s1 = math.cos(q[0]), math.sin(q[0])
+        t2, t23, t234 = np.cumsum(q[1:]).tolist()
+        out = a2 + a3 * math.cos(t2) + a4 * math.cos(t23) + a5 * math.cos(t234)
+        c, s = math.cos(t234), math.sin(t234)
+        expected = [
+            [c1 * c, -c1 * s, -s1, c1 * out - d2 * s1],
+            [s1 * c, -s1 * s, c1, s1 * out + d2 * c1],
+            [-s, -c, 0.0, d1 - a3 * math.sin(t2) - a4 * math.sin(t23) - a5 * s],
+        ]
+        np.testing.assert_allclose(forward_kinematics(robot.chain, q)[:3], expected, atol=1e-12)
+
+
+def test_the_wrist_of_transfer_is_spherical() -> None:
+    chain = robots.get("transfer-6dof", {"d6": 0.0}).chain
+    q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
+    elsewhere = q.copy()
+    elsewhere[:, 3:] += 1.0
+    np.testing.assert_allclose(tool_position(chain, q), tool_position(chain, elsewhere), atol=1e-15)
+    assert transfer_6dof.ROBOT.lengths_m == {"a1": 0.100, "a2": 0.450, "d4": 0.160, "d6": 0.100}
+
+
+def test_model_eq_18_of_xiang_holds_for_all_three_coordinates() -> None:
+    """Angles of eq. (18) count from the vertical; the hand's joint has a quarter turn in Fig. 9."""
+    robot = xiang_6dof.ROBOT
+    l1, l2, l3, l4 = (robot.lengths_m[name] for name in ("d1", "a2", "a3", "d5"))
+    for q1, t2, t3, t4 in np.random.default_rng(2).uniform(-math.pi, math.pi, (50, 4)):
+        q = np.array([q1, math.pi / 2.0 - t2, -t3, -t4 - math.pi / 2.0, 0.7])
+        out = l2 * math.sin(t2) + l3 * math.sin(t2 + t3) + l4 * math.sin(t2 + t3 + t4)
+        up = l1 + l2 * math.cos(t2) + l3 * math.cos(t2 + t3) + l4 * math.cos(t2 + t3 + t4)
+        expected = [out * math.cos(q1), out * math.sin(q1), up]
+        np.testing.assert_allclose(tool_position(robot.chain, q), expected, atol=1e-12)
+
+
+def test_rows_of_table_2_lie_as_far_apart_as_the_anchors_say() -> None:
+    wanted, improved, standard = (
+        pose_from_xyz_rpy(*row) for row in (puma560.WANTED_XYZ_RPY, puma560.IMPROVED_XYZ_RPY, puma560.STANDARD_XYZ_RPY)
+    )
+    assert np.linalg.norm(improved[:3, 3] - wanted[:3, 3]) == pytest.approx(0.005312, abs=1e-6)
+    assert np.linalg.norm(standard[:3, 3] - wanted[:3, 3]) == pytest.approx(0.45658, abs=1e-5)
+
+
+@pytest.mark.parametrize(("name", "length"), [("puma560", "a2"), ("lanzhou-4dof", "a5"), ("transfer-6dof", "d6")])
+def test_lengths_change_and_the_closed_form_with_them(name: str, length: str) -> None:
+    robot = robots.get(name, {length: 0.5})
+    q = np.full(robot.chain.n, 0.4)
+    T = forward_kinematics(robot.chain, q)
+    assert robot.closed_form is not None
+    found = np.array(robot.closed_form.pose(T.tolist()))
+    np.testing.assert_allclose(
+        forward_kinematics(robot.chain, found), np.broadcast_to(T, (len(found), 4, 4)), atol=1e-9
+    )
+    with pytest.raises(ConfigError, match="is no length"):
+        robots.get(name, {length: math.nan})

@@ -1,0 +1,200 @@
+"""Targets, every solution, the best of them, and what is out of reach."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from armctl.errors import ConfigError
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.robots import puma560
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.solution import (
+    point_target,
+    pose_target,
+    solve,
+    weighted_travel,
+    within_limits,
+)
+from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
+
+METHODS: tuple[Literal["closed", "numeric"], ...] = ("closed", "numeric")
+
+
+def in_range(robot: Robot, count: int, seed: int = 5) -> FloatArray:
+    limits = robot.limits_rad
+    return np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (count, robot.chain.n))
+
+
+@pytest.mark.parametrize("name", robots.names())
+def test_every_pose_in_range_is_reached_in_range(name: str) -> None:
+    robot = robots.get(name)
+    for q in in_range(robot, 30):
+        answer = solve(robot, pose_target(forward_kinematics(robot.chain, q)))
+        assert answer.reachable
+        assert answer.least_position_error_m == 0.0
+        assert all(one.position_error_m < 1e-12 for one in answer.solutions)
+        assert all(one.orientation_error_rad < 1e-12 for one in answer.solutions)
+        assert answer.solutions[0].within_limits
+
+
+@pytest.mark.parametrize("name", ["lanzhou-4dof", "puma560", "transfer-6dof", "xiang-6dof"])
+def test_the_configuration_a_pose_came_from_is_among_its_solutions(name: str) -> None:
+    robot = robots.get(name)
+    for q in in_range(robot, 50, seed=8):
+        answer = solve(robot, pose_target(forward_kinematics(robot.chain, q)), present=q)
+        away = np.abs((np.array(answer.solutions[0].q_rad) - q + np.pi) % (2.0 * np.pi) - np.pi)
+        # Where the arm is nearly straight, an angle is only as good as the square root of the pose's last digit.
+        assert away.max() < 1e-7
+        assert float(np.median(away)) < 1e-12
+
+
+@pytest.mark.parametrize("name", robots.names())
+@pytest.mark.parametrize("method", METHODS)
+def test_every_point_in_range_is_reached_to_1e_9(name: str, method: Literal["closed", "numeric"]) -> None:
+    robot = robots.get(name)
+    for q in in_range(robot, 10):
+        answer = solve(robot, point_target(tool_position(robot.chain, q)), method=method)
+        assert answer.reachable
+        assert answer.solutions[0].position_error_m < 1e-9
+        assert answer.solutions[0].orientation_error_rad == 0.0
+
+
+@pytest.mark.parametrize("name", robots.names())
+@pytest.mark.parametrize("method", METHODS)
+def test_out_of_reach_the_nearest_configuration_is_at_the_least_distance(
+    name: str, method: Literal["closed", "numeric"]
+) -> None:
+    robot = robots.get(name)
+    T = forward_kinematics(robot.chain, in_range(robot, 1)[0])
+    T[:3, 3] = [1.1, -0.4, 0.2]
+    cloud = tool_position(robot.chain, np.random.default_rng(0).uniform(-np.pi, np.pi, (20000, robot.chain.n)))
+    nearest_sample = float(np.linalg.norm(cloud - T[:3, 3], axis=1).min())
+    for target in (point_target(T[:3, 3]), pose_target(T)):
+        answer = solve(robot, target, method=method)
+        assert not answer.reachable
+        for one in answer.solutions:
+            assert one.position_error_m == pytest.approx(answer.least_position_error_m, abs=1e-9)
+    assert solve(robot, point_target(T[:3, 3])).least_position_error_m <= nearest_sample
+
+
+def test_three_of_the_hundred_grid_targets_of_xiang_are_out_of_reach_by_known_distances() -> None:
+    robot = robots.get("xiang-6dof")
+    missed = {}
+    for x in range(21, 31):
+        for y in range(21, 31):
+            answer = solve(robot, point_target((x / 100.0, y / 100.0, 0.10)))
+            if answer.reachable:
+                assert answer.solutions[0].position_error_m < 1e-9
+            else:
+                missed[x, y] = answer.least_position_error_m
+    # The shoulder is 0.1 cm above the grid, the reach 12.3 + 13.8 + 15.5 cm.
+    assert missed == {
+        (x, y): pytest.approx(math.hypot(x, y, 0.1) / 100.0 - 0.416, abs=1e-15)
+        for x, y in ((29, 30), (30, 29), (30, 30))
+    }
+    assert sum(missed.values()) == pytest.approx(0.0107, abs=1e-4)
+
+
+def test_a_thousand_puma_poses_are_solved_numerically_to_1e_6() -> None:
+    from armctl.kinematics.inverse import pose_errors, solve_poses
+
+    robot = robots.get("puma560")
+    T = forward_kinematics(robot.chain, in_range(robot, 1000))
+    q = solve_poses(robot.chain, T, robot.limits_rad, np.random.default_rng(0))
+    position_m, turn_rad = pose_errors(robot.chain, q, T)
+    assert ((position_m <= 1e-6) & (turn_rad <= 1e-6)).mean() >= 0.999
+
+
+def test_the_puma_of_table_2_has_eight_solutions() -> None:
+    target = pose_target(pose_from_xyz_rpy(*puma560.WANTED_XYZ_RPY))
+    answer = solve(robots.get("puma560"), target, polish=False)
+    assert len(answer.solutions) == 8
+    assert all(one.position_error_m < 1e-12 and one.orientation_error_rad < 1e-12 for one in answer.solutions)
+
+
+def test_the_solution_nearest_to_the_present_comes_first() -> None:
+    robot = robots.get("puma560")
+    q = in_range(robot, 1)[0]
+    target = pose_target(forward_kinematics(robot.chain, q))
+    answer = solve(robot, target)
+    for one in answer.solutions:
+        near = np.array(one.q_rad) + 0.01
+        np.testing.assert_allclose(solve(robot, target, present=near).solutions[0].q_rad, one.q_rad, atol=1e-9)
+    travels = [float(weighted_travel(np.array(one.q_rad), np.zeros(6), robot.limits_rad)) for one in answer.solutions]
+    assert travels == sorted(travels)
+
+
+def test_eq_10_weighs_the_first_joint_double_and_goes_the_short_way_round() -> None:
+    limits = np.array([[-np.pi, np.pi], [-1.0, 3.0], [-1.0, 3.0], [-1.0, 3.0]])
+    q = np.array([3.1, 2.0, 0.0, 0.0])
+    assert float(weighted_travel(q, np.array([-3.1, -0.5, 0.1, 0.0]), limits)) == pytest.approx(
+        1.0 * (2.0 * np.pi - 6.2) + 0.5 * 2.5 + 0.5 * 0.1
+    )
+
+
+def test_solutions_outside_the_ranges_are_marked_and_come_last() -> None:
+    robot = robots.get("lanzhou-4dof")
+    q = np.radians([20.0, 60.0, 70.0, 40.0])
+    answer = solve(robot, pose_target(forward_kinematics(robot.chain, q)))
+    assert [one.within_limits for one in answer.solutions] == [True, False]
+    assert not within_limits(np.array(answer.solutions[1].q_rad), robot.limits_rad)
+    np.testing.assert_allclose(answer.solutions[0].q_rad, q, atol=1e-12)
+    wider = np.radians([[-180.0, 180.0]] * 4)
+    again = solve(robot, pose_target(forward_kinematics(robot.chain, q)), limits=wider)
+    assert [one.within_limits for one in again.solutions] == [True, True]
+
+
+def test_a_rotation_the_arm_cannot_take_leaves_the_position_exact() -> None:
+    robot = robots.get("lanzhou-4dof")
+    T = pose_from_xyz_rpy(0.2, 0.1, -0.05, 0.4, 0.3, -0.2)
+    answer = solve(robot, pose_target(T))
+    assert not answer.reachable
+    assert answer.least_position_error_m == 0.0
+    assert answer.solutions[0].position_error_m < 1e-12
+    assert answer.solutions[0].orientation_error_rad > 0.1
+
+
+@pytest.mark.parametrize(
+    ("T", "message"),
+    [
+        (np.eye(3), "shape"),
+        (np.full((4, 4), np.nan), "not finite"),
+        (np.diag([1.0, 1.0, 2.0, 1.0]), "not a rotation: R R"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "reflection"),
+        (np.ones((4, 4)), "last row"),
+    ],
+)
+def test_what_is_no_pose_is_refused(T: FloatArray, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        pose_target(T)
+
+
+def test_what_is_no_point_is_refused() -> None:
+    for wrong in (np.zeros(2), np.array([0.0, np.inf, 0.0])):
+        with pytest.raises(ConfigError, match="three finite numbers"):
+            point_target(wrong)
+    with pytest.raises(ConfigError, match="the chain has 6 joints"):
+        solve(robots.get("puma560"), point_target((0.1, 0.2, 0.3)), present=np.zeros(5))
+
+
+def test_typed_rounding_of_a_rotation_is_removed() -> None:
+    T = np.round(pose_from_xyz_rpy(0.1, 0.2, 0.3, 0.4, 0.5, 0.6), 5)
+    clean = pose_target(T).T
+    assert clean is not None
+    np.testing.assert_allclose(clean[:3, :3] @ clean[:3, :3].T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(clean, T, atol=2e-5)
+
+
+def test_without_a_closed_form_the_numeric_one_answers() -> None:
+    robot = dataclasses.replace(robots.get("lanzhou-4dof"), make_closed_form=None)
+    q = in_range(robot, 1)[0]
+    assert solve(robot, pose_target(forward_kinematics(robot.chain, q))).reachable
+    far = solve(robot, point_target((1.0, 0.0, 0.0)))
+    assert not far.reachable
+    assert far.least_position_error_m == pytest.approx(far.solutions[0].position_error_m)
