@@ -1,0 +1,1 @@
+"""Inverse kinematics by genetic algorithms on binary chromosomes, for many targets or seeds at once."""

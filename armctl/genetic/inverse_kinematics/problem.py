@@ -1,0 +1,107 @@
+"""What a chromosome is worth: targets, the joints that are searched, and the error to make small.
+
+The error of a pose is eq. (4) of the improved algorithm's paper, the squared differences of n, o and a plus k times
+those of p; that of a point is the squared distance alone, what eq. (18) of Xiang Yao et al. means (as printed it holds
+the height only).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian, tool_position
+from armctl.kinematics.inverse import within_a_turn
+from armctl.kinematics.transform import FloatArray
+
+MOVES_M = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """As many targets as runs, for one chain."""
+
+    chain: SerialChain
+    T: FloatArray
+    """Wanted tool poses, shape (runs, 4, 4); of points the rotation is left out."""
+    turned: bool
+    """Whether the rotation counts."""
+    limits_rad: FloatArray
+    """Joint ranges, shape (n, 2)."""
+    base_rad: FloatArray
+    """Where the joints stand that are not searched, shape (runs, n)."""
+    free: tuple[int, ...]
+    """Joints that are searched."""
+    position_weight: float = 1.0
+    """k of eq. (4) [1/m^2]."""
+
+    def configurations(self, angles: FloatArray) -> FloatArray:
+        """Joint positions [rad], shape (runs, individuals, n), of the free joints' angles."""
+        q = np.repeat(self.base_rad[:, None], angles.shape[1], axis=1)
+        q[..., self.free] = angles
+        return q
+
+    def cost(self, q: FloatArray) -> FloatArray:
+        """Error of configurations, shape (runs, individuals, n) -> (runs, individuals); metres squared for points."""
+        if not self.turned:
+            gap = tool_position(self.chain, q) - self.T[:, None, :3, 3]
+            return np.asarray((gap**2).sum(axis=-1))
+        gap = forward_kinematics(self.chain, q)[..., :3, :] - self.T[:, None, :3, :]
+        squares = (gap**2).sum(axis=-2)
+        return np.asarray(squares[..., :3].sum(axis=-1) + self.position_weight * squares[..., 3])  # (eq. 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Evolution:
+    """What came out of every run."""
+
+    q_rad: FloatArray
+    """Best configuration, shape (runs, n)."""
+    cost: FloatArray
+    """Its error, shape (runs,)."""
+    best_cost: FloatArray
+    """Least error found so far, shape (generations, runs)."""
+    mean_cost: FloatArray
+    """Mean error of the population, shape (generations, runs)."""
+    evaluations: int
+    """Of one run."""
+
+
+def points_problem(
+    chain: SerialChain, points_m: FloatArray, limits_rad: FloatArray, present_rad: FloatArray | None = None
+) -> Problem:
+    """Points [m], shape (runs, 3); joints that do not move the tool point stay at `present_rad`, shape (n,).
+
+    Without it they stay in the middle of their ranges.
+    """
+    T = np.repeat(np.eye(4)[None], len(points_m), axis=0)
+    T[:, :3, 3] = points_m
+    base = np.repeat((limits_rad.mean(axis=1) if present_rad is None else present_rad)[None], len(points_m), axis=0)
+    return Problem(chain, T, False, limits_rad, base, moving(chain))
+
+
+def poses_problem(chain: SerialChain, T: FloatArray, limits_rad: FloatArray, position_weight: float) -> Problem:
+    """Poses, shape (runs, 4, 4); every joint is searched."""
+    base = np.repeat(limits_rad.mean(axis=1)[None], len(T), axis=0)
+    return Problem(chain, T, True, limits_rad, base, tuple(range(chain.n)), position_weight)
+
+
+def behind_the_waist(problem: Problem) -> Problem:
+    """The same points with the first joint turned towards them (Xiang Yao et al. eq. 12) and no longer searched.
+
+    For arms whose other joints stay in the waist's plane. The ranges of eq. (18) are those of theta2 to theta4 alone:
+    this is how the paper can be read too.
+    """
+    base = problem.base_rad.copy()
+    base[:, 0] = np.arctan2(problem.T[:, 1, 3], problem.T[:, 0, 3])  # (eq. 12)
+    base = within_a_turn(base, problem.limits_rad)
+    free = tuple(joint for joint in problem.free if joint != 0)
+    return Problem(problem.chain, problem.T, problem.turned, problem.limits_rad, base, free, problem.position_weight)
+
+
+def moving(chain: SerialChain) -> tuple[int, ...]:
+    """The joints that move the tool point."""
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, chain.n))
+    moves = np.abs(jacobian(chain, q)[:, :3]).max(axis=(0, 1)) > MOVES_M
+    return tuple(int(joint) for joint in np.flatnonzero(moves))
