@@ -5,12 +5,16 @@ with elitism. The caller evaluates a whole population at a time and minimises; n
 
 Crossover is one of
 - "one cut": the paper's, random pairs cut at a random place;
-- "fitted": a run of a donor's genes, cut where it fits; some donors are individuals of the first population, so that
-  what selection has lost can come back. It looks the fit up in a table of triple costs.
+- "optimal": the cheapest mixture of two parents' genes, by a table of triple costs; some donors are individuals of the
+  first population, so that what selection has lost can come back.
 Selection is one of
 - "roulette": the elite (fitness at or above a threshold) of parents and offspring stays, the rest is drawn from the
   offspring in proportion to fitness (eqs. 21, 22);
 - "truncation": the best of parents and offspring together survive (mu + lambda), of equal costs only one.
+
+Where a table of triple costs is at hand a few children a generation may also learn: a short window of neighbouring
+genes of a survivor is re-chosen at once, all others held. A window is a small part of a chromosome and lies anywhere,
+so this improves what evolution has found and cannot find it by itself.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ import numpy as np
 
 from armctl.errors import ConfigError
 from armctl.genetic import operators
+from armctl.genetic.shortest_path import window_search
 from armctl.genetic.triple_cost import IntArray
 from armctl.kinematics.transform import FloatArray
 
@@ -32,7 +37,7 @@ class Settings:
 
     population: int
     generations: int
-    crossover: Literal["one cut", "fitted"]
+    crossover: Literal["one cut", "optimal"]
     crossover_probability: float
     """Share of the chromosomes that take part in crossover (Pc)."""
     mutation_probability: float
@@ -41,6 +46,13 @@ class Settings:
     charge_shares: tuple[float, ...] = (1.0,)
     """Charges for broken limits as shares of the true ones, one for each equal part of the generations, the last 1.
     While charges are low, evolution passes through paths that break a limit to better ones behind them."""
+    searches: int = 0
+    """Children of a generation that are a survivor with one window re-chosen, half of them the best survivor."""
+    window_genes: int = 10
+    """Length of that window; never more than a quarter of a chromosome."""
+    stall_generations: int = 0
+    """Generations without a better cost after which the run goes on to the next share of the charges, and from the
+    last to the first again with the recordings anew; 0: never before its time."""
     elite_threshold: float = 1.0
     """Fitness, relative to the best, from which on an individual is elite (roulette only)."""
     elite_fraction: float = 0.1
@@ -52,6 +64,9 @@ class Settings:
             ("generations", 1, 1_000_000),
             ("crossover_probability", 0, 1),
             ("mutation_probability", 0, 1),
+            ("searches", 0, 100_000),
+            ("window_genes", 1, 12),
+            ("stall_generations", 0, 1_000_000),
             ("elite_threshold", 0, 1),
             ("elite_fraction", 0, 1),
         ):
@@ -79,18 +94,23 @@ PAPER = Settings(
 """The paper's operators. It prints no numbers; these are common ones."""
 
 DEFAULT = Settings(
-    population=4000,
-    generations=72,
-    crossover="fitted",
+    population=100,
+    generations=200,
+    crossover="optimal",
     crossover_probability=1.0,
     mutation_probability=0.0,
     selection="truncation",
     charge_shares=(0.001, 0.01, 0.1, 1.0),
+    searches=8,
+    window_genes=10,
+    stall_generations=8,
 )
 """What comes near the exact optimum."""
 
+PROFILES = {"default": DEFAULT, "paper": PAPER}
+
 _FIRST_DONORS = 0.3
-"""Share of fitted crossovers whose donor comes from the first population."""
+"""Share of optimal crossovers whose donor comes from the first population."""
 
 
 class GeneticAlgorithm:
@@ -108,10 +128,10 @@ class GeneticAlgorithm:
         """Start from the chromosomes `initial`, shape (any, genes), repeated or cut to the population's size.
 
         Raises:
-            ValueError: fitted crossover without `triple_cost`, shape (genes - 2, choices, choices, choices).
+            ValueError: optimal crossover without `triple_cost`, shape (genes - 2, choices, choices, choices).
         """
-        if settings.crossover == "fitted" and triple_cost is None:
-            raise ValueError("fitted crossover needs a table of triple costs to know what fits")
+        if (settings.crossover == "optimal" or settings.searches) and triple_cost is None:
+            raise ValueError("optimal crossover and searches need a table of triple costs to know what fits")
         self._settings, self._choices, self._rng, self._table = settings, choices, rng, triple_cost
         self._initial = initial
         self._asked = np.resize(initial, (settings.population, initial.shape[1]))
@@ -162,11 +182,18 @@ class GeneticAlgorithm:
         return np.concatenate([elite, newborn + drawn])
 
     def _offspring(self) -> IntArray:
-        settings, rng, parents = self._settings, self._rng, self._parents
-        if self._table is not None and settings.crossover == "fitted":
+        settings, rng, parents, table = self._settings, self._rng, self._parents, self._table
+        if table is not None and settings.crossover == "optimal":
             old = self._initial[rng.integers(0, len(self._initial), len(parents))]
             donors = np.where(rng.random((len(parents), 1)) < _FIRST_DONORS, old, rng.permutation(parents))
-            children = operators.fitted_crossover(parents, donors, self._table, settings.crossover_probability, rng)
+            children = operators.optimal_crossover(parents, donors, table, settings.crossover_probability, rng)
         else:
             children = operators.one_cut_crossover(parents, settings.crossover_probability, rng)
-        return operators.mutate(children, self._choices, settings.mutation_probability, rng)
+        children = operators.mutate(children, self._choices, settings.mutation_probability, rng)
+        if table is not None and settings.searches:
+            genes = parents.shape[1]
+            length = min(settings.window_genes, max(1, genes // 4))
+            for child in range(min(settings.searches, len(children))):
+                survivor = parents[0 if child % 2 else rng.integers(0, len(parents))]
+                children[child] = window_search(table, survivor, int(rng.integers(0, genes - length + 1)), length)
+        return children

@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.genetic.triple_cost import IntArray, cut_costs
+from armctl.genetic.triple_cost import IntArray, triples
 from armctl.kinematics.transform import FloatArray
-
-_BLOCK = 250
-"""Chromosomes fitted at once: what they need stays in the processor's cache."""
 
 
 def fitness_from_cost(cost: FloatArray) -> FloatArray:
@@ -57,30 +54,38 @@ def one_cut_crossover(population: IntArray, probability: float, rng: np.random.G
     return children
 
 
-def fitted_crossover(
+def optimal_crossover(
     population: IntArray, donors: IntArray, table: FloatArray, probability: float, rng: np.random.Generator
 ) -> IntArray:
-    """With `probability` a chromosome takes a run of its donor's genes, cut where donor and receiver fit best.
+    """With `probability` a chromosome becomes the cheapest of all mixtures of its own and its donor's genes.
 
-    The run holds one random place; to each side it reaches as far as makes the sum of triple costs least. Where
-    neighbours must fit each other a blind cut nearly never leaves a chromosome that is any good, and a single changed
-    gene never does.
+    Where neighbours must fit each other a blind cut nearly never leaves a chromosome that is any good, and a single
+    changed gene never does. Of the 2^m mixtures the table of triple costs tells the best by dynamic programming, two
+    choices a place, all pairs of parents at once.
 
     Args:
         donors: The donor of each chromosome, shape as `population`.
         table: Costs of triples of neighbouring genes (see `triple_cost.py`).
     """
-    rows, genes = population.shape
-    place = rng.integers(0, genes, (rows, 1))
-    cuts = np.arange(genes + 1)
-    column = np.arange(genes)
+    crossed = np.flatnonzero(rng.random(len(population)) < probability)
+    parents = np.stack([population[crossed], donors[crossed]])
+    pairs, genes = parents.shape[1:]
+    from_first, from_second, from_third = np.unravel_index(np.arange(8), (2, 2, 2))
+    cost = triples(table, parents[from_first], parents[from_second], parents[from_third])
+    cost = np.ascontiguousarray(np.moveaxis(cost, 2, 0)).reshape(genes - 2, 2, 2, 2, pairs)
+    best = np.zeros((2, 2, pairs))  # of all mixtures so far that end in these two parents
+    donated = np.empty((genes - 2, 2, 2, pairs), dtype=np.intp)
+    for place, triple in enumerate(cost):
+        arrival = best[:, :, None] + triple
+        donated[place] = arrival[1] < arrival[0]
+        best = arrival.min(axis=0)
+    taken = np.empty((genes, pairs), dtype=np.intp)
+    taken[-2], taken[-1] = np.divmod(best.reshape(4, pairs).argmin(axis=0), 2)
+    pair = np.arange(pairs)
+    for place in range(genes - 3, -1, -1):
+        taken[place] = donated[place, taken[place + 1], taken[place + 2], pair]
     children = population.copy()
-    taking = rng.random(rows) < probability
-    for block in np.array_split(np.flatnonzero(taking), rows // _BLOCK + 1):
-        receiver, donor, held = population[block], donors[block], place[block]
-        begin = np.where(cuts <= held, cut_costs(table, receiver, donor), np.inf).argmin(axis=1)
-        end = np.where(cuts > held, cut_costs(table, donor, receiver), np.inf).argmin(axis=1)
-        children[block] = np.where((column >= begin[:, None]) & (column < end[:, None]), donor, receiver)
+    children[crossed] = np.where(taken.T == 1, parents[1], parents[0])
     return children
 
 

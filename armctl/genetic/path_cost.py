@@ -1,8 +1,8 @@
 """What a path through the candidates costs, as tables, so that evaluating one is looking up and adding.
 
 A path takes, at every station, the joint positions of one recording: gene k is the index of that recording ("recorded
-genes alone"). Its cost is the mean distance of its tool points to AB (eq. 20) plus a charge for every place where it
-cannot be followed in the nominal time:
+genes alone"). Its cost is the mean distance of its tool points to AB (eq. 20), or the mean of a power of it where large
+distances shall count for more, plus a charge for every place where it cannot be followed in the nominal time:
 - joint speed between two neighbouring stations above the joint's limit,
 - joint acceleration over three neighbouring stations above the joint's limit,
 - progress of the tool going back between two neighbouring stations.
@@ -20,6 +20,11 @@ import numpy as np
 
 from armctl.genetic.alignment import Candidates
 from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.placement import Objective
+
+POWER: dict[Objective, float] = {"mean": 1.0, "mix": 2.0, "max": 10.0}
+"""The p-norm of the distances that is made small. A sum over stations is what tables can hold; the 10-norm stands for
+the maximum, which is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +40,18 @@ class PathCost:
     """What each triple adds to the mean distance, every station counted once, shape (m - 2, R, R, R)."""
     charge_m: float
     """W above."""
+    power: float
+    """p of the p-norm."""
+    scale_m: float
+    """Largest distance of any gene: distances count as scale_m * (distance / scale_m)^power."""
 
     def table(self, charge_share: float = 1.0) -> FloatArray:
         """Cost of each triple [m], with a share of the charges, shape (m - 2, R, R, R)."""
         return self.straight_m + charge_share * self.charge_m * self.breaks
+
+    def norm_m(self, cost_m: float) -> float:
+        """p-norm of the distances of a path of that cost, which is the cost itself where p is 1."""
+        return float(self.scale_m * (cost_m / self.scale_m) ** (1.0 / self.power))
 
 
 def path_cost(
@@ -48,6 +61,7 @@ def path_cost(
     speed_limits: FloatArray,
     acceleration_limits: FloatArray,
     tool_progress: FloatArray,
+    objective: Objective = "mean",
 ) -> PathCost:
     """Tables for candidates whose stations are passed at the times `time_s`.
 
@@ -78,11 +92,12 @@ def path_cost(
     # Fold stations and pairs into the triples: each triple carries its first, the last one all of its own.
     breaks += pairs[:-1, :, :, None]
     breaks[-1] += pairs[-1][None]
-    mean = distance / stations
+    power, scale = POWER[objective], max(float(distance.max()), 1e-9)
+    mean = scale * (distance / scale) ** power / stations
     straight = np.broadcast_to(mean[:-2, :, None, None], breaks.shape).copy()
     straight[-1] += mean[-2][None, :, None] + mean[-1][None, None, :]
     charge = 1e-3 + float((mean.max(axis=1) - mean.min(axis=1)).sum())
-    return PathCost(distance, breaks, straight, charge)
+    return PathCost(distance, breaks, straight, charge, power, scale)
 
 
 def _broken(excess: FloatArray) -> FloatArray:

@@ -1,10 +1,13 @@
 """The exact optimum that a genetic algorithm over recorded genes can reach, by dynamic programming.
 
 The cost of a path is a sum over triples of neighbouring genes, so the best way to arrive at a pair of neighbours says
-everything about the past: m - 2 steps over R^3 triples find the true minimum of R^m paths.
+everything about the past: m - 2 steps over R^3 triples find the true minimum of R^m paths. Places need not have the
+same number of choices, so the same search re-chooses a few genes while their neighbours stay (`window_search`).
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,23 +15,41 @@ from armctl.genetic.triple_cost import IntArray
 from armctl.kinematics.transform import FloatArray
 
 
-def shortest_path(cost: FloatArray) -> IntArray:
+def shortest_path(cost: Sequence[FloatArray] | FloatArray) -> IntArray:
     """The genes with the least sum of triple costs.
 
     Args:
-        cost: Cost of the triple (i, j, l) of genes at stations k, k + 1, k + 2, shape (m - 2, R, R, R).
+        cost: Cost of the triple (i, j, l) of genes at stations k, k + 1, k + 2: m - 2 arrays, each of as many
+            rows, columns and layers as these stations have choices; shape (m - 2, R, R, R) where all have R.
     Returns:
-        Recording index at each station, shape (m,).
+        Index of the choice at each station, shape (m,).
     """
-    recordings = cost.shape[1]
-    best = np.zeros((recordings, recordings))  # of all paths so far that end in (i, j)
+    best = np.zeros(cost[0].shape[:2])  # of all paths so far that end in (i, j)
     choices = []
     for triple in cost:
         arrival = best[:, :, None] + triple
         choices.append(arrival.argmin(axis=0))
         best = arrival.min(axis=0)
-    j, last = divmod(int(best.argmin()), recordings)
+    j, last = divmod(int(best.argmin()), best.shape[1])
     genes = [last, j]
     for choice in reversed(choices):
         genes.append(int(choice[genes[-1], genes[-2]]))
     return np.array(genes[::-1], dtype=np.intp)
+
+
+def window_search(table: FloatArray, genes: IntArray, begin: int, length: int) -> IntArray:
+    """The chromosome with `length` of its genes, from `begin`, re-chosen as well as can be while all others stay.
+
+    Args:
+        table: Costs of triples, shape (m - 2, R, R, R).
+        genes: One chromosome, shape (m,).
+    """
+    recordings, m = table.shape[1], len(genes)
+    free = slice(begin, min(begin + length, m))
+    first, last = max(begin - 2, 0), min(free.stop + 2, m)  # the triples that touch the window reach so far
+    choices = [np.arange(recordings) if free.start <= k < free.stop else genes[k : k + 1] for k in range(first, last)]
+    cost = [table[first + k][np.ix_(*choices[k : k + 3])] for k in range(len(choices) - 2)]
+    chosen = shortest_path(cost)
+    better = genes.copy()
+    better[free] = chosen[free.start - first : free.stop - first]
+    return better

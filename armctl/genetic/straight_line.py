@@ -3,7 +3,9 @@
 The straight line of Raharjo et al. with the problem made honest: as printed, the best point of every sample is the
 optimum of eq. 20 and a chromosome of copies of A scores zero. Here genes are aligned by progress (`alignment.py`), a
 path must be one the arm can follow (`path_cost.py`), and its true optimum is known (`shortest_path.py`).
-Joints that do not move the tool are carried along: at each station the mean of the recordings.
+Joints that do not move the tool are carried along: at each station the mean of the recordings. After evolution the
+genes may leave the recordings (`free_path.py`) and via points the line (`placement.py`), unless the paper's own
+procedure is wanted.
 """
 
 from __future__ import annotations
@@ -17,12 +19,15 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.genetic.algorithm import DEFAULT, GeneticAlgorithm, Settings
 from armctl.genetic.alignment import Candidates, align
+from armctl.genetic.free_path import free_path
 from armctl.genetic.path_cost import PathCost, path_cost
 from armctl.genetic.shortest_path import shortest_path
 from armctl.genetic.triple_cost import IntArray, evaluate
+from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.interpolate import Interpolation, time_of_progress
+from armctl.trajectory.placement import Objective, place
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import distance_to_line, max_error, mean_error, progress_along_line
 from armctl.trajectory.via_points import choose_via_points, predict_tool_path
@@ -54,7 +59,7 @@ class CandidatePath:
     mean_error_mm: float
     max_error_mm: float
     cost_mm: float
-    """Mean error, and the charges for broken limits."""
+    """The error that was made small (mean, or p-norm), the charges for broken limits in it."""
     feasible: bool
     """Whether the path keeps every joint's speed and acceleration limit in the nominal time, and never goes back."""
 
@@ -67,13 +72,28 @@ class GeneticRun:
     generations: int
     evaluations: int
     best_cost_mm: tuple[float, ...]
-    """Least cost so far in the present part of the run, with the charges in force there, after each generation."""
+    """Least cost so far, charges in full, after each generation."""
     mean_cost_mm: tuple[float, ...]
-    """Mean cost, likewise, of the individuals that each generation's selection kept."""
+    """Mean cost, with the charges in force then, of the individuals that each generation's selection kept."""
 
     @property
     def mean_error_mm(self) -> float:
         return self.path.mean_error_mm
+
+
+@dataclass(frozen=True, eq=False)
+class FreePath:
+    """A path near recorded genes."""
+
+    positions_rad: FloatArray
+    """Joint positions, shape (m, joints)."""
+    tool_m: FloatArray
+    """Tool points, shape (m, 3)."""
+    mean_error_mm: float
+    max_error_mm: float
+    largest_offset_rad: float
+    feasible: bool
+    """As of `CandidatePath`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +107,21 @@ class StraightLineResult:
     exact: CandidatePath
     gap_ratio: float
     """Cost of the genetic algorithm's path over the exact least cost, minus 1."""
+    free: FreePath | None
+    """The genetic algorithm's path, its genes off the recordings; what the plans are made of, where it was wanted."""
     plans: tuple[Plan, ...]
     """One for each entry of `via`."""
     plan_tool_m: tuple[FloatArray, ...]
     """Predicted tool points of each plan, shape (samples, 3)."""
 
+    least_duration_s: float | None
+    """Where no path keeps the limits: the duration from which on one over recorded genes does; None: there is none
+    within `LONGEST_DURATION_S`, or none is needed."""
+
     @property
     def feasible(self) -> bool:
-        return self.ga.path.feasible
+        """Whether the path that the plans are made of keeps the limits."""
+        return self.ga.path.feasible if self.free is None else self.free.feasible
 
 
 def optimize(
@@ -109,6 +136,8 @@ def optimize(
     seed: int,
     settings: Settings = DEFAULT,
     interpolation: Interpolation = "cubic",
+    objective: Objective = "mean",
+    free: bool = True,
     progress: Callable[[int, float, float], None] | None = None,
 ) -> StraightLineResult:
     """The straightest motions from A to B that the recordings hold.
@@ -119,6 +148,8 @@ def optimize(
         via: Number of via points of each plan wanted.
         duration_s: Nominal time from A to B.
         seed: Same seed, same result, bit for bit.
+        objective: What is made small: the mean distance, its root mean square ("mix"), or the 10-norm ("max").
+        free: Whether genes may leave the recordings and via points the path that was found.
         progress: Called after each generation with its number (from 1), the best and the mean cost [mm].
     Raises:
         RequestRefused: an argument or a recording is unfit; `reasons` names all that were found.
@@ -126,17 +157,30 @@ def optimize(
     A, B = np.asarray(A, dtype=np.float64), np.asarray(B, dtype=np.float64)
     _check_request(arm, A, B, via, duration_s, seed)
     chain = robot.chain
-    stations = round(min(max(STATIONS_PER_S * duration_s, FEWEST_STATIONS, max(via, default=0) + 2), MOST_STATIONS))
+    stations = _stations(duration_s, via)
     candidates = align(recordings, arm, chain, A, B, stations)
     moving = arm.joints[: chain.n]
-    costs = path_cost(
-        candidates,
-        distance_to_line(candidates.tool_m, A, B),
-        time_of_progress(candidates.progress) * duration_s,
-        np.array([joint.speed_limit_rad_s for joint in moving]),
-        np.array([joint.acceleration_limit_rad_s2 for joint in moving]),
-        progress_along_line(candidates.tool_m, A, B),
-    )
+    speed_limits = np.array([joint.speed_limit_rad_s for joint in moving])
+    acceleration_limits = np.array([joint.acceleration_limit_rad_s2 for joint in moving])
+
+    def cost_of(some: Candidates, nominal_s: float = duration_s) -> PathCost:
+        distance, along = distance_to_line(some.tool_m, A, B), progress_along_line(some.tool_m, A, B)
+        return path_cost(
+            some,
+            distance,
+            time_of_progress(some.progress) * nominal_s,
+            speed_limits,
+            acceleration_limits,
+            along,
+            objective,
+        )
+
+    def kept(nominal_s: float) -> bool:
+        # With as many stations as an optimisation for that duration would have.
+        slower = cost_of(align(recordings, arm, chain, A, B, _stations(nominal_s, via)), nominal_s)
+        return not evaluate(slower.breaks, shortest_path(slower.table())) > 0.0
+
+    costs = cost_of(candidates)
 
     def path(genes: IntArray) -> CandidatePath:
         station = np.arange(stations)
@@ -149,37 +193,35 @@ def optimize(
             tool_m=candidates.tool_m[genes, station],
             mean_error_mm=float(distance.mean()),
             max_error_mm=float(distance.max()),
-            cost_mm=float(evaluate(table, genes)) * 1e3,
+            cost_mm=costs.norm_m(float(evaluate(table, genes))) * 1e3,
             feasible=not evaluate(costs.breaks, genes) > 0.0,
         )
 
     table = costs.table()
     genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, settings, np.random.default_rng(seed), progress)
     found, exact = path(genes), path(shortest_path(table))
-    plans, plan_tool = [], []
-    for count in via:
-        moved = found.positions_rad[:, : chain.n]
-        chosen = choose_via_points(chain, moved, candidates.progress, count, interpolation, A, B)
-        kept = [0, *chosen, stations - 1]
-        waypoints, knots = found.positions_rad[kept], candidates.progress[kept]
-        tool = predict_tool_path(chain, waypoints[:, : chain.n], knots, interpolation)
-        plan_tool.append(tool)
-        plans.append(
-            Plan(
-                arm_id=arm.arm_id,
-                calibration_hash=arm.calibration_hash,
-                from_m=tuple(A.tolist()),
-                to_m=tuple(B.tolist()),
-                duration_s=duration_s,
-                via=count,
-                interpolation=interpolation,
-                waypoints_rad=tuple(map(tuple, waypoints.tolist())),
-                waypoint_progress=tuple(knots.tolist()),
-                predicted_mean_error_mm=float(mean_error(tool, A, B)) * 1e3,
-                predicted_max_error_mm=float(max_error(tool, A, B)) * 1e3,
-                seed=seed,
-            )
+    freed = _freed(found, candidates, arm, chain, A, B, cost_of) if free else None
+    base = found.positions_rad if freed is None else freed.positions_rad
+    made = [_plan(base, candidates.progress, arm, chain, A, B, count, interpolation, objective, free) for count in via]
+    plans = [
+        Plan(
+            arm_id=arm.arm_id,
+            calibration_hash=arm.calibration_hash,
+            from_m=tuple(A.tolist()),
+            to_m=tuple(B.tolist()),
+            duration_s=duration_s,
+            via=count,
+            interpolation=interpolation,
+            waypoints_rad=tuple(map(tuple, waypoints.tolist())),
+            waypoint_progress=tuple(knots.tolist()),
+            predicted_mean_error_mm=float(mean_error(tool, A, B)) * 1e3,
+            predicted_max_error_mm=float(max_error(tool, A, B)) * 1e3,
+            seed=seed,
         )
+        for count, (waypoints, knots, tool) in zip(via, made, strict=True)
+    ]
+    feasible = found.feasible if freed is None else freed.feasible
+    least_s = None if feasible else _least_duration_s(kept, duration_s)
     alone = costs.distance_m.T * 1e3
     return StraightLineResult(
         candidates=candidates,
@@ -189,8 +231,82 @@ def optimize(
         # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
         gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
         plans=tuple(plans),
-        plan_tool_m=tuple(plan_tool),
+        plan_tool_m=tuple(tool for _, _, tool in made),
+        free=freed,
+        least_duration_s=least_s,
     )
+
+
+def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | None:
+    """The shortest duration above `begin_s`, in whole tenths of a second, that is `kept`; to a few per cent."""
+    low = high = int(10.0 * begin_s)
+    while not kept(high / 10.0):
+        if high >= 10.0 * LONGEST_DURATION_S:
+            return None  # some limits know no time: every recording goes back
+        low, high = high, min(2 * high + 1, int(10.0 * LONGEST_DURATION_S))
+    while high - low > max(1, high // 20):
+        middle = (low + high) // 2
+        low, high = (low, middle) if kept(middle / 10.0) else (middle, high)
+    return high / 10.0
+
+
+def _freed(
+    found: CandidatePath,
+    candidates: Candidates,
+    arm: ArmConfig,
+    chain: SerialChain,
+    A: FloatArray,
+    B: FloatArray,
+    cost_of: Callable[[Candidates], PathCost],
+) -> FreePath:
+    def breaks(q: FloatArray) -> float:
+        # The tables of a single candidate hold what its one path breaks.
+        return float(cost_of(Candidates(candidates.progress, q[None], tool_position(chain, q)[None])).breaks.sum())
+
+    n = chain.n
+    limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
+    q = free_path(chain, found.positions_rad[:, :n], candidates.progress, A, B, limits, breaks)
+    tool = tool_position(chain, q)
+    return FreePath(
+        positions_rad=np.concatenate([q, found.positions_rad[:, n:]], axis=1),
+        tool_m=tool,
+        mean_error_mm=float(mean_error(tool, A, B)) * 1e3,
+        max_error_mm=float(max_error(tool, A, B)) * 1e3,
+        largest_offset_rad=float(np.abs(q - found.positions_rad[:, :n]).max()),
+        feasible=not breaks(q) > 0.0,
+    )
+
+
+def _plan(
+    path: FloatArray,
+    progress: FloatArray,
+    arm: ArmConfig,
+    chain: SerialChain,
+    A: FloatArray,
+    B: FloatArray,
+    count: int,
+    interpolation: Interpolation,
+    objective: Objective,
+    placed: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Waypoints [rad], shape (count + 2, joints), their progress, and the predicted tool points [m]."""
+    n = chain.n
+    kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, A, B), len(path) - 1]
+    waypoints, knots = path[kept], progress[kept]
+    tool = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
+    if placed and count > 0:
+        limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
+        off_line = place(chain, waypoints[:, :n], knots, interpolation, A, B, limits, objective=objective)
+        moved = waypoints.copy()
+        moved[1:-1, :n] = off_line.waypoints[1:-1]  # A and B are held exactly
+        moved_tool = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
+        if mean_error(moved_tool, A, B) < mean_error(tool, A, B):
+            return moved, off_line.knots, moved_tool
+    return waypoints, knots, tool
+
+
+def _stations(duration_s: float, via: Sequence[int]) -> int:
+    return round(min(max(STATIONS_PER_S * duration_s, FEWEST_STATIONS, max(via, default=0) + 2), MOST_STATIONS))
 
 
 def _check_request(
@@ -220,18 +336,28 @@ def _evolve(
     stations, recordings = costs.distance_m.shape
     # The first population is the recordings themselves, as in the paper (Fig. 8).
     initial = np.repeat(np.arange(recordings, dtype=np.intp)[:, None], stations, axis=1)
-    table = costs.table(settings.charge_shares[0])
-    algorithm = GeneticAlgorithm(initial, recordings, settings, rng, triple_cost=table)
+    tables = [costs.table(share) for share in settings.charge_shares]
+    longest = settings.generations // len(tables)
+    part, begun, improved = 0, 0, 0
+    algorithm = GeneticAlgorithm(initial, recordings, settings, rng, triple_cost=tables[0])
+    best, least = initial[0], np.inf
     best_cost_mm, mean_cost_mm = [], []
-    part, parts = 0, len(settings.charge_shares)
     for generation in range(1, settings.generations + 1):
-        if (generation - 1) * parts // settings.generations > part:
-            part += 1
-            table = costs.table(settings.charge_shares[part])
-            algorithm.restart(table)
-        algorithm.tell(evaluate(table, algorithm.ask()))
-        best_cost_mm.append(algorithm.best_cost * 1e3)
-        mean_cost_mm.append(algorithm.mean_cost * 1e3)
+        before = algorithm.best_cost
+        algorithm.tell(evaluate(tables[part], algorithm.ask()))
+        if algorithm.best_cost < before:
+            improved = generation
+        if (cost := float(evaluate(tables[-1], algorithm.best))) < least:
+            best, least = algorithm.best, cost
+        best_cost_mm.append(costs.norm_m(least) * 1e3)
+        mean_cost_mm.append(costs.norm_m(algorithm.mean_cost) * 1e3)
         if progress is not None:
             progress(generation, best_cost_mm[-1], mean_cost_mm[-1])
-    return algorithm.best, tuple(best_cost_mm), tuple(mean_cost_mm), algorithm.evaluations
+        stalled = 0 < settings.stall_generations <= generation - max(improved, begun)
+        if stalled or (part + 1 < len(tables) and generation - begun >= longest):
+            part, begun = (part + 1) % len(tables), generation
+            if part == 0:
+                algorithm = GeneticAlgorithm(initial, recordings, settings, rng, triple_cost=tables[0])
+            else:
+                algorithm.restart(tables[part])
+    return best, tuple(best_cost_mm), tuple(mean_cost_mm), settings.generations * settings.population

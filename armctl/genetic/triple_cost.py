@@ -22,30 +22,17 @@ def evaluate(table: FloatArray, genes: IntArray) -> FloatArray:
     Returns:
         Costs, shape (...).
     """
-    return np.asarray(_triples(table, genes, genes, genes).sum(axis=-1))
+    return np.asarray(triples(table, genes, genes, genes).sum(axis=-1))
 
 
-def cut_costs(table: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
-    """Cost of `first` up to a cut and `second` after it, for every cut at once.
+def triples(table: FloatArray, first: IntArray, second: IntArray, third: IntArray) -> FloatArray:
+    """Cost of each triple whose first gene is from `first`, its second from `second`, its third from `third`.
 
     Args:
-        first, second: Chromosomes, shape (P, m).
+        first, second, third: Chromosomes, shape (..., m).
     Returns:
-        Cost of joining first[:c] and second[c:], shape (P, m + 1) over c = 0..m.
+        Costs, shape (..., m - 2).
     """
-    rows, genes = first.shape
-    costs = np.zeros((rows, genes + 1))
-    head = np.cumsum(_triples(table, first, first, first), axis=1)
-    tail = np.cumsum(_triples(table, second, second, second)[:, ::-1], axis=1)[:, ::-1]
-    costs[:, 3:] += head
-    costs[:, : genes - 2] += tail
-    # The two triples that the cut runs through.
-    costs[:, 2:genes] += _triples(table, first, first, second)
-    costs[:, 1 : genes - 1] += _triples(table, first, second, second)
-    return costs
-
-
-def _triples(table: FloatArray, first: IntArray, second: IntArray, third: IntArray) -> FloatArray:
     places, choices = table.shape[:2]
     index = (first[..., :-2] * choices + second[..., 1:-1]) * choices + third[..., 2:]
     return np.asarray(table.reshape(-1)[index + np.arange(places) * choices**3])

@@ -10,7 +10,9 @@ from armctl.genetic.algorithm import DEFAULT, PAPER, GeneticAlgorithm, Settings
 from armctl.genetic.triple_cost import IntArray, evaluate
 from armctl.kinematics.transform import FloatArray
 
-PLAIN = replace(DEFAULT, population=40, crossover="one cut", mutation_probability=0.05, charge_shares=(1.0,))
+PLAIN = replace(
+    DEFAULT, population=40, crossover="one cut", mutation_probability=0.05, charge_shares=(1.0,), searches=0
+)
 
 
 WEIGHTS = np.random.default_rng(5).uniform(1.0, 2.0, 15)
@@ -80,10 +82,11 @@ def test_roulette_keeps_the_elite_of_the_parents() -> None:
     assert algorithm.best.tolist() == [4, 4, 4]
 
 
-def test_fitted_crossover_needs_and_uses_the_table() -> None:
+def test_optimal_crossover_needs_and_uses_the_table() -> None:
     initial = np.repeat(np.arange(3)[:, None], 8, axis=1)
-    with pytest.raises(ValueError, match="triple costs"):
-        GeneticAlgorithm(initial, 3, DEFAULT, np.random.default_rng(0))
+    for settings in (replace(DEFAULT, searches=0), replace(PLAIN, searches=1)):
+        with pytest.raises(ValueError, match="triple costs"):
+            GeneticAlgorithm(initial, 3, settings, np.random.default_rng(0))
     table = np.random.default_rng(3).random((6, 3, 3, 3))
     algorithm = GeneticAlgorithm(
         initial, 3, replace(DEFAULT, population=60), np.random.default_rng(0), triple_cost=table
@@ -92,6 +95,23 @@ def test_fitted_crossover_needs_and_uses_the_table() -> None:
         algorithm.tell(evaluate(table, algorithm.ask()))
     alone = evaluate(table, initial).min()
     assert algorithm.best_cost < alone
+
+
+def test_searches_improve_survivors_and_a_window_is_never_more_than_a_quarter_of_a_chromosome() -> None:
+    rng = np.random.default_rng(4)
+    table = rng.random((22, 4, 4, 4))
+    initial = rng.integers(0, 4, (30, 24))
+    settings = replace(PLAIN, population=30, crossover_probability=0.0, mutation_probability=0.0, searches=30)
+    algorithm = GeneticAlgorithm(initial, 4, settings, rng, triple_cost=table)
+    cost = evaluate(table, algorithm.ask())
+    algorithm.tell(cost)
+    survivors = initial[np.argsort(cost)]
+    children = algorithm.ask()
+    changed = (children[:, None] != survivors[None]).sum(axis=2)
+    assert changed.min(axis=1).max() <= 6
+    parents = changed.argmin(axis=1)
+    assert (evaluate(table, children) <= np.sort(cost)[parents] + 1e-12).all()
+    assert (parents[1::2] == 0).all()  # every second one is the best survivor's
 
 
 def test_restart_asks_the_first_population_and_the_survivors_under_the_new_cost() -> None:
@@ -120,6 +140,10 @@ def test_restart_asks_the_first_population_and_the_survivors_under_the_new_cost(
         ({"crossover_probability": 1.1}, "crossover_probability: 1.1 is outside 0 to 1"),
         ({"mutation_probability": float("nan")}, "mutation_probability"),
         ({"elite_fraction": -0.1}, "elite_fraction"),
+        ({"window_genes": 0}, "window_genes: 0 is outside 1 to 12"),
+        ({"window_genes": 13}, "window_genes"),
+        ({"searches": -1}, "searches"),
+        ({"stall_generations": -1}, "stall_generations"),
         ({"charge_shares": ()}, "charge_shares"),
         ({"charge_shares": (0.5,)}, "the last of them 1"),
         ({"charge_shares": (-1.0, 1.0)}, "not negative"),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -92,6 +93,7 @@ def test_nothing_or_too_much_to_align_is_refused() -> None:
         (np.where(np.arange(65)[:, None] == 7, math.nan, straight()), "all finite"),
         (straight()[:40], "comes no nearer to B than 9[0-9] mm, at most 40 mm"),
         (straight()[30:], "comes no nearer to A than 1[0-9][0-9] mm, at most 40 mm"),
+        (straight()[30:], r"it leads along, from 0\.180,-0\.008,0\.100 to 0\.180,0\.125,0\.100"),
         (straight()[::-1], "comes no nearer to"),
         (np.tile(straight()[32], (9, 1)), "comes no nearer to"),
         (straight() + np.array([0, 0.5, 0, 0, 0, 0]), "comes no nearer to A"),
@@ -116,8 +118,15 @@ def test_a_short_line_asks_for_a_nearer_recording() -> None:
 
 def test_an_end_out_of_reach_is_refused() -> None:
     far = hand.A + np.array([0.0, -0.4, 0.0])
-    with pytest.raises(RequestRefused, match="recording 1: "):
+    with pytest.raises(RequestRefused, match="recording 1: ") as caught:
         aligned([straight()], far, hand.B)
+    match = re.search(
+        r"A 0.180,-0.525,0.100 is (\d+) mm out of reach; the nearest .* is (.*)$", caught.value.reasons[0]
+    )
+    assert match
+    nearest = np.array([float(x) for x in match[2].split(",")])
+    assert np.linalg.norm(nearest - far) * 1e3 == pytest.approx(float(match[1]), abs=1.0)
+    assert np.linalg.norm(nearest - [0.0, 0.0, 0.1]) == pytest.approx(0.38, abs=2e-3)  # the stretched arm
 
 
 def test_an_end_that_the_posture_cannot_reach_is_refused() -> None:

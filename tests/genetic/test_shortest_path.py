@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.genetic.shortest_path import shortest_path
+from armctl.genetic.shortest_path import shortest_path, window_search
 from armctl.genetic.triple_cost import evaluate
 
 
@@ -23,3 +23,21 @@ def test_no_chromosome_at_all_is_cheaper(seed: int, genes: int, choices: int) ->
 
 def test_a_single_choice_leaves_a_single_path() -> None:
     assert shortest_path(np.ones((4, 1, 1, 1))).tolist() == [0] * 6
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 7), st.integers(1, 3), st.integers(0, 6), st.integers(1, 4))
+@settings(deadline=None)
+def test_a_window_is_the_best_of_all_while_every_other_gene_stays(
+    seed: int, genes: int, choices: int, begin: int, length: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    table = rng.random((genes - 2, choices, choices, choices))
+    chromosome = rng.integers(0, choices, genes)
+    before, begin = chromosome.copy(), min(begin, genes - 1)
+    found = window_search(table, chromosome, begin, length)
+    window = slice(begin, min(begin + length, genes))
+    every = np.repeat(chromosome[None], choices ** (window.stop - begin), axis=0)
+    every[:, window] = list(product(range(choices), repeat=window.stop - begin))
+    assert (chromosome == before).all()
+    assert (np.delete(found, np.r_[window]) == np.delete(chromosome, np.r_[window])).all()
+    assert float(evaluate(table, found)) == pytest.approx(float(evaluate(table, every).min()), abs=1e-12)

@@ -1,0 +1,61 @@
+"""Genes that leave the recordings: small offsets in joint space that bring each station onto the line.
+
+Recorded genes can be no straighter than the straightest recording was at each station. Here every joint position may
+differ from the recorded one by a bounded offset. The offsets come from damped least squares; how much of them counts
+is decided by the same limits that the recorded path was held to: a share of the step is kept only while the path is
+straighter than before and breaks no more limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from armctl.kinematics.chain import SerialChain, jacobian, tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.straightness import mean_error
+
+MOST_OFFSET_RAD = math.radians(3.0)
+STEPS = 8
+SHARES = (1.0, 0.7, 0.4, 0.2, 0.1)
+_DAMPING_M2 = 1e-6
+
+
+def free_path(
+    chain: SerialChain,
+    path: FloatArray,
+    progress: FloatArray,
+    A: FloatArray,
+    B: FloatArray,
+    limits: FloatArray,
+    breaks: Callable[[FloatArray], float],
+) -> FloatArray:
+    """The path, each joint position moved by at most `MOST_OFFSET_RAD`, nearer to AB; its ends stay.
+
+    Args:
+        path: Joint positions [rad], shape (m, n), n the chain's joints.
+        progress: Where along AB each station belongs, shape (m,).
+        limits: Of the joints [rad], shape (n, 2).
+        breaks: How badly joint positions of that shape break the limits of motion; 0: not at all.
+    """
+    low = np.maximum(limits[:, 0], path - MOST_OFFSET_RAD)
+    high = np.minimum(limits[:, 1], path + MOST_OFFSET_RAD)
+    low[[0, -1]] = high[[0, -1]] = path[[0, -1]]
+    on_line = A + progress[:, None] * (B - A)
+    q, error, broken = path, float(mean_error(tool_position(chain, path), A, B)), breaks(path)
+    for _ in range(STEPS):
+        J = jacobian(chain, q)[:, :3]
+        gram = J @ J.swapaxes(1, 2) + _DAMPING_M2 * np.eye(3)
+        wanted = np.linalg.solve(gram, (on_line - tool_position(chain, q))[..., None])
+        step = (J.swapaxes(1, 2) @ wanted)[..., 0]
+        for share in SHARES:
+            moved = np.clip(q + share * step, low, high)
+            moved_error = float(mean_error(tool_position(chain, moved), A, B))
+            if moved_error < error and (moved_broken := breaks(moved)) <= broken:
+                q, error, broken = moved, moved_error, moved_broken
+                break
+        else:
+            break
+    return q
