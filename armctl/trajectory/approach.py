@@ -1,4 +1,8 @@
-"""Slow motions from rest to rest: how a plan's start, a rest pose or a single target is approached."""
+"""Slow motions from rest to rest: how a plan's start, a rest pose or a single target is approached.
+
+How long a quintic takes that keeps every joint's speed and acceleration and the tool's speed within their limits
+follows from its peaks; a solver of time-optimal laws (toppra, ruckig) has nothing to add to a motion meant to be slow.
+"""
 
 from __future__ import annotations
 
@@ -39,11 +43,23 @@ def approach_duration_s(q0: FloatArray, q1: FloatArray, arm: ArmConfig, robot: R
 
 
 def approach_trajectory(
-    q0: Sequence[float], q1: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float, label: str
+    q0: Sequence[float],
+    q1: Sequence[float],
+    arm: ArmConfig,
+    robot: Robot,
+    period_s: float,
+    label: str,
+    duration_s: float | None = None,
 ) -> JointTrajectory:
-    """The slow motion from q0 to q1 [rad] on a grid of `period_s`."""
+    """The slow motion from q0 to q1 [rad] on a grid of `period_s`; all joints arrive at once.
+
+    Args:
+        duration_s: How long it takes; None: as `approach_duration_s` says.
+    """
     start, end = np.asarray(q0, dtype=np.float64), np.asarray(q1, dtype=np.float64)
-    rows = max(1, math.ceil(approach_duration_s(start, end, arm, robot) / period_s - 1e-9))
+    if duration_s is None:
+        duration_s = approach_duration_s(start, end, arm, robot)
+    rows = max(1, math.ceil(duration_s / period_s - 1e-9))
     positions = quintic(start, end, np.arange(rows + 1) / rows)
     return JointTrajectory(period_s, tuple(map(tuple, positions.tolist())), label=label)
 

@@ -1,8 +1,9 @@
 """Plans: what the optimiser hands to the arm, their text form, and the checks before one may run.
 
 A plan names joint positions (via points, both ends) at fractions of its progress and how to run between them; it
-belongs to one arm and one calibration. Executing it means: slow approach to its first point, dwell, the plan proper,
-settle. A plan that cannot be executed as it stands is refused as a whole, with every reason; nothing is clipped.
+belongs to one arm and one calibration. Executing it means: slow approach to just behind its first point, on to that
+point in the direction of departure, dwell, the plan proper, settle. A plan with a via point every tick is a stream of
+goals. One that cannot be executed as it stands is refused as a whole, with every reason; nothing is clipped.
 """
 
 from __future__ import annotations
@@ -17,10 +18,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from armctl.config import ArmConfig, Name, validate
-from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
-from armctl.kinematics.chain import link_frames
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
@@ -31,13 +30,19 @@ from armctl.trajectory.interpolate import (
     quintic,
     time_law,
 )
+from armctl.trajectory.preflight import preflight_motion
 
+LEAD_RAD = math.radians(3.0)
+"""How far behind: more than what play and friction of a loaded servo swallow."""
+LEAD_SHARE = 0.2
+"""Of the duration: a joint that does not move by LEAD_RAD in it has no direction of departure."""
+ROUNDING_S = 1e-9
+"""The control step counts trajectory seconds up tick by tick: without this the plan might seem to begin a tick late."""
 DWELL_S = 0.5
 SETTLE_S = 0.5
-MAX_VIA = 200
+MAX_VIA = 3000
+"""A goal every tick, a minute long at 50 Hz."""
 CHECK_PERIOD_S = 0.02
-ACCELERATION_WINDOW_S = 0.1
-"""Acceleration is the change of speed over this time: a corner of a linear plan is judged as the servo sees it."""
 
 Point = Annotated[tuple[float, float, float], Field(strict=False)]
 Joints = Annotated[tuple[float, ...], Field(strict=False)]
@@ -135,20 +140,38 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
         raise ValueError(f"q_now {q0.shape} and plan {start.shape} must be one finite number for each joint of the arm")
     if not 0.0 < period_s < math.inf:
         raise ValueError(f"period_s {period_s} must be above 0")
-    approach_s = approach_duration_s(q0, start, arm, robots.get(arm.robot, arm.lengths_m))
-    begin = math.ceil((approach_s + DWELL_S) / period_s - 1e-9)
+    robot = robots.get(arm.robot, arm.lengths_m)
+    low, high = np.array([joint.limits_rad for joint in arm.joints]).T
+    behind = np.where((low <= start) & (start <= high), np.clip(start - lead(plan), low, high), start)
+    approach_s = approach_duration_s(q0, behind, arm, robot)
+    there_s = approach_s + approach_duration_s(behind, start, arm, robot)
+    begin = math.ceil((there_s + DWELL_S) / period_s - 1e-9)
     rows = begin + math.ceil((plan.duration_s + SETTLE_S) / period_s - 1e-9)
     time_s: FloatArray = np.arange(rows + 1) * np.float64(period_s)
     positions = plan_positions(plan, time_s - begin * period_s)
+    catching_up = time_s < there_s
+    positions[catching_up] = quintic(
+        behind, start, (time_s[catching_up] - approach_s) / max(there_s - approach_s, 1e-9)
+    )
     approach = time_s < approach_s
-    positions[approach] = quintic(q0, start, time_s[approach] / max(approach_s, 1e-9))
+    positions[approach] = quintic(q0, behind, time_s[approach] / max(approach_s, 1e-9))
     return JointTrajectory(
         period_s=period_s,
         positions_rad=tuple(map(tuple, positions.tolist())),
-        begin_s=begin * period_s,
-        end_s=begin * period_s + plan.duration_s,
+        begin_s=begin * period_s - ROUNDING_S,
+        end_s=begin * period_s + plan.duration_s - ROUNDING_S,
         label=f"line via {plan.via}",
     )
+
+
+def lead(plan: Plan) -> FloatArray:
+    """How far each joint starts behind the plan's first point [rad], shape (joints,).
+
+    A servo that comes to a point from one side and leaves it to the other first crosses its play and turns its
+    friction around; one that comes in the direction of its departure has done both before the plan begins.
+    """
+    start, early = plan_positions(plan, np.array([0.0, LEAD_SHARE * plan.duration_s]))
+    return np.asarray(np.clip(early - start, -LEAD_RAD, LEAD_RAD))
 
 
 def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) -> tuple[str, ...]:
@@ -170,44 +193,5 @@ def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) 
     if len(q_now) != joints or not all(map(math.isfinite, q_now)):
         return (*reasons, f"the arm stands at {list(q_now)}, not {joints} known joint angles; connect it first")
 
-    trajectory = joint_trajectory(plan, arm, q_now, CHECK_PERIOD_S)
-    q = np.array(trajectory.positions_rad)
-    window = round(ACCELERATION_WINDOW_S / CHECK_PERIOD_S)
-    padded = np.concatenate([np.repeat(q[:1], window, axis=0), q, np.repeat(q[-1:], window, axis=0)])
-    speed = np.abs(np.diff(q, axis=0)).max(axis=0) / CHECK_PERIOD_S
-    bend = padded[2 * window :] - 2.0 * padded[window:-window] + padded[: -2 * window]
-    acceleration = np.abs(bend).max(axis=0) / ACCELERATION_WINDOW_S**2
-    for i, joint in enumerate(arm.joints):
-        low, high = (math.degrees(limit) for limit in joint.limits_rad)
-        slack = math.degrees(TICK_RAD) / 2.0
-        for extreme in (math.degrees(float(q[:, i].min())), math.degrees(float(q[:, i].max()))):
-            if not low - slack <= extreme <= high + slack:
-                where = "stands at" if extreme == math.degrees(q_now[i]) else "would go to"
-                reasons.append(
-                    f"{joint.name} {where} {extreme:.1f} deg, outside its limits {low:.1f} to {high:.1f} deg"
-                )
-        for value, bound, unit, factor in (
-            (math.degrees(float(speed[i])), joint.speed_limit_deg_s, "deg/s", 1.0),
-            (math.degrees(float(acceleration[i])), joint.acceleration_limit_deg_s2, "deg/s2", 0.5),
-        ):
-            if value > bound * 1.001:
-                reasons.append(
-                    f"{joint.name} would reach {value:.1f} {unit}, at most {bound:.1f} {unit}; "
-                    f"optimise with a duration of {plan.duration_s * (value / bound) ** factor:.1f} s or more"
-                )
-    frames = link_frames(robot.chain, q[:, : robot.chain.n])[:, 1:, :3, 3]
-    tool_m_s = float(np.linalg.norm(np.diff(frames[:, -1], axis=0), axis=1).max()) / CHECK_PERIOD_S
-    if tool_m_s > arm.tool_speed_limit_m_s * 1.001:
-        reasons.append(
-            f"the tool would reach {tool_m_s:.3f} m/s, at most {arm.tool_speed_limit_m_s:.3f} m/s; "
-            f"optimise with a duration of {plan.duration_s * tool_m_s / arm.tool_speed_limit_m_s:.1f} s or more"
-        )
-    lowest = frames[..., 2].min(axis=0)
-    if lowest.min() < arm.floor_m:
-        link = int(lowest.argmin())
-        part = "the tool" if link == robot.chain.n - 1 else f"the end of link {link + 1}"
-        reasons.append(
-            f"{part} would come down to {lowest.min():.3f} m, below the floor at {arm.floor_m:.3f} m; "
-            "raise the line, or move the arm to another start"
-        )
-    return tuple(reasons)
+    q = np.array(joint_trajectory(plan, arm, q_now, CHECK_PERIOD_S).positions_rad)
+    return (*reasons, *preflight_motion(q, CHECK_PERIOD_S, arm, robot, duration_s=plan.duration_s))

@@ -14,9 +14,11 @@ from armctl.errors import ConfigError
 from armctl.kinematics.chain import tool_position
 from armctl.trajectory.plan import (
     DWELL_S,
+    LEAD_RAD,
     SETTLE_S,
     Plan,
     joint_trajectory,
+    lead,
     plan_from_text,
     plan_positions,
     plan_to_text,
@@ -146,7 +148,7 @@ def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_m
     assert trajectory.duration_s >= trajectory.end_s + SETTLE_S - 1e-9
     inside = (time_s >= trajectory.begin_s - 1e-9) & (time_s <= trajectory.end_s)
     np.testing.assert_allclose(
-        q[inside], plan_positions(plan, np.clip(time_s[inside] - trajectory.begin_s, 0, None)), atol=1e-9
+        q[inside], plan_positions(plan, np.clip(time_s[inside] - trajectory.begin_s, 0, None)), atol=1e-8
     )
     dwell = (time_s >= trajectory.begin_s - DWELL_S + 1e-9) & (time_s <= trajectory.begin_s)
     np.testing.assert_allclose(q[dwell], np.broadcast_to(LINE[0], q[dwell].shape), atol=1e-9)
@@ -155,10 +157,42 @@ def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_m
     assert np.degrees(approach.max()) <= 20.0 + 1e-6
 
 
-def test_an_arm_that_stands_at_the_start_only_dwells() -> None:
-    trajectory = joint_trajectory(make_plan(), ARM, LINE[0].tolist(), 0.05)
-    assert trajectory.begin_s == DWELL_S
-    assert trajectory.end_s == DWELL_S + 5.0
+def test_a_plan_that_does_not_move_lets_an_arm_at_its_start_only_dwell() -> None:
+    still = make_plan(waypoints_rad=(tuple(LINE[0]),) * 4)
+    trajectory = joint_trajectory(still, ARM, LINE[0].tolist(), 0.05)
+    assert trajectory.begin_s == pytest.approx(DWELL_S)
+    assert trajectory.end_s == pytest.approx(DWELL_S + 5.0)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.1]))
+@settings(deadline=None, max_examples=30)
+def test_every_joint_comes_to_the_start_in_the_direction_in_which_it_leaves(seed: int, period_s: float) -> None:
+    rng = np.random.default_rng(seed)
+    plan = make_plan(interpolation=rng.choice(["linear", "cubic"]))
+    q_now = (np.array(REST) + rng.uniform(-1.0, 1.0, 6)).tolist()
+    trajectory = joint_trajectory(plan, ARM, q_now, period_s)
+    q = np.array(trajectory.positions_rad)
+    begin = round(trajectory.begin_s / period_s)
+    last = q[begin] - q[begin - round((DWELL_S + 0.5) / period_s)]
+    ahead = lead(plan)
+    assert (np.abs(ahead) <= LEAD_RAD).all()
+    moving = np.abs(ahead) > 1e-6
+    assert (np.sign(last[moving]) == np.sign(ahead[moving])).all()
+    np.testing.assert_allclose(last[~moving], 0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("ticks", [33, 34, 77, 100, 123])
+@pytest.mark.parametrize("period_s", [0.1, 0.02])
+def test_a_clock_that_adds_up_ticks_finds_the_begin_and_the_end_on_their_ticks(ticks: int, period_s: float) -> None:
+    q_now = LINE[0].copy()
+    q_now[0] += 0.001 * ticks
+    trajectory = joint_trajectory(make_plan(), ARM, q_now.tolist(), period_s)
+    progress_s, seen = 0.0, []
+    while progress_s < trajectory.duration_s:
+        seen.append(progress_s)
+        progress_s += period_s
+    begin, end = (next(k for k, at in enumerate(seen) if at >= mark) for mark in (trajectory.begin_s, trajectory.end_s))
+    assert (begin, end - begin) == (round(trajectory.begin_s / period_s), round(5.0 / period_s))
 
 
 def test_the_approach_keeps_slower_joints_and_the_tool_within_their_limits() -> None:

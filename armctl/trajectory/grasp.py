@@ -1,0 +1,301 @@
+"""Reaching for a point as a hand does, and taking hold of what is there.
+
+Rules.
+1. The tool comes to the point along a straight line, slowly: from above, or along its own axis. It does not turn on
+   the way, unless the joint limits leave nothing else.
+2. The joint positions are the inverse kinematics' (closed form, numeric, or the genetic algorithms), taken in the order
+   of least weighted travel (Bao, Liu & Zhao eq. 10); the first whose whole way passes the pre-flight is gone.
+3. A loaded arm sags. At the line's beginning and at the point the goals are moved by what the encoders lack, at most
+   `MOST_OFFSET_RAD` a joint.
+4. A gripper closes evenly until its load says that it holds something (`messages.Grip`), or until it is closed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from armctl.config import ArmConfig, GripperConfig
+from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.genetic.inverse_kinematics import solve as genetic
+from armctl.kinematics import solution
+from armctl.kinematics.chain import forward_kinematics, link_frames
+from armctl.kinematics.inverse import pose_errors, refine_poses
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import Grip, JointTrajectory
+from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, quintic, time_law
+from armctl.trajectory.preflight import peak_rates, preflight_motion
+from armctl.trajectory.target import joints_at_point
+
+Method = Literal["closed", "numeric", "ga", "ga-improved"]
+Along = Literal["above", "tool"]
+
+STRAIGHT_M_S = 0.05
+"""Fastest the tool goes on the straight line."""
+CLOSING_RAD_S = math.radians(20.0)
+SETTLE_S = 0.4
+"""A loaded arm comes to rest in it."""
+MOST_OFFSET_RAD = math.radians(6.0)
+"""Largest correction of a joint: a goal farther from its joint than 8 deg counts as blocked."""
+PLACES = 13
+"""Of the straight line at which the joints are computed; in between they follow a spline."""
+LOOKS = 400
+"""At which the straight line's speeds are computed."""
+STRAIGHT_TOLERANCE_M = 1e-6
+STRAIGHT_TOLERANCE_RAD = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """The straight line to a point."""
+
+    point_m: FloatArray
+    path_rad: FloatArray
+    """Joint positions of the chain [rad], shape (PLACES, n): from off the point to the point."""
+
+
+def plan_grasp(
+    point_m: Sequence[float],
+    q_now: Sequence[float],
+    arm: ArmConfig,
+    robot: Robot,
+    period_s: float,
+    *,
+    method: Method = "closed",
+    seed: int = 0,
+    off_m: float = 0.05,
+    along: Along = "above",
+) -> Grasp:
+    """The way to a point, checked as far as it is known before the arm moves.
+
+    Args:
+        point_m: Tool point in the base frame, shape (3,).
+        q_now: Where the joints are commanded to be [rad], shape (joints,).
+        seed: Of the methods that draw lots.
+        off_m: Length of the straight line.
+        along: Whether it comes down from above or along the tool's axis.
+    Raises:
+        UnreachableTarget: no pose within the limits reaches the point; carries the nearest distance.
+        RequestRefused: the point can be reached, but the way there must not be gone: code PREFLIGHT, every reason
+            against the best solution.
+    """
+    point = np.asarray(point_m, dtype=np.float64)
+    if point[2] < arm.floor_m:
+        raise RequestRefused("PREFLIGHT", f"the point is {point[2]:.3f} m high, below the floor at {arm.floor_m:.3f} m")
+    refused: RequestRefused | None = None
+    for q in _solutions(point, q_now, arm, robot, method, seed):
+        try:
+            path = _straight(q, point, arm, robot, off_m, along)
+            grasp = Grasp(point, path)
+            way = approach(grasp, q_now, arm, robot, period_s)
+            straight(grasp.path_rad, way.positions_rad[-1], arm, robot, period_s)
+        except RequestRefused as reason:
+            refused = refused or reason
+        else:
+            return grasp
+    assert refused is not None
+    raise refused
+
+
+def approach(
+    grasp: Grasp, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float, *, opening: bool = False
+) -> JointTrajectory:
+    """The slow motion to the beginning of the straight line, the gripper opening on the way or staying as it is.
+
+    Raises:
+        RequestRefused: code PREFLIGHT.
+    """
+    there = [*grasp.path_rad[0].tolist(), *q_now[robot.chain.n :]]
+    if opening:
+        index, gripper = gripper_of(arm, robot)
+        there[index] = math.radians(gripper.open_deg)
+    return _settled(approach_trajectory(q_now, there, arm, robot, period_s, "reach"), q_now, arm, robot)
+
+
+def align(
+    q_wanted: FloatArray,
+    q_now: Sequence[float],
+    q_measured: Sequence[float],
+    arm: ArmConfig,
+    robot: Robot,
+    period_s: float,
+) -> JointTrajectory:
+    """The small motion of the goals after which the joints should be where they are wanted (rule 3).
+
+    Args:
+        q_wanted: Joint positions of the chain [rad], shape (n,).
+        q_now, q_measured: Where all joints are told to be, and are [rad], shape (joints,).
+    Raises:
+        RequestRefused: code PREFLIGHT.
+    """
+    n = robot.chain.n
+    low, high = np.array([joint.limits_rad for joint in arm.joints[:n]]).T
+    offset = np.asarray(q_now[:n]) - np.asarray(q_measured[:n])
+    goal = np.clip(q_wanted + np.clip(offset, -MOST_OFFSET_RAD, MOST_OFFSET_RAD), low, high)
+    there = [*goal.tolist(), *q_now[n:]]
+    return _settled(approach_trajectory(q_now, there, arm, robot, period_s, "align"), q_now, arm, robot)
+
+
+def straight(
+    path_rad: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
+) -> JointTrajectory:
+    """The straight line, or the same backwards, with the offset from it that the goals have at its beginning.
+
+    Args:
+        path_rad: Joint positions of the chain [rad] along it, shape (m, n).
+        q_now: Where the joints are told to be [rad], shape (joints,).
+    Raises:
+        RequestRefused: code PREFLIGHT.
+    """
+    n = robot.chain.n
+    tool_m = forward_kinematics(robot.chain, path_rad[[0, -1]])[:, :3, 3]
+    duration_s = QUINTIC_PEAK_SPEED * float(np.linalg.norm(tool_m[1] - tool_m[0])) / STRAIGHT_M_S
+    knots = np.linspace(0.0, 1.0, len(path_rad))
+    low, high = np.array([joint.limits_rad for joint in arm.joints[:n]]).T
+    offset = np.asarray(q_now[:n]) - path_rad[0]
+
+    def rows(count: int) -> FloatArray:
+        place = quintic(np.zeros(1), np.ones(1), np.arange(count + 1) / count)[:, 0]
+        return np.asarray(np.clip(joint_path(path_rad, knots, place, "cubic") + offset, low, high))
+
+    speed, acceleration = peak_rates(rows(LOOKS), duration_s / LOOKS)
+    joints = arm.joints[:n]
+    slower = max(
+        1.0,
+        float((speed / [joint.speed_limit_rad_s for joint in joints]).max()),
+        math.sqrt(float((acceleration / [joint.acceleration_limit_rad_s2 for joint in joints]).max())),
+    )
+    chain = rows(max(1, math.ceil(duration_s * slower / period_s)))
+    others = np.tile(np.asarray(q_now[n:]), (len(chain), 1))
+    positions = np.concatenate((chain, others), axis=1)
+    return _settled(_trajectory(positions, period_s, "straight"), q_now, arm, robot)
+
+
+def closing(q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float) -> JointTrajectory:
+    """The gripper closes until its load says that it holds something.
+
+    Raises:
+        RequestRefused: code NO_GRIPPER or PREFLIGHT.
+    """
+    index, gripper = gripper_of(arm, robot)
+    trajectory = _turning(q_now, index, math.radians(gripper.closed_deg), arm, robot, period_s, "grip")
+    return replace(trajectory, grip=Grip(index, gripper.load_ratio))
+
+
+def opening(q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float) -> JointTrajectory:
+    """The gripper opens.
+
+    Raises:
+        RequestRefused: code NO_GRIPPER or PREFLIGHT.
+    """
+    index, gripper = gripper_of(arm, robot)
+    return _turning(q_now, index, math.radians(gripper.open_deg), arm, robot, period_s, "let go")
+
+
+def gripper_of(arm: ArmConfig, robot: Robot) -> tuple[int, GripperConfig]:
+    """Index and settings of the joint that grips.
+
+    Raises:
+        RequestRefused: code NO_GRIPPER, the arm has none, or it is a joint that moves the tool point.
+    """
+    if arm.gripper is None:
+        others = ", ".join(arm.joint_names[robot.chain.n :]) or "none"
+        raise RequestRefused(
+            "NO_GRIPPER",
+            f"arm {arm.arm_id} has no gripper: its calibration has no key gripper (joints that move no tool point: "
+            f"{others})",
+        )
+    index = arm.joint_names.index(arm.gripper.joint)
+    if index < robot.chain.n:
+        raise RequestRefused("NO_GRIPPER", f"joint {arm.gripper.joint} moves the tool point; it cannot be the gripper")
+    return index, arm.gripper
+
+
+def _solutions(
+    point: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, method: Method, seed: int
+) -> list[FloatArray]:
+    """Joint positions of the chain [rad] within the limits that reach the point, best first; at least one."""
+    n = robot.chain.n
+    bounded = replace(robot, ranges_deg=tuple(joint.limits_deg for joint in arm.joints[:n]))
+    target, present = solution.point_target(point), np.asarray(q_now[:n])
+    if method == "closed" or method == "numeric":
+        answer = solution.solve(bounded, target, method=method, present=present, seed=seed)
+    else:
+        answer = genetic.solve(bounded, target, method=method, present=present, seed=seed)
+    if not answer.reachable:
+        x, y, z = point.tolist()
+        near_m = answer.least_position_error_m
+        raise UnreachableTarget(
+            f"target ({x:.4f}, {y:.4f}, {z:.4f}) m: the tool comes no nearer than {near_m * 1000.0:.1f} mm", near_m
+        )
+    found = [
+        np.array(one.q_rad)
+        for one in answer.solutions
+        if one.within_limits and one.position_error_m <= solution.REACHED_M
+    ]
+    # Where no branch lies within the limits, another member of its family may.
+    return found or [np.array(joints_at_point(point.tolist(), q_now, arm, robot)[:n])]
+
+
+def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, off_m: float, along: Along) -> FloatArray:
+    """Joint positions [rad] on the straight line that ends at q, shape (PLACES, n)."""
+    chain = robot.chain
+    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
+    back = np.array([0.0, 0.0, 1.0]) if along == "above" else -_tool_axis(q, robot)
+    T = np.repeat(forward_kinematics(chain, q)[None], PLACES, axis=0)
+    T[:, :3, 3] = point + np.linspace(0.0, off_m, PLACES)[:, None] * back
+    reached_m = 0.0
+    for turned in (True, False):
+        path = [q]
+        for pose in T[1:]:
+            path.append(refine_poses(chain, pose[None], path[-1][None], limits, turned=turned)[0])
+        away_m, turned_rad = pose_errors(chain, np.array(path), T)
+        off_it = (away_m > STRAIGHT_TOLERANCE_M) | (turned & (turned_rad > STRAIGHT_TOLERANCE_RAD))
+        if not off_it.any():
+            return np.array(path[::-1])
+        reached_m = max(reached_m, off_m * (int(off_it.argmax()) - 1) / (PLACES - 1))
+    raise RequestRefused(
+        "PREFLIGHT",
+        f"within the joint limits the tool can back off from the point by {1000.0 * reached_m:.0f} mm, not by "
+        f"{1000.0 * off_m:.0f}; shorten the straight way, or come another way",
+    )
+
+
+def _tool_axis(q: FloatArray, robot: Robot) -> FloatArray:
+    """Where the tool points: from the last joint that does not stand at the tool point to it; unit vector."""
+    points = link_frames(robot.chain, q)[:, :3, 3]
+    arms = points[-1] - points
+    length = np.linalg.norm(arms, axis=1)
+    last = int(np.flatnonzero(length > 1e-9)[-1])
+    return np.asarray(arms[last] / length[last])
+
+
+def _turning(
+    q_now: Sequence[float], index: int, there_rad: float, arm: ArmConfig, robot: Robot, period_s: float, label: str
+) -> JointTrajectory:
+    """One joint turns evenly, slowly enough for it, the others stay."""
+    way_rad = there_rad - q_now[index]
+    speed_rad_s = min(CLOSING_RAD_S, arm.joints[index].speed_limit_rad_s)
+    rows = max(1, math.ceil(PEAK_SPEED * abs(way_rad) / speed_rad_s / period_s))
+    positions = np.tile(np.asarray(q_now, dtype=np.float64), (rows + 1, 1))
+    positions[:, index] += way_rad * time_law(np.arange(rows + 1) / rows)
+    return _settled(_trajectory(positions, period_s, label), q_now, arm, robot)
+
+
+def _trajectory(positions_rad: FloatArray, period_s: float, label: str) -> JointTrajectory:
+    return JointTrajectory(period_s, tuple(map(tuple, positions_rad.tolist())), label=label)
+
+
+def _settled(trajectory: JointTrajectory, q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> JointTrajectory:
+    """The trajectory with time to come to rest at its end, if it may be run."""
+    rows = trajectory.positions_rad
+    rows += rows[-1:] * math.ceil(SETTLE_S / trajectory.period_s)
+    if reasons := preflight_motion(np.array(rows), trajectory.period_s, arm, robot, start_rad=q_now):
+        raise RequestRefused("PREFLIGHT", reasons)
+    return replace(trajectory, positions_rad=rows)

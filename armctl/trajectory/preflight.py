@@ -1,0 +1,183 @@
+"""What must hold before a motion may run, whoever asks for it: every reason against it at once.
+
+Rules.
+1. A motion is rows of joint positions on a time grid, straight joint lines between them, at rest before and after.
+2. Nothing is clipped or repaired; a reason names the part, the value, the bound and what to do.
+3. Speeds and accelerations are those of the rows; acceleration is the change of speed over 0.1 s, so that a corner is
+   judged as a servo sees it. What touches is looked at every degree of joint motion.
+4. The arm may leave a pose that is forbidden by the thickness of its links alone: capsules are fatter than it is, and
+   where it stands it stands. Links that overlap at the start may only come apart, what lies too low only rise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from armctl.config import ArmConfig, JointConfig
+from armctl.dynamixel.ax12a import TICK_MAX, TICK_RAD
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points
+
+START_TOLERANCE_RAD = math.radians(2.0)
+ACCELERATION_WINDOW_S = 0.1
+ROUNDING = 1.001
+"""Limits held exactly come out of floating point this much above, at most."""
+LOOK_RAD = math.radians(1.0)
+BLOCK_ROWS = 4096
+SAME_M = 1e-6
+
+
+def preflight_motion(
+    positions_rad: FloatArray,
+    period_s: float,
+    arm: ArmConfig,
+    robot: Robot,
+    *,
+    start_rad: Sequence[float] | None = None,
+    duration_s: float | None = None,
+) -> tuple[str, ...]:
+    """Every reason why this motion must not run on this arm; empty: it may.
+
+    Args:
+        positions_rad: Joint positions [rad], one row a period, shape (m, joints), in the calibration file's order.
+        start_rad: Where the arm is commanded to be [rad], shape (joints,); None: the motion begins there.
+        duration_s: The duration its maker can change, for the advice how to slow it down; None: the whole.
+    """
+    q = np.asarray(positions_rad, dtype=np.float64)
+    joints = len(arm.joints)
+    if q.ndim != 2 or q.shape[0] < 2 or q.shape[1] != joints:
+        return (f"the motion has shape {q.shape}; it needs two rows or more of {joints} joint positions",)
+    if not np.isfinite(q).all():
+        row, joint = np.argwhere(~np.isfinite(q))[0]
+        return (f"{arm.joints[joint].name} is sent to {q[row, joint]} in row {row}; every position must be finite",)
+    if not 0.0 < period_s < math.inf:
+        return (f"the motion has a row every {period_s} s; the period must be above 0",)
+    if duration_s is None:
+        duration_s = period_s * (len(q) - 1)
+    tool = tool_position(robot.chain, q[:, : robot.chain.n])
+    return (
+        *_against_start(q[0], start_rad, arm),
+        *_against_joints(q, period_s, arm, duration_s),
+        *_against_tool_speed(tool, period_s, arm, duration_s),
+        *_against_contact(_every_degree(q, period_s, arm), arm, robot),
+    )
+
+
+def peak_rates(q: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray]:
+    """Greatest speed and acceleration of columns sampled every `period_s`, at rest before and after.
+
+    Args:
+        q: Samples, shape (m, n), m >= 2.
+    Returns:
+        Speeds and accelerations over `ACCELERATION_WINDOW_S`, shape (n,), in the samples' unit a second.
+    """
+    window = max(1, round(ACCELERATION_WINDOW_S / period_s))
+    padded = np.concatenate([np.repeat(q[:1], window, axis=0), q, np.repeat(q[-1:], window, axis=0)])
+    bend = padded[2 * window :] - 2.0 * padded[window:-window] + padded[: -2 * window]
+    speed = np.abs(np.diff(q, axis=0)).max(axis=0) / period_s
+    return speed, np.abs(bend).max(axis=0) / (window * period_s) ** 2
+
+
+def peak_tool_speed(tool_m: FloatArray, period_s: float) -> float:
+    """Greatest speed [m/s] of tool points [m] sampled every `period_s`, shape (m, 3), m >= 2."""
+    return float(np.linalg.norm(np.diff(tool_m, axis=0), axis=1).max()) / period_s
+
+
+def _against_start(begin: FloatArray, start_rad: Sequence[float] | None, arm: ArmConfig) -> Iterator[str]:
+    if start_rad is None:
+        return
+    if len(start_rad) != len(arm.joints) or not all(map(math.isfinite, start_rad)):
+        yield f"the arm stands at {list(start_rad)}, not {len(arm.joints)} known joint angles; connect it first"
+        return
+    for joint, here, there in zip(arm.joints, start_rad, begin.tolist(), strict=True):
+        if abs(there - here) > START_TOLERANCE_RAD:
+            yield (
+                f"joint {joint.name}: the motion starts {math.degrees(abs(there - here)):.1f} deg from where the arm "
+                f"is (bound {math.degrees(START_TOLERANCE_RAD):g}); move it there slowly first"
+            )
+
+
+def _against_joints(q: FloatArray, period_s: float, arm: ArmConfig, duration_s: float) -> Iterator[str]:
+    speed, acceleration = np.degrees(peak_rates(q, period_s))
+    for i, joint in enumerate(arm.joints):
+        yield from _against_limits(joint, q[:, i])
+        for value, bound, unit, power in (
+            (float(speed[i]), joint.speed_limit_deg_s, "deg/s", 1.0),
+            (float(acceleration[i]), joint.acceleration_limit_deg_s2, "deg/s2", 0.5),
+        ):
+            if value > bound * ROUNDING:
+                yield (
+                    f"{joint.name} would reach {value:.1f} {unit}, at most {bound:.1f} {unit}; "
+                    f"give it a duration of {duration_s * (value / bound) ** power:.1f} s or more"
+                )
+
+
+def _against_limits(joint: JointConfig, column: FloatArray) -> Iterator[str]:
+    (low_rad, high_rad), slack_rad = joint.limits_rad, TICK_RAD / 2.0
+    lowest_rad, highest_rad = float(column.min()), float(column.max())
+    for position_rad, outside in (
+        (lowest_rad, lowest_rad < low_rad - slack_rad),
+        (highest_rad, highest_rad > high_rad + slack_rad),
+    ):
+        if outside:
+            tick = joint.tick(position_rad)
+            dead = not -0.5 <= tick <= TICK_MAX + 0.5
+            yield (
+                f"{joint.name} {'stands at' if position_rad == column[0] else 'would go to'} "
+                f"{math.degrees(position_rad):.1f} deg, outside its limits {joint.limits_deg[0]:.1f} to "
+                f"{joint.limits_deg[1]:.1f} deg"
+                + (f"; tick {tick:.0f} lies in the servo's dead zone (0 to {TICK_MAX})" if dead else "")
+            )
+
+
+def _against_tool_speed(tool_m: FloatArray, period_s: float, arm: ArmConfig, duration_s: float) -> Iterator[str]:
+    speed_m_s, bound_m_s = peak_tool_speed(tool_m, period_s), arm.tool_speed_limit_m_s
+    if speed_m_s > bound_m_s * ROUNDING:
+        yield (
+            f"the tool would reach {speed_m_s:.3f} m/s, at most {bound_m_s:.3f} m/s; "
+            f"give it a duration of {duration_s * speed_m_s / bound_m_s:.1f} s or more"
+        )
+
+
+def _every_degree(q: FloatArray, period_s: float, arm: ArmConfig) -> FloatArray:
+    """The path of the rows, at least one pose for every `LOOK_RAD` that any joint turns, both ends included."""
+    step = np.abs(np.diff(q, axis=0))
+    # A step beyond its speed limit is refused already: it need not be looked at any closer than a permitted one.
+    step = np.minimum(step, [joint.speed_limit_rad_s * period_s for joint in arm.joints]).max(axis=1)
+    turned = np.concatenate([[0.0], np.cumsum(step)])
+    looks = np.linspace(0.0, turned[-1], math.ceil(turned[-1] / LOOK_RAD) + 1)
+    return np.stack([np.interp(looks, turned, column) for column in q.T], axis=1)
+
+
+def _against_contact(q: FloatArray, arm: ArmConfig, robot: Robot) -> Iterator[str]:
+    n, radius_m = robot.chain.n, arm.link_radius_m
+    begin = link_points(robot.chain, q[0, :n])
+    pairs = judged_pairs(begin, radius_m)
+    gap_m, height_m = link_clearance(begin, pairs, radius_m), floor_clearance(begin, arm.floor_m, radius_m)
+    gap_bound_m = np.minimum(gap_m, 0.0)
+    # The links' thickness is forgiven where the arm stands; their middle, and the tool, stay above the floor.
+    height_bound_m = np.clip(height_m, floor_clearance(np.zeros_like(begin), 0.0, radius_m), 0.0)
+    for row in range(0, len(q), BLOCK_ROWS):
+        points = link_points(robot.chain, q[row : row + BLOCK_ROWS, :n])
+        gap_m = np.minimum(gap_m, link_clearance(points, pairs, radius_m).min(axis=0))
+        height_m = np.minimum(height_m, floor_clearance(points, arm.floor_m, radius_m).min(axis=0))
+    for pair in np.flatnonzero(gap_m < gap_bound_m - SAME_M):
+        first, second = (int(link) for link in pairs[pair])
+        apart_m = float(gap_m[pair]) + 2.0 * radius_m
+        yield (
+            f"link {second + 1} would touch {'the base column' if first == 0 else f'link {first + 1}'}: their middles "
+            f"come within {apart_m:.3f} m, at least {2.0 * radius_m:.3f} m; go by another pose"
+        )
+    too_low_m = height_m - height_bound_m
+    if len(too_low_m) and too_low_m.min() < -SAME_M:
+        worst = int(too_low_m.argmin())
+        part = "the tool" if worst == n - 2 else f"the end of link {worst + 2}"
+        yield (
+            f"{part} would come down to {arm.floor_m + height_m[worst]:.3f} m, below the floor at {arm.floor_m:.3f} m; "
+            "raise the motion, or begin it elsewhere"
+        )

@@ -1,0 +1,208 @@
+"""The cycle of a transfer robot: down to one station, up, across to the other, down, up, and back (Lu & Liu, 3).
+
+Rules.
+1. The paw points straight down, its x axis away from the base or towards it. All lifts are straight and vertical:
+   quintics in the joints through `LIFT_PIECES` + 1 places of inverse kinematics, which pass each place with the
+   velocity and acceleration that the Jacobian gives them there.
+2. Across, all joints go by one quintic from rest to rest.
+3. The paper prints curves and no motion: stations, height and times are whatever is asked for, link lengths the arm's.
+4. Of the poses over the first station the one is taken from which the joints travel least to the other station; every
+   further pose is the nearest to the one before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.errors import RequestRefused
+from armctl.kinematics import solution
+from armctl.kinematics.chain import jacobian
+from armctl.kinematics.differential import jacobian_rate, joint_rates
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import JointTrajectory
+from armctl.trajectory.approach import approach_duration_s
+from armctl.trajectory.interpolate import quintic as from_rest_to_rest
+from armctl.trajectory.plan import DWELL_S, ROUNDING_S, SETTLE_S
+from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.quintic import Quintic, quintic
+
+NOTED = "TRANSFER"
+"""Event under which a log holds the parameters of the cycle that it records."""
+LIFT_PIECES = 4
+JUMP_RAD = math.radians(60.0)
+"""No joint turns so far between two places of a lift unless the arm changes into another pose."""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """The motion's parameters."""
+
+    pick_m: tuple[float, float, float]
+    place_m: tuple[float, float, float]
+    height_m: float = 0.06
+    lift_s: float = 2.0
+    """Of each way down and up."""
+    carry_s: float = 4.0
+    """Of each way across."""
+    dwell_s: float = 0.5
+    """At each station."""
+    cycles: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Quintics one after the other: the cycle as the model has it."""
+
+    pieces: tuple[Quintic, ...]
+
+    @property
+    def duration_s(self) -> float:
+        return sum(piece.duration_s for piece in self.pieces)
+
+    def sample(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position [rad], velocity [rad/s] and acceleration [rad/s^2] of the chain at times [s], each (m, n)."""
+        begins = np.concatenate([[0.0], np.cumsum([piece.duration_s for piece in self.pieces])])
+        which = np.clip(np.searchsorted(begins, time_s, side="right") - 1, 0, len(self.pieces) - 1)
+        curves = np.empty((3, len(time_s), self.pieces[0].coefficients.shape[1]))
+        for index in np.unique(which):
+            at = which == index
+            curves[:, at] = self.pieces[index].sample(time_s[at] - begins[index])
+        return curves[0], curves[1], curves[2]
+
+
+def motion(cycle: Cycle, arm: ArmConfig, robot: Robot) -> Motion:
+    """The whole of the cycle, which begins and ends over the first station.
+
+    Raises:
+        RequestRefused: code UNREACHABLE, a place that the paw cannot take within the limits, with the distance.
+    """
+    rest = np.array([joint.rest_rad for joint in arm.joints[: robot.chain.n]])
+    over = np.array([0.0, 0.0, cycle.height_m])
+    best: tuple[float, list[Quintic], list[Quintic]] | None = None
+    refused: RequestRefused | None = None
+    for start in _paw_down(np.array(cycle.pick_m) + over, rest, arm, robot):
+        try:
+            pick = _lift(np.array(cycle.pick_m), start, cycle, arm, robot)
+            place = _lift(np.array(cycle.place_m), start, cycle, arm, robot)
+        except RequestRefused as reason:
+            refused = refused or reason
+            continue
+        travel = float(np.abs(_begin(place) - _begin(pick)).max())
+        if best is None or travel < best[0] - 1e-9:
+            best = travel, pick, place
+    if best is None:
+        assert refused is not None
+        raise refused
+    _, pick, place = best
+    over_pick, over_place = _begin(pick), _begin(place)
+    once = (
+        *_down_and_up(pick, cycle),
+        quintic(over_pick, over_place, cycle.carry_s),
+        *_down_and_up(place, cycle),
+        quintic(over_place, over_pick, cycle.carry_s),
+    )
+    return Motion(once * cycle.cycles)
+
+
+def transfer_trajectory(
+    cycle: Cycle, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
+) -> JointTrajectory:
+    """Slow approach, dwell, the cycle in [begin_s, end_s], settle; joints beyond the chain stay.
+
+    Raises:
+        RequestRefused: code UNREACHABLE, or PREFLIGHT with every reason.
+    """
+    n, model = robot.chain.n, motion(cycle, arm, robot)
+    q0 = np.asarray(q_now, dtype=np.float64)
+    start = np.concatenate([model.sample(np.zeros(1))[0][0], q0[n:]])
+    approach_s = approach_duration_s(q0, start, arm, robot)
+    begin = math.ceil((approach_s + DWELL_S) / period_s - 1e-9)
+    rows = begin + math.ceil((model.duration_s + SETTLE_S) / period_s - 1e-9)
+    time_s: FloatArray = np.arange(rows + 1) * np.float64(period_s)
+    positions = np.tile(q0, (rows + 1, 1))
+    positions[:, :n] = model.sample(time_s - begin * period_s)[0]
+    near = time_s < approach_s
+    positions[near] = from_rest_to_rest(q0, start, time_s[near] / max(approach_s, 1e-9))
+    if reasons := preflight_motion(positions, period_s, arm, robot, start_rad=q_now):
+        raise RequestRefused("PREFLIGHT", reasons)
+    return JointTrajectory(
+        period_s=period_s,
+        positions_rad=tuple(map(tuple, positions.tolist())),
+        begin_s=begin * period_s - ROUNDING_S,
+        end_s=begin * period_s + model.duration_s - ROUNDING_S,
+        label="transfer",
+    )
+
+
+def _down_and_up(lift: list[Quintic], cycle: Cycle) -> list[Quintic]:
+    """Down, dwell, and up the same way, backwards in time."""
+    bottom = lift[-1].sample(np.array([lift[-1].duration_s]))[0][0]
+    dwell = [quintic(bottom, bottom, cycle.dwell_s)] if cycle.dwell_s else []
+    return [*lift, *dwell, *map(_reversed, lift[::-1])]
+
+
+def _reversed(piece: Quintic) -> Quintic:
+    """The same joints backwards: the coefficients of c(1 - tau)."""
+    powers = [[math.comb(k, j) * (-1.0) ** j for k in range(6)] for j in range(6)]
+    return Quintic(np.array(powers) @ piece.coefficients, piece.duration_s)
+
+
+def _lift(station_m: FloatArray, near: FloatArray, cycle: Cycle, arm: ArmConfig, robot: Robot) -> list[Quintic]:
+    """From over a station, as near to `near` as there is, straight down onto it."""
+    duration_s = cycle.lift_s / LIFT_PIECES
+    top = station_m + np.array([0.0, 0.0, cycle.height_m])
+    ends: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    for tau in np.linspace(0.0, 1.0, LIFT_PIECES + 1).tolist():
+        fallen = tau**3 * (tau * (6.0 * tau - 15.0) + 10.0)
+        speed = 30.0 * tau**2 * (1.0 - tau) ** 2 / cycle.lift_s
+        change = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / cycle.lift_s**2
+        place = top + fallen * (station_m - top)
+        there = _paw_down(place, near, arm, robot)[0]
+        if tau > 0.0 and np.abs(there - near).max() > JUMP_RAD:
+            x, y, z = place.tolist()
+            raise RequestRefused(
+                "UNREACHABLE",
+                f"on its way down the arm would have to change its pose at ({x:.3f}, {y:.3f}, {z:.3f}) m: move the "
+                "station, or lower the height",
+            )
+        near = there
+        down = np.array([0.0, 0.0, -cycle.height_m, 0.0, 0.0, 0.0])
+        J = jacobian(robot.chain, near)
+        q_rate = joint_rates(J, speed * down)
+        q_rate2 = joint_rates(J, change * down - jacobian_rate(robot.chain, near, q_rate) @ q_rate)
+        ends.append((near, q_rate, q_rate2))
+    return [quintic(q0, q1, duration_s, v0=v0, v1=v1, a0=a0, a1=a1) for (q0, v0, a0), (q1, v1, a1) in pairwise(ends)]
+
+
+def _begin(lift: list[Quintic]) -> FloatArray:
+    return np.asarray(lift[0].coefficients[0])
+
+
+def _paw_down(point: FloatArray, near: FloatArray, arm: ArmConfig, robot: Robot) -> list[FloatArray]:
+    """Joint positions [rad] within the limits that put the paw there, pointing down; those nearest to `near` first.
+
+    Raises:
+        RequestRefused: code UNREACHABLE, there are none.
+    """
+    x, y, z = point.tolist()
+    away = max(math.hypot(x, y), 1e-9)
+    limits = np.array([joint.limits_rad for joint in arm.joints[: robot.chain.n]])
+    found: list[FloatArray] = []
+    for c, s in ((x / away, y / away), (-x / away, -y / away)):
+        T = np.array([[c, s, 0.0, x], [s, -c, 0.0, y], [0.0, 0.0, -1.0, z], [0.0, 0.0, 0.0, 1.0]])
+        answer = solution.solve(robot, solution.pose_target(T), present=near, limits=limits)
+        found += [np.array(one.q_rad) for one in answer.solutions if answer.reachable and one.within_limits]
+    if not found:
+        near_m = answer.least_position_error_m
+        why = "only outside the joint limits" if answer.reachable else f"the nearest place is {1e3 * near_m:.1f} mm off"
+        raise RequestRefused(
+            "UNREACHABLE", f"the paw cannot point down at ({x:.3f}, {y:.3f}, {z:.3f}) m: {why}; move the station"
+        )
+    return sorted(found, key=lambda q: float(solution.weighted_travel(q, near, limits)))

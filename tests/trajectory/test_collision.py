@@ -1,0 +1,131 @@
+"""Distances of segments and capsules against dense sampling, symmetry and MuJoCo."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.config import load_arm
+from armctl.kinematics import robots
+from armctl.kinematics.chain import DHRow, SerialChain
+from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points, segment_distance
+
+ARM = load_arm("ax12-line")
+CHAIN = robots.get(ARM.robot, ARM.lengths_m).chain
+RADIUS_M = ARM.link_radius_m
+REST = np.array([joint.rest_rad for joint in ARM.joints[: CHAIN.n]])
+NUMBERS = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
+POINTS = st.tuples(NUMBERS, NUMBERS, NUMBERS).map(np.array)
+
+
+@given(POINTS, POINTS, POINTS, POINTS)
+@settings(deadline=None, max_examples=200)
+def test_no_sampled_distance_is_less_and_the_least_of_them_is_near(
+    a0: FloatArray, a1: FloatArray, b0: FloatArray, b1: FloatArray
+) -> None:
+    distance = float(segment_distance(a0, a1, b0, b1))
+    share = np.linspace(0.0, 1.0, 201)[:, None]
+    a, b = a0 + share * (a1 - a0), b0 + share * (b1 - b0)
+    sampled = float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
+    spacing = (np.linalg.norm(a1 - a0) + np.linalg.norm(b1 - b0)) / 200.0
+    assert distance <= sampled + 1e-12
+    assert sampled <= distance + spacing
+
+
+@given(POINTS, POINTS, POINTS, POINTS)
+@settings(deadline=None)
+def test_neither_order_nor_direction_matters(a0: FloatArray, a1: FloatArray, b0: FloatArray, b1: FloatArray) -> None:
+    distance = segment_distance(a0, a1, b0, b1)
+    for other in ((a1, a0, b0, b1), (a0, a1, b1, b0), (b0, b1, a0, a1)):
+        assert segment_distance(*other) == pytest.approx(distance, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("ends", "distance"),
+    [
+        (((0, 0, 0), (1, 0, 0), (0.5, -1, 0.2), (0.5, 1, 0.2)), 0.2),
+        (((0, 0, 0), (1, 0, 0), (0, 0.3, 0), (1, 0.3, 0)), 0.3),
+        (((0, 0, 0), (1, 0, 0), (1.3, 0.4, 0), (2, 0.4, 0)), 0.5),
+        (((0, 0, 0), (1, 0, 0), (1, 0, 0), (1, 1, 0)), 0.0),
+        (((0, 0, 0), (1, 0, 0), (0.2, 0, 0), (0.7, 0, 0)), 0.0),
+        (((0, 0, 0), (0, 0, 0), (0, 3, 4), (0, 3, 4)), 5.0),
+        (((0, 0, 0), (0, 0, 0), (-1, 2, 0), (1, 2, 0)), 2.0),
+    ],
+)
+def test_crossed_parallel_touching_and_pointlike_segments(ends: tuple[tuple[float, ...], ...], distance: float) -> None:
+    assert segment_distance(*np.array(ends, dtype=np.float64)) == pytest.approx(distance, abs=1e-12)
+
+
+def test_mujoco_finds_the_same_gaps_between_the_links_of_random_poses() -> None:
+    rng = np.random.default_rng(4)
+    low, high = np.array([joint.limits_rad for joint in ARM.joints[: CHAIN.n]]).T
+    points = link_points(CHAIN, rng.uniform(low, high, (200, CHAIN.n)))
+    pairs = judged_pairs(points[0], RADIUS_M)
+    ours = link_clearance(points, pairs, RADIUS_M)
+    lengths = np.linalg.norm(np.diff(points[0], axis=0), axis=1)
+    geoms = "".join(f'<geom type="capsule" size="{RADIUS_M} {length / 2.0}"/>' for length in lengths)
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    seen = 0
+    for pose, gaps in zip(points, ours, strict=True):
+        data.geom_xpos[:] = (pose[1:] + pose[:-1]) / 2.0
+        for link, axis in enumerate(np.diff(pose, axis=0) / lengths[:, None]):
+            data.geom_xmat[link] = frame_along(axis).ravel()
+        for (first, second), gap in zip(pairs, gaps, strict=True):
+            theirs = mujoco.mj_geomDistance(model, data, int(first), int(second), 10.0, None)
+            if gap > 0.0:  # of overlapping bodies MuJoCo tells the depth, which is another question
+                assert theirs == pytest.approx(gap, abs=1e-5)
+                seen += 1
+            else:
+                assert theirs < 1e-5
+    assert 500 < seen < ours.size
+
+
+def frame_along(z: FloatArray) -> FloatArray:
+    """A rotation whose third column is the unit vector z."""
+    helper = np.eye(3)[int(np.abs(z).argmin())]
+    x = np.cross(helper, z) / np.linalg.norm(np.cross(helper, z))
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def test_every_pair_but_neighbours_is_judged_on_the_shipped_arm() -> None:
+    pairs = judged_pairs(link_points(CHAIN, np.zeros(CHAIN.n)), RADIUS_M)
+    assert [tuple(pair) for pair in pairs] == [(0, 2), (0, 3), (0, 4), (1, 3), (1, 4), (2, 4)]
+
+
+def test_links_that_nothing_can_hold_apart_are_not_judged() -> None:
+    wrist = SerialChain((DHRow(a=0.2), DHRow(alpha=math.pi / 2.0), DHRow(a=0.04), DHRow(a=0.2)))
+    points = link_points(wrist, np.zeros(4))
+    assert judged_pairs(points, 0.025).tolist() == []
+    assert judged_pairs(points, 0.015).tolist() == [[0, 3], [1, 3]]
+    assert link_clearance(points, judged_pairs(points, 0.025), 0.025).shape == (0,)
+
+
+def test_the_rest_pose_is_free_and_a_fold_onto_the_base_column_is_not() -> None:
+    rest, folded = REST, np.radians([0.0, 100.0, -145.0, -110.0, 0.0])
+    pairs = judged_pairs(link_points(CHAIN, rest), RADIUS_M)
+    assert link_clearance(link_points(CHAIN, rest), pairs, RADIUS_M).min() > 0.01
+    assert link_clearance(link_points(CHAIN, folded), pairs, RADIUS_M).min() < 0.0
+
+
+@given(st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints[: CHAIN.n])), st.floats(-3.0, 3.0))
+@settings(deadline=None)
+def test_turning_the_base_changes_no_gap_and_no_height(pose: tuple[float, ...], base_rad: float) -> None:
+    here = link_points(CHAIN, np.array(pose))
+    turned = link_points(CHAIN, np.array([base_rad, *pose[1:]]))
+    pairs = judged_pairs(here, RADIUS_M)
+    np.testing.assert_allclose(
+        link_clearance(turned, pairs, RADIUS_M), link_clearance(here, pairs, RADIUS_M), atol=1e-9
+    )
+    np.testing.assert_allclose(floor_clearance(turned, 0.0, RADIUS_M), floor_clearance(here, 0.0, RADIUS_M), atol=1e-9)
+
+
+def test_links_are_thick_above_the_floor_and_the_tool_is_a_point() -> None:
+    stretched = link_points(CHAIN, np.zeros((1, CHAIN.n)))
+    np.testing.assert_allclose(floor_clearance(stretched, 0.02, RADIUS_M), [[0.055, 0.055, 0.055, 0.08]], atol=1e-12)

@@ -1,0 +1,140 @@
+"""The way to a point: straight, within limits, by every inverse kinematics; and what the gripper is told."""
+
+from __future__ import annotations
+
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
+
+from armctl.config import ArmConfig, load_arm
+from armctl.dynamixel import ax12a
+from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.trajectory import grasp
+from armctl.trajectory.grasp import Method
+from armctl.trajectory.preflight import peak_rates, peak_tool_speed
+
+POINT = (0.20, 0.05, 0.06)
+PERIOD_S = 0.1
+
+
+def arm_and_robot(name: str = "xiang-6dof") -> tuple[ArmConfig, Robot, list[float]]:
+    arm = load_arm(name)
+    return arm, robots.get(arm.robot, arm.lengths_m), [joint.rest_rad for joint in arm.joints]
+
+
+@settings(deadline=None, max_examples=20)
+@given(
+    st.sampled_from(["xiang-6dof", "ax12-line"]),
+    st.tuples(st.floats(0.12, 0.26), st.floats(-0.15, 0.15), st.floats(0.05, 0.2)),
+)
+def test_the_tool_comes_down_a_straight_line_without_turning(name: str, point: tuple[float, float, float]) -> None:
+    arm, robot, q_now = arm_and_robot(name)
+    try:
+        planned = grasp.plan_grasp(point, q_now, arm, robot, PERIOD_S, off_m=0.04)
+    except RequestRefused:
+        reject()
+    there = grasp.approach(planned, q_now, arm, robot, PERIOD_S).positions_rad[-1]
+    down = np.array(grasp.straight(planned.path_rad, there, arm, robot, PERIOD_S).positions_rad)
+    T = forward_kinematics(robot.chain, down[:, : robot.chain.n])
+    assert T[-1, :3, 3] == pytest.approx(point, abs=1e-6)
+    assert T[0, :3, 3] == pytest.approx(np.add(point, (0.0, 0.0, 0.04)), abs=1e-5)
+    assert np.abs(T[:, :2, 3] - np.array(point[:2])).max() < 2e-4
+    assert np.abs(T[:, :3, :3] - T[-1, :3, :3]).max() < 2e-3
+    assert (np.diff(T[:, 2, 3]) < 1e-9).all()
+    assert peak_tool_speed(T[:, :3, 3], PERIOD_S) <= grasp.STRAIGHT_M_S * 1.001
+    low, high = np.array([joint.limits_rad for joint in arm.joints]).T
+    assert ((down >= low - 1e-9) & (down <= high + 1e-9)).all()
+
+
+def test_along_the_tool_s_axis_it_comes_from_where_the_tool_points_away_from() -> None:
+    arm, robot, q_now = arm_and_robot()
+    planned = grasp.plan_grasp(POINT, q_now, arm, robot, PERIOD_S, off_m=0.03, along="tool")
+    T = forward_kinematics(robot.chain, planned.path_rad)
+    assert T[0, :3, 3] == pytest.approx(T[-1, :3, 3] - 0.03 * T[-1, :3, 2], abs=1e-6)  # the hand is link 5, along z
+
+
+@pytest.mark.parametrize("method", get_args(Method))
+def test_every_method_reaches_the_same_point(method: Method) -> None:
+    arm, robot, q_now = arm_and_robot()
+    planned = grasp.plan_grasp(POINT, q_now, arm, robot, PERIOD_S, method=method, seed=3)
+    assert tool_position(robot.chain, planned.path_rad[-1]) == pytest.approx(POINT, abs=1e-6)
+
+
+@pytest.mark.parametrize(("x", "away_m"), [(0.60, 0.184), (1.0, 0.584)])
+def test_a_point_out_of_reach_is_told_with_its_exact_distance(x: float, away_m: float) -> None:
+    arm, robot, q_now = arm_and_robot()  # 0.123 + 0.138 + 0.155 m from a shoulder 0.101 m high
+    with pytest.raises(UnreachableTarget) as caught:
+        grasp.plan_grasp((x, 0.0, 0.101), q_now, arm, robot, PERIOD_S)
+    assert caught.value.least_error_m == pytest.approx(away_m, abs=1e-9)
+
+
+def test_a_point_below_the_floor_is_refused_before_anything_moves() -> None:
+    arm, robot, q_now = arm_and_robot()
+    with pytest.raises(RequestRefused, match="below the floor") as caught:
+        grasp.plan_grasp((0.2, 0.0, -0.02), q_now, arm, robot, PERIOD_S)
+    assert caught.value.code == "PREFLIGHT"
+
+
+def test_a_straight_way_that_leaves_the_reach_is_refused_with_what_is_left() -> None:
+    arm, robot, q_now = arm_and_robot()
+    with pytest.raises(RequestRefused, match="can back off from the point by") as caught:
+        grasp.plan_grasp((0.0, 0.1, 0.46), q_now, arm, robot, PERIOD_S, off_m=0.3)
+    assert caught.value.code == "PREFLIGHT"
+
+
+def test_goals_move_by_what_the_encoders_lack_and_no_farther_than_a_blocked_joint_may_be() -> None:
+    arm, robot, q_now = arm_and_robot()
+    path = grasp.plan_grasp(POINT, q_now, arm, robot, PERIOD_S).path_rad
+    told = [*path[0].tolist(), q_now[5]]
+    sagging = np.array(told) - math.radians(1.5)
+    goal = grasp.align(path[0], told, sagging.tolist(), arm, robot, PERIOD_S).positions_rad[-1]
+    assert np.subtract(goal[:5], path[0]) == pytest.approx(math.radians(1.5))
+    assert goal[5] == told[5]
+    far = np.array(told) - math.radians(20.0)
+    goal = grasp.align(path[0], told, far.tolist(), arm, robot, PERIOD_S).positions_rad[-1]
+    assert np.subtract(goal[:5], path[0]) == pytest.approx(grasp.MOST_OFFSET_RAD)
+
+
+def test_a_gripper_closes_evenly_while_the_arm_stays() -> None:
+    arm, robot, q_now = arm_and_robot()
+    closing = grasp.closing(q_now, arm, robot, PERIOD_S)
+    rows = np.array(closing.positions_rad)
+    assert closing.grip is not None
+    assert (closing.grip.joint, closing.grip.load_ratio) == (5, 0.3)
+    assert rows[-1, 5] == pytest.approx(math.radians(90.0))
+    assert (rows[:, :5] == np.array(q_now)[:5]).all()
+    assert peak_rates(rows, PERIOD_S)[0][5] <= grasp.CLOSING_RAD_S * 1.001
+    opened = grasp.opening(rows[-1].tolist(), arm, robot, PERIOD_S)
+    assert opened.grip is None
+    assert opened.positions_rad[-1] == pytest.approx(q_now)
+
+
+def test_an_arm_without_a_gripper_says_which_joints_it_has_instead() -> None:
+    arm, robot, q_now = arm_and_robot("ax12-line")
+    with pytest.raises(RequestRefused, match=r"no gripper.*roll") as caught:
+        grasp.closing(q_now, arm, robot, PERIOD_S)
+    assert caught.value.code == "NO_GRIPPER"
+
+
+def test_a_joint_that_moves_the_tool_is_no_gripper() -> None:
+    arm, robot, q_now = arm_and_robot()
+    assert arm.gripper is not None
+    wrong = arm.model_copy(update={"gripper": arm.gripper.model_copy(update={"joint": "elbow"})})
+    with pytest.raises(RequestRefused, match="elbow moves the tool point"):
+        grasp.closing(q_now, wrong, robot, PERIOD_S)
+
+
+def test_a_gripper_never_pushes_so_far_that_it_counts_as_blocked() -> None:
+    arm, _, _ = arm_and_robot()
+    assert arm.gripper is not None
+    slope_tick = arm.joints[5].compliance.slope
+    behind_rad = (1 + arm.gripper.load_ratio * slope_tick) * ax12a.TICK_RAD
+    step_rad = grasp.CLOSING_RAD_S * PERIOD_S  # of the one goal that was under way when the load came
+    assert behind_rad + step_rad < math.radians(8.0)

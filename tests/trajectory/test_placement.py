@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.kinematics.chain import tool_position
+from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
+from armctl.trajectory.placement import place
+from armctl.trajectory.straightness import distance_to_line, mean_error
+from armctl.trajectory.via_points import predict_tool_path
+from tests.genetic import hand
+
+CHAIN = hand.robot().chain
+LINE = hand.joint_line()
+LIMITS = np.array([joint.limits_rad for joint in hand.arm().joints])[: CHAIN.n]
+
+
+def on_line(via: int) -> tuple[np.ndarray, np.ndarray]:
+    kept = np.linspace(0, 64, via + 2).round().astype(int)
+    return LINE[kept], kept / 64.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "via", "share"),
+    [("linear", 1, 0.6), ("linear", 2, 0.6), ("linear", 8, 0.6), ("cubic", 1, 0.8), ("cubic", 2, 0.6)],
+)
+def test_via_points_off_the_line_make_a_straighter_motion_than_points_on_it(
+    kind: Interpolation, via: int, share: float
+) -> None:
+    waypoints, knots = on_line(via)
+    before = float(mean_error(predict_tool_path(CHAIN, waypoints, knots, kind), hand.A, hand.B))
+    placed = place(CHAIN, waypoints, knots, kind, hand.A, hand.B, LIMITS)
+    after = float(mean_error(predict_tool_path(CHAIN, placed.waypoints, placed.knots, kind), hand.A, hand.B))
+    assert after < share * before
+
+
+def test_what_is_predicted_is_what_the_interpolated_motion_does() -> None:
+    waypoints, knots = on_line(2)
+    placed = place(CHAIN, waypoints, knots, "cubic", hand.A, hand.B, LIMITS)
+    q = joint_path(placed.waypoints, placed.knots, time_law(np.linspace(0.0, 1.0, 201)), "cubic")
+    np.testing.assert_allclose(distance_to_line(tool_position(CHAIN, q), hand.A, hand.B), placed.distance_m, atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=10)
+def test_a_smooth_lag_is_made_up_for(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = 51
+    s = time_law(np.linspace(0.0, 1.0, m))
+    lag = 0.03 * (rng.standard_normal(5) + rng.standard_normal(5) * s[:, None])
+    waypoints, knots = joint_path(LINE, np.linspace(0.0, 1.0, 65), s, "linear"), s.copy()
+    knots[0], knots[-1] = 0.0, 1.0
+    placed = place(CHAIN, waypoints, knots, "linear", hand.A, hand.B, LIMITS, lag, move_knots=False)
+    assert distance_to_line(tool_position(CHAIN, placed.waypoints - lag), hand.A, hand.B).max() < 2e-4
+    assert distance_to_line(tool_position(CHAIN, waypoints - lag), hand.A, hand.B).max() > 1e-3
+
+
+def test_the_maximum_as_objective_trades_mean_for_maximum() -> None:
+    waypoints, knots = on_line(1)
+    mean, worst = (
+        place(CHAIN, waypoints, knots, "linear", hand.A, hand.B, LIMITS, objective=objective).distance_m
+        for objective in ("mean", "max")
+    )
+    assert worst.max() < mean.max()
+    assert mean.mean() < worst.mean()
+
+
+def test_a_joint_that_is_held_out_keeps_its_waypoints() -> None:
+    waypoints, knots = on_line(2)
+    held = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+    placed = place(CHAIN, waypoints, knots, "cubic", hand.A, hand.B, LIMITS, held=held)
+    np.testing.assert_array_equal(placed.waypoints[:, 2], waypoints[:, 2])
+    assert np.abs(placed.waypoints - waypoints).max() > 1e-4
+
+
+def test_a_tool_seen_beside_its_encoders_place_is_brought_back() -> None:
+    waypoints, knots = on_line(8)
+    offset = np.tile([0.0, 0.0, 0.004], (101, 1))
+    lag = np.zeros((101, 5))
+    placed = place(CHAIN, waypoints, knots, "cubic", hand.A, hand.B, LIMITS, lag, offset_m=offset)
+    tool = predict_tool_path(CHAIN, placed.waypoints, placed.knots, "cubic")
+    assert float(mean_error(tool + offset[0], hand.A, hand.B)) < 2e-4
+
+
+def test_waypoints_stay_within_limits_and_in_order() -> None:
+    waypoints, knots = on_line(3)
+    tight = np.stack([waypoints.min(axis=0) - 0.01, waypoints.max(axis=0) + 0.01], axis=1)
+    placed = place(CHAIN, waypoints, knots, "linear", hand.A, hand.B, tight)
+    assert (placed.waypoints >= tight[:, 0]).all()
+    assert (placed.waypoints <= tight[:, 1]).all()
+    assert (np.diff(placed.knots) > 0.0).all()
+    assert placed.knots[0] == 0.0
+    assert placed.knots[-1] == 1.0

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.polynomial import polynomial
+
+from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.trajectory.smoothing import local_cubics
+
+COEFFICIENTS = st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4)
+
+
+@settings(deadline=None)
+@given(COEFFICIENTS, st.integers(0, 2**32 - 1))
+def test_a_cubic_passes_unchanged_whenever_it_is_sampled(coefficients: list[float], seed: int) -> None:
+    time_s = np.sort(np.arange(40) * 0.1 + np.random.default_rng(seed).uniform(0.0, 0.05, 40))
+    at_s = np.linspace(0.5, 3.5, 7)
+    values = np.asarray(polynomial.polyval(time_s, coefficients), dtype=np.float64)[:, None]
+    found = local_cubics(time_s, values, at_s, 0.55)
+    for order, curve in enumerate(found):
+        wanted = polynomial.polyval(at_s, polynomial.polyder(coefficients, order))
+        assert curve[:, 0] == pytest.approx(wanted, abs=1e-8)
+
+
+def test_whole_ticks_give_a_far_smoother_acceleration_than_their_differences_do() -> None:
+    time_s = np.linspace(0.0, 9.9, 100)
+    true = np.cos(time_s)
+    ticks = np.round(true / TICK_RAD) * TICK_RAD
+    smooth = local_cubics(time_s, ticks[:, None], time_s[10:-10], 0.55)[2][:, 0]
+    differences = np.diff(ticks, 2)[9:-9] / 0.01
+    true_rad_s2 = -np.cos(time_s[10:-10])
+    rms = [float(np.sqrt(((curve - true_rad_s2) ** 2).mean())) for curve in (smooth, differences)]
+    assert rms[0] < 0.06
+    assert rms[0] < rms[1] / 4.0
+
+
+def test_too_few_samples_are_told() -> None:
+    with pytest.raises(ValueError, match="4 samples within"):
+        local_cubics(np.linspace(0.0, 0.3, 4), np.zeros((4, 1)), np.array([0.15]), 0.55)

@@ -1,0 +1,96 @@
+"""The transfer robot's cycle: through its stations, straight down, smooth, and as its parameters say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
+
+from armctl.config import load_arm
+from armctl.errors import RequestRefused
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.trajectory.transfer import Cycle, motion, transfer_trajectory
+
+ARM = load_arm("transfer-6dof")
+ROBOT = robots.get(ARM.robot, ARM.lengths_m)
+REST = [joint.rest_rad for joint in ARM.joints]
+CYCLE = Cycle((0.176, -0.132, -0.15), (0.176, 0.132, -0.15))
+
+
+def test_the_paw_is_at_both_stations_when_it_should_be_and_points_down_there() -> None:
+    model = motion(CYCLE, ARM, ROBOT)
+    assert model.duration_s == pytest.approx(4 * CYCLE.lift_s + 2 * CYCLE.carry_s + 2 * CYCLE.dwell_s)
+    place_s = 3 * CYCLE.lift_s + CYCLE.dwell_s + CYCLE.carry_s
+    at_s = np.array([0.0, CYCLE.lift_s, CYCLE.lift_s + CYCLE.dwell_s, place_s, model.duration_s])
+    T = forward_kinematics(ROBOT.chain, model.sample(at_s)[0])
+    over = np.add(CYCLE.pick_m, (0.0, 0.0, CYCLE.height_m))
+    for pose, point in zip(T, (over, CYCLE.pick_m, CYCLE.pick_m, CYCLE.place_m, over), strict=True):
+        assert pose[:3, 3] == pytest.approx(point, abs=1e-9)
+        assert pose[:3, 2] == pytest.approx((0.0, 0.0, -1.0), abs=1e-9)
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.floats(0.18, 0.22), st.floats(-0.18, -0.02), st.floats(0.02, 0.06), st.floats(1.0, 3.0))
+def test_lifts_are_straight_and_the_motion_has_no_jump_in_acceleration(
+    reach_m: float, z: float, height_m: float, lift_s: float
+) -> None:
+    cycle = Cycle((0.8 * reach_m, -0.6 * reach_m, z), (0.8 * reach_m, 0.6 * reach_m, z), height_m, lift_s)
+    try:
+        model = motion(cycle, ARM, ROBOT)
+    except RequestRefused:
+        reject()
+    down = tool_position(ROBOT.chain, model.sample(np.linspace(0.0, lift_s, 101))[0])
+    assert np.abs(down[:, :2] - np.array(cycle.pick_m[:2])).max() < 5e-4
+    for piece, following in zip(model.pieces[:-1], model.pieces[1:], strict=True):
+        end = [curve[0] for curve in piece.sample(np.array([piece.duration_s]))]
+        begin = [curve[0] for curve in following.sample(np.zeros(1))]
+        for order in range(3):
+            assert end[order] == pytest.approx(begin[order], abs=1e-7)
+
+
+def test_velocity_and_acceleration_are_the_derivatives_of_position() -> None:
+    model = motion(CYCLE, ARM, ROBOT)
+    time_s = np.linspace(0.1, model.duration_s - 0.1, 400)
+    h = 1e-5
+    before, now, after = (model.sample(time_s + shift) for shift in (-h, 0.0, h))
+    assert np.abs((after[0] - before[0]) / (2 * h) - now[1]).max() < 1e-6
+    assert np.abs((after[1] - before[1]) / (2 * h) - now[2]).max() < 1e-4
+
+
+def test_what_is_commanded_is_the_model_at_the_ticks() -> None:
+    trajectory = transfer_trajectory(replace(CYCLE, cycles=2), REST, ARM, ROBOT, 0.1)
+    model = motion(replace(CYCLE, cycles=2), ARM, ROBOT)
+    rows = np.array(trajectory.positions_rad)
+    assert rows[0] == pytest.approx(REST)
+    begin = round(trajectory.begin_s / 0.1)
+    time_s = np.linspace(0.0, 0.1 * (len(rows) - 1 - begin), len(rows) - begin)
+    assert rows[begin:] == pytest.approx(model.sample(time_s)[0])
+    assert trajectory.end_s - trajectory.begin_s == pytest.approx(model.duration_s)
+
+
+def test_other_lengths_give_another_motion_to_the_same_places() -> None:
+    longer = replace(ROBOT, lengths_m={**ROBOT.lengths_m, "a2": 0.19})
+    for robot in (ROBOT, longer):
+        bottom = motion(CYCLE, ARM, robot).sample(np.array([CYCLE.lift_s]))[0]
+        assert tool_position(robot.chain, bottom)[0] == pytest.approx(CYCLE.pick_m, abs=1e-9)
+    turned = [motion(CYCLE, ARM, robot).sample(np.array([CYCLE.lift_s]))[0] for robot in (ROBOT, longer)]
+    assert np.abs(turned[0] - turned[1]).max() > math.radians(2.0)
+
+
+def test_a_station_out_of_reach_is_refused_with_the_distance() -> None:
+    far = replace(CYCLE, place_m=(0.5, 0.0, 0.0))
+    with pytest.raises(RequestRefused, match=r"cannot point down at .* mm off") as caught:
+        motion(far, ARM, ROBOT)
+    assert caught.value.code == "UNREACHABLE"
+
+
+def test_a_cycle_that_is_too_fast_is_refused_with_every_reason() -> None:
+    with pytest.raises(RequestRefused, match="deg/s") as caught:
+        transfer_trajectory(replace(CYCLE, carry_s=0.5), REST, ARM, ROBOT, 0.1)
+    assert caught.value.code == "PREFLIGHT"
+    assert any("the tool would reach" in reason for reason in caught.value.reasons)
