@@ -10,19 +10,22 @@ adapter's 62-byte packets.
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import bisect_right
+from collections.abc import Sequence
 from itertools import zip_longest
 
 import numpy as np
 
 from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.packet import BITS_PER_BYTE, BadChecksum, Decoder, Packet, encode_status
+from armctl.dynamixel.packet import BITS_PER_BYTE, BROADCAST_ID, BadChecksum, Decoder, Packet, encode_status
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Faults
 from armctl.sim.servo import SimulatedServo
 
 BYTE_GAP_NS = 100_000_000
+PAUSE_NS = 200_000
+"""Bytes farther apart than this reach the host one after another; a byte at 57,600 baud takes 174 us."""
 BAUD_TOLERANCE = 0.03
 
 
@@ -48,6 +51,7 @@ class SimulatedBus:
         if baud <= 0 or latency_ms < 0.0:
             raise ValueError(f"baud {baud} must be above 0, latency_ms {latency_ms} at least 0")
         self.arm = arm
+        self._servo_ids = arm.config.servo_ids
         if faults is not None:
             arm.faults = faults
         self.baud = baud
@@ -59,8 +63,10 @@ class SimulatedBus:
         """When the servos had the last byte of the host."""
         self._quiet_ns = 0
         """When the last reply leaves the wire."""
-        self._replies: deque[tuple[int, int]] = deque()
-        """Arrival at the host [ns] and value of each byte under way."""
+        self._replies = bytearray()
+        """The bytes under way to the host."""
+        self._arrivals_ns: list[int] = []
+        """When each of them gets there."""
         self._strangers: dict[int, SimulatedServo] = {}
         """The second servos with an id that is taken, by the number of their fault."""
 
@@ -94,33 +100,53 @@ class SimulatedBus:
         if self.faults:
             self.arm.advance(now_ns)
             echo = self.faults.in_force("echo") is not None
-        for i in range(len(data)):
-            time_ns += byte_ns
+        at = 0
+        while at < len(data):
+            piece = data[at : at + self._decoder.wanted]
+            at += len(piece)
             if echo:
-                self._hand_on(data[i], time_ns)
-            for packet in self._decoder.feed(data[i : i + 1]):
+                self._hand_on(piece, time_ns, byte_ns)
+            time_ns += len(piece) * byte_ns
+            for packet in self._decoder.feed(piece):
                 self._dispatch(packet, time_ns, byte_ns)
         self._last_byte_ns = time_ns
 
     def next_transmit_ns(self) -> int | None:
         """When the next reply byte arrives at the host; None: nothing is under way."""
-        return self._replies[0][0] if self._replies else None
+        return self.arrival_ns(1)
+
+    def burst_end_ns(self) -> int | None:
+        """When the last of the reply bytes arrives that follow one another without a pause; None: there are none."""
+        arrivals_ns = self._arrivals_ns
+        end_ns = arrivals_ns[0] if arrivals_ns else None
+        for at_ns in arrivals_ns:
+            if end_ns is None or at_ns - end_ns > PAUSE_NS:
+                break
+            end_ns = at_ns
+        return end_ns
+
+    def arrival_ns(self, count: int) -> int | None:
+        """When so many reply bytes will have arrived at the host; None: fewer are under way."""
+        return self._arrivals_ns[count - 1] if count <= len(self._arrivals_ns) else None
 
     def transmit(self, now_ns: int) -> bytes:
         """Reply bytes that have arrived at the host by `now_ns`, each handed out once."""
-        arrived = bytearray()
-        while self._replies and self._replies[0][0] <= now_ns:
-            arrived.append(self._replies.popleft()[1])
-        return bytes(arrived)
+        count = bisect_right(self._arrivals_ns, now_ns)
+        arrived = bytes(self._replies[:count])
+        del self._replies[:count], self._arrivals_ns[:count]
+        return arrived
 
     def _dispatch(self, packet: Packet | BadChecksum, time_ns: int, byte_ns: int) -> None:
-        self.arm.advance(time_ns)
-        faults = self.faults
+        faults, to = self.faults, packet.servo_id
+        servos, everyone = self.arm.servos, bool(faults) or to == BROADCAST_ID
+        hearers = [i for i, servo in enumerate(servos) if everyone or servo.servo_id == to]
+        self.arm.advance(time_ns, hearers[0] if len(hearers) == 1 else None)
         if faults and faults.in_force("dead_bus"):
             return
         statuses: list[bytes] = []
         delay_ns = late_ns = 0
-        for servo_id, servo in zip(self.arm.config.servo_ids, self.arm.servos, strict=True):
+        for i in hearers:
+            servo_id, servo = self._servo_ids[i], servos[i]
             if servo.booting or abs(servo.baud / self.baud - 1.0) > BAUD_TOLERANCE:
                 continue
             if faults and faults.in_force("mute", servo_id):
@@ -142,13 +168,10 @@ class SimulatedBus:
         if not statuses:
             return
         self._quiet_ns = max(time_ns + delay_ns, self._quiet_ns)
-        on_wire = bytearray()
-        for values in zip_longest(*statuses, fillvalue=0xFF):
-            together = 0xFF
-            for value in values:
-                together &= value
-            on_wire.append(together)
-        self._speak(bytes(on_wire), byte_ns, late_ns)
+        on_wire = statuses[0]
+        for status in statuses[1:]:
+            on_wire = bytes(a & b for a, b in zip_longest(on_wire, status, fillvalue=0xFF))
+        self._speak(on_wire, byte_ns, late_ns)
 
     def _spoil(self, status: bytes, servo_id: int) -> tuple[bytes | None, int]:
         """What the faults leave of a reply, and how much later [ns] it reaches the host."""
@@ -191,23 +214,19 @@ class SimulatedBus:
 
     def _speak(self, data: bytes, byte_ns: int, late_ns: int) -> None:
         """Put bytes on the wire as soon as it is quiet."""
-        for value in data:
-            self._quiet_ns += byte_ns
-            self._hand_on(value, self._quiet_ns + late_ns)
+        self._hand_on(data, self._quiet_ns + late_ns, byte_ns)
+        self._quiet_ns += len(data) * byte_ns
 
-    def _hand_on(self, value: int, time_ns: int) -> None:
-        """Let a byte that the adapter has at `time_ns` reach the host, after those before it."""
-        arrival_ns = self._arrival_ns(time_ns)
-        if self._replies:
-            arrival_ns = max(arrival_ns, self._replies[-1][0])
-        self._replies.append((arrival_ns, value))
-
-    def _arrival_ns(self, time_ns: int) -> int:
-        """When the adapter hands on a byte that it has at `time_ns`."""
+    def _hand_on(self, data: bytes, time_ns: int, byte_ns: int) -> None:
+        """Let bytes that come to the adapter one after another from `time_ns` on reach the host, after those before."""
+        arrivals_ns: Sequence[int] = range(time_ns + byte_ns, time_ns + len(data) * byte_ns + 1, byte_ns)
         latency_ns = self._latency_ns
         if self.faults and (other := self.faults.in_force("latency")):
             latency_ns = round(other.amount * 1e6)
-        if not latency_ns:
-            return time_ns
-        periods = -((self._phase_ns - time_ns) // latency_ns)
-        return self._phase_ns + periods * latency_ns
+        if latency_ns:  # the adapter hands on what it has when its timer fires
+            phase_ns = self._phase_ns
+            arrivals_ns = [phase_ns - (phase_ns - at_ns) // latency_ns * latency_ns for at_ns in arrivals_ns]
+        if self._arrivals_ns and arrivals_ns[0] < self._arrivals_ns[-1]:
+            arrivals_ns = [max(at_ns, self._arrivals_ns[-1]) for at_ns in arrivals_ns]
+        self._arrivals_ns += arrivals_ns
+        self._replies += data

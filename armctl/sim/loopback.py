@@ -36,7 +36,7 @@ class LoopbackPort(ServoPort):
     def openPort(self) -> bool:
         if not (self._plugged and self._bus.plugged(self.clock.now_ns())):
             raise PortMissing("loopback: unplugged; call replug(), or wait for the end of the fault")
-        self.is_open = True
+        self.is_open, self.clean = True, False
         self.clearPort()
         return True
 
@@ -44,21 +44,21 @@ class LoopbackPort(ServoPort):
         self.is_open = False
 
     def clearPort(self) -> None:
-        self._arrive()
-        self._received = b""
+        if self._received or not self.clean:
+            self._arrive()
+            self._received = b""
 
     def getBytesAvailable(self) -> int:
         self._arrive()
         return len(self._received)
 
     def _receive(self, length: int) -> bytes:
-        self._arrive()
-        while len(self._received) < length:
-            next_ns = self._bus.next_transmit_ns()
-            if next_ns is None or next_ns > self._deadline_ns:
-                self.clock.sleep_until_ns(self._deadline_ns)
-                break
-            self.clock.sleep_until_ns(next_ns)
+        missing = length - len(self._received)
+        if missing > 0:
+            self._check()
+            all_ns = self._bus.arrival_ns(missing)
+            deadline_ns = self._deadline_ns
+            self.clock.sleep_until_ns(deadline_ns if all_ns is None else min(all_ns, deadline_ns))
             self._arrive()
         data, self._received = self._received[:length], self._received[length:]
         return data
@@ -73,6 +73,7 @@ class LoopbackPort(ServoPort):
         self._received += self._bus.transmit(self.clock.now_ns())
 
     def _check(self) -> None:
-        if not (self._plugged and self.is_open and self._bus.plugged(self.clock.now_ns())):
+        bus = self._bus
+        if not (self._plugged and self.is_open) or (bus.faults and not bus.plugged(self.clock.now_ns())):
             self.is_open = False
             raise PortGone("loopback: the port vanished; plug the adapter in again")

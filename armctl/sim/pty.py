@@ -25,16 +25,20 @@ import tty
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from armctl.clock import ask_for_real_time
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet
 from armctl.errors import ConfigError
-from armctl.sim.arm import DEFAULT_SPEC, ArmSpec, SimulatedArm
+from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.control import TRUTH_PERIOD_NS, Controls, ControlServer, TruthRing, control_path
 from armctl.sim.faults import Fault, Faults
+from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
 MAX_RETURN_DELAY_US = 2 * ax12a.RETURN_DELAY.maximum
+TERMINAL_BYTES = 65536
+"""More than a terminal holds."""
 _TCGETS2 = 0x802C542A
 """Linux: the terminal's settings with the baud as a plain number, also where no Bxxx constant exists."""
 _TERMIOS2 = struct.Struct("4I20B2I")
@@ -48,14 +52,16 @@ class PseudoTerminal:
         self._link = link
         self._master = self._slave = -1
         self._name = ""
+        self._arrivals = select.epoll()
+        """Tells of the host's bytes without asking the terminal, which would wait for the kernel's worker."""
 
     @property
     def plugged(self) -> bool:
         return self._master >= 0
 
     def fileno(self) -> int:
-        """The end to wait on for the host's bytes; only while plugged."""
-        return self._master
+        """What to wait on for the host's bytes."""
+        return self._arrivals.fileno()
 
     def replug(self) -> None:
         """A new terminal, the link pointing at it; nothing if plugged.
@@ -73,6 +79,7 @@ class PseudoTerminal:
         settings[4] = settings[5] = termios.B1000000
         termios.tcsetattr(self._slave, termios.TCSANOW, settings)
         os.set_blocking(self._master, False)
+        self._arrivals.register(self._master, select.EPOLLIN | select.EPOLLET)
         self._name = os.ttyname(self._slave)
         # A symlink cannot be rewritten: make one beside it and rename, so that the link always names a terminal.
         fresh = self._link.with_name(f".{self._link.name}.{os.getpid()}")
@@ -103,12 +110,12 @@ class PseudoTerminal:
         return int(_TERMIOS2.unpack(fcntl.ioctl(self._master, _TCGETS2, bytes(_TERMIOS2.size)))[-1])
 
     def read(self) -> bytes:
-        """Every byte the host has written so far."""
-        data = bytearray()
+        """The bytes the host has written, of those told about."""
+        if not self._arrivals.poll(0):
+            return b""
         with contextlib.suppress(BlockingIOError):
-            while piece := os.read(self._master, 4096):
-                data += piece
-        return bytes(data)
+            return os.read(self._master, TERMINAL_BYTES)
+        return b""
 
     def write(self, data: bytes) -> None:
         """Hand bytes to the host; what it leaves unread until the terminal is full is lost."""
@@ -154,6 +161,7 @@ def run(
     ring = TruthRing(len(arm.joints))
     world = Lockstep(simulated, bus, ring) if lockstep else RealTime(simulated, bus, ring)
     controls = Controls(simulated, ring, terminal, world.now_ns)
+    ask_for_real_time()
     stop: list[int] = []
     with contextlib.ExitStack() as cleanup:
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -169,11 +177,11 @@ def run(
         while not stop:
             readers: list[socket.socket | PseudoTerminal] = [
                 *server.readers(),
-                *([terminal] if terminal.plugged else []),
+                terminal,
             ]
             readable, writable, _ = select.select(readers, server.writers(), [], world.patience_s())
             heard = b""
-            if terminal in readable:
+            if terminal in readable and terminal.plugged:
                 bus.baud = terminal.baud() or bus.baud
                 heard = terminal.read()
             if (replies := world.pass_on(heard)) and terminal.plugged:
@@ -196,7 +204,8 @@ class RealTime:
 
     def patience_s(self) -> float:
         """How long nothing is due."""
-        reply_ns = self._bus.next_transmit_ns()
+        # A reply in one piece: every piece costs a turn of the kernel's worker for terminals.
+        reply_ns = self._bus.burst_end_ns()
         wake_ns = self._truth_ns if reply_ns is None else min(self._truth_ns, reply_ns)
         return max(0, wake_ns - time.monotonic_ns()) / 1e9
 

@@ -22,6 +22,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
+from struct import Struct
 from typing import Literal
 
 import numpy as np
@@ -29,12 +31,17 @@ import numpy as np
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Instruction, Packet, encode_status
+from armctl.sim.drive import DRIVING, Drive, drive_of
 
 LOCKED_WRITABLE = range(24, 36)
 """Addresses that stay writable after LOCK."""
 TURN_TICK = 2.0 * math.pi / ax12a.TICK_RAD
 EDGE_TICK = 10.0
 """The resistive track ends this far beyond 0 and 1023: a guess."""
+
+
+_MEASURED = Struct("<HHH5B")
+"""From the present position on: position, speed, load, voltage, temperature, registered, address 45, moving."""
 
 
 @dataclass(frozen=True)
@@ -49,30 +56,6 @@ class ServoVariants:
     """The goal register follows the position while torque is off; otherwise it keeps the old goal."""
     ramp_from_reference: bool = True
     """A new goal continues the speed ramp from the reference in force; otherwise from the present position."""
-
-
-@dataclass(frozen=True)
-class Drive:
-    """What the registers tell the position controller; ticks count CCW, outputs are fractions of full output."""
-
-    enabled: bool
-    goal_tick: int
-    ramp_tick_s: float
-    """Speed of the reference; 0: the reference jumps to the goal."""
-    output_limit: float
-    punch: float
-    cw_margin: int
-    ccw_margin: int
-    cw_gain: float
-    """Output per tick beyond the margin."""
-    ccw_gain: float
-    spin: float | None
-    """Output in wheel mode, which knows no goal; None: not in wheel mode."""
-
-
-def compliance_slope(register: int) -> int:
-    """Slope [tick] of a compliance-slope register: the steps are 2, 4, 8, ..., 128."""
-    return max(2, 1 << (register.bit_length() - 1))
 
 
 def sensed_tick(position_tick: float) -> int:
@@ -127,6 +110,8 @@ class SimulatedServo:
         self.booting = False
         """Deaf and mute: its firmware has not started yet."""
         self._last_error = 0
+        self._driven_by: tuple[int, ...] = ()
+        self._drive: Drive
         self.writes = 0
         """Counts whatever may change `drive`."""
         self._restore_factory_table()
@@ -136,13 +121,18 @@ class SimulatedServo:
 
     def get(self, register: Register) -> int:
         """Value of a register, as a READ would report it but without noise."""
-        self._refresh(0.0)
+        if not register.eeprom:
+            self._refresh(0.0)
         return self._value(register)
 
     def set(self, register: Register, value: int) -> None:
         """Put a value into the table without any check or effect: the factory's or a wizard's hand."""
         self._table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
         self.writes += 1
+
+    @property
+    def servo_id(self) -> int:
+        return self._table[ax12a.ID.address]
 
     @property
     def torque_enabled(self) -> bool:
@@ -154,11 +144,11 @@ class SimulatedServo:
 
     @property
     def baud(self) -> float:
-        return 2e6 / (self._value(ax12a.BAUD) + 1)
+        return 2e6 / (self._table[ax12a.BAUD.address] + 1)
 
     @property
     def return_delay_ns(self) -> int:
-        return self._value(ax12a.RETURN_DELAY) * 2000
+        return self._table[ax12a.RETURN_DELAY.address] * 2000
 
     @property
     def led(self) -> Literal["off", "on", "blinking"]:
@@ -170,22 +160,10 @@ class SimulatedServo:
     @property
     def drive(self) -> Drive:
         """The position controller's settings now."""
-        limit = min(self._value(ax12a.TORQUE_LIMIT), self._value(ax12a.MAX_TORQUE)) / ax12a.LOAD_MAX
-        punch = self._value(ax12a.PUNCH) / ax12a.LOAD_MAX
-        moving_speed = self._value(ax12a.MOVING_SPEED)
-        spin = min(max(ax12a.load_ratio(moving_speed), -limit), limit)
-        return Drive(
-            enabled=self.torque_enabled,
-            goal_tick=self._value(ax12a.GOAL),
-            ramp_tick_s=moving_speed * ax12a.SPEED_UNIT_RAD_S / ax12a.TICK_RAD,
-            output_limit=limit,
-            punch=punch,
-            cw_margin=self._value(ax12a.CW_MARGIN),
-            ccw_margin=self._value(ax12a.CCW_MARGIN),
-            cw_gain=(1.0 - punch) / compliance_slope(self._value(ax12a.CW_SLOPE)),
-            ccw_gain=(1.0 - punch) / compliance_slope(self._value(ax12a.CCW_SLOPE)),
-            spin=spin if self.wheel_mode else None,
-        )
+        registers = DRIVING.unpack(self._table)
+        if registers != self._driven_by:
+            self._driven_by, self._drive = registers, drive_of(*registers)
+        return self._drive
 
     def _value(self, register: Register) -> int:
         return int.from_bytes(self._table[register.address : register.address + register.size], "little")
@@ -200,34 +178,41 @@ class SimulatedServo:
     def _refresh(self, noise_tick: float) -> None:
         """Bring the measured registers up to date."""
         table = self._table
-        enabled = self.torque_enabled
-        speed = round(self.velocity_rad_s / ax12a.SPEED_UNIT_RAD_S) if self.frozen_tick is None else 0
-        position = self._quantised_tick(noise_tick)
+        enabled = table[24]
+        position, speed = self.frozen_tick, 0
+        if position is None:
+            position = sensed_tick(self.position_tick + noise_tick)
+            speed = round(self.velocity_rad_s / ax12a.SPEED_UNIT_RAD_S)
         if not enabled and self._variants.goal_follows_when_limp:
             table[30:32] = position.to_bytes(2, "little")
-        table[36:38] = position.to_bytes(2, "little")
-        table[38:40] = ax12a.to_signed_magnitude(speed).to_bytes(2, "little")
-        table[40:42] = ax12a.to_signed_magnitude(round(self.output * ax12a.LOAD_MAX)).to_bytes(2, "little")
-        table[42] = min(max(round(self.voltage_V * 10.0), 0), 255)
-        table[43] = min(max(round(self.temperature_degC), 0), 255)
-        table[44] = self._registered is not None
-        table[46] = enabled and (self.reference_tick != self._value(ax12a.GOAL) or speed != 0)
+        _MEASURED.pack_into(
+            table,
+            ax12a.PRESENT_POSITION.address,
+            position,
+            ax12a.to_signed_magnitude(speed),
+            ax12a.to_signed_magnitude(round(self.output * ax12a.LOAD_MAX)),
+            min(max(round(self.voltage_V * 10.0), 0), 255),
+            min(max(round(self.temperature_degC), 0), 255),
+            self._registered is not None,
+            table[45],
+            enabled and (speed != 0 or self.reference_tick != self._value(ax12a.GOAL)),
+        )
 
     # --------------------------------------------------------------------------------------- instructions
 
     def handle(self, packet: Packet | BadChecksum) -> bytes | None:
         """React to a packet on the bus; the status packet sent back, or None for silence."""
-        servo_id, level = self._value(ax12a.ID), self._value(ax12a.RETURN_LEVEL)
+        servo_id, level = self.servo_id, self._table[ax12a.RETURN_LEVEL.address]
         if packet.servo_id != servo_id and (packet.servo_id != BROADCAST_ID or isinstance(packet, BadChecksum)):
             return None
         reply = b""
         if isinstance(packet, BadChecksum):
-            code, error = None, ErrorBit.CHECKSUM
+            code, error = None, int(ErrorBit.CHECKSUM)
         else:
             code = packet.code
             match code:
                 case Instruction.PING:
-                    error = ErrorBit(0)
+                    error = 0
                 case Instruction.READ:
                     error, reply = self._read(packet.parameters)
                 case Instruction.WRITE:
@@ -237,7 +222,7 @@ class SimulatedServo:
                 case Instruction.ACTION:
                     error = self._action()
                 case Instruction.RESET:
-                    error = ErrorBit(0)
+                    error = 0
                     self._restore_factory_table()
                 case Instruction.SYNC_WRITE:
                     error = self._sync_write(servo_id, packet.parameters)
@@ -251,7 +236,7 @@ class SimulatedServo:
             return None
         return encode_status(servo_id, errors, reply)
 
-    def _read(self, parameters: bytes) -> tuple[ErrorBit, bytes]:
+    def _read(self, parameters: bytes) -> tuple[int, bytes]:
         if len(parameters) != 2:
             return ErrorBit.INSTRUCTION, b""
         begin, size = parameters
@@ -261,38 +246,38 @@ class SimulatedServo:
         if self._noise_tick:
             noise = self._noise_tick * (float(self._rng.standard_normal()) if self.noise is None else self.noise)
         self._refresh(noise)
-        return ErrorBit(0), bytes(self._table[begin : begin + size])
+        return 0, bytes(self._table[begin : begin + size])
 
-    def _write(self, address: bytes, data: bytes) -> ErrorBit:
+    def _write(self, address: bytes, data: bytes) -> int:
         error = self._refusal(address, data)
         if not error:
             self._apply(address[0], data)
         return error
 
-    def _register_write(self, address: bytes, data: bytes) -> ErrorBit:
+    def _register_write(self, address: bytes, data: bytes) -> int:
         error = self._refusal(address, data)
         if not error:
             self._registered = (address[0], data)
         return error
 
-    def _action(self) -> ErrorBit:
+    def _action(self) -> int:
         if self._registered is None:
             return ErrorBit.INSTRUCTION
         address, data = self._registered
         self._registered = None
         return self._write(bytes((address,)), data)
 
-    def _sync_write(self, servo_id: int, parameters: bytes) -> ErrorBit:
+    def _sync_write(self, servo_id: int, parameters: bytes) -> int:
         size = parameters[1] + 1 if len(parameters) > 1 else 0
         if size < 2 or (len(parameters) - 2) % size:
             return ErrorBit.INSTRUCTION
-        error = ErrorBit(0)
+        error = 0
         for begin in range(2, len(parameters), size):
             if parameters[begin] == servo_id:
                 error |= self._write(parameters[:1], parameters[begin + 1 : begin + size])
         return error
 
-    def _refusal(self, address: bytes, data: bytes) -> ErrorBit:
+    def _refusal(self, address: bytes, data: bytes) -> int:
         """Why this write must not happen."""
         if not data:
             return ErrorBit.INSTRUCTION
@@ -304,26 +289,27 @@ class SimulatedServo:
             return ErrorBit.RANGE
         after = bytearray(self._table)
         after[begin:end] = data
-        error = ErrorBit(0)
+        error, wheel = 0, self.wheel_mode
         for register in _touched(begin, end):
             value = int.from_bytes(after[register.address : register.address + register.size], "little")
-            highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not self.wheel_mode else register.maximum
+            highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not wheel else register.maximum
             if (
                 not register.writable
                 or not register.minimum <= value <= highest
                 or (register.eeprom and self.torque_enabled)
             ):
-                error |= ErrorBit.RANGE
-            elif register is ax12a.GOAL and not self.wheel_mode:
+                error |= int(ErrorBit.RANGE)
+            elif register is ax12a.GOAL and not wheel:
                 low, high = self._value(ax12a.CW_LIMIT), self._value(ax12a.CCW_LIMIT)
                 if not low <= value <= high:
-                    error |= ErrorBit.ANGLE_LIMIT
+                    error |= int(ErrorBit.ANGLE_LIMIT)
         return error
 
     def _apply(self, address: int, data: bytes) -> None:
         touched = _touched(address, address + len(data))
         was_enabled = self.torque_enabled
-        self._refresh(0.0)  # a goal that followed the position is where it is now
+        if not was_enabled:
+            self._refresh(0.0)  # a goal that followed the position is where it is now
         self._table[address : address + len(data)] = data
         self.writes += 1
         energising = (ax12a.GOAL in touched and self._variants.goal_write_energises) or (
@@ -365,9 +351,9 @@ class SimulatedServo:
         table = self._table
         error = int(ErrorBit.OVERLOAD) if self.overloaded else 0
         if not table[ax12a.MIN_VOLTAGE.address] <= round(self.voltage_V * 10.0) <= table[ax12a.MAX_VOLTAGE.address]:
-            error |= ErrorBit.VOLTAGE
+            error |= int(ErrorBit.VOLTAGE)
         if round(self.temperature_degC) > table[ax12a.TEMPERATURE_LIMIT.address]:
-            error |= ErrorBit.OVERHEAT
+            error |= int(ErrorBit.OVERHEAT)
         return error
 
     def protect(self, *, overloaded: bool = False) -> None:
@@ -382,6 +368,7 @@ class SimulatedServo:
             self.output = 0.0
 
 
+@cache
 def _touched(begin: int, end: int) -> tuple[Register, ...]:
     """Registers that overlap the addresses begin..end-1."""
     return tuple(r for r in ax12a.REGISTERS if r.address < end and r.address + r.size > begin)

@@ -17,10 +17,12 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, link_frames
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
-from armctl.sim.arm import GRAVITY_M_S2, ArmSpec, SimulatedArm, _links, gravity_loads
+from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import Fault
+from armctl.sim.gravity import GRAVITY_M_S2, gravity_loads, links_of
 from armctl.sim.servo import ServoVariants, SimulatedServo
+from armctl.sim.spec import RANDOM_SPEC, ArmSpec
 from tests.sim.conftest import sync_write
 
 WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
@@ -59,7 +61,7 @@ def test_gravity_is_the_slope_of_potential_energy(convention: str, q: list[float
     chain = SerialChain(CHAIN.rows, "standard" if convention == "standard" else "modified")
     kg = (0.07, 0.08, 0.09, 0.1, 0.11, 0.12, 0.13)
     step = 1e-5
-    for i, (torque, inertia) in enumerate(gravity_loads(_links(chain), kg, q)):
+    for i, (torque, inertia) in enumerate(gravity_loads(links_of(chain), kg, q)):
         ahead, behind = np.array(q), np.array(q)
         ahead[i] += step
         behind[i] -= step
@@ -200,6 +202,93 @@ def test_length_errors_move_the_tool_and_are_off_by_default(arm: ArmConfig) -> N
     assert SimulatedArm(arm).chain == CHAIN
     wrong = SimulatedArm(arm, spec=ArmSpec(length_error_m=0.002)).chain
     assert 0.0 < abs(wrong.rows[1].a - CHAIN.rows[1].a) < 0.01
+
+
+def test_random_arms_differ_within_their_bounds(arm: ArmConfig) -> None:
+    simulated = [SimulatedArm(arm, seed=seed, spec=RANDOM_SPEC) for seed in range(40)]
+    joints = [joint for one in simulated for joint in one._joints]
+    zeros = [joint.zero_tick * ax12a.TICK_RAD for _ in simulated for joint in arm.joints]
+    nominal_kg = RANDOM_SPEC.servo_kg + RANDOM_SPEC.bracket_kg
+    for values, low, high in (
+        ([joint.stall for joint in joints], 1.2, 1.8),
+        ([joint.coulomb for joint in joints], 0.08, 0.16),
+        ([math.degrees(2.0 * joint.half_play) for joint in joints], 0.25, 0.5),
+        ([(j.zero_rad - zero) / ax12a.TICK_RAD for j, zero in zip(joints, zeros, strict=True)], -0.5, 0.5),
+        ([kg / nominal_kg for one in simulated for kg in one.points_kg[:-1]], 0.85, 1.15),
+        ([one.points_kg[-1] for one in simulated], 0.06, 0.1),
+    ):
+        assert low <= min(values) < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < max(values) <= high
+
+
+def test_coarse_looks_at_gravity_agree_with_looking_every_millisecond(
+    arm: ArmConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The integration has converged: a tick where motors hold the arm, 10 mm where it falls at metres a second."""
+
+    def play(seed: int) -> FloatArray:
+        bench = Bench(arm, seed=seed, spec=RANDOM_SPEC)
+        bench.goto(WORKING_RAD, [60] * 6, 6.0)
+        rng, at, positions = np.random.default_rng(seed), WORKING_RAD, []
+        for _ in range(20):
+            at = at + np.clip(0.05 * rng.standard_normal(6), -0.1, 0.1)
+            bench.goto(at, [60] * 6, 0.1)
+            positions.append(bench.arm.true_positions())
+        for servo in bench.arm.servos:
+            servo.set(ax12a.TORQUE_ENABLE, 0)
+        for _ in range(10):
+            bench.wait(0.1)
+            positions.append(bench.arm.true_positions())
+        return np.array(positions)
+
+    seeds = range(4)
+    coarse = [play(seed) for seed in seeds]
+    monkeypatch.setattr("armctl.sim.arm.CHUNK_STEPS", 1)
+    monkeypatch.setattr("armctl.sim.arm.FAST_CHUNK_STEPS", 1)
+    monkeypatch.setattr("armctl.sim.arm.WEIGHED_RAD", 0.0)
+    for seed, rough in zip(seeds, coarse, strict=True):
+        fine = play(seed)
+        off_tick = np.abs(rough - fine)[:20] / ax12a.TICK_RAD
+        assert off_tick.max() < 1.5
+        assert np.median(off_tick) < 0.2
+        tools = (SimulatedArm(arm, seed=seed, spec=RANDOM_SPEC).tool_positions(run) for run in (rough, fine))
+        assert np.linalg.norm(np.subtract(*tools), axis=1)[20:].max() < 0.01
+
+
+def test_arm_at_rest_stays_so_whatever_is_written_again(arm: ArmConfig) -> None:
+    told, left = Bench(arm, seed=5), Bench(arm, seed=5)
+    for bench in (told, left):
+        bench.goto(WORKING_RAD, [60] * 6, 8.0)
+    settled = left.arm.true_positions().tolist()
+    for _ in range(20):
+        told.goto(WORKING_RAD, [60] * 6, 0.1)
+        left.wait(0.1)
+        assert told.arm.true_positions().tolist() == settled == left.arm.true_positions().tolist()
+    assert [servo.temperature_degC for servo in told.arm.servos] == pytest.approx(
+        [servo.temperature_degC for servo in left.arm.servos], abs=1e-9
+    )
+
+
+def test_looking_at_one_joint_only_changes_nothing(arm: ArmConfig) -> None:
+    whole, part = Bench(arm, seed=6), Bench(arm, seed=6)
+    rng = np.random.default_rng(6)
+    for _ in range(40):
+        target = WORKING_RAD + 0.3 * rng.standard_normal(6)
+        for bench in (whole, part):
+            bench.goto(target, [100] * 6, 0.0)
+        for _ in range(6):
+            later_ns = int(rng.integers(1, 12_000_000))
+            part.now_ns += later_ns
+            whole.now_ns += later_ns
+            joint = int(rng.integers(6))
+            part.arm.advance(part.now_ns, joint)
+            whole.arm.advance(whole.now_ns)
+            assert part.arm.servos[joint].position_tick == whole.arm.servos[joint].position_tick
+        if rng.random() < 0.3:
+            assert part.arm.true_positions().tolist() == whole.arm.true_positions().tolist()
+    part.wait(0.05)
+    whole.wait(0.05)
+    assert part.arm.true_positions().tolist() == whole.arm.true_positions().tolist()
 
 
 def test_too_heavy_a_tool_trips_the_shoulder(arm: ArmConfig) -> None:

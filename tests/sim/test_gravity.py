@@ -13,39 +13,14 @@ from hypothesis import strategies as st
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
-from armctl.kinematics.chain import DHRow, tool_position
+from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.sim.arm import GRAVITY_M_S2, ArmSpec, SimulatedArm, gravity_loads
+from armctl.proving.mujoco_arm import mjcf
+from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
+from armctl.sim.gravity import gravity_loads
+from armctl.sim.spec import ArmSpec
 from tests.sim.conftest import sync_write
-
-SPHERE = '<inertial pos="{} {} {}" mass="{}" diaginertia="1e-12 1e-12 1e-12"/>'
-
-
-def mjcf(rows: tuple[DHRow, ...], points_kg: tuple[float, ...]) -> str:
-    """A chain in standard DH parameters with a point mass on each axis, midway to the tool point, and there."""
-    last = len(rows) - 1
-    tool = f'<body pos="{{}} {{}} {{}}">{SPHERE.format(0, 0, 0, points_kg[-1])}</body>'
-    text = ""
-    for i, row in reversed(tuple(enumerate(rows))):
-        # theta and d act before a and alpha: the child's frame, seen from the turned axis.
-        end = (row.a, 0.0, row.d)
-        if i == last:
-            half = f'<body pos="{end[0] / 2} 0 {end[2] / 2}">{SPHERE.format(0, 0, 0, points_kg[-2])}</body>'
-            inner = half + tool.format(*end)
-        else:
-            inner = f'<body pos="{end[0]} 0 {end[2]}" euler="{row.alpha} 0 0">{text}</body>'
-        # The mass on an axis rides on the link before it, whose turning about the axis it does not see.
-        mass = SPHERE.format(0, 0, 0, points_kg[i])
-        text = f'{mass}<body euler="0 0 {row.offset}"><joint type="hinge" axis="0 0 1"/>{_speck()}{inner}</body>'
-    return (
-        f'<mujoco><compiler angle="radian" balanceinertia="true"/><option gravity="0 0 -{GRAVITY_M_S2}"/>'
-        f"<worldbody><body>{text}</body></worldbody></mujoco>"
-    )
-
-
-def _speck() -> str:
-    return SPHERE.format(0, 0, 0, 1e-9)  # MuJoCo wants some mass in every moving body
 
 
 @dataclass
@@ -57,7 +32,7 @@ class Peer:
 
     @classmethod
     def of(cls, arm: SimulatedArm) -> Peer:
-        model = mujoco.MjModel.from_xml_string(mjcf(arm.chain.rows, arm._points_kg))
+        model = mujoco.MjModel.from_xml_string(mjcf(arm.chain.rows, arm.points_kg))
         return cls(model, mujoco.MjData(model))
 
     def torque(self, q: FloatArray, acceleration: FloatArray) -> FloatArray:
@@ -90,7 +65,7 @@ def test_gravity_and_inertia_are_mujocos(simulated: SimulatedArm, peer: Peer, po
     q = np.array(pose)
     assert peer.tool_position(q) == pytest.approx(tool_position(simulated.chain, q), abs=1e-9)
     hold = peer.torque(q, np.zeros(5))
-    loads = gravity_loads(simulated._links, simulated._points_kg, pose)
+    loads = gravity_loads(simulated._links, simulated.points_kg, pose)
     for i, (torque, inertia) in enumerate(loads):
         assert torque == pytest.approx(-hold[i], abs=1e-7)
         assert inertia == pytest.approx((peer.torque(q, np.eye(5)[i]) - hold)[i], abs=1e-8)

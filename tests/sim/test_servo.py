@@ -16,7 +16,8 @@ from armctl.dynamixel.packet import (
     Instruction,
     Packet,
 )
-from armctl.sim.servo import TURN_TICK, ServoVariants, SimulatedServo, compliance_slope, sensed_tick
+from armctl.sim.drive import compliance_slope
+from armctl.sim.servo import TURN_TICK, ServoVariants, SimulatedServo, sensed_tick
 
 
 def servo(variants: ServoVariants = ServoVariants(), *, noise_tick: float = 0.0) -> SimulatedServo:  # noqa: B008

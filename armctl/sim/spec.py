@@ -1,0 +1,76 @@
+"""What a simulated arm is made of: every physical number, in one place.
+
+docs/simulator.md says of each figure whether it is ROBOTIS', a study's or a guess, and what is not modelled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from armctl.dynamixel import ax12a
+from armctl.sim.servo import ServoVariants
+
+
+@dataclass(frozen=True)
+class ArmSpec:
+    """Every physical number of a simulated arm.
+
+    A pair is a range from which each joint (or the tool) draws by the seed of its `SimulatedArm`.
+    """
+
+    servo_kg: float = 0.0546
+    bracket_kg: float = 0.020
+    tool_kg: tuple[float, float] = (0.060, 0.100)
+    mass_spread: float = 0.0
+    """Each servo with its bracket is lighter or heavier by up to this share."""
+    stall_torque_Nm: float = ax12a.STALL_TORQUE_NM
+    stall_spread: float = 0.0
+    """Each motor is weaker or stronger by up to this share."""
+    no_load_speed_rad_s: float = ax12a.NO_LOAD_SPEED_RAD_S
+    friction_Nm: tuple[float, float] = (0.08, 0.16)
+    """Coulomb friction at the output shaft."""
+    stiction_ratio: float = 1.2
+    """Break-away torque over Coulomb friction."""
+    rotor_inertia_kg_m2: float = 0.002
+    """Of motor and gears, seen from the output shaft."""
+    play_deg: tuple[float, float] = (0.25, 0.5)
+    """Whole width of the play between motor and shaft."""
+    play_speed_rad_s: float = 0.2
+    """How fast a pushed shaft crosses its play."""
+    shaft_friction_Nm: float = 0.01
+    """Less than this on the shaft does not move it within its play."""
+    zero_offset_tick: float = 0.5
+    """Standard deviation of the error of each zero_tick; no register shows it."""
+    zero_offset_within_tick: float | None = None
+    """If given, that error is drawn evenly from within this, both ways, instead."""
+    length_error_m: float = 0.0
+    """Standard deviation of the error of each link length."""
+    noise_tick: float = 0.5
+    """Standard deviation of a reported position."""
+    stop_deg: float = 2.0
+    """The mechanical stops lie this far beyond the calibration's limits."""
+    rest_support_deg: float = 4.0
+    """With every joint this near its rest pose the arm leans on something that carries its weight."""
+    overload_output: float = 0.8
+    overload_s: float = 4.0
+    """A servo whose output stays over `overload_output` for this long reports an overload."""
+    supply_V: float = 12.0
+    """At the servos while no motor works."""
+    supply_ohm: float = 0.15
+    """Of supply and cables together."""
+    stall_current_A: float = 1.5
+    idle_degC: float = 30.0
+    """Where a servo's temperature settles while its motor rests."""
+    stall_heating_degC: float = 120.0
+    """How far above that it would settle at stall torque; as the square of the torque below."""
+    heating_s: float = 400.0
+    """Time constant of heating and cooling."""
+    boot_s: float = 0.3
+    """A servo is deaf for this long after its firmware restarts."""
+    variants: ServoVariants = field(default_factory=ServoVariants)
+
+
+DEFAULT_SPEC = ArmSpec()
+
+RANDOM_SPEC = replace(DEFAULT_SPEC, mass_spread=0.15, stall_spread=0.2, zero_offset_within_tick=0.5)
+"""Arms as different as one batch of servos and one pair of hands may make them: for experiments over many seeds."""
