@@ -11,7 +11,12 @@ Rules:
 3. What was not read in this sample says so: `fresh` is False and the registers keep their old stamp.
 4. Trouble is data (`NO_REPLY`, `BUS_NOISE`, `PORT_GONE`); only `open` raises. After `PORT_GONE` the bus is closed until
    someone opens it again.
-5. No read asks for two bytes: such a request could be mistaken for a reply to itself (length 4, error bit 1).
+5. Whatever may have come since the last exchange is thrown away before a request. Within a sample that is left out
+   (it is a system call) after a reply of exactly the bytes that were due: a stray one in between the two is less likely
+   than one behind the throwing away, and met by rule 1.
+6. No read asks for two bytes: such a request could be mistaken for a reply to itself (length 4, error bit 1).
+7. What a reply that comes late on a busy machine may look like (a silent servo, a second one with its id, a slow
+   adapter) is believed by `identify` only if it shows again and again.
 """
 
 from __future__ import annotations
@@ -28,7 +33,8 @@ from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
-from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, ServoPort
+from armctl.dynamixel.fitness import bus_dead, slow_adapter, table_problems
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, QUIET_MS, ServoPort
 from armctl.errors import PortGone
 from armctl.messages import Goal, Problem, Sample, ServoReading, Write
 
@@ -41,16 +47,25 @@ SILENT_MISSES = 5
 """Long enough (0.5 s at 10 Hz) that a servo which restarts after a brown-out, 0.3 s, is heard as soon as it speaks."""
 PROBE_EVERY = 5
 
+SAMPLE_PATIENCE_NS = 50 * NS_PER_MS
+"""How far into a sample a busy machine may make replies late: half a tick of 100 ms."""
+IDENTIFY_PATIENCE_NS = 300 * NS_PER_MS
+
 IDENTIFY_LATENCY_MS = 20.0
 """Allowance while identifying: an adapter with the 16 ms latency timer is slow, not silent."""
 SLOW_ADAPTER_MS = 8.0
 """Six reads with this much each fit half a tick of 100 ms; the usual timers are 1 and 16 ms."""
 DUPLICATE_PROBES = 3
 """Reads of changing registers per servo that tell two servos with one id."""
+CONFIRM_QUIET_MS = (20.0, 40.0, 80.0)
+"""How long the line is to be silent before each reading that confirms a suspicion."""
+LATENCY_PROBES = 6
+"""Further readings of an adapter that seems slow."""
 
 MOTION_MARGIN = 1.5
 MOTION_MARGIN_TICKS = 3.0
 SPEED_MAX_TICK_S = ax12a.NO_LOAD_SPEED_RAD_S / ax12a.TICK_RAD
+POSITION_AT = ax12a.PRESENT_POSITION.address - ax12a.STATUS_BEGIN
 
 HEADER_SIZE = 5
 STATUS_OVERHEAD = 6
@@ -101,6 +116,8 @@ class ServoBus:
     def __init__(self, port: ServoPort, servo_ids: Sequence[int], clock: Clock) -> None:
         self.is_open = False
         self.servo_ids = tuple(servo_ids)
+        self.firmware: tuple[int, ...] = ()
+        """Firmware version of every servo as `identify` read it; -1: it did not answer."""
         self._port = port
         self._clock = clock
         self._handler = Protocol1PacketHandler()
@@ -139,6 +156,8 @@ class ServoBus:
         one of them every fifth sample later.
         """
         begin_ns = self._clock.now_ns()
+        self._port.patient_until_ns = begin_ns + SAMPLE_PATIENCE_NS
+        self._port.clean = False  # since the last sample anything may have come
         retries = 0
         try:
             for index, track in enumerate(self._tracks):
@@ -180,15 +199,16 @@ class ServoBus:
                     raise ValueError(f"servo {servo_id}: {what} {value!r} is no whole number in 0..{ax12a.TICK_MAX}")
         self._goal_writer.clearParam()
         for servo_id, tick, speed in zip(self.servo_ids, goal.ticks, goal.speeds, strict=True):
-            self._goal_writer.addParam(servo_id, [*tick.to_bytes(2, "little"), *speed.to_bytes(2, "little")])
+            self._goal_writer.addParam(servo_id, [tick & 0xFF, tick >> 8, speed & 0xFF, speed >> 8])
         try:
             self._check_open()
+            self._port.clean = True  # nobody answers
             sent: bool = self._goal_writer.txPacket() == COMM_SUCCESS
         except PortGone as error:
             self._lose_port(error)
             return False
         finally:
-            self._port.is_using = False
+            self._port.is_using = self._port.clean = False
         return sent
 
     # -------------------------------------------------------------------------------------------- one servo
@@ -218,7 +238,7 @@ class ServoBus:
 
     def read(self, servo_id: int, register: Register) -> int | None:
         """Value of one register; None: no good reply."""
-        begin = max(0, register.address - 1)  # three bytes, never two: rule 5
+        begin = max(0, register.address - 1)  # three bytes, never two: rule 6
         try:
             reply = self._transact_twice(servo_id, INST_READ, (begin, 3), 3)
         except PortGone as error:
@@ -230,7 +250,7 @@ class ServoBus:
         """Bytes of a servo's control table, with its error bits and the time it took; trouble is in the reply.
 
         Raises:
-            ValueError: two bytes asked for (rule 5), or no such servo id.
+            ValueError: two bytes asked for (rule 6), or no such servo id.
         """
         if size == 2:
             raise ValueError("a read of two bytes looks like a reply to itself; read three")
@@ -256,6 +276,7 @@ class ServoBus:
         Also measures the adapter's latency and sets the port's allowance for it. Takes up to 50 ms a silent servo.
         """
         self._port.latency_ms = IDENTIFY_LATENCY_MS
+        self._port.patient_until_ns = self._clock.now_ns() + IDENTIFY_PATIENCE_NS
         try:
             tables = [
                 self._transact_twice(joint.servo_id, INST_READ, (0, ax12a.EEPROM_END), ax12a.EEPROM_END)
@@ -263,8 +284,13 @@ class ServoBus:
             ]
             if all(table.problem for table in tables):
                 self._port.latency_ms = ADAPTER_LATENCY_MS
-                return (_bus_dead([table.problem for table in tables], self._port),)
-            problems = self._adapter_problems(tables)
+                garbled = any(table.problem == BUS_NOISE for table in tables)
+                return (bus_dead(len(tables), garbled, self._port.port_name, self._port.baudrate),)
+            tables = self._ask_again(arm, tables)
+            self.firmware = tuple(
+                -1 if table.problem else ax12a.register_value(ax12a.FIRMWARE, table.data, 0) for table in tables
+            )
+            problems = self._adapter_problems(arm, tables)
             for joint, table in zip(arm.joints, tables, strict=True):
                 servo = f"servo {joint.servo_id} ({joint.name})"
                 if table.problem == NO_REPLY:
@@ -275,39 +301,70 @@ class ServoBus:
                     text += "connect them one at a time and give each its own id"
                     problems.append(Problem("DUPLICATE_ID", f"{servo}: {text}", joint.servo_id))
                 else:
-                    problems += _table_problems(servo, joint.servo_id, table.data, joint.limits_tick)
+                    problems += table_problems(servo, joint.servo_id, table.data, joint.limits_tick)
         except PortGone as error:
             self._lose_port(error)
             return (Problem(PORT_GONE, str(error)),)
         return tuple(problems)
 
-    def _adapter_problems(self, tables: Sequence[Reply]) -> list[Problem]:
-        """Judge the adapter by the median good reply, less wire time and that servo's own return delay."""
+    def _ask_again(self, arm: ArmConfig, tables: list[Reply]) -> list[Reply]:
+        """The tables, those that were not understood read once more after each of `CONFIRM_QUIET_MS`."""
+        for quiet_ms in CONFIRM_QUIET_MS:
+            if not any(table.problem for table in tables):
+                break
+            self._port.drain(quiet_ms)
+            tables = [
+                self._transact(joint.servo_id, INST_READ, (0, ax12a.EEPROM_END), ax12a.EEPROM_END)
+                if table.problem
+                else table
+                for joint, table in zip(arm.joints, tables, strict=True)
+            ]
+        return tables
+
+    def _adapter_problems(self, arm: ArmConfig, tables: Sequence[Reply]) -> list[Problem]:
+        """Judge the adapter by its faster replies, less wire time and that servo's own return delay.
+
+        By the lower quartile: a busy machine is slow now and then, a slow adapter is fast now and then, when a reply
+        meets its timer just before that fires.
+        """
         wire_ns = (2 * STATUS_OVERHEAD + 2 + ax12a.EEPROM_END) * self._port.byte_ns
-        latency_ms = median(
-            (table.elapsed_ns - wire_ns) / NS_PER_MS - 0.002 * ax12a.register_value(ax12a.RETURN_DELAY, table.data, 0)
-            for table in tables
-            if not table.problem
-        )
-        self._port.latency_ms = max(ADAPTER_LATENCY_MS, latency_ms)
-        if latency_ms <= SLOW_ADAPTER_MS:
-            return []
-        return [
-            Problem(
-                "SLOW_ADAPTER",
-                f"{self._port.port_name}: the adapter adds {latency_ms:.1f} ms to every reply, at most "
-                f"{SLOW_ADAPTER_MS:.0f} ms are fit for motion; install the udev rule, or set its latency timer: "
-                "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB*/latency_timer",
+
+        def added_ms(replies: Sequence[Reply]) -> list[float]:
+            return sorted(
+                (reply.elapsed_ns - wire_ns) / NS_PER_MS
+                - 0.002 * ax12a.register_value(ax12a.RETURN_DELAY, reply.data, 0)
+                for reply in replies
+                if not reply.problem
             )
-        ]
+
+        latencies_ms = added_ms(tables)
+        if median(latencies_ms) > SLOW_ADAPTER_MS:
+            self._port.clean = False
+            answers = [joint.servo_id for joint, table in zip(arm.joints, tables, strict=True) if not table.problem]
+            request = (INST_READ, (0, ax12a.EEPROM_END), ax12a.EEPROM_END)
+            latencies_ms = added_ms([*tables, *(self._transact(answers[0], *request) for _ in range(LATENCY_PROBES))])
+        latency_ms = latencies_ms[len(latencies_ms) // 4]
+        self._port.latency_ms = max(ADAPTER_LATENCY_MS, median(latencies_ms))
+        if latency_ms > SLOW_ADAPTER_MS:
+            return [slow_adapter(self._port.port_name, latency_ms, SLOW_ADAPTER_MS)]
+        self._port.latency_ms = min(self._port.latency_ms, SLOW_ADAPTER_MS)
+        return []
 
     def _answers_twice(self, servo_id: int) -> bool:
         """Whether replies with changing content collide, or a second one follows the first."""
-        bad = 0
-        for _ in range(DUPLICATE_PROBES):
-            reply = self._transact(servo_id, INST_READ, (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE), ax12a.STATUS_SIZE)
-            bad += reply.problem == BUS_NOISE or self._port.drain() > 0
-        return bad > DUPLICATE_PROBES // 2
+        doubled = sum(self._is_doubled(servo_id) for _ in range(DUPLICATE_PROBES))
+        if doubled <= DUPLICATE_PROBES // 2:
+            return False
+        doubled = 0
+        for quiet_ms in CONFIRM_QUIET_MS:
+            self._port.drain(quiet_ms)
+            doubled += self._is_doubled(servo_id)
+        return doubled > len(CONFIRM_QUIET_MS) // 2
+
+    def _is_doubled(self, servo_id: int) -> bool:
+        self._port.clean = False
+        reply = self._transact(servo_id, INST_READ, (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE), ax12a.STATUS_SIZE)
+        return reply.problem == BUS_NOISE or self._port.drain() > 0
 
     # ----------------------------------------------------------------------------------------- transactions
 
@@ -320,7 +377,7 @@ class ServoBus:
         if reply.problem:
             return reply.problem
         now_ns = self._clock.now_ns()
-        position = ax12a.register_value(ax12a.PRESENT_POSITION, reply.data)
+        position = _position(reply.data)
         if not _possible_motion(track, position, now_ns):
             track.suspect = (position, now_ns)
             return BUS_NOISE
@@ -337,6 +394,7 @@ class ServoBus:
         track.reading = ServoReading(old.servo_id, old.registers, old.stamp_ns, False, old.error, problem)
 
     def _transact_twice(self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int) -> Reply:
+        self._port.clean = False
         reply = self._transact(servo_id, instruction, parameters, reply_size)
         return self._transact(servo_id, instruction, parameters, reply_size) if reply.problem else reply
 
@@ -350,22 +408,27 @@ class ServoBus:
         if not 0 <= servo_id <= ax12a.ID.maximum:
             raise ValueError(f"servo id {servo_id} is not in 0..{ax12a.ID.maximum}")
         request = [0xFF, 0xFF, servo_id, len(parameters) + 2, instruction, *parameters, 0]
+        port = self._port
         begin_ns = self._clock.now_ns()
         try:
             self._check_open()
-            packet, result, error = self._handler.txRxPacket(self._port, request)
+            packet, result, error = self._handler.txRxPacket(port, request)
             elapsed_ns = self._clock.now_ns() - begin_ns
             # The SDK has put the checksum into `request` by now, so an echo equals it.
             if result == COMM_SUCCESS and len(packet) == reply_size + STATUS_OVERHEAD and packet != request:
+                port.clean = port.heard == len(packet)
                 return Reply(bytes(packet[HEADER_SIZE:-1]), error, "", elapsed_ns)
-            silent = result == COMM_TX_FAIL or (result == COMM_RX_TIMEOUT and not self._port.heard)
-            return self._bad(NO_REPLY if silent else BUS_NOISE, elapsed_ns)
+            silent = result == COMM_TX_FAIL or (result == COMM_RX_TIMEOUT and not port.heard)
+            # Noise instead of the reply: an echo, or one that comes too late; the reply itself is still to come.
+            due_ms = port.left_ms if port.heard < reply_size + STATUS_OVERHEAD else 0.0
+            return self._bad(NO_REPLY if silent else BUS_NOISE, elapsed_ns, due_ms)
         finally:
-            self._port.is_using = False
+            port.is_using = False
 
-    def _bad(self, problem: str, elapsed_ns: int) -> Reply:
-        """A reply not to be believed; whatever may still be on its way is drained first."""
-        self._port.drain()
+    def _bad(self, problem: str, elapsed_ns: int, due_ms: float = 0.0) -> Reply:
+        """A reply not to be believed; whatever may still be on its way, for `due_ms` perhaps, is drained first."""
+        self._port.drain(max(QUIET_MS, due_ms))
+        self._port.clean = False
         return Reply(problem=problem, elapsed_ns=elapsed_ns)
 
     def _check_open(self) -> None:
@@ -380,50 +443,18 @@ class ServoBus:
 
 def _possible_motion(track: _Track, position: int, now_ns: int) -> bool:
     """Whether a servo can have moved to `position` since it was last read, or since the read that was doubted."""
-    known = [] if track.suspect is None else [track.suspect]
-    if track.reading.registers:
-        known.append((ax12a.register_value(ax12a.PRESENT_POSITION, track.reading.registers), track.reading.stamp_ns))
-    return not known or any(
-        abs(position - tick) <= MOTION_MARGIN * SPEED_MAX_TICK_S * (now_ns - stamp_ns) / NS_PER_S + MOTION_MARGIN_TICKS
-        for tick, stamp_ns in known
-    )
+    reading, suspect = track.reading, track.suspect
+    if not reading.registers and suspect is None:
+        return True
+    if reading.registers and _reachable(position, _position(reading.registers), now_ns - reading.stamp_ns):
+        return True
+    return suspect is not None and _reachable(position, suspect[0], now_ns - suspect[1])
 
 
-def _bus_dead(found: Sequence[str], port: ServoPort) -> Problem:
-    if BUS_NOISE in found:
-        return Problem(
-            "BUS_DEAD",
-            f"{port.port_name}: {len(found)} servos asked, only garbled bytes came; check that every servo runs at "
-            f"{port.baudrate} baud, that the adapter does not echo, the data wire and the common ground",
-        )
-    return Problem(
-        "BUS_DEAD",
-        f"{port.port_name}: {len(found)} servos asked, not a byte came; check that the servos' 12 V supply is on, "
-        f"that they run at {port.baudrate} baud, and the cable between adapter and first servo",
-    )
+def _reachable(position: int, before: int, elapsed_ns: int) -> bool:
+    return abs(position - before) <= MOTION_MARGIN * SPEED_MAX_TICK_S * elapsed_ns / NS_PER_S + MOTION_MARGIN_TICKS
 
 
-def _table_problems(servo: str, servo_id: int, table: bytes, limits_tick: tuple[int, int]) -> list[Problem]:
-    """What in the EEPROM (bytes 0..23) of a servo forbids motion of a joint with these limits."""
-    model = ax12a.register_value(ax12a.MODEL, table, 0)
-    if model != ax12a.MODEL_NUMBER:
-        text = f"{servo}: model number {model}, wanted {ax12a.MODEL_NUMBER} (AX-12A); use an AX-12A, or the right id"
-        return [Problem("WRONG_MODEL", text, servo_id)]
-    cw, ccw, level = (
-        ax12a.register_value(register, table, 0) for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT, ax12a.RETURN_LEVEL)
-    )
-    low, high = limits_tick
-    faults = []
-    if cw == ccw == 0:
-        faults.append(
-            f"cw_angle_limit and ccw_angle_limit are 0 (wheel mode), wanted at most {low} and at least {high}"
-        )
-    else:
-        if cw > low:
-            faults.append(f"cw_angle_limit is {cw}, wanted at most {low}")
-        if ccw < high:
-            faults.append(f"ccw_angle_limit is {ccw}, wanted at least {high}")
-    if level != ax12a.RETURN_LEVEL.default:
-        faults.append(f"status_return_level is {level}, wanted {ax12a.RETURN_LEVEL.default}")
-    remedy = "; write the servo's EEPROM with its torque off, or correct the calibration file"
-    return [Problem("EEPROM_MISMATCH", f"{servo}: {fault}{remedy}", servo_id) for fault in faults]
+def _position(block: bytes) -> int:
+    """Present position [tick] in a block of status bytes."""
+    return block[POSITION_AT] | block[POSITION_AT + 1] << 8

@@ -99,6 +99,12 @@ class Decoder:
     def __init__(self) -> None:
         self._buffer = bytearray()
 
+    @property
+    def wanted(self) -> int:
+        """The fewest bytes that can complete a packet; so many may be fed at once without missing when it ended."""
+        buffer = self._buffer
+        return (buffer[3] + 4 if len(buffer) > 3 else OVERHEAD_BYTES) - len(buffer)
+
     def feed(self, data: bytes) -> list[Packet | BadChecksum]:
         """Everything that `data` completes, in order."""
         buffer = self._buffer

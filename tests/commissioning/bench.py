@@ -12,10 +12,11 @@ from armctl.config import ArmConfig, load_arm
 from armctl.dynamixel.bus import ServoBus
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.sim.arm import ArmSpec, SimulatedArm
+from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.hand import Hand
 from armctl.sim.loopback import LoopbackPort
+from armctl.sim.spec import ArmSpec
 
 
 class PosingHand(Hand):

@@ -68,6 +68,8 @@ class ScriptedPort(ServoPort):
         self.is_open = False
 
     def clearPort(self) -> None:
+        if self.clean:
+            return
         self.flushes += 1
         now_ns = self.clock.now_ns()
         self._line = [item for item in self._line if item[0] > now_ns]
@@ -395,9 +397,9 @@ def test_port_that_vanishes_while_draining_closes_the_bus(bus: ServoBus, port: S
     port.spoils[1] = [absurd_registers]
     drain = port.drain
 
-    def gone() -> int:
+    def gone(quiet_ms: float = 0.5) -> int:
         port.gone_after = 0
-        return drain()
+        return drain(quiet_ms)
 
     port.drain = gone  # type: ignore[method-assign]
     assert not sample_next_tick(bus, port).port_open
@@ -620,16 +622,45 @@ def test_other_eeprom_values_are_no_problem(bus: ServoBus, port: ScriptedPort, a
 
 
 def test_second_reply_hints_at_two_servos_with_one_id(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
-    port.spoils[3] = [lambda request, good: [(0, good)]] + [lambda request, good: [(0, good), (400, good)]] * 3
+    port.spoils[3] = [lambda request, good: [(0, good)]] + [lambda request, good: [(0, good), (400, good)]] * 6
     (problem,) = bus.identify(arm)
     assert (problem.code, problem.servo_id) == ("DUPLICATE_ID", 3)
     assert "two servos with this id" in problem.text
 
 
 def test_colliding_replies_hint_at_two_servos_with_one_id(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
-    port.spoils[3] = [bad_checksum] * 9
+    port.spoils[3] = [bad_checksum] * 20
     (problem,) = bus.identify(arm)
     assert (problem.code, problem.servo_id) == ("DUPLICATE_ID", 3)
+
+
+def late(delay_ms: float) -> Spoil:
+    return lambda request, good: [(round(1000 * delay_ms), good)]
+
+
+@pytest.mark.parametrize("spoiled", [1, 2, 3, 4])
+@pytest.mark.parametrize("spoil", [lost, bad_checksum, late(22.0), late(30.0), late(45.0)])
+def test_a_servo_that_is_misheard_for_a_moment_is_fit(
+    bus: ServoBus, port: ScriptedPort, arm: ArmConfig, spoil: Spoil, spoiled: int
+) -> None:
+    port.spoils[3] = [spoil] * spoiled
+    assert bus.identify(arm) == ()
+    assert all(reading.fresh for reading in bus.read_sample().servos)
+
+
+@pytest.mark.parametrize("delay_ms", [22.0, 30.0, 45.0, 70.0])
+def test_replies_that_come_late_for_a_moment_are_no_second_servo(
+    bus: ServoBus, port: ScriptedPort, arm: ArmConfig, delay_ms: float
+) -> None:
+    port.spoils[3] = [lambda request, good: [(0, good)]] + [late(delay_ms)] * 4
+    assert bus.identify(arm) == ()
+
+
+def test_an_adapter_that_is_slow_now_and_then_is_fit(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
+    port.spoils = {servo_id: [late(12.0)] for servo_id in arm.servo_ids[1:]}
+    port.spoils[arm.servo_ids[0]] = [late(12.0), lambda request, good: [(0, good)]] * 2
+    assert bus.identify(arm) == ()
+    assert port.latency_ms <= 8.0
 
 
 def test_slow_adapter_is_told_from_a_dead_bus_and_still_read(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
@@ -658,7 +689,7 @@ def test_block_of_a_servo_tells_its_bytes_its_error_bits_and_its_time(bus: Servo
 
 
 def test_colliding_replies_answer_twice_and_others_do_not(bus: ServoBus, port: ScriptedPort) -> None:
-    port.spoils[3] = [bad_checksum] * 3
+    port.spoils[3] = [bad_checksum] * 6
     assert bus.answers_twice(3)
     assert not bus.answers_twice(2)
     assert not bus.answers_twice(77)
@@ -670,3 +701,41 @@ def test_block_of_a_vanished_port_is_data(bus: ServoBus, port: ScriptedPort) -> 
     assert bus.read_block(1, 0, 3).problem == PORT_GONE
     assert not bus.is_open
     assert not bus.answers_twice(1)
+
+
+# ------------------------------------------------------------------------------- throwing away what is not asked for
+
+
+def test_clean_cycle_throws_away_once(bus: ServoBus, port: ScriptedPort) -> None:
+    sample_next_tick(bus, port)
+    port.flushes = 0
+    sample_next_tick(bus, port)
+    assert port.flushes == 1
+    assert bus.write_goal(Goal((512,) * 6, (50,) * 6))
+    assert port.flushes == 1
+    assert bus.write(Write(1, ax12a.LED.address, 1, 1))
+    assert bus.write(Write(1, ax12a.LED.address, 1, 0))
+    assert port.flushes == 3
+
+
+@pytest.mark.parametrize("delay_us", [0, 300, 500, 850, 1300])
+def test_reply_that_comes_twice_is_believed_of_nobody_else(bus: ServoBus, port: ScriptedPort, delay_us: int) -> None:
+    for servo_id in bus.servo_ids:
+        port.place(servo_id, ax12a.PRESENT_POSITION, 100 * servo_id)
+    sample_next_tick(bus, port)
+    for servo_id in bus.servo_ids:
+        port.spoils[servo_id] = [lambda _, good: [(0, good), (delay_us, good)]]
+    for _ in range(3):
+        for reading in sample_next_tick(bus, port).servos:
+            assert ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers) == 100 * reading.servo_id
+
+
+def test_what_comes_between_two_samples_is_thrown_away(bus: ServoBus, port: ScriptedPort) -> None:
+    sample_next_tick(bus, port)
+    old = packet(1, 0, bytes(port.tables[1][24:50]))
+    port.spoils[6] = [lambda _, good: [(0, good), (20_000, old)]]
+    sample_next_tick(bus, port)
+    port.place(1, ax12a.PRESENT_POSITION, 3)
+    sample = sample_next_tick(bus, port)
+    assert sample.retries == 0
+    assert ax12a.register_value(ax12a.PRESENT_POSITION, sample.servos[0].registers) == 3

@@ -162,3 +162,17 @@ def test_the_sdk_accepts_status_packets(servo_id: int, error: int, parameters: b
     received, result = dynamixel_sdk.Protocol1PacketHandler().rxPacket(WirePort(status))
     assert result == dynamixel_sdk.COMM_SUCCESS
     assert bytes(received) == status
+
+
+@settings(deadline=None)
+@given(st.lists(st.one_of(packets.map(encode), st.binary(max_size=30), st.just(b"\xff\xff\x01")), max_size=6))
+def test_feeding_what_is_wanted_finds_every_packet_where_it_ends(parts: list[bytes]) -> None:
+    stream = b"".join(parts)
+    by_byte, by_want = Decoder(), Decoder()
+    ends = [(at + 1, found) for at in range(len(stream)) for found in by_byte.feed(stream[at : at + 1])]
+    wanted_ends, at = [], 0
+    while at < len(stream):
+        piece = stream[at : at + by_want.wanted]
+        at += len(piece)
+        wanted_ends += [(at, found) for found in by_want.feed(piece)]
+    assert wanted_ends == ends

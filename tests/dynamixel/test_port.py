@@ -22,8 +22,9 @@ import serial
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.clock import MonotonicClock, VirtualClock
+from armctl.clock import Clock, MonotonicClock, VirtualClock
 from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.kernel_worker import KernelWorker
 from armctl.dynamixel.port import HEARD_MAX, SerialPort, ServoPort
 from armctl.errors import PortBusy, PortGone, PortMissing
 from armctl.messages import Goal
@@ -278,10 +279,77 @@ def test_waiting_for_a_reply_burns_no_cpu_and_ends_at_the_deadline(port: SerialP
     assert time.thread_time() - begin_cpu_s < 0.02
 
 
+class ScriptedWorker(KernelWorker):
+    """A kernel's worker with these delays [ns]; whenever it is looked at, it hands `late` on."""
+
+    def __init__(self, master: int, *delays_ns: int, late: bytes = b"") -> None:
+        self.delays_ns, self.looks = delays_ns, 0
+        self._master, self._late = master, late
+
+    def delay_ns(self, clock: Clock, until_ns: int) -> int:
+        os.write(self._master, self._late)
+        self.looks += 1
+        return self.delays_ns[self.looks - 1]
+
+
+LATE_NS = 5_000_000
+PATIENT_NS = 60_000_000_000
+
+
+def await_reply(port: SerialPort, worker: ScriptedWorker, patience_ns: int = PATIENT_NS) -> bytes:
+    port._worker = worker
+    port.patient_until_ns = port.clock.now_ns() + patience_ns
+    port.setPacketTimeout(5)
+    return port.readPort(5)
+
+
+@pytest.mark.pty
+def test_a_reply_that_the_kernel_keeps_back_is_waited_for_once_more(pty: Pty, port: SerialPort) -> None:
+    worker = ScriptedWorker(pty.master, LATE_NS, *(0,) * 9, late=b"reply")
+    assert await_reply(port, worker) == b"reply"
+
+
+@pytest.mark.pty
+def test_a_silent_servo_costs_no_more_where_the_kernel_keeps_up(pty: Pty, port: SerialPort) -> None:
+    worker = ScriptedWorker(pty.master, 0, 0)
+    assert await_reply(port, worker) == b""
+    assert worker.looks == 1
+    assert port.isPacketTimeout()
+    assert await_reply(port, worker) == b""
+    assert worker.looks == 2
+
+
+@pytest.mark.pty
+def test_behind_a_late_worker_each_reply_is_waited_for_once_more(pty: Pty, port: SerialPort) -> None:
+    worker = ScriptedWorker(pty.master, LATE_NS, 0, 0, 0, 0)
+    assert await_reply(port, worker) == b""
+    assert worker.looks == 3
+    assert await_reply(port, worker) == b""
+    assert worker.looks == 5
+
+
+@pytest.mark.pty
+def test_what_the_kernel_keeps_back_is_drained_too(pty: Pty, port: SerialPort) -> None:
+    port._worker = worker = ScriptedWorker(pty.master, LATE_NS, *(0,) * 9, late=b"late")
+    port.patient_until_ns = port.clock.now_ns() + PATIENT_NS
+    assert port.drain() >= 4
+    assert worker.looks >= 2
+
+
+@pytest.mark.pty
+def test_patience_ends(pty: Pty, port: SerialPort) -> None:
+    worker = ScriptedWorker(pty.master)
+    assert await_reply(port, worker, patience_ns=0) == b""
+    assert port.drain() == 0
+    assert worker.looks == 0
+
+
 @pytest.mark.pty
 def test_bytes_that_arrived_count_even_after_the_deadline(pty: Pty, port: SerialPort) -> None:
     port.setPacketTimeoutMillis(0)
     os.write(pty.master, b"reply")
+    while port.getBytesAvailable() < 5:
+        time.sleep(0.001)
     assert port.readPort(5) == b"reply"
 
 

@@ -1,0 +1,57 @@
+"""What makes servos unfit for an arm, in words that say what to do about it."""
+
+from __future__ import annotations
+
+from armctl.dynamixel import ax12a
+from armctl.messages import Problem
+
+
+def bus_dead(servos: int, garbled: bool, port_name: str, baud: int) -> Problem:
+    """Why none of so many servos can be understood."""
+    if garbled:
+        return Problem(
+            "BUS_DEAD",
+            f"{port_name}: {servos} servos asked, only garbled bytes came; check that every servo runs at "
+            f"{baud} baud, that the adapter does not echo, the data wire and the common ground",
+        )
+    return Problem(
+        "BUS_DEAD",
+        f"{port_name}: {servos} servos asked, not a byte came; check that the servos' 12 V supply is on, "
+        f"that they run at {baud} baud, and the cable between adapter and first servo",
+    )
+
+
+def slow_adapter(port_name: str, latency_ms: float, bound_ms: float) -> Problem:
+    """An adapter that keeps every reply back for so long."""
+    return Problem(
+        "SLOW_ADAPTER",
+        f"{port_name}: the adapter adds {latency_ms:.1f} ms to every reply, at most {bound_ms:.0f} ms are fit for "
+        "motion; install the udev rule, or set its latency timer: "
+        "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB*/latency_timer",
+    )
+
+
+def table_problems(servo: str, servo_id: int, table: bytes, limits_tick: tuple[int, int]) -> list[Problem]:
+    """What in the EEPROM (bytes 0..23) of a servo forbids motion of a joint with these limits."""
+    model = ax12a.register_value(ax12a.MODEL, table, 0)
+    if model != ax12a.MODEL_NUMBER:
+        text = f"{servo}: model number {model}, wanted {ax12a.MODEL_NUMBER} (AX-12A); use an AX-12A, or the right id"
+        return [Problem("WRONG_MODEL", text, servo_id)]
+    cw, ccw, level = (
+        ax12a.register_value(register, table, 0) for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT, ax12a.RETURN_LEVEL)
+    )
+    low, high = limits_tick
+    faults = []
+    if cw == ccw == 0:
+        faults.append(
+            f"cw_angle_limit and ccw_angle_limit are 0 (wheel mode), wanted at most {low} and at least {high}"
+        )
+    else:
+        if cw > low:
+            faults.append(f"cw_angle_limit is {cw}, wanted at most {low}")
+        if ccw < high:
+            faults.append(f"ccw_angle_limit is {ccw}, wanted at least {high}")
+    if level != ax12a.RETURN_LEVEL.default:
+        faults.append(f"status_return_level is {level}, wanted {ax12a.RETURN_LEVEL.default}")
+    remedy = "; write the servo's EEPROM with its torque off, or correct the calibration file"
+    return [Problem("EEPROM_MISMATCH", f"{servo}: {fault}{remedy}", servo_id) for fault in faults]
