@@ -5,7 +5,8 @@ Two files exist. `Config` says how the daemon runs (`armctl.yaml`, optional: eve
 the files, because people write them, and radians in every property the code reads.
 
 A file is refused as a whole, with file, key, value and bound of everything that is wrong in it. YAML is read
-without its surprises: no aliases, no duplicate keys, no `.nan`, no `1:30` or `0o17` numbers, 64 KiB at most.
+without its surprises: no aliases, tags or duplicate keys, no `.nan`, no `1:30` or `0o17` numbers, at most 64 KiB and
+16 levels deep.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError
 
 MAX_YAML_BYTES = 65536
+MAX_YAML_DEPTH = 16
+MAX_GRIP_TICK = 20
+"""5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked."""
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
@@ -104,6 +108,16 @@ class JointConfig(_Frozen):
         return math.radians(self.rest_deg)
 
 
+class GripperConfig(_Frozen):
+    """The joint that grips. It moves no tool point, and gets from open to closed unless something is in between."""
+
+    joint: Name
+    open_deg: Degrees
+    closed_deg: Degrees
+    load_ratio: float = Field(0.3, ge=0.15, le=0.5)
+    """The load that tells a grip, and that holds it: above friction, below what makes the servo hot."""
+
+
 class ArmConfig(_Frozen):
     """One physical arm: its servos, their calibration and the robot model they form."""
 
@@ -113,12 +127,38 @@ class ArmConfig(_Frozen):
     """Link lengths that differ from the robot's own, by the robot's parameter names."""
     floor_m: float = 0.0
     """Height of the surface the arm stands on, in the base frame; no plan goes below it."""
+    link_radius_m: float = Field(0.025, gt=0.0, le=0.5)
+    """How thick the links are all round, for what may touch; half the longest side of an AX-12A."""
     tool_speed_limit_m_s: float = Field(0.25, gt=0.0, le=2.0)
     voltage_V: tuple[float, float] = Field((9.0, 13.0), strict=False)
     """Supply voltage outside which the arm goes to rest."""
     temperature_limit_degC: float = Field(65.0, gt=0.0, le=80.0)
     """Temperature from which the arm goes to rest, before a servo's own trip drops it."""
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
+    gripper: GripperConfig | None = None
+
+    @model_validator(mode="after")
+    def _check_gripper(self) -> ArmConfig:
+        gripper = self.gripper
+        if gripper is None:
+            return self
+        if gripper.joint not in self.joint_names:
+            raise ValueError(f"gripper.joint {gripper.joint}: no such joint; known: {', '.join(self.joint_names)}")
+        joint = self.joints[self.joint_names.index(gripper.joint)]
+        low, high = joint.limits_deg
+        for angle in (gripper.open_deg, gripper.closed_deg):
+            if not low <= angle <= high:
+                raise ValueError(f"gripper: {angle} deg lies outside limits_deg [{low}, {high}] of {joint.name}")
+        if gripper.open_deg == gripper.closed_deg:
+            raise ValueError(f"gripper: open and closed are both {gripper.open_deg} deg")
+        slope_tick = 1 << (joint.compliance.slope.bit_length() - 1)  # the register's steps are 2, 4, 8, ..., 128
+        behind_tick = joint.compliance.margin + gripper.load_ratio * slope_tick
+        if behind_tick > MAX_GRIP_TICK:
+            raise ValueError(
+                f"gripper.load_ratio {gripper.load_ratio}: with compliance slope {joint.compliance.slope} the servo is "
+                f"{behind_tick:.0f} ticks behind its goal then, at most {MAX_GRIP_TICK}; lower either of them"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check(self) -> ArmConfig:
@@ -141,8 +181,13 @@ class ArmConfig(_Frozen):
 
     @cached_property
     def calibration_hash(self) -> str:
-        """Short fingerprint that tells whether a log was recorded with this calibration."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+        """Short fingerprint that tells whether a log was recorded with this calibration.
+
+        How thick the links are changes nothing in a log, and every plan is judged anew before it runs. What a gripper
+        was told stands in the log itself.
+        """
+        told = self.model_dump_json(exclude={"link_radius_m", "gripper"})
+        return hashlib.sha256(told.encode()).hexdigest()[:16]
 
 
 class LogConfig(_Frozen):
@@ -151,7 +196,13 @@ class LogConfig(_Frozen):
     rotate_s: float = Field(3600.0, ge=1.0)
     rotate_bytes: int = Field(128 * 2**20, ge=2**16)
     free_bytes: int = Field(256 * 2**20, ge=0)
-    """Logging stops, and control goes on, when less than this is free."""
+    """Logging stops, and control goes on, when less than this is free and no old log is left to delete."""
+    quota_bytes: int = Field(4 * 2**30, ge=2**20)
+    """What all finished logs together may take; the oldest are deleted beyond it."""
+    max_age_s: float = Field(0.0, ge=0.0)
+    """Logs older than this, counted back from the newest, are deleted; 0: none is for its age."""
+    snapshot_s: float = Field(30.0, ge=1.0, le=600.0)
+    """So much before and after a fault is kept in a file of its own, which no bound deletes."""
 
 
 class Config(_Frozen):
@@ -169,15 +220,26 @@ class Config(_Frozen):
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader without aliases, duplicate keys and surprising scalars."""
+    """SafeLoader without aliases, tags, duplicate keys, depth and surprising scalars."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
 
+    depth = 0
+
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.events.AliasEvent):
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem="aliases are not allowed", problem_mark=event.start_mark)
-        return super().compose_node(parent, index)
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        problem = (
+            "aliases are not allowed" if isinstance(event, yaml.AliasEvent)
+            else "tags are not allowed" if getattr(event, "tag", None) is not None
+            else f"nested more than {MAX_YAML_DEPTH} deep" if self.depth == MAX_YAML_DEPTH
+            else ""
+        )  # fmt: skip
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -288,7 +350,7 @@ def find_arm_file(arm: str) -> Path:
     known: set[str] = set()
     for folder in calibration_dirs():
         path = folder / f"{arm}.yaml"
-        if re.match(NAME_PATTERN, arm) and path.is_file():
+        if re.fullmatch(NAME_PATTERN, arm) and path.is_file():
             return path
         known.update(found.stem for found in folder.glob("*.yaml") if folder.is_dir())
     raise ConfigError(
@@ -327,7 +389,10 @@ def socket_path(override: str | None = None) -> Path:
     if chosen:
         return Path(chosen)
     service = Path("/run/armctl/armctl.sock")
-    if service.exists():
+    try:
+        if service.exists():
+            return service
+    except PermissionError:  # there is a service, for another group
         return service
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     return (Path(runtime) if runtime else data_dir(Config())) / "armctl.sock"

@@ -52,6 +52,15 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
+class Grip:
+    """What a closing gripper feels for: the motion ends early, and well, where the joint's load says that it holds."""
+
+    joint: int
+    """Index of the gripper's joint."""
+    load_ratio: float
+
+
+@dataclass(frozen=True, slots=True)
 class JointTrajectory:
     """Joint positions on a uniform time grid; straight lines in joint space between neighbours.
 
@@ -63,6 +72,7 @@ class JointTrajectory:
     begin_s: float = 0.0
     end_s: float = 0.0
     label: str = ""
+    grip: Grip | None = None
 
     @property
     def duration_s(self) -> float:
@@ -119,6 +129,48 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class Pause:
+    """Bring a run to rest on its path, to be resumed there."""
+
+    request_id: int
+    kind: Literal["pause"] = "pause"
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Go on with a paused run."""
+
+    request_id: int
+    kind: Literal["resume"] = "resume"
+
+
+@dataclass(frozen=True, slots=True)
+class SetRate:
+    """Run at `rate` trajectory seconds per second, 0.1 to 1: never faster than what was checked."""
+
+    request_id: int
+    rate: float
+    kind: Literal["set_rate"] = "set_rate"
+
+
+@dataclass(frozen=True, slots=True)
+class Jog:
+    """One heartbeat of a jog: the velocity wanted until the next one; without a next one the arm stops.
+
+    Either of the two velocities is given, the other one is empty.
+    """
+
+    request_id: int
+    joints_rad_s: tuple[float, ...] = ()
+    """One velocity for each joint."""
+    tool_m_s: tuple[float, ...] = ()
+    """Velocity of the tool point in the base frame, (x, y, z)."""
+    begin: bool = False
+    """True for the first heartbeat alone: a jog that has ended does not go on by itself."""
+    kind: Literal["jog"] = "jog"
+
+
+@dataclass(frozen=True, slots=True)
 class Park:
     """Go slowly to the rest pose, and switch torque off there."""
 
@@ -140,6 +192,8 @@ class Connected:
 
     problems: tuple[Problem, ...] = ()
     restarted: bool = False
+    firmware: tuple[int, ...] = ()
+    """Firmware version of every servo; -1: it could not be read."""
     kind: Literal["connected"] = "connected"
 
 
@@ -150,7 +204,22 @@ class HostLost:
     kind: Literal["host_lost"] = "host_lost"
 
 
-Command = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Park | Clear | Connected | HostLost
+Command = (
+    Hold
+    | Release
+    | TorqueOn
+    | Teach
+    | TeachEnd
+    | Run
+    | Pause
+    | Resume
+    | SetRate
+    | Jog
+    | Park
+    | Clear
+    | Connected
+    | HostLost
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +253,7 @@ class Mode(StrEnum):
     ENERGISING = "energising"
     HOLDING = "holding"
     MOVING = "moving"
+    JOGGING = "jogging"
     PARKING = "parking"
     TEACHING = "teaching"
     FAULTED = "faulted"
@@ -275,6 +345,8 @@ class Outputs:
     events: tuple[Event, ...] = ()
     progress: float | None = None
     """Fraction of the running trajectory, None when none runs."""
+    rate: float | None = None
+    """Trajectory seconds per second asked for, 0 while paused; None when none runs."""
 
 
 @dataclass(frozen=True, slots=True)

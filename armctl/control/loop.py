@@ -1,8 +1,8 @@
 """The control loop: the only caller of the bus and of the step, on any clock.
 
-Deadlines are absolute: tick k is due at start + k * period. A tick that comes too late is skipped, never made
-up for in a burst. While the port is gone the loop keeps ticking (so that the fault is seen, logged and
-published) and looks for the port again every half second.
+Deadlines are absolute: tick k is due at start + k * period. A tick that comes half a period too late, or 50 ms, is
+skipped, never made up for in a burst. While the port is gone the loop keeps ticking (so that the fault is seen,
+logged and published) and looks for the port again every half second.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
-from armctl.control.machine import State
+from armctl.control.machine import Settle, State
 from armctl.control.step import step
 from armctl.dynamixel.bus import ServoBus
 from armctl.errors import BusError
@@ -40,6 +40,7 @@ class ControlLoop:
         self._bus, self._clock, self._arm, self._robot = bus, clock, arm, robot
         self._period_s = period_s
         self._period_ns = round(period_s * NS_PER_S)
+        self._skip_ns = min(SKIP_NS, self._period_ns // 2)
         self._restarted = restarted
         self._tick = 0
         self._deadline_ns = 0
@@ -55,11 +56,15 @@ class ControlLoop:
         """
         self._bus.open()
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves by this program's will, and nothing is on its way to."""
+        return self.state.motion is None and self.state.jog is None and self.state.settle is Settle.NO
+
     def tick(self, commands: Sequence[Command]) -> TickRecord:
         """Wait for the next deadline, then read, decide, write."""
         clock = self._clock
-        self._deadline_ns = self._deadline_ns or clock.now_ns()
-        clock.sleep_until_ns(self._deadline_ns)
+        clock.sleep_until_ns(self._due_ns())
         late_ns = clock.now_ns() - self._deadline_ns
         commands = (*self._connect(commands), *commands)
         sample = self._bus.read_sample()
@@ -85,26 +90,38 @@ class ControlLoop:
         self._tick += 1
         self._deadline_ns += self._period_ns
         behind_ns = clock.now_ns() - self._deadline_ns
-        if behind_ns > SKIP_NS:
+        if behind_ns > self._skip_ns:
             self._deadline_ns += -(-behind_ns // self._period_ns) * self._period_ns
         return record
 
     def run(
-        self, inbox: Callable[[], Sequence[Command]], outbox: Callable[[TickRecord], bool], leave: Callable[[], bool]
+        self,
+        inbox: Callable[[], Sequence[Command]],
+        outbox: Callable[[TickRecord], bool],
+        leave: Callable[[], bool],
+        wait: Callable[[int], None] | None = None,
     ) -> None:
         """Tick until `leave` says so and nothing moves any more.
 
         Args:
             inbox: Commands that arrived since the last call.
             outbox: Takes a record; False if it could not, which the next record tells.
+            wait: Returns at an instant [ns]; None: the clock's.
         """
+        wait = wait or self._clock.sleep_until_ns
         while not (leave() and self.state.motion is None and self.state.mode is not Mode.ENERGISING):
+            wait(self._due_ns())  # before the inbox is emptied: what comes at the last moment is served by this tick
             record = self.tick(inbox())
             if outbox(record):
                 self._dropped = 0
             else:
                 self._dropped += 1
                 self._keyframe_due = True
+
+    def _due_ns(self) -> int:
+        """When the next tick is due; the first one now."""
+        self._deadline_ns = self._deadline_ns or self._clock.now_ns()
+        return self._deadline_ns
 
     def _connect(self, commands: Sequence[Command]) -> tuple[Command, ...]:
         """Open a lost port again, and identify the servos where that is due."""
@@ -118,6 +135,8 @@ class ControlLoop:
             except BusError:
                 return ()
         first = self._tick == 0
-        if not self._bus.is_open or not (due or first or any(isinstance(command, Clear) for command in commands)):
+        clearing = self.state.fault is not None and any(isinstance(command, Clear) for command in commands)
+        if not self._bus.is_open or not (due or first or clearing):
             return ()
-        return (Connected(self._bus.identify(self._arm), restarted=self._restarted and first),)
+        problems = self._bus.identify(self._arm)
+        return (Connected(problems, restarted=self._restarted and first, firmware=self._bus.firmware),)

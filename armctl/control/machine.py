@@ -1,12 +1,13 @@
 """The control machine: its states, what may happen in each, and nothing else.
 
 Theory. The arm is limp (`off`, `teaching`), on its way to torque (`energising`), under torque (`holding`,
-`moving`, `parking`) or latched (`faulted`). A latched arm keeps what torque it has; only `release` and `clear` are
-heard, and nothing advances but the deceleration and, for a fault that would soon drop the arm anyway, the slow way
-to rest. Every change of mode is one row of `TRANSITIONS`; an event without a row in the present mode is illegal and
-changes nothing. Who may ask for what, and in which words a request is refused, follows from the same table.
+`moving`, `jogging`, `parking`) or latched (`faulted`). A latched arm keeps what torque it has; only `release` and
+`clear` are heard, and nothing advances but the deceleration and, for a fault that would soon drop the arm anyway, the
+slow way to rest. Every change of mode is one row of `TRANSITIONS`; an event without a row in the present mode is
+illegal and changes nothing. Who may ask for what, and in which words a request is refused, follows from the same table.
 
     off --torque_on--> energising --energised--> holding --run--> moving --stopped--> holding
+    holding --jog--> jogging --stopped--> holding
     holding --park--> parking --parked--> off, --stopped--> holding
     off, holding --teach--> teaching --teach_end--> off
     any --fault--> faulted --clear_limp--> off, --clear_powered--> holding
@@ -30,6 +31,7 @@ class Trigger(StrEnum):
     ENERGISED = "energised"
     ENERGISE_FAILED = "energise_failed"
     RUN = "run"
+    JOG = "jog"
     STOPPED = "stopped"
     PARK = "park"
     PARKED = "parked"
@@ -58,6 +60,9 @@ TRANSITIONS = MappingProxyType(
         (Mode.HOLDING, Trigger.FAULT): Mode.FAULTED,
         (Mode.MOVING, Trigger.STOPPED): Mode.HOLDING,
         (Mode.MOVING, Trigger.FAULT): Mode.FAULTED,
+        (Mode.HOLDING, Trigger.JOG): Mode.JOGGING,
+        (Mode.JOGGING, Trigger.STOPPED): Mode.HOLDING,
+        (Mode.JOGGING, Trigger.FAULT): Mode.FAULTED,
         (Mode.HOLDING, Trigger.PARK): Mode.PARKING,
         (Mode.PARKING, Trigger.PARKED): Mode.OFF,
         (Mode.PARKING, Trigger.STOPPED): Mode.HOLDING,
@@ -76,6 +81,7 @@ _ADVICE: dict[Mode, str] = {
     Mode.ENERGISING: "torque is coming on; wait until it holds",
     Mode.HOLDING: "the arm is holding under torque",
     Mode.MOVING: "the arm is moving; `armctl stop` first",
+    Mode.JOGGING: "the arm is being jogged; end that first, or `armctl stop`",
     Mode.PARKING: "the arm is on its way to rest; `armctl stop` first",
     Mode.TEACHING: "the arm is limp for teaching; end the teaching first",
     Mode.FAULTED: "a fault is latched; see `armctl status`, then `armctl clear`",
@@ -92,11 +98,35 @@ class Motion:
     progress_s: float = 0.0
     """Where along the trajectory the arm is commanded to be now."""
     rate: float = 1.0
-    """Trajectory seconds per second; a stop lowers it to 0 along the path."""
+    """Trajectory seconds per second; a stop or a pause lowers it to 0 along the path."""
+    wanted_rate: float = 1.0
+    """Where `rate` goes while nothing holds it up."""
+    paused: bool = False
     stop_code: str = ""
     """Why it is being stopped; empty while it runs."""
+    resisted_ticks: int = 0
+    """How often in a row a closing gripper has felt its load."""
     begun: bool = False
     ended: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Jogging:
+    """A jog under way."""
+
+    position_rad: tuple[float, ...]
+    """Where the joints are commanded to be now; goals are its nearest ticks."""
+    velocity_rad_s: tuple[float, ...]
+    """How fast they are commanded to move now."""
+    joints_rad_s: tuple[float, ...]
+    tool_m_s: tuple[float, ...]
+    """What the last heartbeat asked for."""
+    heard_ns: int
+    """When the last heartbeat came."""
+    rate: float = 1.0
+    """Falls from 1 to 0 once heartbeats cease or the jog is stopped."""
+    stop_code: str = ""
+    """Why it is being stopped; empty while it goes on."""
 
 
 class Settle(StrEnum):
@@ -131,9 +161,12 @@ class State:
     """Last goal sent [tick]."""
     previous_goal: tuple[int, ...] | None = None
     """The goal before it: what a servo shows that missed the last one."""
+    settings: tuple[int, ...] = ()
+    """Of each servo the registers that only torque-on writes (see tick.py), as they were when torque was taken over."""
     anchor: tuple[int, ...] | None = None
     """Positions [tick] when energising began."""
     motion: Motion | None = None
+    jog: Jogging | None = None
     settle: Settle = Settle.NO
     error_since_ns: tuple[int, ...] = ()
     """Since when each joint has been farther from its goal than allowed; 0: it is not."""

@@ -4,6 +4,9 @@
 port, and ticks until the socket closes (its host is gone) or SIGTERM arrives. Either way it first lets a motion
 come to rest; torque stays as it is. A port that is busy is waited for a little: the holder may be a predecessor
 that is doing just that.
+
+Importing what the body needs takes longer than all the rest of its start: so that happens in `main`, and the host,
+which holds a handle only, imports other things meanwhile.
 """
 
 from __future__ import annotations
@@ -17,17 +20,16 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-from armctl.clock import NS_PER_S, MonotonicClock, ask_for_real_time
+from armctl.clock import NS_PER_S, Clock, MonotonicClock, ask_for_real_time
 from armctl.config import ArmConfig
 from armctl.control.link import Link, LinkClosed, Ready, StartFailed
-from armctl.control.loop import ControlLoop
-from armctl.dynamixel.bus import ServoBus
-from armctl.dynamixel.port import SerialPort
 from armctl.errors import BusError, PortBusy
-from armctl.kinematics import robots
-from armctl.messages import Command, HostLost
+from armctl.messages import Command, Hold, HostLost, Reply
+
+if TYPE_CHECKING:
+    from armctl.control.loop import ControlLoop
 
 SETTINGS_TIMEOUT_S = 10.0
 BUSY_NS = 2 * NS_PER_S
@@ -82,16 +84,57 @@ class ControlProcess:
             self._process.wait()
 
 
+class Inbox:
+    """What the host has sent since the last tick.
+
+    A `Hold` that finds the arm at rest is answered when it comes: nothing moves, and nothing accepted before it will,
+    since there is none or it would be stopped by this very `Hold` in the next tick. One that must bring something to
+    rest is answered by the tick in which it lies still.
+    """
+
+    def __init__(self, link: Link, loop: ControlLoop, clock: Clock) -> None:
+        self.leaving = False
+        """Whether the host is gone, or wants this process to be."""
+        self._link, self._loop, self._clock = link, loop, clock
+        self._commands: list[Command] = []
+
+    def wait(self, deadline_ns: int) -> None:
+        """Take in what comes until `deadline_ns`."""
+        while not self.leaving and (left_ns := deadline_ns - self._clock.now_ns()) > 0:
+            if not select.select([self._link], [], [], left_ns / NS_PER_S)[0]:
+                break
+            self._receive()
+        self._clock.sleep_until_ns(deadline_ns)
+
+    def take(self) -> Sequence[Command]:
+        """Everything that has come."""
+        if not self.leaving:
+            self._receive()
+        if self.leaving:
+            return (HostLost(),)
+        commands, self._commands = self._commands, []
+        return commands
+
+    def _receive(self) -> None:
+        try:
+            received = cast("list[Command]", self._link.receive())
+        except LinkClosed:
+            self.leaving = True
+            return
+        for command in received:
+            self._commands.append(command)
+            if isinstance(command, Hold) and self._loop.at_rest and all(isinstance(c, Hold) for c in self._commands):
+                self._link.send(Reply(command.request_id, True))
+
+
 def main(descriptor: int) -> int:
     """Body of the control process."""
+    from armctl.control.loop import ControlLoop
+    from armctl.dynamixel.bus import ServoBus
+    from armctl.dynamixel.port import SerialPort
+    from armctl.kinematics import robots
+
     link = Link(socket.socket(fileno=descriptor))
-    leaving = False
-
-    def leave(_signal: int, _frame: object) -> None:
-        nonlocal leaving
-        leaving = True
-
-    signal.signal(signal.SIGTERM, leave)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     select.select([link], [], [], SETTINGS_TIMEOUT_S)
     settings, restarted = cast("tuple[ControlSettings, bool]", link.receive()[0])
@@ -99,30 +142,25 @@ def main(descriptor: int) -> int:
     bus = ServoBus(SerialPort(settings.port, settings.baud, clock), settings.arm.servo_ids, clock)
     robot = robots.get(settings.arm.robot, settings.arm.lengths_m)
     loop = ControlLoop(bus, clock, settings.arm, robot, settings.period_s, restarted=restarted)
+    inbox = Inbox(link, loop, clock)
+
+    def leave(_signal: int, _frame: object) -> None:
+        inbox.leaving = True
+
+    signal.signal(signal.SIGTERM, leave)
     give_up_ns = clock.now_ns() + BUSY_NS
     while not bus.is_open:
         try:
             loop.open()
         except BusError as error:
-            if leaving or clock.now_ns() >= give_up_ns or not isinstance(error, PortBusy):
+            if inbox.leaving or clock.now_ns() >= give_up_ns or not isinstance(error, PortBusy):
                 link.send(StartFailed(error.code, str(error)))
                 return 1
             clock.sleep_until_ns(clock.now_ns() + BUSY_POLL_NS)
     link.send(Ready(os.getpid()))
-
-    def inbox() -> Sequence[Command]:
-        nonlocal leaving
-        if leaving:
-            return (HostLost(),)
-        try:
-            return cast("list[Command]", link.receive())
-        except LinkClosed:
-            leaving = True
-            return (HostLost(),)
-
     gc.freeze()
     ask_for_real_time()
-    loop.run(inbox, link.send, lambda: leaving)
+    loop.run(inbox.take, link.send, lambda: inbox.leaving, inbox.wait)
     bus.close()
     return 0
 

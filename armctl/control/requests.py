@@ -7,20 +7,24 @@ from dataclasses import replace
 from itertools import pairwise
 
 from armctl.config import ArmConfig
+from armctl.control import jog
+from armctl.control.detect import PAUSE_AGE_S
 from armctl.control.machine import Motion, Settle, Trigger
 from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS, abandon_settling
 from armctl.control.tick import (
     Tick,
     end_sequence,
+    finish_jog,
     finish_motion,
     latch,
     send_goal,
     stop_motion,
-    take_goals_over,
+    take_over,
     torque_off,
+    weak_joints,
 )
 from armctl.dynamixel import ax12a
-from armctl.errors import RequestRefused
+from armctl.errors import IllegalTransition, RequestRefused
 from armctl.messages import (
     Clear,
     Command,
@@ -28,11 +32,15 @@ from armctl.messages import (
     Event,
     Hold,
     HostLost,
+    Jog,
     JointTrajectory,
     Mode,
     Park,
+    Pause,
     Release,
+    Resume,
     Run,
+    SetRate,
     Teach,
     TeachEnd,
     TorqueOn,
@@ -43,6 +51,9 @@ START_TOLERANCE_RAD = math.radians(2.0)
 EDGE_TICKS = 2
 """How far outside its limits a joint may be found and still be energised, at the limit."""
 MAX_POINTS = 4000
+MINIMUM_RATE = 0.1
+MAX_GRIP_RATIO = 0.5
+"""A servo that grips harder for good gets hotter than it may."""
 
 
 def carry_out(s: Tick, command: Command) -> None:
@@ -54,7 +65,11 @@ def carry_out(s: Tick, command: Command) -> None:
             case Connected():
                 _connected(s, command)
             case HostLost():
-                stop_motion(s, "HOST_LOST")
+                # As if this process had died with it: no goal after the last, which is one tick ahead at most.
+                if s.state.motion is not None:
+                    finish_motion(s, "HOST_LOST", "")
+                if s.state.jog is not None:
+                    finish_jog(s, "HOST_LOST")
             case Hold(request_id):
                 _hold(s, request_id)
             case TorqueOn(request_id):
@@ -64,19 +79,34 @@ def carry_out(s: Tick, command: Command) -> None:
                 if s.state.motion is not None:
                     finish_motion(s, "RELEASED", "")
                 end_sequence(s, "RELEASED")
-                s.state = replace(s.state, settle=Settle.NO)
+                s.state = replace(s.state, settle=Settle.NO, adopted=True)
                 torque_off(s)
                 s.reply(request_id, True)
             case Teach(request_id):
                 s.go(Trigger.TEACH)
                 torque_off(s)
-                s.state = replace(s.state, request_id=request_id)
+                # Whatever torque there was is not to be taken over any more.
+                s.state = replace(s.state, request_id=request_id, adopted=True)
             case TeachEnd(request_id):
                 s.go(Trigger.TEACH_END)
                 end_sequence(s, "TEACH_ENDED")
                 s.reply(request_id, True)
             case Run(request_id, trajectory):
                 _run(s, request_id, trajectory)
+            case Pause(request_id):
+                _change_run(s, "pause", paused=True)
+                s.reply(request_id, True)
+            case Resume(request_id):
+                _change_run(s, "resume", paused=False)
+                s.reply(request_id, True)
+            case SetRate(request_id, rate):
+                if not MINIMUM_RATE <= rate <= 1.0:
+                    raise RequestRefused("LIMIT", f"rate {rate:g} lies outside {MINIMUM_RATE:g} to 1")
+                _change_run(s, "rate", wanted_rate=rate)
+                s.reply(request_id, True)
+            case Jog(request_id):
+                (jog.begin if command.begin else jog.heartbeat)(s, command)
+                s.reply(request_id, True)
             case Park(request_id):
                 s.go(Trigger.PARK)
                 s.state = replace(s.state, request_id=request_id, settle=Settle.STOP)
@@ -107,7 +137,7 @@ def _connected(s: Tick, command: Connected) -> None:
 def _hold(s: Tick, request_id: int) -> None:
     if s.state.settle is not Settle.NO:
         abandon_settling(s, "STOPPED", "it was stopped")
-    if s.state.motion is not None:
+    if s.state.motion is not None or s.state.jog is not None:
         stop_motion(s, "STOPPED")
         s.state = replace(s.state, hold_request_ids=(*s.state.hold_request_ids, request_id))
         return
@@ -164,6 +194,13 @@ def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
     s.events.append(Event("info", "RUN_ACCEPTED", f"{trajectory.label} ({trajectory.duration_s:.1f} s)"))
 
 
+def _change_run(s: Tick, what: str, **changes: float | bool) -> None:
+    motion = s.state.motion
+    if s.state.mode is not Mode.MOVING or motion is None or motion.stop_code:
+        raise IllegalTransition(f"{what}: no run is under way")
+    s.state = replace(s.state, motion=replace(motion, **changes))  # type: ignore[arg-type]  # by name, from above
+
+
 def _check_trajectory(trajectory: JointTrajectory, arm: ArmConfig) -> None:
     """The last wall before the wire: shape, numbers, limits and joint speed.
 
@@ -178,6 +215,13 @@ def _check_trajectory(trajectory: JointTrajectory, arm: ArmConfig) -> None:
     for point in points:
         if len(point) != len(arm.joints) or not all(map(math.isfinite, point)):
             raise RequestRefused("LIMIT", f"every point needs {len(arm.joints)} finite joint positions")
+    grip = trajectory.grip
+    if grip is not None and not (0 <= grip.joint < len(arm.joints) and 0.0 < grip.load_ratio <= MAX_GRIP_RATIO):
+        raise RequestRefused(
+            "LIMIT",
+            f"a grip needs one of the {len(arm.joints)} joints and a load within 0 to {MAX_GRIP_RATIO:g}, not joint "
+            f"{grip.joint} and {grip.load_ratio:g}",
+        )
     for i, joint in enumerate(arm.joints):
         low, high = joint.limits_rad
         column = [point[i] for point in points]
@@ -203,39 +247,38 @@ def _clear(s: Tick, request_id: int) -> None:
         return
     if s.state.motion is not None or s.state.settle is not Settle.NO:
         raise RequestRefused("NOT_CLEARED", "the arm is still coming to rest; try again")
-    persisting = _persisting_cause(s)
-    if persisting:
-        raise RequestRefused("NOT_CLEARED", f"the cause of {s.state.fault.code} persists: {persisting}")
+    causes = persisting_causes(s)
+    if causes:
+        raise RequestRefused("NOT_CLEARED", f"the cause of {s.state.fault.code} persists: {'; '.join(causes)}")
     powered = [registers is not None and registers.torque_enabled for registers in s.registers]
     s.go(Trigger.CLEAR_POWERED if all(powered) else Trigger.CLEAR_LIMP)
     s.state = replace(s.state, fault=None, adopted=True)
     if all(powered):
-        take_goals_over(s)
+        take_over(s)
     s.reply(request_id, True)
 
 
-def _persisting_cause(s: Tick) -> str:
-    """Why the fault cannot be cleared now; empty if it can."""
+def persisting_causes(s: Tick) -> list[str]:
+    """Why the latched fault cannot be cleared now, each with what to do about it; empty if it can."""
     if not s.inputs.sample.port_open or not s.state.connected:
-        return "the serial port is not open; plug the adapter in"
-    if s.state.problems:
-        return "; ".join(problem.text for problem in s.state.problems)
-    hot = [
-        j.name
-        for j, now in zip(s.arm.joints, s.joints, strict=True)
-        if now.temperature_degC >= s.arm.temperature_limit_degC
-    ]
-    if hot:
-        return f"{', '.join(hot)} above {s.arm.temperature_limit_degC:g} degC; let it cool"
-    low_V, high_V = s.arm.voltage_V
-    if not all(low_V <= now.voltage_V <= high_V for now in s.joints):
-        return f"the supply voltage is outside {low_V:g} to {high_V:g} V"
-    silent = [j.name for j, reading in zip(s.arm.joints, s.inputs.sample.servos, strict=True) if not reading.fresh]
+        return ["the serial port is not open; plug the adapter in"]
+    causes = [problem.text for problem in s.state.problems]
+    named = list(zip(s.arm.joints, s.joints, s.registers, strict=True))
+    # By age: one reply that was lost just now says nothing about a servo that answers.
+    silent = [joint.name for joint, now, _ in named if not now.known or now.age_s > PAUSE_AGE_S]
     if silent:
-        return f"no reply from {', '.join(silent)}"
-    on = [r is not None and r.torque_enabled for r in s.registers]
-    tripped = [j.name for j, r in zip(s.arm.joints, s.registers, strict=True) if r is not None and not r.torque_limit]
-    if any(on) and (tripped or not all(on)):
-        limp = tripped or [j.name for j, torque in zip(s.arm.joints, on, strict=True) if not torque]
-        return f"{', '.join(limp)} limp while others hold; support the arm and type `armctl release`"
-    return ""
+        return [*causes, f"no reply from {', '.join(silent)}; check the cable and the supply"]
+    limit_degC = s.arm.temperature_limit_degC
+    if hot := [joint.name for joint, now, _ in named if now.temperature_degC >= limit_degC]:
+        causes.append(f"{', '.join(hot)} above {limit_degC:g} degC; let it cool")
+    low_V, high_V = s.arm.voltage_V
+    if wrong := [f"{now.voltage_V:.1f} V" for _, now, _ in named if not low_V <= now.voltage_V <= high_V]:
+        causes.append(f"the supply gives {wrong[0]}, outside {low_V:g} to {high_V:g} V; check the power supply")
+    on = [bool(registers and registers.torque_enabled) for _, _, registers in named]
+    limp = [joint.name for joint, _, registers in named if not (registers and registers.torque_limit)]
+    limp = limp or [joint.name for (joint, _, _), torque in zip(named, on, strict=True) if not torque]
+    if any(on) and limp:
+        causes.append(f"{', '.join(limp)} limp while others hold; support the arm and type `armctl release`")
+    elif weak := ", ".join(s.arm.joint_names[i] for i in weak_joints(s)):
+        causes.append(f"{weak} without full torque; support the arm and type `armctl release`")
+    return causes

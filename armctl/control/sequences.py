@@ -9,20 +9,25 @@ import math
 from dataclasses import replace
 
 from armctl.control.detect import SILENT_AGE_S
+from armctl.control.jog import advance_jog
 from armctl.control.machine import Motion, Settle, Trigger
 from armctl.control.tick import (
     Tick,
+    all_powered,
     end_sequence,
     finish_motion,
+    full_torque,
     latch_servo,
     send_goal,
     stop_motion,
-    take_goals_over,
+    take_over,
     torque_off,
+    weak_joints,
 )
 from armctl.dynamixel import ax12a
 from armctl.messages import (
     Event,
+    Grip,
     JointTrajectory,
     Mode,
     Write,
@@ -37,11 +42,17 @@ STILL_TICKS = 3
 SOFT_TORQUE = 128
 """Torque limit while torque comes on (12.5 %)."""
 RAMP_TICKS = 5
+ENERGISE_TICKS = RAMP_TICKS + 10
+"""A servo that does not show its full torque limit by then refuses it."""
 JUMP_RAD = math.radians(6.0)
 SEQUENCE_TICKS = 5
 """How long a sequence waits for the servos to confirm a step."""
 REST_TOLERANCE_RAD = math.radians(3.0)
 VERIFY_TICKS = 20
+GRIP_TICKS = 2
+"""A load felt once may be the servo setting off."""
+LEAD_TICKS = math.radians(11.0) / ax12a.TICK_RAD
+"""No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick."""
 
 
 def adopt(s: Tick) -> None:
@@ -50,9 +61,12 @@ def adopt(s: Tick) -> None:
         return
     powered = [registers is not None and registers.torque_enabled for registers in s.registers]
     s.state = replace(s.state, adopted=True)
-    if all(powered):
+    if all(powered) and (weak := weak_joints(s)):
+        limit = s.registers[weak[0]].torque_limit  # type: ignore[union-attr]  # it shows torque
+        latch_servo(s, "LOST_TORQUE", weak[0], f"found with torque limit {limit}: its torque-on was interrupted")
+    elif all(powered):
         s.go(Trigger.ADOPT_POWERED)
-        take_goals_over(s)
+        take_over(s)
     elif any(powered):
         index = powered.index(False)
         latch_servo(s, "LOST_TORQUE", index, "found limp while other servos hold")
@@ -63,10 +77,15 @@ def advance(s: Tick) -> None:
         _energise(s)
     elif s.state.mode is Mode.TEACHING and s.state.request_id is not None and s.state.phase > 0:
         _verify_limp(s)
+    if s.inputs.late_ns > LATE_NS:
+        s.events.append(Event("warning", "LATE", f"a tick came {s.inputs.late_ns / 1e6:.0f} ms late (bound 250)"))
+        stop_motion(s, "LATE")
     if s.state.settle is not Settle.NO:
         _settle(s)
     if s.state.motion is not None:
         _move(s, s.state.motion)
+    if s.state.jog is not None:
+        advance_jog(s, s.state.jog)
 
 
 def _energise(s: Tick) -> None:
@@ -89,13 +108,27 @@ def _energise(s: Tick) -> None:
         send_goal(s, anchor)  # again: a limp servo may have let its goal follow the shaft
     elif 1 <= ramp <= RAMP_TICKS:
         for joint in s.arm.joints:
-            full = ax12a.TORQUE_LIMIT.maximum * joint.torque_limit_ratio
-            limit = round(SOFT_TORQUE + (full - SOFT_TORQUE) * ramp / RAMP_TICKS)
+            limit = round(SOFT_TORQUE + (full_torque(joint) - SOFT_TORQUE) * ramp / RAMP_TICKS)
             s.writes.append(Write(joint.servo_id, ax12a.TORQUE_LIMIT.address, ax12a.TORQUE_LIMIT.size, limit))
-    elif ramp > RAMP_TICKS:
+    elif ramp > RAMP_TICKS and _at_full_torque(s):
         s.reply(s.state.request_id, True)
         s.go(Trigger.ENERGISED)
-        s.state = replace(s.state, request_id=None, anchor=None, error_since_ns=())
+        s.state = replace(s.state, request_id=None, anchor=None)
+        take_over(s)
+
+
+def _at_full_torque(s: Tick) -> bool:
+    """Whether every servo shows the torque limit it is to hold with; one that missed the ramp's end is told again."""
+    behind = [
+        joint
+        for joint, registers in zip(s.arm.joints, s.registers, strict=True)
+        if registers is not None and registers.torque_limit != full_torque(joint)
+    ]
+    s.writes.extend(
+        Write(joint.servo_id, ax12a.TORQUE_LIMIT.address, ax12a.TORQUE_LIMIT.size, full_torque(joint))
+        for joint in behind
+    )
+    return not behind
 
 
 def _surprise(s: Tick, index: int, anchor: int) -> str:
@@ -111,6 +144,8 @@ def _surprise(s: Tick, index: int, anchor: int) -> str:
         return f"{who} shows torque limit {registers.torque_limit} where {SOFT_TORQUE} was written"
     if s.state.phase > 1 and not registers.torque_enabled:
         return f"{who} did not take torque"
+    if s.state.phase > ENERGISE_TICKS and registers.torque_limit != full_torque(joint):
+        return f"{who} shows torque limit {registers.torque_limit}; it does not take {full_torque(joint)}"
     return ""
 
 
@@ -133,25 +168,83 @@ def _move(s: Tick, motion: Motion) -> None:
     if not motion.ended and motion.progress_s >= trajectory.end_s > trajectory.begin_s:
         motion = replace(motion, ended=True)
         s.events.append(Event("info", "PLAN_END", trajectory.label))
+    if trajectory.grip is not None and s.fresh and not motion.stop_code:
+        resisted = _resists(s, trajectory.grip)
+        motion = replace(motion, resisted_ticks=motion.resisted_ticks + 1 if resisted else 0)
+        s.state = replace(s.state, motion=motion)
+        if motion.resisted_ticks >= GRIP_TICKS:
+            return _hold_gripped(s, motion, trajectory.grip)
+        if resisted:
+            return None  # no closer: the goal stays where its distance made the load
     if motion.progress_s >= trajectory.duration_s:
         return finish_motion(s, motion.stop_code, "")
-    if s.inputs.late_ns > LATE_NS and not motion.stop_code:
-        motion = replace(motion, stop_code="LATE")
-        s.events.append(Event("warning", "LATE", f"a tick came {s.inputs.late_ns / 1e6:.0f} ms late (bound 250)"))
     # A goal would energise a servo that has just restarted: none goes out while one is unheard.
-    waiting = bool(motion.stop_code) or not s.fresh
+    wanted = 0.0 if motion.stop_code or motion.paused or not s.fresh else motion.wanted_rate
     change = s.period_s / STOP_S
-    rate = max(0.0, motion.rate - change) if waiting else min(1.0, motion.rate + change)
+    rate = max(wanted, motion.rate - change) if motion.rate > wanted else min(wanted, motion.rate + change)
     if rate == 0.0 and motion.stop_code:
         return finish_motion(s, motion.stop_code, "")
     if not s.fresh:
         s.state = replace(s.state, motion=replace(motion, rate=rate))
         return None
+    if not all_powered(s):
+        return finish_motion(s, motion.stop_code or "LOST_TORQUE", "")
     progress_s = min(motion.progress_s + rate * s.period_s, trajectory.duration_s)
+    goal = _goal_at(s, trajectory, progress_s)
+    share = _share_of_step(s, goal)
+    if share < 1.0:
+        progress_s = motion.progress_s + share * (progress_s - motion.progress_s)
+        goal = _goal_at(s, trajectory, progress_s)
     s.state = replace(s.state, motion=replace(motion, progress_s=progress_s, rate=rate))
-    q = sample_trajectory(trajectory, progress_s)
-    send_goal(s, [round(joint.tick(position)) for joint, position in zip(s.arm.joints, q, strict=True)])
+    send_goal(s, goal)
     return None
+
+
+def _resists(s: Tick, grip: Grip) -> bool:
+    """Whether the gripper's load stands against its goal."""
+    assert s.state.goal is not None
+    registers, joint = s.registers[grip.joint], s.arm.joints[grip.joint]
+    assert registers is not None
+    behind = joint.direction * (s.state.goal[grip.joint] - registers.position)
+    load_ratio = s.joints[grip.joint].load_ratio
+    return abs(load_ratio) >= grip.load_ratio and load_ratio * behind > 0.0
+
+
+def _hold_gripped(s: Tick, motion: Motion, grip: Grip) -> None:
+    """End the motion with the goal so far inside what is gripped that the servo keeps the load asked for."""
+    assert s.state.goal is not None
+    registers, joint = s.registers[grip.joint], s.arm.joints[grip.joint]
+    assert registers is not None
+    load_ratio = abs(s.joints[grip.joint].load_ratio)
+    inside = (s.state.goal[grip.joint] - registers.position) * grip.load_ratio / load_ratio
+    goal = list(s.state.goal)
+    goal[grip.joint] = registers.position + round(inside)
+    send_goal(s, goal)
+    found = (
+        f"{joint.name} grips at {math.degrees(joint.position_rad(registers.position)):.1f} deg, load {load_ratio:.0%}"
+    )
+    s.events.append(Event("info", "GRIPPED", found))
+    s.reply(motion.request_id, True, "GRIPPED", found)
+    s.state = replace(s.state, motion=replace(motion, request_id=None))
+    finish_motion(s, "", "")
+
+
+def _goal_at(s: Tick, trajectory: JointTrajectory, time_s: float) -> list[int]:
+    q = sample_trajectory(trajectory, time_s)
+    return [round(joint.tick(position)) for joint, position in zip(s.arm.joints, q, strict=True)]
+
+
+def _share_of_step(s: Tick, goal: list[int]) -> float:
+    """How much of the way from the last goal to `goal` may be sent now: a servo that lags behind is waited for."""
+    assert s.state.goal is not None
+    share = 1.0
+    for registers, last, tick in zip(s.registers, s.state.goal, goal, strict=True):
+        assert registers is not None
+        ahead = abs(tick - registers.position)
+        if ahead > LEAD_TICKS:
+            behind = abs(last - registers.position)
+            share = min(share, max(0.0, LEAD_TICKS - behind) / (ahead - behind) if ahead > behind else 1.0)
+    return share
 
 
 def sample_trajectory(trajectory: JointTrajectory, time_s: float) -> tuple[float, ...]:
@@ -167,8 +260,10 @@ def _settle(s: Tick) -> None:
     """The slow way to rest: come to a stop, go there, see that it is there, switch torque off."""
     goal = s.state.goal
     assert goal is not None
-    if any(r is None or not r.torque_enabled or not r.torque_limit for r in s.registers):
+    if not all_powered(s):
         return abandon_settling(s, "LOST_TORQUE", "a servo has no torque")
+    if any(_overruled(s, i) for i in range(len(goal))):
+        return abandon_settling(s, "OTHER_WRITER", "a servo restarted, or another program writes to the bus")
     if any(joint.age_s > SILENT_AGE_S for joint in s.joints):
         return abandon_settling(s, "SERVO_SILENT", "a servo does not answer")
     if s.state.motion is not None:
@@ -195,6 +290,15 @@ def _settle(s: Tick) -> None:
     elif s.state.phase > VERIFY_TICKS:
         abandon_settling(s, "NOT_AT_REST", "the arm is over 3 deg from its rest pose")
     return None
+
+
+def _overruled(s: Tick, index: int) -> bool:
+    """Whether a servo shows a goal or settings that are not from here; a latched arm is not watched for that else."""
+    registers, goal = s.registers[index], s.state.goal
+    assert registers is not None
+    assert goal is not None
+    known = (goal[index], (s.state.previous_goal or goal)[index])
+    return registers.goal not in known or registers.settings != s.state.settings[index]
 
 
 def abandon_settling(s: Tick, code: str, why: str) -> None:

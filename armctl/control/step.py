@@ -16,24 +16,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from armctl.config import ArmConfig
 from armctl.control.detect import detect_faults
 from armctl.control.machine import State
 from armctl.control.requests import carry_out
 from armctl.control.sequences import adopt, advance
-from armctl.control.tick import Tick, decode
+from armctl.control.tick import Registers, Tick, decode
 from armctl.dynamixel import ax12a
-from armctl.kinematics.chain import forward_kinematics
+from armctl.kinematics.chain import tool_pose
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import quaternion_from_matrix
-from armctl.messages import (
-    Inputs,
-    JointState,
-    Outputs,
-    ToolPose,
-)
+from armctl.kinematics.transform import quaternion_from_columns
+from armctl.messages import Inputs, JointState, Outputs, ToolPose
 
 
 def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: float) -> tuple[State, Outputs]:
@@ -44,24 +37,29 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
         inputs: This tick's sample and commands; `sample.servos` in the order of `arm.joints`.
         period_s: Time between ticks.
     """
+    servos = inputs.sample.servos
+    registers = tuple([decode(reading.registers) for reading in servos])
     s = Tick(
         state=replace(state, phase=state.phase + 1),
         inputs=inputs,
         arm=arm,
         robot=robot,
         period_s=period_s,
-        joints=_joint_states(inputs, arm),
-        registers=tuple(decode(reading.registers) for reading in inputs.sample.servos),
+        joints=_joint_states(inputs, registers, arm),
+        registers=registers,
+        fresh=all(reading.fresh for reading in servos),
     )
     detect_faults(s)
     for command in inputs.commands:
         carry_out(s, command)
     adopt(s)
     advance(s)
-    positions = tuple(r.position for r in s.registers if r is not None)
-    s.state = replace(s.state, last_ticks=positions if len(positions) == len(arm.joints) else ())
+    positions = tuple([r.position for r in registers if r is not None])
+    last_ticks = positions if len(positions) == len(arm.joints) else ()
     if s.goal is not None:
-        s.state = replace(s.state, previous_goal=s.state.goal, goal=s.goal.ticks)
+        s.state = replace(s.state, last_ticks=last_ticks, previous_goal=s.state.goal, goal=s.goal.ticks)
+    elif last_ticks != s.state.last_ticks:
+        s.state = replace(s.state, last_ticks=last_ticks)
     motion = s.state.motion
     return s.state, Outputs(
         mode=s.state.mode,
@@ -73,26 +71,28 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
         replies=tuple(s.replies),
         events=tuple(s.events),
         progress=None if motion is None else motion.progress_s / max(motion.trajectory.duration_s, 1e-9),
+        rate=None if motion is None else 0.0 if motion.paused else motion.wanted_rate,
     )
 
 
-def _joint_states(inputs: Inputs, arm: ArmConfig) -> tuple[JointState, ...]:
+def _joint_states(inputs: Inputs, registers: tuple[Registers | None, ...], arm: ArmConfig) -> tuple[JointState, ...]:
+    now_ns = inputs.now_ns
     states = []
-    for reading, joint in zip(inputs.sample.servos, arm.joints, strict=True):
-        block = reading.registers
-        if not block:
-            states.append(JointState(False, 0.0, 0.0, 0.0, 0.0, 0.0, False, inputs.now_ns / 1e9))
+    for reading, r, joint in zip(inputs.sample.servos, registers, arm.joints, strict=True):
+        if r is None:
+            states.append(JointState(False, 0.0, 0.0, 0.0, 0.0, 0.0, False, now_ns / 1e9))
             continue
+        direction = joint.direction
         states.append(
             JointState(
-                known=True,
-                position_rad=joint.position_rad(ax12a.register_value(ax12a.PRESENT_POSITION, block)),
-                velocity_rad_s=joint.direction * ax12a.speed_rad_s(ax12a.register_value(ax12a.PRESENT_SPEED, block)),
-                load_ratio=joint.direction * ax12a.load_ratio(ax12a.register_value(ax12a.PRESENT_LOAD, block)),
-                voltage_V=ax12a.register_value(ax12a.PRESENT_VOLTAGE, block) / 10.0,
-                temperature_degC=float(ax12a.register_value(ax12a.PRESENT_TEMPERATURE, block)),
-                torque_enabled=bool(ax12a.register_value(ax12a.TORQUE_ENABLE, block)),
-                age_s=(inputs.now_ns - reading.stamp_ns) / 1e9,
+                True,
+                joint.position_rad(r.position),
+                direction * ax12a.speed_rad_s(r.speed),
+                direction * ax12a.load_ratio(r.load),
+                r.voltage / 10.0,
+                float(r.temperature),
+                r.torque_enabled != 0,
+                (now_ns - reading.stamp_ns) / 1e9,
             )
         )
     return tuple(states)
@@ -101,7 +101,5 @@ def _joint_states(inputs: Inputs, arm: ArmConfig) -> tuple[JointState, ...]:
 def _tool_pose(joints: tuple[JointState, ...], robot: Robot) -> ToolPose | None:
     if not all(joint.known for joint in joints):
         return None
-    q = np.array([joint.position_rad for joint in joints[: robot.chain.n]])
-    T = forward_kinematics(robot.chain, q)
-    x, y, z = T[:3, 3].tolist()
-    return ToolPose((x, y, z), quaternion_from_matrix(T[:3, :3]))
+    X, Y, Z, P = tool_pose(robot.chain, [joint.position_rad for joint in joints[: robot.chain.n]])
+    return ToolPose(P, quaternion_from_columns(X, Y, Z))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
-from armctl.config import ArmConfig
+from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import SETTLING
 from armctl.control.machine import Settle, State, Trigger, transition
 from armctl.dynamixel import ax12a
@@ -25,17 +27,50 @@ MINIMUM_SPEED_UNITS = 16
 """Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal."""
 
 
-@dataclass(frozen=True, slots=True)
-class Registers:
-    """What of a servo's status bytes decides: torque, goal [tick], torque limit, position [tick]."""
+class Registers(NamedTuple):
+    """A servo's control table from 24 to 49, in its units and order; `spare` are addresses without a register."""
 
-    torque_enabled: bool
+    torque_enabled: int
+    led: int
+    cw_margin: int
+    ccw_margin: int
+    cw_slope: int
+    ccw_slope: int
     goal: int
+    moving_speed: int
     torque_limit: int
     position: int
+    speed: int
+    load: int
+    voltage: int
+    temperature: int
+    registered: int
+    spare: int
+    moving: int
+    lock: int
+    punch: int
+
+    @property
+    def settings(self) -> int:
+        """What only torque-on writes, margins, slopes, punch and torque limit, as one number to compare."""
+        number = 0
+        for value in (self.cw_margin, self.ccw_margin, self.cw_slope, self.ccw_slope, self.punch, self.torque_limit):
+            number = number << 10 | value
+        return number
 
 
-@dataclass
+_BLOCK = struct.Struct("<6B6H6BH")
+
+POWER_ON = Registers(0, 0, 1, 1, 32, 32, 0, 0, ax12a.TORQUE_LIMIT.maximum, 0, 0, 0, 0, 0, 0, 0, 0, 0, 32).settings
+"""Settings of a servo that has just restarted."""
+
+
+def decode(block: bytes) -> Registers | None:
+    """The registers in the status bytes of a servo; None of one that never answered."""
+    return Registers._make(_BLOCK.unpack(block)) if block else None
+
+
+@dataclass(slots=True)
 class Tick:
     """The outputs of one step, being collected."""
 
@@ -46,14 +81,12 @@ class Tick:
     period_s: float
     joints: tuple[JointState, ...]
     registers: tuple[Registers | None, ...]
+    fresh: bool
+    """Whether every servo was heard in this very sample."""
     writes: list[Write] = field(default_factory=list)
     goal: Goal | None = None
     replies: list[Reply] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-
-    @property
-    def fresh(self) -> bool:
-        return all(reading.fresh for reading in self.inputs.sample.servos)
 
     def go(self, trigger: Trigger) -> None:
         before = self.state.mode
@@ -66,15 +99,23 @@ class Tick:
             self.replies.append(Reply(request_id, ok, code, message))
 
 
-def decode(registers: bytes) -> Registers | None:
-    if not registers:
-        return None
-    return Registers(
-        torque_enabled=bool(ax12a.register_value(ax12a.TORQUE_ENABLE, registers)),
-        goal=ax12a.register_value(ax12a.GOAL, registers),
-        torque_limit=ax12a.register_value(ax12a.TORQUE_LIMIT, registers),
-        position=ax12a.register_value(ax12a.PRESENT_POSITION, registers),
-    )
+def all_powered(s: Tick) -> bool:
+    """Whether every servo shows torque; a goal would switch it on where it is off, at full strength after a restart."""
+    return all(registers and registers.torque_enabled and registers.torque_limit for registers in s.registers)
+
+
+def full_torque(joint: JointConfig) -> int:
+    """Torque limit with which a joint holds."""
+    return round(ax12a.TORQUE_LIMIT.maximum * joint.torque_limit_ratio)
+
+
+def weak_joints(s: Tick) -> list[int]:
+    """Which joints have torque but too little to hold: whatever switched it on did not come to its end."""
+    return [
+        i
+        for i, (joint, registers) in enumerate(zip(s.arm.joints, s.registers, strict=True))
+        if registers and registers.torque_enabled and registers.torque_limit < full_torque(joint)
+    ]
 
 
 def latch_servo(s: Tick, code: str, index: int, problem: str) -> None:
@@ -84,19 +125,20 @@ def latch_servo(s: Tick, code: str, index: int, problem: str) -> None:
 
 def latch(s: Tick, code: str, text: str, servo_id: int | None = None) -> None:
     s.events.append(Event("error", code, text, servo_id))
-    if code in ("PORT_GONE", "BLOCKED", "OTHER_WRITER") and s.state.motion is not None:
-        finish_motion(s, code, text)
-    elif s.state.motion is not None:
-        s.state = replace(s.state, motion=replace(s.state.motion, stop_code=code))
-    if s.state.settle is not Settle.NO:
-        s.state = replace(s.state, settle=Settle.NO)
-    if code in SETTLING:
-        s.state = replace(s.state, settle=Settle.STOP)
+    if s.state.motion is not None:
+        if code in ("PORT_GONE", "BLOCKED", "OTHER_WRITER", "LOST_TORQUE", "TRIPPED"):
+            finish_motion(s, code, text)
+        else:
+            s.state = replace(s.state, motion=replace(s.state.motion, stop_code=code))
+    if s.state.jog is not None:
+        finish_jog(s, code)
+    settle = Settle.STOP if code in SETTLING else Settle.NO
     end_sequence(s, code, text)
     s.go(Trigger.FAULT)
     s.state = replace(
         s.state,
         fault=Fault(code, text, s.inputs.now_ns, servo_id),
+        settle=settle,
         error_since_ns=(),
         load_since_ns=(),
         noise=(),
@@ -120,34 +162,59 @@ def torque_off(s: Tick) -> None:
 def send_goal(s: Tick, ticks: Sequence[int]) -> None:
     """Goal and speed for every servo, inside the limits, each arriving in one tick."""
     goal, speeds = [], []
+    before = s.state.goal
+    tick_rad_s = ax12a.TICK_RAD / s.period_s
     for i, (joint, tick) in enumerate(zip(s.arm.joints, ticks, strict=True)):
         low, high = joint.limits_tick
         clamped = min(max(tick, low), high)
-        before = clamped if s.state.goal is None else s.state.goal[i]
-        units = ax12a.moving_speed_units(abs(clamped - before) * ax12a.TICK_RAD / s.period_s)
-        limit = ax12a.moving_speed_units(joint.speed_limit_rad_s)
         goal.append(clamped)
-        speeds.append(min(max(units, MINIMUM_SPEED_UNITS), limit))
+        units = 0 if before is None or before[i] == clamped else abs(clamped - before[i]) * tick_rad_s
+        slowest = max(MINIMUM_SPEED_UNITS, ax12a.moving_speed_units(units))
+        speeds.append(min(slowest, ax12a.moving_speed_units(joint.speed_limit_rad_s)))
     s.goal = Goal(tuple(goal), tuple(speeds))
 
 
 def stop_motion(s: Tick, code: str) -> None:
-    motion = s.state.motion
+    """Bring whatever motion is under way to rest."""
+    motion, jog = s.state.motion, s.state.jog
     if motion is not None and not motion.stop_code:
         s.state = replace(s.state, motion=replace(motion, stop_code=code))
+    if jog is not None and not jog.stop_code:
+        s.state = replace(s.state, jog=replace(jog, stop_code=code))
 
 
 def finish_motion(s: Tick, code: str, text: str) -> None:
     motion = s.state.motion
     assert motion is not None
     s.reply(motion.request_id, not code, code, text or (f"the motion was stopped ({code})" if code else ""))
-    for request_id in s.state.hold_request_ids:
-        s.reply(request_id, True)
+    _tell_still(s)
     if s.state.mode is Mode.MOVING or (s.state.mode is Mode.PARKING and s.state.settle is Settle.NO):
         s.go(Trigger.STOPPED)
-    s.state = replace(s.state, motion=None, hold_request_ids=())
+    s.state = replace(s.state, motion=None)
 
 
-def take_goals_over(s: Tick) -> None:
-    goals = tuple(registers.goal for registers in s.registers if registers is not None)
-    s.state = replace(s.state, goal=goals, previous_goal=None, error_since_ns=())
+def finish_jog(s: Tick, code: str) -> None:
+    s.events.append(Event("info", "JOG_END", f"the jog ended ({code})"))
+    _tell_still(s)
+    if s.state.mode is Mode.JOGGING:
+        s.go(Trigger.STOPPED)
+    s.state = replace(s.state, jog=None)
+
+
+def _tell_still(s: Tick) -> None:
+    for request_id in s.state.hold_request_ids:
+        s.reply(request_id, True)
+    if s.state.hold_request_ids:
+        s.state = replace(s.state, hold_request_ids=())
+
+
+def take_over(s: Tick) -> None:
+    """Take goals and settings of powered servos as they are."""
+    known = [registers for registers in s.registers if registers is not None]
+    s.state = replace(
+        s.state,
+        goal=tuple(registers.goal for registers in known),
+        previous_goal=None,
+        settings=tuple(registers.settings for registers in known),
+        error_since_ns=(),
+    )

@@ -13,7 +13,6 @@ from armctl.kinematics import robots
 from armctl.messages import Command, Connected, Inputs, Mode, Outputs, Reply, Sample, ServoReading
 
 PERIOD_S = 0.1
-PERIOD_NS = 100_000_000
 
 
 @dataclass
@@ -33,6 +32,7 @@ class IdealArm:
     """Joints whose replies come damaged."""
     port_open: bool = True
     late_ns: int = 0
+    period_s: float = PERIOD_S
     outputs: Outputs | None = None
     replies: dict[int, Reply] = field(default_factory=dict)
     events: list[str] = field(default_factory=list)
@@ -72,7 +72,7 @@ class IdealArm:
 
     def run_tick(self, *commands: Command) -> Outputs:
         """One tick: read, step, write."""
-        self.now_ns += PERIOD_NS
+        self.now_ns += round(self.period_s * 1e9)
         readings = []
         for index, joint in enumerate(self.arm.joints):
             fresh = self.port_open and index not in self.silent | self.noisy
@@ -89,7 +89,7 @@ class IdealArm:
             )
         sample = Sample(self.now_ns, tuple(readings), port_open=self.port_open)
         inputs = Inputs(self.tick, self.now_ns + 2_000_000, sample, commands, self.late_ns)
-        self.state, outputs = step(self.state, inputs, self.arm, self.robot, PERIOD_S)
+        self.state, outputs = step(self.state, inputs, self.arm, self.robot, self.period_s)
         self.tick += 1
         self.outputs = outputs
         self.replies.update({reply.request_id: reply for reply in outputs.replies})

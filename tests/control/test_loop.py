@@ -124,6 +124,19 @@ def test_late_ticks_are_skipped_and_never_made_up_for_in_a_burst() -> None:
     assert times[2] - times[1] == 100_000_000
 
 
+def test_at_100_hz_a_tick_that_is_half_a_period_late_is_skipped_too() -> None:
+    rig = Rig()
+    bus = ServoBus(rig.port, ARM.servo_ids, rig.clock)
+    rig.port.closePort()
+    rig.loop = ControlLoop(bus, rig.clock, ARM, robots.get(ARM.robot), 0.01)
+    rig.loop.open()
+    rig.ticks(60)
+    rig.clock.advance_ns(30_000_000)
+    rig.ticks(5)
+    times = [record.inputs.sample.time_ns for record in rig.records[-5:]]
+    assert min(b - a for a, b in pairwise(times)) > 5_000_000
+
+
 def test_a_new_loop_adopts_a_holding_arm_without_moving_it() -> None:
     rig = holding()
     before = rig.simulated.true_positions()
@@ -187,12 +200,19 @@ def test_records_the_host_did_not_take_are_counted_and_followed_by_a_keyframe() 
     assert from_json(State, rig.records[3].keyframe).connected
 
 
-def test_identification_happens_at_first_and_before_a_clear_only() -> None:
+def test_identification_happens_at_first_and_before_the_clear_of_a_fault_only() -> None:
     rig = Rig()
     rig.ticks(3)
     rig.ticks(1, Clear(1))
+    rig.port.unplug()
+    rig.ticks(2)
+    rig.port.replug()
+    rig.ticks(7)
+    rig.ticks(1, Clear(2))
     connected = [any(isinstance(c, Connected) for c in record.inputs.commands) for record in rig.records]
-    assert connected == [True, False, False, True]
+    assert connected[:4] == [True, False, False, False], "at first; not for a clear of nothing"
+    assert sum(connected[4:-1]) == 1, "once the port is back"
+    assert connected[-1], "before a latched fault is cleared"
 
 
 def test_a_link_carries_messages_whole_and_in_order_and_tells_the_end() -> None:
@@ -219,3 +239,21 @@ def test_a_link_whose_other_side_does_not_read_refuses_instead_of_blocking() -> 
     assert sent > 10
     link.close()
     theirs.close()
+
+
+def test_a_command_that_comes_while_the_loop_sleeps_is_served_by_the_very_next_tick() -> None:
+    rig = Rig()
+    came_ns: list[int] = []
+
+    def inbox() -> list[Command]:
+        came_ns.append(rig.clock.now_ns())
+        return [Hold(len(came_ns))]
+
+    def outbox(record: TickRecord) -> bool:
+        rig.records.append(record)
+        return True
+
+    rig.loop.run(inbox, outbox, lambda: len(rig.records) == 5)
+    for before_ns, record in zip(came_ns, rig.records, strict=True):
+        assert record.inputs.sample.time_ns - before_ns < 1_000_000 or record.inputs.tick == 0
+        assert len(record.outputs.replies) == 1

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from armctl.control.machine import TRANSITIONS, Motion, Settle, State, Trigger, transition
+from armctl.control.machine import TRANSITIONS, Jogging, Motion, Settle, State, Trigger, transition
 from armctl.errors import IllegalTransition
 from armctl.messages import Fault, JointTrajectory, Mode, Problem, from_json, to_json
 
@@ -36,6 +36,7 @@ def test_torque_comes_on_only_through_energising_or_adoption() -> None:
         (Mode.OFF, Trigger.ADOPT_POWERED),
         (Mode.ENERGISING, Trigger.ENERGISED),
         (Mode.MOVING, Trigger.STOPPED),
+        (Mode.JOGGING, Trigger.STOPPED),
         (Mode.PARKING, Trigger.STOPPED),
         (Mode.FAULTED, Trigger.CLEAR_POWERED),
     }
@@ -49,7 +50,15 @@ def test_state_survives_json_bit_for_bit() -> None:
         fault=Fault("BLOCKED", "stuck", 123456789, 4),
         goal=(1, 2, 3),
         settle=Settle.VERIFY,
-        motion=Motion(JointTrajectory(0.1, ((0.1 + 0.2, -0.0), (1e-300, 1 / 3)), label="x"), 9, progress_s=1 / 7),
+        settings=(1 << 59, 7),
+        motion=Motion(
+            JointTrajectory(0.1, ((0.1 + 0.2, -0.0), (1e-300, 1 / 3)), label="x"),
+            9,
+            progress_s=1 / 7,
+            wanted_rate=0.1,
+            paused=True,
+        ),
+        jog=Jogging((0.1,), (1 / 3,), (), (0.1, 0.0, -0.2), 77, rate=0.3, stop_code="LATE"),
         error_since_ns=(0, 5),
     )
     assert from_json(State, to_json(state)) == state

@@ -1,0 +1,162 @@
+"""Jogging: the arm moves as long as somebody says so.
+
+Rules.
+1. Each heartbeat says how fast; `HEARTBEAT_NS` after the last one the speed goes to zero within `STOP_S`, so that the
+   last goal is reached within two ticks of 100 ms. A heartbeat that was only late starts the arm again, from rest;
+   after `END_NS`, or a stop, the jog has ended and goes on only by a new beginning.
+2. No joint turns faster than `SPEED_RAD_S` or its own limit, no tool faster than its own limit; a velocity that is too
+   high is scaled as a whole, so that its direction stays.
+3. A joint nears its limit no faster than it can still stop before it. A tool that is led along a line waits as a
+   whole for the joint that has to.
+4. No link is led below the floor: the place where the arm would stop is looked at before every goal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.control.machine import Jogging, Trigger
+from armctl.control.tick import Tick, finish_jog, send_goal
+from armctl.errors import IllegalTransition, RequestRefused
+from armctl.kinematics.chain import jacobian
+from armctl.kinematics.robots.robot import Robot
+from armctl.messages import Event, Jog, Mode
+from armctl.trajectory.collision import floor_clearance, link_points
+
+HEARTBEAT_NS = 80_000_000
+STOP_S = 0.1
+END_NS = 500_000_000
+SPEED_RAD_S = math.radians(20.0)
+ACCELERATION_RAD_S2 = math.radians(200.0)
+DAMPING_M2 = 1e-4
+"""Of the least squares that turn a tool velocity into joint velocities: (1 cm/rad)^2 keeps them finite."""
+
+
+def begin(s: Tick, command: Jog) -> None:
+    """Begin a jog from where the arm is told to be."""
+    s.go(Trigger.JOG)
+    _check(s.arm, command)
+    assert s.state.goal is not None
+    position = tuple(joint.position_rad(tick) for joint, tick in zip(s.arm.joints, s.state.goal, strict=True))
+    still = (0.0,) * len(position)
+    s.state = replace(s.state, jog=Jogging(position, still, command.joints_rad_s, command.tool_m_s, s.inputs.now_ns))
+    s.events.append(Event("info", "JOG_BEGIN", "a jog begins"))
+
+
+def heartbeat(s: Tick, command: Jog) -> None:
+    """Take one heartbeat of a jog under way."""
+    jog = s.state.jog
+    if s.state.mode is not Mode.JOGGING or jog is None or jog.stop_code:
+        raise IllegalTransition("the jog has ended; begin another one")
+    _check(s.arm, command)
+    s.state = replace(
+        s.state,
+        jog=replace(
+            jog, joints_rad_s=command.joints_rad_s, tool_m_s=command.tool_m_s, heard_ns=s.inputs.now_ns, rate=1.0
+        ),
+    )
+
+
+def _check(arm: ArmConfig, command: Jog) -> None:
+    joints, tool = command.joints_rad_s, command.tool_m_s
+    if not all(map(math.isfinite, (*joints, *tool))):
+        raise RequestRefused("LIMIT", "a jog needs finite velocities")
+    if (len(joints), len(tool)) not in ((len(arm.joints), 0), (0, 3)):
+        raise RequestRefused(
+            "LIMIT", f"a jog needs the velocity of each of the {len(arm.joints)} joints, or of the tool (x, y, z)"
+        )
+
+
+def advance_jog(s: Tick, jog: Jogging) -> None:
+    """The next goal of a jog, or its end."""
+    silent_ns = s.inputs.now_ns - jog.heard_ns
+    if jog.stop_code or silent_ns > HEARTBEAT_NS:
+        jog = replace(jog, rate=max(0.0, jog.rate - s.period_s / STOP_S))
+        if jog.rate < 1e-9 and (jog.stop_code or silent_ns > END_NS):
+            return finish_jog(s, jog.stop_code or "NO_HEARTBEAT")
+    if not s.fresh or jog.rate < 1e-9:
+        # While one is unheard, a goal would energise a servo that has just restarted. The arm waits, at rest.
+        s.state = replace(s.state, jog=replace(jog, velocity_rad_s=(0.0,) * len(jog.position_rad)))
+        return None
+    wanted = jog.joints_rad_s or joint_velocities(s.robot, jog.position_rad, jog.tool_m_s)
+    velocity = _slower(s.arm, s.robot, jog, wanted)
+    # All joints change speed in the same proportion, which keeps a tool on its line from the start.
+    changes = [b - a for a, b in zip(jog.velocity_rad_s, velocity, strict=True)]
+    most = max(map(abs, changes))
+    share = min(1.0, ACCELERATION_RAD_S2 * s.period_s / most) if most else 1.0
+    velocity = [a + share * change for a, change in zip(jog.velocity_rad_s, changes, strict=True)]
+    velocity = [jog.rate * v for v in _within_limits(s.arm, jog, velocity, s.period_s)]
+    while any(velocity) and _sinks_below_floor(s.arm, s.robot, jog.position_rad, velocity, s.period_s):
+        velocity = [0.5 * v for v in velocity] if max(map(abs, velocity)) > 1e-3 else [0.0] * len(velocity)
+    position = tuple(
+        min(max(q + v * s.period_s, joint.limits_rad[0]), joint.limits_rad[1]) if v else q
+        for q, v, joint in zip(jog.position_rad, velocity, s.arm.joints, strict=True)
+    )
+    s.state = replace(s.state, jog=replace(jog, position_rad=position, velocity_rad_s=tuple(velocity)))
+    send_goal(s, [round(joint.tick(q)) for joint, q in zip(s.arm.joints, position, strict=True)])
+    return None
+
+
+def joint_velocities(robot: Robot, q: Sequence[float], tool_m_s: Sequence[float]) -> list[float]:
+    """Joint velocities that move the tool point so: damped least squares, J^T (J J^T + d I)^-1 v.
+
+    Written out, because a linear algebra library may round differently on another machine, and logs are replayed there.
+    """
+    J: list[list[float]] = jacobian(robot.chain, np.array(q[: robot.chain.n]))[:3].tolist()
+    (a, b, c), (_, d, e), (_, _, f) = (
+        [sum(x * y for x, y in zip(row, column, strict=True)) for column in J] for row in J
+    )
+    a, d, f = a + DAMPING_M2, d + DAMPING_M2, f + DAMPING_M2
+    # The inverse of a symmetric 3x3 matrix by its cofactors.
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+    determinant = a * A + b * B + c * C
+    x, y, z = tool_m_s
+    force = (A * x + B * y + C * z, B * x + D * y + E * z, C * x + E * y + F * z)
+    velocities = [
+        sum(row[i] * value for row, value in zip(J, force, strict=True)) / determinant for i in range(robot.chain.n)
+    ]
+    return velocities + [0.0] * (len(q) - robot.chain.n)
+
+
+def _slower(arm: ArmConfig, robot: Robot, jog: Jogging, velocity: Sequence[float]) -> list[float]:
+    """The velocity scaled down as a whole to what joints and tool may do."""
+    ratio = max(
+        abs(v) / min(SPEED_RAD_S, joint.speed_limit_rad_s) for v, joint in zip(velocity, arm.joints, strict=True)
+    )
+    n = robot.chain.n
+    J = jacobian(robot.chain, np.array(jog.position_rad[:n]))[:3].tolist()
+    tool_m_s = math.hypot(*(sum(x * v for x, v in zip(row, velocity, strict=False)) for row in J))
+    ratio = max(1.0, ratio, tool_m_s / arm.tool_speed_limit_m_s)
+    return [v / ratio for v in velocity]
+
+
+def _within_limits(arm: ArmConfig, jog: Jogging, velocity: Sequence[float], period_s: float) -> list[float]:
+    """The velocity from which every joint can still stop before its limit."""
+    shares = []
+    for q, v, joint in zip(jog.position_rad, velocity, arm.joints, strict=True):
+        low, high = joint.limits_rad
+        left = max(0.0, high - q if v > 0.0 else q - low)
+        # v T + v^2 / (2 a) = left, where T is the tick that is spent at v before it can change.
+        a = ACCELERATION_RAD_S2
+        most = a * (math.sqrt(period_s * period_s + 2.0 * left / a) - period_s)
+        shares.append(min(1.0, most / abs(v)) if v else 1.0)
+    if jog.tool_m_s:
+        shares = [min(shares)] * len(shares)
+    return [share * v for share, v in zip(shares, velocity, strict=True)]
+
+
+def _sinks_below_floor(
+    arm: ArmConfig, robot: Robot, q: Sequence[float], velocity: Sequence[float], period_s: float
+) -> bool:
+    """Whether a link goes down, and would be below the floor where the arm comes to rest."""
+    n = robot.chain.n
+    stop_s = period_s + max(map(abs, velocity)) / (2.0 * ACCELERATION_RAD_S2)
+    both = np.array([q[:n], [a + v * stop_s for a, v in zip(q[:n], velocity, strict=False)]])
+    now_m, then_m = floor_clearance(link_points(robot.chain, both), arm.floor_m, arm.link_radius_m).min(axis=-1)
+    return bool(then_m < 0.0 and then_m < now_m)

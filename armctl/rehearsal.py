@@ -1,0 +1,221 @@
+"""A log's motion on a simulated arm: the real control loop and bus in front of simulated servos, in virtual time.
+
+Rules.
+1. The motion is what the servos were told while they had torque, and where the arm was led while it was limp.
+2. The arm gets there slowly: torque comes on where it stands, an approach of at most 20 deg/s leads to the first
+   pose, and the motion begins at rest. Nothing is sent but by the control step, within all of its limits.
+3. Where the log moves faster than the arm may, time is stretched; where it leaves the limits, they are kept. Both
+   are told.
+4. A log of another arm is refused unless the caller insists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.clock import VirtualClock
+from armctl.config import ArmConfig
+from armctl.control.loop import ControlLoop
+from armctl.control.requests import MAX_POINTS
+from armctl.dynamixel.bus import ServoBus
+from armctl.errors import LogError, RequestRefused
+from armctl.kinematics import robots
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import Command, JointTrajectory, Mode, Run, TickRecord, TorqueOn
+from armctl.recording.timeline import Timeline
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.loopback import LoopbackPort
+from armctl.trajectory.approach import approach_trajectory
+
+SPEED_MARGIN = 0.99
+DWELL_S = 1.0
+ENERGISE_S = 10.0
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """How the arm followed; errors are between its encoders and the log's, at the same place of the motion."""
+
+    ticks: int
+    duration_s: float
+    """Of the motion as it was run."""
+    stretched_s: float
+    """How much longer than in the log that is."""
+    clipped_rad: float
+    """The farthest the log was outside this arm's limits."""
+    joint_rms_rad: float
+    joint_max_rad: float
+    tool_mean_m: float
+    tool_max_m: float
+
+
+def check_arm(timeline: Timeline, arm: ArmConfig) -> None:
+    """Make sure that a log is of this very arm.
+
+    Raises:
+        RequestRefused: FOREIGN_LOG, with what differs.
+    """
+    reasons = [
+        f"{timeline.path}: {what} of the log is {theirs}, of this arm {ours}"
+        for what, theirs, ours in (
+            ("arm_id", timeline.arm.arm_id, arm.arm_id),
+            ("calibration_hash", timeline.arm.calibration_hash, arm.calibration_hash),
+        )
+        if theirs != ours
+    ]
+    if reasons:
+        raise RequestRefused("FOREIGN_LOG", (*reasons, "add --foreign to let this arm repeat its joint angles"))
+
+
+def logged_motion(timeline: Timeline) -> FloatArray:
+    """The motion of a log [rad], shape (m, n); frames before every joint is known are left out by the caller."""
+    return np.where(timeline.torque_enabled, timeline.goal_rad, timeline.position_rad)
+
+
+def rehearse(
+    timeline: Timeline,
+    arm: ArmConfig,
+    *,
+    foreign: bool = False,
+    period_s: float = 0.1,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+    watch: Callable[[SimulatedArm, TickRecord], None] | None = None,
+) -> Rehearsal:
+    """Let a simulated arm repeat a log.
+
+    Args:
+        arm: Which arm.
+        foreign: Whether the log may be of another one; it needs as many joints.
+        seed: Draws what the simulated arm is like.
+        progress: Called with the fraction done.
+        watch: Sees the arm and what was decided after every tick.
+    Raises:
+        RequestRefused: FOREIGN_LOG; or whatever the control step refuses, or a fault that stopped it.
+        LogError: the log knows no joint, or has another number of them.
+    """
+    if not foreign:
+        check_arm(timeline, arm)
+    q, measured, time_s = _known(timeline, arm)
+    low, high = np.array([joint.limits_rad for joint in arm.joints]).T
+    clipped = np.clip(q, low, high)
+    grid, motion, run_s = _stretched(clipped, time_s, arm, period_s)
+    robot = robots.get(arm.robot, arm.lengths_m)
+    rig = _Rig(arm, period_s, seed, watch)
+    rig.energise()
+    rig.run(approach_trajectory(rig.goals(), motion[0].tolist(), arm, robot, period_s, "approach"))
+    rig.dwell()
+    records: list[TickRecord] = []
+    for begin in range(0, len(motion) - 1, MAX_POINTS - 1):
+        rows = motion[begin : begin + MAX_POINTS]
+        # Each part ends at rest; what follows its last row until that is reported belongs to no row.
+        records += rig.run(JointTrajectory(period_s, tuple(map(tuple, rows.tolist())), label="log"))[: len(rows) - 1]
+        if progress is not None:
+            progress(min(1.0, (begin + MAX_POINTS) / len(motion)))
+    followed = np.array([[joint.position_rad for joint in record.outputs.joints] for record in records])
+    then = np.stack([np.interp(grid[:-1], run_s, column) for column in measured.T], axis=-1)
+    error = np.abs(followed - then)
+    n = robot.chain.n
+    tool_m = np.linalg.norm(
+        tool_position(robot.chain, followed[:, :n]) - tool_position(robot.chain, then[:, :n]), axis=-1
+    )
+    return Rehearsal(
+        ticks=len(records),
+        duration_s=float(grid[-1]),
+        stretched_s=float(run_s[-1] - (time_s[-1] - time_s[0])),
+        clipped_rad=float(np.abs(clipped - q).max()),
+        joint_rms_rad=float(np.sqrt((error**2).mean())),
+        joint_max_rad=float(error.max()),
+        tool_mean_m=float(tool_m.mean()),
+        tool_max_m=float(tool_m.max()),
+    )
+
+
+def _known(timeline: Timeline, arm: ArmConfig) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Motion, measured positions and times of the frames in which every joint is known."""
+    if timeline.position_rad.shape[1] != len(arm.joints):
+        joints = f"{timeline.position_rad.shape[1]} joints in the log, {len(arm.joints)} on the arm"
+        raise LogError(f"{timeline.path}: {joints}; it cannot be repeated there")
+    q = logged_motion(timeline)
+    known = np.isfinite(q).all(axis=1) & np.isfinite(timeline.position_rad).all(axis=1)
+    if known.sum() < 2:
+        raise LogError(f"{timeline.path}: fewer than two ticks in which every joint is known; there is no motion in it")
+    return q[known], timeline.position_rad[known], timeline.time_s[known]
+
+
+def _stretched(
+    q: FloatArray, time_s: FloatArray, arm: ArmConfig, period_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(times of the grid, motion on it, when each frame's turn comes), no joint faster than its limit."""
+    limits = SPEED_MARGIN * np.array([joint.speed_limit_rad_s for joint in arm.joints])
+    needed_s = (np.abs(np.diff(q, axis=0)) / limits).max(axis=1)
+    run_s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(time_s), needed_s))])
+    grid: FloatArray = np.arange(int(np.ceil(run_s[-1] / period_s - 1e-9)) + 1) * np.float64(period_s)
+    return grid, np.stack([np.interp(grid, run_s, column) for column in q.T], axis=-1), run_s
+
+
+class _Rig:
+    """A control loop that owns a simulated arm."""
+
+    def __init__(
+        self, arm: ArmConfig, period_s: float, seed: int, watch: Callable[[SimulatedArm, TickRecord], None] | None
+    ) -> None:
+        clock = VirtualClock()
+        self._arm, self._period_s, self._watch = arm, period_s, watch
+        self._simulated = SimulatedArm(arm, seed=seed)
+        port = LoopbackPort(SimulatedBus(self._simulated, seed=seed), clock)
+        bus = ServoBus(port, arm.servo_ids, clock)
+        self._loop = ControlLoop(bus, clock, arm, robots.get(arm.robot, arm.lengths_m), period_s)
+        self._loop.open()
+        self._requests = 0
+
+    def goals(self) -> tuple[float, ...]:
+        """Where the arm is told to be [rad]."""
+        ticks = self._loop.state.goal
+        assert ticks is not None
+        return tuple(joint.position_rad(tick) for joint, tick in zip(self._arm.joints, ticks, strict=True))
+
+    def energise(self) -> None:
+        """Torque on, where the arm stands."""
+        for _ in range(3):  # until it is known to stand still
+            self._tick()
+        self._request(TorqueOn(self._next()), round(ENERGISE_S / self._period_s))
+
+    def run(self, trajectory: JointTrajectory) -> list[TickRecord]:
+        """Run it to its end; one record a row."""
+        return self._request(Run(self._next(), trajectory), len(trajectory.positions_rad) + round(5.0 / self._period_s))
+
+    def dwell(self) -> None:
+        """Let the arm come to rest."""
+        for _ in range(round(DWELL_S / self._period_s)):
+            self._tick()
+
+    def _next(self) -> int:
+        self._requests += 1
+        return self._requests
+
+    def _tick(self, *commands: Command) -> TickRecord:
+        record = self._loop.tick(commands)
+        if self._watch is not None:
+            self._watch(self._simulated, record)
+        return record
+
+    def _request(self, command: TorqueOn | Run, most_ticks: int) -> list[TickRecord]:
+        """Every record until the request is answered.
+
+        Raises:
+            RequestRefused: it was refused, or a fault ended it.
+        """
+        records = [self._tick(command)]
+        while not (replies := [r for r in records[-1].outputs.replies if r.request_id == command.request_id]):
+            assert len(records) <= most_ticks, f"{command.kind} was never answered"
+            records.append(self._tick())
+        if not replies[0].ok:
+            raise RequestRefused(replies[0].code, replies[0].message)
+        assert self._loop.state.mode is Mode.HOLDING
+        return records

@@ -1,0 +1,231 @@
+"""Jogging: heartbeats, speeds, limits and floor, judged by the goals that go out."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.control.jog import SPEED_RAD_S, joint_velocities
+from armctl.dynamixel import ax12a
+from armctl.kinematics.chain import jacobian, tool_position
+from armctl.messages import Clear, Hold, HostLost, Jog, Mode, Park, Release, Run
+from armctl.trajectory.collision import floor_clearance, link_points
+from tests.control.ideal_arm import PERIOD_S, IdealArm
+from tests.control.test_step import holding, line
+
+BASE = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
+MOST_TICKS = math.ceil(SPEED_RAD_S * PERIOD_S / ax12a.TICK_RAD) + 1
+"""Of one goal step at full speed, rounding included."""
+
+
+def bent() -> IdealArm:
+    """Holding where the tool is free to move any way."""
+    arm = IdealArm()
+    for index, degrees in enumerate((0.0, 87.0, -65.0, -64.0, -33.0, 0.0)):
+        tick = round(arm.arm.joints[index].tick(math.radians(degrees)))
+        arm.put(index, ax12a.PRESENT_POSITION, tick)
+        arm.put(index, ax12a.GOAL, tick)
+    arm.power().connect().run_tick()
+    assert arm.mode() is Mode.HOLDING
+    return arm
+
+
+def jog(arm: IdealArm, ticks: int, joints_rad_s: tuple[float, ...] = (), tool_m_s: tuple[float, ...] = ()) -> None:
+    """A jog with a heartbeat every tick."""
+    for tick in range(ticks):
+        request_id = 100 + arm.tick
+        arm.run_tick(Jog(request_id, joints_rad_s, tool_m_s, tick == 0))
+        assert arm.replies[request_id].ok, arm.replies[request_id]
+
+
+def tool(arm: IdealArm) -> np.ndarray:
+    return tool_position(arm.robot.chain, np.array(arm.positions_rad()[: arm.robot.chain.n]))
+
+
+def test_a_joint_goes_as_fast_as_asked_and_the_others_stay() -> None:
+    arm = holding()
+    before = arm.positions_rad()
+    jog(arm, 11, joints_rad_s=BASE)
+    assert arm.mode() is Mode.JOGGING
+    moved = np.subtract(arm.positions_rad(), before)
+    assert moved[0] == pytest.approx(0.2 * 11 * PERIOD_S, abs=2 * ax12a.TICK_RAD)
+    assert not moved[1:].any()
+
+
+def test_a_jog_stops_within_one_tick_of_its_last_heartbeat_and_holds() -> None:
+    arm = holding()
+    jog(arm, 5, joints_rad_s=BASE)
+    arm.goals.clear()
+    arm.run_ticks(4)
+    assert not arm.goals, "the goal of the last heartbeat was the last one"
+    assert arm.mode() is Mode.JOGGING, "until it is clear that none was only late"
+    arm.run_ticks(3)
+    assert not arm.goals
+    assert arm.mode() is Mode.HOLDING
+    assert "JOG_END" in arm.events
+
+
+def test_a_heartbeat_that_was_only_late_starts_the_arm_again_from_rest() -> None:
+    arm = holding()
+    jog(arm, 5, joints_rad_s=(SPEED_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0))
+    arm.run_ticks(2)
+    arm.goals.clear()
+    arm.run_tick(Jog(7, BASE))
+    assert arm.replies[7].ok
+    assert len(arm.goals) == 1
+
+
+def test_at_100_hz_a_jog_is_still_within_200_ms_of_its_last_heartbeat() -> None:
+    arm = holding()
+    arm.period_s = 0.01
+    for tick in range(40):
+        arm.run_tick(Jog(100 + tick, (SPEED_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0), begin=tick == 0))
+    fastest = max(abs(b[0] - a[0]) for a, b in pairwise(arm.goals[-10:]))
+    arm.goals.clear()
+    arm.run_ticks(60)
+    moving = [tick for tick, (a, b) in enumerate(pairwise(arm.goals)) if a != b]
+    assert moving[-1] * 0.01 < 0.19
+    assert max(abs(b[0] - a[0]) for a, b in pairwise(arm.goals)) <= fastest
+    assert arm.mode() is Mode.HOLDING
+
+
+def test_a_jog_that_has_ended_does_not_go_on_by_itself() -> None:
+    arm = holding()
+    jog(arm, 5, joints_rad_s=BASE)
+    arm.run_tick(Hold(6))
+    assert arm.replies[6].ok
+    assert arm.mode() is Mode.HOLDING
+    arm.goals.clear()
+    arm.run_tick(Jog(7, BASE))
+    assert arm.replies[7].code == "ILLEGAL_TRANSITION"
+    assert not arm.goals
+    jog(arm, 1, joints_rad_s=BASE)
+
+
+@pytest.mark.parametrize("end", [HostLost(), "late", "fault"])
+def test_whatever_stops_a_motion_stops_a_jog(end: object) -> None:
+    arm = holding()
+    jog(arm, 5, joints_rad_s=BASE)
+    arm.goals.clear()
+    if end == "late":
+        arm.late_ns = 300_000_000
+        arm.run_tick(Jog(7, BASE))
+        arm.late_ns = 0
+    elif end == "fault":
+        arm.put(3, ax12a.TORQUE_LIMIT, 0)
+        arm.run_tick(Jog(7, BASE))
+    else:
+        arm.run_tick(end)  # type: ignore[arg-type]
+    arm.run_ticks(7)
+    assert not arm.goals
+    assert arm.state.jog is None
+    assert arm.mode() is (Mode.FAULTED if end == "fault" else Mode.HOLDING)
+
+
+def test_a_jog_waits_while_a_servo_is_unheard() -> None:
+    arm = holding()
+    jog(arm, 5, joints_rad_s=BASE)
+    arm.silent = {2}
+    arm.goals.clear()
+    for _ in range(2):
+        arm.run_tick(Jog(7, BASE))
+    assert not arm.goals
+    arm.silent = set()
+    arm.run_tick(Jog(8, BASE))
+    assert len(arm.goals) == 1
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_joint_slows_down_before_its_limit_and_never_passes_it(direction: float) -> None:
+    arm = holding()
+    low, high = arm.arm.joints[0].limits_tick
+    jog(arm, 120, joints_rad_s=(direction, 0.0, 0.0, 0.0, 0.0, 0.0))
+    base = [goal[0] for goal in arm.goals]
+    assert base[-1] == (high if direction > 0.0 else low)
+    steps = [abs(b - a) for a, b in pairwise(base)]
+    assert max(steps) <= MOST_TICKS
+    moving = [step for step in steps if step]
+    assert moving[-1] < max(steps) / 2
+
+
+@given(st.lists(st.tuples(st.sampled_from("xyz"), st.floats(-1.0, 1.0), st.integers(1, 8)), min_size=1, max_size=8))
+@settings(deadline=None, max_examples=30)
+def test_no_tool_jog_breaks_limits_speeds_or_floor(story: list[tuple[str, float, int]]) -> None:
+    arm = bent()
+    chain, n = arm.robot.chain, arm.robot.chain.n
+    places, heights = [tool(arm)], []
+    begin = True
+    for axis, speed, ticks in story:
+        for _ in range(ticks):
+            velocity = tuple(speed * (axis == one) for one in "xyz")
+            arm.run_tick(Jog(arm.tick + 100, tool_m_s=velocity, begin=begin))
+            begin = False
+            places.append(tool(arm))
+            points = link_points(chain, np.array(arm.positions_rad()[:n]))
+            heights.append(float(floor_clearance(points, arm.arm.floor_m, arm.arm.link_radius_m).min()))
+    for goal in arm.goals:
+        for tick, joint in zip(goal, arm.arm.joints, strict=True):
+            assert joint.limits_tick[0] <= tick <= joint.limits_tick[1]
+    for a, b in pairwise(arm.goals):
+        assert max(abs(x - y) for x, y in zip(a, b, strict=True)) <= MOST_TICKS
+    # A tick of each of five joints is 6 mm at the tool.
+    rounding_m = 0.006
+    for before, after in pairwise(places):
+        assert np.linalg.norm(after - before) <= arm.arm.tool_speed_limit_m_s * PERIOD_S + 2 * rounding_m
+    assert min(heights) > -rounding_m
+
+
+@pytest.mark.parametrize(("axis", "direction"), [(0, (1.0, 0.0, 0.0)), (1, (0.0, 1.0, 0.0)), (2, (0.0, 0.0, 1.0))])
+def test_a_tool_is_led_along_the_axis(axis: int, direction: tuple[float, float, float]) -> None:
+    arm = bent()
+    before = tool(arm)
+    jog(arm, 15, tool_m_s=tuple(0.03 * part for part in direction))
+    moved = tool(arm) - before
+    assert moved[axis] == pytest.approx(0.045, abs=0.006)
+    assert np.abs(np.delete(moved, axis)).max() < 0.006
+
+
+def test_joint_velocities_give_the_tool_velocity_away_from_singular_poses() -> None:
+    arm = bent()
+    q = arm.positions_rad()
+    wanted = np.array([0.01, -0.02, 0.03])
+    found = joint_velocities(arm.robot, q, wanted.tolist())
+    J = jacobian(arm.robot.chain, np.array(q[:5]))[:3]
+    assert found == pytest.approx([*np.linalg.solve(J.T @ J + 1e-4 * np.eye(5), J.T @ wanted), 0.0], rel=1e-6)
+    assert J @ np.array(found[:5]) == pytest.approx(wanted, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        Jog(5, begin=True),
+        Jog(5, joints_rad_s=(0.1,) * 5, begin=True),
+        Jog(5, tool_m_s=(0.1, 0.0), begin=True),
+        Jog(5, joints_rad_s=BASE, tool_m_s=(0.1, 0.0, 0.0), begin=True),
+        Jog(5, tool_m_s=(math.nan, 0.0, 0.0), begin=True),
+        Jog(5, joints_rad_s=(math.inf, 0.0, 0.0, 0.0, 0.0, 0.0), begin=True),
+    ],
+)
+def test_a_jog_that_means_nothing_is_refused(command: Jog) -> None:
+    arm = holding()
+    arm.run_tick(command)
+    assert arm.replies[5].code == "LIMIT"
+    assert arm.mode() is Mode.HOLDING
+
+
+def test_nothing_else_begins_while_jogging() -> None:
+    arm = holding()
+    jog(arm, 3, joints_rad_s=BASE)
+    beat = Jog(50, BASE)
+    arm.run_tick(beat, Run(5, line(arm)), Park(6), Release(7), Jog(8, BASE, begin=True))
+    for request_id in (5, 6, 7, 8):
+        assert arm.replies[request_id].code == "ILLEGAL_TRANSITION"
+    assert "jogged" in arm.replies[5].message
+    assert arm.mode() is Mode.JOGGING
+    arm.run_tick(Clear(9))
+    assert arm.replies[9].ok

@@ -1,0 +1,114 @@
+"""What the control process does with its host's commands between two ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from armctl.clock import VirtualClock
+from armctl.control.link import Link
+from armctl.control.loop import ControlLoop
+from armctl.control.machine import Jogging, Motion, Settle, State
+from armctl.control.process import Inbox
+from armctl.messages import Command, Hold, HostLost, JointTrajectory, Park, Reply, Run, SetRate
+from tests.control.test_loop import Rig, holding
+
+SOON_NS = 1_000_000
+WAY = JointTrajectory(0.1, ((0.0,) * 6, (0.1,) * 6))
+MOVING = (
+    State(motion=Motion(WAY, 1)),
+    State(jog=Jogging((0.0,) * 6, (0.1,) * 6, (0.1,) * 6, (), heard_ns=1)),
+    *(State(settle=settle) for settle in Settle if settle is not Settle.NO),
+)
+
+
+class Bench:
+    """An inbox, the host's end of its link, and the loop it belongs to."""
+
+    def __init__(self, loop: ControlLoop) -> None:
+        self.host, theirs = Link.pair()
+        self.ours = Link(theirs)
+        self.clock = VirtualClock()
+        self.loop = loop
+        self.inbox = Inbox(self.ours, loop, self.clock)
+
+    def tell(self, *commands: Command) -> list[object]:
+        """What is answered at once."""
+        for command in commands:
+            assert self.host.send(command)
+        self.inbox.wait(self.clock.now_ns() + SOON_NS)
+        return self.host.receive()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    found = Bench(Rig().loop)
+    yield found
+    found.host.close()
+    found.ours.close()
+
+
+def test_a_hold_of_an_arm_at_rest_is_answered_at_once_and_still_comes_to_the_tick(bench: Bench) -> None:
+    assert bench.tell(Hold(1), Hold(2)) == [Reply(1, True), Reply(2, True)]
+    assert bench.inbox.take() == [Hold(1), Hold(2)]
+    assert bench.inbox.take() == []
+    assert bench.tell(Hold(3)) == [Reply(3, True)]
+
+
+@pytest.mark.parametrize("state", MOVING)
+def test_a_hold_of_a_moving_arm_is_the_ticks_to_answer(bench: Bench, state: State) -> None:
+    bench.loop.state = state
+    assert not bench.loop.at_rest
+    assert bench.tell(Hold(1)) == []
+    assert bench.inbox.take() == [Hold(1)]
+
+
+@pytest.mark.parametrize("before", [Run(1, WAY), Park(1), SetRate(1, 0.5)])
+def test_a_hold_behind_another_command_is_the_ticks_to_answer(bench: Bench, before: Command) -> None:
+    assert bench.tell(before, Hold(2)) == []
+    assert bench.inbox.take() == [before, Hold(2)]
+
+
+def test_a_command_behind_an_answered_hold_is_carried_out_after_it(bench: Bench) -> None:
+    assert bench.tell(Hold(1), Park(2)) == [Reply(1, True)]
+    assert bench.tell(Hold(3)) == []
+    assert bench.inbox.take() == [Hold(1), Park(2), Hold(3)]
+
+
+def test_what_comes_at_the_last_moment_is_in_the_next_tick(bench: Bench) -> None:
+    assert bench.host.send(Park(1))
+    assert bench.inbox.take() == [Park(1)]
+
+
+def test_waiting_ends_at_the_deadline(bench: Bench) -> None:
+    deadline_ns = bench.clock.now_ns() + SOON_NS
+    bench.inbox.wait(deadline_ns)
+    assert bench.clock.now_ns() == deadline_ns
+    bench.inbox.wait(deadline_ns - SOON_NS)
+    assert bench.clock.now_ns() == deadline_ns
+
+
+def test_a_host_that_is_gone_is_the_only_thing_heard_of_it(bench: Bench) -> None:
+    assert bench.host.send(Park(1))
+    bench.host.close()
+    bench.inbox.wait(bench.clock.now_ns() + SOON_NS)
+    assert bench.inbox.leaving
+    assert bench.inbox.take() == (HostLost(),)
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_nothing_moves_after_a_hold_that_was_answered_at_once(stopped: bool) -> None:
+    """Also where, in the tick that it comes to, heat sends the arm to rest."""
+    rig = holding()
+    rig.ticks(40, Run(2, rig.line()))
+    rig.records.clear()
+    for servo in rig.simulated.servos:
+        servo.temperature_degC = 70.0
+    bench = Bench(rig.loop)
+    assert not stopped or bench.tell(Hold(3)) == [Reply(3, True)]
+    rig.ticks(20, *bench.inbox.take())
+    assert "HOT" in rig.codes()
+    assert any(record.outputs.goal for record in rig.records) != stopped
+    bench.host.close()
+    bench.ours.close()

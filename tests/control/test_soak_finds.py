@@ -1,0 +1,143 @@
+"""What the soak found in the control step, each as its shortest story."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from armctl.control.sequences import LEAD_TICKS
+from armctl.dynamixel import ax12a
+from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach, TorqueOn
+from tests.control.ideal_arm import IdealArm
+from tests.control.test_step import holding, line
+
+FAST_RAD, FAST_S = -1.9, 2.0
+"""54 deg/s, the limit being 60."""
+
+
+def test_a_servo_in_time_gets_a_full_step_each_tick() -> None:
+    arm = holding()
+    arm.run_tick(Run(2, line(arm, FAST_RAD, FAST_S)))
+    arm.run_ticks(12)
+    assert {abs(b[0] - a[0]) for a, b in pairwise(arm.goals[-12:])} <= {18, 19}
+
+
+def test_no_goal_is_farther_ahead_than_the_bound_and_a_servo_that_stays_behind_is_blocked() -> None:
+    arm = holding()
+    start = arm.get(0, ax12a.PRESENT_POSITION)
+    arm.stuck = {0}
+    begin = len(arm.goals)
+    arm.run_tick(Run(2, line(arm, FAST_RAD, FAST_S)))
+    arm.run_ticks(8)
+    assert 30 < max(abs(goal[0] - start) for goal in arm.goals[begin:]) <= LEAD_TICKS + 1.0
+    assert arm.state.fault is not None
+    assert arm.state.fault.code == "BLOCKED"
+
+
+def test_a_servo_that_catches_up_lets_the_run_go_on_to_its_end() -> None:
+    arm = holding()
+    arm.run_tick(Run(2, line(arm, FAST_RAD, FAST_S)))
+    arm.stuck = {0}
+    arm.run_ticks(2)
+    arm.stuck = set()
+    arm.run_ticks(30)
+    assert arm.mode() is Mode.HOLDING
+    assert arm.replies[2].ok
+    assert arm.get(0, ax12a.PRESENT_POSITION) == round(arm.arm.joints[0].tick(arm.arm.joints[0].rest_rad + FAST_RAD))
+
+
+@pytest.mark.parametrize(("command", "mode"), [(Teach(2), Mode.TEACHING), (Release(2), Mode.OFF)])
+def test_an_arm_that_is_let_go_in_its_first_tick_is_not_taken_over(command: Command, mode: Mode) -> None:
+    arm = IdealArm().power()
+    arm.run_tick(Connected(restarted=True), command)
+    assert arm.mode() is mode
+    arm.run_ticks(10)
+    assert (arm.mode(), arm.state.fault) == (mode, None)
+    assert not any(arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
+    assert arm.replies[2].ok
+
+
+@pytest.mark.parametrize(("register", "value"), [(ax12a.GOAL, 300), (ax12a.PUNCH, 0), (ax12a.TORQUE_LIMIT, 700)])
+def test_an_arm_on_its_way_to_rest_for_heat_stops_where_another_program_interferes(
+    register: ax12a.Register, value: int
+) -> None:
+    arm = holding()
+    arm.run_tick(Run(2, line(arm)))
+    arm.run_ticks(30)
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(10)
+    assert arm.state.fault is not None
+    assert arm.state.fault.code == "HOT"
+    count = len(arm.goals)
+    arm.run_ticks(3)
+    assert len(arm.goals) == count + 3
+    arm.put(4, register, value)
+    arm.run_ticks(2)
+    count = len(arm.goals)
+    arm.run_ticks(30)
+    assert len(arm.goals) == count
+    assert "OTHER_WRITER" in arm.events
+    assert all(arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
+
+
+@pytest.mark.parametrize("others", [(), (1, 2, 3, 4, 5)])
+def test_a_servo_that_restarted_during_a_late_tick_of_a_run_gets_no_goal(others: tuple[int, ...]) -> None:
+    arm = holding()
+    arm.run_tick(Run(2, line(arm)))
+    arm.run_ticks(8)
+    for index in (0, *others):
+        arm.put(index, ax12a.TORQUE_ENABLE, 0)
+        arm.put(index, ax12a.MOVING_SPEED, 0)
+    count = len(arm.goals)
+    arm.run_ticks(20)
+    assert len(arm.goals) == count
+    assert arm.state.fault is not None
+    assert arm.state.fault.code == "LOST_TORQUE"
+    assert not arm.get(0, ax12a.TORQUE_ENABLE)
+
+
+def test_a_servo_that_restarts_while_a_latched_run_slows_down_gets_no_goal() -> None:
+    arm = holding()
+    arm.run_tick(Run(2, line(arm)))
+    arm.run_ticks(8)
+    arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
+    arm.run_tick()
+    assert arm.state.fault is not None
+    assert arm.state.fault.code == "VOLTAGE"
+    arm.put(4, ax12a.TORQUE_ENABLE, 0)
+    count = len(arm.goals)
+    arm.run_ticks(20)
+    assert len(arm.goals) == count
+    assert not arm.get(4, ax12a.TORQUE_ENABLE)
+
+
+def test_an_arm_whose_torque_on_was_interrupted_is_not_taken_for_one_that_holds() -> None:
+    arm = IdealArm().power()
+    for index in range(6):
+        arm.put(index, ax12a.TORQUE_LIMIT, 307)
+    arm.connect()
+    assert arm.state.fault is not None
+    assert (arm.mode(), arm.state.fault.code) == (Mode.FAULTED, "LOST_TORQUE")
+    arm.run_tick(Clear(1))
+    assert "armctl release" in arm.replies[1].message
+    arm.run_tick(Release(2))
+    arm.run_tick()
+    arm.run_tick(Clear(3))
+    assert (arm.mode(), arm.replies[3].ok) == (Mode.OFF, True)
+
+
+def test_a_servo_that_falls_silent_during_torque_on_leaves_a_fault_that_release_resolves() -> None:
+    arm = IdealArm().connect()
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    arm.run_ticks(4)
+    arm.silent = {2}
+    arm.run_ticks(8)
+    arm.silent = set()
+    arm.run_tick(Clear(2))
+    assert "without full torque" in arm.replies[2].message
+    arm.run_tick(Release(3))
+    arm.run_tick()
+    arm.run_tick(Clear(4))
+    assert (arm.mode(), arm.replies[4].ok) == (Mode.OFF, True)
