@@ -24,6 +24,7 @@ from armctl.recording.schemas import MESSAGES, PRIMITIVES, fields, parse_schema,
 HEADER = b"\x00\x01\x00\x00"
 MAX_DEPTH = 16
 MAX_NESTED = 1000
+MAX_FIELDS = 10_000
 """Bounds for schemas that came with a file from elsewhere."""
 
 Value = dict[str, Any]
@@ -123,6 +124,7 @@ def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str
         return known[name]
     layout = _Layout(_keys(name, messages))
     run: list[tuple[_Place, str]] = []
+    count = 0
 
     def add(steps: tuple[_Encode, _Decode]) -> None:
         layout.encoders.append(steps[0])
@@ -136,7 +138,11 @@ def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str
     def visit(current: str, index: int, level: int) -> None:
         if level > MAX_DEPTH or len(layout.nested) > MAX_NESTED:
             raise LogError(f"message type {current}: nested deeper than {MAX_DEPTH} or wider than {MAX_NESTED}")
+        nonlocal count
         for item in fields(current, messages):
+            count += 1
+            if count > MAX_FIELDS:
+                raise LogError(f"message type {current}: over {MAX_FIELDS} fields")
             place = index, item.name
             if not item.is_array and item.type in PRIMITIVES:
                 run.append((place, PRIMITIVES[item.type]))

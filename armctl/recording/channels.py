@@ -116,19 +116,20 @@ class Anchor:
 
 def input_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
     """What the control step saw in this tick, save what is in the cycle: servos, then commands in their order."""
+    header = _header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE)
+    return [(SERVOS, _servos(header, record.inputs.sample, arm)), *command_messages(record)]
+
+
+def command_messages(record: TickRecord) -> list[Message]:
+    """What clients asked of this tick."""
     inputs = record.inputs
-    header = _header(anchor.epoch_ns(inputs.sample.time_ns), BASE)
-    return [
-        (SERVOS, _servos(header, inputs.sample, arm)),
-        *((COMMAND, _string(f'{{"tick":{inputs.tick},"command":{to_json(command)}}}')) for command in inputs.commands),
-    ]
+    return [(COMMAND, _string(f'{{"tick":{inputs.tick},"command":{to_json(command)}}}')) for command in inputs.commands]
 
 
 def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
     """What the control step said in this tick: the part of the log a replay can compute again."""
-    inputs, outputs = record.inputs, record.outputs
-    epoch_ns = anchor.epoch_ns(inputs.sample.time_ns)
-    header = _header(epoch_ns, BASE)
+    outputs = record.outputs
+    header = _header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE)
     messages: list[Message] = [(JOINT_STATES, _joint_states(header, outputs, arm))]
     if outputs.goal is not None:
         messages.append((JOINT_COMMANDS, _joint_commands(header, outputs.goal, arm)))
@@ -137,7 +138,15 @@ def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: R
         links = zip(moving_links(arm), moving_frames(arm, robot, q), strict=True)
         messages.append((TF, {"transforms": [_transform(header, link, T) for link, T in links]}))
         messages.append((TCP_POSE, _pose(header, outputs.tool)))
-    messages += [
+    return messages + event_messages(record, anchor, arm)
+
+
+def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
+    """Those outputs that do not come every tick: accepted trajectories, replies, events."""
+    inputs, outputs = record.inputs, record.outputs
+    epoch_ns = anchor.epoch_ns(inputs.sample.time_ns)
+    header = _header(epoch_ns, BASE)
+    messages: list[Message] = [
         (JOINT_TRAJECTORY, _joint_trajectory(header, command.trajectory, arm))
         for command in inputs.commands
         if isinstance(command, Run)
@@ -149,25 +158,27 @@ def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: R
 
 def cycle_message(record: TickRecord, anchor: Anchor, *, inputs_only: bool = False) -> Message:
     """How the tick went; the last message of every tick."""
+    header = _header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE)
+    return CYCLE, {"header": header, **cycle_numbers(record, inputs_only=inputs_only)}
+
+
+def cycle_numbers(record: TickRecord, *, inputs_only: bool = False) -> Value:
+    """The fields of a cycle behind its header, in the order of their declaration."""
     inputs, sample = record.inputs, record.inputs.sample
-    return (
-        CYCLE,
-        {
-            "header": _header(anchor.epoch_ns(sample.time_ns), BASE),
-            "tick": inputs.tick,
-            "now_ns": inputs.now_ns,
-            "time_ns": sample.time_ns,
-            "late_ns": inputs.late_ns,
-            "lateness_us": record.lateness_us,
-            "bus_us": sample.bus_us,
-            "write_us": record.write_us,
-            "retries": sample.retries,
-            "dropped": record.dropped,
-            "overrun": inputs.late_ns > OVERRUN_NS,
-            "port_open": sample.port_open,
-            "inputs_only": inputs_only,
-        },
-    )
+    return {
+        "tick": inputs.tick,
+        "now_ns": inputs.now_ns,
+        "time_ns": sample.time_ns,
+        "late_ns": inputs.late_ns,
+        "lateness_us": record.lateness_us,
+        "bus_us": sample.bus_us,
+        "write_us": record.write_us,
+        "retries": sample.retries,
+        "dropped": record.dropped,
+        "overrun": inputs.late_ns > OVERRUN_NS,
+        "port_open": sample.port_open,
+        "inputs_only": inputs_only,
+    }
 
 
 def tick_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:

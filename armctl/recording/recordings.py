@@ -17,7 +17,7 @@ from armctl.config import NAME_PATTERN
 from armctl.errors import LogError
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.channels import CONTROL, JOINT_STATES, ROSOUT
-from armctl.recording.reader import LogFile, TrackBuilder
+from armctl.recording.reader import LogFile, joint_track
 from armctl.recording.recover import owned, recover
 from armctl.recording.writer import PART, publish, writing
 
@@ -72,17 +72,15 @@ def load(path: Path) -> Recording:
     """
     if not path.exists() and (part := path.with_name(path.name + PART)).exists():
         path = part
-    track = TrackBuilder()
     marks: dict[str, int] = {}
     with LogFile(path) as log:
-        for message in log.messages((JOINT_STATES, ROSOUT)):
-            if message.topic == JOINT_STATES:
-                track.add(message, log.codec(JOINT_STATES))
-                continue
-            line = log.codec(ROSOUT).decode(message.data)
-            if line.get("name") == CONTROL and line["function"] in ("PLAN_BEGIN", "PLAN_END"):
-                marks[line["function"]] = message.log_time_ns
-        joints = track.build(path)
+        found = log.payloads((JOINT_STATES, ROSOUT))
+        joints = joint_track(log, found.get(JOINT_STATES))
+        if ROSOUT in found:
+            for time_ns, data in zip(found[ROSOUT].log_time_ns, found[ROSOUT].data, strict=True):
+                line = log.codec(ROSOUT).decode(data)
+                if line.get("name") == CONTROL and line["function"] in ("PLAN_BEGIN", "PLAN_END"):
+                    marks[line["function"]] = time_ns
         window = None
         if len(marks) == 2:
             begin_s, end_s = ((marks[key] - joints.start_ns) / NS_PER_S for key in ("PLAN_BEGIN", "PLAN_END"))
@@ -167,8 +165,12 @@ def _name(path: Path) -> str:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    finished = {path.name for path in folder.glob(f"*{SUFFIX}")}
-    for path in sorted((*folder.glob(f"*{SUFFIX}"), *folder.glob(f"*{SUFFIX}{PART}"))):
+    try:
+        whole, parts = [*folder.glob(f"*{SUFFIX}")], [*folder.glob(f"*{SUFFIX}{PART}")]
+    except OSError as error:  # the folder vanished meanwhile
+        raise LogError(f"{folder}: cannot be read: {error.strerror}") from None
+    finished = {path.name for path in whole}
+    for path in sorted((*whole, *parts)):
         if path.is_file() and not path.is_symlink() and (not path.name.endswith(PART) or path.stem not in finished):
             yield path
 

@@ -11,20 +11,21 @@ from __future__ import annotations
 
 import fcntl
 import logging
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.writer import CompressionType, Writer
-
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
+from armctl.recording.chunks import ChunkWriter
+from armctl.recording.disk import DISK, Disk
 from armctl.recording.reader import LogFile
-from armctl.recording.writer import CHUNK_BYTES, LIBRARY, PART, PROFILE, publish, writing
+from armctl.recording.writer import LIBRARY, PART, PROFILE, publish, writing
 
 BROKEN = ".broken"
+RECOVERED = "recovered"
+"""Metadata record of a recovered file: what it was made from, and what was lost."""
 _UNFINISHED = ".recovering"
 _log = logging.getLogger(__name__)
 
@@ -33,8 +34,8 @@ _log = logging.getLogger(__name__)
 class RecoverResult:
     """Outcome of one recovery.
 
-    `lost_s` is the log time of chunks that begin in the file and cannot be read. What had not reached the disk
-    when writing ended (1 s at most) the file cannot tell.
+    `lost_s` is the log time between intact chunks, and of a last chunk that begins in the file and does not end
+    there. What had not reached the disk when writing ended (1 s at most) the file cannot tell.
     """
 
     recovered_messages: int
@@ -42,7 +43,7 @@ class RecoverResult:
     path: Path
 
 
-def recover(path: Path, target: Path | None = None) -> RecoverResult:
+def recover(path: Path, target: Path | None = None, *, disk: Disk = DISK) -> RecoverResult:
     """Write what is intact in `path` to a finished file.
 
     Args:
@@ -58,21 +59,26 @@ def recover(path: Path, target: Path | None = None) -> RecoverResult:
     with owned(path), LogFile(path) as log:
         unfinished = target.with_name(target.name + _UNFINISHED)
         with writing(unfinished):
-            unfinished.unlink(missing_ok=True)  # left behind by a recovery that was killed
-            with open(unfinished, "xb") as stream:
-                messages = _copy(log, Writer(stream, CHUNK_BYTES, CompressionType.ZSTD), path)
-                stream.flush()
-                os.fdatasync(stream.fileno())
+            if unfinished.exists():
+                disk.remove(unfinished)  # left behind by a recovery that was killed
+            with disk.create(unfinished) as stream:
+                writer = ChunkWriter(stream, PROFILE, LIBRARY)
+                messages = copy(log, writer)
+                lost_s = log.lost_ns / NS_PER_S
+                facts = {"from": path.name, "messages": str(messages), "lost_s": f"{lost_s:.9f}"}
+                writer.add_metadata(RECOVERED, facts)
+                writer.finish()
+                disk.sync(stream)
             if messages == 0:
-                unfinished.unlink()
+                disk.remove(unfinished)
                 raise LogError(f"{path}: holds no intact message; nothing to recover")
-            publish(unfinished, target)
+            publish(unfinished, target, disk)
             if path.name.endswith(PART):
-                path.unlink()
-        return RecoverResult(messages, log.lost_ns / NS_PER_S, target)
+                disk.remove(path)
+        return RecoverResult(messages, lost_s, target)
 
 
-def recover_folder(folder: Path) -> tuple[RecoverResult, ...]:
+def recover_folder(folder: Path, *, disk: Disk = DISK) -> tuple[RecoverResult, ...]:
     """Recover every part in a folder, as a daemon does when it starts.
 
     A part with nothing in it is set aside as NAME.part.broken; one that is being written is left alone.
@@ -83,16 +89,16 @@ def recover_folder(folder: Path) -> tuple[RecoverResult, ...]:
             continue
         final = part.with_name(part.name.removesuffix(PART))
         if final.exists() and final.samefile(part):
-            part.unlink()  # killed between naming the finished file and removing its old name
+            disk.remove(part)  # killed between naming the finished file and removing its old name
             continue
         try:
-            result = recover(part)
+            result = recover(part, disk=disk)
         except PartInUse:
             continue
         except LogError as error:
             _log.error("%s", error)
             if part.exists() and not (broken := part.with_name(part.name + BROKEN)).exists():
-                part.rename(broken)
+                disk.replace(part, broken)
             continue
         _log.warning("%s: recovered %d messages, %.3f s lost", part, result.recovered_messages, result.lost_s)
         results.append(result)
@@ -103,15 +109,13 @@ class PartInUse(LogError):
     """Another process is writing the part."""
 
 
-def _copy(log: LogFile, writer: Writer, path: Path) -> int:
-    """Everything intact in `log` to `writer`; the number of messages."""
-    writer.start(PROFILE, LIBRARY)
+def copy(log: LogFile, writer: ChunkWriter) -> int:
+    """Everything intact in `log` to `writer`, byte for byte and in order; the number of messages."""
     for attachment in log.attachments.values():
-        writer.add_attachment(
-            attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
-        )
+        writer.add_attachment(attachment.log_time, attachment.name, attachment.media_type, attachment.data)
     for name, facts in log.metadata.items():
-        writer.add_metadata(name, facts)
+        # A metadata record has no checksum of its own; the seed, which says the same of our files, has.
+        writer.add_metadata(name, log.facts if name == "armctl" else facts)
     schemas: dict[int, int] = {}
     channels: dict[str, int] = {}
 
@@ -121,9 +125,9 @@ def _copy(log: LogFile, writer: Writer, path: Path) -> int:
                 continue
             schema = log.schemas.get(channel.schema_id)
             if schema is not None and schema.id not in schemas:
-                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schemas[schema.id] = writer.add_schema(schema.name, schema.encoding, schema.data)
             schema_id = schemas.get(channel.schema_id, 0)
-            channels[channel.topic] = writer.register_channel(
+            channels[channel.topic] = writer.add_channel(
                 channel.topic, channel.message_encoding, schema_id, channel.metadata
             )
 
@@ -132,12 +136,8 @@ def _copy(log: LogFile, writer: Writer, path: Path) -> int:
     for message in log.messages():
         if message.topic not in channels:
             register()
-        number = channels[message.topic]
-        writer.add_message(number, message.log_time_ns, message.data, message.log_time_ns, message.sequence)
+        writer.add_message(channels[message.topic], message.log_time_ns, message.sequence, message.data)
         count += 1
-    lost_s = f"{log.lost_ns / NS_PER_S:.9f}"
-    writer.add_metadata("recovered", {"from": path.name, "messages": str(count), "lost_s": lost_s})
-    writer.finish()  # type: ignore[no-untyped-call]
     return count
 
 

@@ -6,6 +6,7 @@ Rules.
    the next keyframe; where a keyframe comes along the way, the state must equal it.
 3. The messages are made by the very function that made them for the log (channels.py).
 4. A tick whose cycle is missing was cut off and is not judged.
+5. Files that were merged keep each its own clock: a tick goes by the anchor that its log time is of.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.reader import LogFile, LogMessage
 
 PROGRESS_TICKS = 500
+MERGED = "merged"
+"""Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic."""
 _COMPARED = (
     channels.JOINT_STATES,
     channels.JOINT_COMMANDS,
@@ -61,6 +64,8 @@ class ReplayResult:
     seconds: float
     realtime_ratio: float
     first_mismatch: str
+    version: str
+    """Of the armctl that made the log: another one may decide otherwise."""
 
 
 class Step(Protocol):
@@ -79,6 +84,13 @@ class LogSetup:
     robot: Robot
     period_s: float
     anchor: Anchor
+    later_anchors: tuple[Anchor, ...] = ()
+    """Of the files that were merged behind the first one."""
+
+    def anchor_of(self, time_ns: int, epoch_ns: int) -> Anchor:
+        """The anchor that gives a monotonic time its epoch time; the first one if none does."""
+        fitting = (anchor for anchor in self.later_anchors if anchor.epoch_ns(time_ns) == epoch_ns)
+        return self.anchor if self.anchor.epoch_ns(time_ns) == epoch_ns else next(fitting, self.anchor)
 
 
 def log_setup(log: LogFile) -> LogSetup:
@@ -90,12 +102,13 @@ def log_setup(log: LogFile) -> LogSetup:
     where = f"{log.path}: calibration.yaml"
     try:
         arm = validate(ArmConfig, parse_yaml(log.text("calibration.yaml"), where), where)
-        facts, robot = log.facts, log.seed()["robot"]
+        facts, robot, merged = log.facts, log.seed()["robot"], log.metadata.get(MERGED, {})
         return LogSetup(
             arm=arm,
             robot=robots.get(robot["name"], robot["lengths_m"]),
             period_s=float(facts["period_s"]),
             anchor=Anchor(int(facts["anchor_wall_ns"]), int(facts["anchor_monotonic_ns"])),
+            later_anchors=tuple(Anchor(*map(int, pair.split("/"))) for pair in merged.get("anchors", "").split()),
         )
     except (KeyError, TypeError, ValueError, ConfigError) as error:
         raise LogError(
@@ -128,11 +141,12 @@ def check(
     """
     begun_s = time.perf_counter()
     with LogFile(path) as log:
-        replay = _Replay(log, log_setup(log), step)
+        replay = Rerun(log, log_setup(log), step)
         for message in log.messages():
             replay.take(message)
             if progress is not None and message.topic == channels.CYCLE and replay.ticks % PROGRESS_TICKS == 0:
                 progress(log.progress)
+        version = log.facts.get("version", "")
     if not replay.keyframes:
         raise LogError(f"{path}: holds no keyframe; there is no state to begin at")
     seconds = time.perf_counter() - begun_s
@@ -143,23 +157,35 @@ def check(
         seconds=seconds,
         realtime_ratio=replay.duration_ns / NS_PER_S / max(seconds, 1e-9),
         first_mismatch=replay.first_mismatch,
+        version=version,
     )
 
 
-class _Replay:
-    """The running comparison."""
+class Rerun:
+    """The control step over a log's inputs, compared on the way: messages in, figures out."""
 
-    def __init__(self, log: LogFile, setup: LogSetup, step: Step) -> None:
+    def __init__(self, log: LogFile, setup: LogSetup, step: Step = control_step) -> None:
         self.ticks = self.messages = self.mismatches = self.keyframes = self.duration_ns = 0
         self.first_mismatch = ""
+        self.state: State | None = None
+        """State after the last tick; None: not known."""
         self._log, self._setup, self._step = log, setup, step
-        self._state: State | None = None
         self._last_tick: int | None = None
         self._last_ns = 0
         self._tick = _Tick()
 
     def take(self, message: LogMessage) -> None:
-        """The next message of the file."""
+        """The next message of the file.
+
+        Raises:
+            LogError: it is not what armctl writes.
+        """
+        try:
+            self._take(message)
+        except (TypeError, ValueError, AttributeError, LookupError) as error:
+            raise LogError(f"{self._log.path}: {message.topic} is not as armctl writes it: {error!r}") from None
+
+    def _take(self, message: LogMessage) -> None:
         topic, data = message.topic, message.data
         if topic == channels.STATE:
             self._keyframe(self._decode(message)["data"])
@@ -174,7 +200,7 @@ class _Replay:
                     self._tick.logged.setdefault(topic, []).append(data)
         elif topic == channels.CYCLE:
             tick, self._tick = self._tick, _Tick()
-            self._finish(tick, self._decode(message))
+            self._finish(tick, self._decode(message), message.log_time_ns)
         elif topic == channels.ROSOUT:
             if self._decode(message)["name"] == channels.CONTROL:
                 self._tick.logged.setdefault(topic, []).append(data)
@@ -187,23 +213,23 @@ class _Replay:
     def _keyframe(self, text: str) -> None:
         self.keyframes += 1
         state = self._parsed(from_json, State, text)
-        if self._state is not None:
-            self._compare(channels.STATE, [state], [self._state])
-        self._state = state
+        if self.state is not None:
+            self._compare(channels.STATE, [state], [self.state])
+        self.state = state
 
-    def _finish(self, tick: _Tick, cycle: Value) -> None:
+    def _finish(self, tick: _Tick, cycle: Value, epoch_ns: int) -> None:
         number, time_ns = cycle["tick"], cycle["time_ns"]
         gap = self._last_tick is not None and number != self._last_tick + 1
         if gap or cycle["dropped"] or tick.servos is None:
-            self._state = None
+            self.state = None
         previous_ns = self._last_ns
         self._last_tick, self._last_ns = number, time_ns
-        if self._state is None or tick.servos is None:
+        if self.state is None or tick.servos is None:
             return
         setup = self._setup
         inputs = self._inputs(tick.servos, tick.records, cycle)
         try:
-            self._state, outputs = self._step(self._state, inputs, setup.arm, setup.robot, setup.period_s)
+            self.state, outputs = self._step(self.state, inputs, setup.arm, setup.robot, setup.period_s)
         except Exception as error:  # the log may be anybody's, and say anything
             raise LogError(f"{self._log.path}: tick {number}: the control step cannot take it: {error!r}") from error
         if cycle["inputs_only"]:
@@ -211,7 +237,8 @@ class _Replay:
         self.ticks += 1
         self.duration_ns += time_ns - previous_ns if previous_ns else 0
         computed: dict[str, list[bytes]] = {}
-        for topic, value in channels.output_messages(TickRecord(inputs, outputs), setup.anchor, setup.arm, setup.robot):
+        anchor = setup.anchor_of(time_ns, epoch_ns)
+        for topic, value in channels.output_messages(TickRecord(inputs, outputs), anchor, setup.arm, setup.robot):
             computed.setdefault(topic, []).append(TOPICS[topic].codec.encode(value))
         for topic in _COMPARED:
             self._compare(topic, tick.logged.get(topic, []), computed.get(topic, []))

@@ -4,26 +4,22 @@ Rules.
 1. The file is PATH.part while it is written, and becomes PATH when it is closed; PATH is never replaced.
 2. All schemas and channels stand in the first chunk, and once more in an attachment before it: if that chunk
    is damaged the others can still be read.
-3. `flush` ends the chunk and syncs the data to the disk.
+3. `flush` ends the chunk and syncs the data to the disk; the first one also the folder that names the file.
 4. A file opens alone: description, calibration, configuration, static transforms and a keyframe come first.
 5. The part is locked while it is written, so that nobody recovers it under its writer.
 """
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import json
-import os
 import platform
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from armctl import __version__
 from armctl.clock import NS_PER_S
@@ -34,9 +30,12 @@ from armctl.kinematics.urdf import urdf
 from armctl.messages import Event, TickRecord
 from armctl.recording import channels
 from armctl.recording.channels import TOPICS, Anchor, Message
+from armctl.recording.chunks import CHUNK_BYTES as CHUNK_BYTES
+from armctl.recording.chunks import ChunkWriter
+from armctl.recording.disk import DISK, Disk
 from armctl.recording.schemas import schema_text, short_name
+from armctl.recording.templates import Encoded, TickEncoder
 
-CHUNK_BYTES = 2**20
 PART = ".part"
 LIBRARY = f"armctl {__version__}"
 PROFILE = "ros2"
@@ -54,6 +53,8 @@ class LogContext:
     config: Config
     port: str
     period_s: float
+    firmware: tuple[int, ...] = ()
+    """Firmware versions of the servos in joint order; empty while they are not known."""
 
 
 class LogWriter:
@@ -66,6 +67,7 @@ class LogWriter:
         anchor: Clock anchor of the file; now, if none is given.
         inputs_only: Ticks between the keyframe and the file's own beginning. Only their inputs are written, so
             that a replay can begin at the keyframe although the file begins later.
+        disk: Where the file goes.
     Raises:
         LogError: the name is taken, or the file cannot be written. After an error of any method the only
             thing left to do is `abandon`.
@@ -80,36 +82,39 @@ class LogWriter:
         previous: str = "",
         anchor: Anchor | None = None,
         inputs_only: Sequence[TickRecord] = (),
+        disk: Disk = DISK,
     ) -> None:
         self.path, self.part = path, path.with_name(path.name + PART)
         self.context = context
         self.anchor = anchor or Anchor.now()
         self.begin_ns = self.anchor.monotonic_ns
+        self._disk = disk
+        self._encoder = TickEncoder(context.arm, context.robot)
         self._keyframe, self._inputs_only = keyframe, inputs_only
-        self._begun = False
+        self._begun = self._named = False
         self._sequence = 0
         self._diagnosed: tuple[object, ...] = ()
         if path.exists():
             raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")
         with self._errors():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = open(self.part, "xb")  # noqa: SIM115  # closed by close or abandon
+            self._stream = disk.create(self.part)
         try:
             with self._errors():
-                fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._writer = Writer(self._stream, CHUNK_BYTES, CompressionType.ZSTD)
+                self._writer = ChunkWriter(self._stream, PROFILE, LIBRARY)
                 self._channels = self._head(previous)
                 self._stream.flush()
-                self._head_bytes = self._stream.tell()
+                self._head_bytes = self._writer.offset
         except LogError:
             self.abandon()
-            self.part.unlink(missing_ok=True)
+            with suppress(OSError):  # a disk that cannot do this either: the next start sets the part aside
+                disk.remove(self.part)
             raise
 
     @property
     def size_bytes(self) -> int:
         """What has gone to the file since its head."""
-        return self._stream.tell() - self._head_bytes
+        return self._writer.offset - self._head_bytes
 
     def begin(self, keyframe: str, inputs_only: Sequence[TickRecord]) -> None:
         """Give keyframe and earlier ticks after the construction but before the first tick."""
@@ -118,23 +123,22 @@ class LogWriter:
 
     def write_tick(self, record: TickRecord) -> None:
         """Every message of one tick."""
-        context, anchor = self.context, self.anchor
+        encoder, anchor = self._encoder, self.anchor
+        time_ns = record.inputs.sample.time_ns
         with self._errors():
-            self._begin(record.inputs.sample.time_ns)
-            self._write(record, channels.input_messages(record, anchor, context.arm))
-            self._write(record, channels.output_messages(record, anchor, context.arm, context.robot))
+            self._begin(time_ns)
+            self._write(record, encoder.inputs(record, anchor))
+            self._write(record, encoder.outputs(record, anchor))
             if record.dropped:
                 text = f"{record.dropped} tick records were lost before tick {record.inputs.tick}"
-                self.write_event(Event("warning", "DROPPED", text), record.inputs.sample.time_ns)
-            fault = record.outputs.fault
-            second = record.inputs.sample.time_ns // DIAGNOSTICS_PERIOD_NS
-            now = (second, record.outputs.mode, fault)
+                self.write_event(Event("warning", "DROPPED", text), time_ns)
+            now = (time_ns // DIAGNOSTICS_PERIOD_NS, record.outputs.mode, record.outputs.fault)
             if now != self._diagnosed:
                 self._diagnosed = now
-                self._write(record, [channels.diagnostics(record, anchor, context.arm)])
-            self._write(record, [channels.cycle_message(record, anchor)])
+                self._add(channels.diagnostics(record, anchor, self.context.arm), anchor.epoch_ns(time_ns))
+            self._write(record, [encoder.cycle(record, anchor)])
             if record.keyframe:
-                self._write(record, [channels.string_message(channels.STATE, record.keyframe)])
+                self._add(channels.string_message(channels.STATE, record.keyframe), anchor.epoch_ns(time_ns))
 
     def write_note(self, topic: str, text: str, time_ns: int) -> None:
         """Text (JSON) on a std_msgs/String topic, at a monotonic time.
@@ -158,20 +162,29 @@ class LogWriter:
     def flush(self) -> None:
         """End the chunk, and return when its data are on the disk."""
         with self._errors():
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            os.fdatasync(self._stream.fileno())
+            self._writer.end_chunk()
+            self._sync()
 
     def close(self) -> None:
-        """Finish the file and give it its final name; without an effect once that is done."""
+        """Finish the file and give it its final name; without an effect once that is done.
+
+        Raises:
+            LogError: it cannot be finished, or the name was taken meanwhile.
+        """
         if self._stream.closed:
             return
         with self._errors():
             self._begin(self.begin_ns)
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._stream.flush()
-            os.fdatasync(self._stream.fileno())
-            publish(self.part, self.path)
+            self._writer.finish()
+            self._sync()
+            publish(self.part, self.path, self._disk)
             self._stream.close()
+
+    def _sync(self) -> None:
+        self._disk.sync(self._stream)
+        if not self._named:
+            self._disk.sync_folder(self.path.parent)
+            self._named = True
 
     def abandon(self) -> None:
         """Let go of a file that can no longer be written; the part stays, to be recovered."""
@@ -189,6 +202,7 @@ class LogWriter:
             "host": platform.node(),
             "port": context.port,
             "arm_id": context.arm.arm_id,
+            "firmware": " ".join(map(str, context.firmware)),
             "calibration_hash": context.arm.calibration_hash,
             "period_s": repr(context.period_s),
             "anchor_wall_ns": str(self.anchor.wall_ns),
@@ -197,12 +211,11 @@ class LogWriter:
         }
         schemas: dict[str, int] = {}
         ids: dict[str, int] = {}
-        writer.start(PROFILE, LIBRARY)
         for topic in TOPICS.values():
             if topic.type not in schemas:
                 text = schema_text(short_name(topic.type))
-                schemas[topic.type] = writer.register_schema(topic.type, "ros2msg", text.encode())
-            ids[topic.name] = writer.register_channel(topic.name, "cdr", schemas[topic.type], topic.metadata)
+                schemas[topic.type] = writer.add_schema(topic.type, "ros2msg", text.encode())
+            ids[topic.name] = writer.add_channel(topic.name, "cdr", schemas[topic.type], topic.metadata)
         seed = {
             "armctl": facts,
             "robot": {"name": context.robot.name, "lengths_m": context.robot.lengths_m},
@@ -221,7 +234,7 @@ class LogWriter:
             ("config.yaml", "application/yaml", _yaml(context.config.model_dump(mode="json"))),
             ("calibration.yaml", "application/yaml", _yaml(context.arm.model_dump(mode="json"))),
         ):
-            writer.add_attachment(now_ns, now_ns, name, media_type, text.encode())
+            writer.add_attachment(now_ns, name, media_type, text.encode())
         writer.add_metadata("armctl", facts)
         self._description = description
         return ids
@@ -240,22 +253,22 @@ class LogWriter:
         if self._keyframe:
             self._add(channels.string_message(channels.STATE, self._keyframe), epoch_ns)
         for record in self._inputs_only:
-            self._write(record, channels.input_messages(record, self.anchor, context.arm))
-            self._write(record, [channels.cycle_message(record, self.anchor, inputs_only=True)])
+            self._write(record, self._encoder.inputs(record, self.anchor))
+            self._write(record, [self._encoder.cycle(record, self.anchor, inputs_only=True)])
         self._inputs_only = ()
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self._head_bytes = self._stream.tell()
+        self._writer.end_chunk()
+        self._head_bytes = self._writer.offset
 
-    def _write(self, record: TickRecord, messages: Sequence[Message]) -> None:
+    def _write(self, record: TickRecord, messages: Sequence[Encoded]) -> None:
         self._sequence = record.inputs.tick & 0xFFFFFFFF
         epoch_ns = self.anchor.epoch_ns(record.inputs.sample.time_ns)
-        for message in messages:
-            self._add(message, epoch_ns)
+        for topic, data in messages:
+            self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
 
     def _add(self, message: Message, epoch_ns: int) -> None:
         topic, value = message
         data = TOPICS[topic].codec.encode(value)
-        self._writer.add_message(self._channels[topic], epoch_ns, data, epoch_ns, self._sequence)
+        self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
@@ -276,7 +289,7 @@ def writing(path: Path) -> Iterator[None]:
         raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def publish(part: Path, path: Path) -> None:
+def publish(part: Path, path: Path, disk: Disk = DISK) -> None:
     """Give a finished file its name, unless the name is taken; the folder entry is on the disk afterwards.
 
     Raises:
@@ -284,20 +297,9 @@ def publish(part: Path, path: Path) -> None:
         OSError: the folder cannot be written.
     """
     try:
-        os.link(part, path)
-        part.unlink()
+        disk.name(part, path)
     except FileExistsError:
         raise LogError(f"{path}: appeared meanwhile; nothing is overwritten, the data are in {part.name}") from None
-    except OSError as error:
-        # File systems without hard links (FAT): the check and the renaming are two steps there.
-        if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS) or path.exists():
-            raise
-        part.rename(path)
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def _yaml(data: dict[str, Any]) -> str:

@@ -27,6 +27,7 @@ from armctl.control.step import step
 from armctl.errors import LogError
 from armctl.messages import Event, Hold, Inputs, Outputs, Release, Teach, TeachEnd, TickRecord
 from armctl.recording import reader, recordings, replay
+from armctl.recording.chunks import MAGIC, ChunkWriter
 from armctl.recording.reader import LogFile, LogMessage
 from armctl.recording.recover import PartInUse, recover, recover_folder
 from armctl.recording.replay import check, log_setup
@@ -254,7 +255,7 @@ def test_a_head_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypatc
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Writer, "add_metadata", full)
+    monkeypatch.setattr(ChunkWriter, "add_metadata", full)
     with pytest.raises(LogError, match="No space left"):
         LogWriter(tmp_path / "a.mcap", CONTEXT)
     assert list(tmp_path.iterdir()) == []
@@ -392,7 +393,7 @@ def test_a_chunk_is_never_inflated_beyond_its_bound(tmp_path: Path, claimed: int
     bomb = zstandard.compress(bytes(2**27))
     body = struct.pack("<QQQII", 0, 1, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(bomb)) + bomb
     path = tmp_path / "bomb.mcap"
-    path.write_bytes(reader.MAGIC + struct.pack("<BQ", 6, len(body)) + body)
+    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(body)) + body)
     info = reader.info(path)
     assert (info.messages, info.complete) == (0, False)
 
@@ -467,9 +468,9 @@ def test_a_finished_file_that_still_has_its_old_name_loses_it(tmp_path: Path, lo
 @pytest.mark.parametrize("body", [b"\x05" + bytes(8), b"\x04" + struct.pack("<Q", 2) + b"ab", b"\x0e" + bytes(8)])
 def test_nonsense_inside_a_chunk_is_damage(tmp_path: Path, body: bytes) -> None:
     chunk = struct.pack("<QQQII", 0, 1, len(body), 0, 0) + struct.pack("<Q", len(body)) + body
-    end = struct.pack("<BQI", 15, 4, 0) + reader.MAGIC
+    end = struct.pack("<BQI", 15, 4, 0) + MAGIC
     path = tmp_path / "a.mcap"
-    path.write_bytes(reader.MAGIC + struct.pack("<BQ", 6, len(chunk)) + chunk + end)
+    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(chunk)) + chunk + end)
     assert (reader.info(path).messages, reader.info(path).complete) == (0, False)
 
 

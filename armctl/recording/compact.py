@@ -1,0 +1,109 @@
+"""Compaction: a log that was flushed every second, rewritten with large chunks, in its place.
+
+Rules.
+1. A log is replaced only by a file that was read back and holds the same messages in the same order, bit for bit;
+   on the disk before it takes the name. What is damaged, being written or compacted already is left alone.
+2. It runs in a process of its own that takes what time nobody else wants: `python -m armctl.recording.compact FOLDER`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from armctl.errors import LogError
+from armctl.recording.chunks import ChunkWriter
+from armctl.recording.disk import DISK, Disk
+from armctl.recording.quota import stored_logs
+from armctl.recording.reader import LogFile
+from armctl.recording.recover import copy, owned
+from armctl.recording.writer import LIBRARY, PROFILE, writing
+
+COMPACTED = "compacted"
+"""Metadata record of a file that needs no more compacting."""
+LEVEL = 9
+"""zstd level; above it the files hardly shrink and the time grows."""
+_UNFINISHED = ".compacting"
+_log = logging.getLogger(__name__)
+
+
+def compact(path: Path, *, disk: Disk = DISK) -> bool:
+    """Rewrite one log in its place; False if there is nothing to gain.
+
+    Raises:
+        LogError: the log cannot be read, is damaged, or the new file cannot be written; the old one is as it was.
+    """
+    unfinished = path.with_name(path.name + _UNFINISHED)
+    with owned(path), LogFile(path) as log, writing(unfinished):
+        if COMPACTED in log.metadata:
+            return False
+        if unfinished.exists():
+            disk.remove(unfinished)  # left behind by a compaction that was killed
+        with disk.create(unfinished) as stream:
+            writer = ChunkWriter(stream, PROFILE, LIBRARY, level=LEVEL)
+            writer.add_metadata(COMPACTED, {"from_bytes": str(path.stat().st_size)})
+            copy(log, writer)
+            writer.finish()
+            disk.sync(stream)
+        if not log.complete or _digest(unfinished) != _digest(path):
+            disk.remove(unfinished)
+            raise LogError(f"{path}: is damaged; it stays as it is. Mend it: armctl log recover {path}")
+        disk.replace(unfinished, path)
+        disk.sync_folder(path.parent)
+    return True
+
+
+def compact_folder(folder: Path, *, disk: Disk = DISK) -> int:
+    """Compact every log in a folder that is not yet; how many were."""
+    count = 0
+    for stored in stored_logs(folder):
+        try:
+            count += compact(stored.path, disk=disk)
+        except LogError as error:
+            _log.warning("not compacted: %s", error)
+    return count
+
+
+class Compaction:
+    """Compacts a folder in a process of its own, one at a time."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self, folder: Path) -> None:
+        """Begin, unless the last one is still at it: the next one will find what it leaves.
+
+        Raises:
+            OSError: no process can be started.
+        """
+        if self._process is None or self._process.poll() is not None:
+            command = [sys.executable, "-m", "armctl.recording.compact", str(folder)]
+            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+
+def _digest(path: Path) -> tuple[object, ...]:
+    digest, count = hashlib.blake2b(), 0
+    with LogFile(path) as log:
+        for topic, time_ns, sequence, data in log.messages():
+            digest.update(f"{topic} {time_ns} {sequence} {len(data)} ".encode())
+            digest.update(data)
+            count += 1
+        attachments = {name: attachment.data for name, attachment in log.attachments.items()}
+        return count, digest.digest(), log.complete, attachments, log.facts
+
+
+def main(folder: str) -> None:
+    """Body of the process."""
+    os.nice(19)
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    compact_folder(Path(folder))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,373 @@
+"""Trimming and merging logs.
+
+Rules.
+1. A new file opens alone: attachments, metadata, channels and the latched topics stand at its beginning, the
+   latched ones with the time it begins at.
+2. A new file replays alone: it begins at a keyframe. Where the old one has none there, the state is computed by
+   the control step from the keyframe before, and used only if everything on the way is bit for bit as logged.
+3. All other messages are taken over byte for byte.
+4. Sources are only read. The new file gets its name when it is complete and on the disk, and replaces nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.writer import CompressionType, Writer
+
+from armctl.clock import NS_PER_S
+from armctl.control.machine import State
+from armctl.errors import LogError, RequestRefused
+from armctl.messages import to_json
+from armctl.recording import channels
+from armctl.recording.cdr import Value
+from armctl.recording.channels import TOPICS
+from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.replay import MERGED, LogSetup, Rerun, log_setup
+from armctl.recording.writer import CHUNK_BYTES, LIBRARY, PART, PROFILE, publish, writing
+
+UNFINISHED = ".unfinished"
+TRIMMED = "trimmed"
+MAX_WARMUP_MESSAGES = 40_000
+"""Kept since the last keyframe, to compute the state at a cut; several times what stands between two keyframes."""
+PROGRESS_MESSAGES = 5000
+_LATCHED = tuple(topic.name for topic in TOPICS.values() if topic.latched)
+_STANDING = (*_LATCHED, channels.DIAGNOSTICS)
+"""Topics whose newest message goes on being true: what a file that begins in the middle must say first."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class EditResult:
+    """A file that was written. `damaged`: places in its sources that could not be read."""
+
+    path: Path
+    messages: int
+    duration_s: float
+    damaged: int = 0
+    begins_with_state: bool | None = None
+    """Of a trimmed file, whether a replay begins with its first tick and not at a later keyframe."""
+
+
+Progress = Callable[[float], None]
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """A stream that becomes `path` when the block is left without an error, and nothing otherwise.
+
+    Raises:
+        LogError: the name is taken, or it cannot be written.
+    """
+    if path.exists():
+        raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")
+    unfinished = path.with_name(path.name + UNFINISHED)
+    with writing(path):
+        unfinished.unlink(missing_ok=True)  # left behind by one that was killed
+        try:
+            with open(unfinished, "xb") as stream:
+                yield stream
+                stream.flush()
+                os.fdatasync(stream.fileno())
+            publish(unfinished, path)
+        finally:
+            unfinished.unlink(missing_ok=True)
+
+
+def first_ns(path: Path) -> int:
+    """Log time of a log's first own tick [ns]; of its first message where it holds no ticks.
+
+    Raises:
+        LogError: the file is no log, or holds no message.
+    """
+    for topics in ((channels.JOINT_STATES,), None):
+        with LogFile(path) as log:
+            for message in log.messages(topics):
+                return message.log_time_ns
+    raise LogError(f"{path}: holds no message")
+
+
+def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress | None = None) -> EditResult:
+    """Write the part [begin_s, end_s) of a log to a file of its own.
+
+    Args:
+        begin_s, end_s: Seconds since the log's first tick.
+        progress: Called with the fraction done.
+    Raises:
+        LogError: the log cannot be read, `out` exists or cannot be written.
+        RequestRefused: the part is empty.
+    """
+    if not begin_s < end_s:
+        raise RequestRefused("EMPTY", f"{begin_s:g} s to {end_s:g} s is no stretch of time; let it end after it begins")
+    zero_ns = first_ns(path)
+    # Further than any file goes is as good as for ever.
+    begin_ns, end_ns = (zero_ns + round(max(-1e9, min(bound, 1e9)) * NS_PER_S) for bound in (begin_s, end_s))
+    with LogFile(path) as log, new_file(out) as stream:
+        facts = {"from": path.name, "begin_s": repr(begin_s), "end_s": repr(end_s)}
+        copy, before = _Copy(stream, log, TRIMMED, facts), _Before(log)
+        taken, has_state = 0, False
+        has_ticks = channels.SERVOS in log.topics
+        for count, message in enumerate(log.messages()):
+            if progress is not None and count % PROGRESS_MESSAGES == 0:
+                progress(log.progress)
+            # A tick is taken whole: it begins with its servos, whatever others noted at about the same time.
+            if message.log_time_ns < begin_ns or (has_ticks and not taken and message.topic != channels.SERVOS):
+                before.take(message)
+            elif message.log_time_ns < end_ns:
+                if taken == 0:
+                    has_state = before.write(copy, message)
+                copy.add(message)
+                taken += 1
+        if taken == 0:
+            raise RequestRefused("EMPTY", f"{path}: holds nothing {begin_s:g} s to {end_s:g} s after its beginning")
+        copy.finish()
+        return EditResult(out, copy.messages, copy.duration_s, log.damaged, has_state)
+
+
+def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) -> EditResult:
+    """Write consecutive files of one daemon as one, in the order of their time.
+
+    The first one's attachments are kept. Of a later one's beginning only what goes on from the file before is: its
+    latched topics and the inputs of ticks that the file before holds are there already.
+
+    Args:
+        paths: Two files or more, in any order.
+        progress: Called with the fraction done.
+    Raises:
+        LogError: a file cannot be read or is damaged, two of them overlap or do not follow each other, `out` exists
+            or cannot be written.
+        RequestRefused: FOREIGN_LOG, a file of another arm or another daemon.
+    """
+    if len(paths) < 2:
+        raise LogError(f"{paths[0] if paths else out}: one file makes no merger; name two or more")
+    ordered = sorted(paths, key=first_ns)
+    with new_file(out) as stream, LogFile(ordered[0]) as first:
+        setups = [_checked(first, path) for path in ordered]
+        anchors = dict.fromkeys(anchor for setup in setups for anchor in (setup.anchor, *setup.later_anchors))
+        later = " ".join(f"{a.wall_ns}/{a.monotonic_ns}" for a in anchors if a != setups[0].anchor)
+        names = " ".join(path.name for path in ordered)
+        copy = _Copy(stream, first, MERGED, {"from": names, "anchors": later})
+        merger = _Merger(copy)
+        merger.take(first, None, partial(_share, progress, 0, len(ordered)))
+        for number, (before, path) in enumerate(pairwise(ordered), 1):
+            with LogFile(path) as log:
+                copy.follow(log)
+                merger.take(log, before, partial(_share, progress, number, len(ordered)))
+        copy.finish()
+        return EditResult(out, copy.messages, copy.duration_s)
+
+
+def _share(progress: Progress | None, number: int, files: int, fraction: float) -> None:
+    if progress is not None:
+        progress((number + fraction) / files)
+
+
+def _checked(first: LogFile, path: Path) -> LogSetup:
+    """What a file says of itself, if that fits the first one.
+
+    Raises:
+        RequestRefused: it is of another arm, or another daemon.
+    """
+    with LogFile(path) as log:
+        setup = log_setup(log)
+        for key in ("arm_id", "calibration_hash", "host", "port", "period_s"):
+            ours, theirs = first.facts.get(key), log.facts.get(key)
+            if ours != theirs:
+                raise RequestRefused(
+                    "FOREIGN_LOG",
+                    f"{path}: {key} is {theirs}, in {first.path} it is {ours}; only files of one daemon are merged",
+                )
+        return setup
+
+
+class _Merger:
+    """Ticks of one file after the other; knows which one was the last."""
+
+    def __init__(self, copy: _Copy) -> None:
+        self._copy = copy
+        self._tick: int | None = None
+        self._tick_ns = 0
+
+    def take(self, log: LogFile, before: Path | None, progress: Progress) -> None:
+        """All of a file; `before` is the one it must follow.
+
+        Raises:
+            LogError: it does not, or it is damaged.
+        """
+        tick: list[LogMessage] = []
+        begun = before is None
+        for count, message in enumerate(log.messages()):
+            if count % PROGRESS_MESSAGES == 0:
+                progress(log.progress)
+            if before is None or message.topic not in _LATCHED:
+                tick.append(message)
+            if message.topic == channels.CYCLE or len(tick) > MAX_WARMUP_MESSAGES:
+                begun = self._end_tick(log, tick, before, begun)
+                tick = []
+        for message in tick:
+            self._copy.add(message)
+        if not log.complete:
+            raise LogError(f"{log.path}: is damaged or has no end; mend it first: armctl log recover {log.path}")
+
+    def _end_tick(self, log: LogFile, tick: list[LogMessage], before: Path | None, begun: bool) -> bool:
+        """Take over what ends with a cycle; whether the file's own ticks have begun."""
+        message = tick[-1]
+        cycle = log.codec(message.topic).decode(message.data)
+        if not {"tick", "inputs_only"} <= cycle.keys():
+            raise LogError(f"{log.path}: {message.topic} is not as armctl writes it")
+        number = cycle["tick"]
+        goes_on = self._tick is not None and number == self._tick + 1
+        if before is not None and not begun:
+            if cycle["inputs_only"] and not goes_on:
+                return False
+            self._follows(log, before, message, goes_on)
+            tick = [one for one in tick if one.topic != channels.STATE]
+        for one in tick:
+            self._copy.add(one)
+        self._tick, self._tick_ns = number, message.log_time_ns
+        return begun or not cycle["inputs_only"]
+
+    def _follows(self, log: LogFile, before: Path, message: LogMessage, goes_on: bool) -> None:
+        overlap_s = (self._tick_ns - message.log_time_ns) / NS_PER_S
+        if overlap_s >= 0.0:
+            raise LogError(
+                f"{log.path}: begins {overlap_s:.1f} s before {before} ends; files that overlap are not merged"
+            )
+        previous = log.facts.get("previous", "")
+        if not goes_on and previous != before.name.removesuffix(PART):
+            raise LogError(
+                f"{log.path}: does not follow {before}, but {previous or 'nothing: a daemon was started with it'}; "
+                "only consecutive files are merged"
+            )
+
+
+class _Before:
+    """What lies before a cut: the newest of what goes on being true, and the way from the last keyframe."""
+
+    def __init__(self, log: LogFile) -> None:
+        self._log = log
+        self._standing: dict[str, LogMessage] = {}
+        self._since: deque[LogMessage] = deque()
+
+    def take(self, message: LogMessage) -> None:
+        if message.topic in _STANDING:
+            self._standing[message.topic] = message
+        if message.topic == channels.STATE:
+            self._since.clear()
+        if message.topic == channels.STATE or (self._since and len(self._since) < MAX_WARMUP_MESSAGES):
+            self._since.append(message)
+        else:
+            self._since.clear()  # a way that is not whole leads nowhere
+
+    def write(self, copy: _Copy, first: LogMessage) -> bool:
+        """Say it again just before the first message behind the cut; whether a replay can begin there."""
+        for topic, message in self._standing.items():
+            value = self._log.codec(topic).decode(message.data)
+            copy.say(topic, _stamped(value, first.log_time_ns), first)
+        state = self._state() if self._since else None
+        if state is not None:
+            copy.say(channels.STATE, {"data": to_json(state)}, first)
+        return state is not None
+
+    def _state(self) -> State | None:
+        try:
+            rerun = Rerun(self._log, log_setup(self._log))
+            for message in self._since:
+                rerun.take(message)
+        except LogError as error:
+            _log.warning("no state at the cut: %s", error)
+            return None
+        return None if rerun.mismatches else rerun.state
+
+
+class _Copy:
+    """Messages of one log, or several alike, into a new file.
+
+    Args:
+        name, facts: A metadata record that says what was done.
+    """
+
+    def __init__(self, stream: BinaryIO, log: LogFile, name: str, facts: dict[str, str]) -> None:
+        self.messages = 0
+        self._begin_ns = self._end_ns = 0
+        self._log = log
+        self._writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
+        self._ids: dict[str, int] = {}
+        self._schemas: dict[int, int] = {}
+        self._kept: set[str] = {name}
+        self._writer.start(PROFILE, LIBRARY)
+        self._register()
+        self._keep()
+        self._writer.add_metadata(name, facts)
+
+    def follow(self, log: LogFile) -> None:
+        """Go on with the messages of another log."""
+        self._log, self._schemas = log, {}
+
+    def add(self, message: LogMessage) -> None:
+        """A message of the log, as it is."""
+        if message.topic not in self._ids:
+            self._register()
+        self._add(message.topic, message.data, message)
+
+    def say(self, topic: str, value: Value, at: LogMessage) -> None:
+        """A message of this file's own, at the time of another."""
+        self._add(topic, self._log.codec(topic).encode(value), at)
+
+    def finish(self) -> None:
+        """End the file; what was attached to the end of the log comes along."""
+        self._keep()
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+    @property
+    def duration_s(self) -> float:
+        return (self._end_ns - self._begin_ns) / NS_PER_S
+
+    def _add(self, topic: str, data: bytes, at: LogMessage) -> None:
+        self._writer.add_message(self._ids[topic], at.log_time_ns, data, at.log_time_ns, at.sequence)
+        self._begin_ns = min(self._begin_ns, at.log_time_ns) if self.messages else at.log_time_ns
+        self._end_ns = max(self._end_ns, at.log_time_ns)
+        self.messages += 1
+
+    def _keep(self) -> None:
+        """Attachments and metadata that the log has shown and the file does not have."""
+        for entry in self._log.attachments.values():
+            if entry.name not in self._kept:
+                self._writer.add_attachment(entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data)
+        for name, facts in self._log.metadata.items():
+            if name not in self._kept:
+                self._writer.add_metadata(name, facts)
+        self._kept |= {*self._log.attachments, *self._log.metadata}
+
+    def _register(self) -> None:
+        """Channels of the log that the file does not have yet, in their order, so that they keep their numbers."""
+        for channel in self._log.channels.values():
+            if channel.topic in self._ids:
+                continue
+            schema = self._log.schemas.get(channel.schema_id)
+            if schema is not None and schema.id not in self._schemas:
+                self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            schema_id = self._schemas.get(channel.schema_id, 0)
+            self._ids[channel.topic] = self._writer.register_channel(
+                channel.topic, channel.message_encoding, schema_id, channel.metadata
+            )
+
+
+def _stamped(value: Value, epoch_ns: int) -> Value:
+    """A message with its stamps, or those of what it lists, set to a time."""
+    stamp = {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
+    if "header" in value:
+        return value | {"header": value["header"] | {"stamp": stamp}}
+    return {
+        key: [_stamped(one, epoch_ns) for one in part] if isinstance(part, list) and key == "transforms" else part
+        for key, part in value.items()
+    }

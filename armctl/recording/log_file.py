@@ -1,0 +1,406 @@
+"""Reading logs, whole or cut, ours or from elsewhere.
+
+Rules.
+1. One pass over the records in file order; no index is needed, so a file without an end reads as well.
+2. Only what a checksum vouches for is used: a chunk whose CRC does not hold is skipped, and so is whatever cannot
+   be parsed; the search goes on at the next chunk, and `complete` tells.
+3. The channels come from the seed attachment if there is one, so that a damaged first chunk costs only itself.
+4. A chunk is never inflated beyond `MAX_CHUNK_BYTES`, whatever it claims, and a file whose chunks together claim
+   more than `FREE_BYTES` and `MAX_RATIO` times its size is refused. Every failure is a LogError.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import mmap
+import struct
+import zlib
+from collections.abc import Collection, Generator, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+
+from armctl.clock import NS_PER_S
+from armctl.errors import LogError
+from armctl.recording import columns
+from armctl.recording.cdr import Codec, schema_codec
+from armctl.recording.chunks import CHUNK, MAGIC, MAX_CHUNK_BYTES, MESSAGE, MESSAGE_OPCODE, RECORD, inflate
+from armctl.recording.columns import Payloads, Table
+from armctl.recording.schemas import parse_schema, short_name
+from armctl.recording.writer import SEED
+
+FREE_BYTES = MAX_CHUNK_BYTES
+MAX_RATIO = 256
+"""What the chunks of a file may claim to inflate to: so much, and so many bytes for each of its own."""
+MAX_SEED_BYTES = 2**20
+MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**16
+MAX_CHUNK_NS = 3600 * NS_PER_S
+_CHUNK, _MESSAGE_INDEX, _DATA_END = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX), int(Opcode.DATA_END)
+_PRIVATE = 0x80
+_INDEX_LENGTH = struct.Struct("<I")
+_Entry = tuple[str, int, int, int, int]  # topic, log time, sequence, where the data begin and end in the chunk
+
+
+class LogMessage(NamedTuple):
+    """One message, still encoded."""
+
+    topic: str
+    log_time_ns: int
+    sequence: int
+    data: bytes
+
+
+class LogFile:
+    """One pass over a file: attachments and facts are known at once, messages come from `messages`.
+
+    Raises:
+        LogError: the file cannot be opened or is no MCAP file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.library = ""
+        self.attachments: dict[str, Attachment] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.complete = False
+        """Known when the messages are exhausted."""
+        self.damaged = 0
+        """Places that had to be skipped so far."""
+        self._end_ns = self._lost_ns = self._tail_ns = 0
+        self._bridged = 0  # damaged places whose cost in log time is known
+        self._kept = self._claimed = 0
+        self._codecs: dict[str, Codec] = {}
+        try:
+            with path.open("rb") as file:
+                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:
+            reason = "it is empty" if isinstance(error, ValueError) else getattr(error, "strerror", error)
+            raise LogError(f"{path}: cannot be read: {reason}") from None
+        if self._data[:8] != MAGIC:
+            raise LogError(f"{path}: is no MCAP file")
+        self._at = 8
+        self._records = self._scan()
+        self._first = next(self._records, None)
+
+    @property
+    def progress(self) -> float:
+        """Fraction of the file read so far."""
+        return self._at / len(self._data)
+
+    @property
+    def lost_ns(self) -> int:
+        """Log time `messages` found missing so far: between intact chunks, and of a last one as its header tells."""
+        return self._lost_ns + self._tail_ns
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What armctl says of its own file, preferably where a checksum vouches for it; empty for others' files."""
+        facts = self.seed().get("armctl", self.metadata.get("armctl"))
+        return {str(key): str(value) for key, value in facts.items()} if isinstance(facts, dict) else {}
+
+    def seed(self) -> dict[str, Any]:
+        """The seed attachment (see writer.py); empty for others' files."""
+        attachment = self.attachments.get(SEED)
+        if attachment is None or len(attachment.data) > MAX_SEED_BYTES:
+            return {}
+        try:
+            seed = json.loads(attachment.data)
+        except (ValueError, RecursionError):
+            return {}
+        return seed if isinstance(seed, dict) else {}
+
+    def text(self, name: str) -> str:
+        """An attachment as text.
+
+        Raises:
+            LogError: there is none of that name: the file was not written by armctl, or begins damaged.
+        """
+        if name not in self.attachments:
+            raise LogError(f"{self.path}: holds no {name}; it was not written by armctl, or its beginning is damaged")
+        try:
+            return self.attachments[name].data.decode()
+        except UnicodeDecodeError:
+            raise LogError(f"{self.path}: {name} is not UTF-8 text") from None
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[LogMessage]:
+        """Messages in file order, of some topics or all; once.
+
+        Raises:
+            LogError: the file claims to inflate beyond all measure.
+        """
+        chunk = self._first
+        while chunk is not None:
+            for topic, time_ns, sequence, begin, end in self._split(chunk, topics):
+                yield LogMessage(topic, time_ns, sequence, chunk[begin:end])
+            chunk = next(self._records, None)
+
+    def payloads(self, topics: Collection[str] | None = None) -> dict[str, Payloads]:
+        """The same messages by topic, as lists of bytes."""
+        found: dict[str, Payloads] = {}
+        chunk = self._first
+        while chunk is not None:
+            at = self._sort(chunk, topics, found)
+            for topic, time_ns, sequence, begin, end in self._split(chunk, topics, at):
+                payloads = found.setdefault(topic, Payloads([], [], []))
+                payloads.log_time_ns.append(time_ns)
+                payloads.sequence.append(sequence)
+                payloads.data.append(chunk[begin:end])
+            chunk = next(self._records, None)
+        return found
+
+    def tables(self, topic: str, payloads: Payloads) -> tuple[Table, ...]:
+        """Messages of one topic as columns, a table for each shape they come in (see columns.py).
+
+        Raises:
+            LogError: they do not fit the topic's schema, or it is none armctl reads.
+        """
+        schema = self._schema(topic)
+        name = short_name(schema.name)
+        try:
+            bodies = parse_schema(schema.name, schema.data.decode())
+            return columns.tables(name, bodies, payloads)
+        except (UnicodeDecodeError, RecursionError) as error:
+            raise LogError(f"{self.path}: schema {schema.name} is damaged: {error}") from None
+
+    def codec(self, topic: str) -> Codec:
+        """The codec of a topic as this file declares it.
+
+        Raises:
+            LogError: no such topic, or its encoding is not CDR with a ros2msg schema.
+        """
+        if topic not in self._codecs:
+            schema = self._schema(topic)
+            try:
+                self._codecs[topic] = schema_codec(schema.name, schema.data.decode())
+            except (UnicodeDecodeError, RecursionError) as error:
+                raise LogError(f"{self.path}: schema {schema.name} is damaged: {error}") from None
+        return self._codecs[topic]
+
+    def _schema(self, topic: str) -> Schema:
+        for channel in self.channels.values():
+            if channel.topic == topic:
+                schema = self.schemas.get(channel.schema_id)
+                if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
+                    raise LogError(f"{self.path}: topic {topic} is not CDR with a ros2msg schema")
+                return schema
+        raise LogError(f"{self.path}: no topic {topic}; known: {', '.join(sorted(self.topics)) or 'none'}")
+
+    @property
+    def topics(self) -> frozenset[str]:
+        return frozenset(channel.topic for channel in self.channels.values())
+
+    def close(self) -> None:
+        self._records.close()
+        self._data.close()
+
+    def __enter__(self) -> LogFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # ------------------------------------------------------------------------------------------- records
+
+    def _scan(self) -> Generator[bytes, None, None]:
+        """Inflated chunks with a good checksum; everything else is taken note of on the way."""
+        data, size, unpack = self._data, len(self._data), RECORD.unpack_from
+        while self._at + RECORD.size <= size:
+            opcode, length = unpack(data, self._at)
+            begin = self._at + RECORD.size
+            if opcode == _MESSAGE_INDEX and self._is_index(begin, length):
+                # Nine in ten records of a file that was flushed every second, and nothing in them is needed.
+                self._at = begin + length
+                continue
+            if opcode == _DATA_END and length == 4:
+                self.complete = self.damaged == 0 and data[size - 8 :] == MAGIC
+                break
+            try:
+                if not 0 < opcode < _DATA_END or length > min(MAX_RECORD_BYTES, size - begin):
+                    raise LogError("no record, or one that was cut")
+                if opcode == _CHUNK:
+                    self._claim(begin)
+                chunk = self._record(opcode, data[begin : begin + length])
+            except _Refused:
+                raise
+            except Exception:  # the packages that parse and inflate share no type of error
+                self._skip_damage(opcode, begin, length)
+                continue
+            self._at = begin + length
+            if chunk is not None:
+                yield chunk
+        self._at = size
+
+    def _is_index(self, begin: int, length: int) -> bool:
+        fits = length >= 6 and begin + length <= len(self._data)
+        return fits and bool(_INDEX_LENGTH.unpack_from(self._data, begin + 2)[0] == length - 6)
+
+    def _claim(self, begin: int) -> None:
+        """Count what a chunk claims to inflate to, before it is."""
+        claim = CHUNK.unpack_from(self._data, begin)[2]
+        self._claimed += claim if claim <= MAX_CHUNK_BYTES else 0
+        bound = FREE_BYTES + MAX_RATIO * len(self._data)
+        if self._claimed > bound:
+            raise _Refused(
+                f"{self.path}: {len(self._data)} bytes that inflate to over {bound}; such a file is not read"
+            )
+
+    def _record(self, opcode: int, body: bytes) -> bytes | None:
+        """Take note of one record; the inflated data if it is a chunk."""
+        if opcode == _CHUNK:
+            return inflate(memoryview(body))
+        if opcode == Opcode.MESSAGE:
+            raise LogError("a message outside a chunk has no checksum")
+        if opcode == _MESSAGE_INDEX:
+            raise LogError("an index of another length")
+        if opcode not in (Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL):
+            return None
+        self._kept += len(body)
+        if self._kept > MAX_CHUNK_BYTES:  # an attachment of gigabytes is none of ours
+            return None
+        stream = ReadDataStream(io.BytesIO(body))
+        if opcode == Opcode.HEADER:
+            self.library = Header.read(stream).library
+        elif opcode == Opcode.ATTACHMENT:
+            (crc,) = struct.unpack_from("<I", body, len(body) - 4)
+            if crc not in (0, zlib.crc32(body[:-4])):
+                raise LogError("the attachment's checksum does not hold")
+            attachment = Attachment.read(stream)
+            self.attachments[attachment.name] = attachment
+            if attachment.name == SEED:
+                self._take_seed()
+        elif opcode == Opcode.METADATA:
+            metadata = Metadata.read(stream)
+            self.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            self.schemas.setdefault(schema.id, schema)
+        else:
+            channel = Channel.read(stream)
+            self.channels.setdefault(channel.id, channel)
+        if stream.count != len(body):
+            raise LogError("a record of another length")
+        return None
+
+    def _take_seed(self) -> None:
+        seed = self.seed()
+        for entry in seed["schemas"]:
+            number, name = int(entry["id"]), str(entry["name"])
+            self.schemas[number] = Schema(number, str(entry["text"]).encode(), "ros2msg", name)
+        for entry in seed["channels"]:
+            metadata = {str(key): str(value) for key, value in entry["metadata"].items()}
+            number, topic = int(entry["id"]), str(entry["topic"])
+            self.channels[number] = Channel(number, topic, "cdr", metadata, int(entry["schema"]))
+
+    def _skip_damage(self, opcode: int, begin: int, length: int) -> None:
+        """Go on behind an attachment if records follow it, else at the next place that looks like a chunk."""
+        self.damaged += 1
+        data = self._data
+        if opcode == Opcode.ATTACHMENT and self._is_record(begin + length, 2):
+            self._at = begin + length
+            return
+        if opcode == _CHUNK and begin + CHUNK.size <= len(data):
+            begin_ns, end_ns, _, _, _ = CHUNK.unpack_from(data, begin)
+            begin_ns = self._end_ns or begin_ns
+            self._tail_ns = end_ns - begin_ns if 0 < end_ns - begin_ns < MAX_CHUNK_NS else 0
+        at = self._at
+        name = b"\x04\x00\x00\x00zstd"  # what stands in the middle of the header of every chunk of ours
+        while True:
+            found = data.find(name, at + RECORD.size + CHUNK.size - 3)
+            if found < 0:
+                self._at = len(data)
+                return
+            at = found + 4 - CHUNK.size - RECORD.size
+            length_at = found + len(name)
+            if length_at + 8 <= len(data) and at > self._at:
+                opcode, length = RECORD.unpack_from(data, at)
+                (inner,) = struct.unpack_from("<Q", data, length_at)
+                if opcode == _CHUNK and length == CHUNK.size + 4 + 8 + inner:
+                    self._at = at
+                    return
+
+    def _is_record(self, at: int, following: int) -> bool:
+        """Whether a record may stand there, and so many more behind it."""
+        if at + RECORD.size > len(self._data):
+            return False
+        opcode, length = RECORD.unpack_from(self._data, at)
+        behind = at + RECORD.size + length
+        fits = 0 < opcode <= _DATA_END and behind <= len(self._data)
+        return fits and (following == 0 or self._is_record(behind, following - 1))
+
+    def _sort(self, chunk: bytes, topics: Collection[str] | None, found: dict[str, Payloads]) -> int:
+        """Sort messages by topic as long as there is nothing but messages; where that ends."""
+        lists: dict[int, Payloads | None] = {}
+        for number, name in self._names().items():
+            wanted = topics is None or name in topics
+            lists[number] = found.setdefault(name, Payloads([], [], [])) if wanted else None
+        unpack, last, at = MESSAGE.unpack_from, len(chunk) - MESSAGE.size, 0
+        while at <= last:
+            opcode, length, number, sequence, time_ns, _ = unpack(chunk, at)
+            end = at + 9 + length
+            if opcode != MESSAGE_OPCODE or number not in lists or end < at + 31 or end > len(chunk):
+                break
+            if (payloads := lists[number]) is not None:
+                payloads.log_time_ns.append(time_ns)
+                payloads.sequence.append(sequence)
+                payloads.data.append(chunk[at + 31 : end])
+            at = end
+        return at
+
+    def _split(self, chunk: bytes, topics: Collection[str] | None, at: int = 0) -> list[_Entry]:
+        size = len(chunk)
+        padded = chunk + bytes(MESSAGE.size) if at < size else b""  # so that a short last record unpacks, too
+        unpack, head = MESSAGE.unpack_from, MESSAGE.size
+        names, entries, damaged = self._names(), list[_Entry](), self.damaged
+        first_ns = last_ns = 0
+        while at < size:
+            opcode, length, number, sequence, time_ns, _ = unpack(padded, at)
+            end = at + 9 + length
+            if end > size:
+                self.damaged += 1
+                break
+            if opcode != MESSAGE_OPCODE or end < at + head:
+                if not self._chunk_record(opcode, chunk[at + RECORD.size : end]):
+                    self.damaged += 1
+                    break  # what follows nonsense cannot be told from more of it
+                names = self._names()
+            elif (name := names.get(number)) is None:
+                self.damaged += 1
+            else:
+                first_ns, last_ns = first_ns or time_ns, time_ns
+                if topics is None or name in topics:
+                    entries.append((name, time_ns, sequence, at + head, end))
+            at = end
+        if last_ns:
+            if damaged > self._bridged and self._end_ns:
+                self._lost_ns += max(0, first_ns - self._end_ns)
+            self._end_ns, self._tail_ns, self._bridged = last_ns, 0, self.damaged
+        return entries
+
+    def _names(self) -> dict[int, str]:
+        return {channel.id: channel.topic for channel in self.channels.values()}
+
+    def _chunk_record(self, opcode: int, body: bytes) -> bool:
+        """Take note of a record inside a chunk that is no message; False if it belongs there no more than noise."""
+        stream = ReadDataStream(io.BytesIO(body))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                self.channels[channel.id] = channel
+            else:
+                return opcode >= _PRIVATE
+        except Exception:  # as in _scan
+            return False
+        return True
+
+
+class _Refused(LogError):
+    """The file is not worth reading on."""

@@ -1,0 +1,330 @@
+"""A log as what a person watches: one frame a tick, and a whole log of them as arrays.
+
+Rules.
+1. A frame is a tick that the file holds completely (its cycle is there); ticks kept for replay alone are none.
+2. Positions, speeds and loads are what the daemon said (/joint_states), the rest is what the servos said (their
+   registers). What is not known is NaN.
+3. The goal is the one in the servo's register while it has torque: what the servo was told, whoever told it.
+4. State and fault hold from the /diagnostics that tells of them until the next one; it comes on every change.
+5. Time 0 is the first frame.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.errors import LogError
+from armctl.kinematics.transform import FloatArray
+from armctl.recording import channels
+from armctl.recording.cdr import Value
+from armctl.recording.channels import CONTROL
+from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.replay import log_setup
+
+BLOCK_FRAMES = 500
+_TORQUE, _VOLTAGE, _TEMPERATURE = (
+    register.address - ax12a.STATUS_BEGIN
+    for register in (ax12a.TORQUE_ENABLE, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
+)
+_TOPICS = (
+    channels.SERVOS,
+    channels.JOINT_STATES,
+    channels.TCP_POSE,
+    channels.DIAGNOSTICS,
+    channels.ROSOUT,
+    channels.COMMAND,
+    channels.CYCLE,
+)
+_UNKNOWN_TOOL = (math.nan,) * 7
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """Something that is no sample: a request, its outcome, an event. `level` is that of /rosout."""
+
+    time_ns: int
+    level: int
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """One plan that was run to its end: when, and the joint positions [rad] it was to begin and end at."""
+
+    label: str
+    begin_rad: tuple[float, ...]
+    end_rad: tuple[float, ...]
+    begin_ns: int = 0
+    end_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One tick; every sequence has one value a joint, in the calibration's order."""
+
+    time_ns: int
+    tick: int
+    position_rad: list[float]
+    velocity_rad_s: list[float]
+    load_ratio: list[float]
+    goal_rad: list[float]
+    voltage_V: list[float]
+    temperature_degC: list[float]
+    torque_enabled: list[bool]
+    tool: tuple[float, ...]
+    """x, y, z [m] and the quaternion x, y, z, w."""
+    state: str
+    fault: str
+    """CODE: text; empty if there is none."""
+
+
+@dataclass
+class _Tick:
+    servos: Value | None = None
+    joints: Value | None = None
+    tool: tuple[float, ...] = _UNKNOWN_TOOL
+
+
+class Frames:
+    """The frames of an open log in file order; what happened, and what was commanded, collects on the way.
+
+    Raises:
+        LogError: the file was not written by armctl, or its beginning is damaged.
+    """
+
+    def __init__(self, log: LogFile) -> None:
+        self.arm: ArmConfig = log_setup(log).arm
+        self.happenings: list[Happening] = []
+        self.motions: list[Motion] = []
+        self._log = log
+        self._state = self._fault = ""
+        self._tick = _Tick()
+        self._run: Motion | None = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        for message in self._log.messages(_TOPICS):
+            value = self._log.codec(message.topic).decode(message.data)
+            try:
+                frame = self._take(message, value)
+            except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+                # A file from elsewhere may bear our topics with anything in them.
+                raise LogError(f"{self._log.path}: {message.topic} is not as armctl writes it: {error!r}") from None
+            if frame is not None:
+                yield frame
+
+    def _take(self, message: LogMessage, value: Value) -> Frame | None:
+        """One message; the frame, if a tick ends with it."""
+        topic, tick = message.topic, self._tick
+        if topic == channels.SERVOS:
+            self._tick = _Tick(servos=value)
+        elif topic == channels.JOINT_STATES:
+            tick.joints = value
+        elif topic == channels.TCP_POSE:
+            position, turn = value["pose"]["position"], value["pose"]["orientation"]
+            tick.tool = (*(position[axis] for axis in "xyz"), *(turn[axis] for axis in "xyzw"))
+        elif topic == channels.DIAGNOSTICS:
+            self._diagnosed(value)
+        elif topic == channels.CYCLE:
+            self._tick = _Tick()
+            if not value["inputs_only"] and tick.servos is not None and tick.joints is not None:
+                return self._frame(message.log_time_ns, value["tick"], tick, tick.servos, tick.joints)
+        else:
+            self._happened(message, value)
+        return None
+
+    def _frame(self, time_ns: int, number: int, tick: _Tick, servos: Value, joints: Value) -> Frame:
+        registers = [servo["registers"] for servo in servos["servos"]]
+        names = self.arm.joint_names
+        if len(registers) != len(names):
+            raise ValueError(f"{len(registers)} servos, the arm has {len(names)}")
+        values = zip(joints["position"], joints["velocity"], joints["effort"], strict=False)
+        told = dict(zip(joints["name"], values, strict=False))
+        nothing = (math.nan, math.nan, math.nan)
+        position, velocity, load = zip(*(told.get(name, nothing) for name in names), strict=True)
+        torque = [bool(block and block[_TORQUE]) for block in registers]
+        return Frame(
+            time_ns=time_ns,
+            tick=number,
+            position_rad=list(position),
+            velocity_rad_s=list(velocity),
+            load_ratio=list(load),
+            goal_rad=[
+                joint.position_rad(ax12a.register_value(ax12a.GOAL, block)) if on else math.nan
+                for joint, block, on in zip(self.arm.joints, registers, torque, strict=True)
+            ],
+            voltage_V=[block[_VOLTAGE] / 10.0 if block else math.nan for block in registers],
+            temperature_degC=[float(block[_TEMPERATURE]) if block else math.nan for block in registers],
+            torque_enabled=torque,
+            tool=tick.tool,
+            state=self._state,
+            fault=self._fault,
+        )
+
+    def _diagnosed(self, value: Value) -> None:
+        arm = next((status for status in value["status"] if status["name"] == "armctl: arm"), None)
+        if arm is None:
+            return
+        facts = {pair["key"]: pair["value"] for pair in arm["values"]}
+        self._state = facts.get("mode", arm["message"])
+        self._fault = arm["message"].removeprefix(f"{self._state}: ") if facts.get("fault") else ""
+
+    def _happened(self, message: LogMessage, value: Value) -> None:
+        time_ns = message.log_time_ns
+        if message.topic == channels.ROSOUT:
+            source = "" if value["name"] == CONTROL else f"{value['name']}: "
+            self.happenings.append(Happening(time_ns, value["level"], value["function"], f"{source}{value['msg']}"))
+            self._mark(value["function"], time_ns)
+        elif (record := channels.parse_record(value["data"])) is None:
+            if (asked := _request(value["data"])) is not None:
+                self.happenings.append(Happening(time_ns, 20, *asked))
+        elif record[1] == "command" and record[2].get("kind") == "run":
+            self._commanded(record[2])
+
+    def _mark(self, code: str, time_ns: int) -> None:
+        """Where the plan proper of the last run begins and ends."""
+        if code == "PLAN_BEGIN" and self._run is not None:
+            self._run = replace(self._run, begin_ns=time_ns)
+        elif code == "PLAN_END" and self._run is not None and self._run.begin_ns:
+            self.motions.append(replace(self._run, end_ns=time_ns))
+            self._run = None
+
+    def _commanded(self, run: dict[str, Any]) -> None:
+        path = run["trajectory"]
+        rows, period_s = path["positions_rad"], path["period_s"]
+        begin, end = (rows[min(round(path[key] / period_s), len(rows) - 1)] for key in ("begin_s", "end_s"))
+        self._run = Motion(str(path["label"]), tuple(begin), tuple(end))
+
+
+def _request(text: str) -> tuple[str, str] | None:
+    """(code, text) of what a client asked for, as the host notes it; None for other notes."""
+    try:
+        note = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(note, dict) or "request" not in note:
+        return None
+    reasons = "; ".join(map(str, note.get("reasons", ())))
+    outcome = str(note.get("outcome", "")) + (f": {reasons}" if reasons else "")
+    return "REQUEST", f"{note['request']} by {note.get('who', 'somebody')}: {outcome}"
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """A whole log as arrays over its m frames and n joints.
+
+    `time_s` (m,) counts from the first frame; joint arrays have shape (m, n), `tool` (m, 7) holds x, y, z [m] and
+    the quaternion x, y, z, w. `states` and `faults` list (from which frame on, what).
+    """
+
+    path: Path
+    arm: ArmConfig
+    start_ns: int
+    """Epoch time of the first frame [ns]."""
+    time_s: FloatArray
+    tick: NDArray[np.int64]
+    position_rad: FloatArray
+    velocity_rad_s: FloatArray
+    load_ratio: FloatArray
+    goal_rad: FloatArray
+    voltage_V: FloatArray
+    temperature_degC: FloatArray
+    torque_enabled: NDArray[np.bool_]
+    tool: FloatArray
+    states: tuple[tuple[int, str], ...]
+    faults: tuple[tuple[int, str], ...]
+    happenings: tuple[Happening, ...]
+    motions: tuple[Motion, ...]
+    complete: bool
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.time_s[-1])
+
+    def index(self, time_s: float) -> int:
+        """The frame that stands at a time: the newest at or before it, the first one before them all."""
+        # A time that was computed from a frame's own must find that frame.
+        return max(0, int(np.searchsorted(self.time_s, time_s + 1e-6, side="right")) - 1)
+
+    def state(self, frame: int) -> str:
+        """State of the arm at a frame."""
+        return next(name for begin, name in reversed(self.states) if begin <= frame)
+
+    def fault(self, frame: int) -> str:
+        """`CODE: text` of the fault at a frame; empty: none."""
+        return next(name for begin, name in reversed(self.faults) if begin <= frame)
+
+
+_ARRAYS: dict[str, type] = {
+    "time_ns": np.int64,
+    "tick": np.int64,
+    "position_rad": np.float64,
+    "velocity_rad_s": np.float64,
+    "load_ratio": np.float64,
+    "goal_rad": np.float64,
+    "voltage_V": np.float64,
+    "temperature_degC": np.float64,
+    "torque_enabled": np.bool_,
+    "tool": np.float64,
+}
+
+
+def load(path: Path, progress: Callable[[float], None] | None = None) -> Timeline:
+    """A whole log as arrays.
+
+    Args:
+        progress: Called with the fraction read.
+    Raises:
+        LogError: the file is no log of armctl's, or holds no whole tick.
+    """
+    blocks: dict[str, list[Any]] = {name: [] for name in _ARRAYS}
+    waiting: list[Frame] = []
+    changes: tuple[list[tuple[int, str]], list[tuple[int, str]]] = [], []
+    count = 0
+
+    def pack() -> None:
+        for name, kind in _ARRAYS.items():
+            blocks[name].append(np.array([getattr(frame, name) for frame in waiting], dtype=kind))
+        waiting.clear()
+
+    with LogFile(path) as log:
+        frames = Frames(log)
+        for frame in frames:
+            for seen, now in zip(changes, (frame.state, frame.fault), strict=True):
+                if not seen or seen[-1][1] != now:
+                    seen.append((count, now))
+            waiting.append(frame)
+            count += 1
+            if len(waiting) == BLOCK_FRAMES:
+                pack()
+                if progress is not None:
+                    progress(log.progress)
+        if not count:
+            raise LogError(f"{path}: holds no whole tick; there is nothing to show")
+        if waiting:
+            pack()
+        arrays = {name: np.concatenate(parts) for name, parts in blocks.items()}
+        time_ns = arrays.pop("time_ns")
+        return Timeline(
+            path=path,
+            arm=frames.arm,
+            start_ns=int(time_ns[0]),
+            time_s=(time_ns - time_ns[0]) / NS_PER_S,
+            **arrays,
+            states=tuple(changes[0]),
+            faults=tuple(changes[1]),
+            happenings=tuple(frames.happenings),
+            motions=tuple(frames.motions),
+            complete=log.complete,
+        )

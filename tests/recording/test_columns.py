@@ -1,0 +1,150 @@
+"""Columns hold what the codec decodes, for every type and every shape."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.errors import LogError
+from armctl.recording import columns
+from armctl.recording.cdr import HEADER, Value, codec
+from armctl.recording.columns import Payloads, Table, Texts
+from armctl.recording.reader import read, read_columns, read_topic
+from armctl.recording.schemas import MESSAGES, fields
+from armctl.recording.writer import LogWriter
+from tests.recording.factory import ANCHOR, CONTEXT, make_records
+from tests.recording.test_cdr import NAMES, values
+
+
+def payloads(data: list[bytes]) -> Payloads:
+    return Payloads(list(range(len(data))), list(range(len(data))), data)
+
+
+def message(name: str, table: Table, row: int, prefix: str = "") -> Value:
+    """One message of a table as the codec gives it."""
+    value: Value = {}
+    for item in fields(name):
+        path = prefix + item.name
+        if item.type in MESSAGES or item.type == "string":
+            count = 0
+            while item.is_array and any(key.startswith(f"{path}[{count}]") for key in table.columns):
+                count += 1
+            places = [f"{path}[{index}]" for index in range(count)] if item.is_array else [path]
+            found: list[Any] = []
+            for place in places:
+                if item.type == "string":
+                    texts = table.columns[place]
+                    assert isinstance(texts, Texts)
+                    found.append(texts[row])
+                else:
+                    found.append(message(item.type, table, row, f"{place}."))
+            value[item.name] = found if item.is_array else found[0]
+        else:
+            column = table.columns[path]
+            assert isinstance(column, np.ndarray)
+            is_blob = item.is_array and item.type in ("byte", "uint8")
+            value[item.name] = bytes(column[row]) if is_blob else column[row].tolist()
+    return value
+
+
+def same(a: Any, b: Any) -> bool:
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, list):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, float) and math.isnan(a):
+        return isinstance(b, float) and math.isnan(b)
+    return type(a) is type(b) and bool(a == b)
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.sampled_from(NAMES).flatmap(lambda name: st.tuples(st.just(name), st.lists(values(name), max_size=6))))
+def test_columns_hold_what_the_codec_decodes(named: tuple[str, list[Value]]) -> None:
+    name, given_values = named
+    data = [codec(name).encode(value) for value in given_values]
+    tables = columns.tables(name, MESSAGES, payloads(data))
+    assert sum(len(table.sequence) for table in tables) == len(data)
+    for table in tables:
+        assert sorted(table.sequence.tolist()) == table.sequence.tolist()
+        for row, number in enumerate(table.sequence.tolist()):
+            assert same(message(name, table, row), codec(name).decode(data[number]))
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.sampled_from(NAMES), st.lists(st.binary(max_size=120), min_size=1, max_size=3))
+def test_any_bytes_make_columns_or_a_log_error(name: str, data: list[bytes]) -> None:
+    with suppress(LogError):
+        for table in columns.tables(name, MESSAGES, payloads([HEADER + one for one in data])):
+            for column in table.columns.values():
+                column.tolist()
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.sampled_from(NAMES).flatmap(lambda name: st.tuples(st.just(name), values(name))), st.data())
+def test_a_cut_message_among_whole_ones_is_a_log_error(named: tuple[str, Value], draw: st.DataObject) -> None:
+    name, value = named
+    whole = codec(name).encode(value)
+    cut = draw.draw(st.integers(0, len(whole) - 1))
+    with pytest.raises(LogError, match=name):
+        columns.tables(name, MESSAGES, payloads([whole, whole[:cut], whole]))
+
+
+def test_messages_of_other_shapes_make_other_tables_in_order_of_appearance() -> None:
+    def text(names: list[str]) -> bytes:
+        header = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": ""}
+        numbers = [float(len(names))] * len(names)
+        joints = {"header": header, "name": names, "position": numbers, "velocity": numbers, "effort": numbers}
+        return codec("sensor_msgs/JointState").encode(joints)
+
+    data = [text(["a"]), text(["a", "b"]), text(["a"]), text([])]
+    tables = columns.tables("sensor_msgs/JointState", MESSAGES, payloads(data))
+    assert [table.sequence.tolist() for table in tables] == [[0, 2], [1], [3]]
+    assert [table.numbers("position").tolist() for table in tables] == [[[1.0], [1.0]], [[2.0, 2.0]], [[]]]
+    with pytest.raises(LogError, match="known: header"):
+        tables[0].numbers("nothing")
+
+
+def test_too_many_shapes_columns_and_levels_are_a_log_error() -> None:
+    blobs = [HEADER + count.to_bytes(4, "little") + bytes(count) for count in range(300)]
+    with pytest.raises(LogError, match="shapes"):
+        columns.tables("pkg/Blob", {"pkg/Blob": "uint8[] data"}, payloads(blobs))
+    texts = HEADER + (30_000).to_bytes(4, "little") + b"\1\0\0\0\0\0\0\0" * 30_000
+    with pytest.raises(LogError, match="columns"):
+        columns.tables("pkg/Many", {"pkg/Many": "pkg/Text[] all", "pkg/Text": "string data"}, payloads([texts]))
+    deep = {f"pkg/T{i}": f"pkg/T{i + 1} x" for i in range(40)} | {"pkg/T40": "uint8 x"}
+    with pytest.raises(LogError, match="nested deeper"):
+        columns.tables("pkg/T0", deep, payloads([HEADER + b"\1"]))
+
+
+def test_a_whole_log_as_columns_is_the_log_message_by_message(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    for record in make_records(120):
+        writer.write_tick(record)
+    writer.close()
+    tables = read_columns(writer.path)
+    expected: dict[str, list[Value]] = {}
+    for one in read(writer.path):
+        expected.setdefault(one.topic, []).append(one.value)
+    assert tables.keys() == expected.keys()
+    for topic, found in tables.items():
+        assert sum(len(table.sequence) for table in found) == len(expected[topic])
+    (states,) = tables["/joint_states"]
+    assert states.numbers("position").tolist() == [value["position"] for value in expected["/joint_states"]]
+    assert states.columns["name[0]"].tolist() == [value["name"][0] for value in expected["/joint_states"]]
+    (alone,) = read_topic(writer.path, "/joint_states")
+    np.testing.assert_array_equal(alone.numbers("effort"), states.numbers("effort"))
+    with pytest.raises(LogError, match="no topic /none"):
+        read_topic(writer.path, "/none")
+
+
+def test_a_text_that_is_no_utf8_is_a_log_error_when_it_is_asked_for() -> None:
+    (table,) = columns.tables("std_msgs/String", MESSAGES, payloads([HEADER + b"\2\0\0\0\xff\0"]))
+    with pytest.raises(LogError, match="UTF-8"):
+        table.columns["data"].tolist()

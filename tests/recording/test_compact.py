@@ -1,0 +1,135 @@
+"""Compaction: smaller, the same bit for bit, and never a loss."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armctl.errors import LogError
+from armctl.proving.damage import UnsyncedDisk, chunk_places
+from armctl.recording.compact import COMPACTED, Compaction, compact, compact_folder
+from armctl.recording.disk import Disk
+from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.recover import PartInUse, owned
+from armctl.recording.replay import check
+from armctl.recording.writer import LogWriter
+from tests.recording.factory import ANCHOR, CONTEXT, make_records
+
+RECORDS = make_records(400, keyframe_ticks=150)
+
+
+def write(path: Path) -> Path:
+    writer = LogWriter(path, CONTEXT, anchor=ANCHOR, disk=UnsyncedDisk())
+    for record in RECORDS:
+        writer.write_tick(record)
+        if record.inputs.tick % 9 == 0:
+            writer.flush()
+    writer.close()
+    return path
+
+
+def held(path: Path) -> tuple[list[LogMessage], dict[str, bytes], dict[str, str]]:
+    with LogFile(path) as log:
+        messages = list(log.messages())
+        assert log.complete
+        return messages, {name: one.data for name, one in log.attachments.items()}, log.facts
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return write(tmp_path / "armctl-20250615T150645Z.mcap")
+
+
+def test_a_compacted_log_is_smaller_and_holds_the_same_and_replays_bit_for_bit(log: Path) -> None:
+    before, size = held(log), log.stat().st_size
+    assert compact(log)
+    assert held(log) == before
+    assert log.stat().st_size < 0.7 * size
+    assert (check(log).ticks, check(log).mismatches) == (399, 0)
+    assert [path.name for path in log.parent.iterdir()] == [log.name]
+
+
+def test_a_log_is_compacted_once(log: Path) -> None:
+    assert compact(log)
+    data = log.read_bytes()
+    assert not compact(log)
+    assert log.read_bytes() == data
+    with LogFile(log) as file:
+        assert COMPACTED in file.metadata
+
+
+def test_a_damaged_log_stays_as_it_is(log: Path) -> None:
+    data = bytearray(log.read_bytes())
+    begin, end = chunk_places(bytes(data))[5]
+    data[(begin + end) // 2] ^= 1
+    log.write_bytes(data)
+    with pytest.raises(LogError, match="is damaged"):
+        compact(log)
+    assert log.read_bytes() == data
+    assert [path.name for path in log.parent.iterdir()] == [log.name]
+    assert compact_folder(log.parent) == 0
+
+
+def test_a_file_that_is_not_what_it_should_be_replaces_nothing(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = log.read_bytes()
+    digests = iter(((1,), (2,)))
+    monkeypatch.setattr("armctl.recording.compact._digest", lambda _: next(digests))
+    with pytest.raises(LogError):
+        compact(log)
+    assert log.read_bytes() == data
+
+
+@pytest.mark.parametrize("method", ["create", "sync", "replace"])
+def test_a_failing_disk_leaves_the_log_as_it_is(log: Path, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> Any:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    data = log.read_bytes()
+    monkeypatch.setattr(Disk, method, full)
+    with pytest.raises(LogError, match="No space left"):
+        compact(log)
+    monkeypatch.undo()
+    assert log.read_bytes() == data
+    assert compact(log), "what the failure left behind is in nobody's way"
+
+
+def test_a_log_somebody_holds_is_left_alone(log: Path) -> None:
+    with owned(log), pytest.raises(PartInUse):
+        compact(log)
+
+
+def test_the_process_compacts_the_logs_of_a_folder_and_nothing_else(log: Path) -> None:
+    take, fault = write(log.with_name("take.mcap")), write(log.with_name("fault-20250615T150645Z-HOT.mcap"))
+    others = take.read_bytes(), fault.read_bytes()
+    size = log.stat().st_size
+    subprocess.run([sys.executable, "-m", "armctl.recording.compact", log.parent], check=True, timeout=100)
+    assert log.stat().st_size < size
+    assert (take.read_bytes(), fault.read_bytes()) == others
+
+
+def test_one_compaction_runs_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[list[str]] = []
+
+    class Process:
+        ended: int | None = None
+
+        def __init__(self, command: list[str], **_: object) -> None:
+            started.append(command)
+
+        def poll(self) -> int | None:
+            return self.ended
+
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    compaction = Compaction()
+    compaction.start(tmp_path)
+    compaction.start(tmp_path)
+    assert len(started) == 1
+    monkeypatch.setattr(Process, "ended", 0)
+    compaction.start(tmp_path)
+    assert [command[-1] for command in started] == [str(tmp_path)] * 2

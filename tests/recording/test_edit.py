@@ -1,0 +1,330 @@
+"""Trimming and merging: nothing added, nothing lost, and every piece replays alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.highlevel import AnyReader
+
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig
+from armctl.errors import LogError, RequestRefused
+from armctl.messages import TickRecord
+from armctl.recording import edit, reader, replay
+from armctl.recording.channels import Anchor
+from armctl.recording.edit import merge, trim
+from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.schemas import schema_text
+from armctl.recording.writer import LogContext, LogWriter
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
+from tests.recording.simulated import write_log
+
+RECORDS = make_records(90, keyframe_ticks=25)
+LATCHED = {"/robot_description", "/tf_static"}
+
+
+def raw(path: Path) -> list[LogMessage]:
+    with LogFile(path) as file:
+        return list(file.messages())
+
+
+def own(path: Path) -> list[LogMessage]:
+    """Messages that a trimmed file takes over, and does not say anew."""
+    return [message for message in raw(path) if message.topic not in {*LATCHED, "/diagnostics", "/armctl/state"}]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+
+
+# ------------------------------------------------------------------------------------------------------- trim
+
+
+def between(path: Path, begin_ns: int, end_ns: int) -> list[LogMessage]:
+    return [message for message in own(path) if begin_ns <= message.log_time_ns < end_ns]
+
+
+@given(begin=st.integers(1, 80), length=st.integers(2, 40))
+@settings(deadline=None, max_examples=12)
+def test_a_trimmed_file_holds_its_stretch_byte_for_byte_and_replays_from_its_first_tick(
+    log: Path, tmp_path_factory: pytest.TempPathFactory, begin: int, length: int
+) -> None:
+    out = tmp_path_factory.mktemp("trim") / "b.mcap"
+    result = trim(log, out, begin / 10.0 - 0.05, (begin + length) / 10.0 - 0.05)
+    zero_ns = raw(log)[0].log_time_ns
+    begin_ns, end_ns = (zero_ns + round((tick / 10.0 - 0.05) * NS_PER_S) for tick in (begin, begin + length))
+    assert own(out) == between(log, begin_ns, end_ns)
+    checked = replay.check(out)
+    assert (checked.ticks, checked.mismatches) == (min(length, 90 - begin), 0)
+    info = reader.info(out)
+    assert info.complete
+    assert result.begins_with_state
+    assert (info.messages, info.duration_s) == (result.messages, result.duration_s)
+    assert info.duration_s == pytest.approx((min(length, 90 - begin) - 1) / 10.0)
+
+
+def test_a_trimmed_file_opens_alone_everywhere(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "b.mcap"
+    result = trim(log, out, 3.0, 6.0)
+    messages = list(reader.read(out))
+    begin_ns = messages[-1].log_time_ns - round(2.9 * NS_PER_S)
+    assert [message.topic for message in messages[:2]] == ["/robot_description", "/tf_static"]
+    assert {"/diagnostics", "/armctl/state"} == {message.topic for message in messages[2:4]}
+    for message in messages[:4]:
+        assert message.log_time_ns == begin_ns
+        stamp = message.value.get("header", {}).get(
+            "stamp", {"sec": begin_ns // NS_PER_S, "nanosec": begin_ns % NS_PER_S}
+        )
+        assert stamp["sec"] * NS_PER_S + stamp["nanosec"] == begin_ns
+    for transform in messages[1].value["transforms"]:
+        assert transform["header"]["stamp"]["nanosec"] == begin_ns % NS_PER_S
+    with LogFile(log) as old, LogFile(out) as new:
+        assert {name: a.data for name, a in new.attachments.items()} == {n: a.data for n, a in old.attachments.items()}
+        assert new.facts == old.facts
+        assert new.metadata["trimmed"] == {"from": "a.mcap", "begin_s": "3.0", "end_s": "6.0"}
+        assert new.channels == old.channels
+    with AnyReader([out]) as bag:
+        assert sum(1 for _ in bag.messages()) == result.messages
+    with out.open("rb") as stream:
+        assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == result.messages
+
+
+def test_a_trimmed_file_can_be_trimmed_again(log: Path, tmp_path: Path) -> None:
+    trim(log, tmp_path / "b.mcap", 1.0, 7.0)
+    trim(tmp_path / "b.mcap", tmp_path / "c.mcap", 2.0, 4.0)
+    trim(log, tmp_path / "d.mcap", 3.0, 5.0)
+    assert raw(tmp_path / "c.mcap") == raw(tmp_path / "d.mcap")
+
+
+def test_trimming_to_everything_keeps_everything(log: Path, tmp_path: Path) -> None:
+    result = trim(log, tmp_path / "b.mcap", 0.0, float("inf"))
+    assert raw(tmp_path / "b.mcap") == raw(log)
+    assert result.begins_with_state is False  # as the log itself: its first keyframe is after its first tick
+    assert replay.check(tmp_path / "b.mcap").mismatches == 0
+
+
+def test_where_the_log_does_not_replay_no_state_is_made_up(tmp_path: Path) -> None:
+    outputs = replace(RECORDS[5].outputs, mode=RECORDS[40].outputs.mode, joints=RECORDS[40].outputs.joints)
+    wrong = [*RECORDS[:5], replace(RECORDS[5], outputs=outputs), *RECORDS[6:]]
+    log = write_log(tmp_path / "a.mcap", wrong)
+    result = trim(log, tmp_path / "b.mcap", 1.0, 4.0)
+    assert result.begins_with_state is False
+    checked = replay.check(tmp_path / "b.mcap")  # from the keyframe of tick 25 on
+    assert (checked.ticks, checked.mismatches) == (14, 0)
+
+
+def test_the_ticks_before_a_rotated_file_lead_to_its_state(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = LogWriter(path, CONTEXT, keyframe=RECORDS[25].keyframe, anchor=ANCHOR, inputs_only=RECORDS[26:40])
+    for record in RECORDS[40:]:
+        writer.write_tick(record)
+    writer.close()
+    assert trim(path, tmp_path / "b.mcap", 0.0, 1.0).begins_with_state
+    info, checked = reader.info(tmp_path / "b.mcap"), replay.check(tmp_path / "b.mcap")
+    assert info.duration_s == pytest.approx(0.9)
+    assert (checked.ticks, checked.mismatches) == (10, 0)
+
+
+def test_a_file_of_others_is_trimmed_as_well(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.LZ4)
+        writer.start("ros2", "other")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", schema_text("std_msgs/String").encode())
+        channel = writer.register_channel("/chatter", "cdr", schema)
+        for i in range(10):
+            writer.add_message(channel, i * NS_PER_S, b"\x00\x01\x00\x00\x02\x00\x00\x00a\x00", i * NS_PER_S)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert trim(path, tmp_path / "b.mcap", 2.0, 5.0).messages == 3
+
+
+def test_nothing_is_overwritten_and_a_failure_leaves_nothing(log: Path, tmp_path: Path) -> None:
+    taken = tmp_path / "b.mcap"
+    taken.write_bytes(b"mine")
+    with pytest.raises(LogError, match="exists already"):
+        trim(log, taken, 0.0, 1.0)
+    assert taken.read_bytes() == b"mine"
+    for begin_s, end_s in ((2.0, 2.0), (3.0, 1.0), (100.0, 200.0), (float("nan"), 1.0)):
+        with pytest.raises(RequestRefused):
+            trim(log, tmp_path / "c.mcap", begin_s, end_s)
+    with pytest.raises(LogError, match="cannot be written"):
+        trim(log, tmp_path / "none" / "c.mcap", 0.0, 1.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
+
+
+def test_what_a_killed_trim_left_behind_does_not_block_the_next(log: Path, tmp_path: Path) -> None:
+    (tmp_path / "b.mcap.unfinished").write_bytes(b"half")
+    trim(log, tmp_path / "b.mcap", 0.0, 1.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
+
+
+def test_a_damaged_chunk_is_left_out_and_told(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    marks = []
+    for record in RECORDS:
+        writer.write_tick(record)
+        if record.inputs.tick % 10 == 9:
+            writer.flush()
+            marks.append(writer.part.stat().st_size)
+    writer.close()
+    data = bytearray(writer.path.read_bytes())
+    data[(marks[4] + marks[5]) // 2] ^= 0xFF
+    writer.path.write_bytes(data)
+    result = trim(writer.path, tmp_path / "b.mcap", 4.0, 7.0)
+    assert result.damaged == 1
+    assert replay.check(tmp_path / "b.mcap").mismatches == 0
+
+
+# ------------------------------------------------------------------------------------------------------ merge
+
+
+def rotated(folder: Path, cut: int = 50, *, anchor: Anchor = ANCHOR, context: LogContext = CONTEXT) -> list[Path]:
+    """Two files as a daemon writes them around a rotation; anchor and context are the later one's."""
+    begins: list[tuple[str, list[TickRecord], list[TickRecord], str, Anchor]] = [
+        ("", [], RECORDS[:cut], "", ANCHOR),
+        (RECORDS[cut // 25 * 25].keyframe, RECORDS[cut // 25 * 25 + 1 : cut], RECORDS[cut:], "a.mcap", anchor),
+    ]
+    paths = []
+    for name, (keyframe, before, records, previous, own_anchor) in zip(("a.mcap", "b.mcap"), begins, strict=True):
+        writer = LogWriter(
+            folder / name,
+            context if previous else CONTEXT,
+            keyframe=keyframe,
+            previous=previous,
+            anchor=own_anchor,
+            inputs_only=before,
+        )
+        for record in records:
+            writer.write_tick(record)
+        writer.close()
+        paths.append(writer.path)
+    return paths
+
+
+DRIFTED = Anchor(ANCHOR.wall_ns + 123_456, ANCHOR.monotonic_ns)
+
+
+@pytest.mark.parametrize("cut", [50, 51, 62])
+@pytest.mark.parametrize("anchor", [ANCHOR, DRIFTED])
+def test_files_around_a_rotation_become_the_log_they_would_have_been(tmp_path: Path, cut: int, anchor: Anchor) -> None:
+    paths = rotated(tmp_path, cut, anchor=anchor)
+    result = merge(list(reversed(paths)), tmp_path / "c.mcap")
+    merged = raw(tmp_path / "c.mcap")
+    topics = Counter(message.topic for message in merged)
+    assert topics["/armctl/cycle"] == topics["/joint_states"] == 90
+    assert topics["/tf_static"] == topics["/robot_description"] == 1
+    times_ns = [message.log_time_ns for message in merged]
+    assert times_ns == sorted(times_ns)
+    checked = replay.check(tmp_path / "c.mcap")
+    assert (checked.ticks, checked.mismatches) == (89, 0)
+    assert result.messages == len(merged) == reader.info(tmp_path / "c.mcap").messages
+    a, b = (own(path) for path in paths)
+    assert merged[: len(raw(paths[0]))] == raw(paths[0])
+    assert own(tmp_path / "c.mcap") == a + b[len(b) - (len(own(tmp_path / "c.mcap")) - len(a)) :]
+
+
+def test_the_pieces_of_a_log_make_the_log_again(log: Path, tmp_path: Path) -> None:
+    for name, begin_s, end_s in (("1", 0.0, 3.05), ("2", 3.05, 5.55), ("3", 5.55, 100.0)):
+        trim(log, tmp_path / f"{name}.mcap", begin_s, end_s)
+    merge([tmp_path / f"{name}.mcap" for name in "312"], tmp_path / "whole.mcap")
+    assert own(tmp_path / "whole.mcap") == own(log)
+    assert replay.check(tmp_path / "whole.mcap").mismatches == 0
+
+
+def test_a_merged_file_can_be_trimmed_and_merged_again(tmp_path: Path) -> None:
+    merge(rotated(tmp_path, anchor=DRIFTED), tmp_path / "c.mcap")
+    for name, begin_s, end_s in (("1", 0.0, 3.05), ("2", 3.05, 100.0)):
+        trim(tmp_path / "c.mcap", tmp_path / f"{name}.mcap", begin_s, end_s)
+        assert replay.check(tmp_path / f"{name}.mcap").mismatches == 0
+    merge([tmp_path / "1.mcap", tmp_path / "2.mcap"], tmp_path / "d.mcap")
+    assert own(tmp_path / "d.mcap") == own(tmp_path / "c.mcap")
+    assert replay.check(tmp_path / "d.mcap").mismatches == 0
+
+
+def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    for record in RECORDS[:40]:
+        writer.write_tick(record)
+    writer.close()
+    later = LogWriter(
+        tmp_path / "b.mcap",
+        CONTEXT,
+        keyframe=RECORDS[50].keyframe,
+        previous="a.mcap",
+        anchor=ANCHOR,
+        inputs_only=RECORDS[51:55],
+    )
+    for record in RECORDS[55:]:
+        later.write_tick(record)
+    later.close()
+    merge([writer.path, later.path], tmp_path / "c.mcap")
+    ticks = [m.value["tick"] for m in reader.read(tmp_path / "c.mcap", ["/armctl/cycle"])]
+    assert ticks == [*range(40), *range(55, 90)]
+    checked = replay.check(tmp_path / "c.mcap")  # up to the gap, and from the keyframe of tick 75 on
+    assert (checked.ticks, checked.mismatches) == (39 + 14, 0)
+
+
+def other_arm() -> ArmConfig:
+    return ARM.model_copy(update={"arm_id": "other"})
+
+
+@pytest.mark.parametrize(
+    ("context", "named"),
+    [
+        (replace(CONTEXT, arm=other_arm()), "arm_id"),
+        (replace(CONTEXT, port="/dev/ttyUSB7"), "port"),
+        (replace(CONTEXT, period_s=0.05), "period_s"),
+    ],
+)
+def test_files_of_another_daemon_are_refused(tmp_path: Path, context: LogContext, named: str) -> None:
+    with pytest.raises(RequestRefused, match=named) as refusal:
+        merge(rotated(tmp_path, context=context), tmp_path / "c.mcap")
+    assert refusal.value.code == "FOREIGN_LOG"
+    assert not (tmp_path / "c.mcap").exists()
+
+
+def test_files_that_overlap_are_refused(log: Path, tmp_path: Path) -> None:
+    trim(log, tmp_path / "1.mcap", 0.0, 4.0)
+    trim(log, tmp_path / "2.mcap", 3.0, 6.0)
+    with pytest.raises(LogError, match=r"begins 0\.9 s before .*1\.mcap ends"):
+        merge([tmp_path / "1.mcap", tmp_path / "2.mcap"], tmp_path / "c.mcap")
+    with pytest.raises(LogError, match="overlap"):
+        merge([log, log], tmp_path / "c.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["1.mcap", "2.mcap"]
+
+
+def test_files_that_do_not_follow_each_other_are_refused(log: Path, tmp_path: Path) -> None:
+    trim(log, tmp_path / "1.mcap", 0.0, 2.0)
+    trim(log, tmp_path / "2.mcap", 3.0, 6.0)
+    with pytest.raises(LogError, match="does not follow"):
+        merge([tmp_path / "1.mcap", tmp_path / "2.mcap"], tmp_path / "c.mcap")
+
+
+def test_one_file_and_damaged_files_are_refused(log: Path, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="two or more"):
+        merge([log], tmp_path / "c.mcap")
+    first, second = rotated(tmp_path)
+    second.write_bytes(second.read_bytes()[:-300])
+    with pytest.raises(LogError, match="log recover"):
+        merge([first, second], tmp_path / "c.mcap")
+    assert not (tmp_path / "c.mcap").exists()
+
+
+def test_progress_comes_to_its_end(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(edit, "PROGRESS_MESSAGES", 50)
+    seen: list[float] = []
+    trim(log, tmp_path / "b.mcap", 0.0, 5.0, seen.append)
+    assert seen == sorted(seen)
+    assert len(seen) > 5
+    seen.clear()
+    merge(rotated(tmp_path / "rotated"), tmp_path / "c.mcap", seen.append)
+    assert seen == sorted(seen)
+    assert max(seen) > 0.5

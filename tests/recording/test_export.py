@@ -1,0 +1,267 @@
+"""Tables: what they hold is what others read from the log, and what Excel and Parquet give back."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import openpyxl
+import pyarrow.parquet
+import pytest
+from rosbags.highlevel import AnyReader
+
+from armctl.clock import NS_PER_S
+from armctl.errors import ArmctlError, LogError
+from armctl.recording import export as exporting
+from armctl.recording.channels import TOPICS
+from armctl.recording.export import Format, Seconds, export
+from armctl.recording.writer import LogWriter
+from tests.recording.factory import ANCHOR, ARM, CONTEXT
+from tests.recording.simulated import simulated_records, write_log
+
+RECORDS = simulated_records()
+FORMATS: tuple[Format, ...] = ("csv", "xlsx", "parquet")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+
+
+def table(path: Path) -> tuple[list[str], list[list[Any]]]:
+    """Header and rows of an exported file; of an Excel file its first sheet."""
+    if path.suffix == ".csv":
+        with path.open(newline="") as file:
+            header, *rows = csv.reader(file)
+        return header, rows
+    if path.suffix == ".xlsx":
+        return sheet(path, 0)
+    found = pyarrow.parquet.read_table(path)
+    return found.column_names, [list(row.values()) for row in found.to_pylist()]
+
+
+def sheet(path: Path, index: int) -> tuple[list[str], list[list[Any]]]:
+    book = openpyxl.load_workbook(path, read_only=True)
+    header, *rows = [list(row) for row in book.worksheets[index].iter_rows(values_only=True)]
+    book.close()
+    # Empty cells at the end of a row are not in the file.
+    return [str(name) for name in header], [row + [None] * (len(header) - len(row)) for row in rows]
+
+
+def number(cell: Any) -> float | None:
+    """A cell of any format as a number."""
+    return None if cell in ("", None) else float(cell)
+
+
+def same(found: list[float | None], expected: list[float], kind: Format) -> bool:
+    """Whether values are equal to the last bit; in Excel, which keeps 15 digits of a number, to those."""
+    rounding = 1e-15 if kind == "xlsx" else 0.0
+    return found == pytest.approx(expected, rel=rounding, abs=0.0)
+
+
+@cache
+def ros(path: Path, topic: str) -> list[tuple[int, Any]]:
+    """(log time, message) of a topic, read by rosbags."""
+    with AnyReader([path]) as bag:
+        wanted = [connection for connection in bag.connections if connection.topic == topic]
+        return [(t, bag.deserialize(data, c.msgtype)) for c, t, data in bag.messages(wanted)]
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_the_table_of_ticks_holds_what_rosbags_reads(log: Path, tmp_path: Path, kind: Format) -> None:
+    result = export(log, tmp_path / f"t.{kind}", kind)
+    header, rows = table(tmp_path / f"t.{kind}")
+    states, poses = ros(log, "/joint_states"), ros(log, "/tcp_pose")
+    assert result.rows["ticks"] == len(rows) == len(states)
+    assert result.complete
+    for row, (time_ns, state), (_, pose) in zip(rows, states, poses, strict=True):
+        cells = dict(zip(header, row, strict=True))
+        times = [number(cells["time_s"]), number(cells["time_epoch_s"])]
+        assert same(times, [(time_ns - states[0][0]) / NS_PER_S, time_ns / NS_PER_S], kind)
+        for quantity, values in (
+            ("position_rad", state.position),
+            ("velocity_rad_s", state.velocity),
+            ("load_ratio", state.effort),
+        ):
+            assert same([number(cells[f"{name}.{quantity}"]) for name in state.name], values.tolist(), kind)
+        place = pose.pose.position
+        assert same([number(cells[f"tool.{axis}_m"]) for axis in "xyz"], [place.x, place.y, place.z], kind)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("topic", ["/joint_states", "/joint_commands", "/tcp_pose", "/armctl/cycle", "/rosout"])
+def test_a_topic_holds_what_rosbags_reads(log: Path, tmp_path: Path, kind: Format, topic: str) -> None:
+    export(log, tmp_path / f"t.{kind}", kind, (topic,))
+    header, rows = table(tmp_path / f"t.{kind}")
+    messages = ros(log, topic)
+    assert header[:2] == ["time_epoch_s", "time_s"]
+    assert len(rows) == len(messages) > 0
+    for row, (_, message) in zip(rows, messages, strict=True):
+        cells = dict(zip(header, row, strict=True))
+        if topic in ("/joint_states", "/joint_commands"):
+            found = [number(cells[f"{name}.position_rad"]) for name in message.name]
+            assert same(found, message.position.tolist(), kind)
+        elif topic == "/tcp_pose":
+            turn = message.pose.orientation
+            found = [number(cells[f"pose.orientation.{axis}"]) for axis in "xyzw"]
+            assert same(found, [turn.x, turn.y, turn.z, turn.w], kind)
+        elif topic == "/armctl/cycle":
+            for key in ("tick", "now_ns", "bus_us", "late_ns"):
+                assert number(cells[key]) == getattr(message, key)
+        else:
+            assert (cells["msg"], number(cells["level"])) == (message.msg, message.level)
+
+
+def test_every_topic_can_be_exported_and_no_two_columns_share_a_name(log: Path, tmp_path: Path) -> None:
+    topics = [topic for topic in TOPICS if ros(log, topic)]
+    result = export(log, tmp_path / "all", "csv", topics)
+    assert sorted(path.name for path in (tmp_path / "all").iterdir()) == sorted(path.name for path in result.paths)
+    assert len(topics) == 13
+    for topic, path in zip(topics, result.paths, strict=True):
+        header, rows = table(path)
+        assert len(set(header)) == len(header)
+        assert len(rows) == result.rows[topic] == len(ros(log, topic))
+
+
+def test_csv_keeps_every_nanosecond_and_every_bit(log: Path, tmp_path: Path) -> None:
+    export(log, tmp_path / "t.csv", "csv")
+    header, rows = table(tmp_path / "t.csv")
+    epoch, position = header.index("time_epoch_s"), header.index("elbow.position_rad")
+    times = [int(row[epoch].replace(".", "")) for row in rows]
+    assert times == [ANCHOR.epoch_ns(record.inputs.sample.time_ns) for record in RECORDS]
+    assert [float(row[position]) for row in rows] == [record.outputs.joints[2].position_rad for record in RECORDS]
+
+
+def test_registers_are_told_in_units_and_raw(log: Path, tmp_path: Path) -> None:
+    export(log, tmp_path / "t.csv", "csv", ("/armctl/servos",))
+    header, rows = table(tmp_path / "t.csv")
+    raw = [row[header.index("shoulder.registers")] for row in rows]
+    assert raw == [record.inputs.sample.servos[1].registers.hex() for record in RECORDS]
+    export(log, tmp_path / "u.csv", "csv")
+    header, rows = table(tmp_path / "u.csv")
+    for quantity in ("voltage_V", "temperature_degC"):
+        found = [float(row[header.index(f"shoulder.{quantity}")]) for row in rows]
+        assert found == [getattr(record.outputs.joints[1], quantity) for record in RECORDS]
+
+
+def test_excel_has_the_angles_in_degrees_on_a_sheet_of_their_own(log: Path, tmp_path: Path) -> None:
+    export(log, tmp_path / "t.xlsx", "xlsx")
+    header, rows = sheet(tmp_path / "t.xlsx", 1)
+    assert header == ["time_epoch_s", "time_s", *(f"{name}.position_deg" for name in ARM.joint_names)]
+    for row, record in zip(rows, RECORDS, strict=True):
+        assert same(row[2:], [math.degrees(joint.position_rad) for joint in record.outputs.joints], "xlsx")
+
+
+def test_an_excel_sheet_ends_at_its_limit_and_the_next_goes_on(log: Path, tmp_path: Path) -> None:
+    export(log, tmp_path / "t.xlsx", "xlsx", ("/armctl/cycle",), excel_rows=26)
+    book = openpyxl.load_workbook(tmp_path / "t.xlsx", read_only=True)
+    assert book.sheetnames == ["armctl-cycle", "armctl-cycle 2", "armctl-cycle 3"]
+    sheets = [[list(row) for row in found.iter_rows(values_only=True)] for found in book.worksheets]
+    book.close()
+    assert [len(rows) for rows in sheets] == [26, 26, 11]
+    assert sheets[0][0] == sheets[1][0] == sheets[2][0]
+    column = sheets[0][0].index("tick")
+    assert [row[column] for rows in sheets for row in rows[1:]] == list(range(60))
+
+
+def test_the_limit_is_excels() -> None:
+    assert exporting.EXCEL_ROWS == 2**20
+
+
+def test_text_is_never_a_formula_and_never_breaks_the_file(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    texts = ["=1+1", "bell \x07", "x" * 40_000, '"quoted", and\nbroken']
+    for text in texts:
+        writer.write_note("/armctl/command", text, ANCHOR.monotonic_ns)
+    writer.close()
+    for kind in FORMATS:
+        export(writer.path, tmp_path / f"t.{kind}", kind, ("/armctl/command",))
+        header, rows = table(tmp_path / f"t.{kind}")
+        found = [row[header.index("data")] for row in rows]
+        assert found == (
+            ["=1+1", "bell \N{REPLACEMENT CHARACTER}", "x" * 32_767, texts[3]] if kind == "xlsx" else texts
+        )
+    book = openpyxl.load_workbook(tmp_path / "t.xlsx")
+    assert book.worksheets[0]["C2"].data_type == "s"
+
+
+def test_parquet_has_types_and_says_where_it_is_from(log: Path, tmp_path: Path) -> None:
+    export(log, tmp_path / "t.parquet", "parquet")
+    schema = pyarrow.parquet.read_schema(tmp_path / "t.parquet")
+    types = {name: str(kind) for name, kind in zip(schema.names, schema.types, strict=True)}
+    assert types["shoulder.position_rad"] == types["time_s"] == "double"
+    assert (types["tick"], types["state"], types["base.torque_enabled"]) == ("int64", "string", "bool")
+    assert schema.metadata[b"arm_id"] == ARM.arm_id.encode()
+    assert schema.metadata[b"calibration_hash"] == ARM.calibration_hash.encode()
+    assert schema.metadata[b"source"] == b"a.mcap"
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_what_is_not_known_is_empty(tmp_path: Path, kind: Format) -> None:
+    joints = (replace(RECORDS[0].outputs.joints[0], known=False), *RECORDS[0].outputs.joints[1:])
+    first = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, joints=joints, tool=None))
+    export(write_log(tmp_path / "a.mcap", [first, *RECORDS[1:3]]), tmp_path / f"t.{kind}", kind)
+    header, rows = table(tmp_path / f"t.{kind}")
+    column, tool = header.index("base.position_rad"), header.index("tool.x_m")
+    assert [number(row[column]) is None for row in rows] == [True, False, False]
+    assert [number(row[tool]) is None for row in rows] == [True, False, False]
+
+
+def test_nested_lists_are_json(log: Path, tmp_path: Path) -> None:
+    export(log, tmp_path / "t.csv", "csv", ("/joint_trajectory",))
+    header, rows = table(tmp_path / "t.csv")
+    points = json.loads(rows[0][header.index("points")])
+    ((_, message),) = ros(log, "/joint_trajectory")
+    assert [point["positions"] for point in points] == [point.positions.tolist() for point in message.points]
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_nothing_is_overwritten_and_a_failure_leaves_nothing(log: Path, tmp_path: Path, kind: Format) -> None:
+    taken = tmp_path / f"t.{kind}"
+    taken.write_bytes(b"mine")
+    with pytest.raises(LogError, match="exists already"):
+        export(log, taken, kind)
+    assert taken.read_bytes() == b"mine"
+    with pytest.raises(LogError, match=r"/nothing; topics: .*/joint_states"):
+        export(log, tmp_path / f"u.{kind}", kind, ("/nothing",))
+    assert [path.name for path in tmp_path.iterdir()] == [taken.name]
+
+
+def test_a_cut_log_is_exported_as_far_as_it_goes_and_that_is_told(log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "a.mcap.part"
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    for record in RECORDS[:30]:
+        writer.write_tick(record)
+    writer.flush()
+    writer.abandon()
+    result = export(cut, tmp_path / "t.csv", "csv")
+    assert (result.rows, result.complete) == ({"ticks": 30}, False)
+
+
+@pytest.mark.parametrize(("kind", "package"), [("xlsx", "openpyxl"), ("parquet", "pyarrow")])
+def test_a_missing_package_is_named_with_its_extra(
+    log: Path, tmp_path: Path, kind: Format, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, package, None)
+    with pytest.raises(ArmctlError, match=r"armctl\[export\]"):
+        export(log, tmp_path / f"t.{kind}", kind)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_runs_from_none_to_all(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exporting, "PROGRESS_ROWS", 10)
+    seen: list[float] = []
+    export(log, tmp_path / "t.xlsx", "xlsx", progress=seen.append)
+    assert seen == sorted(seen)
+    assert len(seen) >= 20
+    assert max(seen) <= 1.0
+
+
+def test_seconds_are_written_to_the_nanosecond() -> None:
+    assert str(Seconds(1_750_000_000_000_000_001)) == "1750000000.000000001"
+    assert Seconds(1_500_000_000) == 1.5

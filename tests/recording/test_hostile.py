@@ -1,0 +1,60 @@
+"""Files that mean harm are refused, cheaply."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from armctl.errors import LogError
+from armctl.proving import hostile
+from armctl.recording import reader
+from armctl.recording.chunks import MAGIC
+
+FILES = dict(hostile.files())
+MIB = 2**20
+
+_PEAK = """
+import resource, sys
+from pathlib import Path
+from armctl.proving.hostile import read_all
+resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+for name in sys.argv[1:]:
+    read_all(Path(name))
+status = Path("/proc/self/status").read_text()  # getrusage would tell of the process this one was forked from
+print(status.split("VmHWM:")[1].split()[0])
+"""
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_hostile_file_yields_no_message_that_is_not_in_it_and_no_error_but_one(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(FILES[name])
+    in_it = 2 if FILES[name].startswith(MAGIC) and b"pkg/msg/T0" in FILES[name] else 0
+    assert hostile.read_all(path) in (0, in_it)
+    if in_it:
+        info = reader.info(path)
+        assert (info.messages, info.complete) == (2, True)
+        with pytest.raises(LogError):
+            list(reader.read(path))
+
+
+def test_all_of_them_together_take_less_than_256_mib(tmp_path: Path) -> None:
+    paths = []
+    for index, data in enumerate(FILES.values()):
+        paths.append(tmp_path / f"{index}.mcap")
+        paths[-1].write_bytes(data)
+    result = subprocess.run(
+        [sys.executable, "-c", _PEAK, *map(str, paths)], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    assert int(result.stdout) * 1024 < 256 * MIB
+
+
+def test_a_file_that_inflates_beyond_all_measure_is_refused_as_a_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(FILES["many chunks of 16 MiB"])
+    with pytest.raises(LogError, match="such a file is not read"):
+        reader.info(path)

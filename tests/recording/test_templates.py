@@ -1,0 +1,96 @@
+"""Templates give the codec's bytes, for every type and for every tick."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.messages import Fault, TickRecord
+from armctl.recording import channels
+from armctl.recording.cdr import Value, codec
+from armctl.recording.channels import TOPICS
+from armctl.recording.schemas import MESSAGES, fields
+from armctl.recording.templates import MAX_TEMPLATES, Template, TickEncoder
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records
+from tests.recording.test_cdr import NAMES, values
+
+RECORDS = make_records(60)
+
+
+def numbers(name: str, value: Value) -> list[Any]:
+    """Every number of a message in order but those of stamps."""
+    found: list[Any] = []
+    for item in fields(name):
+        content = value[item.name]
+        if item.is_array and item.type == "uint8":
+            found.append(content)
+            continue
+        for one in content if item.is_array else [content]:
+            if item.type in MESSAGES:
+                found += [] if item.type == "builtin_interfaces/Time" else numbers(item.type, one)
+            elif item.type != "string":
+                found.append(one)
+    return found
+
+
+def stamped(value: Any, stamp: Value) -> Any:
+    """The same with one instant for every stamp."""
+    if isinstance(value, dict):
+        return stamp if value.keys() == {"sec", "nanosec"} else {key: stamped(one, stamp) for key, one in value.items()}
+    return [stamped(one, stamp) for one in value] if isinstance(value, list) else value
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if "Time" not in name and "Trajectory" not in name])
+def test_a_template_gives_the_bytes_of_the_codec(name: str) -> None:
+    @settings(deadline=None, max_examples=30)
+    @given(values(name), st.integers(0, 2**31 - 1), st.integers(0, 10**9 - 1))
+    def check(value: Value, sec: int, nanosec: int) -> None:
+        if name == "builtin_interfaces/Duration":
+            return
+        value = stamped(value, {"sec": sec, "nanosec": nanosec})
+        template = Template(name, value)
+        assert template.encode([sec, nanosec, *numbers(name, value)]) == codec(name).encode(value)
+
+    check()
+
+
+def odd(record: TickRecord) -> TickRecord:
+    """The tick with a silent servo and a joint that is not known."""
+    servos = list(record.inputs.sample.servos)
+    servos[1] = replace(servos[1], fresh=False, problem="NO_REPLY", error=0x24)
+    servos[2] = replace(servos[2], registers=b"", stamp_ns=0, fresh=False, problem="PORT_GONE")
+    sample = replace(record.inputs.sample, servos=tuple(servos), port_open=False, retries=3)
+    joints = (replace(record.outputs.joints[0], known=False), *record.outputs.joints[1:])
+    outputs = replace(record.outputs, joints=joints, tool=None, goal=None, fault=Fault("HOT", "it is", 5, 2))
+    return replace(record, inputs=replace(record.inputs, sample=sample, late_ns=10**9), outputs=outputs, dropped=2)
+
+
+def test_every_tick_is_encoded_as_channels_says() -> None:
+    encoder = TickEncoder(ARM, ROBOT)
+    for record in [*RECORDS, *map(odd, RECORDS), *RECORDS[:3]]:
+        encoded = [*encoder.inputs(record, ANCHOR), *encoder.outputs(record, ANCHOR), encoder.cycle(record, ANCHOR)]
+        plain = channels.tick_messages(record, ANCHOR, ARM, ROBOT)
+        assert encoded == [(topic, TOPICS[topic].codec.encode(value)) for topic, value in plain]
+        topic, data = encoder.cycle(record, ANCHOR, inputs_only=True)
+        assert data == TOPICS[topic].codec.encode(channels.cycle_message(record, ANCHOR, inputs_only=True)[1])
+
+
+def test_shapes_without_end_are_not_kept() -> None:
+    encoder = TickEncoder(ARM, ROBOT)
+    record = RECORDS[30]
+    for index in range(3 * MAX_TEMPLATES):
+        first = replace(record.inputs.sample.servos[0], problem=f"PROBLEM_{index}")
+        sample = replace(record.inputs.sample, servos=(first, *record.inputs.sample.servos[1:]))
+        encoder.inputs(replace(record, inputs=replace(record.inputs, sample=sample)), ANCHOR)
+        assert len(encoder._templates) <= MAX_TEMPLATES
+
+
+@pytest.mark.parametrize("given_numbers", [[1.0, 2.0], [1.0, 2.0, 3.0, 4.0], [1.0, 2.0, "3"]])
+def test_numbers_that_do_not_fit_are_refused(given_numbers: list[Any]) -> None:
+    template = Template("geometry_msgs/Point", {"x": 0.0, "y": 0.0, "z": 0.0})
+    with pytest.raises(ValueError, match=r"numbers|float"):
+        template.encode([0, 0, *given_numbers])

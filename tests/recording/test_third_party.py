@@ -1,0 +1,104 @@
+"""Others read an hour of log completely: their counts and values are those of armctl's own reader."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from armctl.recording import reader
+from armctl.recording.channels import CYCLE, JOINT_STATES, SERVOS
+from armctl.recording.columns import Texts
+from armctl.recording.reader import LogFile
+from tests.recording.hour import TICKS, hour_log
+
+NODE = Path(__file__).parent / "node"
+P = 2**31 - 1
+
+
+@pytest.fixture(scope="module")
+def hour(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return hour_log(tmp_path_factory.getbasetemp())
+
+
+@pytest.fixture(scope="module")
+def held(hour: Path) -> reader.LogInfo:
+    info = reader.info(hour)
+    assert info.complete
+    assert info.duration_s == pytest.approx((TICKS - 1) / 10.0)
+    assert info.topics[CYCLE] == TICKS
+    return info
+
+
+def test_mcap_reads_every_message_with_checksums_and_finds_what_armctl_finds(hour: Path) -> None:
+    with hour.open("rb") as stream, LogFile(hour) as log:
+        stock = make_reader(stream, validate_crcs=True)
+        found = stock.iter_messages(log_time_order=False)
+        for (_, channel, message), ours in zip(found, log.messages(), strict=True):
+            assert (channel.topic, message.log_time, message.sequence, message.data) == ours
+
+
+def test_rosbags_reads_every_message_and_the_same_values(hour: Path, held: reader.LogInfo) -> None:
+    counts: Counter[str] = Counter()
+    positions, registers = [], []
+    with AnyReader([hour]) as bag:
+        for connection, _, data in bag.messages():
+            counts[connection.topic] += 1
+            message: Any = bag.deserialize(data, connection.msgtype)
+            if connection.topic == JOINT_STATES:
+                positions.append(message.position.tolist())
+            elif connection.topic == SERVOS:
+                registers.append([servo.registers.tolist() for servo in message.servos])
+    assert counts == held.topics
+    (states,) = reader.read_topic(hour, JOINT_STATES)
+    assert states.numbers("position").tolist() == positions
+    (servos,) = reader.read_topic(hour, SERVOS)
+    ours = [servos.numbers(f"servos[{index}].registers").tolist() for index in range(6)]
+    assert [list(one) for one in zip(*ours, strict=True)] == registers
+
+
+def test_rerun_checks_the_file_and_counts_the_same_messages(hour: Path, held: reader.LogInfo) -> None:
+    def rerun(command: str) -> str:
+        program = Path(sys.executable).parent / "rerun"
+        result = subprocess.run(
+            [program, "mcap", command, hour], capture_output=True, text=True, timeout=100, check=False
+        )
+        assert result.returncode == 0, result.stdout + result.stderr
+        return result.stdout
+
+    checked = re.findall(r"^(\S+)\s+\d+\s+\d+\s+(/\S+)", rerun("check"), re.MULTILINE)
+    assert {topic: verdict for verdict, topic in checked} == dict.fromkeys(held.topics, "ok")
+    counted = re.findall(r"^\s*\d+\s+(/\S+)\s+(\d+)\s", rerun("info"), re.MULTILINE)
+    assert {topic: int(count) for topic, count in counted} == held.topics
+
+
+def test_mcap_core_under_node_reads_every_message_and_the_same_values(hour: Path, held: reader.LogInfo) -> None:
+    node = shutil.which("node")
+    if node is None or not (NODE / "node_modules").is_dir():
+        pytest.skip(f"needs Node and its packages: npm ci --prefix {NODE}")
+    result = subprocess.run([node, NODE / "read.mjs", hour], capture_output=True, text=True, timeout=100, check=False)
+    assert result.returncode == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert {topic: total[0] for topic, total in found.items()} == held.topics
+    for topic, tables in reader.read_columns(hour).items():
+        fractions, integers, texts = 0.0, 0, 0
+        for table in tables:
+            for column in table.columns.values():
+                if isinstance(column, Texts):
+                    texts += sum(map(len, column.tolist()))
+                    continue
+                whole = column == np.floor(column) if column.dtype.kind == "f" else np.ones(column.shape, bool)
+                fractions += float(column[~whole].sum())
+                integers += int(np.mod(column[whole].astype(np.int64), P).sum())
+        assert found[topic][1] == pytest.approx(fractions, rel=1e-11), topic
+        assert found[topic][2:] == [integers % P, texts], topic

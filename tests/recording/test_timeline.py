@@ -1,0 +1,165 @@
+"""A log as arrays: every value is that of the tick record it was written from."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from armctl.clock import NS_PER_S
+from armctl.dynamixel import ax12a
+from armctl.errors import LogError
+from armctl.messages import Fault, Mode
+from armctl.recording import timeline
+from armctl.recording.cdr import codec
+from armctl.recording.reader import LogFile
+from armctl.recording.replay import check
+from armctl.recording.writer import LogWriter
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
+from tests.recording.simulated import simulated_records, write_log
+
+RECORDS = simulated_records()
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+
+
+def test_every_array_is_what_the_ticks_said(log: Path) -> None:
+    found = timeline.load(log)
+    joints = [record.outputs.joints for record in RECORDS]
+    np.testing.assert_array_equal(found.tick, [record.inputs.tick for record in RECORDS])
+    for name in ("position_rad", "velocity_rad_s", "load_ratio", "voltage_V", "temperature_degC", "torque_enabled"):
+        expected = [[getattr(joint, name) for joint in row] for row in joints]
+        np.testing.assert_array_equal(getattr(found, name), expected, err_msg=name)
+    tools = [record.outputs.tool for record in RECORDS]
+    expected_tools = [(*tool.position_m, *tool.quaternion) for tool in tools if tool is not None]
+    np.testing.assert_array_equal(found.tool, expected_tools)
+    times_ns = np.array([record.inputs.sample.time_ns for record in RECORDS])
+    np.testing.assert_array_equal(found.time_s, (times_ns - times_ns[0]) / NS_PER_S)
+    assert found.start_ns == ANCHOR.epoch_ns(int(times_ns[0]))
+    assert found.complete
+
+
+def test_goals_are_the_registers_while_there_is_torque(log: Path) -> None:
+    found = timeline.load(log)
+    for frame, record in enumerate(RECORDS):
+        for j, (joint, reading) in enumerate(zip(ARM.joints, record.inputs.sample.servos, strict=True)):
+            if found.torque_enabled[frame, j]:
+                goal = ax12a.register_value(ax12a.GOAL, reading.registers)
+                assert found.goal_rad[frame, j] == joint.position_rad(goal)
+            else:
+                assert math.isnan(found.goal_rad[frame, j])
+
+
+def test_states_are_right_at_every_tick(log: Path) -> None:
+    found = timeline.load(log)
+    assert [found.state(i) for i in range(len(RECORDS))] == [record.outputs.mode.value for record in RECORDS]
+    assert {found.fault(i) for i in range(len(RECORDS))} == {""}
+
+
+def test_a_fault_is_known_from_its_first_tick_on(tmp_path: Path) -> None:
+    fault = Fault("HOT", "servo 3 (elbow): 66 degC (bound 65)", 0, 3)
+    outputs = [
+        replace(r.outputs, mode=Mode.FAULTED, fault=fault) if r.inputs.tick >= 7 else r.outputs for r in RECORDS[:20]
+    ]
+    records = [replace(record, outputs=output) for record, output in zip(RECORDS[:20], outputs, strict=True)]
+    found = timeline.load(write_log(tmp_path / "a.mcap", records))
+    assert found.faults == ((0, ""), (7, "HOT: servo 3 (elbow): 66 degC (bound 65)"))
+    assert (found.state(6), found.state(7)) == ("energising", "faulted")
+
+
+def test_a_run_is_found_with_its_window_and_its_ends(log: Path) -> None:
+    (motion,) = timeline.load(log).motions
+    (command,) = [c for record in RECORDS for c in record.inputs.commands if c.kind == "run"]
+    path = command.trajectory
+    assert motion.label == path.label
+    assert motion.begin_rad == path.positions_rad[0]
+    assert motion.end_rad == path.positions_rad[10]
+    assert (motion.end_ns - motion.begin_ns) / NS_PER_S == pytest.approx(path.end_s - path.begin_s, abs=0.11)
+
+
+def test_requests_and_events_are_told_in_order(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    for record in RECORDS[:5]:
+        writer.write_tick(record)
+        note = {"request": "torque_on", "who": "uid 1", "outcome": "BUSY", "reasons": ["taken"]}
+        if record.inputs.tick == 2:
+            writer.write_note("/armctl/command", json.dumps(note), record.inputs.now_ns)
+            writer.write_note("/armctl/command", "no JSON", record.inputs.now_ns)
+    writer.close()
+    found = timeline.load(writer.path)
+    assert [one.code for one in found.happenings] == ["CONNECTED", "REQUEST", "STATE"]
+    assert found.happenings[1].text == "torque_on by uid 1: BUSY: taken"
+
+
+def test_a_joint_that_never_answered_is_not_a_number(tmp_path: Path) -> None:
+    joints = (replace(RECORDS[0].outputs.joints[0], known=False), *RECORDS[0].outputs.joints[1:])
+    first = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, joints=joints, tool=None))
+    found = timeline.load(write_log(tmp_path / "a.mcap", [first, *RECORDS[1:3]]))
+    assert np.isnan(found.position_rad[0, 0])
+    assert np.isnan(found.tool[0]).all()
+    assert np.isfinite(found.position_rad[0, 1:]).all()
+    assert np.isfinite(found.position_rad[1:]).all()
+
+
+def test_ticks_kept_for_replay_alone_are_no_frames(tmp_path: Path) -> None:
+    records = make_records(30)
+    writer = LogWriter(
+        tmp_path / "a.mcap", CONTEXT, keyframe=records[0].keyframe, anchor=ANCHOR, inputs_only=records[1:10]
+    )
+    for record in records[10:]:
+        writer.write_tick(record)
+    writer.close()
+    found = timeline.load(writer.path)
+    np.testing.assert_array_equal(found.tick, np.arange(10, 30))
+    assert found.start_ns == ANCHOR.epoch_ns(records[10].inputs.sample.time_ns)
+
+
+def test_index_finds_the_newest_frame_at_or_before_a_time(log: Path) -> None:
+    found = timeline.load(log)
+    assert found.index(-1.0) == 0
+    assert found.index(1e9) == len(RECORDS) - 1
+    for frame, time_s in enumerate(found.time_s.tolist()):
+        assert found.index(time_s) == frame
+        assert found.index(time_s + 0.05) == frame
+
+
+def test_frames_can_be_read_one_by_one(log: Path) -> None:
+    with LogFile(log) as file:
+        frames = timeline.Frames(file)
+        assert next(iter(frames)).tick == 0
+        assert len(frames.happenings) == 1  # nothing was read ahead
+
+
+def test_a_log_without_ticks_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no whole tick"):
+        timeline.load(write_log(tmp_path / "a.mcap", []))
+
+
+def test_our_topics_with_something_else_in_them_are_an_error_of_the_log(log: Path, tmp_path: Path) -> None:
+    text = codec("std_msgs/String").encode({"data": '{"tick": 1, "command": 5}'})
+    for topic in ("/armctl/servos", "/joint_states", "/tcp_pose", "/armctl/cycle", "/diagnostics", "/rosout"):
+        path = tmp_path / f"{topic.replace('/', '-')}.mcap"
+        with path.open("wb") as stream, LogFile(log) as source:
+            writer = Writer(stream)
+            writer.start("ros2", "other")
+            schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+            channels = {t: writer.register_channel(t, "cdr", schema) for t in (topic, "/armctl/command")}
+            for attachment in source.attachments.values():
+                data = attachment.data
+                if attachment.name == "armctl.json":
+                    data = json.dumps(json.loads(data) | {"schemas": [], "channels": []}).encode()
+                writer.add_attachment(0, 0, attachment.name, attachment.media_type, data)
+            for channel in channels.values():
+                writer.add_message(channel, 1, text, 1)
+            writer.finish()  # type: ignore[no-untyped-call]
+        for attempt in (timeline.load, check):
+            with pytest.raises(LogError, match=path.name):
+                attempt(path)
