@@ -94,7 +94,7 @@ class Client:
                     self._notifications.append((message["method"], message["params"]))
             elif message["id"] in (self._last_id, None):  # not the late answer to a call that was interrupted
                 if "error" in message:
-                    raise _error(message["error"])
+                    raise error_of(message["error"])
                 result: dict[str, Any] = message["result"]
                 return result
 
@@ -132,7 +132,7 @@ class Client:
         return NoDaemon(f"no daemon answers on {self.path}: {why}; start it with `armctl daemon --port PORT`")
 
 
-def _error(answer: dict[str, Any]) -> ArmctlError:
+def error_of(answer: dict[str, Any]) -> ArmctlError:
     """The error the daemon met, as it was raised there."""
     data = answer["data"]
     kind = getattr(errors, data["type"], None)

@@ -5,36 +5,40 @@ Rules.
    new one is started, which takes the arm as it finds it. Dying often makes the waits longer, never endless.
 2. SIGTERM and SIGINT: the arm comes to rest, the log is closed, torque stays; all within two seconds.
 3. If this process dies, the control process sees its end of the link close, brings the arm to rest and leaves.
+4. The control process starts first, so that the arm is taken in hand while this process still imports what it needs.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
-import os
 import signal
 import socket
 from collections import deque
 from collections.abc import Callable, Coroutine
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from armctl.api.host import Host, TakeRecorder
-from armctl.api.methods import Methods
-from armctl.api.server import Server
+from armctl import service_manager
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config, data_dir
 from armctl.control.link import LinkClosed, Ready, StartFailed
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, PortBusy, PortGone, PortMissing, RequestRefused
-from armctl.jobs import optimize_task, run_job
-from armctl.kinematics import robots
-from armctl.messages import TickRecord
-from armctl.recording.recorder import Recorder
-from armctl.recording.recover import recover_folder
-from armctl.recording.writer import LogContext
+from armctl.messages import Reply, TickRecord
+
+if TYPE_CHECKING:
+    from armctl.api.host import Host
+    from armctl.api.teaching import TakeRecorder
+    from armctl.recording.writer import LogContext
+
+    class DaemonRecorder(TakeRecorder, Protocol):
+        """A recorder as the daemon needs it."""
+
+        def close(self) -> None: ...
+
+    MakeRecorder = Callable[[LogContext, Path, Path], DaemonRecorder]
 
 START_S = 20.0
 """Longest wait for the first tick."""
@@ -67,19 +71,10 @@ class ControlHandle(Protocol):
     def terminate(self, timeout_s: float) -> None: ...
 
 
-class DaemonRecorder(TakeRecorder, Protocol):
-    """A recorder as the daemon needs it."""
-
-    def close(self) -> None: ...
-
-
 class StartControl(Protocol):
     """Starts a control process; `ControlProcess.start`."""
 
     def __call__(self, settings: ControlSettings, *, restarted: bool = False) -> ControlHandle: ...
-
-
-MakeRecorder = Callable[[LogContext, Path, Path], DaemonRecorder]
 
 
 def serve(
@@ -98,7 +93,7 @@ async def run_daemon(
     log_dir: Path | None,
     ready: Callable[[str], None],
     start_control: StartControl = ControlProcess.start,
-    make_recorder: MakeRecorder = Recorder,
+    make_recorder: MakeRecorder | None = None,
     clock: Clock | None = None,
 ) -> int:
     """Serve one arm until SIGTERM or SIGINT.
@@ -108,7 +103,7 @@ async def run_daemon(
         socket: Where clients connect.
         log_dir: Folder of the log; None: `logs` below the data folder.
         ready: Called once, with the socket's path, when clients are served.
-        start_control, make_recorder: What starts a control process and makes the recorder.
+        start_control, make_recorder: What starts a control process and makes the recorder; None: a `Recorder`.
     Returns:
         Exit status.
     Raises:
@@ -117,7 +112,6 @@ async def run_daemon(
         RequestRefused: another daemon answers on the socket, or the arm never ticked.
     """
     clock = clock or MonotonicClock()
-    robot = robots.get(arm.robot, arm.lengths_m)
     folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
     listening = listen(socket)
     try:
@@ -128,11 +122,20 @@ async def run_daemon(
             loop.add_signal_handler(number, ending.set)
         control = start_control(settings)
         try:
-            # While the new process imports and opens its port; what it sends meanwhile waits in the link.
+            # While the new process does the same and opens its port; what it sends meanwhile waits in the link.
+            from armctl.api.host import Host
+            from armctl.api.methods import Methods
+            from armctl.api.server import Server
+            from armctl.jobs import optimize_task, run_job
+            from armctl.kinematics import robots
+            from armctl.recording.recorder import Recorder
+            from armctl.recording.writer import LogContext
+
+            robot = robots.get(arm.robot, arm.lengths_m)
             for folder in folders:
                 await asyncio.to_thread(_recover, folder)
             context = LogContext(arm=arm, robot=robot, config=config, port=port, period_s=config.period_s)
-            recorder = make_recorder(context, *folders)
+            recorder = (make_recorder or Recorder)(context, *folders)
         except BaseException:
             control.terminate(LEAVE_S)
             raise
@@ -143,7 +146,7 @@ async def run_daemon(
         def tick(record: TickRecord) -> None:
             host.receive(record)
             server.publish(host.status)
-            notify_service("WATCHDOG=1")
+            service_manager.notify("WATCHDOG=1")
 
         supervisor = Supervisor(lambda: start_control(settings, restarted=True), host, tick, clock)
         supervising = asyncio.create_task(supervisor.run(control))
@@ -151,10 +154,10 @@ async def run_daemon(
             await _first_tick(host, supervising, ending)
             await server.start(listening)
             if not ending.is_set():
-                notify_service("READY=1")
+                service_manager.notify("READY=1")
                 ready(str(socket))
             await _first_of(supervising, ending.wait())
-            notify_service("STOPPING=1")
+            service_manager.notify("STOPPING=1")
             await _rest(host)
             await server.close()
         finally:
@@ -217,6 +220,8 @@ class Supervisor:
             for message in messages:
                 if isinstance(message, TickRecord):
                     self._tick(message)
+                elif isinstance(message, Reply):
+                    self._host.answer(message)
                 elif isinstance(message, Ready):
                     self._host.attach(control)
                 elif isinstance(message, StartFailed):
@@ -292,19 +297,10 @@ def _refuse_second(path: Path) -> None:
     raise RequestRefused("BUSY", f"another daemon answers on {path}; end it first, or choose another --socket")
 
 
-def notify_service(state: str) -> None:
-    """Tell the service manager that started this process, if one did (sd_notify)."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender, contextlib.suppress(OSError):
-        sender.sendto(
-            state.encode(), socket.MSG_DONTWAIT, address.replace("@", "\0", 1) if address[0] == "@" else address
-        )
-
-
 def _recover(folder: Path) -> None:
     """Make what a crash left in the folder whole again; a folder that cannot be read does not stop the arm."""
+    from armctl.recording.recover import recover_folder
+
     try:
         recover_folder(folder)
     except (ArmctlError, OSError) as error:

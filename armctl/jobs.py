@@ -8,13 +8,14 @@ await ends the process, and an armctl error raised there is raised here with all
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import multiprocessing
 import os
 import signal
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -27,6 +28,7 @@ from armctl.genetic.straight_line import optimize
 from armctl.kinematics import robots
 from armctl.recording import recordings
 from armctl.trajectory.interpolate import Interpolation
+from armctl.trajectory.placement import Objective
 from armctl.trajectory.plan import plan_to_text
 
 PROGRESS_PERIOD_S = 0.1
@@ -94,7 +96,8 @@ async def run_job(task: Task[A, R], argument: A, progress: Progress) -> R:
 def _work(pipe: Connection, task: Task[A, R], argument: A) -> None:
     """Body of the job's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is the parent's to answer
-    os.nice(NICENESS)
+    with contextlib.suppress(PermissionError):  # a sandbox may forbid it
+        os.nice(NICENESS)
     due_s = 0.0
 
     def progress(generation: int, best: float, mean: float) -> None:
@@ -129,17 +132,19 @@ class OptimizeRequest:
     seed: int
     settings: Settings = DEFAULT
     interpolation: Interpolation = "cubic"
+    objective: Objective = "mean"
+    free: bool = True
+    """Whether genes may leave the recordings, and via points the path that was found."""
 
 
-def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any]:
-    """Load the recordings, optimise, and say the result in JSON's terms.
+def load_takes(arm: ArmConfig, paths: Sequence[Path]) -> list[recordings.Recording]:
+    """Recordings of this arm with its present calibration.
 
     Raises:
         LogError: a recording cannot be read.
-        RequestRefused: a recording is another arm's (FOREIGN_LOG), or the optimisation refuses the request.
+        RequestRefused: code FOREIGN_LOG, a recording is another arm's; names each.
     """
-    arm = request.arm
-    loaded = [recordings.load(path) for path in request.recordings]
+    loaded = [recordings.load(path) for path in paths]
     foreign = [
         f"recording {recording.name} was made with arm {recording.arm_id}, calibration {recording.calibration_hash}; "
         f"this is {arm.arm_id}, {arm.calibration_hash}"
@@ -148,6 +153,19 @@ def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any
     ]
     if foreign:
         raise RequestRefused("FOREIGN_LOG", foreign)
+    return loaded
+
+
+def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any]:
+    """Load the recordings, optimise, and say the result in JSON's terms.
+
+    Raises:
+        LogError: a recording cannot be read.
+        RequestRefused: a recording is another arm's (FOREIGN_LOG), or the optimisation refuses the request, or no path
+            keeps the joints' limits in its duration (LIMITS).
+    """
+    arm = request.arm
+    loaded = load_takes(arm, request.recordings)
     generations_s: list[float] = []
 
     def timed(generation: int, best: float, mean: float) -> None:
@@ -166,9 +184,19 @@ def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any
         seed=request.seed,
         settings=request.settings,
         interpolation=request.interpolation,
+        objective=request.objective,
+        free=request.free,
         progress=timed,
     )
-    ga, exact = result.ga, result.exact
+    if not result.feasible:
+        least_s = result.least_duration_s
+        remedy = f"give {least_s:.1f} s or more" if least_s is not None else "record steadier takes"
+        raise RequestRefused(
+            "LIMITS",
+            f"no path through these recordings keeps the joints' speed and acceleration limits in "
+            f"{request.duration_s:g} s; {remedy}",
+        )
+    ga, exact, free = result.ga, result.exact, result.free
     return {
         "baseline": [
             {"name": recording.name, **asdict(error)} for recording, error in zip(loaded, result.baseline, strict=True)
@@ -188,6 +216,15 @@ def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any
             "tool_m": exact.tool_m.tolist(),
         },
         "gap_ratio": result.gap_ratio,
+        "free": None
+        if free is None
+        else {
+            "mean_error_mm": free.mean_error_mm,
+            "max_error_mm": free.max_error_mm,
+            "largest_offset_rad": free.largest_offset_rad,
+            "feasible": free.feasible,
+            "tool_m": free.tool_m.tolist(),
+        },
         "plans": [
             {
                 "via": plan.via,

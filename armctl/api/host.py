@@ -1,129 +1,85 @@
-"""The arm as all clients share it: who may command it now, what it is asked, and what was seen of it.
+"""The arm as all clients share it: who may command it now, and what it is asked.
 
 Rules.
-1. Every request to the control process is answered by it, in a tick record; nothing is assumed to have happened.
-2. One client at a time commands. The lease is its connection: it ends with the request, with `teach_end`, or
-   with the connection. Anyone may `stop`.
+1. Every request to the control process is answered by it, in a tick record, a `stop` of an arm at rest at once;
+   nothing is assumed to have happened.
+2. One client at a time commands. The lease is its connection: it ends with the request, with `teach_end`, with the
+   jog, or with the connection. Anyone may `stop` and `pause`; the commander's other connections may `resume` and
+   change the `rate`, because the one that runs waits for its end.
 3. A client that vanishes during its `run` stops the arm; while teaching it leaves the arm limp and the take kept.
-4. Nothing here looks fresher than it is: ages grow from the last tick on, also when no tick comes any more.
 """
 
 from __future__ import annotations
 
 import asyncio
-import itertools
 import json
 import logging
 import os
-import re
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
-import numpy as np
-
+from armctl.api.exchange import Control, Exchange, restarting
+from armctl.api.lease import Client, Leases
+from armctl.api.motions import (
+    Target,
+    Watch,
+    line_result,
+    move_result,
+    move_trajectory,
+    refuse_collision,
+    run_name,
+    within_limits,
+)
+from armctl.api.snapshot import Statistics, arm_snapshot, fault_snapshot
+from armctl.api.teaching import TakeRecorder, Takes, Teaching
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
-from armctl.control.faults import card
+from armctl.control.jog import joint_velocities
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
 from armctl.messages import (
     Clear,
     Command,
-    Fault,
     Hold,
-    JointState,
+    Jog,
+    JointTrajectory,
     Mode,
     Park,
+    Pause,
     Release,
     Reply,
+    Resume,
     Run,
-    Teach,
-    TeachEnd,
+    SetRate,
     TickRecord,
-    ToolPose,
     TorqueOn,
 )
-from armctl.recording.channels import COMMAND, OVERRUN_NS
+from armctl.recording.channels import COMMAND
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
-from armctl.trajectory.straightness import max_error, mean_error
 
-ANSWER_S = 10.0
-"""Longest wait for the control process's answer to anything but the end of a motion."""
-PAUSES_S = 60.0
-"""How much longer than planned a motion may take: it pauses while a servo is silent."""
+STUCK_S = 60.0
+"""How long a motion may go without any progress, unless somebody paused it, before it is given up."""
 PARK_S = 60.0
 """Longest way to rest: half a turn of every joint at 20 deg/s takes a quarter of it."""
 TAIL_NS = 300_000_000
 """What a run's recording keeps after the motion has ended."""
-STATISTICS_TICKS = 600
 
 logger = logging.getLogger(__name__)
 
-
-class Sender(Protocol):
-    """The host's end of the link to a control process."""
-
-    def send(self, message: object) -> bool: ...
+Leg = Callable[[Sequence[float], Sequence[float]], JointTrajectory]
+"""Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run."""
 
 
-class Control(Protocol):
-    """The control process as far as commands need it."""
+@dataclass(frozen=True)
+class Done:
+    """A leg that was run to its end."""
 
-    @property
-    def pid(self) -> int: ...
-    @property
-    def link(self) -> Sender: ...
-
-
-class TakeRecorder(Protocol):
-    """The recorder as far as requests need it."""
-
-    @property
-    def log_path(self) -> Path | None: ...
-    @property
-    def problem(self) -> str: ...
-    def put(self, record: TickRecord) -> None: ...
-    def note(self, topic: str, text: str, time_ns: int) -> None: ...
-    def begin_take(self, name: str) -> Path: ...
-    def end_take(self) -> Path | None: ...
-
-
-class Client(Protocol):
-    """Whoever asks; one connection."""
-
-    @property
-    def name(self) -> str: ...
-
-
-@dataclass(eq=False)
-class _Lease:
-    client: Client
-    what: str
-    lost: bool = False
-
-
-@dataclass
-class _Watch:
-    """What is seen of the arm while a plan runs."""
-
-    time_ns: list[int] = field(default_factory=list)
-    positions_rad: list[tuple[float, ...]] = field(default_factory=list)
-    marks_ns: dict[str, int] = field(default_factory=dict)
-
-    def see(self, record: TickRecord) -> None:
-        self.time_ns.append(record.inputs.sample.time_ns)
-        self.positions_rad.append(tuple(joint.position_rad for joint in record.outputs.joints))
-        for event in record.outputs.events:
-            if event.code in ("PLAN_BEGIN", "PLAN_END"):
-                self.marks_ns[event.code] = record.inputs.sample.time_ns
+    trajectory: JointTrajectory
+    watch: Watch
+    reply: Reply
 
 
 class Host:
@@ -133,131 +89,76 @@ class Host:
         self.arm, self.robot, self.period_s = arm, robot, period_s
         self.recorder = recorder
         self._clock = clock
-        self._control: Control | None = None
+        self._period_ns = round(period_s * NS_PER_S)
         self._lost_ns: int | None = None
-        self._ids = itertools.count(1)
-        self._pending: dict[int, asyncio.Future[Reply]] = {}
+        self._exchange = Exchange()
         self._latest: TickRecord | None = None
-        self._dropped = 0
-        self._statistics: deque[tuple[int, int, int]] = deque(maxlen=STATISTICS_TICKS)
+        self._statistics = Statistics()
         self._ticked = asyncio.Event()
-        self._lease: _Lease | None = None
-        self._take: str | None = None
-        self._take_lock = asyncio.Lock()
-        self._watch: _Watch | None = None
+        self._leases = Leases()
+        self._takes = Takes(recorder)
+        self.teaching = Teaching(self._exchange, self._leases, self._takes, lambda: self._latest, self.note)
+        self._watch: Watch | None = None
         self._hold: asyncio.Task[Reply] | None = None
+        self._held_at = 0, 0
+        """When it was sent [ns], and how much had been asked by then."""
         self._background: set[asyncio.Task[Any]] = set()
 
     # ------------------------------------------------------------------------------------ control process
 
     def attach(self, control: Control) -> None:
         """Commands go to this control process from now on."""
-        self._control = control
+        self._exchange.control = control
 
     def control_lost(self) -> None:
         """The control process is gone: what it still owed an answer fails."""
-        self._control, self._lost_ns = None, self._clock.now_ns()
-        for future in self._pending.values():
-            if not future.done():
-                future.set_exception(_restarting())
+        self._lost_ns = self._clock.now_ns()
+        self._exchange.lost()
 
     def receive(self, record: TickRecord) -> None:
         """Take one tick record in: to the recorder, to whoever waits, and as the present state."""
         self.recorder.put(record)
         self._latest, self._lost_ns = record, None
-        self._dropped += record.dropped
-        self._statistics.append((record.inputs.sample.bus_us, record.lateness_us, record.inputs.sample.retries))
+        self._statistics.see(record)
+        self.teaching.mind_the_hand(record.outputs.mode, self._statistics.tool_speed_m_s())
+        if record.outputs.mode is not Mode.JOGGING:
+            self._leases.end("jogging")
         if self._watch is not None:
             self._watch.see(record)
         for reply in record.outputs.replies:
-            future = self._pending.get(reply.request_id)
-            if future is not None and not future.done():
-                future.set_result(reply)
+            self._exchange.answer(reply)
         for event in record.outputs.events:
             if event.severity != "info":
                 logger.warning("%s: %s", event.code, event.text)
         ticked, self._ticked = self._ticked, asyncio.Event()
         ticked.set()
 
+    def answer(self, reply: Reply) -> None:
+        """Take in what the control process answers between two ticks."""
+        self._exchange.answer(reply)
+
     async def tick(self) -> None:
         """Wait for the next tick record."""
         await self._ticked.wait()
 
-    async def _request(self, make: Callable[[int], Command], timeout_s: float = ANSWER_S) -> Reply:
-        """Send a command and wait for what became of it.
-
-        Raises:
-            RequestRefused: it was refused, or the control process died or stayed silent.
-        """
-        request_id = next(self._ids)
-        future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
-        self._pending[request_id] = future
-        try:
-            async with asyncio.timeout(timeout_s):
-                while not self._send(make(request_id)) and not future.done():
-                    await asyncio.sleep(0.01)
-                reply = await future
-        except TimeoutError:
-            raise RequestRefused(
-                "NO_ANSWER", f"the control process did not answer within {timeout_s:g} s; see `armctl status`"
-            ) from None
-        finally:
-            del self._pending[request_id]
-        if reply.ok:
-            return reply
-        if reply.code == "ILLEGAL_TRANSITION":
-            raise IllegalTransition(reply.message)
-        raise RequestRefused(reply.code, reply.message)
-
-    def _send(self, command: Command) -> bool:
-        if self._control is None:
-            raise _restarting()
-        return self._control.link.send(command)
-
     # --------------------------------------------------------------------------------------------- leases
-
-    @contextmanager
-    def _commanding(self, client: Client, what: str) -> Iterator[_Lease]:
-        """Hold the lease for one request.
-
-        Raises:
-            RequestRefused: code BUSY, naming who commands.
-        """
-        self._refuse_if_busy(client, what)
-        before, lease = self._lease, _Lease(client, what)
-        self._lease = lease
-        try:
-            yield lease
-        finally:
-            if self._lease is lease:
-                self._lease = before
-
-    def _refuse_if_busy(self, client: Client, what: str) -> None:
-        lease = self._lease
-        if lease is None or (lease.client is client and lease.what == "teach" and what not in ("run", "teach_begin")):
-            return
-        who = "this client" if lease.client is client else f"client {lease.client.name}"
-        end = "end the teaching first" if lease.what == "teach" else "wait, or `armctl stop`"
-        raise RequestRefused("BUSY", f"{what}: {who} commands the arm now ({lease.what}); {end}")
-
-    def _teaching(self, client: Client) -> None:
-        if self._lease is None or self._lease.client is not client or self._lease.what != "teach":
-            raise IllegalTransition("this client is not teaching; teach_begin comes first")
 
     def client_gone(self, client: Client) -> None:
         """End what the client leaves behind, safely."""
-        lease = self._lease
+        lease = self._leases.current
         if lease is None or lease.client is not client:
             return
         lease.lost = True
-        if lease.what in ("run", "park"):
+        if lease.what in ("jog", "jogging"):
+            self._leases.current = None  # its heartbeats have ceased
+        elif lease.what in ("run", "move", "park", "reach", "transfer"):
             self.note(
                 {"event": "LEASE_LOST", "who": client.name, "text": f"the client left during its {lease.what}: hold"}
             )
             self._in_background(self.stop())
         elif lease.what == "teach":
-            self._lease = None
-            self._in_background(self._abandon_teaching(client))
+            self._leases.current = None
+            self._in_background(self.teaching.abandon(client))
 
     def _in_background(self, work: Any) -> None:
         task = asyncio.ensure_future(work)
@@ -277,10 +178,24 @@ class Host:
     # ------------------------------------------------------------------------------------------- requests
 
     async def stop(self) -> dict[str, Any]:
-        """Hold; returns when the arm is still. Open to every client; requests under way share one command."""
-        if self._hold is None or self._hold.done():
-            self._hold = asyncio.create_task(self._request(Hold))
-        await asyncio.shield(self._hold)
+        """Hold; returns when the arm is still. Open to every client.
+
+        Requests share one command while it is under way, and for half a period more where nothing else was asked since.
+        A motion that is still being checked does not begin any more.
+        """
+        if self._leases.current is not None:
+            self._leases.current.stopped = True
+        now_ns, asked = self._clock.now_ns(), self._exchange.asked
+        since_ns, asked_before = self._held_at
+        hold = self._hold
+        if (
+            hold is None
+            or asked != asked_before
+            or (hold.done() and (now_ns - since_ns > self._period_ns // 2 or hold.exception() is not None))
+        ):
+            hold = self._hold = asyncio.create_task(self._exchange.request(Hold))
+            self._held_at = now_ns, asked
+        await asyncio.shield(hold)
         return self._state()
 
     async def release(self, client: Client) -> dict[str, Any]:
@@ -294,81 +209,66 @@ class Host:
 
     async def park(self, client: Client) -> dict[str, Any]:
         """Go slowly to rest, limp once there; returns then. A client that leaves meanwhile stops the arm."""
-        with self._commanding(client, "park"):
-            await self._request(Park, PARK_S)
+        with self._leases.commanding(client, "park"):
+            await self._exchange.request(Park, PARK_S)
             return self._state()
 
+    async def pause(self) -> dict[str, Any]:
+        """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is."""
+        await self._exchange.request(Pause)
+        return self._state()
+
+    async def resume(self, client: Client) -> dict[str, Any]:
+        return await self._change_run(client, "resume", Resume)
+
+    async def rate(self, client: Client, rate: float) -> dict[str, Any]:
+        """Run at this many trajectory seconds a second."""
+        result = await self._change_run(client, "rate", partial(SetRate, rate=rate))
+        return {**result, "rate": rate}
+
+    async def _change_run(self, client: Client, what: str, make: Callable[[int], Command]) -> dict[str, Any]:
+        self._leases.refuse_others(client, what)
+        await self._exchange.request(make)
+        return self._state()
+
+    async def jog(
+        self, client: Client, joints_rad_s: tuple[float, ...], tool_m_s: tuple[float, ...], begin: bool
+    ) -> dict[str, Any]:
+        """One heartbeat of a jog; answered by the next tick, which is when the next one is due.
+
+        Raises:
+            RequestRefused: BUSY, a link would touch another, or the jog has ended.
+        """
+        with self._leases.commanding(client, "jog") as lease:
+            if begin:
+                q_now = self._commanded_joints("jog")
+            elif self._latest is None or self._latest.outputs.mode is not Mode.JOGGING:
+                raise IllegalTransition("the jog has ended; begin another one")
+            else:
+                q_now = self._goals(self._latest)
+            self._hold = None  # a stop from now on is a new one
+            if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
+                ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
+                refuse_collision(q_now, ahead, self.arm, self.robot)
+            await self._exchange.request(lambda request_id: Jog(request_id, joints_rad_s, tool_m_s, begin))
+        if not lease.lost and self._latest is not None and self._latest.outputs.mode is Mode.JOGGING:
+            self._leases.keep(client, "jogging")
+        return self._state()
+
     async def _command(self, client: Client, what: str, make: Callable[[int], Command]) -> dict[str, Any]:
-        with self._commanding(client, what):
-            await self._request(make)
+        with self._leases.commanding(client, what):
+            await self._exchange.request(make)
             return self._state()
 
     async def teach_begin(self, client: Client) -> dict[str, Any]:
         """Make the arm limp; the client keeps the lease until `teach_end`."""
-        with self._commanding(client, "teach_begin") as lease:
-            await self._request(Teach)
-            if lease.lost:
-                await self._request(TeachEnd)
-        if not lease.lost:
-            self._lease = _Lease(client, "teach")
+        await self.teaching.begin(client)
         return self._state()
-
-    async def take_begin(self, client: Client, name: str) -> dict[str, Any]:
-        """Start recording a take.
-
-        Raises:
-            LogError: the name is taken, or the file cannot be written.
-        """
-        self._teaching(client)
-        if self._take is not None:
-            raise IllegalTransition(f"take {self._take} is being recorded; take_end comes first")
-        path = await self._begin_take(name)
-        return {"recording": name, "path": str(path)}
-
-    async def take_end(self, client: Client) -> dict[str, Any]:
-        """Finish the take."""
-        self._teaching(client)
-        if self._take is None:
-            raise IllegalTransition("no take is being recorded; take_begin comes first")
-        name = self._take
-        path = await self._end_take()
-        return {"recording": name, "path": str(path)}
 
     async def teach_end(self, client: Client) -> dict[str, Any]:
         """Leave teach mode, keeping a take that is still open; the arm stays limp."""
-        self._teaching(client)
-        lease = self._lease
-        try:
-            await self._end_teaching()
-        finally:
-            if self._lease is lease:
-                self._lease = None
+        await self.teaching.end(client)
         return self._state()
-
-    async def _end_teaching(self) -> None:
-        await self._end_take()
-        # A fault, or a new control process, has ended the mode already.
-        if self._latest is not None and self._latest.outputs.mode is Mode.TEACHING:
-            await self._request(TeachEnd)
-
-    async def _abandon_teaching(self, client: Client) -> None:
-        take = await self._end_take()
-        if take is not None:
-            self.note({"event": "ORPHAN_TAKE", "who": client.name, "path": str(take)})
-        await self._end_teaching()
-
-    async def _begin_take(self, name: str) -> Path:
-        async with self._take_lock:  # whoever ends a take waits until it has begun
-            path = await asyncio.to_thread(self.recorder.begin_take, name)
-            self._take = name
-            return path
-
-    async def _end_take(self) -> Path | None:
-        async with self._take_lock:
-            try:
-                return await asyncio.to_thread(self.recorder.end_take)
-            finally:
-                self._take = None
 
     async def run(self, client: Client, plan: Plan) -> dict[str, Any]:
         """Pre-flight, slow approach, the plan itself; recorded, and compared with the line it was made for.
@@ -377,70 +277,109 @@ class Host:
             RequestRefused: pre-flight (every reason), BUSY, stopped or failed on the way.
             LogError: the recording cannot be made.
         """
-        with self._commanding(client, "run") as lease:
-            q_now = self._commanded_joints()
-            reasons = await asyncio.to_thread(preflight, plan, self.arm, self.robot, q_now)
-            if reasons:
-                raise RequestRefused("PREFLIGHT" if self._within_limits(plan) else "LIMIT", reasons)
-            trajectory = joint_trajectory(plan, self.arm, q_now, self.period_s)
-            name = _run_name(trajectory.label or f"via{plan.via}")
-            await self._begin_take(name)
+
+        def make(q_now: Sequence[float]) -> JointTrajectory:
+            if reasons := preflight(plan, self.arm, self.robot, q_now):
+                inside = all(within_limits(q, self.arm) for q in plan.waypoints_rad)
+                raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
+            return joint_trajectory(plan, self.arm, q_now, self.period_s)
+
+        name, [done] = await self.execute(client, "run", [lambda q_now, _: make(q_now)])
+        return {"recording": name, **line_result(plan, done.watch, self.robot)}
+
+    async def move(self, client: Client, target: Target, duration_s: float | None = None) -> dict[str, Any]:
+        """Go to a target, all joints arriving at once; recorded, and compared with the target.
+
+        Raises:
+            RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
+            LogError: the recording cannot be made.
+        """
+
+        def make(q_now: Sequence[float]) -> JointTrajectory:
+            return move_trajectory(target, q_now, self.arm, self.robot, self.period_s, duration_s)
+
+        name, [done] = await self.execute(client, "move", [lambda q_now, _: make(q_now)])
+        return {"recording": name, **move_result(done.watch, done.trajectory, self.robot)}
+
+    async def execute(
+        self, client: Client, what: str, legs: Sequence[Leg], note: dict[str, Any] | None = None
+    ) -> tuple[str, list[Done]]:
+        """Run one leg after the other, each made from where the arm is then; returns when it rests after the last.
+
+        Args:
+            note: Goes into the recording before the first leg.
+        Returns:
+            The one recording of them all, and what became of each.
+        Raises:
+            RequestRefused: a leg cannot be made (before the first one nothing has moved), or was stopped, or failed.
+            LogError: the recording cannot be made.
+        """
+        with self._leases.commanding(client, what) as lease:
+            trajectory = await self._made(legs[0], what)
+            name = run_name(trajectory.label)
+            await self._takes.begin(name)
+            done: list[Done] = []
             try:
-                if lease.lost:
-                    raise RequestRefused("LEASE_LOST", "the client left before its run began")
-                self._watch = watch = _Watch()
-                self._hold = None  # a stop from now on is a new one
-                try:
-                    await self._request(
-                        lambda request_id: Run(request_id, trajectory), trajectory.duration_s + PAUSES_S
-                    )
-                except RequestRefused as refusal:
-                    if refusal.code == "NO_ANSWER":
-                        self._in_background(self.stop())
-                    raise
-                end_ns = watch.time_ns[-1] + TAIL_NS
-                while watch.time_ns[-1] < end_ns:
-                    await self.tick()
+                if note is not None:
+                    self.note(note)
+                for leg in legs:
+                    if done:
+                        trajectory = await self._made(leg, what)
+                    when = "ended" if done else "began"
+                    if lease.lost:
+                        raise RequestRefused("LEASE_LOST", f"the client left before its {what} {when}")
+                    if lease.stopped:
+                        raise RequestRefused("STOPPED", f"the {what} was stopped before it {when}")
+                    self._watch = watch = Watch()
+                    self._hold = None  # a stop from now on is a new one
+                    reply = await self._run_to_its_end(trajectory)
+                    done.append(Done(trajectory, watch, reply))
+                    end_ns = watch.time_ns[-1] + TAIL_NS
+                    while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
+                        await self.tick()
             finally:
                 self._watch = None
-                await self._end_take()
-            return {"recording": name, **self._measured(plan, watch)}
+                await self._takes.end()
+            return name, done
 
-    def _commanded_joints(self) -> tuple[float, ...]:
-        """Where the servos are told to be now [rad], one a joint: their own goal registers."""
+    async def _made(self, leg: Leg, what: str) -> JointTrajectory:
+        q_now = self._commanded_joints(what)
+        assert self._latest is not None
+        q_measured = tuple(joint.position_rad for joint in self._latest.outputs.joints)
+        return await asyncio.to_thread(leg, q_now, q_measured)
+
+    async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
+        request = asyncio.ensure_future(self._exchange.request(lambda request_id: Run(request_id, trajectory), None))
+        try:
+            before = None
+            while not (await asyncio.wait({request}, timeout=STUCK_S))[0]:
+                outputs = None if self._latest is None else self._latest.outputs
+                here = None if outputs is None else outputs.progress
+                if here == before and (outputs is None or outputs.rate != 0.0):
+                    self._in_background(self.stop())
+                    raise RequestRefused(
+                        "NO_ANSWER", f"the motion made no progress for {STUCK_S:g} s; see `armctl status`"
+                    )
+                before = here
+            return request.result()
+        finally:
+            request.cancel()
+
+    def _commanded_joints(self, what: str) -> tuple[float, ...]:
+        """Where the servos of a holding arm are told to be now [rad], one a joint."""
         latest = self._latest
-        if self._control is None or latest is None:
-            raise _restarting()
+        if self._exchange.control is None or latest is None:
+            raise restarting()
         if (mode := latest.outputs.mode) is not Mode.HOLDING:
-            raise IllegalTransition(f"run: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")
+            raise IllegalTransition(f"{what}: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")
+        return self._goals(latest)
+
+    def _goals(self, record: TickRecord) -> tuple[float, ...]:
+        """The servos' own goal registers [rad]."""
         return tuple(
             joint.position_rad(ax12a.register_value(ax12a.GOAL, reading.registers))
-            for joint, reading in zip(self.arm.joints, latest.inputs.sample.servos, strict=True)
+            for joint, reading in zip(self.arm.joints, record.inputs.sample.servos, strict=True)
         )
-
-    def _within_limits(self, plan: Plan) -> bool:
-        low, high = np.array([joint.limits_rad for joint in self.arm.joints]).T
-        q = np.array(plan.waypoints_rad)
-        return q.shape[1] == len(low) and bool(((low <= q) & (q <= high)).all())
-
-    def _measured(self, plan: Plan, watch: _Watch) -> dict[str, Any]:
-        """The executed path against the plan's line (Raharjo et al. eqs. 19, 20)."""
-        if len(watch.marks_ns) < 2:
-            raise RequestRefused("RECORDS_LOST", "the run ended, but its beginning or end was lost; see its recording")
-        begin_ns, end_ns = watch.marks_ns["PLAN_BEGIN"], watch.marks_ns["PLAN_END"]
-        time_ns = np.array(watch.time_ns)
-        q = np.array(watch.positions_rad)[(begin_ns <= time_ns) & (time_ns <= end_ns), : self.robot.chain.n]
-        points = tool_position(self.robot.chain, q)
-        line = np.asarray(plan.from_m), np.asarray(plan.to_m)
-        return {
-            "mean_error_mm": 1e3 * float(mean_error(points, *line)),
-            "max_error_mm": 1e3 * float(max_error(points, *line)),
-            "duration_s": (end_ns - begin_ns) / NS_PER_S,
-            "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-            "predicted_max_error_mm": plan.predicted_max_error_mm,
-            "begin_ns": begin_ns,
-            "end_ns": end_ns,
-        }
 
     # --------------------------------------------------------------------------------------------- status
 
@@ -448,7 +387,7 @@ class Host:
         return {"state": self._state_name()}
 
     def _state_name(self) -> str:
-        if self._latest is None or self._control is None:
+        if self._latest is None or self._exchange.control is None:
             return "restarting" if self._lost_ns is not None else "starting"
         return self._latest.outputs.mode.value
 
@@ -456,65 +395,27 @@ class Host:
         """Where the log goes, why it does not, and how many ticks the host was too slow for."""
         recorder = self.recorder
         path = None if recorder.log_path is None else str(recorder.log_path)
-        return {"path": path, "problem": recorder.problem, "dropped": self._dropped}
+        return {
+            "path": path,
+            "problem": recorder.problem,
+            "dropped": self._statistics.dropped,
+            "recorder_dropped": recorder.dropped_records,
+        }
 
     def status(self) -> dict[str, Any]:
         """The snapshot every client sees, as of now."""
         now_ns = self._clock.now_ns()
-        latest = self._latest
-        age_s = None if latest is None else max(0, now_ns - latest.inputs.now_ns) / NS_PER_S
-        states = (None,) * len(self.arm.joints) if latest is None else latest.outputs.joints
-        tool = None if latest is None else latest.outputs.tool
+        commander, control = self._leases.current, self._exchange.control
         return {
             "state": self._state_name(),
-            "fault": self._fault(now_ns),
-            "tick": None if latest is None else latest.inputs.tick,
-            "age_s": age_s,
+            "fault": fault_snapshot(self._latest, self._lost_ns, now_ns),
             "period_s": self.period_s,
-            "joints": [
-                {"name": joint.name, "servo_id": joint.servo_id, **_joint(state, age_s)}
-                for joint, state in zip(self.arm.joints, states, strict=True)
-            ],
-            "tool": None if tool is None else _tool(tool),
-            "cycle": self._cycle(),
-            "recording": self._take,
-            "progress": None if latest is None else latest.outputs.progress,
-            "commander": None if self._lease is None else f"{self._lease.client.name}: {self._lease.what}",
+            **arm_snapshot(self.arm, self._latest, self._statistics, now_ns),
+            "recording": self._takes.name,
+            "commander": None if commander is None else f"{commander.client.name}: {commander.what}",
             "log": self.log(),
             "arm_id": self.arm.arm_id,
-            "pids": {"daemon": os.getpid(), "control": None if self._control is None else self._control.pid},
-        }
-
-    def _fault(self, now_ns: int) -> dict[str, Any] | None:
-        if self._lost_ns is not None:
-            fault = Fault("RESTARTED", "the control process died; a new one is being started", self._lost_ns)
-            arm, following = (
-                "still; every servo keeps its last goal with the torque it has",
-                "wait a second, then type `armctl status`",
-            )
-        elif self._latest is None or self._latest.outputs.fault is None:
-            return None
-        else:
-            fault = self._latest.outputs.fault
-            arm, following = card(fault, self._latest.outputs.mode)
-        return {
-            "code": fault.code,
-            "servo_id": fault.servo_id,
-            "since_s": max(0, now_ns - fault.since_ns) / NS_PER_S,
-            "arm": arm,
-            "next": following,
-            "text": fault.text,
-        }
-
-    def _cycle(self) -> dict[str, int]:
-        """Bus and timing figures of the last minute (at 10 Hz)."""
-        bus_us, lateness_us, retries = zip(*self._statistics, strict=True) if self._statistics else ((0,),) * 3
-        return {
-            "bus_us_p50": _percentile(bus_us, 50),
-            "bus_us_p99": _percentile(bus_us, 99),
-            "lateness_us_p99": _percentile(lateness_us, 99),
-            "overruns": sum(late > OVERRUN_NS // 1000 for late in lateness_us),
-            "retries": sum(retries),
+            "pids": {"daemon": os.getpid(), "control": None if control is None else control.pid},
         }
 
 
@@ -522,44 +423,8 @@ _TO_HOLD = {
     Mode.OFF: "`armctl torque on` first",
     Mode.ENERGISING: "wait until torque is on",
     Mode.MOVING: "wait, or `armctl stop`",
+    Mode.JOGGING: "end the jog, or `armctl stop`",
     Mode.PARKING: "wait, or `armctl stop`",
     Mode.TEACHING: "end the teaching first",
     Mode.FAULTED: "see `armctl status`, then `armctl clear`",
 }
-
-
-def _restarting() -> RequestRefused:
-    return RequestRefused(
-        "RESTARTED", "the control process died and is being started again; the arm keeps its last goal; try again"
-    )
-
-
-def _run_name(label: str) -> str:
-    """A recording's name: what ran, and when."""
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%f")[:-3]
-    return f"run-{re.sub('[^A-Za-z0-9._-]', '-', label)[:32]}-{stamp}Z"
-
-
-def _joint(state: JointState | None, tick_age_s: float | None) -> dict[str, Any]:
-    if state is None or tick_age_s is None or not state.known:
-        return dict.fromkeys(
-            ("position_rad", "velocity_rad_s", "load_ratio", "voltage_V", "temperature_degC", "torque_enabled", "age_s")
-        )
-    return {
-        "position_rad": state.position_rad,
-        "velocity_rad_s": state.velocity_rad_s,
-        "load_ratio": state.load_ratio,
-        "voltage_V": state.voltage_V,
-        "temperature_degC": state.temperature_degC,
-        "torque_enabled": state.torque_enabled,
-        "age_s": state.age_s + tick_age_s,
-    }
-
-
-def _tool(pose: ToolPose) -> dict[str, Any]:
-    rpy = rpy_from_matrix(matrix_from_quaternion(pose.quaternion))
-    return {"position_m": list(pose.position_m), "rpy_rad": list(rpy)}
-
-
-def _percentile(values: tuple[int, ...], percent: int) -> int:
-    return sorted(values)[(len(values) - 1) * percent // 100]

@@ -2,7 +2,8 @@
 
 Rules.
 1. A line is at most 64 KiB of UTF-8 and holds one request object; batches are refused.
-2. Numbers are finite (`NaN`, `Infinity` and 1e999 are refused), a key stands once, nesting is at most 16 deep.
+2. Numbers are finite (`NaN`, `Infinity` and 1e999 are refused), a key stands once, nesting is at most 16 deep, and a
+   text is one that can be written: no half of a surrogate pair.
 3. A request without `id` is a notification: it is carried out and not answered.
 4. Failures of the protocol have the standard's codes; failures of armctl are -32000. Both carry in `data` what
    a client needs to raise the same error: `code`, `reasons`, `exit_status`, and `type` and `fields` of the class.
@@ -54,7 +55,7 @@ def decode(line: bytes) -> Request:
     Raises:
         ProtocolError: it is not strict JSON, or not a request.
     """
-    message = _parse(line)
+    message = strict_json(line)
     if not isinstance(message, dict):
         what = "a batch" if isinstance(message, list) else f"a {type(message).__name__}"
         raise ProtocolError(INVALID_REQUEST, f"a line holds one request object, not {what}")
@@ -78,7 +79,12 @@ def decode(line: bytes) -> Request:
     return Request(method, params, request_id, "id" in message)
 
 
-def _parse(line: bytes) -> object:
+def strict_json(line: bytes) -> object:
+    """The value in a text of JSON, by rules 1 and 2.
+
+    Raises:
+        ProtocolError: it breaks them.
+    """
     if len(line) > MAX_LINE_BYTES:
         raise ProtocolError(PARSE_ERROR, f"the line is {len(line)} bytes long; {MAX_LINE_BYTES} are allowed")
     try:
@@ -93,6 +99,11 @@ def _parse(line: bytes) -> object:
         raise ProtocolError(PARSE_ERROR, f"not strict JSON: {text[:200]}") from None
     if _deeper_than(message, MAX_DEPTH):
         raise ProtocolError(PARSE_ERROR, f"not strict JSON: nested more than {MAX_DEPTH} deep")
+    if b"\\u" in line:
+        try:
+            json.dumps(message, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ProtocolError(PARSE_ERROR, "not strict JSON: half of a surrogate pair in a text") from None
     return message
 
 

@@ -15,7 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, field_validator,
 
 from armctl.api.host import Host
 from armctl.api.jsonrpc import error_data
+from armctl.api.motions import Target
+from armctl.api.reach import Wanted, reach
 from armctl.api.server import Connection, Method
+from armctl.api.transfer import transfer
 from armctl.config import Name
 from armctl.errors import ArmctlError, ConfigError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT, Settings
@@ -23,10 +26,16 @@ from armctl.jobs import OptimizeRequest, Progress
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.recording import recordings
+from armctl.recording.channels import COMMAND
+from armctl.recording.reader import read
 from armctl.recording.recordings import Recording
+from armctl.trajectory import grasp
+from armctl.trajectory.dead_time import moving_part
 from armctl.trajectory.interpolate import Interpolation
+from armctl.trajectory.placement import Objective
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import max_error, mean_error
+from armctl.trajectory.transfer import Cycle
 
 Handler = Callable[[Connection, Any], Awaitable[dict[str, Any]]]
 RunOptimisation = Callable[[OptimizeRequest, Progress], Awaitable[dict[str, Any]]]
@@ -85,6 +94,9 @@ class Optimize(_Parameters):
     duration_s: float = Field(5.0, gt=0.0, le=600.0)
     seed: int = Field(0, ge=0, lt=2**63)
     interpolation: Interpolation = "cubic"
+    objective: Objective = "mean"
+    free: bool = True
+    """Whether genes may leave the recordings, and via points the path that was found."""
     settings: Settings = DEFAULT
     """Those of the genetic algorithm that differ from its defaults."""
 
@@ -105,6 +117,66 @@ class Optimize(_Parameters):
 
 class RunPlan(_Parameters):
     plan: Plan
+
+
+Angle = Annotated[float, Field(ge=-10.0, le=10.0)]
+Metre = Annotated[float, Field(ge=-10.0, le=10.0)]
+Joints = Annotated[tuple[Angle, ...], Field(min_length=1, max_length=32, strict=False)]
+
+
+class Move(_Parameters):
+    """Where to go: just one of `joints_rad`, `point_m` and `pose`."""
+
+    joints_rad: Joints | None = None
+    point_m: Point | None = None
+    pose: Annotated[tuple[Metre, Metre, Metre, Angle, Angle, Angle], Field(strict=False)] | None = None
+    """x, y, z [m], roll, pitch, yaw [rad]."""
+    duration_s: float | None = Field(None, gt=0.0, le=600.0)
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Move:
+        if sum(target is not None for target in (self.joints_rad, self.point_m, self.pose)) != 1:
+            raise ValueError("joints_rad, point_m, pose: give just one of them")
+        return self
+
+    def target(self) -> Target:
+        return Target(self.joints_rad, self.point_m, self.pose)
+
+
+class Reach(_Parameters):
+    """A point to reach for, and what the gripper does there."""
+
+    point_m: Point
+    gripper: Literal["stay", "grip", "let_go"] = "stay"
+    ik: grasp.Method = "closed"
+    seed: int = Field(0, ge=0, lt=2**31)
+    off_m: float = Field(0.05, ge=0.005, le=0.3)
+    """Length of the straight line that leads to the point."""
+    along: grasp.Along = "above"
+
+
+class Transfer(_Parameters):
+    """A pick-and-transfer cycle between two stations."""
+
+    pick_m: Point
+    place_m: Point
+    height_m: float = Field(0.06, ge=0.005, le=0.5)
+    lift_s: float = Field(2.0, gt=0.0, le=60.0)
+    carry_s: float = Field(4.0, gt=0.0, le=60.0)
+    dwell_s: float = Field(0.5, ge=0.0, le=60.0)
+    cycles: int = Field(1, ge=1, le=20)
+
+
+class Rate(_Parameters):
+    rate: float = Field(ge=0.1, le=1.0)
+
+
+class JogBeat(_Parameters):
+    """The velocity wanted until the next heartbeat: of the joints or of the tool."""
+
+    joints_rad_s: Annotated[tuple[Angle, ...], Field(max_length=32, strict=False)] = ()
+    tool_m_s: Annotated[tuple[Metre, ...], Field(max_length=3, strict=False)] = ()
+    begin: bool = False
 
 
 class Methods:
@@ -131,10 +203,19 @@ class Methods:
             "park": commanded("park", Nothing, lambda client, _: host.park(client)),
             "clear": commanded("clear", Nothing, lambda client, _: host.clear(client)),
             "teach_begin": commanded("teach_begin", Nothing, lambda client, _: host.teach_begin(client)),
-            "take_begin": commanded("take_begin", Named, lambda client, p: host.take_begin(client, p.name)),
-            "take_end": commanded("take_end", Nothing, lambda client, _: host.take_end(client)),
+            "take_begin": commanded("take_begin", Named, lambda client, p: host.teaching.take_begin(client, p.name)),
+            "take_mark": commanded("take_mark", Nothing, lambda client, _: host.teaching.take_mark(client)),
+            "take_end": commanded("take_end", Nothing, lambda client, _: host.teaching.take_end(client)),
             "teach_end": commanded("teach_end", Nothing, lambda client, _: host.teach_end(client)),
             "run": commanded("run", RunPlan, lambda client, p: host.run(client, p.plan)),
+            "move": commanded("move", Move, lambda client, p: host.move(client, p.target(), p.duration_s)),
+            "reach": commanded("reach", Reach, lambda client, p: reach(host, client, Wanted(**dict(p)))),
+            "transfer": commanded("transfer", Transfer, lambda client, p: transfer(host, client, Cycle(**dict(p)))),
+            "pause": commanded("pause", Nothing, lambda _, __: host.pause(), always=True),
+            "resume": commanded("resume", Nothing, lambda client, _: host.resume(client)),
+            "rate": commanded("rate", Rate, lambda client, p: host.rate(client, p.rate)),
+            # Its heartbeats are logged as commands of the control step; here they would only repeat that.
+            "jog": Method(JogBeat, lambda client, p: host.jog(client, p.joints_rad_s, p.tool_m_s, p.begin)),
             "recordings_list": Method(Nothing, self._recordings_list),
             "recordings_show": Method(Show, self._recordings_show),
             "recordings_rename": commanded("recordings_rename", Rename, self._recordings_rename),
@@ -190,6 +271,8 @@ class Methods:
             seed=p.seed,
             settings=p.settings,
             interpolation=p.interpolation,
+            objective=p.objective,
+            free=p.free,
         )
 
         def progress(generation: int, best: float, mean: float) -> None:
@@ -217,7 +300,9 @@ class Methods:
     async def _recordings_show(self, _: Connection, p: Show) -> dict[str, Any]:
         robot = self._host.robot
         line = None if p.from_m is None or p.to_m is None else (p.from_m, p.to_m)
-        return await asyncio.to_thread(lambda: describe(recordings.load(self._path(p.name)), robot, line))
+        return await asyncio.to_thread(
+            lambda: describe(recordings.load(self._path(p.name)), robot, line, with_marks=True)
+        )
 
     async def _recordings_rename(self, _: Connection, p: Rename) -> dict[str, Any]:
         path = await asyncio.to_thread(recordings.rename, self._recordings_dir, p.name, p.to)
@@ -229,15 +314,23 @@ class Methods:
 
 
 def describe(
-    recording: Recording, robot: Robot, line: tuple[Sequence[float], Sequence[float]] | None = None
+    recording: Recording,
+    robot: Robot,
+    line: tuple[Sequence[float], Sequence[float]] | None = None,
+    *,
+    with_marks: bool = False,
 ) -> dict[str, Any]:
-    """A recording as lists show it. Of a run only the plan proper counts.
+    """A recording as lists show it. Of a run only the plan proper counts, of a take not its dead time at both ends.
 
     Args:
         line: What its errors are measured against [m]; None: from its first to its last tool point. They are null
             where these make no line.
+        with_marks: Whether to look for marked via points as well, which reads the file once more.
     """
-    points = tool_position(robot.chain, recording.plan_positions_rad[:, : robot.chain.n])
+    positions = recording.plan_positions_rad
+    moving = moving_part(positions) if recording.plan_s is None else slice(0, len(positions))
+    points = tool_position(robot.chain, positions[moving, : robot.chain.n])
+    marks = via_marks(recording.path) if with_marks else None
     A, B = (np.asarray(end) for end in line or (points[0], points[-1]))
     errors = None if np.array_equal(A, B) else (float(mean_error(points, A, B)), float(max_error(points, A, B)))
     return {
@@ -250,4 +343,16 @@ def describe(
         "arm_id": recording.arm_id,
         "calibration_hash": recording.calibration_hash,
         "complete": recording.complete,
+        "dead_samples": [moving.start, len(positions) - moving.stop],
+        **({} if marks is None else {"marks": marks}),
     }
+
+
+def via_marks(path: Path) -> list[dict[str, Any]]:
+    """The via points that were marked while a take was recorded."""
+    notes = (json.loads(message.value["data"]) for message in read(path, (COMMAND,)))
+    return [
+        {key: note[key] for key in ("tick", "position_m", "joints_rad")}
+        for note in notes
+        if note.get("event") == "VIA_MARK"
+    ]

@@ -44,7 +44,8 @@ class Connection:
     """One client: who it is, and what is to be sent to it."""
 
     def __init__(self, writer: asyncio.StreamWriter, bucket: TokenBucket, stall_s: float) -> None:
-        self.name = _peer_name(writer.get_extra_info("socket"))
+        pid, self.uid = _peer(writer.get_extra_info("socket"))
+        self.name = f"pid {pid} (uid {self.uid})"
         self.bucket = bucket
         self.subscribed = False
         self.requests: set[asyncio.Task[None]] = set()
@@ -120,10 +121,11 @@ class Connection:
         return None
 
 
-def _peer_name(peer: socket.socket) -> str:
+def _peer(peer: socket.socket) -> tuple[int, int]:
+    """Process and user at the other end."""
     size = struct.calcsize("3i")
     pid, uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
-    return f"pid {pid} (uid {uid})"
+    return pid, uid
 
 
 @dataclass(frozen=True)
@@ -151,11 +153,18 @@ class Server:
         self._on_close = on_close
         self._stall_s = stall_s
         self._connections: dict[Connection, asyncio.Task[None]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
 
     async def start(self, listening: socket.socket) -> None:
         """Accept connections on a bound socket."""
-        self._server = await asyncio.start_unix_server(self._connected, sock=listening, limit=jsonrpc.MAX_LINE_BYTES)
+        self._server = await asyncio.start_unix_server(self._accept, sock=listening, limit=jsonrpc.MAX_LINE_BYTES)
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # A task of asyncio's own would leave a traceback in the log where `close` has to cancel it.
+        task = asyncio.create_task(self._connected(reader, writer))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def close(self) -> None:
         """Send what is still due, briefly, and close every connection."""

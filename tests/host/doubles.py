@@ -42,6 +42,14 @@ class IdealControl:
         self._theirs.send(Ready(self.pid))
         return self
 
+    def connect_again(self) -> None:
+        """The next tick is the first of a new process."""
+        self._connect = (Connected(restarted=True),)
+
+    def take(self) -> list[Command]:
+        """Commands that wait in the link; no tick will see them."""
+        return cast("list[Command]", self._theirs.receive())
+
     def say(self, message: object) -> None:
         self._theirs.send(message)
 
@@ -105,6 +113,7 @@ class MemoryRecorder:
     folder: Path = Path("/recordings")
     log_path: Path | None = Path("/logs/log.mcap")
     problem: str = ""
+    dropped_records: int = 0
     records: list[TickRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     takes: dict[str, int] = field(default_factory=dict)
@@ -146,6 +155,7 @@ class NamedClient:
     """A client as the host knows it."""
 
     name: str
+    uid: int = 1000
 
 
 def write_take(path: Path, samples: FloatArray, arm: ArmConfig) -> None:

@@ -19,13 +19,13 @@ from typing import Any, TypeVar
 
 import pytest
 
-from armctl import daemon
+from armctl import daemon, service_manager
 from armctl.client import Client
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import Config, load_arm
 from armctl.control.link import StartFailed
 from armctl.control.process import ControlSettings
-from armctl.daemon import MAX_DEATHS, PATIENT_WAIT_S, listen, notify_service, restart_wait_s, run_daemon
+from armctl.daemon import MAX_DEATHS, PATIENT_WAIT_S, listen, restart_wait_s, run_daemon
 from armctl.errors import ArmctlError, BusError, ConfigError, NoDaemon, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.messages import Hold, Mode
 from armctl.recording.writer import LogContext
@@ -183,7 +183,8 @@ def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group() -> N
                 status = await b.call(client, "status")
                 assert status["state"] == "off"
                 assert status["pids"] == {"daemon": os.getpid(), "control": 4242}
-                assert (await b.call(client, "log")) == {"path": "/logs/log.mcap", "problem": "", "dropped": 0}
+                log = await b.call(client, "log")
+                assert log == {"path": "/logs/log.mcap", "problem": "", "dropped": 0, "recorder_dropped": 0}
 
     on_loop(test)
 
@@ -453,20 +454,20 @@ def test_the_service_manager_is_told(abstract: bool, tmp_path: Path, monkeypatch
         manager.bind("\0" + address[1:] if abstract else address)
         manager.settimeout(PATIENCE_S)
         monkeypatch.setenv("NOTIFY_SOCKET", address)
-        notify_service("READY=1")
+        service_manager.notify("READY=1")
         assert manager.recv(100) == b"READY=1"
 
 
 def test_without_a_service_manager_nothing_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    notify_service("READY=1")
+    service_manager.notify("READY=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
-    notify_service("READY=1")
+    service_manager.notify("READY=1")
 
 
 def test_the_daemon_tells_ready_watchdog_and_stopping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
-    monkeypatch.setattr(daemon, "notify_service", told.append)
+    monkeypatch.setattr(service_manager, "notify", told.append)
 
     async def test() -> None:
         async with running():

@@ -13,15 +13,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armctl.api import exchange
 from armctl.api import host as host_module
 from armctl.api.host import Host
+from armctl.api.motions import Target
 from armctl.clock import VirtualClock
 from armctl.control.link import Link
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, LogError, RequestRefused
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import rpy_from_matrix
-from armctl.messages import Hold, Mode, Run, TeachEnd, TickRecord
+from armctl.messages import Hold, Mode, Reply, Run, TeachEnd, TickRecord
 from armctl.trajectory.plan import Plan
 from tests.control.ideal_arm import PERIOD_S, IdealArm
 from tests.host.doubles import IdealControl, InlineExecutor, MemoryRecorder, NamedClient, small_plan
@@ -57,6 +59,16 @@ class Bench:
         await asyncio.sleep(0)
         await self.until(task.done)
         return task.result()
+
+    async def beat(self, client: NamedClient, *, begin: bool = False, **velocity: tuple[float, ...]) -> dict[str, Any]:
+        """One heartbeat of a jog and the tick that answers it, and no tick more."""
+        turn, lead = velocity.get("turn", ()), velocity.get("lead", ())
+        task = asyncio.ensure_future(self.host.jog(client, turn, lead, begin))
+        for _ in range(5):
+            await asyncio.sleep(0)
+        if not task.done():
+            self.tick()
+        return await task
 
     async def refused(self, work: Awaitable[dict[str, Any]]) -> RequestRefused:
         with pytest.raises(RequestRefused) as caught:
@@ -155,7 +167,7 @@ async def test_clear_without_a_fault_is_done(bench: Bench) -> None:
 async def test_an_unanswered_request_fails_in_bounded_time(bench: Bench) -> None:
     bench.tick()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(host_module.Host._request, "__defaults__", (0.01,))
+        patch.setattr(exchange.Exchange.request, "__defaults__", (0.01,))
         with pytest.raises(RequestRefused) as caught:
             await bench.host.clear(bench.anna)
     assert caught.value.code == "NO_ANSWER"
@@ -224,6 +236,75 @@ async def test_many_stops_at_once_are_one_command(bench: Bench) -> None:
     assert stops.result() == [{"state": "holding"}] * 500
     assert sum(isinstance(command, Hold) for command in bench.control.commands) == 1
     assert (await bench.refused(task)).code == "STOPPED"
+
+
+def holds(bench: Bench) -> list[Hold]:
+    """Those the control process has got, served by a tick or not."""
+    bench.control.commands += bench.control.take()
+    return [command for command in bench.control.commands if isinstance(command, Hold)]
+
+
+async def stopped_at_rest(bench: Bench) -> None:
+    """A stop, answered by the control process as soon as it gets it, if it gets any."""
+    stop = asyncio.ensure_future(bench.host.stop())
+    before = len(holds(bench))
+    for _ in range(5):
+        await asyncio.sleep(0)
+    for hold in holds(bench)[before:]:
+        bench.host.answer(Reply(hold.request_id, True))
+    await stop
+
+
+@on_bench
+async def test_a_stop_of_an_arm_at_rest_waits_for_no_tick(bench: Bench) -> None:
+    await bench.holding()
+    await stopped_at_rest(bench)
+    assert len(holds(bench)) == 1
+
+
+@on_bench
+async def test_stops_close_behind_one_another_are_one_command(bench: Bench) -> None:
+    await bench.holding()
+    for _ in range(100):
+        await stopped_at_rest(bench)
+    assert len(holds(bench)) == 1
+    bench.clock.advance_ns(60_000_000)
+    await stopped_at_rest(bench)
+    assert len(holds(bench)) == 2
+
+
+@on_bench
+async def test_a_stop_after_anything_else_was_asked_is_a_command_of_its_own(bench: Bench) -> None:
+    await bench.holding()
+    await stopped_at_rest(bench)
+    park = asyncio.ensure_future(bench.host.park(bench.anna))
+    await asyncio.sleep(0)
+    await stopped_at_rest(bench)
+    assert len(holds(bench)) == 2
+    park.cancel()
+
+
+@on_bench
+async def test_a_stop_that_found_no_control_process_is_asked_again(bench: Bench) -> None:
+    await bench.holding()
+    control, bench.host._exchange.control = bench.host._exchange.control, None
+    with pytest.raises(RequestRefused, match="started again"):
+        await bench.host.stop()
+    bench.host._exchange.control = control
+    await stopped_at_rest(bench)
+    assert len(holds(bench)) == 1
+
+
+@on_bench
+async def test_a_run_that_is_stopped_while_it_is_being_checked_does_not_begin(bench: Bench) -> None:
+    await bench.holding()
+    stops: list[asyncio.Task[dict[str, Any]]] = []
+    bench.recorder.on_begin = lambda: stops.append(asyncio.ensure_future(bench.host.stop()))
+    error = await bench.refused(bench.host.run(bench.anna, bench.plan()))
+    assert error.code == "STOPPED"
+    await bench.until(stops[0].done)
+    assert stops[0].result() == {"state": "holding"}
+    assert not any(isinstance(command, Run) for command in bench.control.commands)
 
 
 @on_bench
@@ -348,11 +429,173 @@ async def test_a_run_whose_marks_were_lost_is_not_given_a_figure(bench: Bench) -
 async def test_a_run_that_does_not_end_is_stopped(bench: Bench) -> None:
     await bench.holding()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(host_module, "PAUSES_S", -1e6)
+        patch.setattr(host_module, "STUCK_S", -1e6)
         with pytest.raises(RequestRefused) as caught:
             await bench.host.run(bench.anna, bench.plan())
     assert caught.value.code == "NO_ANSWER"
     await bench.until(lambda: any(isinstance(command, Hold) for command in bench.control.commands))
+
+
+# ---------------------------------------------------------------------------------------------------- move
+
+
+@on_bench
+async def test_a_move_to_joints_is_recorded_and_measured(bench: Bench) -> None:
+    await bench.holding()
+    goal = tuple(q - 0.3 * (i == 1) for i, q in enumerate(bench.arm.positions_rad()))
+    result = await bench.served(bench.host.move(bench.anna, Target(joints_rad=goal)))
+    assert list(bench.recorder.takes) == [result["recording"]]
+    assert result["recording"].startswith("run-move-")
+    assert 0.0 <= result["position_error_mm"] < 2.0
+    assert bench.arm.positions_rad() == pytest.approx(goal, abs=ax12a.TICK_RAD)
+    assert result["target_rad"] == pytest.approx(goal)
+    assert result["position_m"] == pytest.approx(
+        tool_position(bench.arm.robot.chain, np.array(bench.arm.positions_rad()[:5])).tolist()
+    )
+
+
+@on_bench
+async def test_a_move_to_a_point_takes_the_tool_there(bench: Bench) -> None:
+    await bench.holding()
+    point = (0.15, 0.05, 0.2)
+    result = await bench.served(bench.host.move(bench.anna, Target(point_m=point)))
+    assert result["position_m"] == pytest.approx(point, abs=0.004)
+    assert math.dist(result["position_m"], point) == pytest.approx(result["position_error_mm"] / 1e3, abs=1e-5)
+
+
+@on_bench
+async def test_a_point_out_of_reach_is_refused_with_the_nearest_distance(bench: Bench) -> None:
+    await bench.holding()
+    error = await bench.refused(bench.host.move(bench.anna, Target(point_m=(0.9, 0.0, 0.2))))
+    assert error.code == "UNREACHABLE"
+    assert "no nearer than" in str(error)
+    assert not bench.recorder.takes
+
+
+@on_bench
+async def test_a_move_is_refused_with_every_reason_before_it_starts(bench: Bench) -> None:
+    await bench.holding()
+    here = bench.arm.positions_rad()
+    fast = Target(joints_rad=(here[0] + 1.0, here[1] - 1.0, *here[2:]))
+    error = await bench.refused(bench.host.move(bench.anna, fast, 0.3))
+    assert error.code == "PREFLIGHT"
+    assert len(error.reasons) > 2
+    far = await bench.refused(bench.host.move(bench.anna, Target(joints_rad=(2.6, *here[1:]))))
+    assert far.code == "LIMIT"
+    assert (await bench.refused(bench.host.move(bench.anna, Target(joints_rad=here[:5])))).code == "LIMIT"
+    assert not any(isinstance(command, Run) for command in bench.control.commands)
+
+
+@on_bench
+async def test_a_client_that_leaves_during_its_move_stops_the_arm(bench: Bench) -> None:
+    await bench.holding()
+    goal = tuple(q - 0.3 * (i == 1) for i, q in enumerate(bench.arm.positions_rad()))
+    task = asyncio.ensure_future(bench.host.move(bench.anna, Target(joints_rad=goal)))
+    await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
+    bench.host.client_gone(bench.anna)
+    assert (await bench.refused(task)).code == "STOPPED"
+
+
+# --------------------------------------------------------------------------------------- pause, resume, rate
+
+
+@on_bench
+async def test_anyone_may_pause_a_run_and_its_own_user_goes_on(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    host = bench.host
+    other, same = NamedClient("carl", uid=1001), NamedClient("anna's other terminal")
+    assert await bench.served(host.pause()) == {"state": "moving"}
+    for _ in range(20):
+        bench.tick()
+    before = host.status()
+    assert before["rate"] == 0.0
+    bench.tick()
+    assert host.status()["progress"] == before["progress"]
+    assert (await bench.refused(host.resume(other))).code == "BUSY"
+    assert (await bench.refused(host.rate(other, 0.5))).code == "BUSY"
+    assert await bench.served(host.rate(same, 0.5)) == {"state": "moving", "rate": 0.5}
+    assert await bench.served(host.resume(same)) == {"state": "moving"}
+    assert host.status()["rate"] == 0.5
+    assert (await bench.served(task))["recording"]
+
+
+@on_bench
+async def test_a_paused_run_waits_as_long_as_it_takes(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    await bench.served(bench.host.pause())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(host_module, "STUCK_S", 0.0)
+        for _ in range(50):
+            bench.tick()
+            await asyncio.sleep(0)
+        assert not task.done()
+    await bench.served(bench.host.resume(bench.anna))
+    assert (await bench.served(task))["recording"]
+
+
+# ----------------------------------------------------------------------------------------------------- jog
+
+UP = (0.0, 0.0, 0.05)
+TURN = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@on_bench
+async def test_a_jog_is_one_client_s_until_it_ends(bench: Bench) -> None:
+    await bench.holding()
+    host, anna, ben = bench.host, bench.anna, bench.ben
+    assert await bench.beat(anna, turn=TURN, begin=True) == {"state": "jogging"}
+    assert host.status()["commander"] == "anna: jogging"
+    for work in (bench.beat(ben, turn=TURN), host.run(ben, bench.plan()), host.run(anna, bench.plan())):
+        with pytest.raises(RequestRefused) as caught:
+            await work
+        assert caught.value.code == "BUSY"
+    assert await bench.beat(anna, turn=TURN) == {"state": "jogging"}
+    for _ in range(7):
+        bench.tick()
+    assert (host.status()["state"], host.status()["commander"]) == ("holding", None)
+    with pytest.raises(IllegalTransition, match="begin another"):
+        await bench.beat(anna, turn=TURN)
+    assert await bench.beat(ben, turn=TURN, begin=True) == {"state": "jogging"}
+
+
+@on_bench
+async def test_anyone_may_stop_a_jog_and_it_does_not_go_on(bench: Bench) -> None:
+    await bench.holding()
+    await bench.beat(bench.anna, lead=UP, begin=True)
+    assert await bench.served(bench.host.stop()) == {"state": "holding"}
+    with pytest.raises(IllegalTransition, match="begin another"):
+        await bench.beat(bench.anna, lead=UP)
+
+
+@on_bench
+async def test_a_client_that_leaves_during_its_jog_leaves_a_holding_arm(bench: Bench) -> None:
+    await bench.holding()
+    await bench.beat(bench.anna, lead=UP, begin=True)
+    bench.host.client_gone(bench.anna)
+    assert bench.host.status()["commander"] is None
+    goals = len(bench.arm.goals)
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    assert len(bench.arm.goals) == goals
+
+
+@on_bench
+async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -> None:
+    await bench.holding()
+
+    async def fold() -> None:
+        for tick in range(100):
+            await bench.beat(bench.anna, turn=(0.0, 0.0, 0.0, 0.35, 0.35, 0.0), begin=tick == 0)
+
+    with pytest.raises(RequestRefused, match="would touch") as caught:
+        await fold()
+    assert caught.value.code == "PREFLIGHT"
+    goals = len(bench.arm.goals)
+    for _ in range(7):
+        bench.tick()
+    assert len(bench.arm.goals) == goals, "the arm stops, as where heartbeats cease"
+    assert bench.arm.mode() is Mode.HOLDING
 
 
 # ------------------------------------------------------------------------------------------------- leases
@@ -388,12 +631,12 @@ async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
     await bench.holding()
     host, anna = bench.host, bench.anna
     assert await bench.served(host.teach_begin(anna)) == {"state": "teaching"}
-    first = await bench.served(host.take_begin(anna, "first"))
+    first = await bench.served(host.teaching.take_begin(anna, "first"))
     assert first == {"recording": "first", "path": "/recordings/first.mcap"}
     assert host.status()["recording"] == "first"
     for _ in range(5):
         bench.tick()
-    assert await bench.served(host.take_end(anna)) == first
+    assert await bench.served(host.teaching.take_end(anna)) == first
     assert bench.recorder.takes["first"] >= 5
     assert await bench.served(host.teach_end(anna)) == {"state": "off"}
     assert await bench.served(host.torque_on(bench.ben)) == {"state": "holding"}
@@ -403,13 +646,13 @@ async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
 async def test_takes_belong_to_whoever_teaches(bench: Bench) -> None:
     bench.tick()
     host, anna, ben = bench.host, bench.anna, bench.ben
-    for work in (host.take_begin(anna, "x"), host.take_end(anna), host.teach_end(anna)):
+    for work in (host.teaching.take_begin(anna, "x"), host.teaching.take_end(anna), host.teach_end(anna)):
         assert isinstance(await bench.refused(work), IllegalTransition)
     await bench.served(host.teach_begin(anna))
-    assert isinstance(await bench.refused(host.take_end(anna)), IllegalTransition)
-    await bench.served(host.take_begin(anna, "x"))
-    assert isinstance(await bench.refused(host.take_begin(anna, "y")), IllegalTransition)
-    for work in (host.take_begin(ben, "y"), host.take_end(ben), host.teach_end(ben)):
+    assert isinstance(await bench.refused(host.teaching.take_end(anna)), IllegalTransition)
+    await bench.served(host.teaching.take_begin(anna, "x"))
+    assert isinstance(await bench.refused(host.teaching.take_begin(anna, "y")), IllegalTransition)
+    for work in (host.teaching.take_begin(ben, "y"), host.teaching.take_end(ben), host.teach_end(ben)):
         assert isinstance(await bench.refused(work), IllegalTransition)
     for work in (host.torque_on(ben), host.teach_begin(anna), host.run(anna, bench.plan())):
         assert (await bench.refused(work)).code == "BUSY"
@@ -421,7 +664,7 @@ async def test_a_refused_take_is_no_take(bench: Bench) -> None:
     await bench.served(bench.host.teach_begin(bench.anna))
     bench.recorder.takes["old"] = 1
     with pytest.raises(LogError):
-        await bench.served(bench.host.take_begin(bench.anna, "old"))
+        await bench.served(bench.host.teaching.take_begin(bench.anna, "old"))
     assert bench.host.status()["recording"] is None
 
 
@@ -441,7 +684,7 @@ async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
 async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_take(bench: Bench) -> None:
     await bench.holding()
     await bench.served(bench.host.teach_begin(bench.anna))
-    await bench.served(bench.host.take_begin(bench.anna, "orphan"))
+    await bench.served(bench.host.teaching.take_begin(bench.anna, "orphan"))
     for _ in range(3):
         bench.tick()
     bench.host.client_gone(bench.anna)
@@ -467,7 +710,7 @@ async def test_a_client_that_leaves_while_the_arm_becomes_limp_keeps_no_lease(be
 async def test_teaching_that_a_fault_has_ended_can_be_ended(bench: Bench) -> None:
     bench.tick()
     await bench.served(bench.host.teach_begin(bench.anna))
-    await bench.served(bench.host.take_begin(bench.anna, "cut"))
+    await bench.served(bench.host.teaching.take_begin(bench.anna, "cut"))
     bench.arm.silent = {1}
     await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
     assert await bench.served(bench.host.teach_end(bench.anna)) == {"state": "faulted"}
@@ -475,10 +718,62 @@ async def test_teaching_that_a_fault_has_ended_can_be_ended(bench: Bench) -> Non
     assert not any(isinstance(command, TeachEnd) for command in bench.control.commands)
 
 
+@on_bench
+async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_kept(bench: Bench) -> None:
+    bench.tick()
+    host, anna = bench.host, bench.anna
+    await bench.served(host.teach_begin(anna))
+    await bench.served(host.teaching.take_begin(anna, "kept"))
+    for _ in range(3):
+        bench.tick()
+    host.control_lost()
+    bench.arm.state = type(bench.arm.state)()  # the next one knows nothing
+    host.attach(bench.control)
+    bench.control.connect_again()
+    bench.tick()
+    assert host.status()["state"] == "off"
+    assert await bench.served(host.teach_end(anna)) == {"state": "off"}
+    assert bench.recorder.takes["kept"] >= 3
+
+
+@on_bench
+async def test_a_mark_stands_in_the_take_with_where_the_tool_is(bench: Bench) -> None:
+    bench.tick()
+    host, anna = bench.host, bench.anna
+    await bench.served(host.teach_begin(anna))
+    assert isinstance(await bench.refused(host.teaching.take_mark(anna)), IllegalTransition)
+    await bench.served(host.teaching.take_begin(anna, "x"))
+    marked = await bench.served(host.teaching.take_mark(anna))
+    assert marked["position_m"] == host.status()["tool"]["position_m"]
+    assert marked["joints_rad"] == pytest.approx(bench.arm.positions_rad())
+    assert json.loads(bench.recorder.notes[-1]) == {"event": "VIA_MARK", **marked}
+    assert isinstance(await bench.refused(host.teaching.take_mark(bench.ben)), IllegalTransition)
+
+
+@on_bench
+async def test_a_hand_above_250_mm_s_is_shown_and_noted_once_an_excursion(bench: Bench) -> None:
+    bench.tick()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    tick = bench.arm.get(0, ax12a.PRESENT_POSITION)
+    bench.arm.put(1, ax12a.PRESENT_POSITION, 512)  # arm stretched out: the tool is far from the base axis
+    for _ in range(10):
+        bench.tick()
+    bench.recorder.notes.clear()
+    for step in range(1, 11):
+        bench.arm.put(0, ax12a.PRESENT_POSITION, tick + 30 * step)
+        bench.tick()
+    assert bench.host.status()["tool"]["speed_m_s"] > 0.25
+    assert sum("TEACHING_FAST" in note for note in bench.recorder.notes) == 1
+    for _ in range(10):
+        bench.tick()
+    assert bench.host.status()["tool"]["speed_m_s"] == pytest.approx(0.0, abs=1e-9)
+
+
 # ------------------------------------------------------------------------------------------------- status
 
 STATUS_KEYS = {"state", "fault", "tick", "period_s", "joints", "tool", "cycle", "recording"}
 JOINT_KEYS = {
+    "limits_rad",
     "name",
     "servo_id",
     "position_rad",
@@ -506,7 +801,7 @@ async def test_the_snapshot_has_the_keys_of_the_contract_before_and_after_the_fi
         bench.tick()
     assert status["arm_id"] == "ax12-line"
     assert status["pids"]["control"] == 4242
-    assert status["tool"].keys() == {"position_m", "rpy_rad"}
+    assert status["tool"].keys() == {"position_m", "rpy_rad", "speed_m_s"}
     assert status["joints"][1]["position_rad"] == pytest.approx(math.radians(158.0), abs=ax12a.TICK_RAD)
     assert status["cycle"]["bus_us_p50"] == status["cycle"]["bus_us_p99"] == 2500
 
@@ -541,7 +836,7 @@ async def test_a_joint_that_never_answered_has_no_values(bench: Bench) -> None:
     bench.tick()
     joint = bench.host.status()["joints"][2]
     assert joint["name"] == "elbow"
-    assert all(joint[key] is None for key in JOINT_KEYS - {"name", "servo_id"})
+    assert all(joint[key] is None for key in JOINT_KEYS - {"name", "servo_id", "limits_rad"})
     assert bench.host.status()["tool"] is None
 
 
@@ -587,6 +882,12 @@ async def test_the_cycle_figures_cover_the_last_600_ticks(bench: Bench) -> None:
 async def test_ticks_the_host_was_too_slow_for_are_counted(bench: Bench) -> None:
     bench.tick(dropped=3)
     bench.tick(dropped=2)
-    assert bench.host.status()["log"] == {"path": "/logs/log.mcap", "problem": "", "dropped": 5}
+    bench.recorder.dropped_records = 2
+    assert bench.host.status()["log"] == {
+        "path": "/logs/log.mcap",
+        "problem": "",
+        "dropped": 5,
+        "recorder_dropped": 2,
+    }
     bench.recorder.log_path = None
     assert bench.host.log()["path"] is None

@@ -157,3 +157,12 @@ def test_a_missing_recording_is_a_log_error(tmp_path: Path) -> None:
     asked = replace(request(tmp_path, count=1), recordings=(tmp_path / "none.mcap",))
     with pytest.raises(LogError):
         optimize_task(asked, lambda *_: None)
+
+
+def test_limits_that_contradict_the_duration_are_refused_with_one_that_does_not(tmp_path: Path) -> None:
+    asked = replace(request(tmp_path), duration_s=0.6)
+    with pytest.raises(RequestRefused, match=r"in 0\.6 s; give (\d+\.\d) s or more") as caught:
+        optimize_task(asked, lambda *_: None)
+    assert caught.value.code == "LIMITS"
+    least_s = float(str(caught.value).split("give ")[1].split()[0])
+    assert optimize_task(replace(asked, duration_s=least_s), lambda *_: None)["ga"]["mean_error_mm"] > 0.0

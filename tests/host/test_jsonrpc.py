@@ -62,6 +62,13 @@ def test_numbers_are_finite(number: str) -> None:
     assert number in error.problem
 
 
+@pytest.mark.parametrize("text", [r"\ud800", r"\udfff\ud800", r"a\ud83d"])
+def test_half_of_a_surrogate_pair_is_no_text(text: str) -> None:
+    line = b'{"jsonrpc":"2.0","id":1,"method":"m","params":{"%b":1}}'
+    assert "half of a surrogate pair" in refusal(line % text.encode()).problem
+    assert decode(line % rb"\ud83d\ude00").params == {"\U0001f600": 1}
+
+
 def test_a_key_stands_once_at_every_level() -> None:
     for line in (b'{"id":1,"id":2}', b'{"jsonrpc":"2.0","id":1,"method":"m","params":{"a":{"b":1,"b":1}}}'):
         assert "stands twice" in refusal(line).problem

@@ -151,6 +151,30 @@ def test_a_wrong_parameter_is_refused_by_name(tmp_path: Path, changes: dict[str,
     on_bench(tmp_path, test)
 
 
+@pytest.mark.parametrize(
+    ("method", "params", "named"),
+    [
+        ("move", {}, "just one"),
+        ("move", {"joints_rad": [0.0], "point_m": [0.1, 0.0, 0.1]}, "just one"),
+        ("move", {"point_m": [0.1, 0.0, math.inf]}, "point_m"),
+        ("move", {"pose": [0.1, 0.0, 0.1]}, "pose"),
+        ("move", {"point_m": [0.1, 0.0, 0.1], "duration_s": 0.0}, "duration_s"),
+        ("rate", {"rate": 1.1}, "rate"),
+        ("rate", {"rate": 0.05}, "rate"),
+        ("jog", {"joints_rad_s": [math.nan]}, "joints_rad_s"),
+        ("jog", {"tool_m_s": [0.0, 0.0, 0.0, 0.0]}, "tool_m_s"),
+    ],
+)
+def test_a_motion_s_wrong_parameter_is_refused_by_name(
+    tmp_path: Path, method: str, params: dict[str, Any], named: str
+) -> None:
+    async def test(bench: Bench) -> None:
+        with pytest.raises(ConfigError, match=named):
+            await bench.ask(bench.anna, method, **params)
+
+    on_bench(tmp_path, test)
+
+
 def test_an_unknown_recording_is_answered_with_the_known_ones(folder: Path) -> None:
     async def test(bench: Bench) -> None:
         for method, params in (
@@ -172,7 +196,7 @@ def test_recordings_are_listed_shown_renamed_and_deleted(folder: Path) -> None:
         for entry in listed:
             assert entry.keys() >= {"name", "path", "duration_s", "samples", "mean_error_mm", "max_error_mm"}
             assert 0.0 < entry["mean_error_mm"] < entry["max_error_mm"] < 100.0
-        assert await bench.ask(bench.anna, "recordings_show", name="b") == listed[1]
+        assert await bench.ask(bench.anna, "recordings_show", name="b") == listed[1] | {"marks": []}
         ends = {"from_m": LINE["from_m"], "to_m": LINE["to_m"]}
         against = await bench.ask(bench.anna, "recordings_show", name="b", **ends)
         assert against["mean_error_mm"] != listed[1]["mean_error_mm"]

@@ -430,8 +430,10 @@ def test_clients_are_known_by_process_and_user() -> None:
     run(test)
 
 
-def test_closing_the_server_cancels_what_does_not_end() -> None:
+def test_closing_the_server_cancels_what_does_not_end_without_a_word() -> None:
     async def test() -> None:
+        complaints: list[dict[str, Any]] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
         async with bench() as b:
             peer = await b.connect()
             peer.send("wait", 1)
@@ -440,6 +442,7 @@ def test_closing_the_server_cancels_what_does_not_end() -> None:
             assert not b.server._connections
             assert len(b.gone) == 1
             assert await peer.ended()
+            assert complaints == []
 
     run(test)
 

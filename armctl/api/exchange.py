@@ -1,0 +1,95 @@
+"""Requests to the control process of the moment, and its answers."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable
+from typing import Protocol
+
+from armctl.errors import IllegalTransition, RequestRefused
+from armctl.messages import Command, Hold, Reply
+
+ANSWER_S = 10.0
+"""Longest wait for the control process's answer to anything but the end of a motion."""
+
+
+class Sender(Protocol):
+    """The host's end of the link to a control process."""
+
+    def send(self, message: object) -> bool: ...
+
+
+class Control(Protocol):
+    """The control process as far as commands need it."""
+
+    @property
+    def pid(self) -> int: ...
+    @property
+    def link(self) -> Sender: ...
+
+
+class Exchange:
+    """Every request is answered once, by the control process or by its end."""
+
+    def __init__(self) -> None:
+        self.control: Control | None = None
+        self.asked = 0
+        """Commands sent so far that may move something: all but `Hold`."""
+        self._ids = itertools.count(1)
+        self._pending: dict[int, asyncio.Future[Reply]] = {}
+
+    def lost(self) -> None:
+        """The control process is gone: what it still owed an answer fails."""
+        self.control = None
+        for future in self._pending.values():
+            if not future.done():
+                future.set_exception(restarting())
+
+    def answer(self, reply: Reply) -> None:
+        """Hand an answer to whoever waits for it."""
+        future = self._pending.get(reply.request_id)
+        if future is not None and not future.done():
+            future.set_result(reply)
+
+    async def request(self, make: Callable[[int], Command], timeout_s: float | None = ANSWER_S) -> Reply:
+        """Send a command and wait for what became of it.
+
+        Args:
+            make: The command of a request id.
+            timeout_s: Longest wait; None: as long as it takes.
+        Raises:
+            RequestRefused: it was refused, or the control process died or stayed silent.
+        """
+        request_id = next(self._ids)
+        future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+        self._pending[request_id] = future
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not self._send(make(request_id)) and not future.done():
+                    await asyncio.sleep(0.01)
+                reply = await future
+        except TimeoutError:
+            raise RequestRefused(
+                "NO_ANSWER", f"the control process did not answer within {timeout_s:g} s; see `armctl status`"
+            ) from None
+        finally:
+            del self._pending[request_id]
+        if reply.ok:
+            return reply
+        if reply.code == "ILLEGAL_TRANSITION":
+            raise IllegalTransition(reply.message)
+        raise RequestRefused(reply.code, reply.message)
+
+    def _send(self, command: Command) -> bool:
+        if self.control is None:
+            raise restarting()
+        self.asked += not isinstance(command, Hold)
+        return self.control.link.send(command)
+
+
+def restarting() -> RequestRefused:
+    """Why nothing can be asked of the arm for a moment."""
+    return RequestRefused(
+        "RESTARTED", "the control process died and is being started again; the arm keeps its last goal; try again"
+    )

@@ -1,0 +1,104 @@
+"""Who commands the arm now: one client at a time.
+
+A lease lasts as long as its request; while teaching or jogging, as long as that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+from armctl.errors import IllegalTransition, RequestRefused
+
+_DURING = {
+    "teach": frozenset({"release", "torque_on", "clear", "park"}),
+    "jogging": frozenset({"jog"}),
+}
+"""What the commander itself may ask while it holds a lasting lease."""
+
+
+class Client(Protocol):
+    """Whoever asks; one connection."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def uid(self) -> int: ...
+
+
+@dataclass(eq=False)
+class Lease:
+    """What one client commands now."""
+
+    client: Client
+    what: str
+    lost: bool = False
+    """Whether that client has gone."""
+    stopped: bool = False
+    """Whether somebody asked the arm to stop meanwhile."""
+
+
+class Leases:
+    """The lease of the moment."""
+
+    def __init__(self) -> None:
+        self.current: Lease | None = None
+
+    @contextmanager
+    def commanding(self, client: Client, what: str) -> Iterator[Lease]:
+        """Hold the lease for one request.
+
+        Raises:
+            RequestRefused: code BUSY, naming who commands.
+        """
+        self.refuse_if_busy(client, what)
+        before, lease = self.current, Lease(client, what)
+        self.current = lease
+        try:
+            yield lease
+        finally:
+            if self.current is lease:
+                self.current = before
+
+    def keep(self, client: Client, what: str) -> None:
+        """From a request on, until `end`, the client commands."""
+        self.current = Lease(client, what)
+
+    def end(self, what: str) -> None:
+        """End a lasting lease, if it is that."""
+        if self.current is not None and self.current.what == what:
+            self.current = None
+
+    def refuse_if_busy(self, client: Client, what: str) -> None:
+        """Refuse what a client may not ask now.
+
+        Raises:
+            RequestRefused: code BUSY, somebody else commands, or this client does something else.
+        """
+        lease = self.current
+        if lease is None or (lease.client is client and what in _DURING.get(lease.what, ())):
+            return
+        who = "this client" if lease.client is client else f"client {lease.client.name}"
+        end = "end the teaching first" if lease.what == "teach" else "wait, or `armctl stop`"
+        raise RequestRefused("BUSY", f"{what}: {who} commands the arm now ({lease.what}); {end}")
+
+    def refuse_others(self, client: Client, what: str) -> None:
+        """Refuse every user but the commander's own.
+
+        Raises:
+            RequestRefused: code BUSY, another user commands.
+        """
+        if self.current is not None and self.current.client.uid != client.uid:
+            self.refuse_if_busy(client, what)
+
+    def teaching(self, client: Client) -> None:
+        """Refuse everybody but whoever teaches.
+
+        Raises:
+            IllegalTransition: this client is not teaching.
+        """
+        lease = self.current
+        if lease is None or lease.client is not client or lease.what != "teach":
+            raise IllegalTransition("this client is not teaching; teach_begin comes first")

@@ -1,0 +1,134 @@
+"""The snapshot every client sees: one tick record, and how old it is, as plain JSON values.
+
+Nothing here looks fresher than it is: ages grow from the last tick on, also when no tick comes any more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig
+from armctl.control.faults import card
+from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
+from armctl.messages import Fault, JointState, TickRecord, ToolPose
+from armctl.recording.channels import OVERRUN_NS
+
+STATISTICS_TICKS = 600
+SPEED_S = 0.2
+"""Time over which the tool's speed is measured: a tick of a potentiometer is 2 mm at the tool."""
+
+Point = tuple[float, float, float]
+
+
+class Statistics:
+    """What is remembered of the latest ticks: how they went, and how the tool moved."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        """Ticks the host was too slow for."""
+        self._ticks: deque[tuple[int, int, int]] = deque(maxlen=STATISTICS_TICKS)
+        self._places: deque[tuple[int, Point]] = deque()
+
+    def see(self, record: TickRecord) -> None:
+        """Take one tick in."""
+        sample = record.inputs.sample
+        self.dropped += record.dropped
+        self._ticks.append((sample.bus_us, record.lateness_us, sample.retries))
+        if record.outputs.tool is None or record.dropped:
+            self._places.clear()
+        if record.outputs.tool is not None:
+            self._places.append((sample.time_ns, record.outputs.tool.position_m))
+        while len(self._places) > 2 and sample.time_ns - self._places[1][0] >= SPEED_S * NS_PER_S:
+            self._places.popleft()
+
+    def tool_speed_m_s(self) -> float | None:
+        """The tool's mean speed over the last `SPEED_S`, or as long as it is known; None: unknown."""
+        if len(self._places) < 2:
+            return None
+        (begin_ns, begin), (end_ns, end) = self._places[0], self._places[-1]
+        return math.dist(begin, end) * NS_PER_S / max(1, end_ns - begin_ns)
+
+    def cycle(self) -> dict[str, int]:
+        """Bus and timing figures of the last minute (at 10 Hz)."""
+        bus_us, lateness_us, retries = zip(*self._ticks, strict=True) if self._ticks else ((0,),) * 3
+        return {
+            "bus_us_p50": _percentile(bus_us, 50),
+            "bus_us_p99": _percentile(bus_us, 99),
+            "lateness_us_p99": _percentile(lateness_us, 99),
+            "overruns": sum(late > OVERRUN_NS // 1000 for late in lateness_us),
+            "retries": sum(retries),
+        }
+
+
+def arm_snapshot(arm: ArmConfig, latest: TickRecord | None, statistics: Statistics, now_ns: int) -> dict[str, Any]:
+    """Tick, joints, tool and motion, as of now."""
+    age_s = None if latest is None else max(0, now_ns - latest.inputs.now_ns) / NS_PER_S
+    states = (None,) * len(arm.joints) if latest is None else latest.outputs.joints
+    tool = None if latest is None else latest.outputs.tool
+    return {
+        "tick": None if latest is None else latest.inputs.tick,
+        "age_s": age_s,
+        "joints": [
+            {"name": joint.name, "servo_id": joint.servo_id, "limits_rad": joint.limits_rad, **_joint(state, age_s)}
+            for joint, state in zip(arm.joints, states, strict=True)
+        ],
+        "tool": None if tool is None else {**_tool(tool), "speed_m_s": statistics.tool_speed_m_s()},
+        "cycle": statistics.cycle(),
+        "progress": None if latest is None else latest.outputs.progress,
+        "rate": None if latest is None else latest.outputs.rate,
+    }
+
+
+def fault_snapshot(latest: TickRecord | None, lost_ns: int | None, now_ns: int) -> dict[str, Any] | None:
+    """The card of the latched fault; None: there is none.
+
+    Args:
+        lost_ns: Since when there is no control process; None: there is one.
+    """
+    if lost_ns is not None:
+        fault = Fault("RESTARTED", "the control process died; a new one is being started", lost_ns)
+        arm, following = (
+            "still; every servo keeps its last goal with the torque it has",
+            "wait a second, then type `armctl status`",
+        )
+    elif latest is None or latest.outputs.fault is None:
+        return None
+    else:
+        fault = latest.outputs.fault
+        arm, following = card(fault, latest.outputs.joints, latest.outputs.progress is not None)
+    return {
+        "code": fault.code,
+        "servo_id": fault.servo_id,
+        "since_s": max(0, now_ns - fault.since_ns) / NS_PER_S,
+        "arm": arm,
+        "next": following,
+        "text": fault.text,
+    }
+
+
+def _joint(state: JointState | None, tick_age_s: float | None) -> dict[str, Any]:
+    if state is None or tick_age_s is None or not state.known:
+        return dict.fromkeys(
+            ("position_rad", "velocity_rad_s", "load_ratio", "voltage_V", "temperature_degC", "torque_enabled", "age_s")
+        )
+    return {
+        "position_rad": state.position_rad,
+        "velocity_rad_s": state.velocity_rad_s,
+        "load_ratio": state.load_ratio,
+        "voltage_V": state.voltage_V,
+        "temperature_degC": state.temperature_degC,
+        "torque_enabled": state.torque_enabled,
+        "age_s": state.age_s + tick_age_s,
+    }
+
+
+def _tool(pose: ToolPose) -> dict[str, Any]:
+    rpy = rpy_from_matrix(matrix_from_quaternion(pose.quaternion))
+    return {"position_m": list(pose.position_m), "rpy_rad": list(rpy)}
+
+
+def _percentile(values: tuple[int, ...], percent: int) -> int:
+    return sorted(values)[(len(values) - 1) * percent // 100]

@@ -1,0 +1,132 @@
+"""A host over simulated servos: the real control loop and bus in virtual time, everything in one process."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from armctl.api.host import Host
+from armctl.clock import VirtualClock
+from armctl.config import ArmConfig, Config, LogConfig, load_arm
+from armctl.control.link import Link
+from armctl.control.loop import ControlLoop
+from armctl.dynamixel.bus import ServoBus
+from armctl.kinematics import robots
+from armctl.messages import Command, Mode, TickRecord
+from armctl.recording import replay
+from armctl.recording.channels import COMMAND
+from armctl.recording.writer import LogContext, LogWriter
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.faults import Fault
+from armctl.sim.loopback import LoopbackPort
+from tests.host.doubles import InlineExecutor, MemoryRecorder, NamedClient
+
+PERIOD_S = 0.1
+MOST_TICKS = 5_000
+
+
+class SimulatedBench:
+    """The bench; an arm under torque once `holding` returns."""
+
+    def __init__(self, arm: ArmConfig, seed: int = 0) -> None:
+        self.clock = VirtualClock()
+        self.arm = arm
+        self.simulated = SimulatedArm(arm, seed=seed)
+        self.robot = robots.get(arm.robot, arm.lengths_m)
+        bus = ServoBus(LoopbackPort(SimulatedBus(self.simulated), self.clock), arm.servo_ids, self.clock)
+        self.loop = ControlLoop(bus, self.clock, arm, self.robot, PERIOD_S)
+        self.loop.open()
+        self.recorder = MemoryRecorder()
+        self.host = Host(arm, self.robot, PERIOD_S, self.recorder, self.clock)
+        self.pid = 4242
+        self.link, theirs = Link.pair()
+        self._theirs = Link(theirs)
+        self.host.attach(self)
+        self.anna = NamedClient("anna")
+        self.on_tick: Callable[[TickRecord], None] = lambda _: None
+        self.modes: set[Mode] = set()
+
+    def tick(self) -> TickRecord:
+        record = self.loop.tick(tuple(cast("list[Command]", self._theirs.receive())))
+        self.modes.add(record.outputs.mode)
+        self.host.receive(record)
+        self.on_tick(record)
+        return record
+
+    async def served(self, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
+        task = asyncio.ensure_future(work)
+        for _ in range(MOST_TICKS):
+            for _ in range(5):
+                await asyncio.sleep(0)
+            if task.done():
+                return task.result()
+            self.tick()
+        raise AssertionError("it never came to pass")
+
+    async def holding(self) -> None:
+        self.tick()
+        self.tick()
+        assert await self.served(self.host.torque_on(self.anna)) == {"state": "holding"}
+
+    def place_object(self, at_rad: float) -> Callable[[], None]:
+        """Something hard in the gripper, so thick that it stops it at `at_rad`; returns how to take it away."""
+        assert self.arm.gripper is not None
+        index = self.arm.joint_names.index(self.arm.gripper.joint)
+        servo_id = self.arm.joints[index].servo_id
+        numbers: list[int] = []
+
+        def met(_: TickRecord) -> None:
+            if not numbers and self.simulated.true_positions()[index] >= at_rad:
+                fault = Fault(kind="blocked_joint", servo_id=servo_id)
+                numbers.append(self.simulated.faults.begin(fault, self.simulated.time_s))
+
+        self.on_tick = met
+
+        def take_away() -> None:
+            self.on_tick = lambda _: None
+            self.simulated.faults.end(numbers[0])
+
+        return take_away
+
+    def off_mm(self, point_m: tuple[float, ...]) -> float:
+        """How far the true tool point is from a point."""
+        return 1e3 * math.dist(self.simulated.true_tool_position(), point_m)
+
+    def true_deg(self) -> list[float]:
+        return [float(angle) for angle in np.degrees(self.simulated.true_positions())]
+
+    def replayed(self, path: Path) -> replay.ReplayResult:
+        """Everything so far as a log, and its replay."""
+        context = LogContext(self.arm, self.robot, Config(log=LogConfig(free_bytes=0)), "loopback", PERIOD_S)
+        writer = LogWriter(path, context)
+        for record in self.recorder.records:
+            writer.write_tick(record)
+        for note in self.recorder.notes:
+            writer.write_note(COMMAND, note, self.recorder.records[-1].inputs.sample.time_ns)
+        writer.close()
+        return replay.check(path)
+
+    def close(self) -> None:
+        self._theirs.close()
+        self.link.close()
+
+
+def on_arm(name: str, test: Callable[[SimulatedBench], Awaitable[None]], seed: int = 0) -> None:
+    """Run an async test on a fresh bench with that arm, holding."""
+
+    async def run() -> None:
+        asyncio.get_running_loop().set_default_executor(InlineExecutor())
+        bench = SimulatedBench(load_arm(name), seed)
+        try:
+            await bench.holding()
+            await test(bench)
+        finally:
+            bench.close()
+
+    asyncio.run(run())

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armctl.async_client import AsyncClient
+from armctl.errors import NoDaemon, RequestRefused
+
+Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+def with_server(tmp_path: Path, serve: Serve, test: Callable[[AsyncClient], Awaitable[None]]) -> None:
+    async def run() -> None:
+        async def closing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await serve(reader, writer)
+            writer.close()
+
+        server = await asyncio.start_unix_server(closing, tmp_path / "sock")
+        async with server, await AsyncClient.connect(tmp_path / "sock") as client:
+            await test(client)
+
+    asyncio.run(run())
+
+
+def line(message: dict[str, Any]) -> bytes:
+    return json.dumps({"jsonrpc": "2.0", **message}).encode() + b"\n"
+
+
+async def requests(reader: asyncio.StreamReader, count: int) -> list[dict[str, Any]]:
+    return [json.loads(await reader.readline()) for _ in range(count)]
+
+
+def test_answers_find_their_calls_in_any_order(tmp_path: Path) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        for request in reversed(await requests(reader, 2)):
+            writer.write(line({"id": request["id"], "result": {"method": request["method"]}}))
+        await writer.drain()
+
+    async def test(client: AsyncClient) -> None:
+        answers = await asyncio.gather(client.call("run"), client.call("stop"))
+        assert [answer["method"] for answer in answers] == ["run", "stop"]
+
+    with_server(tmp_path, serve, test)
+
+
+def test_what_fails_in_the_daemon_is_raised_here(tmp_path: Path) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        [request] = await requests(reader, 1)
+        data = {"type": "RequestRefused", "code": "BUSY", "reasons": ["another commands"], "fields": {"code": "BUSY"}}
+        error = {"code": -32000, "message": "BUSY: another commands", "data": data}
+        writer.write(line({"id": request["id"], "error": error}))
+        await writer.drain()
+
+    async def test(client: AsyncClient) -> None:
+        with pytest.raises(RequestRefused) as caught:
+            await client.call("run")
+        assert caught.value.code == "BUSY"
+
+    with_server(tmp_path, serve, test)
+
+
+def test_a_daemon_that_goes_ends_calls_and_notifications(tmp_path: Path) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(line({"method": "snapshot", "params": {"tick": 1}}))
+        await requests(reader, 1)
+
+    async def test(client: AsyncClient) -> None:
+        with pytest.raises(NoDaemon, match="closed the connection"):
+            await client.call("status")
+        seen = client.notifications()
+        assert await anext(seen) == ("snapshot", {"tick": 1})
+        with pytest.raises(NoDaemon):
+            await anext(seen)
+        with pytest.raises(NoDaemon, match="closed"):
+            await client.call("status")
+
+    with_server(tmp_path, serve, test)
+
+
+def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        [request] = await requests(reader, 1)
+        writer.write(line({"id": request["id"], "result": {"subscribed": True}}))
+        for tick in range(100):
+            writer.write(line({"method": "snapshot", "params": {"tick": tick}}))
+        writer.write(line({"id": None, "result": {}}))
+        await writer.drain()
+
+    async def test(client: AsyncClient) -> None:
+        snapshots = client.subscribe()
+        first = await anext(snapshots)
+        while not client.closed:
+            await asyncio.sleep(0)
+        rest = [first["tick"]]
+        with contextlib.suppress(NoDaemon):
+            while True:
+                rest.append((await anext(snapshots))["tick"])
+        assert rest[-1] == 99
+        assert rest == sorted(set(rest))
+
+    with_server(tmp_path, serve, test)
+
+
+def test_nobody_there_is_said_with_the_remedy(tmp_path: Path) -> None:
+    async def run() -> None:
+        with pytest.raises(NoDaemon, match="armctl daemon --port"):
+            await AsyncClient.connect(tmp_path / "nobody")
+
+    asyncio.run(run())
+
+
+def test_a_number_that_is_none_is_not_sent(tmp_path: Path) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read()
+
+    async def test(client: AsyncClient) -> None:
+        with pytest.raises(RequestRefused, match="finite"):
+            await client.call("move", x=float("nan"))
+
+    with_server(tmp_path, serve, test)

@@ -1,0 +1,172 @@
+"""Reaching and gripping through the host, on simulated servos in virtual time; judged by the simulator's truth."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armctl.api.motions import Target
+from armctl.api.reach import Wanted, reach
+from armctl.errors import RequestRefused
+from armctl.kinematics.chain import tool_position
+from armctl.messages import Mode, TickRecord
+from armctl.trajectory.grasp import Method
+from tests.host.simulated import SimulatedBench, on_arm
+
+POINT = (0.20, 0.05, 0.06)
+AWAY_DEG = {
+    "ax12-line": (20.0, 120.0, -100.0, 40.0, 10.0, 30.0),
+    "xiang-6dof": (20.0, 120.0, -100.0, -40.0, 10.0, 30.0),
+    "lanzhou-4dof": (20.0, 60.0, 20.0, 10.0),
+    "transfer-6dof": (20.0, -70.0, 20.0, 10.0, 10.0, 10.0),
+}
+SAG_DEG = 6.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name", AWAY_DEG)
+def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name: str, seed: int) -> None:
+    async def test(bench: SimulatedBench) -> None:
+        rest_deg = [joint.rest_deg for joint in bench.arm.joints]
+        assert len(bench.simulated.servos) == len(bench.arm.joints) == len(AWAY_DEG[name])
+        for goal_deg in (AWAY_DEG[name], rest_deg):
+            await bench.served(bench.host.move(bench.anna, Target(joints_rad=tuple(np.radians(goal_deg).tolist()))))
+            assert bench.true_deg() == pytest.approx(goal_deg, abs=SAG_DEG)
+        assert await bench.served(bench.host.park(bench.anna)) == {"state": "off"}
+        assert bench.true_deg() == pytest.approx(rest_deg, abs=4.0)
+        assert not any(servo.torque_enabled for servo in bench.simulated.servos)
+        assert Mode.FAULTED not in bench.modes
+
+    on_arm(name, test, seed)
+
+
+@pytest.mark.parametrize(
+    ("name", "point"),
+    [("xiang-6dof", POINT), ("ax12-line", POINT), ("lanzhou-4dof", (0.15, 0.1, -0.2)), ("transfer-6dof", POINT)],
+)
+def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tuple[float, float, float]) -> None:
+    async def test(bench: SimulatedBench) -> None:
+        result = await bench.served(reach(bench.host, bench.anna, Wanted(point)))
+        assert result["position_error_mm"] < 5.0
+        assert bench.off_mm(point) < 6.0
+        n = bench.robot.chain.n
+        assert tool_position(bench.robot.chain, np.array(result["target_rad"])) == pytest.approx(point, abs=1e-6)
+        assert result["position_m"] == pytest.approx(
+            tool_position(bench.robot.chain, np.array(result["joints_rad"][:n])).tolist()
+        )
+        assert result["gripped"] is None
+        assert list(bench.recorder.takes) == [result["recording"]]
+        assert Mode.FAULTED not in bench.modes
+
+    on_arm(name, test)
+
+
+@pytest.mark.parametrize("method", ["numeric", "ga", "ga-improved"])
+def test_other_inverse_kinematics_get_there_too(method: Method) -> None:
+    async def test(bench: SimulatedBench) -> None:
+        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, ik=method, seed=1)))
+        assert result["method"] == method
+        assert bench.off_mm(POINT) < 6.0
+
+    on_arm("xiang-6dof", test)
+
+
+def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_replays(tmp_path: Path) -> None:
+    async def test(bench: SimulatedBench) -> None:
+        bench.place_object(math.radians(40.0))
+        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip")))
+        assert result["gripped"] is True
+        assert result["gripper"]["load_ratio"] == pytest.approx(0.3, abs=0.07)
+        assert result["gripper"]["position_rad"] == pytest.approx(math.radians(40.0), abs=math.radians(2.0))
+        assert result["position_error_mm"] < 5.0
+        assert bench.off_mm(POINT) > 25.0  # it has backed off, as a sagging arm does
+        assert Mode.FAULTED not in bench.modes
+        replayed = bench.replayed(tmp_path / "grip.mcap")
+        assert (replayed.mismatches, replayed.first_mismatch) == (0, "")
+        assert replayed.ticks > 200
+
+    on_arm("xiang-6dof", test)
+
+
+def test_a_gripper_that_closes_on_nothing_says_so() -> None:
+    async def test(bench: SimulatedBench) -> None:
+        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip")))
+        assert result["gripped"] is False
+        assert result["gripper"]["position_rad"] == pytest.approx(math.radians(90.0), abs=math.radians(3.0))
+
+    on_arm("xiang-6dof", test)
+
+
+def test_what_is_lost_on_the_way_up_is_not_gripped() -> None:
+    async def test(bench: SimulatedBench) -> None:
+        take_away = bench.place_object(math.radians(40.0))
+        met = bench.on_tick
+
+        def lose(record: TickRecord) -> None:
+            met(record)
+            if any(event.code == "GRIPPED" for event in record.outputs.events):
+                take_away()
+
+        bench.on_tick = lose
+        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip")))
+        assert result["gripped"] is False
+
+    on_arm("xiang-6dof", test)
+
+
+def test_what_was_gripped_is_let_go_elsewhere() -> None:
+    async def test(bench: SimulatedBench) -> None:
+        take_away = bench.place_object(math.radians(40.0))
+        assert (await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip"))))["gripped"]
+        there = (0.20, -0.05, 0.06)
+        held = await bench.served(reach(bench.host, bench.anna, Wanted(there)))
+        assert held["position_error_mm"] < 5.0
+        assert bench.true_deg()[5] == pytest.approx(40.0, abs=2.0)
+        take_away()
+        result = await bench.served(reach(bench.host, bench.anna, Wanted(there, gripper="let_go")))
+        assert result["gripped"] is False
+        assert bench.true_deg()[5] == pytest.approx(0.0, abs=3.0)
+
+    on_arm("xiang-6dof", test)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted", "code", "says"),
+    [
+        ("ax12-line", Wanted(POINT, gripper="grip"), "NO_GRIPPER", "roll"),
+        ("xiang-6dof", Wanted((0.9, 0.0, 0.1)), "UNREACHABLE", "no nearer than 484.0 mm"),
+        ("xiang-6dof", Wanted((0.2, 0.0, -0.05)), "PREFLIGHT", "below the floor"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_and_nothing_moves(name: str, wanted: Wanted, code: str, says: str) -> None:
+    async def test(bench: SimulatedBench) -> None:
+        before = bench.true_deg()
+        with pytest.raises(RequestRefused, match=says) as caught:
+            await bench.served(reach(bench.host, bench.anna, wanted))
+        assert caught.value.code == code
+        assert bench.true_deg() == before
+        assert not bench.recorder.takes
+
+    on_arm(name, test)
+
+
+def test_a_stop_ends_the_whole_reach_and_not_only_the_leg_under_way() -> None:
+    async def test(bench: SimulatedBench) -> None:
+        work = asyncio.ensure_future(bench.served(reach(bench.host, bench.anna, Wanted(POINT))))
+        while Mode.MOVING not in bench.modes:
+            await asyncio.sleep(0)
+        await bench.host.stop()
+        with pytest.raises(RequestRefused) as caught:
+            await work
+        assert caught.value.code == "STOPPED"
+        assert bench.loop.state.mode is Mode.HOLDING
+        assert len(bench.recorder.takes) == 1
+        assert (
+            sum(command.kind == "run" for record in bench.recorder.records for command in record.inputs.commands) == 1
+        )
+
+    on_arm("xiang-6dof", test)
