@@ -1,0 +1,151 @@
+"""One call of `armctl experiment line`: the rig, the sag model, the recordings and the outcome."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from armctl.config import ArmConfig, Config, data_dir
+from armctl.errors import RequestRefused
+from armctl.experiment import calibrate_sag, line, refine, stored, tool_points
+from armctl.experiment.line import Profile, Stage, Via
+from armctl.experiment.rig import Rig, VirtualRig
+from armctl.experiment.sag_model import SagModel
+from armctl.jobs import NICENESS
+from armctl.kinematics.transform import FloatArray
+from armctl.recording import recordings
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import RANDOM_SPEC
+from armctl.trajectory.line_path import line_paths, onto
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the command line asks for."""
+
+    from_m: tuple[float, float, float]
+    to_m: tuple[float, float, float]
+    via: tuple[Via, ...]
+    repeats: int
+    duration_s: float
+    rounds: int
+    tolerance_mm: float
+    objective: Literal["mean", "mix", "max"]
+    seed: int
+    recordings: tuple[str, ...]
+    profile: Profile
+    measured: tuple[Path, str] | None
+    """An external measurement of the tool, and the recording of the run it was made during."""
+
+
+def virtual(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
+    """The experiment on a simulated arm, one of many: drawn by the seed, its zero ticks as after `calibrate`.
+
+    The sag model is identified and the candidates are guided on the spot.
+    """
+    rig = VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=RANDOM_SPEC), period_s)
+    wanted = _wanted(rig, asked, config)
+    _ways(rig, wanted, asked)  # a line that cannot be followed is refused before anything moves
+    takes: list[FloatArray] | None = _load(config, arm, asked.recordings)
+    if not takes:
+        with stage("guiding by hand", line.TAKES) as show:
+            takes = line.guided_takes(rig, wanted, asked.seed)
+            show(line.TAKES, "")
+    model = None
+    if asked.rounds:
+        with stage("calibration lines", calibrate_sag.LINES) as show:
+            model = calibrate_sag.identify(rig, np.random.default_rng(asked.seed), show=lambda done: show(done, ""))
+    return _experiment(rig, wanted, asked, model, takes, stage)
+
+
+def on_daemon(rig: Rig, asked: Asked, config: Config, stage: Stage) -> dict[str, Any]:
+    """The experiment on a daemon's arm, with the sag model stored beside its calibration, if one is."""
+    os.nice(NICENESS)  # planning between runs must not take the processor from who drives the arm
+    wanted = _wanted(rig, asked, config)
+    return _experiment(
+        rig, wanted, asked, stored.load(config, rig.arm), _load(config, rig.arm, asked.recordings), stage
+    )
+
+
+def _wanted(rig: Rig, asked: Asked, config: Config) -> refine.Line:
+    line.check_via(asked.via)
+    unseen = None
+    if asked.measured is not None:
+        file, name = asked.measured
+        unseen = tool_points.unseen_m(*tool_points.read(file), _found(config, name), rig.robot.chain)
+    return refine.Line(np.array(asked.from_m), np.array(asked.to_m), asked.duration_s, asked.objective, unseen)
+
+
+def _ways(rig: Rig, wanted: refine.Line, asked: Asked) -> FloatArray:
+    rng = np.random.default_rng(asked.seed)
+    return line_paths(rig.arm, rig.robot, wanted.A, wanted.B, wanted.duration_s, rng, most=refine.DRAWN_WAYS)
+
+
+def _experiment(
+    rig: Rig,
+    wanted: refine.Line,
+    asked: Asked,
+    model: SagModel | None,
+    takes: list[FloatArray] | None,
+    stage: Stage,
+) -> dict[str, Any]:
+    ways, ga = _ways(rig, wanted, asked), None
+    if takes:
+        ga, path = line.genetic(takes, rig, wanted, asked.via, asked.seed, asked.profile)
+        if asked.recordings:
+            ways = _held_as_taught(rig, wanted, path, ways)
+    outcomes = line.experiment(
+        rig,
+        wanted,
+        asked.via,
+        repeats=asked.repeats,
+        rounds=asked.rounds,
+        seed=asked.seed,
+        model=model,
+        stage=stage,
+        tolerance_mm=asked.tolerance_mm,
+        ways=ways,
+    )
+    return {
+        **line.as_json(rig, wanted, outcomes, model),
+        "ga": ga,
+        "from_m": list(asked.from_m),
+        "to_m": list(asked.to_m),
+        "seed": asked.seed,
+    }
+
+
+def _held_as_taught(rig: Rig, wanted: refine.Line, path: FloatArray, ways: FloatArray) -> FloatArray:
+    """The way whose posture is the recordings', put onto the line; shape (1, stations, n).
+
+    Raises:
+        RequestRefused: it does not reach all of the line.
+    """
+    s = np.linspace(0.0, 1.0, ways.shape[1])
+    q = np.stack([np.interp(s, np.linspace(0.0, 1.0, len(path)), column) for column in path.T], axis=1)
+    limits = np.array([joint.limits_rad for joint in rig.arm.joints[: rig.robot.chain.n]])
+    way, missed = onto(rig.robot.chain, wanted.A + s[:, None] * (wanted.B - wanted.A), q, limits, 20)
+    if missed.max() > 1e-4:
+        raise RequestRefused("LINE", "the recordings' posture does not reach all of the line; record nearer to it")
+    return way[None]
+
+
+def _found(config: Config, name: str) -> recordings.Recording:
+    return recordings.load(Path(name) if "/" in name else recordings.find(data_dir(config) / "recordings", name))
+
+
+def _load(config: Config, arm: ArmConfig, names: tuple[str, ...]) -> list[FloatArray]:
+    loaded = [_found(config, name) for name in names]
+    foreign = [
+        f"recording {one.name} was made with arm {one.arm_id}, calibration {one.calibration_hash}; this is "
+        f"{arm.arm_id}, {arm.calibration_hash}"
+        for one in loaded
+        if (one.arm_id, one.calibration_hash) != (arm.arm_id, arm.calibration_hash)
+    ]
+    if foreign:
+        raise RequestRefused("FOREIGN_LOG", foreign)
+    return [one.positions_rad for one in loaded]

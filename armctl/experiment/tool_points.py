@@ -1,0 +1,82 @@
+"""The tool as somebody measured it from outside, and what that shows which no encoder sees."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from armctl.errors import ConfigError, RequestRefused
+from armctl.kinematics.chain import SerialChain, tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.recording.recordings import Recording
+
+COLUMNS = ("t_s", "x_m", "y_m", "z_m")
+EVEN = 51
+SMOOTH = 0.05
+"""Standard deviation of the window over which the difference is averaged, of the whole."""
+
+
+def read(path: Path) -> tuple[FloatArray, FloatArray]:
+    """An external measurement of one run: columns t_s, x_m, y_m, z_m, time counted from the plan's begin.
+
+    Returns:
+        Times [s], shape (k,), increasing, and tool points in the base frame [m], shape (k, 3).
+    Raises:
+        ConfigError: the file cannot be read, or is not such a table; names line and column.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+            if missing:
+                raise ConfigError(str(path), missing[0], f"no such column; the table needs {', '.join(COLUMNS)}")
+            rows = []
+            for row in reader:
+                try:
+                    values = [float(row[column]) for column in COLUMNS]
+                except (TypeError, ValueError):
+                    values = [math.nan]
+                if not all(map(math.isfinite, values)):
+                    raise ConfigError(str(path), f"line {reader.line_num}", "not four finite numbers")
+                rows.append(values)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(str(path), "", f"cannot read the measurement: {error}") from None
+    table = np.array(rows).reshape(-1, 4)
+    if len(table) < 2 or not (np.diff(table[:, 0]) > 0.0).all():
+        raise ConfigError(str(path), "t_s", "needs two rows or more, times increasing")
+    return table[:, 0], table[:, 1:]
+
+
+def unseen_m(time_s: FloatArray, tool_m: FloatArray, run: Recording, chain: SerialChain) -> FloatArray:
+    """Where the tool was, less where the encoders had it, at `EVEN` even times of the run's plan [m], shape (EVEN, 3).
+
+    Args:
+        time_s, tool_m: See `read`.
+        run: The recording of the very run that was measured.
+    Raises:
+        RequestRefused: the recording holds no plan, or the measurement leaves most of it out.
+    """
+    if run.plan_s is None:
+        raise RequestRefused("MEASURED", f"recording {run.name} holds no executed plan; name the run that was measured")
+    begin_s, end_s = run.plan_s
+    duration_s = end_s - begin_s
+    if time_s[0] > 0.1 * duration_s or time_s[-1] < 0.9 * duration_s:
+        raise RequestRefused(
+            "MEASURED",
+            f"the measurement covers {time_s[0]:.2f} to {time_s[-1]:.2f} s of a plan of {duration_s:.2f} s; "
+            "measure all of it, time counted from the plan's begin",
+        )
+    at_s = np.linspace(0.0, duration_s, EVEN)
+    q = run.positions_rad[:, : chain.n]
+    by_encoder = tool_position(chain, _at(at_s, run.time_s - begin_s, q))
+    u = np.linspace(0.0, 1.0, EVEN)
+    window = np.exp(-0.5 * ((u[:, None] - u) / SMOOTH) ** 2)
+    difference = _at(at_s, time_s, tool_m) - by_encoder
+    return np.asarray(window @ difference / window.sum(axis=1, keepdims=True))
+
+
+def _at(at_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+    return np.stack([np.interp(at_s, time_s, column) for column in values.T], axis=1)
