@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,17 +13,22 @@ from armctl.kinematics.transform import FloatArray
 from armctl.report.page import Page, plotly
 from armctl.trajectory import straightness
 
-PAPER_ROWS = {0: (10.1499, 19.51644, 5.0), 1: (7.42501, 16.52173, 7.7), 2: (7.00036, 14.69483, 7.8)}
+PAPER_ROWS: dict[int | str, tuple[float, float, float]] = {
+    0: (10.1499, 19.51644, 5.0),
+    1: (7.42501, 16.52173, 7.7),
+    2: (7.00036, 14.69483, 7.8),
+}
 """Mean error [mm], maximum error [mm] and time [s] by number of via points, Raharjo et al. Table II."""
 
-_COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3")
+COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3")
 
 
 @dataclass(frozen=True)
 class LineRun:
     """One execution of one plan; paths in the base frame [m], times from the plan's start [s]."""
 
-    via: int
+    via: int | str
+    """How many, or "stream"."""
     duration_s: float
     predicted_mean_mm: float
     predicted_max_mm: float
@@ -129,24 +135,33 @@ def _table(page: Page, report: LineReport) -> None:
     )
 
 
-def _along_and_off(tool_m: FloatArray, report: LineReport) -> tuple[FloatArray, FloatArray, FloatArray]:
+def along_and_off(
+    tool_m: FloatArray, from_m: FloatArray, to_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Progress along AB, sideways (horizontal) and upward deviation from it [mm]."""
-    direction = (report.to_m - report.from_m) / np.linalg.norm(report.to_m - report.from_m)
+    direction = (to_m - from_m) / np.linalg.norm(to_m - from_m)
     sideways = np.cross(direction, (0.0, 0.0, 1.0))
     if np.linalg.norm(sideways) < 1e-6:  # a vertical line has no horizontal direction of its own
         sideways = np.array([1.0, 0.0, 0.0])
     sideways = sideways / np.linalg.norm(sideways)
     upward = np.cross(sideways, direction)
-    offset = (tool_m - report.from_m) * 1000.0
+    offset = (tool_m - from_m) * 1000.0
     return offset @ direction, offset @ sideways, offset @ upward
 
 
 def _path_figure(page: Page, figure: type, report: LineReport) -> None:
-    page.heading("Path against line, seen from above and from the side")
+    page.heading("Path against line, in space, from above and from the side")
+    chart = figure()
+    paths = [
+        (f"{run.via} via", run.tool_m if run.truth_tool_m is None else run.truth_tool_m, colour)
+        for run, colour in zip(report.runs, COLOURS, strict=False)
+    ]
+    space_figure(chart, report.from_m, report.to_m, paths)
+    page.figure(chart, "Tool paths in space against the line AB")
     for axis, title in ((1, "from above: sideways deviation"), (2, "from the side: upward deviation")):
         chart = figure()
         for index, candidate in enumerate(report.candidates_m):
-            view = _along_and_off(candidate, report)
+            view = along_and_off(candidate, report.from_m, report.to_m)
             chart.add_scatter(
                 x=view[0],
                 y=view[axis],
@@ -157,9 +172,9 @@ def _path_figure(page: Page, figure: type, report: LineReport) -> None:
                 showlegend=index == 0,
             )
         length = float(np.linalg.norm(report.to_m - report.from_m)) * 1000.0
-        chart.add_scatter(x=[0, length], y=[0, 0], mode="lines", line={"color": "#1d2733", "width": 2}, name="line AB")
-        for run, colour in zip(report.runs, _COLOURS, strict=False):
-            commanded = _along_and_off(run.predicted_tool_m, report)
+        chart.add_scatter(x=[0, length], y=[0, 0], mode="lines", line={"color": "#7d8b99", "width": 2}, name="line AB")
+        for run, colour in zip(report.runs, COLOURS, strict=False):
+            commanded = along_and_off(run.predicted_tool_m, report.from_m, report.to_m)
             chart.add_scatter(
                 x=commanded[0],
                 y=commanded[axis],
@@ -169,7 +184,7 @@ def _path_figure(page: Page, figure: type, report: LineReport) -> None:
                 visible="legendonly",
             )
             real = run.tool_m if run.truth_tool_m is None else run.truth_tool_m
-            view = _along_and_off(real, report)
+            view = along_and_off(real, report.from_m, report.to_m)
             label = "by encoders" if run.truth_tool_m is None else "true"
             chart.add_scatter(
                 x=view[0],
@@ -178,7 +193,7 @@ def _path_figure(page: Page, figure: type, report: LineReport) -> None:
                 line={"color": colour, "width": 2},
                 name=f"{run.via} via, {label}",
             )
-            via = _along_and_off(run.via_tool_m, report)
+            via = along_and_off(run.via_tool_m, report.from_m, report.to_m)
             chart.add_scatter(
                 x=via[0],
                 y=via[axis],
@@ -187,14 +202,14 @@ def _path_figure(page: Page, figure: type, report: LineReport) -> None:
                 name=f"{run.via} via points",
                 showlegend=False,
             )
-        _layout(chart, title, "along the line, mm", "off the line, mm")
+        layout(chart, title, "along the line, mm", "off the line, mm")
         page.figure(chart, f"Tool paths against the line AB, {title}")
 
 
 def _deviation_figure(page: Page, figure: type, report: LineReport) -> None:
     page.heading("Deviation along the path")
     chart = figure()
-    for run, colour in zip(report.runs, _COLOURS, strict=False):
+    for run, colour in zip(report.runs, COLOURS, strict=False):
         for tool_m, dash, label in (
             (run.predicted_tool_m, "dot", "predicted"),
             (run.tool_m, "dash", "by encoders"),
@@ -203,13 +218,13 @@ def _deviation_figure(page: Page, figure: type, report: LineReport) -> None:
             if tool_m is None:
                 continue
             chart.add_scatter(
-                x=_along_and_off(tool_m, report)[0],
+                x=along_and_off(tool_m, report.from_m, report.to_m)[0],
                 y=straightness.distance_to_line(tool_m, report.from_m, report.to_m) * 1000.0,
                 mode="lines",
                 line={"color": colour, "dash": dash, "width": 2},
                 name=f"{run.via} via, {label}",
             )
-    _layout(chart, "Distance from the line", "along the line, mm", "distance, mm")
+    layout(chart, "Distance from the line", "along the line, mm", "distance, mm")
     page.figure(chart, "Distance of the tool from the line AB along the path, for each run")
 
 
@@ -219,8 +234,8 @@ def _convergence_figure(page: Page, figure: type, report: LineReport) -> None:
     generations = np.arange(len(report.best_mm))
     chart.add_scatter(x=generations, y=report.best_mm, mode="lines", line={"color": "#2a7f62"}, name="best")
     chart.add_scatter(x=generations, y=report.mean_mm, mode="lines", line={"color": "#b9c2cd"}, name="mean")
-    chart.add_hline(y=report.exact_mean_mm, line={"color": "#1d2733", "dash": "dot"}, annotation_text="exact optimum")
-    _layout(chart, "Mean distance of the best and of the average individual", "generation", "mean distance, mm")
+    chart.add_hline(y=report.exact_mean_mm, line={"color": "#7d8b99", "dash": "dot"}, annotation_text="exact optimum")
+    layout(chart, "Mean distance of the best and of the average individual", "generation", "mean distance, mm")
     page.figure(chart, "Best and mean cost of the genetic algorithm by generation")
 
 
@@ -240,12 +255,47 @@ def _joint_figures(page: Page, figure: type, report: LineReport) -> None:
                     legendgroup=name,
                     showlegend=not suffix,
                 )
-        _layout(chart, f"{run.via} via points (dotted: commanded)", "time, s", "joint angle, deg")
+        layout(chart, f"{run.via} via points (dotted: commanded)", "time, s", "joint angle, deg")
         page.figure(chart, f"Joint angles against time with {run.via} via points")
 
 
-def _layout(chart: object, title: str, x: str, y: str) -> None:
-    chart.update_layout(  # type: ignore[attr-defined]
+def space_figure(
+    chart: Any, from_m: FloatArray, to_m: FloatArray, paths: Sequence[tuple[str, FloatArray, str]]
+) -> None:
+    """Fill a chart with tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
+    ends = np.stack([from_m, to_m]) * 1000.0
+    chart.add_scatter3d(
+        x=ends[:, 0],
+        y=ends[:, 1],
+        z=ends[:, 2],
+        mode="lines+markers",
+        line={"color": "#7d8b99", "width": 6},
+        marker={"size": 4, "color": "#7d8b99"},
+        name="line AB",
+    )
+    seen = [ends]
+    for name, points, colour in paths:
+        mm = points * 1000.0
+        seen.append(mm)
+        chart.add_scatter3d(
+            x=mm[:, 0], y=mm[:, 1], z=mm[:, 2], mode="lines", line={"color": colour, "width": 4}, name=name
+        )
+    every = np.concatenate(seen)
+    middle = (every.max(axis=0) + every.min(axis=0)) / 2.0
+    half = float(np.ptp(every, axis=0).max()) * 0.55
+    axes = {
+        f"{axis}axis": {"title": {"text": f"{axis}, mm"}, "range": [float(centre) - half, float(centre) + half]}
+        for axis, centre in zip("xyz", middle, strict=True)
+    }
+    camera = {"eye": {"x": 1.3, "y": -1.3, "z": 0.8}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
+    layout(chart, "Tool paths in space", "", "")
+    chart.update_layout(
+        height=600, margin={"l": 0, "r": 0, "t": 50, "b": 0}, scene={"aspectmode": "cube", "camera": camera, **axes}
+    )
+
+
+def layout(chart: Any, title: str, x: str, y: str) -> None:
+    chart.update_layout(
         title=title,
         xaxis_title=x,
         yaxis_title=y,

@@ -13,16 +13,40 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _STYLE = """
-:root { color-scheme: light; }
+:root { color-scheme: light dark; --ink: #1d2733; --paper: #fff; --quiet: #5a6878; --rule: #d5dbe3; --edge: #8794a5; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #dde4ec; --paper: #12171d; --quiet: #93a1b1; --rule: #2b3541; --edge: #5a6878; }
+}
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 0 auto; padding: 1rem 1.25rem 3rem;
-  color: #1d2733; background: #fff; }
+  color: var(--ink); background: var(--paper); }
 h1 { font-size: 1.7rem; margin: .5rem 0; } h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem; }
 p { max-width: 46rem; } .wide { overflow-x: auto; }
 table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; }
-th, td { padding: .3rem .8rem; border-bottom: 1px solid #d5dbe3; text-align: right; }
-th:first-child, td:first-child { text-align: left; } th { border-bottom-color: #8794a5; }
-caption { caption-side: bottom; text-align: left; color: #5a6878; font-size: .87rem; padding-top: .4rem; }
+th, td { padding: .3rem .8rem; border-bottom: 1px solid var(--rule); text-align: right; }
+th:first-child, td:first-child, .words th, .words td { text-align: left; } th { border-bottom-color: var(--edge); }
+caption { caption-side: bottom; text-align: left; color: var(--quiet); font-size: .87rem; padding-top: .4rem; }
 """
+
+_CHART_COLOURS = """
+(() => {
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const paint = () => {
+    const of = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+    const axis = (name, key) => ({[`${name}.gridcolor`]: of("--rule"), [`${name}.zerolinecolor`]: of("--edge"),
+      [`${name}.linecolor`]: of("--edge"), ...key});
+    for (const chart of document.querySelectorAll(".js-plotly-plot")) {
+      const change = {paper_bgcolor: of("--paper"), plot_bgcolor: of("--paper"), "font.color": of("--ink"),
+        ...axis("xaxis"), ...axis("yaxis")};
+      if (chart.layout.scene) for (const letter of "xyz") Object.assign(change, axis(`scene.${letter}axis`,
+        {[`scene.${letter}axis.backgroundcolor`]: of("--paper")}));
+      Plotly.relayout(chart, change);
+    }
+  };
+  paint();
+  dark.addEventListener("change", paint);
+})();
+"""
+"""Charts are drawn light; this gives them the page's colours, whichever those are."""
 
 
 def plotly() -> type[go.Figure]:
@@ -53,15 +77,19 @@ class Page:
     def text(self, text: str) -> None:
         self._blocks.append(f"<p>{html.escape(text)}</p>")
 
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
+    def table(
+        self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "", *, words: bool = False
+    ) -> None:
+        """Add a table; `words`: its cells are text, set from the left, and not numbers."""
+
         def line(cells: Sequence[object], tag: str) -> str:
             return "<tr>" + "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
 
         body = "".join(line(row, "td") for row in rows)
         note = f"<caption>{html.escape(caption)}</caption>" if caption else ""
-        self._blocks.append(
-            f'<div class="wide"><table>{note}<thead>{line(header, "th")}</thead><tbody>{body}</tbody></table></div>'
-        )
+        kind = ' class="words"' if words else ""
+        head = f"<thead>{line(header, 'th')}</thead>"
+        self._blocks.append(f'<div class="wide"><table{kind}>{note}{head}<tbody>{body}</tbody></table></div>')
 
     def figure(self, figure: go.Figure, description: str) -> None:
         """Add a plotly figure; `description` says in words what it shows."""
@@ -74,11 +102,15 @@ class Page:
         label = html.escape(description, quote=True)
         self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{markup}</figure>')
 
-    def write(self, path: Path) -> None:
-        """Write the page to `path`."""
-        path.write_text(
+    def html(self) -> str:
+        """The whole page."""
+        script = f"<script>{_CHART_COLOURS}</script>" if self._has_script else ""
+        return (
             f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(self._title)}</title>'
             f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{_STYLE}</style></head>'
-            f"<body>{''.join(self._blocks)}</body></html>\n",
-            encoding="utf-8",
+            f"<body>{''.join(self._blocks)}{script}</body></html>\n"
         )
+
+    def write(self, path: Path) -> None:
+        """Write the page to `path`."""
+        path.write_text(self.html(), encoding="utf-8")

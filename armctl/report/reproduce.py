@@ -1,0 +1,108 @@
+"""The page on which the papers stand beside their recomputation: what is printed, what is found, what is wrong.
+
+A `PaperReport` is data: rows of numbers with a verdict, tables, and pictures that are drawn only when a page is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armctl.kinematics.errata import Erratum
+from armctl.report.page import Page
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of a paper beside armctl's."""
+
+    paper: str
+    quantity: str
+    printed: float | str | None
+    """None: the paper gives no number."""
+    armctl: float | str
+    unit: str
+    verdict: str
+    """"equal", "better", "misprint" or "differs: why"."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a paper, recomputed."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of a paper, redrawn when asked for."""
+
+    title: str
+    description: str
+    draw: Callable[[], go.Figure]
+
+
+@dataclass(frozen=True)
+class PaperReport:
+    """Everything about one paper."""
+
+    paper: str
+    title: str
+    notes: tuple[str, ...]
+    rows: tuple[Row, ...]
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+
+
+def write(reports: Sequence[PaperReport], errata: Sequence[Erratum], path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        ArmctlError: plotly is not installed.
+    """
+    page = Page("Five papers, recomputed")
+    page.text(
+        "Each quantity that a paper prints, beside the one computed here. Equal: the same to the printed digits. "
+        "Better: an error that is smaller here. Misprint: print contradicts itself or the paper's own model, proven "
+        "below. Differs: neither, and why."
+    )
+    for report in reports:
+        page.heading(f"{report.paper}: {report.title}")
+        for note in report.notes:
+            page.text(note)
+        page.table(
+            ("quantity", "printed", "armctl", "unit", "verdict"),
+            [(row.quantity, shown(row.printed), shown(row.armctl), row.unit, row.verdict) for row in report.rows],
+            words=True,
+        )
+        for picture in report.pictures:
+            page.heading(f"{report.paper}, {picture.title}")
+            page.figure(picture.draw(), picture.description)
+        for table in report.tables:
+            page.heading(f"{report.paper}, {table.title}")
+            page.table(table.header, table.rows, table.caption)
+    page.heading("Errata")
+    page.text(
+        f"{len(errata)} statements of these papers do not hold. Each is proven by a computation that a test repeats."
+    )
+    page.table(
+        ("paper", "where", "printed", "true", "proof"),
+        [(one.paper, one.where, one.printed, one.true, one.proof) for one in errata],
+        words=True,
+    )
+    page.write(path)
+
+
+def shown(value: float | str | None) -> str:
+    """A number as a person reads it."""
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.6g}"

@@ -1,0 +1,195 @@
+"""Figs. 3 to 7 of Lu & Liu from a log: what the middle of the paw did, beside what the model says.
+
+Recorded: the encoders' joint positions of the log, made smooth and differentiated by local cubics
+(trajectory/smoothing.py) and taken to the tool by forward kinematics and the Jacobian. Model: the cycle's quintics,
+rebuilt from the parameters that the log itself holds, taken to the tool in the same way. Time 0 is the cycle's begin.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from armctl.clock import NS_PER_S
+from armctl.errors import LogError
+from armctl.kinematics import robots
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.recording import channels, timeline
+from armctl.recording.reader import read
+from armctl.report.kinematics import COLOURS
+from armctl.report.page import Page, plotly
+from armctl.trajectory.quintic import Curves, curves
+from armctl.trajectory.smoothing import local_cubics
+from armctl.trajectory.transfer import NOTED, Cycle, motion
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+HALF_WIDTH_S = 0.55
+"""Eleven samples at 0.1 s."""
+POINTS = 600
+QUANTITIES = (
+    ("Fig. 3", "displacement", "tool_position_m", "m"),
+    ("Fig. 4", "velocity", "tool_velocity_m_s", "m/s"),
+    ("Fig. 5", "acceleration", "tool_acceleration_m_s2", "m/s^2"),
+    ("Fig. 6", "angular velocity", "tool_angular_velocity_rad_s", "rad/s"),
+    ("Fig. 7", "angular acceleration", "tool_angular_acceleration_rad_s2", "rad/s^2"),
+)
+"""Figure of the paper, what it shows of the paw's midpoint, the field of `Curves`, its unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """One recorded cycle and its model, at the same instants."""
+
+    log: Path
+    robot: Robot
+    cycle: Cycle
+    recorded: Curves
+    model: Curves
+
+    def row(self, field: str) -> dict[str, float]:
+        """Largest absolute value of the model and of the record, and the root mean square of their difference."""
+        recorded, model = getattr(self.recorded, field), getattr(self.model, field)
+        return {
+            "model_peak": float(np.linalg.norm(model, axis=1).max()),
+            "recorded_peak": float(np.linalg.norm(recorded, axis=1).max()),
+            "rms_difference": math.sqrt(float(((recorded - model) ** 2).sum(axis=1).mean())),
+        }
+
+
+def load(log: Path) -> Transfer:
+    """The cycle in a log that `armctl transfer` made the daemon record.
+
+    Raises:
+        LogError: the file is no log of armctl's, or holds no whole cycle.
+    """
+    cycle = _cycle(log)
+    seen = timeline.load(log)
+    run = next((one for one in reversed(seen.motions) if one.label == "transfer"), None)
+    if run is None:
+        raise LogError(f"{log}: the cycle was not run to its end; there is nothing to draw")
+    robot = robots.get(seen.arm.robot, seen.arm.lengths_m)
+    model = motion(cycle, seen.arm, robot)
+    since_s = seen.time_s - (run.begin_ns - seen.start_ns) / NS_PER_S
+    known = np.isfinite(seen.position_rad).all(axis=1)
+    at_s = np.linspace(0.0, model.duration_s, POINTS)
+    try:
+        smooth = local_cubics(since_s[known], seen.position_rad[known, : robot.chain.n], at_s, HALF_WIDTH_S)
+    except ValueError as error:
+        raise LogError(f"{log}: too many readings of the cycle are missing ({error})") from None
+    return Transfer(log, robot, cycle, curves(robot.chain, _Sampled(smooth), at_s), curves(robot.chain, model, at_s))
+
+
+def figures(log: Path) -> dict[str, go.Figure]:
+    """Figs. 3 to 7, drawn from a log; keyed by their captions.
+
+    Raises:
+        LogError: see `load`.
+        ArmctlError: plotly is not installed.
+    """
+    return draw(load(log))
+
+
+def draw(transfer: Transfer) -> dict[str, go.Figure]:
+    """Figs. 3 to 7 of a cycle that was loaded."""
+    figure = plotly()
+    drawn = {}
+    for number, what, field, unit in QUANTITIES:
+        chart = figure()
+        for axis, letter in enumerate("xyz"):
+            for curve, name, dash in (
+                (transfer.model, "model", "dash"),
+                (transfer.recorded, "recorded", "solid"),
+            ):
+                chart.add_scatter(
+                    x=curve.time_s,
+                    y=getattr(curve, field)[:, axis],
+                    name=f"{letter}, {name}",
+                    line={"color": COLOURS[axis], "width": 1.6, "dash": dash},
+                )
+        chart.update_layout(height=420, xaxis_title="time [s]", yaxis_title=f"{what} [{unit}]")
+        drawn[_title(number, what)] = chart
+    return drawn
+
+
+def titles() -> list[str]:
+    """Captions of the figures that `draw` draws, in order."""
+    return [_title(number, what) for number, what, _, _ in QUANTITIES]
+
+
+def _title(number: object, what: str) -> str:
+    return f"{number}: {what} of the paw's midpoint"
+
+
+def table(transfer: Transfer) -> list[dict[str, Any]]:
+    """Peaks of model and record and their difference, one row a figure."""
+    return [
+        {"figure": number, "quantity": what, "unit": unit, **transfer.row(field)}
+        for number, what, field, unit in QUANTITIES
+    ]
+
+
+def write(transfer: Transfer, path: Path) -> None:
+    """One HTML page about a cycle."""
+    page = Page(f"Pick and transfer: {transfer.robot.name}")
+    cycle = transfer.cycle
+    page.text(
+        f"Down {1e3 * cycle.height_m:.0f} mm onto {_point(cycle.pick_m)} in {cycle.lift_s:g} s, up, across in "
+        f"{cycle.carry_s:g} s, down onto {_point(cycle.place_m)}, up, and back; {cycle.dwell_s:g} s at each station, "
+        f"{cycle.cycles} time(s). Link lengths [mm]: "
+        + ", ".join(f"{name} {1e3 * length:g}" for name, length in transfer.robot.lengths_m.items())
+        + "."
+    )
+    page.text(
+        f"Solid: recorded by the daemon ({transfer.log.name}); joint positions from the encoders, smoothed and "
+        f"differentiated by cubics fitted within {HALF_WIDTH_S:g} s of each instant. Dashed: the model."
+    )
+    rows = [
+        [row["figure"], row["quantity"], row["unit"]]
+        + [f"{row[key]:.4f}" for key in ("model_peak", "recorded_peak", "rms_difference")]
+        for row in table(transfer)
+    ]
+    page.table(["figure", "of the paw's midpoint", "unit", "peak, model", "peak, recorded", "rms difference"], rows)
+    for caption, chart in draw(transfer).items():
+        page.heading(caption)
+        page.figure(chart, f"{caption} over time, recorded and by the model, in x, y and z")
+    page.write(path)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampled:
+    """Position, velocity and acceleration that are there already."""
+
+    values: tuple[FloatArray, FloatArray, FloatArray]
+
+    def sample(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        assert len(time_s) == len(self.values[0])
+        return self.values
+
+
+def _cycle(log: Path) -> Cycle:
+    """The parameters of the last cycle that a log tells of."""
+    found: Cycle | None = None
+    for message in read(log, (channels.COMMAND,)):
+        text = message.value["data"]
+        try:
+            note = json.loads(text)
+            if isinstance(note, dict) and note.get("event") == NOTED:
+                found = TypeAdapter(Cycle).validate_python(note["cycle"])
+        except (ValueError, RecursionError, KeyError, ValidationError) as error:
+            raise LogError(f"{log}: {channels.COMMAND} is not as armctl writes it: {error!r}") from None
+    if found is None:
+        raise LogError(f"{log}: tells of no transfer; record one with `armctl transfer`")
+    return found
+
+
+def _point(point_m: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{1e3 * x:.0f}" for x in point_m) + ") mm"

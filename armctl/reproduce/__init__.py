@@ -1,0 +1,1 @@
+"""The five papers recomputed: their tables, figures and errors beside what armctl finds."""

@@ -1,0 +1,82 @@
+"""The straight-line page: complete in itself, its numbers those of the paths it is given."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armctl.kinematics.transform import FloatArray
+from armctl.report.line import LineReport, LineRun, along_and_off, write
+
+A, B = np.array([0.18, -0.1, 0.1]), np.array([0.18, 0.1, 0.1])
+
+
+def path(up_m: float) -> FloatArray:
+    points: FloatArray = A + np.linspace(0.0, 1.0, 11)[:, None] * (B - A)
+    points[:, 2] += up_m
+    return points
+
+
+def run(via: int) -> LineRun:
+    time_s = np.linspace(0.0, 5.0, 11)
+    return LineRun(
+        via=via,
+        duration_s=5.0,
+        predicted_mean_mm=1.0,
+        predicted_max_mm=2.0,
+        predicted_tool_m=path(0.001),
+        via_tool_m=path(0.001)[1 : 1 + via],
+        time_s=time_s,
+        positions_rad=np.zeros((11, 2)),
+        goals_rad=np.zeros((11, 2)),
+        tool_m=path(-0.0123),
+        truth_time_s=time_s,
+        truth_tool_m=path(-0.0456),
+    )
+
+
+REPORT = LineReport(
+    from_m=A,
+    to_m=B,
+    joint_names=("base", "shoulder"),
+    candidates_m=[path(0.01)],
+    candidate_errors_mm=[("take <1>", 10.0, 10.0)],
+    ga_tool_m=path(0.005),
+    ga_mean_mm=5.0,
+    exact_mean_mm=4.9,
+    gap_ratio=0.02,
+    best_mm=np.array([6.0, 5.0]),
+    mean_mm=np.array([8.0, 7.0]),
+    runs=[run(0), run(2)],
+)
+
+
+def test_the_page_tells_what_the_paths_show(tmp_path: Path) -> None:
+    write(REPORT, tmp_path / "line.html")
+    html = (tmp_path / "line.html").read_text()
+    assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)
+    assert html.count("12.3 / 12.3") == 2
+    assert html.count("45.6 / 45.6") == 2
+    assert "take &lt;1&gt;" in html
+    assert "2.00 % above" in html
+    assert html.count('<figure role="img"') == 3 + 1 + 1 + 2
+
+
+def test_without_an_outside_measurement_the_truth_is_left_open(tmp_path: Path) -> None:
+    blind = [replace(one, truth_time_s=None, truth_tool_m=None) for one in REPORT.runs]
+    write(replace(REPORT, runs=blind), tmp_path / "line.html")
+    html = (tmp_path / "line.html").read_text()
+    assert "45.6 / 45.6" not in html
+    assert html.count("12.3 / 12.3") == 2
+
+
+@pytest.mark.parametrize("to", [B, np.array([0.3, -0.1, 0.1]), np.array([0.18, -0.1, 0.2]), A - 0.05])
+def test_progress_and_both_deviations_hold_the_whole_offset(to: FloatArray) -> None:
+    points = np.random.default_rng(0).standard_normal((20, 3)) * 0.1
+    parts = np.stack(along_and_off(points, A, to))
+    np.testing.assert_allclose(np.linalg.norm(parts, axis=0), np.linalg.norm(points - A, axis=1) * 1e3)
+    np.testing.assert_allclose(np.stack(along_and_off(np.stack([A, to]), A, to))[1:], 0.0, atol=1e-9)
