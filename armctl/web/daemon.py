@@ -1,0 +1,142 @@
+"""The dashboard's connections to the daemon.
+
+Rules.
+1. One connection watches: it is made again whenever it breaks, and everything seen goes to every page. `stop` goes
+   over it too, so that no request under way is in its way.
+2. One connection commands, for all pages together: it is made with the first command and closed when the last page
+   has left, which ends teaching and lets go of the arm as for any client that leaves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+from armctl.async_client import AsyncClient
+from armctl.errors import ArmctlError, NoDaemon
+
+RETRY_S = 0.5
+LEAVE_S = 3.0
+"""How long a page may be away, as while it is loaded again, before it counts as left."""
+MAX_WAITING = 4
+"""Messages a slow page may lag behind; then it loses the oldest."""
+
+Enrich = Callable[[dict[str, Any]], dict[str, Any]]
+
+
+class Daemon:
+    """The daemon as the dashboard sees it."""
+
+    def __init__(self, socket: Path, enrich: Enrich) -> None:
+        """
+        Args:
+            socket: The daemon's socket.
+            enrich: Adds to a snapshot what pages draw.
+        """
+        self.socket = socket
+        self.snapshot: dict[str, Any] | None = None
+        self._enrich = enrich
+        self._pages: set[asyncio.Queue[str]] = set()
+        self._watcher: AsyncClient | None = None
+        self._commander: AsyncClient | None = None
+        self._connecting = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Watch while inside."""
+        watching = asyncio.create_task(self._watch())
+        try:
+            yield
+        finally:
+            for task in (watching, *self._tasks):
+                task.cancel()
+            await asyncio.gather(watching, *self._tasks, return_exceptions=True)
+            await self._leave()
+
+    async def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """A request of the commanding connection.
+
+        Raises:
+            ArmctlError: what the daemon answered, or that it is gone.
+        """
+        async with self._connecting:
+            if self._commander is None or self._commander.closed:
+                self._commander = await AsyncClient.connect(self.socket)
+                self._start(self._forward(self._commander))
+            commander = self._commander
+        return await commander.call(method, **params)
+
+    async def stop(self) -> dict[str, Any]:
+        """`stop`, over whatever connection there is."""
+        watcher = self._watcher
+        if watcher is not None and not watcher.closed:
+            return await watcher.call("stop")
+        async with await AsyncClient.connect(self.socket) as client:
+            return await client.call("stop")
+
+    @contextlib.asynccontextmanager
+    async def page(self) -> AsyncIterator[asyncio.Queue[str]]:
+        """Messages for one page, as JSON texts, while inside."""
+        queue: asyncio.Queue[str] = asyncio.Queue(MAX_WAITING)
+        self._pages.add(queue)
+        _put(queue, json.dumps({"kind": "snapshot", "snapshot": self.snapshot}))
+        try:
+            yield queue
+        finally:
+            self._pages.remove(queue)
+            if not self._pages:
+                self._start(self._leave_unless_back())
+
+    async def _watch(self) -> None:
+        while True:
+            with contextlib.suppress(NoDaemon):
+                async with await AsyncClient.connect(self.socket) as self._watcher:
+                    async for snapshot in self._watcher.subscribe():
+                        self._see(snapshot)
+            self._see(None)
+            await asyncio.sleep(RETRY_S)
+
+    def _see(self, snapshot: dict[str, Any] | None) -> None:
+        if self._pages:
+            self.snapshot = None if snapshot is None else self._enrich(snapshot)
+            self._tell({"kind": "snapshot", "snapshot": self.snapshot})
+        else:
+            self.snapshot = snapshot
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        text = json.dumps(message, separators=(",", ":"))
+        for page in self._pages:
+            _put(page, text)
+
+    async def _forward(self, commander: AsyncClient) -> None:
+        """Tell the pages how far an optimisation is."""
+        with contextlib.suppress(ArmctlError):
+            async for method, params in commander.notifications():
+                if method == "progress":
+                    self._tell({"kind": "progress", **params})
+
+    async def _leave_unless_back(self) -> None:
+        await asyncio.sleep(LEAVE_S)
+        if not self._pages:
+            await self._leave()
+
+    async def _leave(self) -> None:
+        commander, self._commander = self._commander, None
+        if commander is not None:
+            await commander.close()
+
+    def _start(self, work: Any) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def _put(queue: asyncio.Queue[str], text: str) -> None:
+    if queue.full():
+        queue.get_nowait()
+    queue.put_nowait(text)

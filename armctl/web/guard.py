@@ -1,0 +1,139 @@
+"""What a request must be before anything looks at it.
+
+Rules.
+1. The `Host` is exactly one of the server's own names: a name that was rebound to the loopback address is not.
+2. An `Origin`, where one is sent, is the server's own, and `Sec-Fetch-Site`, where one is sent, says the same origin
+   or that the user typed the address. Nothing is ever shared with another origin.
+3. Below /api every request carries the token, compared in constant time. A page gets it from the address that the
+   server printed (behind the `#`, which browsers do not send) and a WebSocket says it in its first message.
+4. A body is JSON by its content type, at most 64 KiB, and strict as the socket's is.
+5. Every answer forbids scripts, frames and connections from elsewhere, and is not kept unless it says how it may be.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+
+from armctl.api.jsonrpc import MAX_LINE_BYTES, ProtocolError, strict_json
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+TOKEN_HEADER = "x-armctl-token"
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+class Refused(Exception):
+    """A request that is none of ours: HTTP status, stable code and the reason."""
+
+    def __init__(self, status: int, code: str, reason: str) -> None:
+        self.status, self.code, self.reason = status, code, reason
+        super().__init__(reason)
+
+
+class Guard:
+    """ASGI middleware that lets through what keeps the rules."""
+
+    def __init__(self, app: App, *, token: str, port: int) -> None:
+        self._app, self._token = app, token.encode()
+        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+        self._origins = {f"http://{host}" for host in self._hosts}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        try:
+            self._check_sender(headers, socket=scope["type"] == "websocket")
+            if scope["type"] == "http":
+                if scope["path"].startswith("/api"):
+                    self._check_token(headers)
+                receive = await _checked_body(scope, headers, receive)
+        except Refused as refused:
+            await _refuse(scope, receive, send, refused)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                own = [*message.get("headers", ())]
+                said = {name.lower() for name, _ in own}
+                added = ((name.encode(), value.encode()) for name, value in HEADERS.items())
+                message["headers"] = own + [(name, value) for name, value in added if name not in said]
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+    def token_is(self, said: object) -> bool:
+        """Whether a text is the token."""
+        return isinstance(said, str) and hmac.compare_digest(said.encode(), self._token)
+
+    def _check_sender(self, headers: dict[str, str], *, socket: bool) -> None:
+        host = headers.get("host", "")
+        if host not in self._hosts:
+            raise Refused(421, "WRONG_HOST", f"this server is not {host[:100]!r}; use the address that it printed")
+        origin = headers.get("origin")
+        if (origin is not None or socket) and origin not in self._origins:
+            raise Refused(403, "WRONG_ORIGIN", f"requests from {str(origin)[:100]!r} are not served")
+        if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
+            raise Refused(403, "WRONG_ORIGIN", "requests from other sites are not served")
+
+    def _check_token(self, headers: dict[str, str]) -> None:
+        if not self.token_is(headers.get(TOKEN_HEADER, "")):
+            raise Refused(401, "NO_TOKEN", "the token is missing or wrong; open the address that `armctl web` printed")
+
+
+async def _checked_body(scope: Scope, headers: dict[str, str], receive: Receive) -> Receive:
+    """The request's body, read and checked, as a receiver that gives it once more."""
+    body = b""
+    while True:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            break
+        body += message.get("body", b"")
+        if len(body) > MAX_LINE_BYTES:
+            raise Refused(413, "TOO_LARGE", f"a body is at most {MAX_LINE_BYTES} bytes")
+        if not message.get("more_body", False):
+            break
+    if scope["method"] in ("POST", "PUT", "PATCH", "DELETE") and (body or scope["method"] != "DELETE"):
+        if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
+            raise Refused(415, "NOT_JSON", "send application/json")
+        try:
+            strict_json(body or b"{}")
+        except ProtocolError as error:
+            raise Refused(400, "NOT_JSON", error.problem) from None
+    waiting = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def again() -> Message:
+        return waiting.pop() if waiting else await receive()
+
+    return again
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, refused: Refused) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 1008, "reason": refused.reason[:120]})
+        return
+    error = {"code": refused.code, "message": refused.reason, "reasons": [refused.reason]}
+    body = json.dumps({"error": error}).encode()
+    headers = {**HEADERS, "content-type": "application/json", "content-length": str(len(body)), "connection": "close"}
+    encoded = [(name.encode(), value.encode()) for name, value in headers.items()]
+    await send({"type": "http.response.start", "status": refused.status, "headers": encoded})
+    await send({"type": "http.response.body", "body": body})

@@ -1,0 +1,74 @@
+"""Plans that were made in the dashboard: one JSON file each, below one folder, never overwritten."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from armctl.config import NAME_PATTERN
+from armctl.errors import ConfigError, LogError, RequestRefused
+from armctl.trajectory.plan import Plan, plan_from_text
+
+
+def save(folder: Path, name: str, text: str) -> Path:
+    """Keep a plan under a name that is still free.
+
+    Raises:
+        RequestRefused: a plan of that name exists.
+        LogError: the folder cannot be written.
+    """
+    path = _path(folder, name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise RequestRefused("EXISTS", f"a plan {name} exists; choose another name, or delete it") from None
+    except OSError as error:
+        raise LogError(f"{path}: cannot write the plan: {error.strerror}") from None
+    return path
+
+
+def load(folder: Path, name: str) -> Plan:
+    """A kept plan.
+
+    Raises:
+        RequestRefused: there is none of that name.
+        ConfigError: its file is no plan.
+    """
+    path = _path(folder, name)
+    if not path.is_file():
+        raise RequestRefused("NO_PLAN", f"there is no plan {name}")
+    return plan_from_text(path.read_text(encoding="utf-8"), str(path))
+
+
+def delete(folder: Path, name: str) -> None:
+    """Remove a kept plan.
+
+    Raises:
+        RequestRefused: there is none of that name.
+    """
+    try:
+        _path(folder, name).unlink()
+    except FileNotFoundError:
+        raise RequestRefused("NO_PLAN", f"there is no plan {name}") from None
+
+
+def listed(folder: Path) -> list[dict[str, Any]]:
+    """Every plan that can be read, the newest first."""
+    found = []
+    for path in sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True):
+        try:
+            plan = plan_from_text(path.read_text(encoding="utf-8"), str(path))
+        except (ConfigError, OSError, UnicodeDecodeError):
+            continue
+        fields = ("via", "duration_s", "from_m", "to_m", "predicted_mean_error_mm", "predicted_max_error_mm", "arm_id")
+        found.append({"name": path.stem, **{field: getattr(plan, field) for field in fields}})
+    return found
+
+
+def _path(folder: Path, name: str) -> Path:
+    if not re.fullmatch(NAME_PATTERN, name):  # a `$` alone lets a line end pass
+        raise RequestRefused("NAME", f"{name[:80]!r} is no name; letters, digits, '.', '_', '-', at most 64")
+    return folder / f"{name}.json"

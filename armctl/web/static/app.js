@@ -1,0 +1,581 @@
+// The dashboard. Everything that comes from the daemon is put into text nodes, never into markup.
+
+const token = takeToken();
+const $ = (id) => document.getElementById(id);
+const degrees = (rad) => rad * 180 / Math.PI;
+const millimetres = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} mm`;
+let arm = null, snapshot = null, teaching = false, taking = null, takes = [], plotly = null;
+const trail = [];
+const TRAIL = 150;
+
+function takeToken() {
+  const found = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (found) {
+    sessionStorage.setItem("armctl-token", found);
+    history.replaceState(null, "", location.pathname);
+  }
+  return found || sessionStorage.getItem("armctl-token") || "";
+}
+
+// ------------------------------------------------------------------------------------------------- requests
+
+class Refused extends Error {}
+
+async function request(path, { method = "GET", body } = {}) {
+  const headers = { "X-Armctl-Token": token };
+  if (body !== undefined) headers["Content-Type"] = "application/json";
+  let response;
+  try {
+    response = await fetch(`/api${path}`, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
+  } catch {
+    throw new Refused("the dashboard's server does not answer; is `armctl web` running?");
+  }
+  const answer = await response.json().catch(() => null);
+  if (response.ok) return answer;
+  const error = answer && answer.error;
+  const detail = answer && Array.isArray(answer.detail) && answer.detail.map((one) => one.msg).join("; ");
+  throw new Refused(error ? `${error.code}: ${error.reasons.join("; ")}` : detail || `the server answered ${response.status}`);
+}
+
+const post = (path, body = {}) => request(path, { method: "POST", body });
+
+function tell(text) {
+  $("message").textContent = text;
+  $("message").hidden = !text;
+}
+
+// Carries out what a button asks for; a refusal is shown, and the button rests meanwhile.
+async function act(button, work) {
+  tell("");
+  if (button) button.disabled = true;
+  try {
+    return await work();
+  } catch (error) {
+    if (!(error instanceof Refused)) throw error;
+    tell(error.message);
+    return null;
+  } finally {
+    if (button) button.disabled = false;
+    controls();
+  }
+}
+
+async function stop() {
+  const button = $("stop");
+  button.dataset.sent = "";
+  try {
+    await post("/stop");
+  } catch (error) {
+    tell(`STOP WAS NOT SERVED (${error.message}). Use the power switch if the arm must stop; support it first.`);
+  } finally {
+    setTimeout(() => delete button.dataset.sent, 600);
+  }
+}
+
+function confirmed(text, yes) {
+  $("confirm-text").textContent = text;
+  $("confirm-yes").textContent = yes;
+  const dialog = $("confirm");
+  dialog.returnValue = "no";
+  dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+}
+
+// ------------------------------------------------------------------------------------------------- live view
+
+function connect() {
+  const socket = new WebSocket(`ws://${location.host}/api/stream`);
+  socket.onopen = () => socket.send(JSON.stringify({ token }));
+  socket.onmessage = (event) => {
+    const message = JSON.parse(event.data);
+    if (message.kind === "snapshot") show(message.snapshot);
+    else if (message.kind === "progress") converge(message);
+  };
+  socket.onclose = (event) => {
+    show(null);
+    if (event.code === 1008) tell("The token is missing or wrong: open the address that `armctl web` printed.");
+    else setTimeout(connect, 1000);
+  };
+}
+
+function show(latest) {
+  snapshot = latest;
+  const state = latest ? latest.state : "unreachable";
+  if ($("state").textContent !== state) $("state").textContent = state;
+  $("state").dataset.state = state;
+  showFault(latest && latest.fault);
+  controls();
+  if (!latest) return;
+  latest.joints.forEach(showJoint);
+  const place = latest.tool && latest.tool.position_m;
+  $("tool").textContent = place ? place.map((value) => `${(1000 * value).toFixed(0)}`).join(", ") + " mm" : "–";
+  $("tick").textContent = latest.tick;
+  $("bus").textContent = `${(latest.cycle.bus_us_p50 / 1000).toFixed(1)} ms`;
+  $("log").textContent = latest.log && latest.log.problem ? latest.log.problem : "recording";
+  $("log").className = latest.log && latest.log.problem ? "alarm" : "";
+  $("run-progress").value = latest.progress ?? 0;
+  if (place) {
+    trail.push(place);
+    if (trail.length > TRAIL) trail.shift();
+    const line = wantedLine();
+    $("line-error-part").hidden = !line;
+    if (line) $("line-error").textContent = millimetres(distance(place, ...line));
+    if (taking && line) $("teach-figures").textContent = `recording ${taking}: ${millimetres(distance(place, ...line))} off the line`;
+  }
+  drawArm();
+}
+
+function showFault(fault) {
+  $("fault").hidden = !fault;
+  if (!fault) return;
+  $("fault-code").textContent = fault.code;
+  $("fault-servo").textContent = (fault.servo_id === null ? "" : `servo ${fault.servo_id}, `) + `for ${fault.since_s.toFixed(0)} s`;
+  $("fault-text").textContent = fault.text ?? "";
+  $("fault-arm").textContent = fault.arm;
+  $("fault-next").textContent = fault.next;
+}
+
+function showJoint(joint, index) {
+  const row = $("joints").tBodies[0].rows[index];
+  if (!row || !arm) return;
+  const [low, high] = arm.joints[index].limits_rad;
+  const at = joint.position_rad;
+  const known = at !== null;
+  const cells = row.cells;
+  cells[1].firstChild.textContent = known ? `${degrees(at).toFixed(1)}°` : "–";
+  cells[1].lastChild.firstChild.style.left = `${known ? Math.min(100, Math.max(0, 100 * (at - low) / (high - low))) : 50}%`;
+  put(cells[2], known ? `${(100 * Math.abs(joint.load_ratio)).toFixed(0)} %` : "–", Math.abs(joint.load_ratio) > 0.8);
+  put(cells[3], known ? `${joint.temperature_degC.toFixed(0)} °C` : "–", joint.temperature_degC >= arm.temperature_limit_degC);
+  put(cells[4], known ? `${joint.voltage_V.toFixed(1)} V` : "–", known && (joint.voltage_V < arm.voltage_V[0] || joint.voltage_V > arm.voltage_V[1]));
+  const stale = joint.age_s > 0.5;
+  put(cells[5], stale ? "silent" : joint.torque_enabled ? "on" : "off", stale);
+}
+
+function put(cell, text, alarm) {
+  if (cell.textContent !== text) cell.textContent = text;
+  cell.className = alarm ? "alarm" : "";
+}
+
+function makeJointRows() {
+  const body = $("joints").tBodies[0];
+  for (const joint of arm.joints) {
+    const row = body.insertRow();
+    const name = document.createElement("th");
+    name.scope = "row";
+    name.textContent = joint.name;
+    row.append(name);
+    const angle = row.insertCell();
+    const range = document.createElement("span");
+    range.className = "range";
+    range.title = `${degrees(joint.limits_rad[0]).toFixed(0)}° to ${degrees(joint.limits_rad[1]).toFixed(0)}°`;
+    range.append(document.createElement("i"));
+    angle.append("–", range);
+    for (let i = 0; i < 4; i++) row.insertCell().textContent = "–";
+  }
+}
+
+function controls() {
+  const state = snapshot ? snapshot.state : "unreachable";
+  const command = (name) => document.querySelector(`[data-command="${name}"]`);
+  command("torque-on").disabled = state !== "off";
+  command("park").disabled = state !== "holding";
+  $("release").disabled = state === "unreachable";
+  teaching = state === "teaching";
+  if (!teaching) taking = null;
+  $("teach-begin").disabled = !(state === "off" || state === "holding");
+  $("take").disabled = !teaching;
+  $("take").textContent = taking ? "End the take" : "Begin a take";
+  $("teach-end").disabled = !teaching || taking !== null;
+  $("run").disabled = !$("plan-choice").value || !(state === "holding" || state === "off");
+}
+
+// ------------------------------------------------------------------------------------------------- geometry
+
+function point(text) {
+  const numbers = text.split(",").map((part) => Number(part.trim() || NaN));
+  return numbers.length === 3 && numbers.every(Number.isFinite) ? numbers : null;
+}
+
+function wantedLine() {
+  const form = $("line-form").elements;
+  const line = [point(form.from.value), point(form.to.value)];
+  return line[0] && line[1] && Math.hypot(...minus(line[1], line[0])) > 1e-6 ? line : null;
+}
+
+const minus = (a, b) => a.map((value, i) => value - b[i]);
+const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
+
+// Distance of a point from the line through A and B, in millimetres.
+function distance(place, A, B) {
+  const along = minus(B, A), from = minus(place, A);
+  const share = dot(from, along) / dot(along, along);
+  return 1000 * Math.hypot(...from.map((value, i) => value - share * along[i]));
+}
+
+function progressAlong(place, A, B) {
+  const along = minus(B, A);
+  return dot(minus(place, A), along) / dot(along, along);
+}
+
+// ------------------------------------------------------------------------------------------------- pictures
+
+const ink = () => getComputedStyle(document.body).getPropertyValue("--ink").trim();
+const colour = (name) => getComputedStyle(document.body).getPropertyValue(name).trim();
+const COLOURS = ["#2f8fe0", "#e0862f", "#37a86b", "#b45fd1", "#d1495b", "#6b8e9e", "#c2a83e", "#4cb8c4"];
+const SETTINGS = { displaylogo: false, responsive: true, displayModeBar: false };
+
+function layout(extra = {}) {
+  const grid = colour("--edge");
+  const axis = { gridcolor: grid, zerolinecolor: grid, linecolor: grid };
+  return {
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink(), family: "system-ui, sans-serif" },
+    margin: { l: 55, r: 10, t: 10, b: 45 }, legend: { orientation: "h", y: 1.12 }, ...extra,
+    xaxis: { ...axis, ...extra.xaxis }, yaxis: { ...axis, ...extra.yaxis },
+  };
+}
+
+function sceneLayout() {
+  const axis = (title, range) => ({ title: { text: title }, range, gridcolor: colour("--edge"), color: ink(), showbackground: false, nticks: 5 });
+  return layout({
+    margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision: "kept",
+    scene: { xaxis: axis("x, m", [-0.42, 0.42]), yaxis: axis("y, m", [-0.42, 0.42]), zaxis: axis("z, m", [-0.05, 0.5]),
+      aspectmode: "manual", aspectratio: { x: 1, y: 1, z: 0.65 }, camera: { eye: { x: 1.35, y: 1.2, z: 0.6 }, center: { x: 0, y: 0, z: -0.12 } } },
+  });
+}
+
+function curve(points, options) {
+  return { type: "scatter3d", x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]), hoverinfo: "skip", ...options };
+}
+
+function armTraces(links, line, path) {
+  return [
+    curve(links, { mode: "lines+markers", line: { width: 12, color: colour("--blue") }, marker: { size: 5, color: ink() } }),
+    curve(line || [], { mode: "lines", line: { width: 4, color: colour("--red"), dash: "dash" } }),
+    curve(path, { mode: "lines", line: { width: 4, color: colour("--ok") } }),
+  ];
+}
+
+async function needPlotly() {
+  if (!plotly) {
+    plotly = new Promise((resolve, reject) => {
+      const script = document.createElement("script");
+      script.src = "/plotly.js";
+      script.onload = () => resolve(window.Plotly);
+      script.onerror = () => reject(new Refused("the plotting library did not load"));
+      document.head.append(script);
+    });
+  }
+  return plotly;
+}
+
+let drawing = false;
+async function drawArm() {
+  if (drawing || $("view-arm").hidden || document.hidden || !snapshot || !snapshot.links_m || !snapshot.links_m.length) return;
+  drawing = true;
+  const Plotly = await needPlotly();
+  await new Promise(requestAnimationFrame);
+  await Plotly.react("scene", armTraces(snapshot.links_m, wantedLine(), trail), sceneLayout(), SETTINGS);
+  setTimeout(() => { drawing = false; }, 150);
+}
+
+// ------------------------------------------------------------------------------------------------- the guide
+
+function showTakes() {
+  $("takes").replaceChildren(...takes.map((take) => {
+    const item = document.createElement("li");
+    const box = document.createElement("input");
+    const label = document.createElement("label");
+    box.type = "checkbox";
+    box.checked = take.chosen;
+    box.addEventListener("change", () => { take.chosen = box.checked; });
+    const figures = take.mean === null ? "" : `: ${take.duration.toFixed(1)} s, ${millimetres(take.mean)} mean, ${millimetres(take.max)} at most`;
+    label.append(box, take.name + figures);
+    item.append(label);
+    return item;
+  }));
+}
+
+async function loadTakes() {
+  const { recordings } = await request("/recordings");
+  const chosen = new Set(takes.filter((take) => take.chosen).map((take) => take.name));
+  const known = new Set(takes.map((take) => take.name));
+  const line = wantedLine();
+  takes = recordings.filter((one) => !one.name.startsWith("run-")).map((one) => ({
+    name: one.name, duration: one.duration_s, mean: one.mean_error_mm, max: one.max_error_mm,
+    chosen: known.size ? chosen.has(one.name) || !known.has(one.name) : true, line,
+  }));
+  showTakes();
+}
+
+function freeName(stem) {
+  const taken = new Set(takes.map((take) => take.name));
+  for (let i = 1; ; i++) if (!taken.has(`${stem}-${i}`)) return `${stem}-${i}`;
+}
+
+async function toggleTake() {
+  if (taking) {
+    const name = taking;
+    await post("/take/end");
+    taking = null;
+    $("teach-figures").textContent = `${name} is kept`;
+    await loadTakes();
+  } else {
+    const name = freeName($("take-name").value || "take");
+    await post("/take/begin", { name });
+    taking = name;
+  }
+}
+
+const generations = { x: [], best: [], mean: [] };
+
+async function converge({ generation, best, mean }) {
+  generations.x.push(generation);
+  generations.best.push(best);
+  generations.mean.push(mean);
+  $("optimise-figures").textContent = `generation ${generation}: ${best.toFixed(2)} mm`;
+  $("convergence").hidden = false;
+  const Plotly = await needPlotly();
+  Plotly.react("convergence", [
+    { x: [...generations.x], y: [...generations.best], name: "best", mode: "lines", line: { color: COLOURS[0] } },
+    { x: [...generations.x], y: [...generations.mean], name: "average", mode: "lines", line: { color: COLOURS[1] } },
+  ], layout({ xaxis: { title: { text: "generation" } }, yaxis: { title: { text: "mean error, mm" }, type: "log" } }), SETTINGS);
+}
+
+async function optimise(form) {
+  const line = wantedLine();
+  if (!line) throw new Refused("the line needs two different points of three numbers each");
+  const chosen = takes.filter((take) => take.chosen).map((take) => take.name);
+  if (!chosen.length) throw new Refused("choose at least one take above");
+  Object.values(generations).forEach((list) => { list.length = 0; });
+  const { plans } = await request("/plans");
+  const taken = new Set(plans.map((plan) => plan.name));
+  const via = Number(form.elements.via.value);
+  let stem = $("take-name").value || "line";
+  for (let i = 2; taken.has(`${stem}-via${via}`); i++) stem = `${$("take-name").value || "line"}-${i}`;
+  const result = await post("/optimize", {
+    name: stem, recordings: chosen, from_m: line[0], to_m: line[1], via: [via], duration_s: Number(form.elements.duration_s.value), seed: 0,
+  });
+  const [plan] = result.plans;
+  $("optimise-figures").textContent = `genetic algorithm ${millimetres(result.ga.mean_error_mm)}, exact optimum ` +
+    `${millimetres(result.exact.mean_error_mm)}; with ${plan.via} points the motion is predicted ` +
+    `${millimetres(plan.predicted_mean_error_mm)} off on average, ${millimetres(plan.predicted_max_error_mm)} at most`;
+  await loadPlanChoice(plan.name);
+}
+
+async function loadPlanChoice(wanted) {
+  const { plans } = await request("/plans");
+  fill($("plan-choice"), plans.map((plan) => [plan.name, `${plan.name} (${millimetres(plan.predicted_mean_error_mm)} predicted)`]), wanted);
+  controls();
+}
+
+function fill(select, rows, wanted) {
+  const before = wanted ?? select.value;
+  select.replaceChildren(...rows.map(([value, text]) => new Option(text, value)));
+  if (rows.some(([value]) => value === before)) select.value = before;
+}
+
+async function run() {
+  const name = $("plan-choice").value;
+  if (snapshot.state === "off") {
+    $("run-figures").textContent = "torque is coming on";
+    await post("/torque-on");
+  }
+  $("run-figures").textContent = `${name} is running`;
+  let result;
+  try {
+    result = await post(`/plans/${encodeURIComponent(name)}/run`);
+  } catch (error) {
+    $("run-figures").textContent = "the run did not end well";
+    throw error;
+  }
+  $("run-figures").textContent = `${result.recording}: ${millimetres(result.mean_error_mm)} off the line on average, ` +
+    `${millimetres(result.max_error_mm)} at most, in ${result.duration_s.toFixed(1)} s (by the encoders; predicted on perfect ` +
+    `servos ${millimetres(result.predicted_mean_error_mm)} and ${millimetres(result.predicted_max_error_mm)})`;
+  const [plan, recording] = await Promise.all([request(`/plans/${encodeURIComponent(name)}`), request(`/recordings/${encodeURIComponent(result.recording)}`)]);
+  $("run-plot").hidden = false;
+  const A = plan.plan.from_m, B = plan.plan.to_m;
+  drawDeviation("run-plot", [["predicted", plan.tool_m], ["measured", proper(recording)]], A, B);
+}
+
+// The tool path of a run's plan proper, of a take everything.
+function proper(recording) {
+  if (!recording.plan_s) return recording.tool_m;
+  const [begin, end] = recording.plan_s;
+  return recording.tool_m.filter((_, i) => recording.time_s[i] >= begin && recording.time_s[i] <= end);
+}
+
+async function drawDeviation(id, paths, A, B) {
+  const Plotly = await needPlotly();
+  const traces = paths.map(([name, path], i) => ({
+    x: path.map((place) => 100 * progressAlong(place, A, B)), y: path.map((place) => distance(place, A, B)),
+    name, mode: "lines", line: { color: COLOURS[i % COLOURS.length] },
+  }));
+  Plotly.react(id, traces, layout({ xaxis: { title: { text: "along the line, %" } }, yaxis: { title: { text: "off the line, mm" }, rangemode: "tozero" } }), SETTINGS);
+}
+
+// ------------------------------------------------------------------------------------------------- comparison
+
+const shown = { recordings: new Set(), plans: new Set() };
+
+async function loadCompare() {
+  const [{ recordings }, { plans }] = await Promise.all([request("/recordings"), request("/plans")]);
+  rows("recordings", recordings, (one) => [`${one.duration_s.toFixed(1)} s`, millimetres(one.mean_error_mm), millimetres(one.max_error_mm)]);
+  rows("plans", plans, (one) => [one.via, millimetres(one.predicted_mean_error_mm), millimetres(one.predicted_max_error_mm)]);
+  await drawCompare();
+}
+
+function rows(kind, items, figures) {
+  const body = $(kind).tBodies[0];
+  body.replaceChildren();
+  for (const name of shown[kind]) if (!items.some((one) => one.name === name)) shown[kind].delete(name);
+  for (const one of items) {
+    const row = body.insertRow();
+    const box = document.createElement("input");
+    box.type = "checkbox";
+    box.checked = shown[kind].has(one.name);
+    box.setAttribute("aria-label", `show ${one.name}`);
+    box.addEventListener("change", () => act(null, async () => {
+      shown[kind][box.checked ? "add" : "delete"](one.name);
+      await drawCompare();
+    }));
+    row.insertCell().append(box);
+    row.insertCell().textContent = one.name;
+    figures(one).forEach((text) => { row.insertCell().textContent = text; });
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = "Delete";
+    button.setAttribute("aria-label", `delete ${one.name}`);
+    button.addEventListener("click", async () => {
+      if (!await confirmed(`Delete ${one.name}?`, "Delete")) return;
+      await act(button, () => request(`/${kind}/${encodeURIComponent(one.name)}`, { method: "DELETE" }));
+      await act(null, loadCompare);
+    });
+    row.insertCell().append(button);
+  }
+  if (!items.length) {
+    const cell = body.insertRow().insertCell();
+    cell.colSpan = 6;
+    cell.textContent = "none yet";
+  }
+}
+
+async function drawCompare() {
+  const paths = await Promise.all([
+    ...[...shown.recordings].map(async (name) => [name, proper(await request(`/recordings/${encodeURIComponent(name)}`))]),
+    ...[...shown.plans].map(async (name) => [name, (await request(`/plans/${encodeURIComponent(name)}`)).tool_m]),
+  ]);
+  const line = wantedLine();
+  const Plotly = await needPlotly();
+  if (line) await drawDeviation("deviation", paths, ...line);
+  const traces = paths.map(([name, path], i) => curve(path, { name, mode: "lines", line: { width: 5, color: COLOURS[i % COLOURS.length] } }));
+  if (line) traces.push(curve(line, { mode: "lines", name: "line", line: { width: 3, color: colour("--red"), dash: "dash" } }));
+  const look = sceneLayout();
+  look.showlegend = true;
+  look.scene.xaxis.range = look.scene.yaxis.range = look.scene.zaxis.range = undefined;
+  look.scene.aspectmode = "data";
+  await Plotly.react("paths", traces, look, SETTINGS);
+}
+
+// ------------------------------------------------------------------------------------------------- logs
+
+let openLog = null;
+
+async function loadLogs() {
+  const { logs } = await request("/logs");
+  fill($("log-choice"), logs.map((log) => [log.name, `${log.name} (${(log.bytes / 1e6).toFixed(1)} MB)`]));
+  if ($("log-choice").value) await showLog($("log-choice").value);
+}
+
+async function showLog(name) {
+  const log = await request(`/logs/${encodeURIComponent(name)}`);
+  openLog = log;
+  const Plotly = await needPlotly();
+  const traces = log.names.map((joint, i) => ({
+    x: log.time_s, y: log.position_rad.map((row) => degrees(row[i])), name: joint, mode: "lines", line: { color: COLOURS[i % COLOURS.length] },
+  }));
+  await Plotly.react("log-plot", traces, layout({ xaxis: { title: { text: "time, s" } }, yaxis: { title: { text: "angle, °" } } }), SETTINGS);
+  const scrub = $("scrub");
+  scrub.max = String(Math.max(0, log.time_s.length - 1));
+  scrub.disabled = log.time_s.length === 0;
+  scrub.value = scrub.max;
+  await scrubTo(Number(scrub.value));
+  $("log-download").hidden = false;
+}
+
+async function scrubTo(index) {
+  if (!openLog || !openLog.time_s.length) return;
+  const time = openLog.time_s[index];
+  $("scrub-time").textContent = `${time.toFixed(1)} s`;
+  const Plotly = await needPlotly();
+  await Plotly.react("log-scene", armTraces(openLog.links_m[index], null, openLog.tool_m.slice(Math.max(0, index - 100), index + 1)), sceneLayout(), SETTINGS);
+  await Plotly.relayout("log-plot", { shapes: [{ type: "line", x0: time, x1: time, yref: "paper", y0: 0, y1: 1, line: { color: colour("--red"), width: 2 } }] });
+}
+
+async function download() {
+  const response = await fetch(`/api/logs/${encodeURIComponent(openLog.name)}/file`, { headers: { "X-Armctl-Token": token } });
+  if (!response.ok) throw new Refused(`the log could not be fetched (${response.status})`);
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(await response.blob());
+  link.download = openLog.name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+// ------------------------------------------------------------------------------------------------- wiring
+
+const ENTER = { arm: drawArm, guide: async () => { await loadTakes(); await loadPlanChoice(); }, compare: loadCompare, logs: loadLogs };
+
+function view(name) {
+  for (const section of document.querySelectorAll("main > section")) section.hidden = section.id !== `view-${name}`;
+  for (const button of document.querySelectorAll("nav button")) {
+    if (button.dataset.view === name) button.setAttribute("aria-current", "page");
+    else button.removeAttribute("aria-current");
+  }
+  act(null, ENTER[name]);
+}
+
+function wire() {
+  $("stop").addEventListener("click", stop);
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") stop();
+  });
+  for (const button of document.querySelectorAll("nav button")) button.addEventListener("click", () => view(button.dataset.view));
+  for (const button of document.querySelectorAll("[data-command]")) {
+    button.addEventListener("click", () => act(button, () => post(`/${button.dataset.command}`)));
+  }
+  $("release").addEventListener("click", async (event) => {
+    if (await confirmed("Torque goes off and the arm drops. Support it by hand first.", "It is supported")) {
+      await act(event.target, () => post("/release", { confirm: true }));
+    }
+  });
+  $("teach-begin").addEventListener("click", async (event) => {
+    const needed = snapshot && snapshot.joints.some((joint) => joint.torque_enabled);
+    if (needed && !await confirmed("The arm goes limp and drops. Support it by hand first.", "It is supported")) return;
+    await act(event.target, () => post("/teach/begin"));
+  });
+  $("take").addEventListener("click", (event) => act(event.target, toggleTake));
+  $("teach-end").addEventListener("click", (event) => act(event.target, () => post("/teach/end")));
+  $("optimise-form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    act(event.submitter, () => optimise(event.target));
+  });
+  $("line-form").addEventListener("submit", (event) => event.preventDefault());
+  $("line-form").addEventListener("input", () => {
+    const line = wantedLine();
+    $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "three numbers each, separated by commas";
+  });
+  $("plan-choice").addEventListener("change", controls);
+  $("run").addEventListener("click", (event) => act(event.target, run));
+  $("log-choice").addEventListener("change", (event) => act(null, () => showLog(event.target.value)));
+  $("log-download").addEventListener("click", (event) => { event.preventDefault(); act(null, download); });
+  $("scrub").addEventListener("input", (event) => scrubTo(Number(event.target.value)));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawing = false; drawArm(); });
+}
+
+wire();
+connect();
+act(null, async () => {
+  arm = await request("/arm");
+  $("arm-id").textContent = arm.arm_id;
+  makeJointRows();
+});

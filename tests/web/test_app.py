@@ -1,0 +1,137 @@
+"""The application behind the guard: what it keeps, what it refuses, and what a page's stream begins with."""
+
+from __future__ import annotations
+
+import asyncio
+import gzip
+import json
+from typing import Any
+
+import httpx
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.config import Config, load_arm
+from armctl.web.app import create_app
+from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard, Message
+
+TOKEN = "the-token"
+PAGES = ("/", "/app.js", "/style.css", "/icon.svg", "/plotly.js")
+
+
+@pytest.fixture(scope="module")
+def guard(tmp_path_factory: pytest.TempPathFactory) -> Guard:
+    folder = tmp_path_factory.mktemp("data")
+    config = Config(data_dir=str(folder))
+    (folder / "logs").mkdir()
+    (folder / "logs" / "bad.mcap").write_bytes(b"no log")
+    (folder / "logs" / "link.mcap").symlink_to("/etc/hostname")
+    _, made = create_app(load_arm("ax12-line"), config, socket=folder / "nobody.sock", token=TOKEN, port=8080)
+    return made
+
+
+def ask(guard: Guard, method: str, path: str, headers: dict[str, str] | None = None, **more: Any) -> httpx.Response:
+    async def asking() -> httpx.Response:
+        async with httpx.AsyncClient(
+            transport=httpx.ASGITransport(guard), base_url="http://127.0.0.1:8080", headers={TOKEN_HEADER: TOKEN}
+        ) as client:
+            return await client.request(method, path, headers=headers, **more)
+
+    return asyncio.run(asking())
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_pages_are_kept_by_the_browser_and_asked_about(guard: Guard, path: str) -> None:
+    first = ask(guard, "GET", path)
+    assert (first.status_code, first.headers["cache-control"]) == (200, "no-cache")
+    again = ask(guard, "GET", path, {"if-none-match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert again.headers["etag"] == first.headers["etag"]
+    assert again.headers["content-security-policy"] == HEADERS["content-security-policy"]
+    assert ask(guard, "GET", path, {"if-none-match": 'W/"other"'}).status_code == 200
+
+
+def test_pages_come_packed_to_who_can_unpack(guard: Guard) -> None:
+    plain = ask(guard, "GET", "/app.js", {"accept-encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    packed = ask(guard, "GET", "/app.js", {"accept-encoding": "gzip"})
+    assert packed.headers["content-encoding"] == "gzip"
+    assert packed.content == plain.content  # httpx has unpacked it
+    assert len(gzip.compress(plain.content)) < len(plain.content) / 2
+
+
+def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:
+    assert ask(guard, "GET", "/api/arm").headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("/api/status", 503),
+        ("/api/logs/none.mcap", 404),
+        ("/api/logs/link.mcap", 404),
+        ("/api/logs/link.mcap/file", 404),
+        ("/api/logs/bad.mcap", 404),
+        ("/api/logs/.hidden", 422),
+        ("/api/plans/none", 409),
+        ("/api/plans/a%0A", 422),
+        ("/api/recordings/", 404),
+        ("/api/logs/bad.mcap?from_s=nan", 422),
+    ],
+)
+def test_what_cannot_be_served_is_refused(guard: Guard, path: str, status: int) -> None:
+    assert ask(guard, "GET", path).status_code == status
+
+
+def test_half_a_surrogate_pair_is_refused(guard: Guard) -> None:
+    body = b'{"confirm": "\\ud800"}'
+    answer = ask(guard, "POST", "/api/release", {"content-type": "application/json"}, content=body)
+    assert (answer.status_code, answer.json()["error"]["code"]) == (400, "NOT_JSON")
+
+
+def stream(guard: Guard, said: list[Message]) -> list[Message]:
+    """What a page that says this is sent, which leaves after the second message."""
+    sent: list[Message] = []
+    script: list[Message] = [{"type": "websocket.connect"}, *said]
+
+    async def receive() -> Message:
+        while not script and len(sent) < 2:
+            await asyncio.sleep(0)
+        return script.pop(0) if script else {"type": "websocket.disconnect", "code": 1001}
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    headers = [(b"host", b"127.0.0.1:8080"), (b"origin", b"http://127.0.0.1:8080")]
+    scope = {"type": "websocket", "path": "/api/stream", "headers": headers, "subprotocols": [], "query_string": b""}
+
+    async def serve() -> None:
+        await guard(scope, receive, send)
+
+    asyncio.run(serve())
+    return sent
+
+
+@given(
+    st.one_of(
+        st.text(max_size=60),
+        st.sampled_from(["", "{}", "[" * 4000, '{"token": "\\ud800"}', '{"token": 1e999}', '{"token": null}', '"x"']),
+        st.text(max_size=20).filter(lambda text: text != TOKEN).map(lambda text: json.dumps({"token": text})),
+    )
+)
+@settings(max_examples=60, deadline=None)
+def test_a_stream_without_the_token_is_closed_whatever_was_said(guard: Guard, text: str) -> None:
+    accepted, closed = stream(guard, [{"type": "websocket.receive", "text": text}])
+    assert accepted["type"] == "websocket.accept"
+    assert (closed["type"], closed["code"]) == ("websocket.close", 1008)
+
+
+def test_bytes_are_no_token(guard: Guard) -> None:
+    assert stream(guard, [{"type": "websocket.receive", "bytes": b"x"}])[-1]["type"] == "websocket.close"
+
+
+def test_with_the_token_the_stream_begins_with_what_is_known(guard: Guard) -> None:
+    accepted, first = stream(guard, [{"type": "websocket.receive", "text": json.dumps({"token": TOKEN})}])
+    assert accepted["type"] == "websocket.accept"
+    assert json.loads(first["text"]) == {"kind": "snapshot", "snapshot": None}

@@ -1,0 +1,176 @@
+"""The dashboard's connections: what is shown, who commands, and what ends when the last page has left."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armctl.errors import NoDaemon, RequestRefused
+from armctl.web import daemon as module
+from armctl.web.daemon import MAX_WAITING, Daemon
+
+Answer = Callable[[str], dict[str, Any]]
+
+
+class Stub:
+    """A daemon's socket: counts its clients, and answers as it is told."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.asked: list[tuple[int, str]] = []
+        """Which connection asked for what."""
+        self.left: list[int] = []
+        self.changed = asyncio.Event()
+        self.writers: list[asyncio.StreamWriter] = []
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        number = len(self.writers)
+        self.writers.append(writer)
+        while line := await reader.readline():
+            request = json.loads(line)
+            self._note(self.asked, (number, request["method"]))
+            if request["method"] == "run":
+                continue  # lasts until its client leaves
+            reply: dict[str, Any] = {"result": {"state": "holding"}}
+            if request["method"] == "park":
+                data = {"type": "RequestRefused", "code": "BUSY", "reasons": ["no"], "exit_status": 1}
+                fields = {"code": "BUSY", "reasons": ["no"]}
+                reply = {"error": {"code": -32000, "message": "no", "data": {**data, "fields": fields}}}
+            writer.write(json.dumps({"jsonrpc": "2.0", "id": request["id"], **reply}).encode() + b"\n")
+        self._note(self.left, number)
+        writer.close()
+
+    def tell(self, number: int, method: str, **params: Any) -> None:
+        self.writers[number].write(json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n")
+
+    async def until(self, done: Callable[[], bool]) -> None:
+        while not done():
+            self.changed.clear()
+            await self.changed.wait()
+
+    def _note(self, where: list[Any], what: Any) -> None:
+        where.append(what)
+        self.changed.set()
+
+
+@contextlib.asynccontextmanager
+async def stubbed(path: Path) -> AsyncIterator[tuple[Stub, Daemon]]:
+    stub = Stub(path)
+    server = await asyncio.start_unix_server(stub.serve, path)
+    daemon = Daemon(path, lambda snapshot: {**snapshot, "links_m": []})
+    async with daemon.running():
+        await stub.until(lambda: (0, "subscribe") in stub.asked)
+        yield stub, daemon
+    server.close()
+
+
+def on_stub(test: Callable[[Stub, Daemon], Awaitable[None]], folder: Path) -> None:
+    async def main() -> None:
+        async with stubbed(folder / "daemon.sock") as (stub, daemon):
+            await test(stub, daemon)
+
+    asyncio.run(main())
+
+
+async def shown(messages: asyncio.Queue[str]) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(await messages.get())
+    return found
+
+
+def test_every_page_sees_every_snapshot_enriched(tmp_path: Path) -> None:
+    async def test(stub: Stub, daemon: Daemon) -> None:
+        async with daemon.page() as first, daemon.page() as second:
+            for messages in (first, second):
+                assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
+            stub.tell(0, "snapshot", state="holding")
+            for messages in (first, second):
+                assert await shown(messages) == {"kind": "snapshot", "snapshot": {"state": "holding", "links_m": []}}
+
+    on_stub(test, tmp_path)
+
+
+def test_a_slow_page_loses_the_oldest_and_holds_up_nobody(tmp_path: Path) -> None:
+    async def test(stub: Stub, daemon: Daemon) -> None:
+        async with daemon.page() as slow, daemon.page() as quick:
+            await shown(quick)
+            for tick in range(MAX_WAITING + 3):
+                stub.tell(0, "snapshot", tick=tick)
+                assert (await shown(quick))["snapshot"]["tick"] == tick
+            seen = [(await shown(slow))["snapshot"]["tick"] for _ in range(MAX_WAITING)]
+            assert seen == list(range(3, MAX_WAITING + 3))
+
+    on_stub(test, tmp_path)
+
+
+def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_path: Path) -> None:
+    async def test(stub: Stub, daemon: Daemon) -> None:
+        assert await daemon.call("status") == {"state": "holding"}
+        running = asyncio.ensure_future(daemon.call("run"))
+        await stub.until(lambda: (1, "run") in stub.asked)
+        assert await daemon.stop() == {"state": "holding"}
+        with pytest.raises(RequestRefused, match="no"):
+            await daemon.call("park")
+        assert stub.asked[1:] == [(1, "status"), (1, "run"), (0, "stop"), (1, "park")]
+        running.cancel()
+
+    on_stub(test, tmp_path)
+
+
+def test_the_commander_leaves_with_the_last_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LEAVE_S", 0.0)
+
+    async def test(stub: Stub, daemon: Daemon) -> None:
+        async with daemon.page():
+            async with daemon.page():
+                await daemon.call("teach_begin")
+            await asyncio.sleep(0)
+            assert stub.left == []
+        await stub.until(lambda: stub.left == [1])
+        await daemon.call("status")
+        assert stub.asked[-1] == (2, "status")
+
+    on_stub(test, tmp_path)
+
+
+def test_a_page_that_is_back_in_time_keeps_the_commander(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LEAVE_S", 0.0)
+
+    async def test(stub: Stub, daemon: Daemon) -> None:
+        async with daemon.page():
+            await daemon.call("teach_begin")
+        async with daemon.page():  # before whoever looks whether it is back had its turn
+            for _ in range(3):
+                await daemon.call("status")
+            assert stub.left == []
+            assert stub.asked[-1] == (1, "status")
+
+    on_stub(test, tmp_path)
+
+
+def test_progress_of_an_optimisation_reaches_the_pages(tmp_path: Path) -> None:
+    async def test(stub: Stub, daemon: Daemon) -> None:
+        async with daemon.page() as messages:
+            await shown(messages)
+            await daemon.call("status")
+            stub.tell(1, "progress", generation=3, best=1.5)
+            assert await shown(messages) == {"kind": "progress", "generation": 3, "best": 1.5}
+
+    on_stub(test, tmp_path)
+
+
+def test_without_a_daemon_commands_and_stop_say_so_and_pages_see_nothing(tmp_path: Path) -> None:
+    async def test() -> None:
+        daemon = Daemon(tmp_path / "nobody.sock", lambda snapshot: snapshot)
+        async with daemon.running(), daemon.page() as messages:
+            assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
+            for work in (daemon.call("status"), daemon.stop()):
+                with pytest.raises(NoDaemon, match="armctl daemon --port"):
+                    await work
+
+    asyncio.run(test())

@@ -1,0 +1,308 @@
+"""The dashboard as a person uses it: a real Chromium, a real daemon, simulated servos."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from armctl.client import Client
+from armctl.demo import FROM_M, TO_M, program
+from armctl.errors import RequestRefused
+from armctl.sim.control import SimulatorClient, control_path
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = [
+    pytest.mark.pty,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: sudo apt install chromium"),
+]
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+PATIENCE_MS = 60_000
+
+
+@dataclass
+class Stand:
+    """Everything that runs, and where."""
+
+    port: int
+    address: str
+    socket: Path
+    simulator: SimulatorClient
+
+    @property
+    def token(self) -> str:
+        return self.address.partition("#token=")[2]
+
+    def ticks(self, seconds: float) -> None:
+        """Let so much of the daemon's time pass."""
+        with Client(self.socket) as client:
+            snapshots = client.subscribe()
+            first = next(snapshots)
+            for snapshot in snapshots:
+                if (snapshot["tick"] - first["tick"]) * snapshot["period_s"] >= seconds:
+                    return
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
+    folder = tmp_path_factory.mktemp("web")
+    with contextlib.ExitStack() as cleanup:
+        patch = cleanup.enter_context(pytest.MonkeyPatch.context())
+        for name in list(os.environ):
+            if name.startswith(("ARMCTL_", "NOTIFY_")):
+                patch.delenv(name)
+        patch.setenv("XDG_DATA_HOME", str(folder / "data"))
+        patch.setenv("XDG_CONFIG_HOME", str(folder / "config"))
+        patch.setenv("ARMCTL_SOCKET", str(folder / "daemon.sock"))
+        servos, log = folder / "servos", folder / "programs.log"
+        cleanup.enter_context(program(log, "sim", "--link", str(servos), "--seed", "4"))
+        cleanup.enter_context(program(log, "daemon", "--port", str(servos)))
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = int(probe.getsockname()[1])
+        web = subprocess.Popen(
+            [sys.executable, "-m", "armctl", "web", "--port", str(port)], stdout=subprocess.PIPE, text=True
+        )
+        cleanup.callback(web.wait)
+        cleanup.callback(web.terminate)
+        assert web.stdout is not None
+        cleanup.callback(web.stdout.close)
+        ready, _, address = web.stdout.readline().strip().partition(" ")
+        assert ready == "ready"
+        yield Stand(port, address, folder / "daemon.sock", cleanup.enter_context(SimulatorClient(control_path(servos))))
+
+
+def acknowledge(stand: Stand) -> None:
+    """Clear a fault as a person would: servos that a busy machine kept waiting too long latch one, at any time."""
+    with Client(stand.socket) as client:
+        while client.call("status")["fault"] is not None:
+            with contextlib.suppress(RequestRefused):  # its cause is not over yet
+                client.call("clear")
+            stand.ticks(0.2)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser: Browser, stand: Stand) -> Iterator[Page]:
+    acknowledge(stand)
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.set_default_timeout(PATIENCE_MS)
+    expect.set_options(timeout=PATIENCE_MS)
+    page.goto(stand.address)
+    expect(page.locator("#tick")).not_to_have_text("–")
+    yield page
+    context.close()
+    assert errors == []
+
+
+def state(page: Page, *wanted: str) -> None:
+    expect(page.locator("#state")).to_have_text(re.compile("^(" + "|".join(wanted) + ")$"))
+
+
+def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
+    page.click("nav [data-view=guide]")
+    page.click("#teach-begin")
+    state(page, "teaching")
+    for take in range(2):
+        guided = stand.simulator.guide(FROM_M, TO_M, seed=take)
+        stand.ticks(guided.begin_s - 0.3)
+        page.click("#take")
+        expect(page.locator("#take")).to_have_text("End the take")
+        stand.ticks(guided.end_s - guided.begin_s + 0.8)
+        page.click("#take")
+        expect(page.locator("#takes li")).to_have_count(take + 1)
+    page.click("#teach-end")
+    state(page, "off")
+    page.fill("#optimise-form [name=via]", "1")
+    page.click("#optimise-form [type=submit]")
+    expect(page.locator("#optimise-figures")).to_contain_text("exact optimum")
+    expect(page.locator("#convergence .scatterlayer .trace")).to_have_count(2)
+    expect(page.locator("#plan-choice")).to_have_value("line-via1")
+    page.click("#run")
+    state(page, "moving")
+    stand.simulator.let_go()
+    expect(page.locator("#run-figures")).to_contain_text("off the line on average")
+    expect(page.locator("#run-plot .scatterlayer .trace")).to_have_count(2)
+    state(page, "holding")
+
+    page.click("nav [data-view=compare]")
+    page.check("#recordings [aria-label='show line-1']")
+    page.check("#plans [aria-label='show line-via1']")
+    expect(page.locator("#deviation .scatterlayer .trace")).to_have_count(2)
+
+    page.click("nav [data-view=logs]")
+    expect(page.locator("#log-plot .scatterlayer .trace")).to_have_count(6)
+    page.locator("#scrub").fill("0")
+    expect(page.locator("#scrub-time")).to_have_text("0.0 s")
+
+
+def test_stop_is_served_under_load_while_the_arm_moves(page: Page, stand: Stand) -> None:
+    state(page, "holding")
+    page.click("nav [data-view=guide]")
+    expect(page.locator("#plan-choice")).to_have_value("line-via1")
+    ending = threading.Event()
+    served = [0]
+
+    def flood() -> None:
+        while not ending.is_set():
+            ask(stand, "GET", "/api/recordings")
+            served[0] += 1
+
+    floods = [threading.Thread(target=flood) for _ in range(8)]
+    for thread in floods:
+        thread.start()
+    try:
+        page.click("#run")
+        state(page, "moving")
+        page.keyboard.press("Escape")
+        state(page, "holding")
+        held_ns = time.monotonic_ns()
+        expect(page.locator("#message")).to_contain_text("STOPPED")
+    finally:
+        ending.set()
+        for thread in floods:
+            thread.join()
+    assert served[0] > 8
+    stand.ticks(1.5)
+    truth = stand.simulator.truth(held_ns + 500_000_000, time.monotonic_ns())
+    assert len(truth.tool_m)
+    assert abs(truth.tool_m - truth.tool_m[-1]).max() < 0.002, "half a second after STOP held the arm it still moves"
+
+
+def test_a_refusal_is_shown_in_the_daemons_words(page: Page) -> None:
+    page.click("nav [data-view=guide]")
+    expect(page.locator("#takes li")).not_to_have_count(0)
+    page.fill("#line-form [name=from]", "0.9, 0, 0.1")
+    page.click("#optimise-form [type=submit]")
+    expect(page.locator("#message")).to_be_visible()
+    expect(page.locator("#message")).to_contain_text("BAD_RECORDINGS")
+
+
+def test_a_fault_is_a_card_and_is_cleared_from_the_page(page: Page, stand: Stand) -> None:
+    fault = stand.simulator.fault_begin("dead_bus")
+    expect(page.locator("#fault")).to_be_visible()
+    expect(page.locator("#fault-code")).to_have_text(re.compile("BUS_DEAD|SERVO_SILENT"))
+    expect(page.locator("#fault-next")).to_contain_text("armctl clear")
+    stand.simulator.fault_end(fault)
+    stand.ticks(0.5)
+    page.click("#fault [data-command=clear]")
+    expect(page.locator("#fault")).to_be_hidden()
+
+
+def test_release_asks_first(page: Page) -> None:
+    state(page, "holding", "off")
+    page.click("#release")
+    page.click("#confirm [value=no]")
+    state(page, "holding", "off")
+    page.click("#release")
+    page.click("#confirm-yes")
+    state(page, "off")
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_every_view_fits_names_its_controls_and_keeps_stop_in_sight(
+    browser: Browser, stand: Stand, scheme: Any, width: int
+) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 844}, color_scheme=scheme)
+    page = context.new_page()
+    page.goto(stand.address)
+    expect(page.locator("#tick")).not_to_have_text("–", timeout=PATIENCE_MS)
+    for view in ("arm", "guide", "compare", "logs"):
+        page.click(f"nav [data-view={view}]")
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), f"{view} is too wide"
+        page.mouse.wheel(0, 5000)
+        box = page.locator("#stop").bounding_box()
+        assert box is not None
+        assert 0 <= box["y"] <= 844 - box["height"]
+        nameless = page.evaluate(
+            "[...document.querySelectorAll('button, input, select')].filter(e => e.checkVisibility() &&"
+            " !(e.textContent.trim() || e.labels && e.labels.length || e.ariaLabel)).map(e => e.outerHTML)"
+        )
+        assert nameless == []
+    context.close()
+
+
+def test_stop_is_reached_by_the_keyboard_alone(page: Page) -> None:
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.id") == "stop":
+            break
+    assert page.evaluate("document.activeElement.id") == "stop"
+    with page.expect_response(lambda response: response.url.endswith("/api/stop")) as answered:
+        page.keyboard.press("Enter")
+    assert answered.value.status == 200
+
+
+def ask(stand: Stand, method: str, path: str, **headers: str) -> tuple[int, dict[str, Any]]:
+    sent = {"X-Armctl-Token": stand.token, "Content-Type": "application/json", **headers}
+    body = b"{}" if method == "POST" else None
+    request = urllib.request.Request(f"http://127.0.0.1:{stand.port}{path}", body, sent, method=method)
+    try:
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            return answer.status, json.load(answer)
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, json.load(error)
+
+
+def test_foreign_origins_and_wrong_hosts_are_refused_by_the_running_server(stand: Stand) -> None:
+    assert ask(stand, "POST", "/api/stop")[0] == 200
+    assert ask(stand, "POST", "/api/stop", Origin="http://evil.example")[0] == 403
+    assert ask(stand, "POST", "/api/stop", Host="evil.example")[0] == 421
+    assert ask(stand, "POST", "/api/stop", **{"X-Armctl-Token": "guess"})[0] == 401
+    assert ask(stand, "POST", "/api/stop", **{"Content-Type": "text/plain"})[0] == 415
+
+
+def test_a_page_of_another_origin_gets_nothing(browser: Browser, stand: Stand) -> None:
+    page = browser.new_page()
+    page.goto("data:text/html,<title>elsewhere</title>")
+    outcome = page.evaluate(
+        """async ([port, token]) => {
+          const fetched = await fetch(`http://127.0.0.1:${port}/api/status`, {headers: {'X-Armctl-Token': token}})
+            .then(() => 'served', () => 'refused');
+          const socket = await new Promise((resolve) => {
+            const opened = new WebSocket(`ws://127.0.0.1:${port}/api/stream`);
+            opened.onopen = () => resolve('served'); opened.onclose = () => resolve('refused');
+          });
+          return [fetched, socket];
+        }""",
+        [stand.port, stand.token],
+    )
+    assert outcome == ["refused", "refused"]
+    page.close()

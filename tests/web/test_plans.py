@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armctl.config import load_arm
+from armctl.errors import RequestRefused
+from armctl.trajectory.plan import Plan, plan_to_text
+from armctl.web import plans
+
+ARM = load_arm("ax12-line")
+PLAN = Plan(
+    arm_id=ARM.arm_id,
+    calibration_hash=ARM.calibration_hash,
+    from_m=(0.18, -0.1, 0.1),
+    to_m=(0.18, 0.1, 0.1),
+    duration_s=5.0,
+    via=0,
+    waypoints_rad=tuple(map(tuple, np.zeros((2, 6)).tolist())),
+    waypoint_progress=(0.0, 1.0),
+    predicted_mean_error_mm=1.0,
+    predicted_max_error_mm=2.0,
+    interpolation="linear",
+    seed=0,
+)
+
+
+def test_a_plan_is_kept_and_never_overwritten(tmp_path: Path) -> None:
+    plans.save(tmp_path / "plans", "line-via0", plan_to_text(PLAN))
+    assert plans.load(tmp_path / "plans", "line-via0") == PLAN
+    with pytest.raises(RequestRefused, match="exists") as caught:
+        plans.save(tmp_path / "plans", "line-via0", "other")
+    assert caught.value.code == "EXISTS"
+    assert plans.load(tmp_path / "plans", "line-via0") == PLAN
+
+
+def test_the_list_leaves_out_what_is_no_plan(tmp_path: Path) -> None:
+    plans.save(tmp_path, "good", plan_to_text(PLAN))
+    (tmp_path / "bad.json").write_text("{")
+    [found] = plans.listed(tmp_path)
+    assert (found["name"], found["via"], found["predicted_mean_error_mm"]) == ("good", 0, 1.0)
+    assert plans.listed(tmp_path / "none") == []
+
+
+def test_a_missing_plan_is_said_so(tmp_path: Path) -> None:
+    for act in (plans.load, plans.delete):
+        with pytest.raises(RequestRefused, match="no plan nothing"):
+            act(tmp_path, "nothing")
+
+
+@pytest.mark.parametrize("name", ["../plan", "", ".hidden", "a/b", "x" * 65])
+def test_a_name_cannot_leave_the_folder(tmp_path: Path, name: str) -> None:
+    with pytest.raises(RequestRefused, match="is no name"):
+        plans.save(tmp_path, name, "x")

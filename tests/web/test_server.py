@@ -1,0 +1,115 @@
+"""`armctl web` as a program's caller meets it: its port, its token's file, and a daemon that is not there."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import stat
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import uvicorn
+
+from armctl.cli import main
+from armctl.config import Config, load_arm
+from armctl.errors import ConfigError
+from armctl.web import server
+from armctl.web.guard import TOKEN_HEADER
+
+
+@pytest.fixture
+def taken() -> Iterator[int]:
+    """A port of the loopback interface that somebody else has."""
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        yield int(other.getsockname()[1])
+
+
+def test_a_taken_port_is_wrong_usage_and_says_so(
+    taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    assert main(["web", "--port", str(taken), "--socket", str(tmp_path / "nobody.sock")]) == 2
+    told = capsys.readouterr().err
+    assert f"{taken} is taken" in told
+    assert "choose another with --port" in told
+    assert "Traceback" not in told
+
+
+def test_a_taken_port_leaves_no_token_behind(taken: int, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is taken"):
+        server.serve(
+            load_arm("ax12-line"),
+            Config(data_dir=str(tmp_path)),
+            socket=tmp_path / "nobody.sock",
+            port=taken,
+            token_file=tmp_path / "run" / "address",
+            ready=lambda _: pytest.fail("it cannot be ready"),
+        )
+    assert not (tmp_path / "run" / "address").exists()
+
+
+def test_the_token_is_for_owner_and_group_and_goes_with_the_server(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Served from this thread; another asks, then lets it end."""
+    made: list[uvicorn.Server] = []
+    serve = uvicorn.Server.serve
+
+    async def remembered(self: uvicorn.Server, *arguments: object) -> None:
+        made.append(self)
+        await serve(self)
+
+    monkeypatch.setattr(uvicorn.Server, "serve", remembered)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    file = tmp_path / "run" / "address"
+    seen: dict[str, Any] = {}
+
+    def look(address: str) -> None:
+        seen["address"], seen["mode"] = file.read_text().strip(), stat.S_IMODE(os.stat(file).st_mode)
+        base, _, token = address.partition("/#token=")
+        headers = {TOKEN_HEADER: token}
+        with contextlib.closing(httpx.Client(base_url=base, headers=headers)) as client:
+            for path in ("/api/status", "/api/recordings"):
+                answer = client.get(path)
+                seen[path] = answer.status_code, answer.json()["error"]["message"]
+            stopped = client.post("/api/stop", json={})
+            seen["/api/stop"] = stopped.status_code, stopped.json()["error"]["message"]
+        made[0].should_exit = True
+
+    lookers: list[threading.Thread] = []
+
+    def ready(address: str) -> None:
+        lookers.append(threading.Thread(target=look, args=(address,)))
+        lookers[0].start()
+
+    server.serve(
+        load_arm("ax12-line"),
+        Config(data_dir=str(tmp_path)),
+        socket=tmp_path / "nobody.sock",
+        port=port,
+        token_file=file,
+        ready=ready,
+    )
+    lookers[0].join()
+    assert str(seen["address"]).startswith(f"http://127.0.0.1:{port}/#token=")
+    assert seen["mode"] == 0o640 & ~_umask()
+    assert not file.exists()
+    for path in ("/api/status", "/api/recordings", "/api/stop"):
+        status, message = seen[path]
+        assert status == 503
+        assert "start it with `armctl daemon --port PORT`" in message
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
