@@ -1,3 +1,3 @@
 """A hardware-control daemon for Dynamixel AX-12A arms."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

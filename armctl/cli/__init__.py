@@ -7,7 +7,6 @@ not wait for a plotting library.
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Sequence
 
 import click
@@ -19,30 +18,71 @@ from armctl.errors import ArmctlError
 _COMMANDS = {
     "calibrate": "setup",
     "clear": "arm",
+    "completion": "completion",
     "daemon": "processes",
     "demo": "demo",
     "doctor": "setup",
+    "experiment": "experiment",
     "fault": "processes",
+    "fk": "kinematics",
     "hand": "processes",
+    "help": "help",
     "hold": "arm",
+    "ik": "kinematics",
+    "install": "install",
+    "jacobian": "kinematics",
+    "jog": "motion",
+    "live": "live",
     "log": "logs",
+    "move": "motion",
     "optimize": "jobs",
     "park": "arm",
+    "pause": "motion",
+    "rate": "motion",
+    "reach": "reach",
     "recordings": "jobs",
     "release": "arm",
     "replay": "logs",
-    "robots": "logs",
+    "report": "report",
+    "reproduce": "reproduce",
+    "resume": "motion",
+    "robots": "kinematics",
     "run": "jobs",
     "scan": "setup",
     "servo": "setup",
     "sim": "processes",
     "status": "arm",
     "stop": "arm",
+    "study": "study",
     "teach": "jobs",
     "torque": "arm",
+    "trajectory": "kinematics",
+    "transfer": "reach",
+    "uninstall": "install",
     "watch": "arm",
+    "web": "web",
+    "workspace": "kinematics",
 }
 """Command -> the module of this package that defines it (as `NAME_command`)."""
+
+
+PURPOSES: dict[str, tuple[str, ...]] = {
+    "First steps": ("demo", "sim", "daemon", "help", "completion"),
+    "Running the arm": (
+        *("status", "watch", "stop", "hold", "pause", "resume", "rate", "torque", "move", "jog", "reach", "transfer"),
+        *("run", "park", "release", "clear"),
+    ),
+    "Teaching and straightening": ("teach", "recordings", "optimize", "experiment"),
+    "Setting an arm up": ("scan", "doctor", "servo", "calibrate", "install", "uninstall", "web", "live"),
+    "Logs": ("log", "replay", "report"),
+    "Kinematics, without an arm": ("robots", "fk", "ik", "jacobian", "workspace", "trajectory", "reproduce"),
+    "For maintainers": ("study", "hand", "fault"),
+}
+"""What the help lists under which heading, in the order in which a newcomer meets it."""
+
+
+SUMMARY = 100
+"""Characters at most that say in the list what a command does."""
 
 
 class _Commands(click.Group):
@@ -58,6 +98,13 @@ class _Commands(click.Group):
         command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        for purpose, names in PURPOSES.items():
+            commands = [(name, self.get_command(ctx, name)) for name in names]
+            rows = [(name, command.get_short_help_str(SUMMARY)) for name, command in commands if command is not None]
+            with formatter.section(purpose):
+                formatter.write_dl(rows)
+
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="armctl")
@@ -65,15 +112,24 @@ def cli() -> None:
     """A daemon that can be trusted with a Dynamixel AX-12A arm.
 
     Start with `armctl demo`. On an arm: `armctl daemon --port /dev/ttyUSB0` in one terminal, then `armctl status`,
-    `armctl teach`, `armctl optimize` and `armctl run` in another. `armctl stop` always works.
+    `armctl teach`, `armctl optimize` and `armctl run` in another. `armctl stop` always works, and Ctrl-C stops what it
+    interrupts.
+
+    `armctl COMMAND --help` explains a command with an example, `armctl help` lists pages to read, and
+    `armctl completion bash` lets the Tab key finish names.
     """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status (0 done, 1 refused or failed, 2 wrong usage, 3 no daemon)."""
+    """Run one command.
+
+    Returns:
+        The exit status: 0 done, 1 refused or failed, 2 wrong usage, 3 no daemon, 130 interrupted by Ctrl-C.
+    """
     output = Output()
     try:
-        result = cli.main(list(argv) if argv is not None else None, obj=output, standalone_mode=False)
+        arguments = list(argv) if argv is not None else None
+        result = cli.main(arguments, prog_name="armctl", obj=output, standalone_mode=False)
     except click.UsageError as error:
         error.show()
         return 2
@@ -81,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         error.show()
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
-        print("interrupted", file=sys.stderr)
+        output.interrupted()
         return 130
     except ArmctlError as error:
         output.failure(error)

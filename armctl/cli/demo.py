@@ -27,6 +27,8 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
 
     A simulated hand teaches five candidates, the genetic algorithm straightens them, the daemon runs the result through
     0, 1 and 2 intermediate points, every log is replayed bit for bit, and a report is written.
+
+    Example: armctl demo --out demo
     """
     from armctl import demo
     from armctl.report.page import plotly

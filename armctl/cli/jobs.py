@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-import select
 import sys
 from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from armctl.cli.arm import COUNTDOWN, count_down
-from armctl.cli.output import POINT, Output, config_option, output_option, socket_option
+from armctl.cli.keys import keys
+from armctl.cli.output import HOLDS, POINT, Output, config_option, output_option, socket_option
 from armctl.errors import ConfigError, LogError, NoDaemon, RequestRefused
 
 if TYPE_CHECKING:
     from armctl.client import Client
+    from armctl.trajectory.placement import Objective
 
 Point = tuple[float, float, float]
 
@@ -31,6 +35,7 @@ STILL_M = 0.004
 """Largest change of the tool's place that still counts as rest."""
 SETTLE_S = 0.5
 REST_S = 1.0
+ENTER = frozenset("\r\n")
 
 
 @click.command("teach")
@@ -50,11 +55,12 @@ def teach_command(
     countdown: int,
     socket: str | None,
 ) -> None:
-    """Make the arm limp, and record while you guide it by hand.
+    """Make the arm limp, and record while you guide it by hand. Ctrl-C ends it; the arm stays limp.
 
     Carry the tool to the start and rest it there for half a second (or press Enter): the take begins. Guide it along
-    the line; it ends when the tool rests for a second (or on Enter). Every further take begins where the first did.
-    Takes are named NAME, or NAME-1, NAME-2, ... and never overwrite one another.
+    the line; it ends when the tool rests for a second (or on Enter). Rest it for half a second on the way, or press any
+    other key, to mark a via point. Every further take begins where the first did. Takes are named NAME, or NAME-1,
+    NAME-2, ... and never overwrite one another.
 
     Example: armctl teach line --takes 5 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10
     """
@@ -64,15 +70,16 @@ def teach_command(
         raise ConfigError("armctl teach", "--from/--to", "one end of the line is missing", "give both or neither")
     names = [name] if takes == 1 else [f"{name}-{take}" for take in range(1, takes + 1)]
     made = []
-    with Client(socket) as commander, Client(socket) as watcher:
+    with Client(socket) as commander, Client(socket) as watcher, keys(sys.stdin) as pressed:
         taken = {recording["name"] for recording in commander.call("recordings_list")["recordings"]} & set(names)
         if taken:
             raise LogError(f"recording {sorted(taken)[0]} exists; choose another name, or delete it")
         if any(joint["torque_enabled"] for joint in commander.call("status")["joints"]):
             count_down(output, countdown)
+        output.after_interrupt = "the arm stays limp, so support it; takes that were begun are kept; `armctl torque on`"
         commander.call("teach_begin")
         output.say("the arm is limp; support it")
-        tool = _Tool(output, watcher)
+        tool = _Tool(output, watcher, partial(pressed.wait, 0.0))
         start = from_m
         try:
             for take in names:
@@ -81,21 +88,33 @@ def teach_command(
                 start = tool.settle(start)
                 commander.call("take_begin", name=take)
                 output.say(f"{take}: recording; guide it along the line and rest it at the end (or press Enter)")
-                tool.guided(start)
+                marks: list[dict[str, Any]] = []
+                end = tool.guided(start, partial(_mark, commander, marks))
                 commander.call("take_end")
                 line: dict[str, Any] = {} if from_m is None else {"from_m": from_m, "to_m": to_m}
-                made.append(commander.call("recordings_show", name=take, **line))
+                shown = commander.call("recordings_show", name=take, **line)
+                # Whoever rests at the end has dwelt there first.
+                shown["marks"] = [one for one in marks if math.dist(one["position_m"], end) > AT_START_M]
+                made.append(shown)
                 output.say(_described(made[-1]))
         finally:
             commander.call("teach_end")
     output.result({"recordings": made})
 
 
-class _Tool:
-    """The tool's place as the daemon sees it, followed tick by tick."""
+def _mark(commander: Client, marks: list[dict[str, Any]]) -> None:
+    marks.append(commander.call("take_mark"))
 
-    def __init__(self, output: Output, watcher: Client) -> None:
-        self._output = output
+
+class _Tool:
+    """The tool's place as the daemon sees it, followed tick by tick.
+
+    Args:
+        key: What was pressed since it was last asked, one character; empty: nothing.
+    """
+
+    def __init__(self, output: Output, watcher: Client, key: Callable[[], str]) -> None:
+        self._output, self._key = output, key
         self._snapshots = watcher.subscribe()
         self._recent: deque[Point] = deque(maxlen=100)
         self._warned = False
@@ -105,45 +124,50 @@ class _Tool:
         moved = start is not None
         self._recent.clear()
         while True:
-            place, period_s, entered = self._next()
+            place, period_s, key = self._next()
             moved = moved or math.dist(place, self._recent[0]) > MOVED_M
             near = start is None or math.dist(place, start) <= AT_START_M
-            if entered or (moved and near and self._rests(SETTLE_S, period_s)):
+            if key in ENTER or (moved and near and self._rests(SETTLE_S, period_s)):
                 return place
 
-    def guided(self, start: Point) -> None:
-        """Wait until the tool has gone along and rests again, or for Enter."""
+    def guided(self, start: Point, mark: Callable[[], None]) -> Point:
+        """Wait until the tool has gone along and rests again, or for Enter; returns where it is.
+
+        Args:
+            mark: Called where the tool dwells on its way, or a key other than Enter is pressed.
+        """
         moved = False
+        last = start
         self._recent.clear()
         while True:
-            place, period_s, entered = self._next()
+            place, period_s, key = self._next()
             moved = moved or math.dist(place, start) > AT_START_M + MOVED_M
-            if entered or (moved and self._rests(REST_S, period_s)):
-                return
+            if key in ENTER or (moved and self._rests(REST_S, period_s)):
+                return place
+            dwells = math.dist(place, last) > AT_START_M and self._rests(SETTLE_S, period_s)
+            if key or dwells:
+                last = place
+                mark()
 
     def _rests(self, seconds: float, period_s: float) -> bool:
         count = round(seconds / period_s)
         recent = list(self._recent)[-count:]
         return len(recent) == count and all(math.dist(place, recent[-1]) < STILL_M for place in recent)
 
-    def _next(self) -> tuple[Point, float, bool]:
-        """The tool's place after the next tick, the tick's length, and whether Enter was pressed."""
+    def _next(self) -> tuple[Point, float, str]:
+        """The tool's place after the next tick, the tick's length, and the key that was pressed."""
         snapshot = next(self._snapshots)
         if snapshot["state"] != "teaching":
             fault = snapshot["fault"]
             why = f"{fault['code']}: {fault['text']}" if fault else f"the arm is {snapshot['state']}"
             raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")
         x, y, z = snapshot["tool"]["position_m"]
-        place, period_s = (x, y, z), float(snapshot["period_s"])
-        speed_m_s = math.dist(place, self._recent[-1]) / period_s if self._recent else 0.0
+        speed_m_s = snapshot["tool"]["speed_m_s"] or 0.0
         if speed_m_s > TEACHING_SPEED_M_S and not self._warned:
             self._warned = True
             self._output.say(f"the tool moves at {speed_m_s * 1000.0:.0f} mm/s; slower than 250 is safer and smoother")
-        self._recent.append(place)
-        entered = sys.stdin.isatty() and bool(select.select([sys.stdin], [], [], 0.0)[0])
-        if entered:
-            sys.stdin.readline()
-        return place, period_s, entered
+        self._recent.append((x, y, z))
+        return (x, y, z), float(snapshot["period_s"]), self._key()
 
 
 def _described(recording: dict[str, Any]) -> str:
@@ -160,7 +184,10 @@ def _described(recording: dict[str, Any]) -> str:
 @output_option
 @click.pass_context
 def recordings_command(ctx: click.Context, output: Output, socket: str | None) -> None:
-    """The recorded candidates."""
+    """The recorded candidates.
+
+    Example: armctl recordings
+    """
     if ctx.invoked_subcommand is None:
         _list(output, socket)
 
@@ -182,7 +209,10 @@ def _list(output: Output, socket: str | None) -> None:
 @socket_option
 @output_option
 def recordings_list(output: Output, socket: str | None) -> None:
-    """Every recording; errors are against the line from its first to its last tool point."""
+    """Every recording; errors are against the line from its first to its last tool point.
+
+    Example: armctl recordings list
+    """
     _list(output, socket)
 
 
@@ -191,7 +221,10 @@ def recordings_list(output: Output, socket: str | None) -> None:
 @socket_option
 @output_option
 def recordings_show(output: Output, name: str, socket: str | None) -> None:
-    """One recording."""
+    """One recording.
+
+    Example: armctl recordings show line-1
+    """
     from armctl.client import Client
 
     with Client(socket) as client:
@@ -207,7 +240,10 @@ def recordings_show(output: Output, name: str, socket: str | None) -> None:
 @socket_option
 @output_option
 def recordings_rename(output: Output, name: str, to: str, socket: str | None) -> None:
-    """Give a recording another name, never one that is taken."""
+    """Give a recording another name, never one that is taken.
+
+    Example: armctl recordings rename line-1 line-good
+    """
     from armctl.client import Client
 
     with Client(socket) as client:
@@ -221,7 +257,10 @@ def recordings_rename(output: Output, name: str, to: str, socket: str | None) ->
 @socket_option
 @output_option
 def recordings_delete(output: Output, name: str, socket: str | None) -> None:
-    """Delete a recording."""
+    """Delete a recording.
+
+    Example: armctl recordings delete line-1
+    """
     from armctl.client import Client
 
     with Client(socket) as client:
@@ -238,6 +277,20 @@ def recordings_delete(output: Output, name: str, socket: str | None) -> None:
 @click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option(
+    "--profile",
+    type=click.Choice(("default", "paper")),
+    default="default",
+    show_default=True,
+    help="paper: the published operators, recorded genes alone.",
+)
+@click.option(
+    "--objective",
+    type=click.Choice(("mean", "mix", "max")),
+    default="mean",
+    show_default=True,
+    help="What is made small: the mean distance, its root mean square, or the largest.",
+)
+@click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="The plan file.  [default: plan-viaN.json]"
 )
 @socket_option
@@ -251,24 +304,28 @@ def optimize_command(
     via: int,
     duration_s: float,
     seed: int,
+    profile: Literal["default", "paper"],
+    objective: Objective,
     out: Path | None,
     socket: str | None,
     config_file: str | None,
 ) -> None:
     """Straighten RECORDINGS (names, or files) by a genetic algorithm and choose the intermediate points.
 
-    Works in a process of the daemon's; without a daemon, in this one.
+    Works in a process of the daemon's; without a daemon, in this one. Ctrl-C ends it and writes nothing.
 
     Example: armctl optimize line-1 line-2 line-3 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 2
     """
     from armctl.client import Client
-    from armctl.genetic.algorithm import DEFAULT
+    from armctl.genetic.algorithm import PROFILES
 
     out = out or Path(f"plan-via{via}.json")
     if out.exists():
         raise LogError(f"{out} exists; choose another name with --out, or delete it")
     wanted: dict[str, Any] = {"from_m": from_m, "to_m": to_m, "via": [via], "duration_s": duration_s, "seed": seed}
-    with output.progress("optimising", DEFAULT.generations) as show:
+    wanted |= {"settings": asdict(PROFILES[profile]), "free": profile == "default", "objective": objective}
+    output.after_interrupt = "the optimisation has ended, and no plan was written; the arm was not moved"
+    with output.progress("optimising", PROFILES[profile].generations) as show:
         try:
             if any("/" in recording for recording in recordings):
                 raise NoDaemon  # files by path need no daemon
@@ -289,12 +346,14 @@ def optimize_command(
     except OSError as error:
         raise LogError(f"{out}: cannot write the plan: {error.strerror}") from None
     plan = {"path": str(out)} | {key: value for key, value in plan.items() if key != "text"}
-    if output.result({**{key: result[key] for key in ("baseline", "ga", "exact", "gap_ratio")}, "plan": plan}):
+    if output.result({**{key: result[key] for key in ("baseline", "ga", "exact", "gap_ratio", "free")}, "plan": plan}):
         return
     for one in result["baseline"]:
         output.say(f"{one['name']:<20} {one['mean_error_mm']:7.2f} mm mean  {one['max_error_mm']:7.2f} mm at most")
     output.say(f"{'genetic algorithm':<20} {result['ga']['mean_error_mm']:7.2f} mm mean")
     output.say(f"{'exact optimum':<20} {result['exact']['mean_error_mm']:7.2f} mm mean; gap {result['gap_ratio']:.2%}")
+    if result["free"]:
+        output.say(f"{'genes set free':<20} {result['free']['mean_error_mm']:7.2f} mm mean")
     output.say(
         f"plan with {via} via points predicts {plan['predicted_mean_error_mm']:.2f} mm mean and "
         f"{plan['predicted_max_error_mm']:.2f} mm at most on perfect servos; run it with: armctl run {out}"
@@ -305,6 +364,7 @@ def _optimize_here(
     recordings: tuple[str, ...], config_file: str | None, wanted: dict[str, Any], progress: Any
 ) -> dict[str, Any]:
     from armctl.config import data_dir, load_arm, load_config
+    from armctl.genetic.algorithm import Settings
     from armctl.jobs import OptimizeRequest, optimize_task
 
     config = load_config(config_file)
@@ -318,6 +378,9 @@ def _optimize_here(
         via=tuple(wanted["via"]),
         duration_s=wanted["duration_s"],
         seed=wanted["seed"],
+        settings=Settings(**wanted["settings"]),
+        objective=wanted["objective"],
+        free=wanted["free"],
     )
     return optimize_task(request, progress)
 
@@ -329,7 +392,9 @@ def _optimize_here(
 def run_command(output: Output, plan: Path, socket: str | None) -> None:
     """Pre-flight PLAN, approach its start slowly, run it, record it and compare with the prediction.
 
-    Ctrl-C stops the arm.
+    Ctrl-C stops the arm: it slows down on its path and holds.
+
+    Example: armctl run plan-via2.json
     """
     from armctl.client import Client
     from armctl.config import read_text
@@ -337,6 +402,7 @@ def run_command(output: Output, plan: Path, socket: str | None) -> None:
 
     parsed = plan_from_text(read_text(plan, "plan"), str(plan))
     with Client(socket) as client:
+        output.after_interrupt = f"{HOLDS}, and what was recorded is kept"
         output.say("running; Ctrl-C stops the arm")
         result = client.call("run", plan=json.loads(parsed.model_dump_json()))
     if not output.result(result):

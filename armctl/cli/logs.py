@@ -3,67 +3,234 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
 
+from armctl import __version__
 from armctl.cli.output import Output, output_option
+from armctl.errors import ArmctlError
+
+if TYPE_CHECKING:
+    from armctl.clock import Clock
+    from armctl.recording.player import Keys, Player
+    from armctl.recording.replay import ReplayResult
+    from armctl.recording.timeline import Timeline
 
 LOG = click.Path(path_type=Path, dir_okay=False)
+EVENTS_SHOWN = 6
+LINE_S = 1.0
+"""Between two lines where there is no terminal."""
+KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: faster, slower   l: loop   q: leave"
 
 
 @click.command("replay")
 @click.argument("log", type=LOG)
 @click.option("--check", is_flag=True, help="Re-run every tick and compare bit for bit.")
+@click.option("--rate", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Times real time.")
+@click.option("--start", "start_s", type=click.FloatRange(0.0), default=0.0, metavar="S", help="Begin here.")
+@click.option("--loop", is_flag=True, help="Begin again at the end.")
+@click.option("--report", type=LOG, metavar="HTML", help="Write a page about LOG instead.")
+@click.option("--onto-sim", is_flag=True, help="Let a simulated arm repeat the motion instead, and compare.")
+@click.option("--arm", metavar="NAME|FILE", help="Which arm --onto-sim plays; the configured one if left out.")
+@click.option("--foreign", is_flag=True, help="Take a LOG of another arm with --onto-sim.")
+@click.option("--seed", default=0, show_default=True, help="Draws what the simulated arm is like.")
 @output_option
-def replay_command(output: Output, log: Path, check: bool) -> int:
-    """Show what LOG holds, or (--check) re-run what the daemon did and compare bit for bit.
+def replay_command(
+    output: Output,
+    log: Path,
+    check: bool,
+    rate: float,
+    start_s: float,
+    loop: bool,
+    report: Path | None,
+    onto_sim: bool,
+    arm: str | None,
+    foreign: bool,
+    seed: int,
+) -> int:
+    """Watch LOG in the terminal, or re-run what the daemon did and compare it bit for bit (--check).
 
-    Example: armctl replay ~/.local/share/armctl/recordings/demo-1.mcap --check
+    Keys while watching: space pauses, left and right seek 5 s, + and - change the rate, l loops, q leaves. Where
+    there is no terminal, a line a second is printed. With --json LOG is re-run and compared as with --check.
+
+    Example: armctl replay ~/.local/share/armctl/recordings/demo-1.mcap --rate 4
     """
-    from armctl.recording import reader, replay
+    if onto_sim:
+        return _onto_sim(output, log, arm, foreign, seed)
+    answer: dict[str, Any] = {}
+    same = True
+    if check or output.json:
+        result = _checked(output, log)
+        same = result.mismatches == 0 and result.ticks > 0
+        answer = vars(result).copy()
+    if report is not None:
+        _report(output, log, report, answer)
+    if not output.result(answer) and not check and report is None:
+        from armctl.cli.keys import keys
+        from armctl.clock import MonotonicClock
 
-    if not check:
-        table = reader.ticks(log)
-        if output.result({"ticks": len(table.time_s), "messages": reader.info(log).messages}):
-            return 0
-        output.say("time s  " + "  ".join(f"{name:>9}" for name in table.names) + "   (deg)")
-        for time_s, row in zip(table.time_s, table.position_rad, strict=True):
-            output.say(f"{time_s:6.2f}  " + "  ".join(f"{math.degrees(value):9.2f}" for value in row))
-        return 0
-    with output.progress("replaying", 1.0) as show:
+        timeline = _loaded(output, log)
+        with keys(sys.stdin) as pressed:
+            _watch(output, timeline, rate, start_s, loop, pressed, MonotonicClock())
+    return 0 if same else 1
+
+
+def _checked(output: Output, log: Path) -> ReplayResult:
+    from armctl.recording import replay
+
+    with output.progress("re-running", 1.0) as show:
         result = replay.check(log, progress=lambda fraction: show(fraction, ""))
-    same = result.mismatches == 0 and result.ticks > 0
-    if not output.result(
-        {
-            "ticks": result.ticks,
-            "messages": result.messages,
-            "mismatches": result.mismatches,
-            "seconds": result.seconds,
-            "realtime_ratio": result.realtime_ratio,
-            "first_mismatch": result.first_mismatch,
-        }
-    ):
-        verdict = "bit for bit the same" if same else f"{result.mismatches} mismatches, first: {result.first_mismatch}"
-        if result.ticks == 0:
-            verdict = "nothing to replay: the log holds no complete tick after a keyframe"
+    verdict = "bit for bit the same"
+    if result.ticks == 0:
+        verdict = "nothing to replay: the log holds no complete tick after a keyframe"
+    elif result.mismatches:
+        verdict = f"{result.mismatches} mismatches, first: {result.first_mismatch}"
+        if result.version != __version__:
+            verdict += f"; it was made by armctl {result.version}, this is {__version__}: check it with that one"
+    if not output.json:
         output.say(
             f"{result.ticks} ticks, {result.messages} messages re-run in {result.seconds:.2f} s "
             f"({result.realtime_ratio:.0f} x real time): {verdict}"
         )
-    return 0 if same else 1
+    return result
+
+
+def _loaded(output: Output, log: Path) -> Timeline:
+    from armctl.recording import timeline
+
+    with output.progress("reading", 1.0) as show:
+        return timeline.load(log, progress=lambda fraction: show(fraction, ""))
+
+
+def _report(output: Output, log: Path, report: Path, answer: dict[str, Any]) -> None:
+    from armctl.report import log as page
+
+    page.write(_loaded(output, log), report, answer)
+    answer["report"] = str(report)
+    if not output.json:
+        output.say(f"report: {report}")
+
+
+def _onto_sim(output: Output, log: Path, arm: str | None, foreign: bool, seed: int) -> int:
+    from dataclasses import asdict
+
+    from armctl import rehearsal
+    from armctl.config import load_arm, load_config
+
+    timeline = _loaded(output, log)
+    played = load_arm(arm or load_config().arm)
+    with output.progress("on the simulated arm", 1.0) as show:
+        result = rehearsal.rehearse(
+            timeline, played, foreign=foreign, seed=seed, progress=lambda fraction: show(fraction, "")
+        )
+    if not output.result(asdict(result)):
+        output.say(
+            f"{result.duration_s:.1f} s on a simulated {played.arm_id}: joints within "
+            f"{math.degrees(result.joint_max_rad):.2f} deg of the log (rms {math.degrees(result.joint_rms_rad):.2f}), "
+            f"tool within {1e3 * result.tool_max_m:.1f} mm (mean {1e3 * result.tool_mean_m:.1f})"
+        )
+        if result.stretched_s > 0.05:
+            output.say(f"slowed down by {result.stretched_s:.1f} s, where the log is faster than this arm may be")
+        if result.clipped_rad > 0.01:
+            output.say(f"kept inside the limits, up to {math.degrees(result.clipped_rad):.1f} deg from the log")
+    return 0
+
+
+# --------------------------------------------------------------------------------------------------- watching
+
+
+def _watch(
+    output: Output, timeline: Timeline, rate: float, start_s: float, loop: bool, keys: Keys, clock: Clock
+) -> None:
+    from armctl.recording.player import FRAME_S, Player, play
+
+    if start_s > timeline.duration_s:
+        raise ArmctlError(f"--start {start_s:g}: {timeline.path} lasts {timeline.duration_s:.1f} s; begin earlier")
+    player = Player(timeline.duration_s, rate=rate, loop=loop, at_s=start_s)
+    if output.console.is_terminal:
+        with Live(console=output.console, auto_refresh=False) as live:
+            play(player, lambda now: live.update(picture(timeline, now), refresh=True), keys, clock, FRAME_S)
+    else:
+        play(player, lambda now: output.say(line(timeline, now.at_s)), keys, clock, LINE_S)
+
+
+def picture(timeline: Timeline, player: Player) -> RenderableType:
+    """One frame for a terminal: joints, tool, state, fault, and what happened last."""
+    i = timeline.index(player.at_s)
+    joints = Table(box=None, pad_edge=False)
+    for column in ("joint", "deg", "goal", "deg/s", "load %", "V", "degC", "torque"):
+        joints.add_column(column, justify="left" if column == "joint" else "right")
+    for j, name in enumerate(timeline.arm.joint_names):
+        joints.add_row(
+            name,
+            _number(math.degrees(timeline.position_rad[i, j]), 1),
+            _number(math.degrees(timeline.goal_rad[i, j]), 1),
+            _number(math.degrees(timeline.velocity_rad_s[i, j]), 0),
+            _number(timeline.load_ratio[i, j] * 100.0, 0),
+            _number(timeline.voltage_V[i, j], 1),
+            _number(timeline.temperature_degC[i, j], 0),
+            "on" if timeline.torque_enabled[i, j] else "off",
+        )
+    fault = timeline.fault(i)
+    now_ns = timeline.start_ns + round(player.at_s * 1e9)
+    happened = [one for one in timeline.happenings if one.time_ns <= now_ns][-EVENTS_SHOWN:]
+    mode = "paused" if player.paused else f"{player.rate:g} x"
+    return Group(
+        Text(f"{timeline.arm.arm_id}: {timeline.state(i)}", style="bold red" if fault else "bold"),
+        joints,
+        Text(f"tool at {_tool(timeline, i)}"),
+        *([Text(fault, style="red")] if fault else []),
+        *(Text(f"{(one.time_ns - timeline.start_ns) / 1e9:8.1f} s  {one.text}", style="dim") for one in happened),
+        ProgressBar(total=max(timeline.duration_s, 1e-9), completed=player.at_s, width=60),
+        Text(f"{player.at_s:.1f} of {timeline.duration_s:.1f} s   {mode}{'   loop' if player.loop else ''}"),
+        Text(KEYS_HELP, style="dim"),
+    )
+
+
+def line(timeline: Timeline, at_s: float) -> str:
+    """One frame as a line of text."""
+    i = timeline.index(at_s)
+    angles = " ".join(f"{_number(math.degrees(q), 1):>7}" for q in timeline.position_rad[i].tolist())
+    fault = f"  {timeline.fault(i)}" if timeline.fault(i) else ""
+    return f"{at_s:8.1f} s  {timeline.state(i):<10} {angles} deg  tool {_tool(timeline, i)}{fault}"
+
+
+def _tool(timeline: Timeline, i: int) -> str:
+    x, y, z = (_number(value * 1000.0, 1) for value in timeline.tool[i, :3].tolist())
+    return f"{x}, {y}, {z} mm"
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if value != value else f"{value:.{digits}f}"
+
+
+# ------------------------------------------------------------------------------------------------------- files
 
 
 @click.group("log")
 def log_command() -> None:
-    """Look into and mend MCAP logs."""
+    """Look into, cut, join, convert and mend MCAP logs.
+
+    Example: armctl log info armctl-20250615T120000Z.mcap
+    """
 
 
 @log_command.command("info")
 @click.argument("log", type=LOG)
 @output_option
 def info(output: Output, log: Path) -> None:
-    """What LOG holds: messages, duration, topics, whether it was closed properly."""
+    """What LOG holds: messages, duration, topics, whether it was closed properly.
+
+    Example: armctl log info armctl-20250615T120000Z.mcap
+    """
     from armctl.recording import reader
 
     found = reader.info(log)
@@ -88,7 +255,10 @@ def info(output: Output, log: Path) -> None:
 @click.argument("log", type=LOG)
 @output_option
 def recover(output: Output, log: Path) -> None:
-    """Write every intact message of a truncated LOG into a finished file beside it."""
+    """Write every intact message of a truncated LOG into a finished file beside it.
+
+    Example: armctl log recover armctl-20250615T120000Z.mcap.part
+    """
     from armctl.recording import recover as recovery
 
     result = recovery.recover(log)
@@ -99,14 +269,73 @@ def recover(output: Output, log: Path) -> None:
         output.say(f"lost: {result.lost_s:.1f} s, and what was not yet written (at most 1 s)")
 
 
-@click.command("robots")
+@log_command.command("export")
+@click.argument("log", type=LOG)
+@click.option("--format", "kind", type=click.Choice(["csv", "xlsx", "parquet"]), required=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="PATH", help="The new file.")
+@click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only the messages of TOPIC; repeatable.")
 @output_option
-def robots_command(output: Output) -> None:
-    """The robot models armctl knows."""
-    from armctl.kinematics import robots
+def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, ...]) -> None:
+    """Write LOG as a table: a row a tick, units in the column names.
 
-    known = [robots.get(name) for name in robots.names()]
-    rows = [{"name": r.name, "joints": r.chain.n, "convention": r.chain.convention, "source": r.source} for r in known]
-    if not output.result({"robots": rows}):
-        for row in rows:
-            output.say(f"{row['name']}: {row['joints']} joints, {row['convention']} DH; {row['source']}")
+    Without --topic there is a column for everything about every joint, and for the tool. An Excel file also has the
+    joint angles in degrees on a sheet of their own. With several --topic, csv and parquet make a folder PATH.
+
+    Example: armctl log export demo-1.mcap --format xlsx --out demo-1.xlsx
+    """
+    from armctl.recording import export as exporting
+
+    with output.progress("exporting", 1.0) as show:
+        result = exporting.export(log, out, kind, topics, lambda fraction: show(fraction, ""))
+    answer = {"paths": [str(path) for path in result.paths], "rows": result.rows, "complete": result.complete}
+    if not output.result(answer):
+        for table, rows in result.rows.items():
+            output.say(f"{table}: {rows} rows")
+        output.say(f"written: {', '.join(map(str, result.paths))}")
+    if not result.complete:
+        output.messages.print(f"{log} was not closed properly, or is damaged; its intact part was exported")
+
+
+@log_command.command("trim")
+@click.argument("log", type=LOG)
+@click.option("--from", "begin_s", type=float, default=0.0, show_default=True, help="Seconds since the beginning.")
+@click.option("--to", "end_s", type=float, default=math.inf, help="Seconds since the beginning; the end if left out.")
+@click.option("--out", type=LOG, required=True, metavar="PATH", help="The new file.")
+@output_option
+def trim(output: Output, log: Path, begin_s: float, end_s: float, out: Path) -> None:
+    """Write a part of LOG to a file that opens, and replays, alone.
+
+    Example: armctl log trim armctl-20250615T120000Z.mcap --from 60 --to 75 --out lift.mcap
+    """
+    from armctl.recording import edit
+
+    with output.progress("trimming", 1.0) as show:
+        result = edit.trim(log, out, begin_s, end_s, lambda fraction: show(fraction, ""))
+    _edited(output, result)
+    if result.begins_with_state is False:
+        output.messages.print("no state is known where it begins; a replay starts at the first keyframe in it")
+
+
+@log_command.command("merge")
+@click.argument("logs", type=LOG, nargs=-1, required=True)
+@click.option("--out", type=LOG, required=True, metavar="PATH", help="The new file.")
+@output_option
+def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
+    """Write consecutive LOGS of one daemon as one file; the order in which they are named does not matter.
+
+    Example: armctl log merge armctl-20250615T12*.mcap --out noon.mcap
+    """
+    from armctl.recording import edit
+
+    with output.progress("merging", 1.0) as show:
+        result = edit.merge(logs, out, lambda fraction: show(fraction, ""))
+    _edited(output, result)
+
+
+def _edited(output: Output, result: Any) -> None:
+    answer = {"path": str(result.path), "messages": result.messages, "duration_s": result.duration_s}
+    answer |= {"damaged": result.damaged, "begins_with_state": result.begins_with_state}
+    if not output.result(answer):
+        output.say(f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
+    if result.damaged:
+        output.messages.print(f"{result.damaged} damaged places were left out")

@@ -17,7 +17,18 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from armctl.errors import ArmctlError, RequestRefused
+from armctl.errors import (
+    ArmctlError,
+    BusError,
+    ConfigError,
+    LogError,
+    NoDaemon,
+    RequestRefused,
+    UnreachableTarget,
+)
+
+HOLDS = "the arm slows down on its path and holds there; `armctl status` shows it"
+"""What a Ctrl-C leaves behind during a motion: its client is gone, and the daemon stops the arm."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -29,6 +40,8 @@ class Output:
         self.json = False
         self.console = Console()
         self.messages = Console(stderr=True)
+        self.after_interrupt = ""
+        """What a Ctrl-C leaves behind, said when it comes."""
 
     def result(self, data: dict[str, Any]) -> bool:
         """Print `data` if JSON was asked for; whether it was."""
@@ -47,9 +60,18 @@ class Output:
             text = f"{code}:\n" + "\n".join(f"  - {reason}" for reason in error.reasons)
         else:
             text = str(error)
+        following = next_command(error)
+        if "`armctl " not in text:
+            text += f"\n  next: {following}"
         self.messages.print(f"armctl: {text}", markup=False, highlight=False, soft_wrap=True)
         reasons = list(getattr(error, "reasons", [str(error)]))
-        self.result({"error": {"code": code, "message": str(error), "reasons": reasons}})
+        self.result({"error": {"code": code, "message": str(error), "reasons": reasons, "next": following}})
+
+    def interrupted(self) -> None:
+        """Tell that Ctrl-C ended the command, and what is now."""
+        text = "interrupted" + (f": {self.after_interrupt}" if self.after_interrupt else "")
+        self.messages.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.result({"error": {"code": "INTERRUPTED", "message": text, "reasons": [text], "next": "armctl status"}})
 
     @contextmanager
     def progress(self, label: str, total: float) -> Iterator[Callable[[float, str], None]]:
@@ -72,6 +94,35 @@ class Output:
                 bars.update(bar, completed=done, note=note)
 
             yield show
+
+
+NEXT = {
+    "LIMIT": "armctl status, which shows every joint within its limits",
+    "UNREACHABLE": "armctl workspace --robot ax12-line",
+    "NO_PLAN": "armctl optimize --help",
+    "BAD_RECORDINGS": "armctl recordings",
+    "RECORDS_LOST": "armctl recordings",
+    "EXISTS": "another name, or armctl recordings",
+}
+"""Code of a refusal -> what to type next; where none stands here, `armctl status`."""
+
+
+def next_command(error: ArmctlError) -> str:
+    """What to type after an error that does not say so itself."""
+    if isinstance(error, ConfigError):
+        command = error.file if error.file.startswith("armctl ") else "armctl help configuration"
+        return f"{command} --help" if command == error.file else command
+    if isinstance(error, NoDaemon):
+        return "armctl daemon --port PORT"
+    if isinstance(error, UnreachableTarget):
+        return NEXT["UNREACHABLE"]
+    if isinstance(error, BusError):
+        return "armctl doctor"
+    if isinstance(error, LogError):
+        return "armctl recordings" if "recording" in str(error) else "armctl help logs"
+    if isinstance(error, RequestRefused):
+        return NEXT.get(error.code, "armctl status")
+    return "armctl help"
 
 
 def output_option(function: F) -> F:

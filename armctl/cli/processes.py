@@ -211,7 +211,10 @@ def fault_begin_command(
 @simulator_option
 @output_option
 def fault_end_command(output: Output, number: int, link: Path | None) -> None:
-    """End a fault by its number."""
+    """End a fault by its number.
+
+    Example: armctl fault end 1
+    """
     with _simulator(link) as simulator:
         simulator.fault_end(number)
     output.result({"id": number})
@@ -221,7 +224,10 @@ def fault_end_command(output: Output, number: int, link: Path | None) -> None:
 @simulator_option
 @output_option
 def fault_list_command(output: Output, link: Path | None) -> None:
-    """Show what goes wrong now, and what is planned."""
+    """Show what goes wrong now, and what is planned.
+
+    Example: armctl fault list
+    """
     with _simulator(link) as simulator:
         faults = simulator.faults()
     if output.result({"faults": faults}):

@@ -1,6 +1,7 @@
 """Commands that set an arm up: find its servos, judge them, write their EEPROM, calibrate the arm.
 
-They open the serial port themselves, so the daemon must not run. None of them moves a servo.
+They open the serial port themselves, so the daemon must not run, and none of them moves a servo; but `calibrate --sag`
+asks a running daemon to.
 """
 
 from __future__ import annotations
@@ -196,7 +197,10 @@ def _report(checks: Sequence[Check]) -> list[str]:
 
 @click.group("servo")
 def servo_command() -> None:
-    """Write the EEPROM of servos: torque off, one answer an id, every write read back."""
+    """Write the EEPROM of servos: torque off, one answer an id, every write read back.
+
+    Example: armctl servo set-id 1 4
+    """
 
 
 @servo_command.command("set-id")
@@ -310,7 +314,10 @@ def set_command(
 
 @servo_command.group("eeprom")
 def eeprom_command() -> None:
-    """Save, compare and restore the EEPROM of all servos."""
+    """Save, compare and restore the EEPROM of all servos.
+
+    Example: armctl servo eeprom save before.yaml
+    """
 
 
 @eeprom_command.command("save")
@@ -396,10 +403,12 @@ def _say_differences(output: Output, found: Sequence[Difference], wanted: str, o
 @click.option("--touches", default=2, show_default=True, type=click.IntRange(1, 20), help="Postures for each point.")
 @click.option("--readings", type=FILE, help="Use these recorded readings; no arm is needed.")
 @click.option("--save-readings", type=FILE, help="Keep the readings in a new file.")
+@click.option("--sag", is_flag=True, help="Lines that show how the arm sags; the daemon moves it, torque is on.")
 @click.option("--zero-at", type=click.Choice(["rest", "zero"]), help="Only zeros: the arm is held in this pose.")
 @click.option("--out", type=FILE, help="The new calibration file.  [default: beside the old one, with the date]")
 @arm_option
 @port_options
+@socket_option
 @output_option
 def calibrate_command(
     output: Output,
@@ -407,11 +416,13 @@ def calibrate_command(
     touches: int,
     readings: Path | None,
     save_readings: Path | None,
+    sag: bool,
     zero_at: str | None,
     out: Path | None,
     arm: str | None,
     port: str | None,
     baud: int | None,
+    socket: str | None,
     config_file: str | None,
 ) -> None:
     """Zero ticks and link lengths from points touched with the limp arm's tool tip.
@@ -420,6 +431,9 @@ def calibrate_command(
     postures: elbow high and low, tool steep and flat. What the points do not show is named and left alone. Torque
     stays off and nothing is written to the servos; the result is a new file beside the old one.
 
+    --sag is another matter: a running daemon moves the arm along eight lines, and what gravity and friction do to each
+    joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
+
     Example: armctl calibrate --points sheet.csv
     """
     from armctl.commissioning import calibration
@@ -427,9 +441,12 @@ def calibrate_command(
     from armctl.config import find_arm_file, load_arm, load_config
     from armctl.errors import RequestRefused
 
-    if sum(choice is not None for choice in (points, readings, zero_at)) != 1:
-        raise click.UsageError("give one of --points FILE, --readings FILE and --zero-at rest|zero")
+    if sum(choice is not None for choice in (points, readings, zero_at, sag or None)) != 1:
+        raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero and --sag")
     config = load_config(config_file)
+    if sag:
+        _calibrate_sag(output, config, socket)
+        return
     name = arm or config.arm
     before = load_arm(name)
     path = out or _dated(find_arm_file(name), date.today())
@@ -517,6 +534,26 @@ def _wait_for_enter(output: Output, text: str) -> None:
     output.say(text)
     if not sys.stdin.readline():
         raise click.Abort
+
+
+def _calibrate_sag(output: Output, config: Config, socket: str | None) -> None:
+    """Run the calibration lines on the daemon's arm and keep the sag model."""
+    import numpy as np
+
+    from armctl.client import Client
+    from armctl.config import load_arm
+    from armctl.experiment import calibrate_sag, stored
+    from armctl.experiment.run import DaemonRig
+
+    with Client(socket) as client, output.progress("calibration lines", calibrate_sag.LINES) as show:
+        rig = DaemonRig(client, load_arm(config.arm))
+        model = calibrate_sag.identify(rig, np.random.default_rng(0), show=lambda done: show(done, ""))
+    path = stored.save(config, model)
+    residual = dict(zip(rig.arm.joint_names, model.residual_tick, strict=False))
+    if not output.result({"path": str(path), "lines": model.lines, "residual_tick": residual}):
+        output.say(f"{path}: sag and friction of {len(residual)} joints from {model.lines} lines")
+        for name, ticks in residual.items():
+            output.say(f"  {name:<20} leaves {ticks:.2f} tick unexplained (an encoder's own noise is about 0.6)")
 
 
 def _changes(before: ArmConfig, after: ArmConfig) -> list[dict[str, Any]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any, cast
 
 import pytest
@@ -24,15 +26,21 @@ class Snapshots:
         self._places = places
 
     def subscribe(self) -> Iterator[dict[str, Any]]:
-        for place in self._places:
+        for before, place in pairwise([self._places[0], *self._places]):
             self.left -= 1
-            yield {"state": "teaching", "fault": None, "period_s": 0.1, "tool": {"position_m": list(place)}}
+            yield {"state": "teaching", "fault": None, "period_s": 0.1, "tool": _tool(place, before)}
         yield {"state": "off", "fault": None, "period_s": 0.1, "tool": None}
 
 
-def follow(places: list[Place]) -> tuple[_Tool, Snapshots]:
+def _tool(place: Place, before: Place) -> dict[str, Any]:
+    return {"position_m": list(place), "speed_m_s": math.dist(place, before) / 0.1}
+
+
+def follow(places: list[Place], keys: str = "") -> tuple[_Tool, Snapshots]:
+    """A tool at these places; `keys` is what was pressed in each tick, `.` for nothing."""
     snapshots = Snapshots(places)
-    return _Tool(Output(), cast("Client", snapshots)), snapshots
+    pressed = iter(keys.ljust(len(places), "."))
+    return _Tool(Output(), cast("Client", snapshots), lambda: next(pressed).strip(".")), snapshots
 
 
 def rest(place: Place, ticks: int) -> list[Place]:
@@ -67,11 +75,36 @@ def test_resting_elsewhere_begins_nothing() -> None:
 
 def test_a_take_ends_when_the_tool_rests_after_it_went_along() -> None:
     tool, snapshots = follow(rest(START, 25) + way(START, END, 40) + rest(END, 15))
-    tool.guided(START)
+    tool.guided(START, lambda: None)
     assert 3 <= snapshots.left <= 7
 
 
 def test_a_fast_hand_is_warned_once(capsys: pytest.CaptureFixture[str]) -> None:
     tool, _ = follow(rest(START, 5) + way(START, END, 4) + way(END, START, 4) + way(START, END, 4) + rest(END, 12))
-    tool.guided(START)
+    tool.guided(START, lambda: None)
     assert capsys.readouterr().out.count("slower than 250") == 1
+
+
+MIDDLE: Place = (0.18, 0.0, 0.1)
+
+
+def marked(places: list[Place], keys: str = "") -> tuple[list[int], Place]:
+    """How many ticks were left at each mark, and where the take ended."""
+    tool, snapshots = follow(places, keys)
+    marks: list[int] = []
+    return marks, tool.guided(START, lambda: marks.append(snapshots.left))
+
+
+def test_a_dwell_on_the_way_marks_one_via_point_and_does_not_end_the_take() -> None:
+    places = rest(START, 5) + way(START, MIDDLE, 20) + rest(MIDDLE, 7) + way(MIDDLE, END, 20) + rest(END, 15)
+    marks, end = marked(places)
+    assert marks[0] == 38  # half a second after the arrival
+    assert len(marks) == 2  # the second one where it came to rest for good
+    assert end == END
+
+
+def test_a_key_marks_a_via_point_where_the_tool_is_and_enter_ends_the_take() -> None:
+    places = rest(START, 5) + way(START, END, 40)
+    marks, end = marked(places, "." * 20 + "v" + "." * 9 + "\n")
+    assert marks == [24]
+    assert end == places[30]

@@ -56,10 +56,11 @@ def refusal(folder: Path, status: int, *arguments: str) -> str:
 
 
 def one_line(folder: Path, status: int, *arguments: str) -> str:
-    """What a command that must fail says, in one line."""
+    """What a command that must fail says: one line, and at most the next command."""
     said = refusal(folder, status, *arguments)
     assert said.startswith("armctl: ")
-    assert said.count("\n") == 1
+    _, *following = said.splitlines()
+    assert [line.partition(":")[0].strip() for line in following] in ([], ["next"])
     return said
 
 

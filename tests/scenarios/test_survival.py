@@ -51,11 +51,11 @@ def test_killed_control_process_stops_the_arm_and_another_adopts_it(holding: Ben
     run = holding.run_to_the_middle(arm)
     killed_ns = time.monotonic_ns()
     os.kill(holding.controls[0], signal.SIGKILL)
-    goals = arm.goals_rad()
 
     with pytest.raises(RequestRefused) as refused:
         run.result()
     assert refused.value.code == "RESTARTED"
+    goals = arm.goals_rad()  # by now the last one has arrived, and the next process has not
     adopted = holding.until(lambda snapshot: snapshot["pids"]["control"] not in (None, holding.controls[0]))
     holding.controls.append(adopted["pids"]["control"])
     assert adopted["fault"] is None

@@ -1,0 +1,183 @@
+"""`armctl experiment`: the paper's experiments on this arm, or on a virtual one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from armctl.cli.output import HOLDS, POINT, Output, config_option, output_option, socket_option
+
+if TYPE_CHECKING:
+    from armctl.experiment.line import Via
+
+Point = tuple[float, float, float]
+
+
+class ViaType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
+    """`0,1,2,8,auto,stream`."""
+
+    name = "n,n,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Via, ...]:
+        if isinstance(value, tuple):
+            return value
+        found: list[Via] = []
+        for part in str(value).split(","):
+            word = part.strip()
+            if word == "auto":
+                found.append("auto")
+            elif word == "stream":
+                found.append("stream")
+            elif word.isdecimal() and int(word) <= 20:
+                found.append(int(word))
+            else:
+                self.fail(f"{part!r} is not a number of via points from 0 to 20, auto or stream", param, ctx)
+        return tuple(found)
+
+
+@click.group("experiment")
+def experiment_command() -> None:
+    """Experiments that measure how straight this arm can be made to move.
+
+    Example: armctl experiment line --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --virtual
+    """
+
+
+@experiment_command.command("line")
+@click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
+@click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
+@click.option("--via", type=ViaType(), default="0,1,2", show_default=True, help="Numbers of via points; auto; stream.")
+@click.option("--repeats", type=click.IntRange(1, 100), default=5, show_default=True, help="Runs of each final plan.")
+@click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True)
+@click.option(
+    "--refine", "rounds", type=click.IntRange(0, 20), default=0, show_default=True, help="Corrections at most."
+)
+@click.option("--tolerance-mm", type=click.FloatRange(0.1), default=1.0, show_default=True, help="What auto asks for.")
+@click.option(
+    "--objective",
+    type=click.Choice(("mean", "mix", "max")),
+    default="mix",
+    show_default=True,
+    help="What is made small.",
+)
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Repeats an experiment.")
+@click.option("--recordings", multiple=True, metavar="NAME", help="Candidates for the genetic algorithm.")
+@click.option(
+    "--profile",
+    type=click.Choice(("default", "paper")),
+    default="default",
+    show_default=True,
+    help="Of the genetic algorithm; paper: its operators as published.",
+)
+@click.option(
+    "--measured",
+    type=(click.Path(dir_okay=False, path_type=Path), str),
+    metavar="CSV RECORDING",
+    help="The tool as seen from outside during a recorded run: columns t_s, x_m, y_m, z_m, time from the plan's begin.",
+)
+@click.option("--virtual", is_flag=True, help="Simulated servos on a virtual clock; no daemon.")
+@click.option("--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the virtual arm.  [default: 0.1]")
+@socket_option
+@config_option
+@output_option
+def line_command(
+    output: Output,
+    from_m: Point,
+    to_m: Point,
+    via: tuple[Via, ...],
+    repeats: int,
+    duration_s: float,
+    rounds: int,
+    tolerance_mm: float,
+    objective: Literal["mean", "mix", "max"],
+    seed: int,
+    recordings: tuple[str, ...],
+    profile: Literal["default", "paper"],
+    measured: tuple[Path, str] | None,
+    virtual: bool,
+    period_s: float | None,
+    socket: str | None,
+    config_file: str | None,
+) -> None:
+    """The straight line from A to B with so many intermediate points: before and after correction.
+
+    Every plan is run as it is, then with what the arm's sag model predicts, then corrected by what was measured, and
+    the best is repeated. On an arm the daemon must run and hold, and Ctrl-C stops the arm; --virtual needs neither.
+
+    Example: armctl experiment line --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 0,1,2,8,stream --refine 5
+    --virtual
+    """
+    from armctl.client import Client
+    from armctl.config import load_arm, load_config
+    from armctl.errors import ConfigError
+    from armctl.experiment import session
+    from armctl.experiment.run import DaemonRig
+
+    if period_s is not None and not virtual:
+        raise ConfigError(
+            "armctl experiment", "--period", "the daemon's period is in its configuration", "leave it out"
+        )
+    asked = session.Asked(
+        from_m=from_m,
+        to_m=to_m,
+        via=via,
+        repeats=repeats,
+        duration_s=duration_s,
+        rounds=rounds,
+        tolerance_mm=tolerance_mm,
+        objective=objective,
+        seed=seed,
+        recordings=recordings,
+        profile=profile,
+        measured=measured,
+    )
+    config = load_config(config_file)
+    arm = load_arm(config.arm)
+    if virtual:
+        result = session.virtual(arm, asked, period_s or config.period_s, config, output.progress)
+    else:
+        output.after_interrupt = f"{HOLDS}; recordings of the runs so far are kept"
+        with Client(socket) as client:
+            result = session.on_daemon(DaemonRig(client, arm), asked, config, output.progress)
+    if not output.result(result):
+        _show(output, result)
+
+
+def _show(output: Output, result: dict[str, Any]) -> None:
+    table = Table(
+        title="Distance of the tool from the line, mean / maximum, mm",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for column in ("via", "predicted", "before", "after", "+-", "true", "s", "rounds"):
+        table.add_column(column, justify="right", no_wrap=True)
+    rounds = {row["via"]: one["round"] for one in result["refined"] for row in one["rows"]}
+    for row, before in zip(result["rows"], result["before"], strict=True):
+        truth = row["truth"]
+        table.add_row(
+            str(row["via"]),
+            f"{row['predicted_mean_error_mm']:.2f} / {row['predicted_max_error_mm']:.2f}",
+            f"{before['mean_error_mm']:.1f} / {before['max_error_mm']:.1f}",
+            f"{row['mean_error_mm']:.2f} / {row['max_error_mm']:.2f}",
+            f"{row['spread']['mean_error_mm']:.2f}",
+            f"{truth['mean_error_mm']:.2f} / {truth['max_error_mm']:.2f}" if truth else "unknown",
+            f"{row['duration_s']:.1f}",
+            str(rounds[row["via"]]),
+        )
+    output.console.print(table)
+    if (ga := result["ga"]) is not None:
+        output.say(
+            f"Genetic algorithm over {len(ga['baseline'])} recordings: {ga['mean_error_mm']:.2f} mm mean on their own "
+            f"points, {ga['gap_ratio']:.2%} above the exact optimum."
+        )
+    unseen = max(one["zero_offset_mm"] for one in result["unseen"].values())
+    output.say(
+        "Before and after are the encoders' word, one whole tick apart from reading to reading. What they cannot see: "
+        f"zero offsets of half a tick are about {unseen:.1f} mm; of bending and of the potentiometers' own errors "
+        "nothing is known."
+    )

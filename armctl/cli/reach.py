@@ -1,0 +1,162 @@
+"""Reaching for a point, and the cycle of a transfer robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from armctl.cli.output import HOLDS, POINT, Output, output_option, socket_option
+from armctl.errors import ConfigError
+
+Point = tuple[float, float, float]
+
+
+@click.command("reach")
+@click.option("--xyz", type=POINT, required=True, help="Tool point, metres.")
+@click.option("--grip", is_flag=True, help="Open, close on what is there until the load tells a grip, and back off.")
+@click.option("--let-go", is_flag=True, help="Open there, and back off.")
+@click.option(
+    "--method",
+    type=click.Choice(("closed", "numeric", "ga", "ga-improved")),
+    default="closed",
+    show_default=True,
+    help="Inverse kinematics: closed form, numeric, or a genetic algorithm.",
+)
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Of a genetic algorithm.")
+@click.option(
+    "--off", "off_m", type=click.FloatRange(0.005, 0.3), default=0.05, show_default=True, help="Straight way, metres."
+)
+@click.option(
+    "--along", type=click.Choice(("above", "tool")), default="above", show_default=True, help="From where it comes."
+)
+@socket_option
+@output_option
+def reach_command(
+    output: Output,
+    xyz: Point,
+    grip: bool,
+    let_go: bool,
+    method: str,
+    seed: int,
+    off_m: float,
+    along: str,
+    socket: str | None,
+) -> int:
+    """Bring the tool to a point along a short straight line, correcting for sag; grip, or let go, what is there.
+
+    Without --grip and --let-go the tool stays at the point and the gripper as it is. Ctrl-C stops the arm. Exit status
+    1 if a grip was wanted and the gripper found nothing.
+
+    Example: armctl reach --xyz 0.20,0.05,0.06 --grip
+    """
+    from armctl.client import Client
+
+    if grip and let_go:
+        raise ConfigError("armctl reach", "--grip/--let-go", "both are wanted", "give one of them")
+    with Client(socket) as client:
+        output.after_interrupt = HOLDS
+        output.say("reaching; Ctrl-C stops the arm")
+        result = client.call(
+            "reach",
+            point_m=xyz,
+            gripper="grip" if grip else "let_go" if let_go else "stay",
+            ik=method,
+            seed=seed,
+            off_m=off_m,
+            along=along,
+        )
+    if not output.result(result):
+        place = ", ".join(f"{value * 1000.0:.1f}" for value in result["position_m"])
+        words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
+        output.say(
+            f"{result['recording']}: at {place} mm, {result['position_error_mm']:.1f} mm off (by the encoders){words}"
+        )
+    return 1 if grip and not result["gripped"] else 0
+
+
+@click.command("transfer")
+@click.option("--pick", "pick_m", type=POINT, default="0.176,-0.132,-0.15", show_default=True, help="First station.")
+@click.option("--place", "place_m", type=POINT, default="0.176,0.132,-0.15", show_default=True, help="Second station.")
+@click.option(
+    "--height", "height_m", type=click.FloatRange(0.005, 0.5), default=0.06, show_default=True, help="Metres."
+)
+@click.option("--lift", "lift_s", type=click.FloatRange(0.1, 60.0), default=2.0, show_default=True, help="Seconds.")
+@click.option("--carry", "carry_s", type=click.FloatRange(0.1, 60.0), default=4.0, show_default=True, help="Seconds.")
+@click.option("--dwell", "dwell_s", type=click.FloatRange(0.0, 60.0), default=0.5, show_default=True, help="Seconds.")
+@click.option("--cycles", type=click.IntRange(1, 20), default=1, show_default=True, help="How often.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Page with the curves (HTML).")
+@click.option("--virtual", metavar="NAME|FILE", help="On simulated servos of this arm in virtual time; no daemon.")
+@click.option(
+    "--log", "log_path", type=click.Path(dir_okay=False, path_type=Path), help="Where --virtual writes its log."
+)
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of --virtual's arm.")
+@socket_option
+@output_option
+def transfer_command(
+    output: Output,
+    pick_m: Point,
+    place_m: Point,
+    height_m: float,
+    lift_s: float,
+    carry_s: float,
+    dwell_s: float,
+    cycles: int,
+    out: Path | None,
+    virtual: str | None,
+    log_path: Path | None,
+    seed: int,
+    socket: str | None,
+) -> None:
+    """Pick at one station, carry, place at the other, and go back: the paper's transfer robot at work.
+
+    The paw points down. Displacement, velocity, acceleration, angular velocity and angular acceleration of its midpoint
+    are computed from the log the daemon records and compared with the model. Link lengths are the calibration file's
+    (`lengths_m`).
+
+    Example: armctl transfer --carry 3 --out transfer.html
+    """
+    from dataclasses import asdict
+
+    from armctl.report import transfer as report
+    from armctl.trajectory.transfer import Cycle
+
+    cycle = Cycle(pick_m, place_m, height_m, lift_s, carry_s, dwell_s, cycles)
+    answer = {}
+    if virtual is not None:
+        from armctl.config import load_arm
+        from armctl.experiment.transfer import record
+
+        if log_path is None:
+            raise ConfigError("armctl transfer", "--log", "--virtual needs a file for its log", "give --log FILE.mcap")
+        record(load_arm(virtual), cycle, log_path, seed=seed)
+    else:
+        from armctl.client import Client
+
+        if log_path is not None:
+            raise ConfigError("armctl transfer", "--log", "the daemon keeps its own recordings", "leave it out")
+        with Client(socket) as client:
+            output.after_interrupt = HOLDS
+            output.say("transferring; Ctrl-C stops the arm")
+            answer = client.call("transfer", **asdict(cycle))
+            log_path = Path(client.call("recordings_show", name=answer["recording"])["path"])
+    done = report.load(log_path)
+    if out is not None:
+        report.write(done, out)
+    rows = report.table(done)
+    result = {
+        "recording": log_path.stem,
+        "log": str(log_path),
+        "cycle": asdict(cycle),
+        "rows": rows,
+        "report": None if out is None else str(out),
+        **answer,
+    }
+    if output.result(result):
+        return
+    for row in rows:
+        output.say(
+            f"{row['figure']} {row['quantity']:<21} peak {row['model_peak']:8.4f} by the model, "
+            f"{row['recorded_peak']:8.4f} recorded; rms difference {row['rms_difference']:.4f} {row['unit']}"
+        )
+    output.say(f"recorded: {log_path}" + ("" if out is None else f"; drawn: {out}"))

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armctl.cli import main
+from armctl.config import Config, load_arm
+from armctl.experiment import stored
+from armctl.experiment.line import errors_mm
+from armctl.experiment.refine import Line
+from armctl.experiment.rig import Measured, VirtualRig
+from armctl.experiment.tool_points import COLUMNS
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import RANDOM_SPEC, ArmSpec
+from tests.experiment.daemon import SimulatedDaemon
+from tests.genetic import hand
+from tests.host.doubles import write_take
+
+A, B = (0.18, -0.1, 0.10), (0.18, 0.1, 0.10)
+LINE = ["experiment", "line", "--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10"]
+
+
+def answer(capsys: pytest.CaptureFixture[str], arguments: Sequence[str]) -> tuple[int, Any]:
+    status = main([*arguments, "--json"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1
+    return status, json.loads(lines[0])
+
+
+def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_after(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ARMCTL_SOCKET", "/nonexistent/socket")
+    told = ["--via", "2,stream", "--repeats", "2", "--refine", "2", "--seed", "3", "--profile", "paper", "--virtual"]
+    status, found = answer(capsys, [*LINE, *told])
+    assert status == 0
+    rows, before, refined = found["rows"], found["before"], found["refined"]
+    assert [row["via"] for row in rows] == [2, "stream"]
+    assert [one["round"] for one in refined] == [0, 1, 2]
+    assert before == refined[0]["rows"]
+    for row, worse in zip(rows, before, strict=True):
+        assert row["runs"] == 2
+        assert row["duration_s"] == pytest.approx(5.0, rel=0.05)
+        assert row["truth"]["mean_error_mm"] < 2.0 < 5.0 < worse["truth"]["mean_error_mm"]
+        assert row["truth"]["mean_error_mm"] < row["truth"]["max_error_mm"]
+    assert all(0.01 < noise < 0.3 for noise in found["repeat_noise_mm"].values())
+    ga = found["ga"]
+    assert (ga["profile"], ga["generations"]) == ("paper", 300)
+    assert ga["exact_mean_error_mm"] <= ga["mean_error_mm"] < max(one["mean_error_mm"] for one in ga["baseline"])
+
+
+def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_tolerance(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    names = []
+    for number, take in enumerate(hand.recordings(3, seed=1)):
+        names.append(str(tmp_path / f"take-{number}.mcap"))
+        write_take(Path(names[-1]), take, hand.arm())
+    ends = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10"]
+    told = [word for name in names for word in ("--recordings", name)]
+    chosen = []
+    for tolerance_mm in (20.0, 0.9):
+        more = ["--via", "auto", "--tolerance-mm", str(tolerance_mm), "--repeats", "1", "--virtual"]
+        status, found = answer(capsys, ["experiment", "line", *ends, *told, *more])
+        assert status == 0
+        assert len(found["ga"]["baseline"]) == len(names)
+        (row,) = found["rows"]
+        assert row["predicted_mean_error_mm"] < tolerance_mm
+        chosen.append(row["via"])
+    assert 0 <= chosen[0] < chosen[1] < 8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["--to", "0.18,-0.1,0.10"], "nearly the same point"),
+        (["--to", "0.8,0.1,0.10"], "out of reach; the nearest point"),
+        (["--duration", "0.6"], "s or more"),
+    ],
+)
+def test_a_line_that_cannot_be_followed_is_refused_at_once(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], match: str
+) -> None:
+    status, found = answer(capsys, [*LINE, *arguments, "--virtual"])
+    assert status == 1
+    assert match in str(found["error"])
+
+
+@pytest.mark.parametrize("via", ["", "one", "21", "-1", "2.5", "2,,3"])
+def test_a_number_of_via_points_that_is_none_is_wrong_usage(via: str) -> None:
+    assert main([*LINE, "--via", via, "--virtual"]) == 2
+
+
+def test_without_a_daemon_an_experiment_on_the_arm_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMCTL_SOCKET", "/nonexistent/socket")
+    assert main(LINE) == 3
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A configuration whose arm's calibration, and so its sag model, lies in this test's own folder."""
+    arm = tmp_path / "mine.yaml"
+    arm.write_text(Path("calibration/ax12-line.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    file = tmp_path / "armctl.yaml"
+    file.write_text(f"arm: {arm}\n", encoding="utf-8")
+    return file
+
+
+def daemon(patch: pytest.MonkeyPatch, spec: ArmSpec = RANDOM_SPEC) -> SimulatedDaemon:
+    served = SimulatedDaemon(VirtualRig(SimulatedArm(hand.arm(), seed=5, spec=spec)))
+    served.install(patch)
+    return served
+
+
+def true_mm(run: Measured) -> float:
+    assert run.true_tool_m is not None
+    return errors_mm(run.true_tool_m, Line(np.array(A), np.array(B), 5.0))[0]
+
+
+def test_a_sag_model_from_calibration_lines_is_stored_and_makes_the_first_run_straight(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config: Path
+) -> None:
+    served = daemon(monkeypatch)
+    status, found = answer(capsys, ["calibrate", "--sag", "--config", str(config)])
+    assert status == 0
+    assert found["lines"] == len(served.runs) == 8
+    arm = str(config.with_name("mine.yaml"))
+    model = stored.load(Config(arm=arm), load_arm(arm))
+    assert model is not None
+    assert list(model.residual_tick) == list(found["residual_tick"].values())
+    served.runs.clear()
+    told = ["--via", "stream", "--refine", "1", "--repeats", "1", "--config", str(config)]
+    status, found = answer(capsys, [*LINE, *told])
+    assert status == 0
+    assert found["sag_model"]["lines"] == 8
+    assert true_mm(served.runs[1]) < 0.3 * true_mm(served.runs[0])
+    assert found["rows"][0]["recordings"] == [f"run-{len(served.runs)}"]
+
+
+def test_a_measurement_from_outside_corrects_what_no_encoder_sees(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config: Path, tmp_path: Path
+) -> None:
+    served = daemon(monkeypatch, replace(RANDOM_SPEC, zero_offset_within_tick=8.0))
+    told = [*LINE, "--via", "stream", "--refine", "2", "--repeats", "1", "--config", str(config)]
+    assert answer(capsys, told)[0] == 0
+    blind = served.runs[-1]
+    assert blind.true_time_s is not None
+    assert blind.true_tool_m is not None
+    csv = tmp_path / "tool.csv"
+    rows = np.column_stack([blind.true_time_s, blind.true_tool_m])
+    np.savetxt(csv, rows, delimiter=",", header=",".join(COLUMNS), comments="")
+    status, _ = answer(capsys, [*told, "--measured", str(csv), f"takes/run-{len(served.runs)}"])
+    assert status == 0
+    assert true_mm(blind) > 2.0
+    assert true_mm(served.runs[-1]) < 0.5 * true_mm(blind)

@@ -1,0 +1,248 @@
+"""What people do with log files, at the command line."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pty
+import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from armctl import __version__
+from armctl.cli import logs, main
+from armctl.cli.keys import NoKeys, keys
+from armctl.cli.output import Output
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.recording import reader, timeline
+from armctl.recording.player import Player
+from armctl.recording.writer import LogWriter
+from tests.recording.factory import ANCHOR, CONTEXT
+from tests.recording.simulated import simulated_records, write_log
+
+RECORDS = simulated_records()
+REPLAY_KEYS = {"ticks", "messages", "mismatches", "seconds", "realtime_ratio"}
+DOCS = Path(logs.__file__).parent.parent / "docs" / "logs.md"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+
+
+def answer(capsys: pytest.CaptureFixture[str], *arguments: str | Path, status: int = 0) -> dict[str, Any]:
+    """The one JSON object a command prints."""
+    assert main([*map(str, arguments), "--json"]) == status
+    (line,) = capsys.readouterr().out.splitlines()
+    found: dict[str, Any] = json.loads(line)
+    return found
+
+
+# ----------------------------------------------------------------------------------------------------- replay
+
+
+@pytest.mark.parametrize("check", [(), ("--check",)])
+def test_replay_in_json_compares_bit_for_bit(
+    log: Path, check: Sequence[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = answer(capsys, "replay", log, *check)
+    assert found.keys() >= REPLAY_KEYS
+    assert (found["ticks"], found["mismatches"]) == (59, 0)
+
+
+def test_a_log_that_does_not_repeat_fails_the_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = replace(RECORDS[30], outputs=RECORDS[31].outputs)
+    found = answer(capsys, "replay", write_log(tmp_path / "a.mcap", [*RECORDS[:30], wrong, *RECORDS[31:]]), status=1)
+    assert found["mismatches"] > 0
+    assert found["first_mismatch"].startswith("tick 30, ")
+
+
+def test_a_log_of_another_version_that_does_not_repeat_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = replace(RECORDS[30], outputs=RECORDS[31].outputs)
+    log = write_log(tmp_path / "a.mcap", [*RECORDS[:30], wrong, *RECORDS[31:]])
+    monkeypatch.setattr(logs, "__version__", "99.0")
+    assert main(["replay", str(log), "--check"]) == 1
+    assert f"made by armctl {__version__}, this is 99.0" in " ".join(capsys.readouterr().out.split())
+
+
+def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, "replay", log, "--report", tmp_path / "r.html")
+    assert found["report"] == str(tmp_path / "r.html")
+    assert "0 mismatches" in (tmp_path / "r.html").read_text()
+    assert main(["replay", str(log), "--report", str(log)]) == 1  # never over the log
+    assert reader.info(log).complete
+
+
+class Waits:
+    """No keys; waiting moves the clock."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+
+    def wait(self, timeout_s: float) -> str:
+        self._clock.advance_ns(round(timeout_s * NS_PER_S))
+        return ""
+
+
+def watched(log: Path, *, terminal: bool, rate: float = 1.0, start_s: float = 0.0) -> str:
+    output = Output()
+    output.console = Console(file=io.StringIO(), force_terminal=terminal, width=120, height=40)
+    clock = VirtualClock()
+    logs._watch(output, timeline.load(log), rate, start_s, False, Waits(clock), clock)
+    assert isinstance(output.console.file, io.StringIO)
+    return output.console.file.getvalue()
+
+
+def test_without_a_terminal_there_is_a_line_a_second(log: Path) -> None:
+    lines = watched(log, terminal=False).splitlines()
+    assert [line.split()[0] for line in lines] == ["0.0", "1.0", "2.0", "3.0", "4.0", "5.0", "5.9"]
+    found = timeline.load(log)
+    assert [line.split()[2] for line in lines[:6]] == [found.state(found.index(float(second))) for second in range(6)]
+    assert len(watched(log, terminal=False, rate=2.0, start_s=2.0).splitlines()) == 3
+
+
+def test_in_a_terminal_every_joint_and_the_events_are_shown(log: Path) -> None:
+    screen = watched(log, terminal=True, rate=5.0)
+    for name in (*CONTEXT.arm.joint_names, "PLAN_BEGIN: nod", "5.9 of 5.9 s", "space: pause"):
+        assert name in screen
+
+
+def test_what_is_shown_is_what_the_log_says(log: Path) -> None:
+    found = timeline.load(log)
+    console = Console(file=io.StringIO(), width=120)
+    console.print(logs.picture(found, Player(found.duration_s, at_s=2.5)))
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
+    frame = found.index(2.5)
+    assert found.state(frame) in text
+    for value in found.position_rad[frame].tolist():
+        assert f"{value * 180.0 / 3.141592653589793:.1f}" in text
+    assert f"{found.tool[frame, 0] * 1000.0:.1f}" in text
+
+
+def test_beginning_beyond_the_end_is_one_clear_sentence(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(log), "--start", "100"]) == 1
+    assert "lasts 5.9 s" in capsys.readouterr().err
+
+
+def test_keys_of_a_terminal_come_one_by_one_and_by_name() -> None:
+    ours, theirs = pty.openpty()
+    try:
+        with open(theirs, closefd=False) as stream, keys(stream) as pressed:
+            for data, name in ((b" ", " "), (b"\x1b[D", "left"), (b"\x1b[C", "right"), (b"q", "q")):
+                os.write(ours, data)
+                assert pressed.wait(10.0) == name
+            assert pressed.wait(0.0) == ""
+            os.write(ours, b"\x1b[Cx q")  # pressed while a picture was drawn
+            assert [pressed.wait(10.0) for _ in range(4)] == ["right", "x", " ", "q"]
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_where_there_is_no_terminal_there_are_no_keys(tmp_path: Path) -> None:
+    (tmp_path / "x").touch()
+    with (tmp_path / "x").open() as stream, keys(stream) as pressed:
+        assert isinstance(pressed, NoKeys)
+        assert pressed.wait(0.0) == ""
+
+
+def test_a_simulated_arm_repeats_the_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, "replay", log, "--onto-sim", "--arm", "ax12-line", "--seed", "3")
+    assert found["joint_rms_rad"] < 0.01
+    assert found["ticks"] == 59
+
+
+def test_the_log_of_another_arm_is_refused_on_the_simulator(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.yaml"
+    text = Path(__file__).parents[2].joinpath("calibration", "ax12-line.yaml").read_text()
+    other.write_text(re.sub(r"^arm_id: .*$", "arm_id: other", text, flags=re.MULTILINE))
+    refused = answer(capsys, "replay", log, "--onto-sim", "--arm", other, status=1)
+    assert refused["error"]["code"] == "FOREIGN_LOG"
+    assert answer(capsys, "replay", log, "--onto-sim", "--arm", other, "--foreign")["ticks"] > 0
+
+
+# ------------------------------------------------------------------------------------------------------ files
+
+
+def test_info_tells_what_the_contract_names(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, "log", "info", log)
+    assert found.keys() >= {"messages", "start_s", "duration_s", "topics", "complete"}
+    assert found["topics"]["/joint_states"] == 60
+
+
+@pytest.mark.parametrize("kind", ["csv", "xlsx", "parquet"])
+def test_export_writes_a_file_and_tells_its_rows(
+    log: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / f"t.{kind}"
+    found = answer(capsys, "log", "export", log, "--format", kind, "--out", out)
+    assert found["paths"] == [str(out)]
+    assert found["rows"]["ticks"] == 60
+    assert out.stat().st_size > 1000
+    again = answer(capsys, "log", "export", log, "--format", kind, "--out", out, status=1)
+    assert "exists already" in again["error"]["message"]
+
+
+def test_an_unknown_format_is_wrong_usage(log: Path, tmp_path: Path) -> None:
+    assert main(["log", "export", str(log), "--format", "ods", "--out", str(tmp_path / "t")]) == 2
+
+
+def test_trim_and_merge_tell_what_they_wrote(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parts = [tmp_path / "1.mcap", tmp_path / "2.mcap"]
+    first = answer(capsys, "log", "trim", log, "--from", "0", "--to", "2.55", "--out", parts[0])
+    answer(capsys, "log", "trim", log, "--from", "2.55", "--out", parts[1])
+    assert first["path"] == str(parts[0])
+    assert first["duration_s"] == pytest.approx(2.5, abs=0.06)
+    merged = answer(capsys, "log", "merge", *parts, "--out", tmp_path / "3.mcap")
+    assert merged["messages"] == reader.info(tmp_path / "3.mcap").messages
+    assert answer(capsys, "replay", tmp_path / "3.mcap", "--check")["mismatches"] == 0
+    assert main(["log", "merge", *map(str, parts), "--out", str(tmp_path / "3.mcap")]) == 1
+
+
+def test_damage_is_told_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
+    for record in RECORDS[:30]:
+        writer.write_tick(record)
+    writer.flush()
+    writer.abandon()
+    assert main(["log", "export", str(writer.part), "--format", "csv", "--out", str(tmp_path / "t.csv")]) == 0
+    assert "not closed properly" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------------------------------- docs
+
+
+def examples() -> list[list[str]]:
+    """Every armctl command of the page about logs that works on a file alone."""
+    blocks = re.findall(r"```sh\n(.*?)```", DOCS.read_text(), re.DOTALL)
+    lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+    return [words[1:] for words in lines if words[:1] == ["armctl"] and words[1] in ("replay", "log", "live")]
+
+
+def test_the_commands_of_the_documentation_work(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    for name in ("lift.mcap", "cut.mcap"):
+        Path(name).write_bytes(log.read_bytes())
+    found = examples()
+    assert len(found) >= 8
+    for words in found:
+        if words[0] == "live" and "--layout" not in words:
+            continue
+        fast = ["--rate", "1000"] if words[0] == "replay" and len(words) == 2 else []
+        assert main([*words, *fast]) == 0, words
+    assert "Traceback" not in capsys.readouterr().err

@@ -1,0 +1,82 @@
+"""`armctl optimize` on files, without a daemon: both profiles, every objective, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armctl.cli import main
+from armctl.genetic.algorithm import DEFAULT, PAPER
+from tests.genetic import hand
+from tests.host.doubles import write_take
+
+LINE = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10"]
+
+
+@pytest.fixture(scope="module")
+def takes(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp("takes")
+    paths = [folder / f"take-{number}.mcap" for number in range(3)]
+    for path, samples in zip(paths, hand.recordings(3, seed=1), strict=True):
+        write_take(path, samples, hand.arm())
+    return [str(path) for path in paths]
+
+
+def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any]]:
+    status = main(["optimize", *arguments, "--json"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1
+    return status, json.loads(lines[0])
+
+
+def test_the_default_profile_sets_genes_free_and_the_paper_s_does_not(
+    takes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, ours = answer(capsys, *takes, *LINE, "--out", str(tmp_path / "ours.json"))
+    assert status == 0
+    status, paper = answer(capsys, *takes, *LINE, "--profile", "paper", "--out", str(tmp_path / "paper.json"))
+    assert status == 0
+    assert (ours["ga"]["generations"], paper["ga"]["generations"]) == (DEFAULT.generations, PAPER.generations)
+    assert paper["free"] is None
+    assert ours["free"]["mean_error_mm"] < 0.1 * ours["ga"]["mean_error_mm"]
+    assert ours["plan"]["predicted_mean_error_mm"] < paper["plan"]["predicted_mean_error_mm"]
+    assert ours["gap_ratio"] <= 0.01
+
+
+@pytest.mark.parametrize("objective", ["mean", "mix", "max"])
+def test_every_objective_makes_a_plan(
+    objective: str, takes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, found = answer(
+        capsys, *takes, *LINE, "--objective", objective, "--via", "1", "--out", str(tmp_path / "plan.json")
+    )
+    assert status == 0
+    assert found["plan"]["via"] == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "match"),
+    [
+        (["--to", "0.18,-0.125,0.10"], "BAD_LINE", "0.0 mm apart, at least 10 mm"),
+        (["--to", "0.18,0.525,0.10"], "BAD_RECORDINGS", "out of reach; the nearest point within the joint limits is"),
+        (["--from", "0.05,-0.20,0.10"], "BAD_RECORDINGS", "ask for the line it leads along, from"),
+        (["--duration", "0.6"], "LIMITS", "s or more"),
+        (["--to", "0.18,0.125,-0.10"], "BAD_REQUEST", "below the floor"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_nearest_that_can(
+    changes: list[str],
+    code: str,
+    match: str,
+    takes: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status, found = answer(capsys, *takes, *LINE, *changes, "--out", str(tmp_path / "plan.json"))
+    assert status == 1
+    assert found["error"]["code"] == code
+    assert match in found["error"]["message"]
+    assert not (tmp_path / "plan.json").exists()

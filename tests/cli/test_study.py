@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armctl.cli import main
+
+LINE = ["--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10"]
+
+
+def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    assert main(["study", *arguments, "--json"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1
+    result: dict[str, Any] = json.loads(lines[0])
+    return result
+
+
+def test_settings_of_the_genetic_algorithm_repeat_by_their_seed_whoever_works(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    asked = ["ga", *LINE, "--population", "10,20", "--pc", "0.6", "--pm", "0.01", "--generations", "10"]
+    alone = answer(capsys, *asked, "--repeats", "2", "--seed", "4", "--workers", "1")
+    spread = answer(capsys, *asked, "--repeats", "2", "--seed", "4", "--workers", "2")
+    assert alone == spread
+    assert [row["population"] for row in alone["rows"]] == [10, 20]
+
+
+def test_arms_tell_each_row_and_their_summary(capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, "arms", *LINE, "--via", "1", "--arms", "2", "--refine", "0", "--workers", "1")
+    assert [row["arm"] for row in found["rows"]] == [0, 1]
+    (one,) = found["summary"]
+    assert one["arms"] == 2
+    assert one["truth"]["mean_error_mm"]["worst"] >= one["truth"]["mean_error_mm"]["median"] > 0.0
+
+
+def test_fronts_are_told_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    page = tmp_path / "pareto.html"
+    found = answer(
+        capsys, "pareto", *LINE, "--via", "1,2", "--durations", "4,3", "--report", str(page), "--workers", "1"
+    )
+    assert [(row["duration_s"], row["via"]) for row in found["rows"]] == [(3.0, 1), (3.0, 2), (4.0, 1), (4.0, 2)]
+    assert any(row["front_duration"] for row in found["rows"])
+    html = page.read_text()
+    assert html.count('<figure role="img"') == 2
+
+
+def test_the_tables_for_people_come_out_too(capsys: pytest.CaptureFixture[str]) -> None:
+    status = main(["study", "arms", *LINE, "--via", "1", "--arms", "1", "--refine", "0", "--workers", "1"])
+    assert status == 0
+    assert "True distance from the line on 1 arms" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["arms", "--via", "1"], 2),
+        (["ga", *LINE, "--population", "2.5"], 2),
+        (["ga", *LINE, "--pc", "1.5"], 2),
+        (["ga", *LINE, "--pm", "often"], 2),
+        (["pareto", "--from", "0.18,-0.1,0.10", "--to", "0.18,-0.1,0.10", "--workers", "1", "--via", "1"], 1),
+        (["ga", "no-such-recording", *LINE, "--workers", "1"], 1),
+        (["arms", "/no/such/plan.json"], 2),
+    ],
+)
+def test_what_cannot_be_done_is_refused(arguments: list[str], status: int) -> None:
+    assert main(["study", *arguments]) == status
