@@ -26,10 +26,94 @@ def _wire(seed: int) -> dict[str, Any]:
     return wire.prove(seed, tell=lambda line: click.echo(line, err=True))
 
 
+def _unit(seed: int) -> dict[str, Any]:
+    from armctl.proving import unit
+
+    return unit.prove(seed)
+
+
+def _kill(seed: int) -> dict[str, Any]:
+    from armctl.proving import kill
+
+    return kill.prove(seed, tell=lambda line: click.echo(line, err=True))
+
+
+def _load(seed: int) -> dict[str, Any]:
+    from armctl.proving import load
+
+    return load.prove(seed, tell=lambda line: click.echo(line, err=True))
+
+
+def _powercut(seed: int) -> dict[str, Any]:
+    from armctl.proving import powercut
+
+    return powercut.prove(seed)
+
+
+def _straightness(seed: int) -> dict[str, Any]:
+    from armctl.proving import straightness
+
+    return straightness.prove(seed, tell=lambda line: click.echo(line, err=True))
+
+
+def _refinement(seed: int) -> dict[str, Any]:
+    from armctl.proving import straightness
+
+    return straightness.prove_refinement(seed, tell=lambda line: click.echo(line, err=True))
+
+
+def _soak(seed: int, **options: Any) -> dict[str, Any]:
+    from armctl.proving import soak
+
+    return soak.prove(seed, tell=lambda line: click.echo(line, err=True), **options)
+
+
+def _mutants(seed: int, **options: Any) -> dict[str, Any]:
+    from armctl.proving import mutants
+
+    return mutants.prove(seed, tell=lambda line: click.echo(line, err=True), **options)
+
+
+def _fuzz(seed: int) -> dict[str, Any]:
+    from armctl.proving import fuzz
+
+    return fuzz.prove(seed, tell=lambda line: click.echo(line, err=True))
+
+
+def _log(seed: int) -> dict[str, Any]:
+    from armctl.proving import log_bench
+
+    return log_bench.bench(seed)
+
+
 def _bus(seed: int) -> dict[str, Any]:
     from armctl.proving import bus_bench
 
     return bus_bench.bench(seed)
+
+
+def _gap(seed: int) -> dict[str, Any]:
+    from armctl.proving import gap
+
+    return gap.prove(seed, tell=lambda line: click.echo(line, err=True))
+
+
+def _ga(seed: int) -> dict[str, Any]:
+    from armctl.proving import ga_bench
+
+    return ga_bench.bench(seed)
+
+
+def _line(seed: int) -> dict[str, Any]:
+    from armctl.proving import line_bench
+
+    return line_bench.bench(seed)
+
+
+def _sim(seed: int) -> dict[str, Any]:
+    from armctl.proving import sim_bench
+
+    return sim_bench.bench(seed)
 
 
 def _jitter(seed: int) -> dict[str, Any]:
@@ -38,8 +122,44 @@ def _jitter(seed: int) -> dict[str, Any]:
     return jitter_bench.bench(seed)
 
 
-PROOFS: dict[str, Callable[[int], dict[str, Any]]] = {"packets": _packets, "wire": _wire}
-BENCHES: dict[str, Callable[[int], dict[str, Any]]] = {"bus": _bus, "jitter": _jitter}
+def _ik(seed: int) -> dict[str, Any]:
+    from armctl.proving import ik_bench
+
+    return ik_bench.bench(seed)
+
+
+def _web(seed: int) -> dict[str, Any]:
+    from armctl.proving import web_bench
+
+    return web_bench.bench(seed)
+
+
+PROOFS: dict[str, Callable[..., dict[str, Any]]] = {
+    "fuzz": _fuzz,
+    "soak": _soak,
+    "mutants": _mutants,
+    "gap": _gap,
+    "powercut": _powercut,
+    "refinement": _refinement,
+    "straightness": _straightness,
+    "packets": _packets,
+    "wire": _wire,
+    "unit": _unit,
+    "kill": _kill,
+    "load": _load,
+}
+OPTIONS = {"soak": {"hours", "workers", "episode"}, "mutants": {"workers"}}
+"""What a proof takes beside the seed."""
+BENCHES: dict[str, Callable[[int], dict[str, Any]]] = {
+    "log": _log,
+    "web": _web,
+    "bus": _bus,
+    "sim": _sim,
+    "jitter": _jitter,
+    "ik": _ik,
+    "ga": _ga,
+    "line": _line,
+}
 
 as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 seeded = click.option("--seed", default=SEED, show_default=True, type=click.IntRange(0), help="Repeats a run.")
@@ -53,10 +173,16 @@ def main() -> None:
 @main.command()
 @click.argument("name", type=click.Choice(tuple(PROOFS)))
 @seeded
+@click.option("--hours", type=click.FloatRange(0.0, min_open=True), help="soak: virtual time.")
+@click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
+@click.option("--workers", type=click.IntRange(1), help="soak, mutants: processes.  [default: 2]")
 @as_json
-def prove(name: str, seed: int, as_json: bool) -> None:
+def prove(name: str, seed: int, as_json: bool, **options: float | int | None) -> None:
     """Run a proof; exit status 1 if anything was violated."""
-    result = PROOFS[name](seed)
+    given = {option: value for option, value in options.items() if value is not None}
+    if unknown := given.keys() - OPTIONS.get(name, set()):
+        raise click.UsageError(f"{name} takes no --{' and no --'.join(sorted(unknown))}")
+    result = PROOFS[name](seed, **given)
     if as_json:
         click.echo(json.dumps(result))
     else:

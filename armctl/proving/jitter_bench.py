@@ -78,7 +78,7 @@ def lateness_ms(seed: int, period_s: float, seconds: float, hogs: int) -> list[f
             control = ControlProcess.start(settings)
             try:
                 _records(control, SETTLE_S)
-                with _busy(hogs, seconds):
+                with busy(hogs, seconds):
                     return [record.lateness_us / 1e3 for record in _records(control, seconds)]
             finally:
                 control.terminate(2.0)
@@ -101,7 +101,7 @@ def _records(control: ControlProcess, seconds: float) -> list[TickRecord]:
 
 
 @contextlib.contextmanager
-def _busy(hogs: int, seconds: float) -> Iterator[None]:
+def busy(hogs: int, seconds: float) -> Iterator[None]:
     """So many processes that compute; they end by themselves soon after `seconds`, whatever becomes of this one."""
     context = multiprocessing.get_context("spawn")
     processes = [context.Process(target=_burn, args=(seconds + 5.0,), daemon=True) for _ in range(hogs)]
@@ -129,17 +129,17 @@ def daemon_cost(seed: int, seconds: float) -> tuple[dict[str, float], dict[str, 
         pids = running.client.call("status")["pids"]
         running.stop_watching()
         time.sleep(SETTLE_S)
-        before = {name: _cpu_s(pid) for name, pid in pids.items()}
+        before = {name: cpu_s(pid) for name, pid in pids.items()}
         begin_s = time.monotonic()
         time.sleep(seconds)
         took_s = time.monotonic() - begin_s
-        cpu = {name: (_cpu_s(pid) - before[name]) / took_s for name, pid in pids.items()}
+        cpu = {name: (cpu_s(pid) - before[name]) / took_s for name, pid in pids.items()}
         return cpu, {name: _pss_MB(pid) for name, pid in pids.items()}
 
 
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(") ")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+def cpu_s(pid: int) -> float:
+    """Processor time that all threads of a process have used so far, to the nanosecond."""
+    return time.clock_gettime(~pid << 3 | 2)  # what clock_getcpuclockid(3) makes of a process on Linux
 
 
 def _pss_MB(pid: int) -> float:

@@ -9,6 +9,9 @@ simulated servos themselves. Judged in each of them:
 4. Every goal a servo holds lies within the joint's limits; no torque comes on, and none goes off, unasked.
 5. Where a fault latched: `clear` is refused while its cause stands, and once it is gone ready within 3 s, in the same
    control process.
+
+How long the kernel kept back what went over a pseudo terminal meanwhile is measured and added to each bound; where it
+was long enough to look like a silent servo, a silence that latched is told (`unjudged`), not judged.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ import numpy as np
 
 from armctl.client import Client
 from armctl.clock import MonotonicClock
+from armctl.control.detect import PAUSE_AGE_S
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.port import SerialPort
@@ -52,6 +56,8 @@ STILL_RAD = math.radians(0.4)
 MOVING_IDS = (1, 6)
 SWING_RAD = math.radians(30.0)
 SWING_S = 5.0
+FAST_PROGRESS = 0.4
+"""Of the whole motion, with its approach and dwell: here base and roll turn at 13 deg/s."""
 
 Before = Literal["connect", "off", "holding", "moving", "teaching"]
 Act = Callable[[Rig], None]
@@ -132,7 +138,8 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("holding", "lost", ALL_SILENT, SILENT),
     Scenario("holding", "lost", (), 2.0, probability=0.1),
     Scenario("holding", "lost", (), 1.0, 2, count=1),
-    Scenario("holding", "late", ("SERVO_SILENT",), SILENT, 3, value=20.0),
+    # Where the kernel is late too, one such reply may be waited for long enough; then the time counts from that.
+    Scenario("holding", "late", ("SERVO_SILENT",), SILENT + TICK_S, 3, value=20.0),
     Scenario("holding", "late", (), 2.0, value=1.0),
     Scenario("holding", "duplicated", ("", "BUS_NOISE"), 3.0),
     Scenario("holding", "corrupted", ONE_NOISE, SILENT, 4),
@@ -140,7 +147,8 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("holding", "corrupted", ("BUS_NOISE", "SERVO_SILENT"), NOISE, probability=0.4),
     Scenario("holding", "truncated", ONE_NOISE, SILENT, 2),
     Scenario("holding", "garbage", ("", "BUS_NOISE"), 3.0),
-    Scenario("holding", "echo", ALL_NOISE, SILENT),
+    # On a busy machine the reply to a request may come as late as if it were one to its repetition, and be believed.
+    Scenario("holding", "echo", (*ALL_NOISE, "SERVO_SILENT"), SILENT),
     Scenario("holding", "wrong_id", ONE_NOISE, SILENT, 3),
     Scenario("holding", "mute", ("SERVO_SILENT",), SILENT, 1),
     Scenario("holding", "dead_bus", ALL_SILENT, SILENT),
@@ -158,14 +166,14 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("moving", "lost", ("SERVO_SILENT",), SILENT, 1),
     Scenario("moving", "lost", ALL_SILENT, SILENT),
     Scenario("moving", "lost", (), SWING_S, probability=0.1),
-    Scenario("moving", "late", ("SERVO_SILENT",), SILENT, 1, value=20.0),
+    Scenario("moving", "late", ("SERVO_SILENT",), SILENT + TICK_S, 1, value=20.0),
     Scenario("moving", "corrupted", (), SWING_S, probability=0.02),
     Scenario("moving", "corrupted", ONE_NOISE, SILENT, 1),
     Scenario("moving", "truncated", (), SWING_S, probability=0.02),
     Scenario("moving", "garbage", ("", "BUS_NOISE"), SWING_S),
     Scenario("moving", "duplicated", ("", "BUS_NOISE"), SWING_S),
     Scenario("moving", "wrong_id", ONE_NOISE, SILENT, 1),
-    Scenario("moving", "echo", ALL_NOISE, SILENT),
+    Scenario("moving", "echo", (*ALL_NOISE, "SERVO_SILENT"), SILENT),
     Scenario("moving", "mute", ("SERVO_SILENT",), SILENT, 1),
     Scenario("moving", "dead_bus", ALL_SILENT, SILENT),
     Scenario("moving", "unplug", ("PORT_GONE",), TICK_S),
@@ -224,6 +232,9 @@ class Result:
     bound_s: float = 0.0
     still_s: float | None = None
     recovered_s: float | None = None
+    kept_back_s: float = 0.0
+    """The kernel's longest delay meanwhile."""
+    unjudged: list[str] = field(default_factory=list)
     violations: list[str] = field(default_factory=list)
 
 
@@ -259,7 +270,8 @@ def _session(scenarios: Sequence[Scenario], seed: int, tell: Callable[[str], Non
                 result.violations.append(f"{type(error).__name__}: {error}")
             results.append(result)
             figures = f"{result.code or '-'} {_ms(result.detected_s)} still {_ms(result.still_s)}"
-            tell(f"{result.name}: {figures} {'; '.join(result.violations) or 'ok'}")
+            figures += f" kernel {_ms(result.kept_back_s)}"
+            tell(f"{result.name}: {figures} {'; '.join((*result.unjudged, *result.violations)) or 'ok'}")
             if result.violations or scenario.state == "connect":
                 break
     return results
@@ -318,6 +330,7 @@ def _run(running: Rig, scenario: Scenario, result: Result) -> None:
         fault_id = _begin(running, scenario)
         _watch(running, scenario, motion, begin_ns)
         end_ns = time.monotonic_ns()
+        result.kept_back_s = running.kernel.worst_s(begin_ns, end_ns)
         _judge_detection(running, scenario, result, begin_ns, end_ns)
         _judge_motion(running, scenario, result, motion, begin_ns, end_ns)
         _judge_registers(running, scenario, result, seen_from)
@@ -357,7 +370,7 @@ def _in_state(running: Rig, state: Before) -> Iterator[_Motion]:
         if state == "moving":
             motion.thread = threading.Thread(target=_swing, args=(running, mover, motion), daemon=True)
             motion.thread.start()
-            moved = running.wait(lambda s: s["state"] == "moving" and (s["progress"] or 0.0) > 0.25, 5.0)
+            moved = running.wait(lambda s: s["state"] == "moving" and (s["progress"] or 0.0) > FAST_PROGRESS, 5.0)
             assert moved, f"the swing did not begin: {motion.error}"
         else:
             want = {"off": "off", "holding": "holding", "teaching": "teaching"}[state]
@@ -447,8 +460,10 @@ def _judge_detection(running: Rig, scenario: Scenario, result: Result, begin_ns:
     result.code = first["fault"]["code"]
     result.detected_s = (at_ns - begin_ns) / 1e9 - first["fault"]["since_s"]
     if result.code not in wanted:
-        result.violations.append(f"latched {result.code}, wanted {' or '.join(wanted) or 'nothing'}")
-    bound_s = scenario.within_s + TICK_S + SLACK_S
+        silenced = result.code in ("SERVO_SILENT", "BUS_DEAD") and result.kept_back_s > PAUSE_AGE_S
+        told = result.unjudged if silenced else result.violations
+        told.append(f"latched {result.code}, wanted {' or '.join(wanted) or 'nothing'}")
+    bound_s = scenario.within_s + TICK_S + SLACK_S + result.kept_back_s
     if result.detected_s > bound_s:
         result.violations.append(f"latched after {result.detected_s:.2f} s, bound {bound_s:.2f}")
     named = first["fault"]["servo_id"]
@@ -487,9 +502,11 @@ def _judge_motion(
     moving = np.abs(truth.joints_rad[steps:, asked] - truth.joints_rad[:-steps, asked]).max(axis=1) > STILL_RAD
     last = np.flatnonzero(moving)
     result.still_s = (int(truth.time_ns[last[-1] + steps]) - begin_ns) / 1e9 if len(last) else 0.0
+    if not len(last):
+        result.unjudged.append("the arm stood when it struck, on a turn or on a busy machine: its rest shows nothing")
     stopped = bool(result.code) or scenario.act is not None
     if stopped and not settling:
-        bound_s = scenario.within_s + TICK_S + SLACK_S + LAST_GOAL_S + REST_S
+        bound_s = scenario.within_s + TICK_S + SLACK_S + LAST_GOAL_S + REST_S + result.kept_back_s
         if result.still_s > bound_s:
             result.violations.append(f"moved for {result.still_s:.2f} s, bound {bound_s:.2f}")
         if motion.answered and motion.error is None:

@@ -1,0 +1,271 @@
+"""What a fault, or a word of the user, obliges the program in charge to, and what it excuses.
+
+Rules:
+
+1. A duty is an instant from which no goal may advance, until the fault is over (a short silence), a `clear` (what
+   latches) or the next motion asked for (a stop, an adoption). Bounds are the fault matrix's, with 200 ms of goals.
+2. A program that was not run for a while has so much longer: its duties begin later by the gap.
+3. Only what is certain obliges: a fault that strikes now and then may never have struck. What the matrix says of those
+   shows in the other invariants.
+4. A fault that moves joints (a dead motor, a frozen sensor, a sagging supply) or a hand excuses their motion until they
+   are back at their goals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from armctl.dynamixel import ax12a
+from armctl.messages import Mode
+from armctl.sim.faults import Fault
+
+TICK_DEG = math.degrees(ax12a.TICK_RAD)
+STOP_S = 0.3
+"""From a hold, or a fault's bound, to the last goal that advances: 200 ms of them, and the tick under way."""
+SILENCE_S = 0.2
+LATCH_S = 0.5
+REPORT_SLACK_S = 0.3
+"""Beyond the matrix's bound: a fault may begin just behind a reading, and a silent servo is asked now and then."""
+RECOVERING_S = 1.0
+"""For so long a fault still excuses what its joints do, once they are back at their goals."""
+BACK_TICKS = 3.5 / TICK_DEG
+FALL_S = 6.0
+"""A limp joint has found its rest by then."""
+HOT_DEGC = 67.0
+"""Surely above the calibration's 65 degC, whatever has cooled by the next reading."""
+LOW_V = 8.5
+"""Surely below the calibration's 9 V, as the register rounds."""
+
+ADVANCING = frozenset({Mode.MOVING, Mode.JOGGING, Mode.PARKING})
+POWERED = ADVANCING | {Mode.HOLDING}
+MOVES_JOINT = frozenset({"stuck_joint", "blocked_joint", "frozen_sensor", "second_writer"})
+"""Faults by which a servo's shaft leaves its goal, or its goal the program's."""
+MOVES_ARM = frozenset({"brown_out", "trip"})
+"""Faults that take torque from some and thereby load from others."""
+SILENCES = frozenset({"mute", "dead_bus", "lost"})
+
+_SILENT = frozenset({"SERVO_SILENT", "BUS_DEAD"})
+CODES = {
+    "mute": _SILENT,
+    "dead_bus": _SILENT,
+    "lost": _SILENT,
+    "unplug": frozenset({"PORT_GONE"}),
+    "trip": frozenset({"TRIPPED"}),
+    "brown_out": _SILENT | {"LOST_TORQUE", "VOLTAGE"},
+    "second_writer": frozenset({"OTHER_WRITER"}),
+    "hot": frozenset({"HOT", "TRIPPED"}),
+}
+"""Under which codes a fault may be reported."""
+
+
+@dataclass(slots=True)
+class Servo:
+    """What one servo held at an instant."""
+
+    torque: bool
+    """Enabled, with a torque limit above 0."""
+    goal: int
+    speed: int
+    limit: int
+    shaft_tick: float
+    sensed_tick: int
+    """What its own sensor reads, without noise."""
+
+
+@dataclass(slots=True)
+class Duty:
+    """From `from_s` no goal may advance, until it is over."""
+
+    from_s: float
+    until_s: float
+    """The end of a short fault; infinite: until the user ends it."""
+    by_clear: bool
+    """Whether `clear` ends it, else the next motion asked for."""
+    invariant: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What else is known when a fault begins."""
+
+    mode: Mode
+    """As reported."""
+    latched: bool
+    """Whether a fault was reported before."""
+    alive: bool
+    """Whether a program is in charge."""
+
+
+class Duties:
+    """All duties and excuses of one arm."""
+
+    def __init__(self, servo_ids: Sequence[int], period_s: float) -> None:
+        self._servo_ids, self._period_s = servo_ids, period_s
+        self._duties: list[Duty] = []
+        self._planned: list[tuple[float, float, Fault]] = []
+        """Begin and end of every fault not begun yet."""
+        self._faults: list[tuple[float, float, Fault]] = []
+        self._expected: list[tuple[float, str, frozenset[str]]] = []
+        """By when a fault has to be reported, which, and under what codes; none: any will do."""
+        self._hand_s = -math.inf
+        """When a hand was last at the arm."""
+
+    def must_stop(self, from_s: float, why: str, *, until_s: float = math.inf, by_clear: bool, invariant: str) -> None:
+        """Add a duty."""
+        self._duties.append(Duty(from_s, until_s, by_clear, invariant, why))
+
+    def must_report(self, by_s: float, what: str, codes: frozenset[str] = frozenset()) -> None:
+        """A fault has to be reported by then, under one of the codes (none: any will do)."""
+        self._expected.append((by_s, what, codes))
+
+    def plan(self, fault: Fault) -> None:
+        """Take note of a fault that will begin, at `begin_s` of the arm's time."""
+        end_s = math.inf if fault.duration_s is None else fault.begin_s + fault.duration_s
+        self._planned.append((fault.begin_s, end_s, fault))
+
+    def led(self, now_s: float) -> None:
+        """A hand is at the arm."""
+        self._hand_s = now_s
+
+    def motion_asked(self) -> None:
+        """What only a stop or an adoption forbade is allowed again."""
+        self._duties = [duty for duty in self._duties if duty.by_clear]
+
+    def cleared(self) -> None:
+        """The user has cleared the fault."""
+        self._duties = [duty for duty in self._duties if not duty.by_clear]
+
+    def reported(self, code: str) -> list[str]:
+        """A fault is latched: whichever it is, it was noticed; what was to be reported under another code, if alone."""
+        alone = len(self._faults) == 1
+        wrong = [what for _, what, codes in self._expected if alone and codes and code not in codes]
+        self._expected.clear()
+        return wrong
+
+    def nobody_reports(self) -> None:
+        """Nobody is there who could report a fault, or there is no torque any more."""
+        self._expected.clear()
+
+    def in_force(self, last_s: float, now_s: float, later_s: float = 0.0) -> Iterator[Duty]:
+        """Duties that began at least `later_s` ago; `last_s` is when the program last did something."""
+        gap_s = max(0.0, now_s - last_s - self._period_s)
+        return (
+            duty
+            for duty in self._duties
+            if duty.from_s + later_s + (gap_s if duty.from_s > last_s else 0.0) <= now_s <= duty.until_s
+        )
+
+    def overdue(self, now_s: float) -> list[str]:
+        """What should have been reported by now; each told once."""
+        if not any(by_s < now_s for by_s, _, _ in self._expected):
+            return []
+        found = [what for by_s, what, _ in self._expected if by_s < now_s]
+        self._expected = [one for one in self._expected if one[0] >= now_s]
+        return found
+
+    def excused(self, now_s: float, i: int | None = None) -> bool:
+        """Whether a fault, or a hand, may be what moves a joint; None: whichever, for it shakes the others."""
+        return now_s < self._hand_s + RECOVERING_S or any(
+            begin_s <= now_s < end_s + RECOVERING_S
+            and (
+                fault.kind in MOVES_ARM
+                or (fault.kind in MOVES_JOINT and (i is None or fault.servo_id in (None, self._servo_ids[i])))
+            )
+            for begin_s, end_s, fault in (*self._faults, *self._planned)
+        )
+
+    def tick(self, last_s: float, now_s: float, servos: Sequence[Servo], known: Known) -> None:
+        """Time has passed, from `last_s`; faults begin and end."""
+        gap_s = now_s - last_s - self._period_s
+        if gap_s > 0.05:
+            for duty in self._duties:
+                if duty.from_s > last_s:
+                    duty.from_s += gap_s
+            self._expected = [(by_s + gap_s, what, codes) for by_s, what, codes in self._expected]
+        for planned in [planned for planned in self._planned if planned[0] <= now_s]:
+            self._planned.remove(planned)
+            self._faults.append(planned)
+            begin_s, end_s, fault = planned
+            # What began in a gap nobody was there to see begin.
+            begin_s = begin_s if gap_s <= 0.05 else now_s
+            if begin_s < end_s:
+                self._begin(begin_s, end_s, fault, servos, known)
+        for k, (begin_s, end_s, fault) in enumerate(self._faults):
+            moves = fault.kind in MOVES_JOINT or fault.kind in MOVES_ARM
+            falls = now_s - begin_s < FALL_S and self._limp(servos, fault)
+            if moves and end_s <= now_s < end_s + RECOVERING_S and (falls or self._away(servos, fault)):
+                self._faults[k] = (begin_s, now_s, fault)
+        self._duties = [duty for duty in self._duties if duty.until_s + 1.0 > now_s]
+        self._faults = [fault for fault in self._faults if fault[1] + RECOVERING_S > now_s]
+
+    def _begin(self, begin_s: float, end_s: float, fault: Fault, servos: Sequence[Servo], known: Known) -> None:
+        """What a fault obliges the program to, by the rows of the matrix."""
+        if not known.alive:  # the next program begins by looking
+            return
+        certain = fault.probability == 1.0 and fault.count is None
+        lasts_s, value = end_s - begin_s, fault.value or 0.0
+        powered = known.mode in POWERED and not known.latched
+        stop_within_s = report_within_s = None
+        until_s = math.inf
+        if fault.kind in SILENCES and certain and lasts_s > SILENCE_S:
+            stop_within_s = SILENCE_S
+            if lasts_s > LATCH_S + REPORT_SLACK_S:
+                report_within_s = None if known.mode is Mode.OFF else LATCH_S
+            else:
+                until_s = end_s
+        elif fault.kind == "unplug" and lasts_s > self._period_s:
+            stop_within_s = report_within_s = self._period_s
+        elif not powered:
+            return
+        elif fault.kind == "trip" and certain and self._takes_torque(servos, fault):
+            stop_within_s = report_within_s = self._period_s
+        elif fault.kind == "brown_out" and certain:
+            stop_within_s, report_within_s = SILENCE_S, LATCH_S
+        elif (fault.kind == "brown_out" and fault.probability == 0.0 and lasts_s > 0.2 and value < LOW_V) or (
+            fault.kind == "hot" and certain and value >= HOT_DEGC
+        ):
+            report_within_s = self._period_s
+        what = f"{fault.kind} for {lasts_s:.2f} s"
+        if stop_within_s is not None:
+            from_s = begin_s + stop_within_s + STOP_S
+            self.must_stop(from_s, what, until_s=until_s, by_clear=until_s == math.inf, invariant="6")
+        if report_within_s is not None and not known.latched:
+            self.must_report(begin_s + report_within_s + REPORT_SLACK_S, what, CODES[fault.kind])
+
+    def overruled(self, now_s: float, i: int) -> None:
+        """A servo under torque has a goal that the program in charge did not send."""
+        writers = [
+            end_s
+            for begin_s, end_s, fault in (*self._faults, *self._planned)
+            if fault.kind == "second_writer" and begin_s <= now_s and fault.servo_id in (None, self._servo_ids[i])
+        ]
+        if (
+            writers
+            and max(writers) > now_s + 0.15
+            and not any("second_writer" in what for _, what, _ in self._expected)
+        ):
+            what = f"second_writer, until {max(writers):.2f} s"
+            self.must_stop(now_s + self._period_s + STOP_S, what, by_clear=True, invariant="6")
+            self.must_report(now_s + self._period_s + REPORT_SLACK_S, what, CODES["second_writer"])
+
+    def _struck(self, servos: Sequence[Servo], fault: Fault) -> Iterator[tuple[int, Servo]]:
+        return (
+            (i, servo)
+            for i, (servo, servo_id) in enumerate(zip(servos, self._servo_ids, strict=True))
+            if fault.servo_id in (None, servo_id)
+        )
+
+    def _away(self, servos: Sequence[Servo], fault: Fault) -> bool:
+        """Whether a joint that was struck is not back at its goal."""
+        return any(
+            servo.torque and abs(servo.goal - servo.shaft_tick) > BACK_TICKS for _, servo in self._struck(servos, fault)
+        )
+
+    def _limp(self, servos: Sequence[Servo], fault: Fault) -> bool:
+        return not all(servo.torque for _, servo in self._struck(servos, fault))
+
+    def _takes_torque(self, servos: Sequence[Servo], fault: Fault) -> bool:
+        return any(servo.torque or servo.limit == 0 for _, servo in self._struck(servos, fault))

@@ -1,0 +1,237 @@
+"""What happens in one episode of the soak, drawn from a seed; and how a failing one is told in few words.
+
+A story is plain data: a list of things that happen at their times. It can be run, shortened and printed; leaving out
+one of its lines leaves the others as they were.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.sim.faults import DESCRIPTIONS, KINDS, Fault
+
+SHORTEST_S, LONGEST_S = 120.0, 240.0
+WISHES = ("run", "run", "run", "mixed", "mixed", "jog", "jog", "park", "teach", "release", "lean")
+"""What a user wants of an arm; `mixed` is a run with pauses, other rates and stops in between, `lean` one against
+something that holds a joint."""
+WORDS = (
+    "hold", "clear", "release", "torque_on", "park", "run", "teach", "teach_end", "pause", "resume", "set_rate", "jog",
+    "nonsense", "elsewhere", "elsewhere",
+)  # fmt: skip
+"""What is asked without regard to the state; `nonsense` is a run outside the limits, `elsewhere` one that starts so."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """The user wants something and sees to what it needs: torque, a hand at a limp arm."""
+
+    at_s: float
+    what: str
+    number: int
+    """Draws whatever it needs."""
+
+    def __str__(self) -> str:
+        return f"the user wants to {self.what}"
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A command out of the blue."""
+
+    at_s: float
+    what: str
+    number: int
+
+    def __str__(self) -> str:
+        return f"`{self.what}` is asked for, whatever the state"
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """A fault of the simulator begins."""
+
+    fault: Fault
+
+    @property
+    def at_s(self) -> float:
+        return self.fault.begin_s
+
+    def __str__(self) -> str:
+        fault = self.fault
+        who = "the whole bus" if fault.servo_id is None else f"servo {fault.servo_id}"
+        lasts = "" if fault.duration_s is None else f" for {fault.duration_s:.2f} s"
+        often = "" if fault.probability == 1.0 else f", with probability {fault.probability:.2f}"
+        value = "" if fault.value is None else f", value {fault.value:g}"
+        return f"fault {fault.kind} ({who}){lasts}{often}{value}: {DESCRIPTIONS[fault.kind].split(' (')[0]}"
+
+
+@dataclass(frozen=True, slots=True)
+class Late:
+    """The control process is not run for a while."""
+
+    at_s: float
+    late_ms: float
+
+    def __str__(self) -> str:
+        return f"the next tick comes {self.late_ms:.0f} ms late"
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """The control process is killed, in the middle of a tick, and another one comes."""
+
+    at_s: float
+    sends: int
+    """After so many packets of the tick."""
+    back_s: float
+
+    def __str__(self) -> str:
+        return f"the control process dies before packet {self.sends + 1} of a tick, back after {self.back_s:.2f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class HostGone:
+    """The host dies: the control process brings the arm to rest and leaves; another pair comes."""
+
+    at_s: float
+    back_s: float
+
+    def __str__(self) -> str:
+        return f"the host dies, and is back {self.back_s:.2f} s after the control process left"
+
+
+@dataclass(frozen=True, slots=True)
+class Tamper:
+    """Before the start somebody has set a servo's EEPROM wrong."""
+
+    servo_id: int
+    at_s: float = 0.0
+
+    def __str__(self) -> str:
+        return f"servo {self.servo_id} was left in wheel mode before the start"
+
+
+Line = Wish | Word | Strike | Late | Kill | HostGone | Tamper
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """One episode; `seed` draws the simulated arm and its noise."""
+
+    seed: int
+    duration_s: float
+    lines: tuple[Line, ...]
+
+
+def draw(seed: int, episode: int, arm: ArmConfig) -> Story:
+    """The story of an episode, the same for the same numbers."""
+    rng = np.random.default_rng((seed, episode))
+    duration_s = float(rng.uniform(SHORTEST_S, LONGEST_S))
+    lines: list[Line] = []
+
+    def times(mean_s: float, begin_s: float = 1.0) -> list[float]:
+        found, at_s = [], begin_s + float(rng.exponential(mean_s))
+        while at_s < duration_s - 1.0:
+            found.append(round(at_s, 4))
+            at_s += float(rng.exponential(mean_s))
+        return found
+
+    def number() -> int:
+        return int(rng.integers(2**31))
+
+    wish_s = 0.5
+    while wish_s < duration_s:
+        lines.append(Wish(round(wish_s, 4), str(rng.choice(WISHES)), number()))
+        wish_s += float(rng.uniform(1.0, 12.0))
+    lines += [Word(at_s, str(rng.choice(WORDS)), number()) for at_s in times(20.0)]
+    lines += [Late(at_s, round(float(rng.choice((60, 120, 240, 300, 600, 1500)) * rng.uniform(0.8, 1.2)), 1))
+              for at_s in times(25.0)]  # fmt: skip
+    lines += [Kill(at_s, int(rng.integers(8)), round(float(rng.uniform(0.3, 2.0)), 3)) for at_s in times(90.0)]
+    lines += [HostGone(at_s, round(float(rng.uniform(0.5, 2.0)), 3)) for at_s in times(200.0)]
+    lines += [Strike(_fault(rng, arm, at_s)) for at_s in times(18.0)]
+    if rng.random() < 0.25:
+        lines.append(Strike(_fault(rng, arm, 0.0)))
+    if rng.random() < 0.1:  # a slow adapter is one from the start
+        lines.append(Strike(Fault(kind="latency", value=16.0, duration_s=round(float(rng.uniform(1.0, 5.0)), 2))))
+    if rng.random() < 0.15:
+        lines.append(Tamper(int(rng.choice(arm.servo_ids))))
+    return Story(int(rng.integers(2**31)), duration_s, tuple(sorted(lines, key=lambda line: line.at_s)))
+
+
+def _fault(rng: np.random.Generator, arm: ArmConfig, begin_s: float) -> Fault:
+    """Any fault, as it may happen: short or long, on one servo or all, always or now and then."""
+    kind = str(rng.choice((*KINDS, "brown_out", "hot", "noise")))
+    one: int | None = int(rng.choice(arm.servo_ids))
+    everyone = rng.random() < 0.2
+    duration_s = round(math.exp(rng.uniform(math.log(0.03), math.log(6.0))), 4)
+    probability, value, count = 1.0, None, None
+    if kind == "noise":  # enough of it for 10 % in 10 s, too little to silence a servo
+        kind, everyone, duration_s = "corrupted", True, round(float(rng.uniform(11.0, 16.0)), 2)
+        probability = round(float(rng.uniform(0.3, 0.5)), 3)
+    elif kind in ("lost", "late", "duplicated", "corrupted", "truncated", "garbage", "wrong_id"):
+        probability = 1.0 if rng.random() < 0.3 else round(float(rng.uniform(0.02, 0.9)), 3)
+        duration_s = round(float(rng.uniform(0.1, 15.0)), 3)
+        if kind == "late":
+            value = round(float(rng.uniform(0.5, 60.0)), 2)
+    elif kind == "hot":
+        value, probability = round(float(rng.uniform(62.0, 70.4)), 1), 1.0
+    elif kind == "brown_out":
+        probability = float(rng.choice((0.0, 1.0)))
+        value = round(float(rng.uniform(5.0, 9.5)), 2)
+    elif kind == "latency":
+        value = float(rng.choice((1.0, 4.0, 16.0)))
+    elif kind == "second_writer":
+        value = float(rng.integers(5, 60) * rng.choice((-1, 1)))
+    elif kind in ("blocked_joint", "stuck_joint", "frozen_sensor"):
+        duration_s = round(float(rng.uniform(0.5, 8.0)), 3)
+    if kind in ("echo", "dead_bus", "unplug", "latency") or (everyone and kind != "same_id"):
+        one = None
+    return Fault(
+        kind=kind, servo_id=one, probability=probability, count=count,
+        begin_s=begin_s, duration_s=duration_s, value=value,
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------ shrinking
+
+
+def shrink(story: Story, fails_at_s: Callable[[Story], float | None], budget_s: float) -> Story:
+    """A shorter story that still fails, none of whose lines can be left out (or the best one within the budget).
+
+    Delta debugging: ever smaller pieces are left out as long as what remains still fails.
+
+    Args:
+        fails_at_s: Runs a story; when the same thing goes wrong in it, or None.
+    """
+    give_up_s = time.monotonic() + budget_s
+    failed_s = fails_at_s(story)
+    assert failed_s is not None, "a story that does not fail cannot be shortened"
+    story = _cut(story, failed_s)
+    pieces = 2
+    while len(story.lines) > 1 and time.monotonic() < give_up_s:
+        size = math.ceil(len(story.lines) / pieces)
+        for begin in range(0, len(story.lines), size):
+            shorter = replace(story, lines=story.lines[:begin] + story.lines[begin + size :])
+            failed_s = fails_at_s(shorter)
+            if failed_s is not None:
+                story, pieces = _cut(shorter, failed_s), max(pieces - 1, 2)
+                break
+            if time.monotonic() >= give_up_s:
+                break
+        else:
+            if size == 1:
+                break
+            pieces = min(2 * pieces, len(story.lines))
+    return story
+
+
+def _cut(story: Story, failed_s: float) -> Story:
+    """End it where it has failed; nothing later can matter."""
+    lines = tuple(line for line in story.lines if line.at_s <= failed_s)
+    return replace(story, duration_s=min(story.duration_s, failed_s + 0.2), lines=lines)

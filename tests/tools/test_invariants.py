@@ -1,0 +1,459 @@
+"""Every checker of the invariants: a stream that violates it is caught, one that does not is left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.config import load_arm
+from armctl.dynamixel import ax12a
+from armctl.messages import Mode
+from armctl.proving.duties import Servo
+from armctl.proving.invariants import Judge, Sent
+from armctl.sim.faults import Fault
+
+ARM = load_arm("ax12-line")
+PERIOD_S = 0.1
+N = len(ARM.joints)
+MIDDLE = 500
+
+
+class Bench:
+    """Servos that hold what is written to them, at the middle of their range, before a judge."""
+
+    def __init__(self, torque: bool = True) -> None:
+        self.judge = Judge(ARM, PERIOD_S, [joint.limits_tick for joint in ARM.joints])
+        self.servos = [Servo(torque, MIDDLE, 100, 1023 if torque else 128, float(MIDDLE), MIDDLE) for _ in range(N)]
+        self.now_s = 1.0
+        self.judge.back()
+        self.judge.asked(0.0, "clear")
+        self.judge.reported(0.0, Mode.HOLDING if torque else Mode.OFF, "")
+        self.tick()
+
+    def hear(self) -> None:
+        for index in range(N):
+            self.judge.heard(self.now_s, index)
+
+    def tick(self, mode: Mode | None = None, code: str = "", *, heard: bool = True) -> None:
+        """The end of a tick, a period later."""
+        self.now_s += PERIOD_S
+        if heard:
+            self.hear()
+        self.judge.ticked(self.now_s, self.servos)
+        if mode is not None:
+            self.judge.reported(self.now_s, mode, code)
+
+    def write(self, index: int, register: ax12a.Register, value: int, **after: float | bool) -> None:
+        """One write, and what the servo holds then."""
+        before = [replace(servo) for servo in self.servos]
+        for name, held in after.items():
+            setattr(self.servos[index], name, held)
+        data = value.to_bytes(register.size, "little")
+        self.judge.wrote(self.now_s, [Sent(index, register.address, data)], before, self.servos)
+
+    def goal(self, ticks: int, index: int = 0, **after: float | bool) -> None:
+        self.write(index, ax12a.GOAL, ticks, goal=ticks, **after)
+
+    def move(self, ticks: int, *, follow: bool = True, mode: Mode = Mode.MOVING, code: str = "") -> None:
+        """A tick of a motion of joint 0, whose shaft is there at its end."""
+        self.goal(self.servos[0].goal + ticks)
+        if follow:
+            self.at(self.servos[0].goal)
+        self.tick(mode, code)
+
+    def at(self, ticks: float, index: int = 0) -> None:
+        self.servos[index].shaft_tick, self.servos[index].sensed_tick = ticks, round(ticks)
+
+    @property
+    def broken(self) -> set[str]:
+        return {violation.invariant for violation in self.judge.violations}
+
+
+def running() -> Bench:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "run")
+    bench.tick(Mode.MOVING)
+    return bench
+
+
+def test_a_motion_a_stop_and_a_torque_on_as_they_should_be_break_nothing() -> None:
+    bench = Bench(torque=False)
+    bench.judge.asked(bench.now_s, "torque_on")
+    before = [replace(servo) for servo in bench.servos]
+    for servo in bench.servos:
+        servo.torque = True
+    goal = MIDDLE.to_bytes(2, "little") + (16).to_bytes(2, "little")
+    sent = [Sent(index, ax12a.GOAL.address, goal) for index in range(N)]
+    bench.judge.wrote(bench.now_s, sent, before, bench.servos)
+    for _ in range(7):
+        bench.tick(Mode.ENERGISING)
+    bench.tick(Mode.HOLDING)
+    bench.judge.asked(bench.now_s, "run")
+    for _ in range(10):
+        bench.move(15)
+    bench.judge.asked(bench.now_s, "hold")
+    bench.move(12)
+    bench.move(5)
+    for _ in range(20):
+        bench.tick(Mode.HOLDING)
+    assert bench.judge.violations == []
+
+
+@pytest.mark.parametrize("ticks", [-1, 1])
+def test_1_a_goal_outside_the_limits_of_its_joint(ticks: int) -> None:
+    bench = Bench()
+    low, high = ARM.joints[1].limits_tick
+    bench.goal(high + 1 if ticks > 0 else low - 1, 1)
+    assert "1" in bench.broken
+
+
+@settings(deadline=None)
+@given(step=st.integers(-100, 100))
+def test_2_a_goal_step_is_bounded_by_speed_and_period(step: int) -> None:
+    bench = running()
+    bench.move(step)
+    assert ("2" in bench.broken) == (abs(step) > 60.0 / 10.0 / 300.0 * 1023.0 + 1.0)
+
+
+def test_2_a_servo_that_missed_a_goal_may_get_two_steps_at_once_and_not_more() -> None:
+    bench = running()
+    bench.goal(MIDDLE + 20)
+    bench.servos[0].goal = MIDDLE  # it did not hear
+    bench.tick()
+    bench.goal(MIDDLE + 40)
+    assert bench.broken == set()
+    bench.servos[0].goal = MIDDLE
+    bench.tick()
+    bench.goal(MIDDLE + 60)
+    assert bench.broken == {"2"}
+
+
+def test_2_a_joint_over_12_deg_from_its_goal() -> None:
+    bench = Bench()
+    bench.at(MIDDLE - 42.0)
+    bench.tick()
+    assert bench.broken == {"2"}
+
+
+def test_2_a_joint_that_something_holds_is_excused_and_its_neighbour_is_not() -> None:
+    bench = Bench()
+    bench.judge.plan(Fault(kind="blocked_joint", servo_id=1, begin_s=bench.now_s, duration_s=1.0))
+    bench.at(MIDDLE - 42.0)
+    bench.tick()
+    assert bench.broken == set()
+    bench.at(MIDDLE - 42.0, 1)
+    bench.tick()
+    assert bench.broken == {"2"}
+
+
+@pytest.mark.parametrize("speed", [0, 92])
+def test_2_and_3_a_speed_of_none_or_too_much(speed: int) -> None:
+    bench = Bench()
+    bench.write(0, ax12a.MOVING_SPEED, speed)
+    assert bench.broken == {"3" if speed == 0 else "2"}
+
+
+def test_a_goal_at_the_servos_own_position_is_no_motion() -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "hold")
+    bench.at(MIDDLE - 25.0)
+    for _ in range(8):
+        bench.tick()
+    bench.goal(MIDDLE - 24)
+    assert bench.broken == set()
+
+
+@pytest.mark.parametrize(
+    ("held", "broken"),
+    [
+        ({"speed": 16}, set()),
+        ({"speed": 0}, {"3"}),
+        ({"speed": 16, "limit": 300}, {"3"}),
+    ],
+)
+def test_3_torque_comes_on_softly_and_slowly(held: dict[str, int], broken: set[str]) -> None:
+    bench = Bench(torque=False)
+    bench.judge.asked(bench.now_s, "torque_on")
+    bench.goal(MIDDLE, torque=True, **held)
+    assert bench.broken == broken
+
+
+def test_3_torque_comes_on_with_a_goal_elsewhere() -> None:
+    bench = Bench(torque=False)
+    bench.judge.asked(bench.now_s, "torque_on")
+    bench.goal(MIDDLE + 4, torque=True)
+    assert bench.broken == {"3"}
+
+
+@pytest.mark.parametrize(("goal", "broken"), [(MIDDLE + 9, {"3"}), (MIDDLE - 9, set())])
+def test_3_a_joint_that_turns_to_its_goal_at_torque_on_jumps_and_one_that_turns_from_it_sags(
+    goal: int, broken: set[str]
+) -> None:
+    bench = Bench(torque=False)
+    bench.judge.asked(bench.now_s, "torque_on")
+    bench.goal(MIDDLE, torque=True)
+    bench.servos[0].goal = goal
+    bench.at(MIDDLE + 8.0)
+    bench.tick()
+    assert bench.broken == broken
+
+
+def test_4_torque_comes_on_and_nobody_asked() -> None:
+    bench = Bench(torque=False)
+    bench.goal(MIDDLE, torque=True)
+    assert bench.broken == {"4"}
+
+
+def test_4_a_fault_voids_what_was_asked_before_it() -> None:
+    bench = Bench(torque=False)
+    bench.judge.asked(bench.now_s, "torque_on")
+    bench.tick(Mode.FAULTED, "SERVO_SILENT")
+    bench.goal(MIDDLE, torque=True)
+    assert bench.broken == {"4"}
+
+
+@pytest.mark.parametrize(("asked", "broken"), [("release", set()), ("teach", set()), ("park", {"5"}), ("hold", {"5"})])
+def test_5_torque_goes_off_on_request_alone(asked: str, broken: set[str]) -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, asked)
+    bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize(("away", "broken"), [(0, set()), (11, set()), (14, {"5"})])
+def test_5_torque_goes_off_at_the_rest_pose_that_was_asked_for(away: int, broken: set[str]) -> None:
+    bench = Bench()
+    for index, joint in enumerate(ARM.joints):
+        bench.at(joint.tick(joint.rest_rad), index)
+        bench.servos[index].goal = bench.servos[index].sensed_tick
+    bench.servos[0].sensed_tick += away
+    bench.judge.asked(bench.now_s, "park")
+    bench.judge.reported(bench.now_s, Mode.PARKING, "")
+    bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
+    assert bench.broken == broken
+
+
+def test_5_the_way_to_rest_is_slow() -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "park")
+    for _ in range(6):
+        bench.move(7, mode=Mode.PARKING)
+    assert bench.broken == set()
+    bench.move(9, mode=Mode.PARKING)
+    assert bench.broken == {"5"}
+
+
+def advancing(bench: Bench, **of_move: object) -> float | None:
+    """Seconds until advancing goals become a violation, at most 2."""
+    begin_s = bench.now_s
+    for _ in range(20):
+        bench.move(5, **of_move)  # type: ignore[arg-type]  # of move
+        if bench.broken & {"6", "7"}:
+            return bench.now_s - begin_s
+    return None
+
+
+@pytest.mark.parametrize(
+    ("kind", "bound_s"), [("mute", 0.2), ("dead_bus", 0.2), ("unplug", 0.1), ("trip", 0.1), ("brown_out", 0.2)]
+)
+def test_6_goals_that_advance_on_after_a_fault(kind: str, bound_s: float) -> None:
+    bench = running()
+    one = None if kind in ("dead_bus", "unplug") else 3
+    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=1.5))
+    late_s = advancing(bench)
+    assert late_s is not None
+    assert bound_s + 0.3 < late_s <= bound_s + 0.51
+
+
+def test_6_a_short_silence_obliges_only_while_it_lasts() -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="mute", servo_id=3, begin_s=bench.now_s, duration_s=0.45))
+    for _ in range(5):
+        bench.tick(Mode.MOVING)
+    assert advancing(bench) is None
+
+
+@pytest.mark.parametrize("word", ["hold", "pause", "host_lost"])
+def test_6_goals_that_advance_on_after_a_stop(word: str) -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, word)
+    late_s = advancing(bench)
+    assert late_s is not None
+    assert late_s < 0.7
+
+
+def test_6_a_resumed_run_may_advance() -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, "pause")
+    bench.judge.asked(bench.now_s + 0.2, "resume")
+    assert advancing(bench) is None
+
+
+def test_6_a_late_tick_stops_the_motion() -> None:
+    bench = running()
+    bench.now_s += 0.5
+    bench.tick(Mode.MOVING)
+    assert advancing(bench) is not None
+
+
+def test_6_a_jog_without_heartbeats() -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "jog")
+    assert advancing(bench, mode=Mode.JOGGING) is not None
+
+
+def test_6_an_arm_that_is_not_still_in_time() -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "hold")
+    bench.servos[0].goal = MIDDLE + 39
+    for k in range(10):
+        bench.at(MIDDLE + 3.5 * k)
+        bench.tick()
+    assert bench.broken == {"6"}
+
+
+def test_6_a_program_that_adopts_writes_no_goal() -> None:
+    bench = Bench()
+    bench.judge.died(bench.now_s, bench.servos)
+    bench.tick()
+    bench.judge.back()
+    bench.goal(MIDDLE)
+    assert bench.broken == {"6"}
+
+
+def test_7_a_goal_that_advances_while_a_fault_is_latched() -> None:
+    bench = running()
+    late_s = advancing(bench, mode=Mode.FAULTED, code="OTHER_WRITER")
+    assert late_s is not None
+    assert "7" in bench.broken
+    assert late_s < 0.7
+
+
+@pytest.mark.parametrize(("code", "broken"), [("", set()), ("OTHER_WRITER", {"7"})])
+def test_7_a_motion_asked_for_together_with_a_clear_needs_the_clear_to_be_granted(code: str, broken: set[str]) -> None:
+    bench = running()
+    for _ in range(5):
+        bench.tick(Mode.FAULTED, "OTHER_WRITER")
+    bench.judge.asked(bench.now_s, "clear")
+    bench.judge.asked(bench.now_s, "park")
+    bench.goal(MIDDLE + 5)
+    bench.tick(Mode.FAULTED if code else Mode.PARKING, code)
+    assert bench.broken == broken
+
+
+def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else() -> None:
+    bench = Bench()
+    bench.servos[0].goal = 400  # the base rests at 512
+    bench.at(400.0)
+    bench.tick(Mode.FAULTED, "HOT")
+    assert advancing(bench, mode=Mode.FAULTED, code="HOT") is None
+    bench.move(-5, mode=Mode.FAULTED, code="HOT")
+    assert bench.broken == {"7"}
+
+
+def test_7_a_fault_that_is_cleared_though_its_cause_lasts() -> None:
+    bench = Bench()
+    bench.tick(Mode.FAULTED, "SERVO_SILENT")
+    bench.judge.reported(bench.now_s, Mode.HOLDING, "", "mute is in force")
+    assert bench.broken == {"7"}
+
+
+@pytest.mark.parametrize(("ticks", "broken"), [(2, set()), (3, {"8"})])
+def test_8_a_goal_computed_from_an_old_reading(ticks: int, broken: set[str]) -> None:
+    bench = running()
+    for _ in range(ticks):
+        bench.tick(heard=False)
+    bench.goal(MIDDLE + 5)
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize("register", [register for register in ax12a.REGISTERS if register.eeprom])
+def test_9_a_write_to_the_eeprom(register: ax12a.Register) -> None:
+    bench = Bench()
+    bench.write(0, register, register.default)
+    assert bench.broken == {"9"}
+
+
+def test_a_burst_of_goals() -> None:
+    bench = Bench()
+    for k in range(5):
+        bench.now_s += 0.05
+        bench.goal(MIDDLE, k)
+    assert bench.broken == {"late"}
+
+
+@pytest.mark.parametrize(("step", "broken"), [(0.0, set()), (6.0, {"lead"})])
+def test_a_program_that_died_leaves_a_still_arm(step: float, broken: set[str]) -> None:
+    bench = running()
+    bench.servos[0].goal = MIDDLE + 39
+    bench.judge.died(bench.now_s, bench.servos)
+    for k in range(4):
+        bench.at(MIDDLE + step * k)
+        bench.tick()
+    assert bench.broken - {"6"} == broken
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"),
+    [
+        ("mute", "SERVO_SILENT"),
+        ("unplug", "PORT_GONE"),
+        ("trip", "TRIPPED"),
+        ("hot", "HOT"),
+        ("brown_out", "LOST_TORQUE"),
+    ],
+)
+@pytest.mark.parametrize("told", ["well", "wrongly", "not at all"])
+def test_a_fault_that_nobody_reports_or_under_another_code(kind: str, code: str, told: str) -> None:
+    bench = running()
+    one = None if kind == "unplug" else 2
+    value = {"hot": 70.0, "brown_out": 7.0}.get(kind)
+    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=3.0, value=value))
+    bench.tick(Mode.MOVING)
+    said = {"well": (Mode.FAULTED, code), "wrongly": (Mode.FAULTED, "OVERLOAD"), "not at all": (Mode.MOVING, "")}[told]
+    for _ in range(10):
+        bench.tick(*said)
+    assert bench.broken == (set() if told == "well" else {"rows"})
+
+
+def test_a_joint_that_cannot_follow_and_nobody_reports_it() -> None:
+    bench = Bench()
+    bench.at(MIDDLE - 32.0)
+    for _ in range(12):
+        bench.tick(Mode.HOLDING)
+    assert bench.broken == {"rows"}
+
+
+@pytest.mark.parametrize(
+    ("unheard", "asked", "broken"),
+    [([(3, 2)], 7, set()), ([(3, 1)], 6, {"rows"}), ([(3, 1)], 8, set()), ([], 6, set())],
+)
+def test_a_lost_reply_is_asked_for_again(unheard: list[tuple[int, int]], asked: int, broken: set[str]) -> None:
+    bench = Bench()
+    bench.judge.polled(bench.now_s, [], N, N)
+    bench.judge.polled(bench.now_s, unheard, N - len(unheard), asked)
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize("where", [lambda sent: sent.value(ax12a.GOAL), lambda sent: sent.value(ax12a.MOVING_SPEED)])
+def test_a_write_of_two_registers_tells_both(where: Callable[[Sent], int | None]) -> None:
+    assert where(Sent(0, ax12a.GOAL.address, bytes((7, 0, 7, 0)))) == 7
+    assert where(Sent(0, ax12a.TORQUE_ENABLE.address, b"\1")) is None
+
+
+@pytest.mark.parametrize("overwritten", [False, True])
+@pytest.mark.parametrize("told", [True, False])
+def test_another_writers_goal_that_nobody_reports(overwritten: bool, told: bool) -> None:
+    bench = running()
+    bench.goal(MIDDLE)
+    bench.judge.plan(Fault(kind="second_writer", servo_id=1, begin_s=bench.now_s, duration_s=3.0))
+    for _ in range(8):
+        bench.servos[0].goal = MIDDLE + 20
+        if overwritten:
+            bench.goal(MIDDLE)
+        bench.tick(*((Mode.FAULTED, "OTHER_WRITER") if told else (Mode.HOLDING, "")))
+    assert bench.broken == (set() if told else {"rows"})

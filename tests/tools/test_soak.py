@@ -1,0 +1,134 @@
+"""The soak's parts: stories, shrinking, one episode, a short run as a command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from click.testing import CliRunner
+
+from armctl.messages import Mode
+from armctl.proving import __main__ as proving
+from armctl.proving import soak
+from armctl.proving.episode import Episode, Stage, stage
+from armctl.proving.story import WISHES, Kill, Late, Line, Story, Strike, Wish, Word, draw, shrink
+from armctl.sim.faults import KINDS, Fault
+
+
+@pytest.fixture(scope="module")
+def on() -> Stage:
+    return stage()
+
+
+RUN = (Wish(0.3, "run", 5), Wish(20.0, "run", 6))
+
+
+def played(on: Stage, *lines: Line, duration_s: float = 30.0) -> Episode:
+    """An episode with a run, and whatever else happens, played to its end."""
+    episode = Episode(Story(1, duration_s, tuple(sorted((*RUN, *lines), key=lambda line: line.at_s))), on)
+    outcome = episode.play()
+    assert outcome.violations == []
+    return episode
+
+
+def test_a_story_is_the_same_for_the_same_numbers_and_another_for_others(on: Stage) -> None:
+    assert draw(1, 2, on.arm) == draw(1, 2, on.arm)
+    assert len({draw(seed, episode, on.arm) for seed in (1, 2) for episode in (1, 2)}) == 4
+
+
+def test_stories_hold_every_kind_of_fault_wish_and_word(on: Stage) -> None:
+    lines = [line for episode in range(60) for line in draw(1, episode, on.arm).lines]
+    assert {line.fault.kind for line in lines if isinstance(line, Strike)} == set(KINDS)
+    assert {line.what for line in lines if isinstance(line, Wish)} == set(WISHES)
+    assert {type(line) for line in lines} == set(Line.__args__)
+    assert all(str(line) for line in lines)
+
+
+def test_shrinking_keeps_what_the_failure_needs_and_nothing_else() -> None:
+    lines = tuple(Word(float(at_s), "hold", at_s) for at_s in range(1, 40))
+    tried = 0
+
+    def fails_at_s(story: Story) -> float | None:
+        nonlocal tried
+        tried += 1
+        left = {line.at_s for line in story.lines}
+        return 31.0 if {7.0, 30.0} <= left and story.duration_s > 31.0 else None
+
+    short = shrink(Story(1, 100.0, lines), fails_at_s, budget_s=60.0)
+    assert [line.at_s for line in short.lines] == [7.0, 30.0]
+    assert short.duration_s == pytest.approx(31.2)
+    assert tried < 60
+
+
+def test_a_run_a_fault_and_its_card_lead_back_to_a_moving_arm(on: Stage) -> None:
+    episode = played(on, Strike(Fault(kind="mute", servo_id=3, begin_s=4.0, duration_s=1.5)))
+    assert episode.rows["SERVO_SILENT"] == 1
+    told = [text for _, text in episode.told]
+    assert any(text.startswith("state faulted, SERVO_SILENT") for text in told)
+    assert told.index("-> clear") < len(told) - told[::-1].index("-> run") - 1
+
+
+def test_a_dropped_arm_is_lifted_by_hand_and_runs_again(on: Stage) -> None:
+    trip = Strike(Fault(kind="trip", servo_id=2, begin_s=6.0, duration_s=0.1))
+    episode = played(on, trip, duration_s=40.0)
+    assert episode.rows["TRIPPED"] == 1
+    told = [text for _, text in episode.told]
+    assert told.index("-> release") < told.index("-> clear")
+    assert told[told.index("-> clear") :].count("-> torque_on") == 1
+
+
+def test_killed_in_mid_tick_the_next_process_adopts_the_arm(on: Stage) -> None:
+    episode = played(on, Kill(5.0, 3, 0.8), duration_s=12.0)
+    assert (episode.rows["SIGKILL"], episode.rows["RESTARTED"]) == (1, 1)
+    assert f"state {Mode.HOLDING}" in [text for at_s, text in episode.told if at_s > 5.8]
+
+
+def test_a_late_tick_stops_the_run(on: Stage) -> None:
+    assert played(on, Late(5.0, 400.0), duration_s=8.0).rows["LATE"] == 1
+
+
+def test_an_episode_says_the_same_bytes_twice_and_its_inputs_repeat_the_step(on: Stage) -> None:
+    story = replace(draw(1, 3, on.arm), duration_s=25.0)
+    outcome = soak.play(story, on, twice=True)
+    assert outcome.violations == []
+    other = soak.play(replace(story, seed=story.seed + 1), on)
+    assert other.wire != outcome.wire
+
+
+def test_a_step_that_differs_is_noticed(on: Stage) -> None:
+    records = Episode(Story(1, 3.0, RUN[:1]), on, keep_records=True).play().records
+    assert len(records) > 20
+    assert soak.first_mismatch(records, on) is None
+    wrong = records[12]
+    records[12] = replace(wrong, outputs=replace(wrong.outputs, progress=0.123))
+    assert soak.first_mismatch(records, on) == 12
+
+
+def test_a_failing_episode_is_shrunk_and_told_with_the_command_that_repeats_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("armctl.control.sequences.SOFT_TORQUE", 700)
+    monkeypatch.setattr("armctl.control.requests.SOFT_TORQUE", 700)
+    told: list[str] = []
+    result = soak.prove(1, episode=4, budget_s=10.0, tell=told.append)
+    assert result["violations"] > 0
+    assert result["repeat"] == "tools/prove soak --seed 1 --episode 4"
+    assert "INVARIANT 3 BROKEN: base: torque came on with limit 700" in "\n".join(told)
+    assert any(line.endswith("shrunk to 1:") for line in told)
+
+
+def test_the_soak_as_a_command_gives_figures_and_rows() -> None:
+    result = CliRunner().invoke(proving.main, ["prove", "soak", "--seed", "1", "--episode", "1", "--json"])
+    figures = json.loads(result.stdout)
+    assert result.exit_code == 0
+    assert (figures["runs"], figures["violations"], figures["repeat"]) == (1, 0, "")
+    assert figures["hours"] > 0.03
+    assert figures["realtime_ratio"] > 1.0
+    assert [row["row"] for row in figures["rows"]] == list(soak.ROWS)
+
+
+def test_a_proof_refuses_options_that_are_not_its_own() -> None:
+    result = CliRunner().invoke(proving.main, ["prove", "packets", "--hours", "1"])
+    assert result.exit_code == 2
+    assert "packets takes no --hours" in result.stderr
