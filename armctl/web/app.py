@@ -12,15 +12,17 @@ import contextlib
 import functools
 import gzip
 import hashlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, FastAPI, Path, Query, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
 from pydantic import BaseModel, ConfigDict
+from starlette.exceptions import HTTPException
 
 from armctl import __version__
 from armctl.api.jsonrpc import ProtocolError, strict_json
@@ -42,7 +44,9 @@ MOST_POINTS = 1000
 
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
 ErrorBody = {"description": "Refused: `error` holds `code`, `message` and `reasons`."}
-REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys((400, 401, 403, 404, 409, 413, 415, 421, 422, 503), ErrorBody)
+REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(
+    (400, 401, 403, 404, 405, 409, 413, 415, 421, 422, 503), ErrorBody
+)
 
 
 class _Body(BaseModel):
@@ -103,6 +107,8 @@ def create_app(arm: ArmConfig, config: Config, *, socket: FilePath, token: str, 
         lifespan=lifespan,
     )
     app.add_exception_handler(ArmctlError, _refused)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _not_served)
     guard = Guard(app, token=token, port=port)
     app.include_router(_live(daemon, guard))
     app.include_router(_commands(daemon), prefix="/api")
@@ -118,8 +124,26 @@ async def _refused(_: Request, error: Exception) -> Response:
     if isinstance(error, ConfigError):
         status = 422
     code = getattr(error, "code", type(error).__name__)
-    reasons = list(getattr(error, "reasons", [str(error)]))
-    return JSONResponse({"error": {"code": code, "message": str(error), "reasons": reasons}}, status)
+    return _error(status, code, str(error), list(getattr(error, "reasons", [str(error)])))
+
+
+async def _invalid(_: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    reasons = [f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()]
+    return _error(422, "INVALID", "; ".join(reasons), reasons)
+
+
+async def _not_served(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    code = {404: "NOT_FOUND", 405: "WRONG_METHOD"}.get(error.status_code, "REFUSED")
+    reason = f"{request.method} {request.url.path[:100]} is not served; what is stands at /api/openapi.json"
+    return _error(error.status_code, code, reason, [reason], error.headers)
+
+
+def _error(
+    status: int, code: str, message: str, reasons: list[str], headers: Mapping[str, str] | None = None
+) -> Response:
+    return JSONResponse({"error": {"code": code, "message": message, "reasons": reasons}}, status, headers)
 
 
 def _live(daemon: Daemon, guard: Guard) -> APIRouter:

@@ -78,10 +78,27 @@ def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:
         ("/api/plans/a%0A", 422),
         ("/api/recordings/", 404),
         ("/api/logs/bad.mcap?from_s=nan", 422),
+        ("/api/stop", 405),
+        ("/nothing", 404),
     ],
 )
-def test_what_cannot_be_served_is_refused(guard: Guard, path: str, status: int) -> None:
-    assert ask(guard, "GET", path).status_code == status
+def test_what_cannot_be_served_is_refused_in_one_form(guard: Guard, path: str, status: int) -> None:
+    answer = ask(guard, "GET", path)
+    assert answer.status_code == status
+    error = answer.json()["error"]
+    assert error.keys() == {"code", "message", "reasons"}
+    assert all(error.values())
+
+
+def test_a_field_that_does_not_fit_is_named_with_its_bound(guard: Guard) -> None:
+    error = ask(guard, "GET", "/api/logs/bad.mcap?from_s=-1").json()["error"]
+    assert error["code"] == "INVALID"
+    assert error["reasons"] == ["query.from_s: Input should be greater than or equal to 0"]
+
+
+def test_a_method_that_is_not_served_says_which_are(guard: Guard) -> None:
+    answer = ask(guard, "GET", "/api/stop")
+    assert (answer.headers["allow"], answer.json()["error"]["code"]) == ("POST", "WRONG_METHOD")
 
 
 def test_half_a_surrogate_pair_is_refused(guard: Guard) -> None:

@@ -33,8 +33,7 @@ async function request(path, { method = "GET", body } = {}) {
   const answer = await response.json().catch(() => null);
   if (response.ok) return answer;
   const error = answer && answer.error;
-  const detail = answer && Array.isArray(answer.detail) && answer.detail.map((one) => one.msg).join("; ");
-  throw new Refused(error ? `${error.code}: ${error.reasons.join("; ")}` : detail || `the server answered ${response.status}`);
+  throw new Refused(error ? `${error.code}: ${error.reasons.join("; ")}` : `the server answered ${response.status}`);
 }
 
 const post = (path, body = {}) => request(path, { method: "POST", body });
