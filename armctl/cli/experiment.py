@@ -79,6 +79,12 @@ def experiment_command() -> None:
     metavar="CSV RECORDING",
     help="The tool as seen from outside during a recorded run: columns t_s, x_m, y_m, z_m, time from the plan's begin.",
 )
+@click.option(
+    "--report",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="HTML",
+    help="Draw it: paths, deviation, convergence.",
+)
 @click.option("--virtual", is_flag=True, help="Simulated servos on a virtual clock; no daemon.")
 @click.option("--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the virtual arm.  [default: 0.1]")
 @socket_option
@@ -98,6 +104,7 @@ def line_command(
     recordings: tuple[str, ...],
     profile: Literal["default", "paper"],
     measured: tuple[Path, str] | None,
+    report: Path | None,
     virtual: bool,
     period_s: float | None,
     socket: str | None,
@@ -116,11 +123,14 @@ def line_command(
     from armctl.errors import ConfigError
     from armctl.experiment import session
     from armctl.experiment.run import DaemonRig
+    from armctl.report.page import plotly
 
     if period_s is not None and not virtual:
         raise ConfigError(
             "armctl experiment", "--period", "the daemon's period is in its configuration", "leave it out"
         )
+    if report is not None:
+        plotly()  # is missed before anything moves
     asked = session.Asked(
         from_m=from_m,
         to_m=to_m,
@@ -134,6 +144,7 @@ def line_command(
         recordings=recordings,
         profile=profile,
         measured=measured,
+        report=report,
     )
     config = load_config(config_file)
     arm = load_arm(config.arm)
@@ -175,6 +186,8 @@ def _show(output: Output, result: dict[str, Any]) -> None:
             f"Genetic algorithm over {len(ga['baseline'])} recordings: {ga['mean_error_mm']:.2f} mm mean on their own "
             f"points, {ga['gap_ratio']:.2%} above the exact optimum."
         )
+    if result["report"] is not None:
+        output.say(f"Drawn in {result['report']}")
     unseen = max(one["zero_offset_mm"] for one in result["unseen"].values())
     output.say(
         "Before and after are the encoders' word, one whole tick apart from reading to reading. What they cannot see: "

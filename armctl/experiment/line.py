@@ -240,6 +240,7 @@ def genetic(
         "feasible": ga.path.feasible,
         "exact_mean_error_mm": exact.mean_error_mm,
         "gap_ratio": result.gap_ratio,
+        "history": {"best_cost_mm": list(ga.best_cost_mm)},
         "baseline": [{"mean_error_mm": one.mean_error_mm, "max_error_mm": one.max_error_mm} for one in result.baseline],
         "plans": [
             {

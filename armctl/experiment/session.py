@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,12 +13,14 @@ import numpy as np
 from armctl.config import ArmConfig, Config, data_dir
 from armctl.errors import RequestRefused
 from armctl.experiment import calibrate_sag, line, refine, stored, tool_points
+from armctl.experiment.evidence import outcome
 from armctl.experiment.line import Profile, Stage, Via
 from armctl.experiment.rig import Rig, VirtualRig
 from armctl.experiment.sag_model import SagModel
 from armctl.jobs import NICENESS
 from armctl.kinematics.transform import FloatArray
 from armctl.recording import recordings
+from armctl.report import experiment as page
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
 from armctl.trajectory.line_path import line_paths, onto
@@ -40,6 +43,8 @@ class Asked:
     profile: Profile
     measured: tuple[Path, str] | None
     """An external measurement of the tool, and the recording of the run it was made during."""
+    report: Path | None = None
+    """A page that shows what was found."""
 
 
 def virtual(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
@@ -110,13 +115,32 @@ def _experiment(
         tolerance_mm=asked.tolerance_mm,
         ways=ways,
     )
+    if asked.report is not None:
+        _write_page(asked.report, rig, wanted, outcomes, ga)
     return {
         **line.as_json(rig, wanted, outcomes, model),
+        "report": None if asked.report is None else str(asked.report),
         "ga": ga,
         "from_m": list(asked.from_m),
         "to_m": list(asked.to_m),
         "seed": asked.seed,
     }
+
+
+def _write_page(
+    path: Path, rig: Rig, wanted: refine.Line, outcomes: Sequence[line.Outcome], ga: dict[str, Any] | None
+) -> None:
+    page.write(
+        page.ExperimentReport(
+            from_m=wanted.A,
+            to_m=wanted.B,
+            outcomes=[outcome(rig, one) for one in outcomes],
+            best_cost_mm=[] if ga is None else ga["history"]["best_cost_mm"],
+            exact_mean_mm=None if ga is None else ga["exact_mean_error_mm"],
+            notes=(f"Arm {rig.arm.arm_id}, calibration {rig.arm.calibration_hash}.",),
+        ),
+        path,
+    )
 
 
 def _held_as_taught(rig: Rig, wanted: refine.Line, path: FloatArray, ways: FloatArray) -> FloatArray:

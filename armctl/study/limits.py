@@ -15,21 +15,19 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.experiment import calibrate_sag, line, refine, trials
+from armctl.experiment.evidence import outcome
 from armctl.experiment.line import Progress, Via
-from armctl.experiment.rig import Measured, Rig, VirtualRig
-from armctl.kinematics.chain import tool_position
+from armctl.experiment.rig import VirtualRig
 from armctl.report.experiment import Outcome
 from armctl.report.line import LineRun, errors_mm
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
 from armctl.trajectory.placement import Objective
-from armctl.trajectory.plan import Plan, plan_positions
 
 TIMING = "timing"
 WITHOUT: tuple[str | None, ...] = (None, *trials.EFFECTS, TIMING)
 """What is switched off; None: nothing."""
 TIMING_SHARE = 0.2
-PREDICTED_POINTS = 201
 
 
 @dataclass(frozen=True)
@@ -115,41 +113,6 @@ def with_shares(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         }
         for row in rows
     ]
-
-
-def outcome(rig: Rig, found: line.Outcome) -> Outcome:
-    """An experiment's outcome as a page shows it."""
-
-    def shown(plan: Plan, measured: Measured) -> LineRun:
-        return line_run(rig, found.via, plan, measured)
-
-    return Outcome(
-        via=found.via,
-        before=shown(found.rounds[0].plan, found.rounds[0].measured),
-        runs=[shown(found.best.plan, run) for run in found.runs or [found.best.measured]],
-        rounds=[shown(one.plan, one.measured) for one in found.rounds],
-    )
-
-
-def line_run(rig: Rig, via: Via, plan: Plan, measured: Measured) -> LineRun:
-    """One execution as a page shows it."""
-    chain = rig.robot.chain
-    time_s = measured.time_s
-    along = plan_positions(plan, np.linspace(0.0, plan.duration_s, PREDICTED_POINTS))
-    return LineRun(
-        via=via,
-        duration_s=measured.duration_s,
-        predicted_mean_mm=plan.predicted_mean_error_mm,
-        predicted_max_mm=plan.predicted_max_error_mm,
-        predicted_tool_m=tool_position(chain, along[:, : chain.n]),
-        via_tool_m=tool_position(chain, np.array(plan.waypoints_rad)[1:-1, : chain.n]),
-        time_s=time_s,
-        positions_rad=measured.positions_rad,
-        goals_rad=plan_positions(plan, np.clip(time_s, 0.0, plan.duration_s)),
-        tool_m=tool_position(chain, measured.positions_rad[:, : chain.n]),
-        truth_time_s=measured.true_time_s,
-        truth_tool_m=measured.true_tool_m,
-    )
 
 
 def _true_mm(run: LineRun, wanted: refine.Line) -> tuple[float, float]:

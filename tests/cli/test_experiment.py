@@ -34,12 +34,16 @@ def answer(capsys: pytest.CaptureFixture[str], arguments: Sequence[str]) -> tupl
 
 
 def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_after(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("ARMCTL_SOCKET", "/nonexistent/socket")
     told = ["--via", "2,stream", "--repeats", "2", "--refine", "2", "--seed", "3", "--profile", "paper", "--virtual"]
-    status, found = answer(capsys, [*LINE, *told])
+    page = tmp_path / "line.html"
+    status, found = answer(capsys, [*LINE, *told, "--report", str(page)])
     assert status == 0
+    text = page.read_text(encoding="utf-8")
+    assert "Mean distance by round of correction" in text
+    assert "Best cost of the genetic algorithm by generation" in text
     rows, before, refined = found["rows"], found["before"], found["refined"]
     assert [row["via"] for row in rows] == [2, "stream"]
     assert [one["round"] for one in refined] == [0, 1, 2]

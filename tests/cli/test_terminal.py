@@ -8,6 +8,7 @@ import os
 import pty
 import re
 import select
+import signal
 import subprocess
 import sys
 import time
@@ -31,7 +32,10 @@ CTRL_C = b"\x03"
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The socket of a daemon on simulated servos."""
     folder = tmp_path_factory.mktemp("terminal")
+    # A shell that starts the tests in the background has them ignore Ctrl-C, and so would every command they start.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with contextlib.ExitStack() as cleanup:
+        cleanup.callback(signal.signal, signal.SIGINT, before)
         patch = cleanup.enter_context(pytest.MonkeyPatch.context())
         for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):
             patch.setenv(name, str(folder / name))
