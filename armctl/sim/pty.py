@@ -39,6 +39,8 @@ from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 MAX_RETURN_DELAY_US = 2 * ax12a.RETURN_DELAY.maximum
 TERMINAL_BYTES = 65536
 """More than a terminal holds."""
+WAKE_NS = 200_000
+"""So long before a reply is due it is waited for awake: from idle a processor wakes late, and a wire is never late."""
 _TCGETS2 = 0x802C542A
 """Linux: the terminal's settings with the baud as a plain number, also where no Bxxx constant exists."""
 _TERMIOS2 = struct.Struct("4I20B2I")
@@ -205,9 +207,14 @@ class RealTime:
     def patience_s(self) -> float:
         """How long nothing is due."""
         # A reply in one piece: every piece costs a turn of the kernel's worker for terminals.
-        reply_ns = self._bus.burst_end_ns()
-        wake_ns = self._truth_ns if reply_ns is None else min(self._truth_ns, reply_ns)
-        return max(0, wake_ns - time.monotonic_ns()) / 1e9
+        now_ns, reply_ns = time.monotonic_ns(), self._bus.burst_end_ns()
+        if reply_ns is None:
+            return max(0, self._truth_ns - now_ns) / 1e9
+        if reply_ns - now_ns > WAKE_NS:
+            return max(0, min(self._truth_ns, reply_ns - WAKE_NS) - now_ns) / 1e9
+        while time.monotonic_ns() < reply_ns:
+            pass
+        return 0.0
 
     def pass_on(self, heard: bytes) -> bytes:
         """Let the world go on to now, with the host's bytes; the bytes that reach the host by now."""
