@@ -79,7 +79,8 @@ def bench(seed: int, *, ticks: int = HOUR_TICKS, written: int = WRITTEN_TICKS, r
         flushed = root / "flushed.mcap"
         _log(flushed, records, ticks)
         compacted = root / "compacted.mcap"
-        _size("an hour of a moving arm", flushed, compacted, rows)
+        size_MB = _size("an hour of a moving arm", flushed, compacted, rows)
+        checks.append(_check("an hour of a moving arm, compacted [MB]", size_MB, HOUR_MB_BOUND, most=True))
         still = root / "still.mcap"
         _log(still, simulated_records(seed, min(SIMULATED_TICKS, ticks), moving=False), ticks)
         size_MB = _size("an hour of an arm that holds", still, root / "still-compacted.mcap", rows)

@@ -39,7 +39,6 @@ from armctl.errors import LogError
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 2**20
-"""A chunk is ended when it holds this much, inflated."""
 MAX_CHUNK_BYTES = 16 * 2**20
 LEVEL = 3
 """zstd level of a log while it is written."""
@@ -56,10 +55,13 @@ class ChunkWriter:
     Args:
         stream: Where to; errors of its `write` come through, and nothing can be written after one.
         level: zstd level.
+        chunk_bytes: A chunk is ended when it holds this much, inflated; below `MAX_CHUNK_BYTES`.
     """
 
-    def __init__(self, stream: BinaryIO, profile: str, library: str, *, level: int = LEVEL) -> None:
-        self._stream = stream
+    def __init__(
+        self, stream: BinaryIO, profile: str, library: str, *, level: int = LEVEL, chunk_bytes: int = CHUNK_BYTES
+    ) -> None:
+        self._stream, self._chunk_bytes = stream, chunk_bytes
         self._pack = MESSAGE.pack
         self._compress = zstandard.ZstdCompressor(level=level).compress
         self.offset = 0
@@ -124,7 +126,7 @@ class ChunkWriter:
         self._entries[channel_id] += (time_ns, len(body))
         body += self._pack(MESSAGE_OPCODE, len(data) + 22, channel_id, sequence, time_ns, time_ns)
         body += data
-        if len(body) > CHUNK_BYTES:
+        if len(body) > self._chunk_bytes:
             self.end_chunk()
 
     def end_chunk(self) -> None:

@@ -28,6 +28,8 @@ COMPACTED = "compacted"
 """Metadata record of a file that needs no more compacting."""
 LEVEL = 9
 """zstd level; above it the files hardly shrink and the time grows."""
+CHUNK_BYTES = 4 * 2**20
+"""Of a chunk, inflated: the numbers of a moving arm come back after a while, and 1 MiB makes a file a fifth larger."""
 _UNFINISHED = ".compacting"
 _log = logging.getLogger(__name__)
 
@@ -45,7 +47,7 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
         if unfinished.exists():
             disk.remove(unfinished)  # left behind by a compaction that was killed
         with disk.create(unfinished) as stream:
-            writer = ChunkWriter(stream, PROFILE, LIBRARY, level=LEVEL)
+            writer = ChunkWriter(stream, PROFILE, LIBRARY, level=LEVEL, chunk_bytes=CHUNK_BYTES)
             writer.add_metadata(COMPACTED, {"from_bytes": str(path.stat().st_size)})
             copy(log, writer)
             writer.finish()

@@ -6,14 +6,19 @@ import errno
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
 from armctl.errors import LogError
+from armctl.messages import TickRecord
 from armctl.proving.damage import UnsyncedDisk, chunk_places
-from armctl.recording.compact import COMPACTED, Compaction, compact, compact_folder
+from armctl.proving.log_rig import repeated
+from armctl.recording.chunks import MAX_CHUNK_BYTES
+from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
 from armctl.recording.disk import Disk
 from armctl.recording.reader import LogFile, LogMessage
 from armctl.recording.recover import PartInUse, owned
@@ -24,9 +29,9 @@ from tests.recording.factory import ANCHOR, CONTEXT, make_records
 RECORDS = make_records(400, keyframe_ticks=150)
 
 
-def write(path: Path) -> Path:
+def write(path: Path, records: Iterable[TickRecord] = RECORDS) -> Path:
     writer = LogWriter(path, CONTEXT, anchor=ANCHOR, disk=UnsyncedDisk())
-    for record in RECORDS:
+    for record in records:
         writer.write_tick(record)
         if record.inputs.tick % 9 == 0:
             writer.flush()
@@ -53,6 +58,17 @@ def test_a_compacted_log_is_smaller_and_holds_the_same_and_replays_bit_for_bit(l
     assert log.stat().st_size < 0.7 * size
     assert (check(log).ticks, check(log).mismatches) == (399, 0)
     assert [path.name for path in log.parent.iterdir()] == [log.name]
+
+
+def test_a_compacted_log_has_large_chunks_that_every_reader_still_inflates(tmp_path: Path) -> None:
+    log = write(tmp_path / "armctl-20250615T150645Z.mcap", repeated(RECORDS, 700))
+    assert len(chunk_places(log.read_bytes())) > 70
+    assert compact(log)
+    with log.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    (chunk,) = summary.chunk_indexes
+    assert 2**20 < chunk.uncompressed_size < CHUNK_BYTES <= MAX_CHUNK_BYTES / 4
 
 
 def test_a_log_is_compacted_once(log: Path) -> None:
