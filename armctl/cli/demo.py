@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from armctl.cli.output import Output, output_option
+from armctl.cli.tables import show_table
 
 
 @click.command("demo")
@@ -31,43 +30,40 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
     Example: armctl demo --out demo
     """
     from armctl import demo
-    from armctl.report.page import plotly
 
-    plotly()  # refuse now rather than after two minutes
     result = demo.run(out.absolute(), seed, output.progress)
     if not output.result(result):
-        _show(output, result)
+        show(output, result)
     return 0 if result["replay"]["mismatches"] == 0 else 1
 
 
-def _show(output: Output, result: dict[str, Any]) -> None:
+def show(output: Output, result: dict[str, Any]) -> None:
     from armctl.report.line import PAPER_ROWS
 
-    table = Table(
-        title="Distance of the tool from the line, mean / maximum, mm",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    for column in ("via", "predicted", "encoders", "true", "s", "paper", "s"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for row in result["rows"]:
-        paper = PAPER_ROWS[row["via"]]
-        table.add_row(
+    rows = [
+        (
             str(row["via"]),
             f"{row['predicted_mean_error_mm']:.1f} / {row['predicted_max_error_mm']:.1f}",
             f"{row['mean_error_mm']:.1f} / {row['max_error_mm']:.1f}",
             f"{row['truth']['mean_error_mm']:.1f} / {row['truth']['max_error_mm']:.1f}",
             f"{row['duration_s']:.1f}",
-            f"{paper[0]:.1f} / {paper[1]:.1f}",
-            f"{paper[2]:.1f}",
+            *_paper(PAPER_ROWS[row["via"]]),
         )
-    output.console.print(table)
+        for row in result["rows"]
+    ]
+    title = "Distance of the tool from the line, mean / maximum, mm"
+    show_table(output.console, title, ("via", "predicted", "encoders", "true", "s", "paper", "s"), rows)
     replayed = result["replay"]
     output.say(
-        "Predicted: perfect servos. True: the tool's real place, sag under gravity included; nothing corrects it yet.\n"
+        "Predicted: perfect servos. True: the tool's real place, sag under gravity included; `armctl help start` tells\n"
+        "what corrects it.\n"
         f"Genetic algorithm: {result['ga']['mean_error_mm']:.2f} mm mean over the recorded genes, "
         f"{result['gap_ratio']:.2%} above the exact optimum.\n"
         f"Replay: {replayed['ticks']} ticks, {replayed['messages']} messages, {replayed['mismatches']} mismatches.\n"
         f"Report: {result['report']}"
     )
+
+
+def _paper(row: tuple[float, float, float]) -> tuple[str, str]:
+    mean_mm, max_mm, duration_s = row
+    return f"{mean_mm:.1f} / {max_mm:.1f}", f"{duration_s:.1f}"

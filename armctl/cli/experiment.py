@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from armctl.cli.output import HOLDS, POINT, Output, config_option, output_option, socket_option
+from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
     from armctl.experiment.line import Via
@@ -123,14 +122,11 @@ def line_command(
     from armctl.errors import ConfigError
     from armctl.experiment import session
     from armctl.experiment.run import DaemonRig
-    from armctl.report.page import plotly
 
     if period_s is not None and not virtual:
         raise ConfigError(
             "armctl experiment", "--period", "the daemon's period is in its configuration", "leave it out"
         )
-    if report is not None:
-        plotly()  # is missed before anything moves
     asked = session.Asked(
         from_m=from_m,
         to_m=to_m,
@@ -155,32 +151,27 @@ def line_command(
         with Client(socket) as client:
             result = session.on_daemon(DaemonRig(client, arm), asked, config, output.progress)
     if not output.result(result):
-        _show(output, result)
+        show(output, result)
 
 
-def _show(output: Output, result: dict[str, Any]) -> None:
-    table = Table(
-        title="Distance of the tool from the line, mean / maximum, mm",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    for column in ("via", "predicted", "before", "after", "+-", "true", "s", "rounds"):
-        table.add_column(column, justify="right", no_wrap=True)
+def show(output: Output, result: dict[str, Any]) -> None:
     rounds = {row["via"]: one["round"] for one in result["refined"] for row in one["rows"]}
-    for row, before in zip(result["rows"], result["before"], strict=True):
-        truth = row["truth"]
-        table.add_row(
+    rows = [
+        (
             str(row["via"]),
             f"{row['predicted_mean_error_mm']:.2f} / {row['predicted_max_error_mm']:.2f}",
             f"{before['mean_error_mm']:.1f} / {before['max_error_mm']:.1f}",
             f"{row['mean_error_mm']:.2f} / {row['max_error_mm']:.2f}",
             f"{row['spread']['mean_error_mm']:.2f}",
-            f"{truth['mean_error_mm']:.2f} / {truth['max_error_mm']:.2f}" if truth else "unknown",
+            f"{truth['mean_error_mm']:.2f} / {truth['max_error_mm']:.2f}" if (truth := row["truth"]) else "unknown",
             f"{row['duration_s']:.1f}",
             str(rounds[row["via"]]),
         )
-    output.console.print(table)
+        for row, before in zip(result["rows"], result["before"], strict=True)
+    ]
+    title = "Distance of the tool from the line, mean / maximum, mm"
+    columns = ("via", "predicted", "before", "after", "+-", "true", "s", "rounds")
+    show_table(output.console, title, columns, rows)
     if (ga := result["ga"]) is not None:
         output.say(
             f"Genetic algorithm over {len(ga['baseline'])} recordings: {ga['mean_error_mm']:.2f} mm mean on their own "

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 
 import click
@@ -42,6 +43,8 @@ class Output:
         self.messages = Console(stderr=True)
         self.after_interrupt = ""
         """What a Ctrl-C leaves behind, said when it comes."""
+        self.socket: str | None = None
+        """The daemon that was named; None: the usual one."""
 
     def result(self, data: dict[str, Any]) -> bool:
         """Print `data` if JSON was asked for; whether it was."""
@@ -60,8 +63,8 @@ class Output:
             text = f"{code}:\n" + "\n".join(f"  - {reason}" for reason in error.reasons)
         else:
             text = str(error)
-        following = next_command(error)
-        if "`armctl " not in text:
+        following = next_command(error, self.socket)
+        if "`armctl " not in text and following not in text:
             text += f"\n  next: {following}"
         self.messages.print(f"armctl: {text}", markup=False, highlight=False, soft_wrap=True)
         reasons = list(getattr(error, "reasons", [str(error)]))
@@ -98,7 +101,6 @@ class Output:
 
 NEXT = {
     "LIMIT": "armctl status, which shows every joint within its limits",
-    "UNREACHABLE": "armctl workspace --robot ax12-line",
     "NO_PLAN": "armctl optimize --help",
     "BAD_RECORDINGS": "armctl recordings",
     "RECORDS_LOST": "armctl recordings",
@@ -107,22 +109,47 @@ NEXT = {
 """Code of a refusal -> what to type next; where none stands here, `armctl status`."""
 
 
-def next_command(error: ArmctlError) -> str:
-    """What to type after an error that does not say so itself."""
+def next_command(error: ArmctlError, socket: str | None = None) -> str:
+    """What to type after an error that does not say so itself.
+
+    Args:
+        socket: The daemon that was asked; None: the usual one.
+    """
     if isinstance(error, ConfigError):
         command = error.file if error.file.startswith("armctl ") else "armctl help configuration"
         return f"{command} --help" if command == error.file else command
     if isinstance(error, NoDaemon):
         return "armctl daemon --port PORT"
-    if isinstance(error, UnreachableTarget):
-        return NEXT["UNREACHABLE"]
+    if isinstance(error, UnreachableTarget) or getattr(error, "code", "") == "UNREACHABLE":
+        return _workspace_command(socket)
     if isinstance(error, BusError):
         return "armctl doctor"
     if isinstance(error, LogError):
         return "armctl recordings" if "recording" in str(error) else "armctl help logs"
     if isinstance(error, RequestRefused):
         return NEXT.get(error.code, "armctl status")
-    return "armctl help"
+    remedy = INSTALL.search(str(error))
+    return remedy[0] if remedy else "armctl help"
+
+
+INSTALL = re.compile(r"pip install '[^']+'")
+"""How an error says which extra is missing."""
+
+
+def _workspace_command(socket: str | None) -> str:
+    """What shows where the arm in question can reach: the daemon's arm, without a daemon the configured one."""
+    from armctl.client import Client
+    from armctl.config import calibration_dirs, load_arm, load_config
+
+    with suppress(ArmctlError):
+        arms = [load_arm(load_config().arm)]
+        with suppress(NoDaemon), Client(socket, timeout_s=1.0) as client:
+            arm_id = client.call("status")["arm_id"]
+            arms += [load_arm(str(path)) for folder in calibration_dirs() for path in sorted(folder.glob("*.yaml"))]
+            arms = [arm for arm in arms if arm.arm_id == arm_id]
+        if arms:
+            return f"armctl workspace --robot {arms[0].robot}"
+    return "armctl robots"
 
 
 def output_option(function: F) -> F:
@@ -139,7 +166,13 @@ def output_option(function: F) -> F:
 
 def socket_option(function: F) -> F:
     """Adds `--socket`."""
-    return click.option("--socket", "socket", metavar="PATH", help="The daemon's socket (ARMCTL_SOCKET).")(function)
+
+    def remember(ctx: click.Context, _parameter: click.Parameter, value: str | None) -> str | None:
+        ctx.ensure_object(Output).socket = value
+        return value
+
+    text = "The daemon's socket (ARMCTL_SOCKET)."
+    return click.option("--socket", "socket", metavar="PATH", callback=remember, help=text)(function)
 
 
 def config_option(function: F) -> F:

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from armctl.cli.output import Output, output_option
+from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
     from armctl.kinematics.errata import Erratum
@@ -38,10 +37,6 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
     from armctl.reproduce.verdict import FULL, QUICK
 
     papers = PAPERS if paper == "all" else (paper,)
-    if out is not None:
-        from armctl.report.page import plotly
-
-        plotly()  # refuse now rather than after minutes
     reports = reproduce(papers, QUICK if quick else FULL, seed, output.progress)
     wrong = errata(papers)
     page = None
@@ -65,21 +60,21 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
         "seed": seed,
     }
     if not output.result(result):
-        _show(output, reports, wrong, page)
+        show(output, reports, wrong, page)
     return 0 if all(one.proven for one in wrong) else 1
 
 
-def _show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page: Path | None) -> None:
+def show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page: Path | None) -> None:
     from armctl.report.reproduce import shown
 
     for report in reports:
-        table = Table(title=f"{report.paper}: {report.title}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for column in ("quantity", "printed", "armctl", "unit", "verdict"):
-            table.add_column(column, justify="right" if column in ("printed", "armctl") else "left", overflow="fold")
-        for row in report.rows:
-            table.add_row(row.quantity, shown(row.printed), shown(row.armctl), row.unit, row.verdict)
-        output.console.print(table)
-    output.say(f"{len(wrong)} errata, {sum(one.proven for one in wrong)} of them proven:")
-    for one in wrong:
-        output.say(f"  {one.paper} {one.where}: {one.printed} -> {one.true} ({one.proof})")
+        rows = [(row.quantity, shown(row.printed), shown(row.armctl), row.unit, row.verdict) for row in report.rows]
+        columns = ("quantity", "printed", "armctl", "unit", "verdict")
+        title = f"{report.paper}: {report.title}"
+        show_table(output.console, title, columns, rows, words=("quantity", "printed", "unit", "verdict"))
+        output.say("")
+    title = f"{len(wrong)} errata, {sum(one.proven for one in wrong)} of them proven"
+    errata = [(f"{one.paper} {one.where}", str(one.printed), str(one.true), one.proof) for one in wrong]
+    columns = ("where", "printed", "true", "proof")
+    show_table(output.console, title, columns, errata, words=columns)
     output.say(f"page: {page}" if page is not None else "--out DIR writes a page with the tables and pictures")

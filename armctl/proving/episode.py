@@ -151,7 +151,8 @@ class Watch:
             reply = received[at + 2 : at + STATUS_REPLY]
             if at >= 0 and len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
                 index = self._index[pending]
-                self._judge.heard(self.now_s(now_ns), index)
+                torque, goal = (ax12a.register_value(r, reply[3:-1]) for r in (ax12a.TORQUE_ENABLE, ax12a.GOAL))
+                self._judge.heard(self.now_s(now_ns), index, goal if torque else None)
                 self._heard.add(index)
         self._pending = None
         received.clear()

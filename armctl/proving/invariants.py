@@ -133,6 +133,8 @@ class Judge:
         """In this tick."""
         self._unless_cleared: list[tuple[str, float, int, str]] = []
         """What this tick's `clear`, if it is granted, makes right."""
+        self._unless_settling: list[tuple[str, float, int, str]] = []
+        """What is right if this tick's report tells of a fault that sends the arm to rest at once."""
         self._torque_asked_s = -math.inf
         self._mode, self._code, self._fault_s = Mode.OFF, "", -math.inf
         """What is reported; the code of a fault, and since when."""
@@ -172,9 +174,17 @@ class Judge:
         if kind in ("hold", "host_lost") or (kind == "pause" and self._mode is Mode.MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
-    def heard(self, now_s: float, index: int) -> None:
-        """A good reply of a servo has reached the host."""
+    def heard(self, now_s: float, index: int, goal: int | None = None) -> None:
+        """A good reply of a servo has reached the host.
+
+        Args:
+            goal: The one it tells, of a servo under torque. One that is not from here obliges a program that looks;
+                one that this program's next goal replaced before anybody asked the servo is seen by nobody.
+        """
         self._heard_s[index] = now_s
+        looks = self._in_charge and self._mode in POWERED and not self._code
+        if goal not in (None, self._sent[index], self._sent_before[index]) and self._sent[index] is not None and looks:
+            self._duties.overruled(now_s, index)
 
     def reported(self, now_s: float, mode: Mode, code: str, cause: str = "") -> None:
         """What the program in charge says after a tick.
@@ -183,6 +193,9 @@ class Judge:
             code: Of the fault that is latched; empty: none is.
             cause: Why a fault cannot be cleared now, as far as the simulator knows; empty: nothing.
         """
+        for unless_settling in self._unless_settling if code not in SETTLING else ():
+            self._violate(*unless_settling)
+        self._unless_settling.clear()
         if code and code != self._code:
             self._fault_s, self._torque_asked_s = now_s, -math.inf
             for what in self._duties.reported(code):
@@ -211,6 +224,8 @@ class Judge:
         self._duties.cleared()
         self._duties.must_stop(now_s, "the program died, and the next one adopts", by_clear=False, invariant="6")
         self._mode, self._code = Mode.OFF, ""
+        self._unless_cleared.clear()
+        self._unless_settling.clear()
 
     def back(self) -> None:
         """Another program is in charge."""
@@ -252,7 +267,6 @@ class Judge:
         if not low <= goal <= high:
             self._violate("1", now_s, i, f"goal {goal} outside {low} to {high}")
         last = self._sent[i]
-        self._watch_overruled(now_s, i, was)
         self._sent[i], self._sent_before[i] = goal, last
         if self._adopting and not any(_given_up(servo) for servo in before):
             self._violate("6", now_s, i, "a goal from a program that has only just adopted the arm")
@@ -278,6 +292,8 @@ class Judge:
             text = f"goal {known} -> {goal}, {now_s - duty.from_s:.2f} s too late: {duty.why}"
             if duty.by_clear and "clear" in self._asked_now:
                 self._unless_cleared.append((duty.invariant, now_s, i, text))
+            elif not duty.by_clear and not self._code:
+                self._unless_settling.append((duty.invariant, now_s, i, text))
             else:
                 self._violate(duty.invariant, now_s, i, text)
         if self._mode is Mode.JOGGING and (since_s := now_s - self._asked_s["jog"]) > JOG_S:
@@ -353,7 +369,6 @@ class Judge:
             away = abs(servo.goal - servo.shaft_tick)
             if away > LEAD_TICKS and not self._duties.excused(now_s, i):
                 self._violate("2", now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
-            self._watch_overruled(now_s, i, servo)
             if before:
                 self._watch_strain(now_s, i, abs(before[i].goal - servo.sensed_tick))
             if i in self._enabled:
@@ -366,13 +381,6 @@ class Judge:
                 self._dead = (self._dead[0], [servo.shaft_tick for servo in servos])
             elif self._dead is not None and now_s - self._dead[0] > DEAD_S:
                 self._watch_dead(now_s, servos, before, self._dead[1])
-
-    def _watch_overruled(self, now_s: float, i: int, servo: Servo) -> None:
-        """A goal that is not from here, while the program in charge is one that looks."""
-        sent = self._sent[i]
-        here = sent is None or servo.goal in (sent, self._sent_before[i])
-        if servo.torque and not here and self._in_charge and self._mode in POWERED and not self._code:
-            self._duties.overruled(now_s, i)
 
     def _watch_strain(self, now_s: float, i: int, away_ticks: float) -> None:
         """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported."""

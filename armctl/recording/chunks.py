@@ -40,8 +40,8 @@ from armctl.errors import LogError
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 2**20
 MAX_CHUNK_BYTES = 16 * 2**20
-LEVEL = 3
-"""zstd level of a log while it is written."""
+LEVEL = 1
+"""zstd level of a log while it is written: its chunks of a second are no smaller at 3, and take longer."""
 RECORD = struct.Struct("<BQ")  # opcode, length
 CHUNK = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of the compression's name
 MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
@@ -123,7 +123,7 @@ class ChunkWriter:
     def add_message(self, channel_id: int, time_ns: int, sequence: int, data: bytes) -> None:
         """One message; its log and publish times are the same."""
         body = self._body
-        self._entries[channel_id] += (time_ns, len(body))
+        self._entries[channel_id].extend((time_ns, len(body)))
         body += self._pack(MESSAGE_OPCODE, len(data) + 22, channel_id, sequence, time_ns, time_ns)
         body += data
         if len(body) > self._chunk_bytes:

@@ -53,11 +53,7 @@ class ExperimentReport:
 
 
 def write(report: ExperimentReport, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        ArmctlError: plotly is not installed.
-    """
+    """Write the page."""
     figure = plotly()
     page = Page("Straight line: before and after correction")
     begin, end = (", ".join(f"{value:.3f}" for value in point) for point in (report.from_m, report.to_m))

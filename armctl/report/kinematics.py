@@ -123,11 +123,7 @@ def time_figure(time_s: FloatArray, values: FloatArray, names: list[str], unit: 
 def write_workspace(
     robot: Robot, extent_m: FloatArray, points_m: FloatArray, reach: ReachabilityMap | None, path: Path
 ) -> None:
-    """A page with the workspace.
-
-    Raises:
-        ArmctlError: plotly is not installed.
-    """
+    """A page with the workspace."""
     page = Page(f"Workspace of {robot.name}")
     page.text(robot.source)
     low, high = points_m.min(axis=0), points_m.max(axis=0)
@@ -148,11 +144,7 @@ def write_workspace(
 
 
 def write_trajectory(robot: Robot, curves: Curves, path: Path) -> None:
-    """A page with a trajectory's curves and the arm at its ends.
-
-    Raises:
-        ArmctlError: plotly is not installed.
-    """
+    """A page with a trajectory's curves and the arm at its ends."""
     page = Page(f"Trajectory of {robot.name}")
     ends = {"start": curves.position_rad[0], "end": curves.position_rad[-1]}
     x, y, z = curves.tool_position_m.T

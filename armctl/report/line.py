@@ -72,11 +72,7 @@ def errors_mm(tool_m: FloatArray, from_m: FloatArray, to_m: FloatArray) -> tuple
 
 
 def write(report: LineReport, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        ArmctlError: plotly is not installed.
-    """
+    """Write the page."""
     figure = plotly()
     page = Page("Straight line: taught, optimised, run")
     page.text(

@@ -42,7 +42,6 @@ def write(timeline: Timeline, path: Path, checked: Mapping[str, Any] | None = No
     Args:
         checked: Outcome of a re-run, if there was one: `ticks`, `messages`, `mismatches`.
     Raises:
-        ArmctlError: plotly is not installed.
         LogError: `path` exists already or cannot be written.
     """
     figure = plotly()

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.errors import ArmctlError
-
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
@@ -50,15 +48,9 @@ _CHART_COLOURS = """
 
 
 def plotly() -> type[go.Figure]:
-    """plotly's Figure class.
+    """plotly's Figure class, imported when the first picture is drawn: it takes a while."""
+    from plotly.graph_objects import Figure
 
-    Raises:
-        ArmctlError: plotly is not installed; names the extra that brings it.
-    """
-    try:
-        from plotly.graph_objects import Figure
-    except ImportError:
-        raise ArmctlError("reports need plotly; install it with: pip install 'armctl[report]'") from None
     figure: type[go.Figure] = Figure
     return figure
 

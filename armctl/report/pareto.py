@@ -12,11 +12,7 @@ _COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3", "#5a6878", "#
 
 
 def write(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Write the page of a study of durations and via points (the rows of `armctl study pareto`).
-
-    Raises:
-        ArmctlError: plotly is not installed.
-    """
+    """Write the page of a study of durations and via points (the rows of `armctl study pareto`)."""
     page = Page("Straight line: error against time and against via points")
     add_fronts(page, rows)
     page.write(path)

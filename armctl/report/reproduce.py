@@ -63,11 +63,7 @@ class PaperReport:
 
 
 def write(reports: Sequence[PaperReport], errata: Sequence[Erratum], path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        ArmctlError: plotly is not installed.
-    """
+    """Write the page."""
     page = Page("Five papers, recomputed")
     page.text(
         "Each quantity that a paper prints, beside the one computed here. Equal: the same to the printed digits. "

@@ -93,7 +93,6 @@ def figures(log: Path) -> dict[str, go.Figure]:
 
     Raises:
         LogError: see `load`.
-        ArmctlError: plotly is not installed.
     """
     return draw(load(log))
 

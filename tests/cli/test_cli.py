@@ -14,8 +14,9 @@ import click
 import pytest
 
 from armctl.cli import PURPOSES, cli, main
-from armctl.cli.output import HOLDS, POINT, Output
+from armctl.cli.output import HOLDS, POINT, Output, next_command
 from armctl.client import Client
+from armctl.config import find_arm_file
 from armctl.errors import (
     ArmctlError,
     BusError,
@@ -108,6 +109,50 @@ def test_every_refusal_tells_the_next_command(error: ArmctlError, capsys: pytest
     output.failure(error)
     following = json.loads(capsys.readouterr().out)["error"]["next"].split("armctl ")[1]
     assert following.split()[0].rstrip(",") in COMMANDS
+
+
+def test_a_missing_extra_is_the_next_command_and_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    output = Output()
+    error = ArmctlError("the dashboard needs uvicorn; install it with: pip install 'armctl[web]'")
+    output.failure(error)
+    assert capsys.readouterr().err == f"armctl: {error}\n"
+    output.json = True
+    output.failure(error)
+    assert json.loads(capsys.readouterr().out)["error"]["next"] == "pip install 'armctl[web]'"
+
+
+@pytest.mark.parametrize(
+    ("daemons_arm", "following"),
+    [
+        (None, "armctl workspace --robot transfer-6dof"),
+        ("bench-7", "armctl workspace --robot lanzhou-4dof"),
+        ("ax12-line", "armctl workspace --robot ax12-line"),
+        ("given by a path", "armctl robots"),
+    ],
+)
+def test_out_of_reach_leads_to_the_workspace_of_the_arm_in_question(
+    daemons_arm: str | None, following: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Running(Client):
+        def __init__(self, path: object = None, **_: object) -> None:
+            if path != "the-socket":
+                raise NoDaemon("nobody answers")
+
+        def close(self) -> None:
+            pass
+
+        def call(self, method: str, **_: Any) -> dict[str, Any]:
+            return {"arm_id": daemons_arm}
+
+    configured = tmp_path / "xdg_config_home" / "armctl"
+    (configured / "calibration").mkdir(parents=True)
+    (configured / "armctl.yaml").write_text("arm: transfer-6dof\n")
+    text = find_arm_file("lanzhou-4dof").read_text()
+    (configured / "calibration" / "mine.yaml").write_text(re.sub("arm_id: .*", "arm_id: bench-7", text))
+    monkeypatch.setattr("armctl.client.Client", Running)
+    socket = None if daemons_arm is None else "the-socket"
+    assert next_command(RequestRefused("UNREACHABLE", "0.6 m away"), socket) == following
+    assert next_command(UnreachableTarget("0.6 m away", 0.2), socket) == following
 
 
 def test_a_refusal_that_names_its_remedy_gets_no_second_one(capsys: pytest.CaptureFixture[str]) -> None:

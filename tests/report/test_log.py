@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from armctl.errors import ArmctlError, LogError
+from armctl.errors import LogError
 from armctl.recording import timeline
 from armctl.recording.timeline import Happening, Timeline
 from armctl.report import log as page
@@ -90,14 +90,6 @@ def test_an_existing_file_is_never_overwritten(log: Timeline, tmp_path: Path) ->
     with pytest.raises(LogError, match="exists already"):
         write(log, taken)
     assert taken.read_text() == "mine"
-
-
-def test_a_missing_package_is_named_with_its_extra(
-    log: Timeline, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "plotly.graph_objects", None)
-    with pytest.raises(ArmctlError, match=r"armctl\[report\]"):
-        write(log, tmp_path / "log.html")
 
 
 def test_a_log_in_which_nothing_is_known_has_a_page_as_well(log: Timeline, tmp_path: Path) -> None:

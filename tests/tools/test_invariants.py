@@ -35,8 +35,8 @@ class Bench:
         self.tick()
 
     def hear(self) -> None:
-        for index in range(N):
-            self.judge.heard(self.now_s, index)
+        for index, servo in enumerate(self.servos):
+            self.judge.heard(self.now_s, index, servo.goal if servo.torque else None)
 
     def tick(self, mode: Mode | None = None, code: str = "", *, heard: bool = True) -> None:
         """The end of a tick, a period later."""
@@ -428,6 +428,18 @@ def test_a_joint_that_cannot_follow_and_nobody_reports_it() -> None:
     assert bench.broken == {"rows"}
 
 
+@pytest.mark.parametrize(("code", "broken"), [("HOT", set()), ("", {"6"}), ("BLOCKED", {"6"})])
+def test_6_after_a_hold_only_a_fault_that_sends_the_arm_to_rest_moves_it(code: str, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, "hold")
+    for _ in range(8):
+        bench.tick(Mode.HOLDING)
+    bench.at(MIDDLE - 6.0)  # it droops: its goal is not its position
+    bench.goal(MIDDLE + 1)
+    bench.tick(Mode.FAULTED if code else Mode.HOLDING, code)
+    assert bench.broken == broken
+
+
 @pytest.mark.parametrize(
     ("unheard", "asked", "broken"),
     [([(3, 2)], 7, set()), ([(3, 1)], 6, {"rows"}), ([(3, 1)], 8, set()), ([], 6, set())],
@@ -445,15 +457,16 @@ def test_a_write_of_two_registers_tells_both(where: Callable[[Sent], int | None]
     assert where(Sent(0, ax12a.TORQUE_ENABLE.address, b"\1")) is None
 
 
-@pytest.mark.parametrize("overwritten", [False, True])
+@pytest.mark.parametrize("read_back", [False, True])
 @pytest.mark.parametrize("told", [True, False])
-def test_another_writers_goal_that_nobody_reports(overwritten: bool, told: bool) -> None:
+def test_another_writers_goal_that_is_read_back_and_not_reported(read_back: bool, told: bool) -> None:
     bench = running()
     bench.goal(MIDDLE)
     bench.judge.plan(Fault(kind="second_writer", servo_id=1, begin_s=bench.now_s, duration_s=3.0))
     for _ in range(8):
         bench.servos[0].goal = MIDDLE + 20
-        if overwritten:
-            bench.goal(MIDDLE)
+        if read_back:
+            bench.hear()
+        bench.goal(MIDDLE)  # overwritten at once
         bench.tick(*((Mode.FAULTED, "OTHER_WRITER") if told else (Mode.HOLDING, "")))
-    assert bench.broken == (set() if told else {"rows"})
+    assert bench.broken == (set() if told or not read_back else {"rows"})
