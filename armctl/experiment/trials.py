@@ -22,9 +22,9 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
-from armctl.trajectory.interpolate import time_law
+from armctl.trajectory.interpolate import RAMP, time_law, time_of_progress
 from armctl.trajectory.line_path import onto
-from armctl.trajectory.plan import plan_positions
+from armctl.trajectory.plan import Plan, plan_positions
 
 ARM = "ax12-line"
 DURATION_S = 5.0
@@ -32,6 +32,8 @@ STRETCH = 0.85
 """How far out a trial's line may lead, of the stretched arm: farther out the weakest motors cannot lift it."""
 REFUSED_LINES = ("LINE", "PREFLIGHT", "LIMIT", "TOO_HEAVY")
 """Codes of refusals that say of a line that this arm cannot follow or lift it: another one is drawn."""
+SPEED_SPAN_S = 0.1
+"""A tick: within one, stiction lets a slow joint start and stop."""
 EFFECTS: dict[str, dict[str, Any]] = {
     "sag": {"servo_kg": 0.0, "bracket_kg": 0.0, "tool_kg": (0.0, 0.0)},
     "friction": {"friction_Nm": (0.0, 0.0)},
@@ -100,6 +102,7 @@ def run(trial: Trial) -> dict[str, Any]:
                 "duration_s": outcome.runs[0].duration_s,
                 "tick_mm": tick_floor_mm(rig, outcome.best, wanted),
                 "unseen_mm": line.unseen_mm(rig, outcome.best.plan)["zero_offset_mm"],
+                "via_speed_ratio": via_speed_ratio(outcome.best.plan, outcome.runs[0]),
             }
             for outcome in outcomes
         },
@@ -115,6 +118,32 @@ def tick_floor_mm(rig: VirtualRig, best: refine.Round, wanted: refine.Line) -> t
     between = np.stack([np.interp(time_s, time_s[::10], column) for column in (whole - goals[::10]).T], axis=1)
     straight = onto(chain, _along(wanted, time_s), goals, _anywhere(chain.n), 12)[0]
     return line.errors_mm(tool_position(chain, straight + between), wanted)
+
+
+def via_speed_ratio(plan: Plan, run: Measured) -> float:
+    """How fast the true tool passes the via point where it is slowest, over its cruise speed.
+
+    The cruise speed is the median of the middle, where the time law is constant, and only via points in it count: at
+    the ends the tool speeds up and slows down as it should. Speeds are means over `SPEED_SPAN_S`; 1.0 without points.
+    """
+    true_time_s, true_tool_m = run.true_time_s, run.true_tool_m
+    assert true_time_s is not None
+    assert true_tool_m is not None
+    via_s = time_of_progress(np.array(plan.waypoint_progress[1:-1])) * plan.duration_s
+    begin_s, end_s = RAMP * plan.duration_s, (1.0 - RAMP) * plan.duration_s
+    inside = via_s[(via_s >= begin_s) & (via_s <= end_s)]
+    if not len(inside):
+        return 1.0
+
+    def speed_m_s(time_s: FloatArray) -> FloatArray:
+        ends = [
+            np.stack([np.interp(time_s + half, true_time_s, column) for column in true_tool_m.T], axis=1)
+            for half in (-SPEED_SPAN_S / 2.0, SPEED_SPAN_S / 2.0)
+        ]
+        return np.asarray(np.linalg.norm(ends[1] - ends[0], axis=1) / SPEED_SPAN_S)
+
+    cruise_m_s = np.median(speed_m_s(np.linspace(begin_s, end_s, 301)))
+    return float(speed_m_s(inside).min() / cruise_m_s)
 
 
 def _along(wanted: refine.Line, time_s: FloatArray) -> FloatArray:

@@ -52,6 +52,8 @@ BOUNDS_MM: dict[str, tuple[float, float]] = {
 """Mean and maximum of the true distance to the line."""
 DURATION_SHARE = 0.05
 WORSE_SHARE = 0.05
+VIA_SPEED_SHARE = 0.5
+"""Of its cruise speed the tool keeps at a via point."""
 LIKELY = 4.0
 """Deviations that normal noise exceeds once in 30,000 cases."""
 REFINED_VIA: tuple[Via, ...] = (2, "stream")
@@ -92,6 +94,10 @@ def prove(
         for one, found in trial["via"].items():
             if abs(found["duration_s"] / trials.DURATION_S - 1.0) > DURATION_SHARE:
                 violations.append(f"arm {trial['seed']}, via {one}: took {found['duration_s']:.2f} s")
+            if found["via_speed_ratio"] < VIA_SPEED_SHARE:
+                violations.append(
+                    f"arm {trial['seed']}, via {one}: {found['via_speed_ratio']:.2f} of cruise at a point"
+                )
     effects = []
     for index, effect in enumerate(off if effect_arms else ()):
         without = rest[index * effect_arms : (index + 1) * effect_arms]
@@ -102,6 +108,7 @@ def prove(
         "rows": rows,
         "effects": effects,
         "unseen_mm": float(np.median([found["unseen_mm"] for trial in plain for found in trial["via"].values()])),
+        "least_via_speed_ratio": min(found["via_speed_ratio"] for trial in plain for found in trial["via"].values()),
         "refused_lines": sum(len(trial["refused"]) for trial in plain),
         "seconds": time.monotonic() - began_s,
         "seed": seed,

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.errors import RequestRefused
-from armctl.experiment import refine, sag_model
+from armctl.experiment import refine, sag_model, trials
 from armctl.experiment.line import errors_mm, experiment, run_rounds
 from armctl.experiment.rig import Measured, VirtualRig
 from armctl.experiment.trials import _silent
@@ -216,3 +216,26 @@ def test_smoothing_keeps_what_is_constant_and_averages_noise() -> None:
     np.testing.assert_allclose(refine.smoothed(np.full((51, 2), 3.0), 0.1), 3.0)
     noise = np.random.default_rng(0).standard_normal((501, 1))
     assert refine.smoothed(noise, 0.1).std() < 0.5
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_the_tool_does_not_slow_down_at_via_points_and_they_cost_no_time(seed: int) -> None:
+    on, durations_s = rig(seed), []
+    for via in (0, 1, 2, 5):
+        first = refine.first_run(on, refine.courses(on, LINE, via, None, ways()), None, 0)
+        assert trials.via_speed_ratio(first.plan, first.measured) > (0.0 if via == 0 else 0.5)
+        durations_s.append(first.measured.duration_s)
+    assert durations_s == pytest.approx([LINE.duration_s] * 4, rel=0.02)
+
+
+def test_a_tool_that_stops_at_a_via_point_is_seen() -> None:
+    on = rig()
+    first = refine.first_run(on, refine.courses(on, LINE, 1, None, ways()), None, 0)
+    time_s, tool_m = first.measured.true_time_s, first.measured.true_tool_m
+    assert time_s is not None
+    assert tool_m is not None
+    stopped_s = np.where(time_s < 2.4, time_s, np.where(time_s < 2.7, 2.4, time_s - 0.3))
+    still = np.stack([np.interp(stopped_s, time_s, column) for column in tool_m.T], axis=1)
+    (progress,) = first.plan.waypoint_progress[1:-1]
+    assert progress == pytest.approx(0.5, abs=0.03)
+    assert trials.via_speed_ratio(first.plan, replace(first.measured, true_tool_m=still)) < 0.2
