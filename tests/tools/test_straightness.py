@@ -28,6 +28,7 @@ def found(final: float = 0.6, most: float = 1.5, **changes: Any) -> dict[str, An
         "duration_s": 5.0,
         "tick_mm": (0.3, 0.9),
         "unseen_mm": 0.4,
+        "via_speed_ratio": 0.9,
     } | changes
 
 
@@ -82,6 +83,13 @@ def test_every_bound_can_be_broken(what: str, monkeypatch: pytest.MonkeyPatch) -
 def test_one_arm_worse_than_the_worst_may_be_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     outcomes(lambda trial: found(most=4.1 if trial.seed == 1001 else 1.5), monkeypatch)
     assert [text.split(":")[0] for text in proved()["violations"]] == ["via 2 worst", "via 8 worst", "via stream worst"]
+
+
+def test_a_tool_that_slows_down_at_a_via_point_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes(lambda trial: found(via_speed_ratio=0.45 if trial.seed == 1002 else 0.9), monkeypatch)
+    result = proved(via=(2,))
+    assert result["violations"] == ["arm 1002, via 2: at a via point 0.45 of its cruise speed"]
+    assert result["least_via_speed_ratio"] == 0.45
 
 
 def test_a_motion_that_takes_too_long_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
