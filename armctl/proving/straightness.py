@@ -94,10 +94,8 @@ def prove(
         for one, found in trial["via"].items():
             if abs(found["duration_s"] / trials.DURATION_S - 1.0) > DURATION_SHARE:
                 violations.append(f"arm {trial['seed']}, via {one}: took {found['duration_s']:.2f} s")
-            if found["via_speed_ratio"] < VIA_SPEED_SHARE:
-                violations.append(
-                    f"arm {trial['seed']}, via {one}: {found['via_speed_ratio']:.2f} of cruise at a point"
-                )
+            if (share := found["via_speed_ratio"]) < VIA_SPEED_SHARE:
+                violations.append(f"arm {trial['seed']}, via {one}: at a via point {share:.2f} of its cruise speed")
     effects = []
     for index, effect in enumerate(off if effect_arms else ()):
         without = rest[index * effect_arms : (index + 1) * effect_arms]
