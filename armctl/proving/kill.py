@@ -9,7 +9,8 @@ killed somewhere between the motion's begin and its end. Then:
 3. It takes the arm as it finds it: from 250 ms on no goal changes, no torque, and no joint by more than `SETTLED_RAD`.
 4. Whoever asked for the motion is told that it was not done.
 
-A shaft trails behind its goal and creeps the last tenths of a degree as stiction lets go of it: hence `SETTLED_RAD`.
+A shaft trails behind its goal, creeps the last tenths of a degree as stiction lets go of it, and swings through the
+gears' play when its load changes sides, with no goal written: `SETTLED_RAD` is the widest play and a tick.
 
 Three delays are the machine's, are measured in the same moments, and are allowed for: how long the killed process took
 to be gone (it needs a processor for that too, and only then does the other one learn of it), how long the kernel kept
@@ -40,11 +41,13 @@ from armctl.client import Client
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig, load_arm
 from armctl.demo import program
+from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import ArmctlError
 from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
 from armctl.proving.rig import ARM, KernelWatch, OtherWork, hold, installed, waited_s
 from armctl.sim.control import SimulatorClient, control_path
+from armctl.sim.spec import DEFAULT_SPEC
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 
 RUNS = 200
@@ -52,7 +55,7 @@ STOP_S = 0.25
 TRAVEL_RAD = math.radians(10.0)
 FASTEST_DEG_S = 60.0
 ADOPT_S = 2.0
-SETTLED_RAD = math.radians(0.5)
+SETTLED_RAD = math.radians(DEFAULT_SPEC.play_deg[1]) + TICK_RAD
 WATCH_S = 0.3
 """How long the arm is watched after it was adopted."""
 PATIENCE_S = 20.0
