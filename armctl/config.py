@@ -32,6 +32,7 @@ MAX_GRIP_TICK = 20
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+UserOrGroup = Annotated[str, Field(pattern=r"^@?[A-Za-z_][A-Za-z0-9_.-]{0,31}$")]
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
 
 
@@ -216,6 +217,9 @@ class Config(_Frozen):
     period_s: float = Field(0.1, ge=0.01, le=1.0)
     data_dir: str = ""
     """Folder of logs, recordings and plans; empty: below the user's XDG data folder."""
+    commanders: tuple[UserOrGroup, ...] = Field((), strict=False)
+    """Users, and groups as @name, who may command; others that reach the socket may look, and stop the arm. Empty:
+    everybody who reaches it."""
     log: LogConfig = LogConfig()
 
 

@@ -125,6 +125,7 @@ async def run_daemon(
             # While the new process does the same and opens its port; what it sends meanwhile waits in the link.
             from armctl.api.host import Host
             from armctl.api.methods import Methods
+            from armctl.api.roles import may_command
             from armctl.api.server import Server
             from armctl.jobs import optimize_task, run_job
             from armctl.kinematics import robots
@@ -141,7 +142,12 @@ async def run_daemon(
             raise
         host = Host(arm, robot, config.period_s, recorder, clock)
         methods = Methods(host, folders[1], partial(run_job, optimize_task))
-        server = Server(methods.table(), clock, on_close=methods.client_gone)
+        server = Server(
+            methods.table(),
+            clock,
+            on_close=methods.client_gone,
+            may_command=partial(may_command, commanders=config.commanders),
+        )
 
         def tick(record: TickRecord) -> None:
             host.receive(record)

@@ -193,9 +193,9 @@ class Methods:
         """Every method by name."""
         host, commanded = self._host, self._commanded
         return {
-            "status": Method(Nothing, self._status),
-            "log": Method(Nothing, self._log),
-            "subscribe": Method(Nothing, self._subscribe),
+            "status": Method(Nothing, self._status, observes=True),
+            "log": Method(Nothing, self._log, observes=True),
+            "subscribe": Method(Nothing, self._subscribe, observes=True),
             "stop": commanded("stop", Nothing, lambda _, __: host.stop(), always=True),
             "hold": commanded("hold", Nothing, lambda _, __: host.stop(), always=True),
             "release": commanded("release", Confirmed, lambda client, _: host.release(client)),
@@ -216,8 +216,8 @@ class Methods:
             "rate": commanded("rate", Rate, lambda client, p: host.rate(client, p.rate)),
             # Its heartbeats are logged as commands of the control step; here they would only repeat that.
             "jog": Method(JogBeat, lambda client, p: host.jog(client, p.joints_rad_s, p.tool_m_s, p.begin)),
-            "recordings_list": Method(Nothing, self._recordings_list),
-            "recordings_show": Method(Show, self._recordings_show),
+            "recordings_list": Method(Nothing, self._recordings_list, observes=True),
+            "recordings_show": Method(Show, self._recordings_show, observes=True),
             "recordings_rename": commanded("recordings_rename", Rename, self._recordings_rename),
             "recordings_delete": commanded("recordings_delete", Named, self._recordings_delete),
             "optimize": Method(Optimize, self._optimize),

@@ -6,7 +6,8 @@ Rules.
    After each line the other connections get their turn, so a flood slows down nobody but its sender.
 3. What is waiting to be sent is bounded: snapshots by dropping the oldest and counting the gap, answers by
    cutting the connection. A client that takes nothing for `stall_s` is cut.
-4. End of file means the client is gone. What it began is told so (`on_close`); answers still due are sent.
+4. A client who may not command may look: it is served the methods that `observes`, and those marked `always`.
+5. End of file means the client is gone. What it began is told so (`on_close`); answers still due are sent.
 """
 
 from __future__ import annotations
@@ -43,9 +44,12 @@ logger = logging.getLogger(__name__)
 class Connection:
     """One client: who it is, and what is to be sent to it."""
 
-    def __init__(self, writer: asyncio.StreamWriter, bucket: TokenBucket, stall_s: float) -> None:
+    def __init__(
+        self, writer: asyncio.StreamWriter, bucket: TokenBucket, stall_s: float, may_command: Callable[[int], bool]
+    ) -> None:
         pid, self.uid = _peer(writer.get_extra_info("socket"))
         self.name = f"pid {pid} (uid {self.uid})"
+        self.commands = may_command(self.uid)
         self.bucket = bucket
         self.subscribed = False
         self.requests: set[asyncio.Task[None]] = set()
@@ -135,6 +139,8 @@ class Method:
     params: type[BaseModel]
     handle: Callable[[Connection, Any], Awaitable[dict[str, Any]]]
     always: bool = False
+    observes: bool = False
+    """Whether it changes nothing."""
 
 
 class Server:
@@ -147,8 +153,10 @@ class Server:
         *,
         on_close: Callable[[Connection], None],
         stall_s: float = STALL_S,
+        may_command: Callable[[int], bool] = lambda _uid: True,
     ) -> None:
         self._methods = methods
+        self._may_command = may_command
         self._clock = clock
         self._on_close = on_close
         self._stall_s = stall_s
@@ -192,7 +200,7 @@ class Server:
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         bucket = TokenBucket(RATE, BURST, self._now_s())
-        connection = Connection(writer, bucket, self._stall_s)
+        connection = Connection(writer, bucket, self._stall_s, self._may_command)
         task = asyncio.current_task()
         assert task is not None
         sender = asyncio.create_task(connection.send_all())
@@ -258,6 +266,12 @@ class Server:
         if method is None:
             known = ", ".join(self._methods)
             raise ProtocolError(jsonrpc.METHOD_NOT_FOUND, f"no method {request.method[:60]!r}; known: {known}")
+        if not (connection.commands or method.always or method.observes):
+            raise RequestRefused(
+                "NOT_A_COMMANDER",
+                f"{request.method}: {connection.name} may look, and stop the arm; who may command stands under "
+                "`commanders` in the daemon's configuration",
+            )
         if not paid and not method.always:
             raise RequestRefused("RATE_LIMIT", f"more than {RATE:g} requests a second; wait (`stop` is served always)")
         bound = MAX_ALWAYS_REQUESTS if method.always else MAX_REQUESTS

@@ -74,6 +74,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_looking_changes_nothing_and_everything_else_is_for_commanders(tmp_path: Path) -> None:
+    table = Bench(tmp_path).table
+    observing = {name for name, method in table.items() if method.observes}
+    assert observing == {"status", "log", "subscribe", "recordings_list", "recordings_show"}
+    assert {name for name, method in table.items() if method.always} == {"stop", "hold", "pause"}
+
+
 def test_an_optimisation_gets_what_was_asked_for_and_tells_its_progress(folder: Path) -> None:
     async def test(bench: Bench) -> None:
         bench.gate.set()

@@ -34,7 +34,7 @@ class Numbered(Nothing):
 class Bench:
     """A server with a few methods, and clients of it."""
 
-    def __init__(self, path: Path, clock: Clock, stall_s: float) -> None:
+    def __init__(self, path: Path, clock: Clock, stall_s: float, may_command: bool) -> None:
         self.path = path
         self.gone: list[Connection] = []
         self.seen: list[Connection] = []
@@ -48,8 +48,11 @@ class Bench:
             "refuse": Method(Nothing, self._refuse),
             "break": Method(Nothing, self._break),
             "large": Method(Nothing, self._large),
+            "look": Method(Nothing, self._stop, observes=True),
         }
-        self.server = Server(methods, clock, on_close=self.gone.append, stall_s=stall_s)
+        self.server = Server(
+            methods, clock, on_close=self.gone.append, stall_s=stall_s, may_command=lambda _uid: may_command
+        )
 
     async def _echo(self, client: Connection, p: Numbered) -> dict[str, Any]:
         return {"number": p.number}
@@ -122,13 +125,13 @@ class Peer:
 
 
 @asynccontextmanager
-async def bench(clock: Clock | None = None, stall_s: float = 5.0) -> AsyncIterator[Bench]:
+async def bench(clock: Clock | None = None, stall_s: float = 5.0, may_command: bool = True) -> AsyncIterator[Bench]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "s"
         listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         listening.bind(str(path))
         listening.listen()
-        found = Bench(path, clock or VirtualClock(), stall_s)
+        found = Bench(path, clock or VirtualClock(), stall_s, may_command)
         await found.server.start(listening)
         try:
             yield found
@@ -426,6 +429,20 @@ def test_clients_are_known_by_process_and_user() -> None:
             peer = await b.connect()
             await peer.call("subscribe")
             assert b.seen[0].name == f"pid {os.getpid()} (uid {os.getuid()})"
+
+    run(test)
+
+
+def test_who_may_not_command_may_look_and_stop() -> None:
+    async def test() -> None:
+        async with bench(may_command=False) as on:
+            peer = await on.connect()
+            error = (await peer.call("echo", number=1))["error"]
+            assert error["data"]["code"] == "NOT_A_COMMANDER"
+            assert f"uid {os.getuid()}" in error["message"]
+            assert "`commanders`" in error["message"]
+            assert (await peer.call("look"))["result"] == {"state": "holding"}
+            assert (await peer.call("stop"))["result"] == {"state": "holding"}
 
     run(test)
 
