@@ -83,3 +83,21 @@ def test_either_process_killed_leaves_the_arm_where_it_stopped() -> None:
     # How long things took, and what a servo that answers late is mistaken for, is judged where nothing else runs.
     unsafe = ("goal, torque", "torque went off", "answered as done", "from 250 ms on")
     assert not [told for told in result["examples"] if any(part in told for part in unsafe)]
+
+
+@pytest.mark.parametrize(
+    ("texts", "kept_back_s", "may", "judged_too"),
+    [
+        (["found with SERVO_SILENT: servo 5"], 0.17, True, False),
+        (["found with SERVO_SILENT: servo 5", "torque went off"], 0.17, True, True),
+        (["found with SERVO_SILENT: servo 5"], 0.09, True, True),
+        (["found with SERVO_SILENT: servo 5"], 0.17, False, True),
+        (["torque went off"], 0.17, True, True),
+    ],
+)
+def test_only_servos_unheard_while_the_kernel_kept_bytes_back_are_not_judged(
+    texts: list[str], kept_back_s: float, may: bool, judged_too: bool
+) -> None:
+    run = Run("host", violations=list(texts))
+    kill.excuse(run, kept_back_s, may=may)
+    assert bool(run.violations) == judged_too == (not run.unjudged)
