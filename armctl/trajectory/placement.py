@@ -26,6 +26,8 @@ ALONG = 0.05
 """Weight of being early or late on the line, against being off it."""
 END = 1.0
 """Weight of the ends themselves, along the line as well."""
+HELD_END = 30.0
+"""That weight where there are no points in between: the path bows, and a shorter one beside A and B would bow less."""
 STAY_M_RAD = 0.002
 """What moving a waypoint by a radian without need would cost: keeps redundancy where it is."""
 STEPS = 12
@@ -81,7 +83,8 @@ def place(
     along = (B - A) / length
     power = _POWER[objective]
     at_end = np.zeros(m)
-    at_end[[0, -1]] = np.sqrt(m / 20.0) * END
+    end = END if k > 2 else HELD_END
+    at_end[[0, -1]] = np.sqrt(m / 20.0) * end
     begin, W, tau = waypoints, np.array(waypoints, dtype=np.float64), np.array(knots, dtype=np.float64)
     free = k - 2 if move_knots and k > 2 else 0
     each = not free and k == m and bool((np.abs(tau - s) < 1e-12).all())  # a goal every tick: Phi is the identity
@@ -98,14 +101,20 @@ def place(
         across = off - forward[:, None] * along
         return np.concatenate([across * (weight + at_end)[:, None], (forward * (ALONG + at_end))[:, None]], axis=1)
 
+    def cost_m(points: FloatArray, distance: FloatArray) -> float:
+        if k > 2:
+            return _norm(distance, power)
+        missed = np.sqrt(m / 20.0) * end * np.linalg.norm(points[[0, -1]] - [A, B], axis=1)
+        return _norm(np.concatenate([distance, missed]), power)
+
     best = Placement(W, tau, distance_to_line(tool(W, tau)[2], A, B))
     best_cost = np.inf
-    damping = 1e-6
+    damping = 1e-6 if k > 2 else 1e-3  # a bow that cannot be removed would drive what redundancy there is about
     weight = np.ones(m)
     for _ in range(STEPS):
         phi, q, points = tool(W, tau)
         distance = distance_to_line(points, A, B)
-        cost = _norm(distance, power)
+        cost = cost_m(points, distance)
         if cost < best_cost:
             best, best_cost = Placement(W, tau, distance), cost
         if power != 2.0:
@@ -146,8 +155,9 @@ def place(
                 tau[i] = min(max(tau[i], tau[i - 1] + CLOSEST_KNOTS), 1.0 - CLOSEST_KNOTS * (k - 1 - i))
         if float(np.abs(step).max()) < SETTLED:
             break
-    distance = distance_to_line(tool(W, tau)[2], A, B)
-    return Placement(W, tau, distance) if _norm(distance, power) < best_cost else best
+    points = tool(W, tau)[2]
+    distance = distance_to_line(points, A, B)
+    return Placement(W, tau, distance) if cost_m(points, distance) < best_cost else best
 
 
 def _step_each(rows: FloatArray, r: FloatArray, pull: FloatArray, stay: float, damping: float) -> FloatArray:

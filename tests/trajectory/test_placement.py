@@ -36,6 +36,15 @@ def test_via_points_off_the_line_make_a_straighter_motion_than_points_on_it(
     assert after < share * before
 
 
+@pytest.mark.parametrize("turned_rad", [0.0, 0.05])
+def test_without_points_in_between_the_tool_still_goes_from_a_to_b(turned_rad: float) -> None:
+    waypoints, knots = on_line(0)
+    placed = place(CHAIN, waypoints + turned_rad, knots, "cubic", hand.A, hand.B, LIMITS)
+    ends = tool_position(CHAIN, placed.waypoints)
+    assert np.linalg.norm(ends - [hand.A, hand.B], axis=1).max() < 1e-3
+    assert placed.distance_m.max() > 5e-3  # the bow, which nothing in between can take away
+
+
 def test_what_is_predicted_is_what_the_interpolated_motion_does() -> None:
     waypoints, knots = on_line(2)
     placed = place(CHAIN, waypoints, knots, "cubic", hand.A, hand.B, LIMITS)
