@@ -16,7 +16,7 @@ from armctl.cli.output import Output
 from armctl.errors import ArmctlError
 
 _COMMANDS = {
-    "calibrate": "setup",
+    "calibrate": "calibrate",
     "clear": "arm",
     "completion": "completion",
     "daemon": "processes",
@@ -49,7 +49,7 @@ _COMMANDS = {
     "robots": "kinematics",
     "run": "jobs",
     "scan": "setup",
-    "servo": "setup",
+    "servo": "servo",
     "sim": "processes",
     "status": "arm",
     "stop": "arm",

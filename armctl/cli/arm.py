@@ -30,7 +30,7 @@ def status_command(output: Output, socket: str | None) -> None:
     with Client(socket) as client:
         snapshot = client.call("status")
     if not output.result(snapshot):
-        output.console.print(_picture(snapshot))
+        output.console.print(picture(snapshot))
 
 
 @click.command("watch")
@@ -53,7 +53,7 @@ def watch_command(output: Output, socket: str | None) -> None:
         elif output.console.is_terminal:
             with Live(console=output.console, auto_refresh=False) as live:
                 for snapshot in snapshots:
-                    live.update(_picture(snapshot), refresh=True)
+                    live.update(picture(snapshot), refresh=True)
         else:
             for index, snapshot in enumerate(snapshots):
                 if index % max(1, round(1.0 / snapshot["period_s"])) == 0:
@@ -69,12 +69,14 @@ NEAR_LIMIT = 0.03
 """Of the range between its limits, from where on a joint's place is shown in red."""
 
 
-def _picture(snapshot: dict[str, Any]) -> RenderableType:
+def picture(snapshot: dict[str, Any]) -> RenderableType:
     joints = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for column in ("joint", "id", "deg", "limits", "deg/s", "load %", "V", "degC", "torque", "age s"):
         left = column in ("joint", "limits")
         width = WIDEST_NAME if column == "joint" else None
-        joints.add_column(column, justify="left" if left else "right", no_wrap=True, max_width=width)
+        joints.add_column(
+            column, justify="left" if left else "right", no_wrap=width is None, overflow="fold", max_width=width
+        )
     for joint in snapshot["joints"]:
         known = joint["position_rad"] is not None
         joints.add_row(

@@ -55,8 +55,8 @@ def show(output: Output, result: dict[str, Any]) -> None:
     show_table(output.console, title, ("via", "predicted", "encoders", "true", "s", "paper", "s"), rows)
     replayed = result["replay"]
     output.say(
-        "Predicted: perfect servos. True: the tool's real place, sag under gravity included; `armctl help start` tells\n"
-        "what corrects it.\n"
+        "Predicted: perfect servos. True: the tool's real place, sag under gravity included.\n"
+        "Nothing corrects it here: `armctl experiment line` measures and corrects it.\n"
         f"Genetic algorithm: {result['ga']['mean_error_mm']:.2f} mm mean over the recorded genes, "
         f"{result['gap_ratio']:.2%} above the exact optimum.\n"
         f"Replay: {replayed['ticks']} ticks, {replayed['messages']} messages, {replayed['mismatches']} mismatches.\n"

@@ -81,8 +81,8 @@ def experiment_command() -> None:
 @click.option(
     "--report",
     type=click.Path(dir_okay=False, path_type=Path),
-    metavar="HTML",
-    help="Draw it: paths, deviation, convergence.",
+    metavar="HTML|SVG",
+    help="Draw it: a page with paths, deviation, convergence; or one picture of the paths (FILE.svg).",
 )
 @click.option("--virtual", is_flag=True, help="Simulated servos on a virtual clock; no daemon.")
 @click.option("--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the virtual arm.  [default: 0.1]")
@@ -162,7 +162,7 @@ def show(output: Output, result: dict[str, Any]) -> None:
             f"{row['predicted_mean_error_mm']:.2f} / {row['predicted_max_error_mm']:.2f}",
             f"{before['mean_error_mm']:.1f} / {before['max_error_mm']:.1f}",
             f"{row['mean_error_mm']:.2f} / {row['max_error_mm']:.2f}",
-            f"{row['spread']['mean_error_mm']:.2f}",
+            f"{row['spread']['mean_error_mm']:.2f}" if row["runs"] > 1 else "-",
             f"{truth['mean_error_mm']:.2f} / {truth['max_error_mm']:.2f}" if (truth := row["truth"]) else "unknown",
             f"{row['duration_s']:.1f}",
             str(rounds[row["via"]]),

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ import click
 from armctl.cli.arm import COUNTDOWN, count_down
 from armctl.cli.keys import keys
 from armctl.cli.output import HOLDS, POINT, Output, config_option, output_option, socket_option
+from armctl.cli.tables import show_table
 from armctl.errors import ConfigError, LogError, NoDaemon, RequestRefused
 
 if TYPE_CHECKING:
@@ -201,8 +202,22 @@ def _list(output: Output, socket: str | None) -> None:
         return
     if not found["recordings"]:
         output.say("no recordings; make some with `armctl teach NAME`")
-    for recording in found["recordings"]:
-        output.say(_described(recording))
+        return
+    show_recordings(output, found["recordings"])
+
+
+def show_recordings(output: Output, recordings: Sequence[dict[str, Any]]) -> None:
+    rows = [
+        (
+            one["name"],
+            f"{one['duration_s']:.1f}",
+            str(one["samples"]),
+            *("-" if one[key] is None else f"{one[key]:.1f}" for key in ("mean_error_mm", "max_error_mm")),
+        )
+        for one in recordings
+    ]
+    title = "Recordings; how far off the line the tool was, mm"
+    show_table(output.console, title, ("name", "s", "samples", "mean", "maximum"), rows, words=("name",))
 
 
 @recordings_command.command("list")
@@ -348,16 +363,22 @@ def optimize_command(
     plan = {"path": str(out)} | {key: value for key, value in plan.items() if key != "text"}
     if output.result({**{key: result[key] for key in ("baseline", "ga", "exact", "gap_ratio", "free")}, "plan": plan}):
         return
-    for one in result["baseline"]:
-        output.say(f"{one['name']:<20} {one['mean_error_mm']:7.2f} mm mean  {one['max_error_mm']:7.2f} mm at most")
-    output.say(f"{'genetic algorithm':<20} {result['ga']['mean_error_mm']:7.2f} mm mean")
-    output.say(f"{'exact optimum':<20} {result['exact']['mean_error_mm']:7.2f} mm mean; gap {result['gap_ratio']:.2%}")
+    show_optimum(output, result, plan)
+    output.say(f"run it with: armctl run {out}")
+
+
+def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -> None:
+    rows = [
+        (str(one["name"]), f"{one['mean_error_mm']:.2f}", f"{one['max_error_mm']:.2f}") for one in result["baseline"]
+    ]
+    rows.append(("genetic algorithm", f"{result['ga']['mean_error_mm']:.2f}", ""))
+    rows.append((f"exact optimum, gap {result['gap_ratio']:.2%}", f"{result['exact']['mean_error_mm']:.2f}", ""))
     if result["free"]:
-        output.say(f"{'genes set free':<20} {result['free']['mean_error_mm']:7.2f} mm mean")
-    output.say(
-        f"plan with {via} via points predicts {plan['predicted_mean_error_mm']:.2f} mm mean and "
-        f"{plan['predicted_max_error_mm']:.2f} mm at most on perfect servos; run it with: armctl run {out}"
-    )
+        rows.append(("genes set free", f"{result['free']['mean_error_mm']:.2f}", ""))
+    mean, worst = (f"{plan[f'predicted_{kind}_error_mm']:.2f}" for kind in ("mean", "max"))
+    rows.append((f"plan with {plan['via']} via points, on perfect servos", mean, worst))
+    title = "Distance from the line, mm"
+    show_table(output.console, title, ("path", "mean", "maximum"), rows, words=("path",))
 
 
 def _optimize_here(

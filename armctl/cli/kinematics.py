@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from armctl.cli.output import POINT, Output, output_option
+from armctl.cli.tables import show_table
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -78,8 +79,9 @@ def robots_command(output: Output) -> None:
     known = [robots.get(name) for name in robots.names()]
     rows = [{"name": r.name, "joints": r.chain.n, "convention": r.chain.convention, "source": r.source} for r in known]
     if not output.result({"robots": rows}):
-        for row in rows:
-            output.say(f"{row['name']}: {row['joints']} joints, {row['convention']} DH; {row['source']}")
+        shown = [(str(row["name"]), str(row["joints"]), f"{row['convention']} DH", str(row["source"])) for row in rows]
+        columns = ("robot", "joints", "convention", "source")
+        show_table(output.console, "", columns, shown, words=("robot", "convention", "source"))
 
 
 @click.command("fk")
@@ -104,8 +106,7 @@ def fk_command(
     rpy = rpy_from_matrix(T[:3, :3])
     if output.result({"T": T.tolist(), "position_m": T[:3, 3].tolist(), "rpy_rad": list(rpy)}):
         return
-    for row in T.tolist():
-        output.say("  ".join(f"{value:12.9f}" for value in row))
+    _say_matrix(output, T.tolist())
     output.say(f"position  {_numbers(T[:3, 3].tolist())} m")
     output.say(f"rpy       {_angles(rpy, deg)}")
 
@@ -175,7 +176,8 @@ def ik_command(
         )
     for one in solutions:
         missed = f"{one.position_error_m * 1000.0:.3g} mm, {one.orientation_error_rad:.3g} rad off"
-        output.say(f"{_angles(one.q_rad, deg)}   {missed}{'' if one.within_limits else '   outside the joint ranges'}")
+        output.say(_angles(one.q_rad, deg))
+        output.say(f"  {missed}{'' if one.within_limits else ', outside the joint ranges'}")
 
 
 @click.command("jacobian")
@@ -206,8 +208,7 @@ def jacobian_command(
     }
     if output.result(result):
         return
-    for row in J.tolist():
-        output.say("  ".join(f"{value:12.9f}" for value in row))
+    _say_matrix(output, J.tolist())
     singular = "" if found.rank == min(J.shape) else "   singular"
     output.say(f"rank {found.rank}, manipulability {found.manipulability:.6g}{singular}")
 
@@ -329,8 +330,12 @@ def trajectory_command(
     if output.result(result):
         return
     peak, push = np.abs(curves.velocity_rad_s).max(axis=0), np.abs(curves.acceleration_rad_s2).max(axis=0)
-    output.say(f"peak velocity      {_angles(peak.tolist(), deg)}/s")
-    output.say(f"peak acceleration  {_angles(push.tolist(), deg)}/s^2")
+    unit = "deg" if deg else "rad"
+    shown = [
+        (str(joint + 1), *(f"{math.degrees(value) if deg else value:.6f}" for value in values))
+        for joint, values in enumerate(zip(peak.tolist(), push.tolist(), strict=True))
+    ]
+    show_table(output.console, "", ("joint", f"peak velocity, {unit}/s", f"peak acceleration, {unit}/s^2"), shown)
     output.say(f"tool from {_numbers(result['tool_position_m'][0])} to {_numbers(result['tool_position_m'][-1])} m")
     if out is not None:
         output.say(f"drawn: {out}")
@@ -423,10 +428,17 @@ def _box(extent: list[list[float]]) -> dict[str, list[float]]:
     return dict(zip("xyz", extent, strict=True))
 
 
-def _numbers(values: list[float]) -> str:
-    return ", ".join(f"{value:.6f}" for value in values)
+def _say_matrix(output: Output, rows: list[list[float]]) -> None:
+    """A matrix of up to six columns within 80 characters."""
+    for row in rows:
+        output.say("  ".join(f"{value:11.8f}" for value in row))
+
+
+def _numbers(values: list[float], digits: int = 6) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
 def _angles(values: Any, deg: bool) -> str:
-    shown = [math.degrees(value) if deg else value for value in values]
-    return f"{_numbers(shown)} {'deg' if deg else 'rad'}"
+    if deg:
+        return f"{_numbers([math.degrees(value) for value in values], 5)} deg"
+    return f"{_numbers(list(values))} rad"

@@ -52,5 +52,5 @@ def live_command(
         load_arm(arm or load_config(config_file).arm),
         port,
         ready,
-        lambda text: output.messages.print(text, markup=False, highlight=False, soft_wrap=True),
+        output.warn,
     )

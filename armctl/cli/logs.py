@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from rich.text import Text
 
 from armctl import __version__
 from armctl.cli.output import Output, output_option
+from armctl.cli.tables import show_table
 from armctl.errors import ArmctlError
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ LOG = click.Path(path_type=Path, dir_okay=False)
 EVENTS_SHOWN = 6
 LINE_S = 1.0
 """Between two lines where there is no terminal."""
-KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: faster, slower   l: loop   q: leave"
+KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: rate   l: loop   q: leave"
 
 
 @click.command("replay")
@@ -167,7 +169,8 @@ def picture(timeline: Timeline, player: Player) -> RenderableType:
     i = timeline.index(player.at_s)
     joints = Table(box=None, pad_edge=False)
     for column in ("joint", "deg", "goal", "deg/s", "load %", "V", "degC", "torque"):
-        joints.add_column(column, justify="left" if column == "joint" else "right")
+        named = column == "joint"
+        joints.add_column(column, justify="left" if named else "right", no_wrap=not named, overflow="fold")
     for j, name in enumerate(timeline.arm.joint_names):
         joints.add_row(
             name,
@@ -245,10 +248,14 @@ def info(output: Output, log: Path) -> None:
     ):
         return
     output.say(f"{found.messages} messages in {found.duration_s:.1f} s")
-    for topic, count in sorted(found.topics.items()):
-        output.say(f"  {topic:<24}{count:>9}")
+    show_topics(output, found.topics)
     if not found.complete:
         output.say(f"The file was not closed properly; its intact part is shown. Mend it: armctl log recover {log}")
+
+
+def show_topics(output: Output, topics: Mapping[str, int]) -> None:
+    rows = [(topic, str(count)) for topic, count in sorted(topics.items())]
+    show_table(output.console, "", ("topic", "messages"), rows, words=("topic",))
 
 
 @log_command.command("recover")
@@ -293,7 +300,7 @@ def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, .
             output.say(f"{table}: {rows} rows")
         output.say(f"written: {', '.join(map(str, result.paths))}")
     if not result.complete:
-        output.messages.print(f"{log} was not closed properly, or is damaged; its intact part was exported")
+        output.warn(f"{log} was not closed properly, or is damaged; its intact part was exported")
 
 
 @log_command.command("trim")
@@ -313,7 +320,7 @@ def trim(output: Output, log: Path, begin_s: float, end_s: float, out: Path) -> 
         result = edit.trim(log, out, begin_s, end_s, lambda fraction: show(fraction, ""))
     _edited(output, result)
     if result.begins_with_state is False:
-        output.messages.print("no state is known where it begins; a replay starts at the first keyframe in it")
+        output.warn("no state is known where it begins; a replay starts at the first keyframe in it")
 
 
 @log_command.command("merge")
@@ -338,4 +345,4 @@ def _edited(output: Output, result: Any) -> None:
     if not output.result(answer):
         output.say(f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
     if result.damaged:
-        output.messages.print(f"{result.damaged} damaged places were left out")
+        output.warn(f"{result.damaged} damaged places were left out")

@@ -56,6 +56,10 @@ class Output:
         """A message for a person; never on stdout when JSON was asked for."""
         (self.messages if self.json else self.console).print(text, markup=False, highlight=False, soft_wrap=True)
 
+    def warn(self, text: str) -> None:
+        """A message for a person, on stderr whatever was asked for."""
+        self.messages.print(text, markup=False, highlight=False, soft_wrap=True)
+
     def failure(self, error: ArmctlError) -> None:
         """Tell an expected failure."""
         code = getattr(error, "code", type(error).__name__)
@@ -66,14 +70,14 @@ class Output:
         following = next_command(error, self.socket)
         if "`armctl " not in text and following not in text:
             text += f"\n  next: {following}"
-        self.messages.print(f"armctl: {text}", markup=False, highlight=False, soft_wrap=True)
+        self.warn(text if text.startswith("armctl ") else f"armctl: {text}")  # some begin with the command
         reasons = list(getattr(error, "reasons", [str(error)]))
         self.result({"error": {"code": code, "message": str(error), "reasons": reasons, "next": following}})
 
     def interrupted(self) -> None:
         """Tell that Ctrl-C ended the command, and what is now."""
         text = "interrupted" + (f": {self.after_interrupt}" if self.after_interrupt else "")
-        self.messages.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.warn(text)
         self.result({"error": {"code": "INTERRUPTED", "message": text, "reasons": [text], "next": "armctl status"}})
 
     @contextmanager
@@ -83,7 +87,7 @@ class Output:
         Yields a function of (done, text).
         """
         if not self.messages.is_terminal:
-            self.messages.print(f"{label} ...", markup=False, highlight=False)
+            self.warn(f"{label} ...")
         columns = (
             TextColumn("{task.description:<24}"),
             BarColumn(30),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
 from armctl.cli.output import HOLDS, POINT, Output, output_option, socket_option
+from armctl.cli.tables import show_table
 from armctl.errors import ConfigError
 
 Point = tuple[float, float, float]
@@ -154,9 +157,19 @@ def transfer_command(
     }
     if output.result(result):
         return
-    for row in rows:
-        output.say(
-            f"{row['figure']} {row['quantity']:<21} peak {row['model_peak']:8.4f} by the model, "
-            f"{row['recorded_peak']:8.4f} recorded; rms difference {row['rms_difference']:.4f} {row['unit']}"
-        )
+    show_curves(output, rows)
     output.say(f"recorded: {log_path}" + ("" if out is None else f"; drawn: {out}"))
+
+
+def show_curves(output: Output, rows: Sequence[dict[str, Any]]) -> None:
+    shown = [
+        (
+            str(row["figure"]),
+            row["quantity"],
+            *(f"{row[key]:.4f}" for key in ("model_peak", "recorded_peak", "rms_difference")),
+            row["unit"],
+        )
+        for row in rows
+    ]
+    columns = ("figure", "quantity", "model", "recorded", "rms apart", "unit")
+    show_table(output.console, "Peaks of the paw's midpoint", columns, shown, words=("figure", "quantity", "unit"))

@@ -74,7 +74,7 @@ def show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page:
         show_table(output.console, title, columns, rows, words=("quantity", "printed", "unit", "verdict"))
         output.say("")
     title = f"{len(wrong)} errata, {sum(one.proven for one in wrong)} of them proven"
-    errata = [(f"{one.paper} {one.where}", str(one.printed), str(one.true), one.proof) for one in wrong]
-    columns = ("where", "printed", "true", "proof")
-    show_table(output.console, title, columns, errata, words=columns)
+    shown_errata = [(f"{one.paper} {one.where}", str(one.printed), str(one.true), one.proof) for one in wrong]
+    headings = ("where", "printed", "true", "proof")
+    show_table(output.console, title, headings, shown_errata, words=headings)
     output.say(f"page: {page}" if page is not None else "--out DIR writes a page with the tables and pictures")

@@ -338,10 +338,10 @@ def _snapshot(**changes: Any) -> dict[str, Any]:
 def _text(snapshot: dict[str, Any]) -> str:
     from rich.console import Console
 
-    from armctl.cli.arm import _picture
+    from armctl.cli.arm import picture
 
     console = Console(width=80, record=True, file=io.StringIO())
-    console.print(_picture(snapshot))
+    console.print(picture(snapshot))
     return console.export_text()
 
 

@@ -1,0 +1,225 @@
+"""`armctl calibrate`: zeros and lengths from touched points, and how the arm sags.
+
+The points are touched with a limp arm, without the daemon; `--sag` asks a running daemon to move it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from armctl.cli.output import Output, output_option, socket_option
+from armctl.cli.setup import FILE, arm_option, make_bus, opened, port_options
+from armctl.cli.tables import show_table
+
+if TYPE_CHECKING:
+    from armctl.commissioning.calibration import Fit, Readings
+    from armctl.config import ArmConfig, Config
+    from armctl.dynamixel.bus import ServoBus
+
+
+@click.command("calibrate")
+@click.option("--points", type=FILE, help="Points to touch: lines x,y,z in metres, in the base frame.")
+@click.option("--touches", default=2, show_default=True, type=click.IntRange(1, 20), help="Postures for each point.")
+@click.option("--readings", type=FILE, help="Use these recorded readings; no arm is needed.")
+@click.option("--save-readings", type=FILE, help="Keep the readings in a new file.")
+@click.option("--sag", is_flag=True, help="Lines that show how the arm sags; the daemon moves it, torque is on.")
+@click.option("--zero-at", type=click.Choice(["rest", "zero"]), help="Only zeros: the arm is held in this pose.")
+@click.option("--out", type=FILE, help="The new calibration file.  [default: beside the old one, with the date]")
+@arm_option
+@port_options
+@socket_option
+@output_option
+def calibrate_command(
+    output: Output,
+    points: Path | None,
+    touches: int,
+    readings: Path | None,
+    save_readings: Path | None,
+    sag: bool,
+    zero_at: str | None,
+    out: Path | None,
+    arm: str | None,
+    port: str | None,
+    baud: int | None,
+    socket: str | None,
+    config_file: str | None,
+) -> None:
+    """Zero ticks and link lengths from points touched with the limp arm's tool tip.
+
+    Fix a sheet with known points to the table, its x axis ahead of the base, and touch every point in different
+    postures: elbow high and low, tool steep and flat. What the points do not show is named and left alone. Torque
+    stays off and nothing is written to the servos; the result is a new file beside the old one.
+
+    --sag is another matter: a running daemon moves the arm along eight lines, and what gravity and friction do to each
+    joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
+
+    Example: armctl calibrate --points sheet.csv
+    """
+    from armctl.commissioning import calibration
+    from armctl.commissioning.eeprom import write_new
+    from armctl.config import find_arm_file, load_arm, load_config
+    from armctl.errors import RequestRefused
+
+    if sum(choice is not None for choice in (points, readings, zero_at, sag or None)) != 1:
+        raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero and --sag")
+    config = load_config(config_file)
+    if sag:
+        _calibrate_sag(output, config, socket)
+        return
+    name = arm or config.arm
+    before = load_arm(name)
+    path = out or _dated(find_arm_file(name), date.today())
+    if path.exists():
+        raise RequestRefused("FILE_EXISTS", f"{path}: exists and is not overwritten; choose another --out")
+    fit: Fit | None = None
+    if zero_at is not None:
+        with opened(make_bus(config, port, baud, before.servo_ids)) as bus:
+            _wait_for_enter(output, f"hold the limp arm still in its {zero_at} pose, then press Enter")
+            ticks = calibration.read_ticks(bus, before, bus.port.clock)
+        pose = [joint.rest_rad if zero_at == "rest" else 0.0 for joint in before.joints]
+        after = calibration.zeroed(before, ticks, pose)
+        remark = f"zero ticks read in the {zero_at} pose"
+    else:
+        if readings is not None:
+            session = calibration.load_readings(readings, before)
+        else:
+            assert points is not None
+            with opened(make_bus(config, port, baud, before.servo_ids)) as bus:
+                session = _touch_all(output, bus, before, calibration.read_points(points), touches)
+        if save_readings is not None:
+            write_new(save_readings, calibration.readings_text(session))
+        fit = calibration.fit(before, session.touches)
+        after = fit.arm
+        remark = f"{len(session.touches)} touches, {fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
+    remarks = [f"Calibrated {date.today().isoformat()} from {find_arm_file(name).name}: {remark}."]
+    write_new(path, calibration.calibration_text(after, remarks))
+    result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
+    if fit is not None:
+        result |= {
+            "parameters": [asdict(parameter) for parameter in fit.parameters],
+            "residuals_mm": fit.residuals_mm.tolist(),
+            "rms_before_mm": fit.rms_before_mm,
+            "rms_mm": fit.rms_mm,
+            "complete": fit.complete,
+        }
+    if output.result(result):
+        return
+    if fit is not None:
+        show_fit(output, fit)
+    changes = [(change["key"], str(change["before"]), str(change["after"])) for change in result["changes"]]
+    show_table(output.console, "Changed", ("key", "before", "after"), changes, words=("key",))
+    output.say(f"written: {path}\nuse it: armctl daemon --arm {path}")
+
+
+def _dated(path: Path, today: date) -> Path:
+    """A free name beside a calibration file that tells the day."""
+    stem = path.stem
+    if len(stem) > 11 and stem[-11] == "-" and stem[-10:].replace("-", "").isdecimal():
+        stem = stem[:-11]
+    names = (f"{stem}-{today.isoformat()}{suffix}.yaml" for suffix in ("", *(f"-{n}" for n in range(2, 100))))
+    return next((path.with_name(name) for name in names if not path.with_name(name).exists()), path)
+
+
+def _touch_all(
+    output: Output, bus: ServoBus, arm: ArmConfig, points: Sequence[tuple[float, float, float]], touches: int
+) -> Readings:
+    """Lead the person through every point; a reading that fails is taken again."""
+    from armctl.commissioning.calibration import Readings, Touch, read_ticks
+    from armctl.errors import RequestRefused
+
+    taken: list[Touch] = []
+    for number, point in enumerate(points, start=1):
+        for posture in range(1, touches + 1):
+            where = ", ".join(f"{value * 1000.0:.1f}" for value in point)
+            while True:
+                _wait_for_enter(
+                    output,
+                    f"point {number} of {len(points)} ({where} mm), posture {posture} of {touches}: "
+                    "hold the tip on it, then press Enter",
+                )
+                try:
+                    taken.append(Touch(point_m=point, ticks=read_ticks(bus, arm, bus.port.clock)))
+                    break
+                except RequestRefused as refusal:
+                    output.say(f"not taken: {refusal}")
+    return Readings(arm_id=arm.arm_id, touches=tuple(taken))
+
+
+def _wait_for_enter(output: Output, text: str) -> None:
+    from armctl.errors import ConfigError
+
+    if output.json or not sys.stdin.isatty():
+        raise ConfigError("armctl calibrate", "", "needs a terminal and no --json", "or give --readings FILE")
+    output.say(text)
+    if not sys.stdin.readline():
+        raise click.Abort
+
+
+def _calibrate_sag(output: Output, config: Config, socket: str | None) -> None:
+    """Run the calibration lines on the daemon's arm and keep the sag model."""
+    import numpy as np
+
+    from armctl.client import Client
+    from armctl.config import load_arm
+    from armctl.experiment import calibrate_sag, stored
+    from armctl.experiment.run import DaemonRig
+
+    with Client(socket) as client, output.progress("calibration lines", calibrate_sag.LINES) as show:
+        rig = DaemonRig(client, load_arm(config.arm))
+        model = calibrate_sag.identify(rig, np.random.default_rng(0), show=lambda done: show(done, ""))
+    path = stored.save(config, model)
+    residual = dict(zip(rig.arm.joint_names, model.residual_tick, strict=False))
+    if not output.result({"path": str(path), "lines": model.lines, "residual_tick": residual}):
+        output.say(f"{path}: sag and friction of {len(residual)} joints from {model.lines} lines")
+        rows = [(name, f"{ticks:.2f}") for name, ticks in residual.items()]
+        show_table(output.console, "", ("joint", "unexplained, tick"), rows, words=("joint",))
+        output.say("An encoder's own noise is about 0.6 tick.")
+
+
+def _changes(before: ArmConfig, after: ArmConfig) -> list[dict[str, Any]]:
+    """Every value that differs between two calibrations of one arm."""
+    from armctl.kinematics import robots
+
+    old, new = (robots.get(arm.robot, arm.lengths_m).lengths_m for arm in (before, after))
+    rows = [(f"lengths_m.{key}", old[key], new[key]) for key in old]
+    for was, now in zip(before.joints, after.joints, strict=True):
+        rows += [
+            (f"{was.name}.{key}", getattr(was, key), getattr(now, key))
+            for key in ("zero_tick", "limits_deg", "rest_deg")
+        ]
+    return [{"key": key, "before": was, "after": now} for key, was, now in rows if was != now]
+
+
+def show_fit(output: Output, fit: Fit) -> None:
+    output.say(f"distance of tool and point: {fit.rms_before_mm:.2f} mm before, {fit.rms_mm:.2f} mm after (rms)")
+    worst = int(fit.residuals_mm.argmax())
+    output.say(f"worst point: touch {worst + 1}, {fit.residuals_mm[worst]:.2f} mm")
+    rows = []
+    for parameter in fit.parameters:
+        factor = 1000.0 if parameter.unit == "m" else 1.0
+        rows.append(
+            (
+                parameter.name,
+                f"{parameter.before * factor:.2f}",
+                f"{parameter.after * factor:.2f}",
+                "-" if parameter.standard_error is None else f"{parameter.standard_error * factor:.2f}",
+                "mm" if parameter.unit == "m" else "tick",
+            )
+        )
+    columns = ("parameter", "before", "after", "+-", "unit")
+    show_table(output.console, "", columns, rows, words=("parameter", "unit"))
+    for parameter in fit.parameters:
+        if parameter.standard_error is None:
+            output.say(f"{parameter.name} is left alone: {parameter.held}")
+    if not fit.complete:
+        output.say("What these points do not show was left alone, and the rest is only good near these postures:")
+        output.say(
+            "touch every point in more postures (elbow high and low, tool steep and flat) before you rely on it."
+        )

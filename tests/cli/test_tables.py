@@ -1,0 +1,228 @@
+"""Every table of the command line, with wide figures and long words, on 80 columns."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from armctl.cli import arm, calibrate, demo, experiment, jobs, kinematics, logs, main, reach, reproduce, servo, setup
+from armctl.cli.output import Output
+from armctl.cli.study.arms import show_arms
+from armctl.cli.study.ga import show_settings
+from armctl.cli.study.limits import show_limits
+from armctl.cli.study.paper import show_paper
+from armctl.cli.study.pareto import show_fronts
+from armctl.cli.tables import show_table
+from armctl.commissioning.calibration import Fit, Parameter
+from armctl.commissioning.doctor import Check
+from armctl.commissioning.eeprom import Difference
+from armctl.commissioning.scan import FoundServo
+from armctl.config import load_arm
+from armctl.kinematics.errata import Erratum
+from armctl.recording import timeline
+from armctl.recording.player import Player
+from armctl.report.reproduce import PaperReport, Row
+from armctl.study.limits import WITHOUT
+from tests.recording.simulated import simulated_records, write_log
+
+COLUMNS = 80
+FIGURE = re.compile(r"-?\d+\.\d+(?:e[-+]\d+)?|-?\d+")
+LONGEST_NAME = "candidate-" + "n" * 54
+
+
+class Tables(Output):
+    """Prints tables alone: sentences are left to the terminal to wrap, so that a command in one can be copied."""
+
+    def say(self, text: str) -> None:
+        pass
+
+
+def printed(show: Callable[[Output], object], width: int = COLUMNS) -> str:
+    """The tables that a person sees on a terminal of so many columns."""
+    output = Tables()
+    output.console = Console(file=io.StringIO(), width=width, color_system=None)
+    show(output)
+    assert isinstance(output.console.file, io.StringIO)
+    return output.console.file.getvalue()
+
+
+def assert_whole(show: Callable[[Output], object]) -> str:
+    """It fits, nothing is cut off, and every figure that a wide screen shows stands here too, unbroken."""
+    text = printed(show)
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= COLUMNS, text
+    assert "…" not in text
+    assert sorted(FIGURE.findall(text)) == sorted(FIGURE.findall(printed(show, 1000))), text
+    return text
+
+
+ERRORS = {"mean_error_mm": 123.456, "max_error_mm": 234.567}
+PREDICTED = {"predicted_mean_error_mm": 123.456, "predicted_max_error_mm": 234.567}
+LINE_ROW = {"via": "stream", "runs": 100, "duration_s": 600.0, "spread": ERRORS, "truth": ERRORS, **ERRORS, **PREDICTED}
+EXPERIMENT = {
+    "rows": [LINE_ROW, {**LINE_ROW, "via": 20, "truth": None}],
+    "before": [ERRORS, ERRORS],
+    "refined": [{"round": 20, "rows": [{"via": "stream"}, {"via": 20}]}],
+    "ga": None,
+    "report": None,
+    "unseen": {"stream": {"zero_offset_mm": 12.3}},
+}
+DEMO = {
+    "rows": [{**LINE_ROW, "via": via} for via in (0, 1, 2)],
+    "ga": ERRORS,
+    "gap_ratio": 0.12345,
+    "replay": {"ticks": 123456, "messages": 1234567, "mismatches": 12345},
+    "report": "armctl-demo/report.html",
+}
+SPREAD = {"median": 123.456, "worst": 234.567, "spread": 100.123}
+BOTH = dict.fromkeys(ERRORS, SPREAD)
+ARMS: list[dict[str, Any]] = [
+    {"via": "stream", "arms": 10000, "refused": 9999, "before": BOTH, "truth": BOTH},
+    {"via": 20, "arms": 0, "refused": 10000, "before": None, "truth": None},
+]  # fmt: skip
+SETTING = {
+    "population": 100000, "crossover_probability": 0.123456, "mutation_probability": 0.000123456, "repeats": 1000,
+    "mean_error_mm": 123.456, "spread_mm": 100.123, "best_mm": 123.456, "exact_mean_error_mm": 123.456,
+    "gap_ratio": 12.3456, "settled_generation": 100000.0,
+}  # fmt: skip
+FRONT = {
+    "duration_s": 1234.5, "via": 20, "recorded_mean_error_mm": 123.456, "feasible": True, **PREDICTED,
+    "truth": {"mean_error_mm": 123.456, "spread_mm": 100.123}, "front_duration": True, "front_via": True,
+}  # fmt: skip
+LIMIT = {
+    "via": "stream", "before_mm": 123.456, "after_mm": 123.456, "spread_mm": 100.123, "after_share_mm": -100.123,
+    "ticks_mm": 12.34, "unseen_mm": 12.34,
+}  # fmt: skip
+PAPER = {
+    "experiment": 3, "via": 2, "recorded_mean_error_mm": 123.456, "spread_mm": 100.123, "duration_s": 600.0, **ERRORS,
+    "paper": {**ERRORS, "duration_s": 600.0},
+}  # fmt: skip
+REPORT = PaperReport(
+    paper="004",
+    title="a title that is as long as the longest of the five papers' titles, and then some more of it",
+    notes=(),
+    rows=(
+        Row("004", "greatest |dxy|, GA over theta2 to theta4, theta1 by eq. (12), mean of 2 seeds (spread 0.399)",
+            "16 (2 each of theta1 to theta4)", "2.806e-06 / 0.0003107", "rad/s, rad/s^2",
+            "differs: about half of all individuals have a flipped bit in every generation"),
+        Row("004", "extent [mm]", None, -123456.78901, "mm", "equal"),
+    ),
+    tables=(),
+    pictures=(),
+)  # fmt: skip
+ERRATUM = Erratum(
+    "002", "eqs. (19), (20)", "C1 (a2 C2 + a3 C23)", "S1 (a2 C2 + a3 C23) + ...", "[m]", lambda: (0.1, 0.0)
+)
+RECORDING = {"name": LONGEST_NAME, "duration_s": 3600.0, "samples": 36000, **ERRORS}
+OPTIMUM = {"baseline": [RECORDING], "ga": ERRORS, "exact": ERRORS, "free": ERRORS, "gap_ratio": 123.456}
+CURVE = {
+    "figure": "Fig. 10", "quantity": "angular acceleration", "model_peak": 12345.6789, "recorded_peak": 12345.6789,
+    "rms_difference": 12345.6789, "unit": "rad/s^2",
+}  # fmt: skip
+SERVOS = [FoundServo(253, 1_000_000, None, None, 123456, True), FoundServo(1, 57_600, 65535, 255, 123456, False)]
+CHECKS = [
+    Check("return delay", True, "0 us", "", servo_id=1),
+    Check("EEPROM", False, "cw_angle_limit 0 wanted 123, ccw_angle_limit 1023 wanted 1006, max_torque 1023 wanted 900",
+          "armctl servo set 3 ccw_angle_limit 1006 --port /dev/serial/by-id/usb-FTDI_USB-Serial", servo_id=3),
+]  # fmt: skip
+DIFFERENCES = [Difference(253, "high_voltage_limit", 1023, 1023), Difference(1, "ccw_angle_limit", 1006, None)]
+FIT = Fit(
+    arm=load_arm("ax12-line"),
+    parameters=(
+        Parameter(f"{LONGEST_NAME}.zero_tick", "tick", -1023.5, 2046.5, 123.45),
+        Parameter("lengths_m.a56", "m", 0.1234, 0.1235, None, "these points do not tell it from the shoulder's zero"),
+    ),
+    residuals_mm=np.array([123.4, 5.0]),
+    rms_before_mm=123.4,
+    rms_mm=12.3,
+)
+TABLES: dict[str, Callable[[Output], object]] = {
+    "demo": lambda out: demo.show(out, DEMO),
+    "experiment": lambda out: experiment.show(out, EXPERIMENT),
+    "study arms": lambda out: show_arms(out, ARMS, [], 10000),
+    "study ga": lambda out: show_settings(out, [SETTING]),
+    "study pareto": lambda out: show_fronts(out, [FRONT, {**FRONT, "feasible": False, "truth": None}]),
+    "study limits": lambda out: show_limits(out, [{**LIMIT, "without": one} for one in WITHOUT], [LIMIT]),
+    "study paper": lambda out: show_paper(out, [PAPER]),
+    "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
+    "recordings": lambda out: jobs.show_recordings(out, [RECORDING, {**RECORDING, "mean_error_mm": None}]),
+    "optimize": lambda out: jobs.show_optimum(out, OPTIMUM, {"via": 20, **PREDICTED}),
+    "transfer": lambda out: reach.show_curves(out, [CURVE]),
+    "scan": lambda out: setup.show_servos(out, SERVOS),
+    "doctor": lambda out: setup.show_checks(out, CHECKS),
+    "servo eeprom": lambda out: servo.show_differences(out, DIFFERENCES, "file", "servo"),
+    "calibrate": lambda out: calibrate.show_fit(out, FIT),
+    "log info": lambda out: logs.show_topics(out, {"/armctl/" + "t" * 80: 1234567890}),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_fits_80_columns_with_every_figure_whole(name: str) -> None:
+    assert assert_whole(TABLES[name])
+
+
+def snapshot() -> dict[str, Any]:
+    joint = {
+        "name": LONGEST_NAME, "servo_id": 253, "position_rad": -2.6, "velocity_rad_s": -11.9, "load_ratio": -1.0,
+        "voltage_V": 12.1, "temperature_degC": 100.0, "torque_enabled": True, "age_s": 1234.56,
+        "limits_rad": (-math.pi, math.pi),
+    }  # fmt: skip
+    return {
+        "arm_id": LONGEST_NAME, "state": "energising", "progress": 0.5, "rate": 0.5, "recording": LONGEST_NAME,
+        "joints": [joint, {**joint, **dict.fromkeys(("position_rad", "age_s"))}],
+        "tool": {"position_m": [-0.123, -0.234, -0.345], "speed_m_s": 1.234},
+        "log": {"problem": "no space left on the disk that holds the logs; recording goes on when there is some"},
+        "fault": {
+            "code": "EEPROM_MISMATCH", "since_s": 123456.0, "text": "servo 253: " + "a sentence of many words " * 5,
+            "arm": "holds", "next": "armctl servo eeprom diff; then armctl clear",
+        },
+    }  # fmt: skip
+
+
+def test_the_picture_of_status_and_watch_fits() -> None:
+    text = assert_whole(lambda output: output.console.print(arm.picture(snapshot())))
+    assert "EEPROM_MISMATCH" in text
+
+
+def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:
+    log = timeline.load(write_log(tmp_path / "a.mcap", simulated_records()))
+    assert_whole(lambda output: output.console.print(logs.picture(log, Player(log.duration_s, at_s=0.5))))
+
+
+@pytest.mark.parametrize("robot", ["puma560", "transfer-6dof", "ax12-line", "xiang-6dof", "lanzhou-4dof"])
+def test_the_kinematics_of_every_robot_fit(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
+    joints = kinematics._robot(robot, ()).chain.n
+    q = ",".join(["-123.4567891"] * joints)
+    one = ("--robot", robot)
+    for arguments in (
+        ("robots",),
+        ("fk", *one, "--q", q, "--deg"),
+        ("jacobian", *one, "--q", q, "--deg"),
+        ("ik", *one, "--xyz", "0.1,0.1,0.1", "--deg", "--all"),
+        ("workspace", *one, "--samples", "100"),
+        ("trajectory", *one, "--q0", q, "--q1", ",".join(["100"] * joints), "--duration", "0.1", "--deg"),
+    ):
+        assert main(arguments) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert max(len(line.rstrip()) for line in lines) <= COLUMNS, "\n".join(lines)
+        assert "…" not in "".join(lines)
+
+
+FIGURES = st.floats(-1e6, 1e6).map(lambda value: f"{value:.3f}")
+SENTENCES = st.lists(st.text("abcdefgh[]/", min_size=1, max_size=12), min_size=1, max_size=20).map(" ".join)
+
+
+@given(rows=st.lists(st.tuples(FIGURES, SENTENCES, FIGURES, SENTENCES), max_size=5))
+def test_any_table_fits_and_keeps_its_figures_and_words(rows: list[tuple[str, ...]]) -> None:
+    text = assert_whole(lambda out: show_table(out.console, "", ("a", "b", "c", "d"), rows, words=("b", "d")))
+    for _, sentence, _, _ in rows:
+        assert all(word in text for word in sentence.split())
