@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report import pareto
+from armctl.report import pareto, picture
 from armctl.report.line import COLOURS, PAPER_ROWS, LineRun, along_and_off, errors_mm, layout, space_figure
 from armctl.report.page import Page, plotly
 from armctl.trajectory.straightness import distance_to_line
@@ -53,7 +53,10 @@ class ExperimentReport:
 
 
 def write(report: ExperimentReport, path: Path) -> None:
-    """Write the page."""
+    """Write the page; where `path` ends in .svg, a picture of the paths alone."""
+    if path.suffix == ".svg":
+        picture.write(report, path)
+        return
     figure = plotly()
     page = Page("Straight line: before and after correction")
     begin, end = (", ".join(f"{value:.3f}" for value in point) for point in (report.from_m, report.to_m))
@@ -82,6 +85,8 @@ def _real(run: LineRun) -> FloatArray:
 
 def _spread(pairs: Sequence[tuple[float, float]]) -> str:
     (mean, most), (mean_spread, most_spread) = np.mean(pairs, axis=0), np.std(pairs, axis=0)
+    if len(pairs) == 1:  # one run tells nothing about a spread
+        return f"{mean:.2f} / {most:.2f}"
     return f"{mean:.2f} ± {mean_spread:.2f} / {most:.2f} ± {most_spread:.2f}"
 
 
@@ -101,7 +106,7 @@ def _table(page: Page, report: ExperimentReport) -> None:
                 f"{one.runs[0].predicted_mean_mm:.2f} / {one.runs[0].predicted_max_mm:.2f}",
                 _spread(by_encoder),
                 _spread(truths) if truths else "unknown",
-                f"{np.mean(durations):.2f} ± {np.std(durations):.2f}",
+                f"{np.mean(durations):.2f}" + (f" ± {np.std(durations):.2f}" if len(durations) > 1 else ""),
                 len(one.runs),
                 len(one.rounds) - 1,
                 "-" if paper is None else f"{paper[0]:.1f} / {paper[1]:.1f} in {paper[2]:.1f} s",

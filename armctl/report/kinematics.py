@@ -117,7 +117,10 @@ def time_figure(time_s: FloatArray, values: FloatArray, names: list[str], unit: 
         {"type": "scatter", "x": time_s, "y": column, "name": name, "line": {"color": colour}}
         for column, name, colour in zip(values.T, names, COLOURS * 6, strict=False)
     ]
-    return plotly()(lines, layout={"xaxis": {"title": "time [s]"}, "yaxis": {"title": unit}, "height": 380})
+    return plotly()(
+        lines,
+        layout={"xaxis": {"title": "time [s]"}, "yaxis": {"title": unit}, "height": 320, "margin": {"t": 20, "b": 60}},
+    )
 
 
 def write_workspace(

@@ -22,7 +22,9 @@ p { max-width: 46rem; } .wide { overflow-x: auto; }
 table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; }
 th, td { padding: .3rem .8rem; border-bottom: 1px solid var(--rule); text-align: right; }
 th:first-child, td:first-child, .words th, .words td { text-align: left; } th { border-bottom-color: var(--edge); }
-caption { caption-side: bottom; text-align: left; color: var(--quiet); font-size: .87rem; padding-top: .4rem; }
+.note { color: var(--quiet); font-size: .87rem; margin: .2rem 0 .6rem; max-width: none; }
+@media (max-width: 44rem) { body { padding: .7rem .8rem 3rem; } th, td { padding: .3rem .4rem; }
+  .wide td { white-space: nowrap; } .wide .words td { white-space: normal; } }
 """
 
 _CHART_COLOURS = """
@@ -37,6 +39,8 @@ _CHART_COLOURS = """
         ...axis("xaxis"), ...axis("yaxis")};
       if (chart.layout.scene) for (const letter of "xyz") Object.assign(change, axis(`scene.${letter}axis`,
         {[`scene.${letter}axis.backgroundcolor`]: of("--paper")}));
+      if (innerWidth < 700) Object.assign(change, {"legend.orientation": "h", "legend.x": 0, "legend.xanchor": "left",
+        "legend.y": -0.3, "legend.yanchor": "top", "margin.l": 50, "margin.r": 12, "title.font.size": 14});
       Plotly.relayout(chart, change);
     }
   };
@@ -44,7 +48,7 @@ _CHART_COLOURS = """
   dark.addEventListener("change", paint);
 })();
 """
-"""Charts are drawn light; this gives them the page's colours, whichever those are."""
+"""Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves."""
 
 
 def plotly() -> type[go.Figure]:
@@ -78,10 +82,12 @@ class Page:
             return "<tr>" + "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
 
         body = "".join(line(row, "td") for row in rows)
-        note = f"<caption>{html.escape(caption)}</caption>" if caption else ""
-        kind = ' class="words"' if words else ""
+        # Beside the table and not in it: what is wider than a phone is moved sideways, its explanation is not.
+        name = f"note-{len(self._blocks)}"
+        note = f'<p class="note" id="{name}">{html.escape(caption)}</p>' if caption else ""
+        kind = (' class="words"' if words else "") + (f' aria-describedby="{name}"' if caption else "")
         head = f"<thead>{line(header, 'th')}</thead>"
-        self._blocks.append(f'<div class="wide"><table{kind}>{note}{head}<tbody>{body}</tbody></table></div>')
+        self._blocks.append(f'<div class="wide"><table{kind}>{head}<tbody>{body}</tbody></table></div>{note}')
 
     def figure(self, figure: go.Figure, description: str) -> None:
         """Add a plotly figure; `description` says in words what it shows."""

@@ -1,0 +1,112 @@
+"""A picture of a line before and after correction, as SVG: for a README, a lab report, a slide.
+
+The tool's paths are seen from above and from the side, true to scale, in the colours of the reader's screen.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.kinematics.transform import FloatArray
+from armctl.report.line import LineRun, along_and_off, errors_mm
+
+if TYPE_CHECKING:
+    from armctl.report.experiment import ExperimentReport
+
+WIDTH = 800
+MARGIN = 24
+LINE_HEIGHT = 24
+VIEWS = ((1, "from above"), (2, "from the side"))
+LEAST_HALF_HEIGHT_MM = 6.0
+RULER_MM = 50
+POINTS = 300
+"""Points of a curve: more cannot be told apart."""
+STYLE = """
+text { font: 15px system-ui, sans-serif; fill: #1d2733; } .quiet { fill: #5a6878; }
+.paper { fill: #ffffff; } path { fill: none; stroke-linejoin: round; stroke-linecap: round; }
+.wanted { stroke: #5a6878; stroke-width: 1; stroke-dasharray: 6 5; }
+.before { stroke: #b0413e; stroke-width: 2; } text.before { stroke: none; fill: #b0413e; }
+.after { stroke: #2a7f62; stroke-width: 3; } text.after { stroke: none; fill: #2a7f62; }
+.end { fill: #5a6878; } .ruler { stroke: #5a6878; stroke-width: 1.5; }
+@media (prefers-color-scheme: dark) {
+  text { fill: #dde4ec; } .quiet { fill: #93a1b1; } .paper { fill: #12171d; } .wanted, .ruler { stroke: #93a1b1; }
+  .before { stroke: #f0857f; } text.before { fill: #f0857f; } .after { stroke: #58c98f; } text.after { fill: #58c98f; }
+  .end { fill: #93a1b1; }
+}
+"""
+
+
+def write(report: ExperimentReport, path: Path) -> None:
+    """Write the picture to `path`."""
+    path.write_text(svg(report), encoding="utf-8")
+
+
+def svg(report: ExperimentReport) -> str:
+    """The picture: one outcome under the other."""
+    blocks: list[str] = []
+    top = float(MARGIN)
+    for outcome in report.outcomes:
+        heading = "a goal every tick" if outcome.via == "stream" else f"{outcome.via} intermediate points"
+        named = (("before", outcome.before), ("after", outcome.runs[0]))
+        for words, kind in ((f"The same line with {heading}", ""), *((_told(report, *one), one[0]) for one in named)):
+            blocks.append(f'<text class="{kind}" x="{MARGIN}" y="{top + 16:.0f}">{html.escape(words)}</text>')
+            top += LINE_HEIGHT
+        for axis, view in VIEWS:
+            drawn, height = _view(report, named, axis, view, top)
+            blocks += drawn
+            top += height
+    top += LINE_HEIGHT
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {top:.0f}" role="img">'
+        f"<title>The tool's path before and after correction</title><style>{STYLE}</style>"
+        f'<rect class="paper" width="{WIDTH}" height="{top:.0f}" rx="10"/>{"".join(blocks)}</svg>\n'
+    )
+
+
+def _told(report: ExperimentReport, when: str, run: LineRun) -> str:
+    mean_mm, max_mm = errors_mm(_path(run), report.from_m, report.to_m)
+    judge = "" if run.truth_tool_m is not None else " by the encoders"
+    return f"{when}: {mean_mm:.1f} mm off the line on average, {max_mm:.1f} mm at most{judge}"
+
+
+def _path(run: LineRun) -> FloatArray:
+    """Where the tool was: really, if that is known."""
+    return run.tool_m if run.truth_tool_m is None else run.truth_tool_m
+
+
+def _thinned(points: FloatArray) -> FloatArray:
+    """At most `POINTS` of them, both ends included."""
+    kept: FloatArray = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(int))]
+    return kept
+
+
+def _view(
+    report: ExperimentReport, named: Sequence[tuple[str, LineRun]], axis: int, view: str, top: float
+) -> tuple[list[str], float]:
+    """Paths seen along one direction, and the height that takes."""
+    paths = [(kind, along_and_off(_thinned(_path(run)), report.from_m, report.to_m)) for kind, run in named]
+    length = float(np.linalg.norm(report.to_m - report.from_m)) * 1000.0
+    along = np.concatenate([[0.0, length], *(seen[0] for _, seen in paths)])
+    off = np.concatenate([[-LEAST_HALF_HEIGHT_MM, LEAST_HALF_HEIGHT_MM], *(seen[axis] for _, seen in paths)])
+    scale = (WIDTH - 2 * MARGIN) / float(np.ptp(along))
+    x = MARGIN + (-along.min()) * scale
+    y = top + LINE_HEIGHT + off.max() * scale
+    height = float(np.ptp(off)) * scale + 2 * LINE_HEIGHT
+
+    def curve(kind: str, points: Iterator[tuple[float, float]]) -> str:
+        return f'<path class="{kind}" d="M{"L".join(f"{x + a * scale:.1f} {y - b * scale:.1f}" for a, b in points)}"/>'
+
+    drawn = [f'<text class="quiet" x="{MARGIN}" y="{top + 16:.0f}">{view}</text>']
+    drawn.append(curve("wanted", iter(((0.0, 0.0), (length, 0.0)))))
+    drawn += [curve(kind, zip(seen[0].tolist(), seen[axis].tolist(), strict=True)) for kind, seen in paths]
+    drawn += [f'<circle class="end" cx="{x + at * scale:.1f}" cy="{y:.1f}" r="4"/>' for at in (0.0, length)]
+    if axis == VIEWS[-1][0]:
+        foot, right = top + height, WIDTH - MARGIN
+        drawn.append(f'<path class="ruler" d="M{right - RULER_MM * scale:.1f} {foot:.1f}H{right}"/>')
+        drawn.append(f'<text class="quiet" x="{right}" y="{foot - 6:.0f}" text-anchor="end">{RULER_MM} mm</text>')
+    return drawn, height
