@@ -324,8 +324,9 @@ def _files(daemon: Daemon, places: Places, arm: ArmConfig) -> APIRouter:
         """The daemon's logs, the newest first."""
 
         def listed() -> list[dict[str, Any]]:
-            found = sorted(places.logs.glob("*.mcap*"), key=lambda path: path.name, reverse=True)
-            return [{"name": path.name, "bytes": path.stat().st_size} for path in found]
+            found = [(path.stat(), path.name) for path in places.logs.glob("*.mcap*")]
+            found.sort(key=lambda one: (one[0].st_mtime_ns, one[1]), reverse=True)
+            return [{"name": name, "bytes": about.st_size} for about, name in found]
 
         return {"logs": await asyncio.to_thread(listed)}
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import secrets
+import socket as socket_module
 from collections.abc import Callable
 from pathlib import Path
 
@@ -53,8 +55,14 @@ def serve(
     server = uvicorn.Server(settings)
     address = f"http://127.0.0.1:{port}/#token={token}"
 
+    try:  # before anything runs: the server itself would end the program over it
+        listening = socket_module.create_server(("127.0.0.1", port))
+    except OSError as error:
+        why = "is taken" if error.errno == errno.EADDRINUSE else f"cannot be had: {error.strerror}"
+        raise ConfigError("armctl web", "--port", f"{port} {why}", "choose another with --port") from None
+
     async def run() -> None:
-        serving = asyncio.create_task(server.serve())
+        serving = asyncio.create_task(server.serve([listening]))
         while not server.started and not serving.done():
             await asyncio.sleep(0.01)
         if server.started:
@@ -65,9 +73,8 @@ def serve(
 
     try:
         asyncio.run(run())
-    except SystemExit:
-        raise ConfigError("armctl web", "--port", f"{port} is taken", "choose another with --port") from None
     finally:
+        listening.close()
         if token_file is not None:
             token_file.unlink(missing_ok=True)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import gzip
 import json
+import os
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -88,6 +90,17 @@ def test_what_cannot_be_served_is_refused_in_one_form(guard: Guard, path: str, s
     error = answer.json()["error"]
     assert error.keys() == {"code", "message", "reasons"}
     assert all(error.values())
+
+
+def test_the_newest_log_comes_first_whatever_its_name(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    for age_s, name in enumerate(("armctl-2.mcap.part", "fault-2.mcap", "armctl-1.mcap", "fault-1.mcap")):
+        (tmp_path / "logs" / name).touch()
+        os.utime(tmp_path / "logs" / name, (1e9 - age_s, 1e9 - age_s))
+    config = Config(data_dir=str(tmp_path))
+    _, made = create_app(load_arm("ax12-line"), config, socket=tmp_path / "nobody.sock", token=TOKEN, port=8080)
+    logs = ask(made, "GET", "/api/logs").json()["logs"]
+    assert [log["name"] for log in logs] == ["armctl-2.mcap.part", "fault-2.mcap", "armctl-1.mcap", "fault-1.mcap"]
 
 
 def test_a_field_that_does_not_fit_is_named_with_its_bound(guard: Guard) -> None:

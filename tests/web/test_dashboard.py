@@ -117,7 +117,6 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def page(browser: Browser, stand: Stand) -> Iterator[Page]:
-    acknowledge(stand)
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
     errors: list[str] = []
@@ -126,6 +125,7 @@ def page(browser: Browser, stand: Stand) -> Iterator[Page]:
     expect.set_options(timeout=PATIENCE_MS)
     page.goto(stand.address)
     expect(page.locator("#tick")).not_to_have_text("–")
+    acknowledge(stand)  # now that the page's libraries are loaded, which keeps a small machine busy
     yield page
     context.close()
     assert errors == []
@@ -235,6 +235,34 @@ def test_release_asks_first(page: Page) -> None:
     state(page, "off")
 
 
+def test_stop_is_served_while_a_question_is_open(page: Page) -> None:
+    state(page, "holding", "off")
+    page.click("#release")
+    expect(page.locator("#confirm")).to_be_visible()
+    with page.expect_response(lambda response: response.url.endswith("/api/stop")) as answered:
+        page.click("#stop")
+    assert answered.value.status == 200
+    with page.expect_response(lambda response: response.url.endswith("/api/stop")):
+        page.keyboard.press("Escape")
+    expect(page.locator("#confirm")).to_be_hidden()
+    state(page, "holding", "off")
+
+
+def test_charts_take_the_colours_of_the_page_when_it_turns_dark(page: Page) -> None:
+    page.click("nav [data-view=logs]")
+    expect(page.locator("#log-plot .scatterlayer .trace")).to_have_count(6)
+    label = page.locator("#log-plot .xtitle")
+    light = label.evaluate("element => getComputedStyle(element).fill")
+    page.emulate_media(color_scheme="dark")
+    expect(label).not_to_have_css("fill", light)
+
+
+def test_nothing_is_compared_until_something_is_chosen(page: Page) -> None:
+    page.click("nav [data-view=compare]")
+    expect(page.locator("#compare-hint")).to_be_visible()
+    expect(page.locator("#compare-plots")).to_be_hidden()
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_every_view_fits_names_its_controls_and_keeps_stop_in_sight(
     browser: Browser, stand: Stand, scheme: Any, width: int
@@ -246,6 +274,10 @@ def test_every_view_fits_names_its_controls_and_keeps_stop_in_sight(
     for view in ("arm", "guide", "compare", "logs"):
         page.click(f"nav [data-view={view}]")
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), f"{view} is too wide"
+        cut = page.evaluate(
+            "[...document.querySelectorAll('.wide')].filter(e => e.scrollWidth > e.clientWidth).map(e => e.outerHTML)"
+        )
+        assert cut == [], f"a table of {view} is cut off"
         page.mouse.wheel(0, 5000)
         box = page.locator("#stop").bounding_box()
         assert box is not None

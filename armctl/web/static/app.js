@@ -75,8 +75,9 @@ function confirmed(text, yes) {
   $("confirm-text").textContent = text;
   $("confirm-yes").textContent = yes;
   const dialog = $("confirm");
+  if (dialog.open) dialog.close("no");
   dialog.returnValue = "no";
-  dialog.showModal();
+  dialog.show();  // never modal: STOP has to stay within reach
   return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
 }
 
@@ -107,7 +108,7 @@ function show(latest) {
   if (!latest) return;
   latest.joints.forEach(showJoint);
   const place = latest.tool && latest.tool.position_m;
-  $("tool").textContent = place ? place.map((value) => `${(1000 * value).toFixed(0)}`).join(", ") + " mm" : "–";
+  $("tool").textContent = place ? place.map((value) => Math.round(1000 * value) || 0).join(", ") + " mm" : "–";
   $("tick").textContent = latest.tick;
   $("bus").textContent = `${(latest.cycle.bus_us_p50 / 1000).toFixed(1)} ms`;
   $("log").textContent = latest.log && latest.log.problem ? latest.log.problem : "recording";
@@ -228,18 +229,47 @@ function layout(extra = {}) {
   const axis = { gridcolor: grid, zerolinecolor: grid, linecolor: grid };
   return {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink(), family: "system-ui, sans-serif" },
-    margin: { l: 55, r: 10, t: 10, b: 45 }, legend: { orientation: "h", y: 1.12 }, ...extra,
+    margin: { l: 55, r: 10, t: 10, b: 45 }, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, ...extra,
     xaxis: { ...axis, ...extra.xaxis }, yaxis: { ...axis, ...extra.yaxis },
   };
 }
 
-function sceneLayout() {
-  const axis = (title, range) => ({ title: { text: title }, range, gridcolor: colour("--edge"), color: ink(), showbackground: false, nticks: 5 });
+const WHOLE_ARM = { x: [-0.42, 0.42], y: [-0.42, 0.42], z: [-0.05, 0.5] };
+
+// A view in space, true to scale; a narrow screen looks from farther away.
+function sceneLayout(ranges = WHOLE_ARM, height = -0.1) {
+  const far = innerWidth < 700 ? 1.15 : 0.88;
+  const axis = (name) => ({ title: { text: name, font: { size: 13 } }, range: ranges[name], gridcolor: colour("--edge"), color: ink(),
+    showbackground: false, nticks: 6, tickfont: { size: 10 } });
+  const extent = (name) => (ranges[name][1] - ranges[name][0]) / (ranges.x[1] - ranges.x[0]);
   return layout({
     margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision: "kept",
-    scene: { xaxis: axis("x, m", [-0.42, 0.42]), yaxis: axis("y, m", [-0.42, 0.42]), zaxis: axis("z, m", [-0.05, 0.5]),
-      aspectmode: "manual", aspectratio: { x: 1, y: 1, z: 0.65 }, camera: { eye: { x: 1.35, y: 1.2, z: 0.6 }, center: { x: 0, y: 0, z: -0.12 } } },
+    scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "manual",
+      aspectratio: { x: extent("x"), y: extent("y"), z: extent("z") },
+      camera: { eye: { x: 1.15 * far, y: -1.3 * far, z: 0.6 * far }, center: { x: 0, y: 0, z: height } } },
   });
+}
+
+// A cube around the paths.
+function around(paths) {
+  const points = paths.flat();
+  const bounds = ["x", "y", "z"].map((name, i) => [name, Math.min(...points.map((p) => p[i])), Math.max(...points.map((p) => p[i]))]);
+  const half = 0.55 * Math.max(0.02, ...bounds.map(([, low, high]) => high - low));
+  return Object.fromEntries(bounds.map(([name, low, high]) => [name, [(low + high) / 2 - half, (low + high) / 2 + half]]));
+}
+
+// Charts that stand get the colours of the page anew.
+function repaint() {
+  const look = layout();
+  const flat = { "font.color": ink() };
+  for (const axis of ["xaxis", "yaxis"]) for (const key of ["gridcolor", "zerolinecolor", "linecolor"]) flat[`${axis}.${key}`] = look[axis][key];
+  for (const chart of document.querySelectorAll(".js-plotly-plot")) {
+    const change = { ...flat };
+    if (chart.layout.scene) for (const axis of "xyz") Object.assign(change, { [`scene.${axis}axis.gridcolor`]: look.xaxis.gridcolor, [`scene.${axis}axis.color`]: ink() });
+    window.Plotly.relayout(chart, change);
+  }
+  drawing = false;
+  drawArm();
 }
 
 function curve(points, options) {
@@ -327,17 +357,21 @@ async function toggleTake() {
 
 const generations = { x: [], best: [], mean: [] };
 
-async function converge({ generation, best, mean }) {
+function converge({ generation, best, mean }) {
   generations.x.push(generation);
   generations.best.push(best);
   generations.mean.push(mean);
   $("optimise-figures").textContent = `generation ${generation}: ${best.toFixed(2)} mm`;
+  return drawGenerations();
+}
+
+async function drawGenerations() {
   $("convergence").hidden = false;
   const Plotly = await needPlotly();
   Plotly.react("convergence", [
     { x: [...generations.x], y: [...generations.best], name: "best", mode: "lines", line: { color: COLOURS[0] } },
     { x: [...generations.x], y: [...generations.mean], name: "average", mode: "lines", line: { color: COLOURS[1] } },
-  ], layout({ xaxis: { title: { text: "generation" } }, yaxis: { title: { text: "mean error, mm" }, type: "log" } }), SETTINGS);
+  ], layout({ xaxis: { title: { text: "generation" } }, yaxis: { title: { text: "mean error, mm" }, type: "log", nticks: 6 } }), SETTINGS);
 }
 
 async function optimise(form) {
@@ -355,6 +389,10 @@ async function optimise(form) {
     name: stem, recordings: chosen, from_m: line[0], to_m: line[1], via: [via], duration_s: Number(form.elements.duration_s.value), seed: 0,
   });
   const [plan] = result.plans;
+  generations.best = result.history.best_cost_mm;  // all of them: on the way only some were told
+  generations.mean = result.history.mean_cost_mm;
+  generations.x = generations.best.map((_, i) => i);
+  await drawGenerations();
   $("optimise-figures").textContent = `genetic algorithm ${millimetres(result.ga.mean_error_mm)}, exact optimum ` +
     `${millimetres(result.exact.mean_error_mm)}; with ${plan.via} points the motion is predicted ` +
     `${millimetres(plan.predicted_mean_error_mm)} off on average, ${millimetres(plan.predicted_max_error_mm)} at most`;
@@ -363,7 +401,8 @@ async function optimise(form) {
 
 async function loadPlanChoice(wanted) {
   const { plans } = await request("/plans");
-  fill($("plan-choice"), plans.map((plan) => [plan.name, `${plan.name} (${millimetres(plan.predicted_mean_error_mm)} predicted)`]), wanted);
+  const known = plans.map((plan) => [plan.name, `${plan.name} (${millimetres(plan.predicted_mean_error_mm)} predicted)`]);
+  fill($("plan-choice"), known.length ? known : [["", "none yet: optimise first"]], wanted);
   controls();
 }
 
@@ -437,8 +476,12 @@ function rows(kind, items, figures) {
       shown[kind][box.checked ? "add" : "delete"](one.name);
       await drawCompare();
     }));
-    row.insertCell().append(box);
-    row.insertCell().textContent = one.name;
+    const label = document.createElement("label");
+    label.append(box, one.name);
+    const name = document.createElement("th");
+    name.scope = "row";
+    name.append(label);
+    row.append(name);
     figures(one).forEach((text) => { row.insertCell().textContent = text; });
     const button = document.createElement("button");
     button.type = "button";
@@ -453,7 +496,7 @@ function rows(kind, items, figures) {
   }
   if (!items.length) {
     const cell = body.insertRow().insertCell();
-    cell.colSpan = 6;
+    cell.colSpan = 5;
     cell.textContent = "none yet";
   }
 }
@@ -463,15 +506,16 @@ async function drawCompare() {
     ...[...shown.recordings].map(async (name) => [name, proper(await request(`/recordings/${encodeURIComponent(name)}`))]),
     ...[...shown.plans].map(async (name) => [name, (await request(`/plans/${encodeURIComponent(name)}`)).tool_m]),
   ]);
+  $("compare-hint").hidden = paths.length > 0;
+  $("compare-plots").hidden = paths.length === 0;
+  if (!paths.length) return;
   const line = wantedLine();
   const Plotly = await needPlotly();
   if (line) await drawDeviation("deviation", paths, ...line);
   const traces = paths.map(([name, path], i) => curve(path, { name, mode: "lines", line: { width: 5, color: COLOURS[i % COLOURS.length] } }));
   if (line) traces.push(curve(line, { mode: "lines", name: "line", line: { width: 3, color: colour("--red"), dash: "dash" } }));
-  const look = sceneLayout();
+  const look = sceneLayout(around([...paths.map(([, path]) => path), line || []]), 0);
   look.showlegend = true;
-  look.scene.xaxis.range = look.scene.yaxis.range = look.scene.zaxis.range = undefined;
-  look.scene.aspectmode = "data";
   await Plotly.react("paths", traces, look, SETTINGS);
 }
 
@@ -536,7 +580,9 @@ function view(name) {
 function wire() {
   $("stop").addEventListener("click", stop);
   document.addEventListener("keydown", (event) => {
-    if (event.key === "Escape") stop();
+    if (event.key !== "Escape") return;
+    if ($("confirm").open) $("confirm").close("no");
+    stop();
   });
   for (const button of document.querySelectorAll("nav button")) button.addEventListener("click", () => view(button.dataset.view));
   for (const button of document.querySelectorAll("[data-command]")) {
@@ -566,9 +612,9 @@ function wire() {
   $("plan-choice").addEventListener("change", controls);
   $("run").addEventListener("click", (event) => act(event.target, run));
   $("log-choice").addEventListener("change", (event) => act(null, () => showLog(event.target.value)));
-  $("log-download").addEventListener("click", (event) => { event.preventDefault(); act(null, download); });
+  $("log-download").addEventListener("click", (event) => act(event.target, download));
   $("scrub").addEventListener("input", (event) => scrubTo(Number(event.target.value)));
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawing = false; drawArm(); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
 }
 
 wire();
