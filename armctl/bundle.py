@@ -63,7 +63,7 @@ def _texts(config: Config, config_file: str) -> Iterator[tuple[str, Callable[[],
     yield "calibration.yaml", lambda: _read_calibration(config.arm)
     yield "status.json", lambda: _said((sys.executable, "-m", "armctl", "status", "--json"))
     yield "doctor.json", lambda: _said((sys.executable, "-m", "armctl", "doctor", "--json", *options))
-    yield "journal.txt", lambda: _said(("journalctl", "--unit=armctl", "--lines=2000", "--no-pager"))
+    yield "journal.txt", lambda: _said(("journalctl", "--unit=armctl", "--lines=2000", "--no-pager", "--no-hostname"))
 
 
 def versions() -> str:

@@ -128,7 +128,8 @@ def installation(
             str(prefix),
             "",
             "a system service cannot read a program in a home folder",
-            "python3 -m venv /opt/armctl && /opt/armctl/bin/pip install armctl, then /opt/armctl/bin/armctl install",
+            "python3 -m venv /opt/armctl && /opt/armctl/bin/pip install CHECKOUT_OR_WHEEL, then "
+            "/opt/armctl/bin/armctl install",
         )
     adapter = usb_adapter(Path(port), sysfs) if port else U2D2
     calibration = find_arm_file(arm)

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
+import json
+import textwrap
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from armctl.cli.output import Output, output_option
 from armctl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 TOPICS = {
@@ -85,38 +94,61 @@ def configuration_page() -> str:
         "# Configuration\n\nTwo YAML files, checked as a whole when they are read; wrong keys are named.\n",
         "## armctl.yaml\n\n`~/.config/armctl/armctl.yaml`, or `/etc/armctl/armctl.yaml` for the service. Every key "
         "has a default.\n",
-        _table(Config),
+        _keys(Config),
         "## log:\n",
-        _table(LogConfig),
+        _keys(LogConfig),
         "## calibration/NAME.yaml\n\nOne file an arm; see `armctl help new-arm`.\n",
-        _table(ArmConfig),
+        _keys(ArmConfig),
         "## joints: one entry a servo, from the base up\n",
-        _table(JointConfig),
+        _keys(JointConfig),
         "## compliance:\n",
-        _table(Compliance),
+        _keys(Compliance),
         "## gripper: the joint that grips, where the arm has one\n",
-        _table(GripperConfig),
+        _keys(GripperConfig),
     ]
     return "\n".join(blocks)
 
 
-def _table(model: type) -> str:
-    schema = model.model_json_schema()  # type: ignore[attr-defined]  # a pydantic model
+KINDS = {"string": "text", "integer": "whole number", "array": "list", "object": "names and values"}
+"""Type in JSON's words -> what a person calls it."""
+BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+
+
+def _keys(model: type[BaseModel]) -> str:
+    """A line a key: type, default, bounds, and what the source says about it."""
+    schema = model.model_json_schema()
     required = set(schema.get("required", ()))
-    rows = ["| key | type | default | bounds |", "|-|-|-|-|"]
+    said = attribute_docstrings(model)
+    rows = []
     for key, about in schema["properties"].items():
-        default = "required" if key in required else _shown(about.get("default"))
-        bounds = [
-            f"{sign} {about[word]:g}"
-            for word, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
-            if word in about
-        ]
-        kind = about.get("type") or ("one of " + ", ".join(map(str, about["enum"])) if "enum" in about else "see below")
-        rows.append(f"| `{key}` | {kind} | {default} | {', '.join(bounds)} |")
+        facts = [_kind(about), "required" if key in required else _default(about.get("default"))]
+        facts += [f"{sign} {about[word]:.15g}" for word, sign in BOUNDS.items() if word in about]
+        text = f". {said[key]}" if key in said else ""
+        rows.append(f"- `{key}` ({', '.join(filter(None, facts))}){text}")
     return "\n".join(rows) + "\n"
 
 
-def _shown(default: object) -> str:
-    if default in ("", None, {}):
-        return "empty"
-    return f"`{default}`" if not isinstance(default, dict) else "see below"
+def _kind(about: dict[str, Any]) -> str:
+    if "enum" in about:
+        return "one of " + ", ".join(map(str, about["enum"]))
+    kind = str(about.get("type", "see below"))
+    return KINDS.get(kind, kind)
+
+
+def _default(default: object) -> str:
+    """What stands where the key is left out; empty: nothing, or what is told below."""
+    if default in ("", None) or isinstance(default, dict):
+        return ""
+    return f"default {json.dumps(default)}"
+
+
+def attribute_docstrings(model: type) -> dict[str, str]:
+    """Attribute of a class -> the string that follows it in the source, as one line."""
+    [found] = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    assert isinstance(found, ast.ClassDef)
+    texts = {}
+    for attribute, following in itertools.pairwise(found.body):
+        match attribute, following:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                texts[name] = " ".join(text.split())
+    return texts

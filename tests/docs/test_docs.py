@@ -1,13 +1,16 @@
 """Every command and every Python example of the pages is run, in order, as it stands.
 
 A block's language says what it needs: `sh` a daemon on simulated servos, `sh port` the servos alone, `sh offline`
-nothing, `sh simulator` and `sh daemon` are the programs themselves. Real ports become the simulator's.
+nothing, `web` the dashboard as well; `sh simulator`, `sh daemon` and `sh dashboard` are the programs themselves. Real
+ports become the simulator's.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import shlex
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,9 +18,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import click
 import pytest
 
+from armctl.cli import cli
 from armctl.cli.help import DOCS, TOPICS, page
+from armctl.cli.processes import DEFAULT_LINK
 from armctl.config import load_arm
 from armctl.control.faults import CODES, NEXT, WHAT
 from armctl.demo import program
@@ -25,6 +31,8 @@ from armctl.demo import program
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 RUN_PAGES = ("start", "arm", "api", "new-arm")
 TIMEOUT_S = 110
+WIDEST_CODE = 78
+"""Columns: `armctl help` sets a space before and behind."""
 
 
 @dataclass
@@ -35,24 +43,43 @@ class Stand:
     programs: ExitStack = field(default_factory=ExitStack)
     running: str = ""
 
+    web_port: int = 0
+
     @property
     def port(self) -> Path:
-        return self.folder / "servos"
+        """Where `armctl sim` publishes its port when nothing else is said."""
+        return self.folder / "xdg_runtime_dir" / DEFAULT_LINK
 
     def need(self, what: str) -> None:
         if what == self.running:
             return
         self.programs.close()
         log = self.folder / "programs.log"
-        if what in ("port", "daemon"):
+        if what in ("port", "daemon", "web"):
             self.programs.enter_context(program(log, "sim", "--link", str(self.port), "--seed", "2"))
-        if what == "daemon":
+        if what in ("daemon", "web"):
             self.programs.enter_context(program(log, "daemon", "--port", str(self.port)))
+        if what == "web":
+            self._serve(log)
         self.running = what
+
+    def _serve(self, log: Path) -> None:
+        """The dashboard on a free port; what it printed stands in the file `address`."""
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.web_port = int(probe.getsockname()[1])
+        with log.open("a") as words:
+            command = [sys.executable, "-m", "armctl", "web", "--port", str(self.web_port)]
+            web = self.programs.enter_context(
+                subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True)
+            )
+        self.programs.callback(web.terminate)
+        assert web.stdout is not None
+        (self.folder / "address").write_text(web.stdout.readline())
 
     def shell(self, text: str) -> subprocess.CompletedProcess[str]:
         text = re.sub(r"/tmp/armctl-servos|/dev/ttyUSB0", str(self.port), text)
-        text = text.replace("--port PORT", f"--port {self.port}")
+        text = text.replace("--port PORT", f"--port {self.port}").replace(":8080/", f":{self.web_port}/")
         path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
         return subprocess.run(
             ["bash", "-e", "-o", "pipefail", "-c", text],
@@ -88,14 +115,16 @@ def test_what_a_page_says_to_type_works(topic: str, stand: Stand) -> None:
             (stand.folder / "arm.yaml").write_text(text)
             load_arm(str(stand.folder / "arm.yaml"))
         elif language == "python":
-            stand.need("daemon")
+            stand.need(needs.strip() or "daemon")
             (stand.folder / "example.py").write_text(text)
             done = stand.shell(f"{sys.executable} example.py")
             assert done.returncode == 0, done.stderr
         elif needs.strip() in ("simulator", "daemon"):
             stand.need("daemon")
             [command] = text.strip().splitlines()
-            assert command.startswith(("armctl sim ", "armctl daemon "))
+            assert command.split()[1] in ("sim", "daemon")
+        elif needs.strip() == "dashboard":
+            assert text.strip() == "armctl web > address &"
         else:
             stand.need(needs.strip() or "daemon")
             # The doctor may find something: exit status 1.
@@ -106,11 +135,41 @@ def test_what_a_page_says_to_type_works(topic: str, stand: Stand) -> None:
     assert ran
 
 
+def test_a_command_to_copy_fits_a_terminal_of_80_columns() -> None:
+    for path in DOCS.glob("*.md"):
+        for _, _, text in BLOCK.findall(path.read_text()):
+            assert max(map(len, text.splitlines())) <= WIDEST_CODE, f"{path}: {text}"
+
+
 def test_every_block_of_every_page_is_run_or_is_none_of_ours() -> None:
     for path in DOCS.glob("*.md"):
         if path.stem in RUN_PAGES or path.stem == "logs":  # whose commands have a test of their own
             continue
         assert not [text for language, _, text in BLOCK.findall(path.read_text()) if language in ("sh", "python")], path
+
+
+def readme_commands() -> list[str]:
+    """What README says to type, comments left out."""
+    text = (DOCS.parent.parent / "README.md").read_text().replace("\\\n", " ")
+    return [" ".join(line.split("#")[0].split()) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
+
+
+def test_what_readme_says_to_type_is_right() -> None:
+    typed = [part.strip() for line in readme_commands() for part in re.split("[&;]", line)]
+    commands = [shlex.split(part)[1:] for part in typed if part.startswith("armctl ")]
+    assert len(commands) > 20
+    for words in commands:
+        name, command = words[0], cli.get_command(click.Context(cli), words[0])
+        assert command is not None, name
+        words = [{"$A": "0.18,-0.125,0.10", "$B": "0.18,0.125,0.10"}.get(word, word) for word in words[1:]]
+        command.make_context(name, words)  # raises for an option or an argument that there is not
+
+
+def test_the_five_minutes_of_readme_are_those_that_are_run() -> None:
+    start = (DOCS / "start.md").read_text().splitlines()
+    first, last = (readme_commands().index(one) for one in ("armctl sim", "armctl run line.json"))
+    for command in readme_commands()[first : last + 1]:
+        assert command in start, command
 
 
 def test_every_page_is_a_topic_and_every_topic_a_page() -> None:
@@ -129,5 +188,6 @@ def test_the_page_of_the_configuration_names_every_key() -> None:
 
     text = page("configuration")
     for model in (Config, LogConfig, ArmConfig, JointConfig):
-        assert all(f"| `{key}` |" in text for key in model.model_fields)
-    assert "> 0" in text
+        assert all(f"- `{key}` (" in text for key in model.model_fields)
+    assert "- `quota_bytes` (whole number, default 4294967296, ≥ 1048576). What all finished logs together may" in text
+    assert "- `arm_id` (text, required)" in text
