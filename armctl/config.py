@@ -44,24 +44,36 @@ class Compliance(_Frozen):
     """Position-control registers of one servo, in register units."""
 
     margin: int = Field(1, ge=0, le=254)
+    """Ticks around the goal within which the motor does nothing."""
     slope: int = Field(32, ge=1, le=254)
+    """Ticks over which torque grows to its full value; the servo rounds it down to 2, 4, 8, ..., 128."""
     punch: int = Field(32, ge=0, le=1023)
+    """Torque at the edge of the margin, of 1023."""
 
 
 class JointConfig(_Frozen):
     """One servo and the joint it turns: position_rad = direction * (tick - zero_tick) * TICK_RAD."""
 
     name: Name
+    """Of the joint, wherever one is shown or asked for."""
     servo_id: int = Field(ge=0, le=253)
+    """Its ID on the bus."""
     direction: Literal[1, -1] = 1
+    """-1 where the servo is mounted the other way round."""
     zero_tick: float = Field(512.0, ge=-1023.0, le=2046.0)
+    """What the servo reads at joint position 0; `armctl calibrate` finds it."""
     limits_deg: tuple[Degrees, Degrees] = Field(strict=False)
+    """Lowest and highest joint position of any goal."""
     speed_limit_deg_s: float = Field(60.0, gt=0.0, le=354.0)
+    """No motion asks more of the joint."""
     acceleration_limit_deg_s2: float = Field(400.0, gt=0.0, le=20000.0)
+    """No plan asks more of the joint."""
     rest_deg: Degrees = 0.0
+    """Where the joint lies when the arm is parked, and may go limp."""
     torque_limit_ratio: float = Field(1.0, gt=0.0, le=1.0)
     """Fraction of full torque the daemon allows once the arm holds."""
     compliance: Compliance = Compliance()
+    """How stiffly the servo holds."""
 
     @model_validator(mode="after")
     def _check(self) -> JointConfig:
@@ -113,8 +125,11 @@ class GripperConfig(_Frozen):
     """The joint that grips. It moves no tool point, and gets from open to closed unless something is in between."""
 
     joint: Name
+    """Its name among the joints."""
     open_deg: Degrees
+    """Where it has let go."""
     closed_deg: Degrees
+    """Where it is closed with nothing in between."""
     load_ratio: float = Field(0.3, ge=0.15, le=0.5)
     """The load that tells a grip, and that holds it: above friction, below what makes the servo hot."""
 
@@ -123,7 +138,9 @@ class ArmConfig(_Frozen):
     """One physical arm: its servos, their calibration and the robot model they form."""
 
     arm_id: Name
+    """Of this one arm; recordings, plans and logs carry it, and another arm refuses them."""
     robot: Name
+    """Kinematic model, one of `armctl robots`."""
     lengths_m: dict[str, float] = {}
     """Link lengths that differ from the robot's own, by the robot's parameter names."""
     floor_m: float = 0.0
@@ -131,12 +148,15 @@ class ArmConfig(_Frozen):
     link_radius_m: float = Field(0.025, gt=0.0, le=0.5)
     """How thick the links are all round, for what may touch; half the longest side of an AX-12A."""
     tool_speed_limit_m_s: float = Field(0.25, gt=0.0, le=2.0)
+    """No motion moves the tool point faster; while teaching, a faster hand is warned."""
     voltage_V: tuple[float, float] = Field((9.0, 13.0), strict=False)
     """Supply voltage outside which the arm goes to rest."""
     temperature_limit_degC: float = Field(65.0, gt=0.0, le=80.0)
     """Temperature from which the arm goes to rest, before a servo's own trip drops it."""
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
+    """From the base to the tool."""
     gripper: GripperConfig | None = None
+    """What `reach --grip` closes."""
 
     @model_validator(mode="after")
     def _check_gripper(self) -> ArmConfig:
@@ -195,7 +215,9 @@ class LogConfig(_Frozen):
     """Where logs go and when a file is full."""
 
     rotate_s: float = Field(3600.0, ge=1.0)
+    """A file is finished, and the next begun, after this long."""
     rotate_bytes: int = Field(128 * 2**20, ge=2**16)
+    """And when it holds this much."""
     free_bytes: int = Field(256 * 2**20, ge=0)
     """Logging stops, and control goes on, when less than this is free and no old log is left to delete."""
     quota_bytes: int = Field(4 * 2**30, ge=2**20)
@@ -212,15 +234,18 @@ class Config(_Frozen):
     port: str = ""
     """Serial device, or the link of a simulator; empty: the --port option must name one."""
     baud: int = Field(1_000_000, ge=7_843, le=1_000_000)
+    """Bit rate of the servos."""
     arm: str = "ax12-line"
     """Name of a file in `calibration/`, or a path."""
     period_s: float = Field(0.1, ge=0.01, le=1.0)
+    """Of the control tick."""
     data_dir: str = ""
     """Folder of logs, recordings and plans; empty: below the user's XDG data folder."""
     commanders: tuple[UserOrGroup, ...] = Field((), strict=False)
     """Users, and groups as @name, who may command; others that reach the socket may look, and stop the arm. Empty:
     everybody who reaches it."""
     log: LogConfig = LogConfig()
+    """Bounds of the log."""
 
 
 class _StrictLoader(yaml.SafeLoader):

@@ -3,9 +3,11 @@ from __future__ import annotations
 import json
 
 import pytest
+from pydantic import BaseModel
 
 from armctl.cli import _COMMANDS, cli, main
-from armctl.cli.help import TOPICS
+from armctl.cli.help import TOPICS, attribute_docstrings
+from armctl.config import ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig
 
 
 def test_help_lists_its_topics(capsys: pytest.CaptureFixture[str]) -> None:
@@ -34,3 +36,8 @@ def test_every_command_explains_itself_within_80_columns(command: str, capsys: p
     told = capsys.readouterr().out
     assert told.startswith("Usage: ")
     assert max(map(len, told.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("model", [ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig])
+def test_every_key_says_what_it_is_for(model: type[BaseModel]) -> None:
+    assert set(attribute_docstrings(model)) >= set(model.model_fields)
