@@ -42,6 +42,8 @@ from armctl.trajectory.plan import LEAD_RAD, LEAD_SHARE, Plan, joint_trajectory,
 from armctl.trajectory.straightness import distance_to_line, max_error, mean_error
 
 GAINS = (0.8, 0.6, 0.5, 0.4, 0.35, 0.3)
+LESS = 0.5
+"""Of the gain, after each plan in a row that was not kept: stiction answers a large correction with a jump."""
 RUNS = 2
 """How often a plan is run before it may be kept."""
 SMOOTH_S = 0.25
@@ -369,7 +371,7 @@ def refine(rig: Rig, first: Round, rounds: int, show: Callable[[Round], None] = 
     done = [best]
     unkept = 0
     for number in range(first.number + 1, first.number + 1 + rounds):
-        gain = GAINS[min(len(done), len(GAINS)) - 1]
+        gain = GAINS[min(len(done), len(GAINS)) - 1] * LESS**unkept
         course = learn(rig, best, gain)
         try:
             one = run(rig, course, plan_of(rig, course, first.plan.seed), number)

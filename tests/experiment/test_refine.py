@@ -218,6 +218,25 @@ def test_smoothing_keeps_what_is_constant_and_averages_noise() -> None:
     assert refine.smoothed(noise, 0.1).std() < 0.5
 
 
+def test_a_correction_that_did_not_help_is_tried_again_at_half_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+    on, gains = rig(), []
+    first = refine.first_run(on, refine.courses(on, LINE, 2, None, ways()), None, 0)
+    seen = iter([5.0, 8.0, 3.0, 6.0, 6.0])  # kept, worse, kept, worse, worse
+
+    def learn(_rig: object, last: refine.Round, gain: float) -> refine.Course:
+        gains.append(gain)
+        return last.course
+
+    def run(_rig: object, course: refine.Course, plan: Plan, number: int) -> refine.Round:
+        return replace(first, course=course, plan=plan, number=number, run_mm=(next(seen),))
+
+    monkeypatch.setattr(refine, "learn", learn)
+    monkeypatch.setattr(refine, "run", run)
+    monkeypatch.setattr(refine, "again", lambda _rig, one: replace(one, run_mm=one.run_mm * 2))
+    refine.refine(on, replace(first, run_mm=(9.0, 9.0)), 5)
+    assert gains == [0.8, 0.6, 0.25, 0.4, 0.175]
+
+
 @pytest.mark.parametrize("seed", [2, 5])
 def test_the_tool_does_not_slow_down_at_via_points_and_they_cost_no_time(seed: int) -> None:
     on, durations_s = rig(seed), []
