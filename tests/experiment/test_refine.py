@@ -232,7 +232,7 @@ def test_a_correction_that_did_not_help_is_tried_again_at_half_the_gain(monkeypa
 
     monkeypatch.setattr(refine, "learn", learn)
     monkeypatch.setattr(refine, "run", run)
-    monkeypatch.setattr(refine, "again", lambda _rig, one: replace(one, run_mm=one.run_mm * 2))
+    monkeypatch.setattr(refine, "again", lambda _rig, one: replace(one, runs=one.runs * 2, run_mm=one.run_mm * 2))
     refine.refine(on, replace(first, run_mm=(9.0, 9.0)), 5)
     assert gains == [0.8, 0.6, 0.25, 0.4, 0.175]
 
