@@ -401,5 +401,9 @@ def command_from_json(text: str) -> Command:
     Raises:
         ValueError: the text is no command.
     """
-    command: Command = _adapter(Annotated[Command, Field(discriminator="kind")]).validate_python(json.loads(text))
+    command: Command = _adapter(_BY_KIND).validate_python(json.loads(text))
     return command
+
+
+_BY_KIND = Annotated[Command, Field(discriminator="kind")]
+"""One object for all calls: another one would be another type, with an adapter of its own that is kept for ever."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from armctl import messages
 from armctl.config import Config
 from armctl.kinematics import robots
 from armctl.messages import (
@@ -39,6 +40,15 @@ TURN = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
 )
 def test_a_command_survives_json_bit_for_bit(command: Command) -> None:
     assert command_from_json(to_json(command)) == command
+
+
+def test_reading_commands_leaves_nothing_behind() -> None:
+    text = to_json(Pause(1))
+    command_from_json(text)
+    known = messages._adapter.cache_info().currsize
+    for _ in range(20):
+        command_from_json(text)
+    assert messages._adapter.cache_info().currsize == known
 
 
 def test_a_log_with_every_command_replays_without_a_mismatch(tmp_path: Path) -> None:
