@@ -61,7 +61,10 @@ def adopt(s: Tick) -> None:
         return
     powered = [registers is not None and registers.torque_enabled for registers in s.registers]
     s.state = replace(s.state, adopted=True)
-    if all(powered) and (weak := weak_joints(s)):
+    tripped = [i for i, registers in enumerate(s.registers) if registers is not None and registers.torque_limit == 0]
+    if any(powered) and tripped:
+        latch_servo(s, "TRIPPED", tripped[0], "found shut down (torque limit 0) while other servos hold")
+    elif all(powered) and (weak := weak_joints(s)):
         limit = s.registers[weak[0]].torque_limit  # type: ignore[union-attr]  # it shows torque
         latch_servo(s, "LOST_TORQUE", weak[0], f"found with torque limit {limit}: its torque-on was interrupted")
     elif all(powered):

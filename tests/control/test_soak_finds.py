@@ -141,3 +141,14 @@ def test_a_servo_that_falls_silent_during_torque_on_leaves_a_fault_that_release_
     arm.run_tick()
     arm.run_tick(Clear(4))
     assert (arm.mode(), arm.replies[4].ok) == (Mode.OFF, True)
+
+
+@pytest.mark.parametrize("enabled", [0, 1])
+def test_a_servo_that_shut_itself_down_while_nobody_was_in_charge_is_found_tripped(enabled: int) -> None:
+    arm = IdealArm().power()
+    arm.put(3, ax12a.TORQUE_LIMIT, 0)
+    arm.put(3, ax12a.TORQUE_ENABLE, enabled)  # the manuals differ on whether it drops this too
+    arm.connect()
+    assert arm.state.fault is not None
+    assert (arm.mode(), arm.state.fault.code, arm.state.fault.servo_id) == (Mode.FAULTED, "TRIPPED", 4)
+    assert arm.goals == []
