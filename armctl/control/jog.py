@@ -83,8 +83,8 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         # While one is unheard, a goal would energise a servo that has just restarted. The arm waits, at rest.
         s.state = replace(s.state, jog=replace(jog, velocity_rad_s=(0.0,) * len(jog.position_rad)))
         return None
-    wanted = jog.joints_rad_s or joint_velocities(s.robot, jog.position_rad, jog.tool_m_s)
-    velocity = _slower(s.arm, s.robot, jog, wanted)
+    J = _linear_jacobian(s.robot, jog.position_rad)
+    velocity = _slower(s.arm, J, jog.joints_rad_s or _joint_velocities(J, jog.tool_m_s, len(jog.position_rad)))
     # All joints change speed in the same proportion, which keeps a tool on its line from the start.
     changes = [b - a for a, b in zip(jog.velocity_rad_s, velocity, strict=True)]
     most = max(map(abs, changes))
@@ -107,7 +107,16 @@ def joint_velocities(robot: Robot, q: Sequence[float], tool_m_s: Sequence[float]
 
     Written out, because a linear algebra library may round differently on another machine, and logs are replayed there.
     """
+    return _joint_velocities(_linear_jacobian(robot, q), tool_m_s, len(q))
+
+
+def _linear_jacobian(robot: Robot, q: Sequence[float]) -> list[list[float]]:
+    """Rows x, y, z of the tool point's velocity for each joint of the chain [m/rad]."""
     J: list[list[float]] = jacobian(robot.chain, np.array(q[: robot.chain.n]))[:3].tolist()
+    return J
+
+
+def _joint_velocities(J: list[list[float]], tool_m_s: Sequence[float], joints: int) -> list[float]:
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(x * y for x, y in zip(row, column, strict=True)) for column in J] for row in J
     )
@@ -119,18 +128,16 @@ def joint_velocities(robot: Robot, q: Sequence[float], tool_m_s: Sequence[float]
     x, y, z = tool_m_s
     force = (A * x + B * y + C * z, B * x + D * y + E * z, C * x + E * y + F * z)
     velocities = [
-        sum(row[i] * value for row, value in zip(J, force, strict=True)) / determinant for i in range(robot.chain.n)
+        sum(row[i] * value for row, value in zip(J, force, strict=True)) / determinant for i in range(len(J[0]))
     ]
-    return velocities + [0.0] * (len(q) - robot.chain.n)
+    return velocities + [0.0] * (joints - len(velocities))
 
 
-def _slower(arm: ArmConfig, robot: Robot, jog: Jogging, velocity: Sequence[float]) -> list[float]:
+def _slower(arm: ArmConfig, J: list[list[float]], velocity: Sequence[float]) -> list[float]:
     """The velocity scaled down as a whole to what joints and tool may do."""
     ratio = max(
         abs(v) / min(SPEED_RAD_S, joint.speed_limit_rad_s) for v, joint in zip(velocity, arm.joints, strict=True)
     )
-    n = robot.chain.n
-    J = jacobian(robot.chain, np.array(jog.position_rad[:n]))[:3].tolist()
     tool_m_s = math.hypot(*(sum(x * v for x, v in zip(row, velocity, strict=False)) for row in J))
     ratio = max(1.0, ratio, tool_m_s / arm.tool_speed_limit_m_s)
     return [v / ratio for v in velocity]
