@@ -95,7 +95,11 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("the host's death is ignored", REQUESTS, ('finish_motion(s, "HOST_LOST", "")', "pass")),
     _m("a late tick is ignored", SEQUENCES, ('stop_motion(s, "LATE")', "pass")),
     _m("sign of direction", SEQUENCES, ("round(joint.tick(position))", "round(joint.tick(-position))")),
-    _m("torque-on without a goal", SEQUENCES, ("send_goal(s, anchor)  #", "pass  #")),
+    _m("torque-on without a goal", REQUESTS, (
+        "    send_goal(s, ticks)\n    s.state = replace(s.state, request_id=request_id, anchor=tuple(ticks))",
+        "    held = tuple(r.goal for r in s.registers if r)\n"
+        "    s.state = replace(s.state, request_id=request_id, anchor=held)",
+    )),
     _m("torque-on without a soft limit", REQUESTS, ("            (ax12a.TORQUE_LIMIT, SOFT_TORQUE),\n", "")),
     _m("torque-on at a goal of its own", REQUESTS, (
         "ticks.append(min(max(registers.position, low), high))",
@@ -272,14 +276,13 @@ def main(seed: int, episodes: int) -> None:
     """The first violation among some episodes, as JSON on stdout: what runs inside a copy."""
     import logging
 
-    from armctl.proving.episode import stage
-    from armctl.proving.soak import play
+    from armctl.proving.episode import Episode, stage
     from armctl.proving.story import draw
 
     logging.disable(logging.CRITICAL)
     on, violation = stage(), ""
     for episode in range(episodes):
-        found = play(draw(seed, episode, on.arm), on).violations
+        found = Episode(draw(seed, episode, on.arm), on).play().violations
         if found:
             violation = f"episode {episode}, invariant {found[0].invariant}: {found[0].text}"
             break

@@ -101,6 +101,27 @@ def test_torque_on_softens_and_sets_the_goal_before_it_enables() -> None:
     assert arm.replies[1].ok
 
 
+def test_torque_comes_on_where_goals_follow_limp_shafts_that_are_not_quite_where_they_were() -> None:
+    arm = IdealArm()
+
+    def follow(arm: IdealArm) -> None:
+        for index in range(6):
+            if not arm.get(index, ax12a.TORQUE_ENABLE):
+                arm.put(index, ax12a.GOAL, arm.get(index, ax12a.PRESENT_POSITION))
+            elif arm.get(index, ax12a.TORQUE_LIMIT) == SOFT_TORQUE and arm.state.phase == 0:
+                # What a goal does not energise is limp still, and one tick off by noise.
+                arm.put(index, ax12a.TORQUE_ENABLE, 0)
+                arm.put(index, ax12a.GOAL, arm.get(index, ax12a.PRESENT_POSITION) + 1)
+
+    arm.after_write = follow
+    arm.connect()
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    assert not arm.get(0, ax12a.TORQUE_ENABLE)
+    arm.run_ticks(12)
+    assert (arm.mode(), arm.replies[1].ok) == (Mode.HOLDING, True)
+
+
 def test_a_servo_that_does_not_take_its_limit_makes_torque_on_back_out() -> None:
     arm = IdealArm().connect()
     arm.run_tick()
