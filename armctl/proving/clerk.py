@@ -56,6 +56,9 @@ PATIENCE_S = 60.0
 FAST_SHARE = 0.97
 """Of a joint's speed limit, in the fastest runs."""
 POSTURES = 64
+WRONG_SHARE = 0.2
+"""How often a run is asked for first that must be refused."""
+ELSEWHERE_RAD = 0.2
 LEAN_TICKS = 27
 """At the default compliance 82 % of a servo's output, and 7.9 deg."""
 LEAN_S = 4.0
@@ -107,8 +110,12 @@ class Clerk:
         """The program in charge is gone: whatever was asked for is void."""
         self._record, self._doing = None, None
 
-    def persisting(self) -> str:
-        """Why no fault can be cleared now, as the simulator knows; empty: nothing that must forbid it."""
+    def persisting(self, energising: bool = False) -> str:
+        """Why no fault can be cleared now, as the simulator knows; empty: nothing that must forbid it.
+
+        Args:
+            energising: Whether the same tick has begun to switch torque on: what little there is comes from that.
+        """
         faults, servos = self._episode.body.faults, self._episode.body.servos
         for kind in ("mute", "dead_bus", "unplug"):
             planned = faults.in_force(kind)
@@ -121,7 +128,7 @@ class Clerk:
         quiet = not any(self._under_way(kind) for kind in ("brown_out", "trip", "second_writer"))
         if any(on) and not all(on) and quiet:
             return "some servos are limp while others hold"
-        if self._weak():
+        if self._weak() and not energising:
             return "a servo holds with a part of its torque"
         return ""
 
@@ -261,6 +268,8 @@ class Clerk:
         yield from self._power_up(rng)
         if self._mode is not Mode.HOLDING or self._code:
             return
+        if rng.random() < WRONG_SHARE and (wrong := self._wrong(rng)) is not None:
+            yield from self._ask(Run(self._id(), wrong), 1.0)
         trajectory = self._trajectory(rng)
         if trajectory is None:
             return
@@ -274,6 +283,19 @@ class Clerk:
             if self._code or request.request_id in self._replies:
                 return
             yield from self._aside(rng)
+
+    def _wrong(self, rng: np.random.Generator) -> JointTrajectory | None:
+        """A run that must be refused: one that starts elsewhere, is too fast or, now and then, holds no number."""
+        q_now = self._commanded()
+        if q_now is None:
+            return None
+        what = rng.random()
+        if what < 0.3:
+            return JointTrajectory(PERIOD_S, (tuple(q_now), (math.nan, *q_now[1:])), label="no number")
+        if what < 0.65:
+            return self._draw_trajectory(rng, np.array(q_now) + ELSEWHERE_RAD * rng.choice((-1.0, 1.0)))
+        way = self._draw_trajectory(rng, np.array(q_now))
+        return JointTrajectory(PERIOD_S / 4.0, way.positions_rad, label="too fast")
 
     def _aside(self, rng: np.random.Generator) -> Doing:
         """Something said during a run."""

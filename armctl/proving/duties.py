@@ -85,6 +85,8 @@ class Duty:
     """Whether `clear` ends it, else the next motion asked for."""
     invariant: str
     why: str
+    by_release: bool = False
+    """Whether an arm that is let go on request, before anybody had to latch, is past it: what took its torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +115,18 @@ class Duties:
         self._hand_s = -math.inf
         """When a hand was last at the arm."""
 
-    def must_stop(self, from_s: float, why: str, *, until_s: float = math.inf, by_clear: bool, invariant: str) -> None:
+    def must_stop(
+        self,
+        from_s: float,
+        why: str,
+        *,
+        until_s: float = math.inf,
+        by_clear: bool,
+        by_release: bool = False,
+        invariant: str,
+    ) -> None:
         """Add a duty."""
-        self._duties.append(Duty(from_s, until_s, by_clear, invariant, why))
+        self._duties.append(Duty(from_s, until_s, by_clear, invariant, why, by_release))
 
     def must_report(self, by_s: float, what: str, codes: frozenset[str] = frozenset()) -> None:
         """A fault has to be reported by then, under one of the codes (none: any will do)."""
@@ -138,12 +149,20 @@ class Duties:
         """The user has cleared the fault."""
         self._duties = [duty for duty in self._duties if not duty.by_clear]
 
+    def let_go(self) -> None:
+        """The arm is limp on request, and no fault is reported."""
+        self._duties = [duty for duty in self._duties if not duty.by_release]
+
     def reported(self, code: str) -> list[str]:
         """A fault is latched: whichever it is, it was noticed; what was to be reported under another code, if alone."""
         alone = len(self._faults) == 1
         wrong = [what for _, what, codes in self._expected if alone and codes and code not in codes]
         self._expected.clear()
         return wrong
+
+    def may_restart(self) -> bool:
+        """Whether a servo may restart, or have restarted just now."""
+        return any(fault.kind == "brown_out" for _, _, fault in (*self._faults, *self._planned))
 
     def nobody_reports(self) -> None:
         """Nobody is there who could report a fault, or there is no torque any more."""
@@ -216,7 +235,8 @@ class Duties:
                 report_within_s = None if known.mode is Mode.OFF else LATCH_S
             else:
                 until_s = end_s
-        elif fault.kind == "unplug" and lasts_s > self._period_s:
+        elif fault.kind == "unplug" and lasts_s > 2.0 * self._period_s:
+            # A tick that identifies the servos may cost the next one: a shorter absence may fall where nobody asks.
             stop_within_s = report_within_s = self._period_s
         elif not powered:
             return
@@ -231,7 +251,8 @@ class Duties:
         what = f"{fault.kind} for {lasts_s:.2f} s"
         if stop_within_s is not None:
             from_s = begin_s + stop_within_s + STOP_S
-            self.must_stop(from_s, what, until_s=until_s, by_clear=until_s == math.inf, invariant="6")
+            by_clear, by_release = until_s == math.inf, fault.kind in MOVES_ARM
+            self.must_stop(from_s, what, until_s=until_s, by_clear=by_clear, by_release=by_release, invariant="6")
         if report_within_s is not None and not known.latched:
             self.must_report(begin_s + report_within_s + REPORT_SLACK_S, what, CODES[fault.kind])
 

@@ -169,7 +169,7 @@ class Judge:
             self._duties.motion_asked()
         if kind in ("release", "teach"):
             self._duties.nobody_reports()
-        if kind == "torque_on" and not self._code:
+        if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
             self._torque_asked_s = now_s
         if kind in ("hold", "host_lost") or (kind == "pause" and self._mode is Mode.MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
@@ -196,8 +196,12 @@ class Judge:
         for unless_settling in self._unless_settling if code not in SETTLING else ():
             self._violate(*unless_settling)
         self._unless_settling.clear()
+        if code:
+            self._torque_asked_s = -math.inf
         if code and code != self._code:
-            self._fault_s, self._torque_asked_s = now_s, -math.inf
+            self._fault_s = now_s
+            if code == "LOST_TORQUE":
+                self._watch_tripped(now_s)
             for what in self._duties.reported(code):
                 self._violate("rows", now_s, -1, f"{what} is reported as {code}")
             if code in SETTLING:
@@ -210,6 +214,8 @@ class Judge:
             self._sent = [None] * len(self._sent)
             if cause:
                 self._violate("7", now_s, -1, f"{self._code} was cleared although {cause}")
+        elif not code and mode in (Mode.OFF, Mode.TEACHING):
+            self._duties.let_go()
         for unless_cleared in self._unless_cleared if code else ():
             self._violate(*unless_cleared)
         self._unless_cleared.clear()
@@ -318,8 +324,11 @@ class Judge:
         if now.limit > SOFT_LIMIT or now.speed == 0:
             text = f"torque came on with limit {now.limit} (bound {SOFT_LIMIT:.0f}), speed {now.speed} (not 0)"
             self._violate("3", now_s, i, text)
+        text = "torque came on, which nobody asked for since the last fault"
         if not self._energising(now_s):
-            self._violate("4", now_s, i, "torque came on, which nobody asked for since the last fault")
+            self._violate("4", now_s, i, text)
+        elif self._code:  # asked for behind a `clear` of the same tick
+            self._unless_cleared.append(("4", now_s, i, text))
 
     def _released(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
         self._sent[i] = None
@@ -382,13 +391,22 @@ class Judge:
             elif self._dead is not None and now_s - self._dead[0] > DEAD_S:
                 self._watch_dead(now_s, servos, before, self._dead[1])
 
+    def _watch_tripped(self, now_s: float) -> None:
+        """Servos that shut themselves down say so by their torque limit: the card is another than for lost torque."""
+        limits = [servo.limit for servo in self._before if not servo.torque]
+        if limits and not any(limits) and self._mode in POWERED and not self._duties.may_restart():
+            self._violate("rows", now_s, -1, "a servo that shut itself down is reported as LOST_TORQUE")
+
     def _watch_strain(self, now_s: float, i: int, away_ticks: float) -> None:
-        """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported."""
-        if away_ticks <= BLOCKED_TICKS:
+        """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported.
+
+        It counts from when a program watches for it: one that has just adopted the arm knows of nothing before.
+        """
+        if away_ticks <= BLOCKED_TICKS or self._mode not in POWERED or self._code:
             self._far_s[i] = math.inf
         elif self._far_s[i] == math.inf:
             self._far_s[i] = now_s
-        elif now_s - self._far_s[i] > BLOCKED_S + self._period_s and self._mode in POWERED and not self._code:
+        elif now_s - self._far_s[i] > BLOCKED_S + self._period_s:
             self._far_s[i] = now_s
             what = f"{self._names[i]} over 8 deg from its goal for 0.3 s"
             self._duties.must_report(now_s + REPORT_SLACK_S, what)

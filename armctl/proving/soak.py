@@ -4,34 +4,40 @@ One seed makes all episodes (`story.py`); each is played by itself (`episode.py`
 many worker processes as asked for. The first that fails is shrunk to a short story, told in plain words beside the
 one command that repeats it.
 
-Beyond what the judge sees in each episode: some are played twice and must say the same on the wire (invariant 13), the
-step is run again on some of their inputs and must say the same (replay), and a worker's open files stay the same and
-its memory within 1 MiB a simulated day and what its allocator keeps (invariant 14).
+Beyond what the judge sees in each episode: every step is run again on its inputs and must say the same (replay); some,
+and all that fail, are played twice, must say the same on the wire (invariant 13), and their log is written and replayed
+as `armctl logs` would; and a worker's open files stay the same and its memory within 1 MiB a simulated day and what its
+allocator keeps (invariant 14).
 """
 
 from __future__ import annotations
 
 import gc
 import logging
+import math
 import multiprocessing
 import os
 import resource
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from armctl.control.machine import State
-from armctl.control.step import step
-from armctl.messages import TickRecord, from_json, to_json
+from armctl.config import Config
+from armctl.messages import Command, Run, SetRate, TickRecord
 from armctl.proving.episode import PERIOD_S, Episode, Outcome, Stage, stage
+from armctl.proving.invariants import Violation
 from armctl.proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink
+from armctl.recording import replay
+from armctl.recording.writer import LogContext, LogWriter
 
 SEED = 1
 TWICE_EVERY = 40
-"""Of so many episodes one is played twice, and its steps repeated; as is each worker's first."""
+"""Of so many episodes one is played twice, and its log replayed; as is each worker's first, and every failure."""
 SHRINK_S = 120.0
 MIB_PER_DAY = 1.0
 SLACK_MIB = 8.0
@@ -92,33 +98,57 @@ class Tally:
 
 
 def play(story: Story, on: Stage, *, twice: bool = False) -> Outcome:
-    """One episode; with `twice` also what must come out the same again."""
-    outcome = Episode(story, on, keep_records=twice).play()
-    if twice and not outcome.violations:
-        again = Episode(story, on)
-        if again.play().wire != outcome.wire:
-            again.judge.found(outcome.virtual_s, "13", "the same seed gave other bytes on the wire")
-        if (tick := first_mismatch(outcome.records, on)) is not None:
-            again.judge.found(outcome.virtual_s, "replay", f"the step, run again, differs at tick {tick}")
-        outcome.violations += again.judge.violations
-    outcome.records.clear()
+    """One episode; with `twice` also what must come out the same again, and its log (as that of every failure)."""
+    outcome = Episode(story, on).play()
+    if not (twice or outcome.violations):
+        return outcome
+    with EpisodeLog(on) as log:
+        other = Episode(story, on, log=log.take).play()
+        mismatch = log.mismatch()
+    if other.wire != outcome.wire:
+        outcome.violations.append(Violation("13", outcome.virtual_s, "the same seed gave other bytes on the wire"))
+    if mismatch:
+        outcome.violations.append(Violation("replay", outcome.virtual_s, mismatch))
     return outcome
 
 
-def first_mismatch(records: list[TickRecord], on: Stage) -> int | None:
-    """The first record that the step does not give again from the logged inputs; None: there is none."""
-    state = State()
-    for index, record in enumerate(records):
-        if record.inputs.tick == 0:
-            state = State()
-        state, outputs = step(state, record.inputs, on.arm, on.robot, PERIOD_S)
-        if to_json(outputs) != to_json(record.outputs):
-            return index
-        if record.keyframe:
-            if to_json(state) != record.keyframe:
-                return index
-            state = from_json(State, record.keyframe)
-    return None
+class EpisodeLog:
+    """The log of an episode, on disk while it is open, and its replay.
+
+    It ends at the first command with a NaN or an infinity: none comes through the socket, and no log can hold one.
+    From there on the episode's own repetition of every step has to do.
+    """
+
+    def __init__(self, on: Stage) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="armctl-soak-")
+        self._path = Path(self._folder.name) / "episode.mcap"
+        self._writer = LogWriter(self._path, LogContext(on.arm, on.robot, Config(), "loopback", PERIOD_S))
+        self._ticks = 0
+        self._over = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._folder.cleanup()
+
+    def take(self, record: TickRecord) -> None:
+        """The next record."""
+        self._over |= not all(map(_finite, record.inputs.commands))
+        if not self._over:
+            self._writer.write_tick(record)
+            self._ticks += 1
+
+    def mismatch(self) -> str:
+        """Close it and replay it; the first message that differs, or empty."""
+        self._writer.close()
+        return replay.check(self._path).first_mismatch if self._ticks else ""
+
+
+def _finite(command: Command) -> bool:
+    if isinstance(command, Run):
+        return all(map(math.isfinite, chain.from_iterable(command.trajectory.positions_rad)))
+    return not isinstance(command, SetRate) or math.isfinite(command.rate)
 
 
 _stage: Stage | None = None
@@ -258,11 +288,13 @@ def tell_story(seed: int, episode: int, budget_s: float, tell: Callable[[str], N
     wanted = first.violations[0].invariant
 
     def fails_at_s(shorter: Story) -> float | None:
-        found = [v for v in play(shorter, on, twice=wanted in ("13", "replay")).violations if v.invariant == wanted]
+        twice = wanted in ("13", "replay")
+        outcome = play(shorter, on, twice=True) if twice else Episode(shorter, on).play()
+        found = [v for v in outcome.violations if v.invariant == wanted]
         return found[0].time_s if found else None
 
     short = shrink(story, fails_at_s, budget_s)
-    outcome = play(short, on)
+    outcome = Episode(short, on).play()
     tell(f"episode {episode}, {len(story.lines)} lines, shrunk to {len(short.lines)}:")
     told, often = "", 0
     for at_s, text in outcome.told:

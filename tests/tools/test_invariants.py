@@ -420,12 +420,73 @@ def test_a_fault_that_nobody_reports_or_under_another_code(kind: str, code: str,
     assert bench.broken == (set() if told == "well" else {"rows"})
 
 
+@pytest.mark.parametrize(("limit", "broken"), [(0, {"rows"}), (1023, set())])
+def test_a_servo_that_shut_itself_down_is_not_just_without_torque(limit: int, broken: set[str]) -> None:
+    bench = running()
+    bench.servos[2].torque, bench.servos[2].limit = False, limit
+    bench.tick(Mode.FAULTED, "LOST_TORQUE")
+    assert bench.broken == broken
+
+
 def test_a_joint_that_cannot_follow_and_nobody_reports_it() -> None:
     bench = Bench()
     bench.at(MIDDLE - 32.0)
     for _ in range(12):
         bench.tick(Mode.HOLDING)
     assert bench.broken == {"rows"}
+
+
+def test_a_joint_far_from_its_goal_counts_from_when_a_program_watches() -> None:
+    bench = Bench()
+    bench.at(MIDDLE - 32.0)
+    bench.judge.died(bench.now_s, bench.servos)
+    for _ in range(10):
+        bench.tick()
+    bench.judge.back()
+    for _ in range(6):
+        bench.tick(Mode.HOLDING)
+    bench.tick(Mode.FAULTED, "BLOCKED")
+    assert bench.broken == set()
+
+
+@pytest.mark.parametrize(("mode", "broken"), [(Mode.OFF, set()), (Mode.HOLDING, {"6"})])
+def test_6_an_arm_that_lost_torque_and_was_let_go_before_anybody_had_to_latch_may_run_again(
+    mode: Mode, broken: set[str]
+) -> None:
+    bench = Bench()
+    bench.judge.plan(Fault(kind="trip", servo_id=1, begin_s=bench.now_s, duration_s=0.1))
+    bench.servos[0].torque, bench.servos[0].limit = False, 0
+    bench.tick(Mode.HOLDING)
+    bench.judge.asked(bench.now_s, "release")
+    bench.tick(mode)
+    bench.servos[0].torque, bench.servos[0].limit = True, 1023  # later
+    bench.judge.asked(bench.now_s, "torque_on")
+    for _ in range(20):
+        bench.tick(Mode.HOLDING)
+    bench.judge.asked(bench.now_s, "run")
+    bench.tick(Mode.MOVING)
+    bench.move(15)
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize(
+    ("asked", "code", "broken"),
+    [
+        (("clear", "torque_on"), "", set()),
+        (("clear", "torque_on"), "TRIPPED", {"4"}),
+        (("torque_on", "clear"), "", {"4"}),
+    ],
+)
+def test_4_torque_may_come_on_in_the_tick_of_a_clear_that_was_granted(
+    asked: tuple[str, ...], code: str, broken: set[str]
+) -> None:
+    bench = Bench(torque=False)
+    bench.tick(Mode.FAULTED, "TRIPPED")
+    for kind in asked:
+        bench.judge.asked(bench.now_s, kind)
+    bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)
+    bench.tick(Mode.FAULTED if code else Mode.ENERGISING, code)
+    assert bench.broken == broken
 
 
 @pytest.mark.parametrize(("code", "broken"), [("HOT", set()), ("", {"6"}), ("BLOCKED", {"6"})])

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
-from armctl.messages import Mode
+from armctl.control.machine import State
+from armctl.control.step import step
+from armctl.messages import Event, Inputs, Mode, Outputs, SetRate, TickRecord
 from armctl.proving import __main__ as proving
 from armctl.proving import soak
 from armctl.proving.episode import Episode, Stage, stage
@@ -96,13 +101,39 @@ def test_an_episode_says_the_same_bytes_twice_and_its_inputs_repeat_the_step(on:
     assert other.wire != outcome.wire
 
 
-def test_a_step_that_differs_is_noticed(on: Stage) -> None:
-    records = Episode(Story(1, 3.0, RUN[:1]), on, keep_records=True).play().records
-    assert len(records) > 20
-    assert soak.first_mismatch(records, on) is None
-    wrong = records[12]
-    records[12] = replace(wrong, outputs=replace(wrong.outputs, progress=0.123))
-    assert soak.first_mismatch(records, on) == 12
+def test_a_step_that_differs_is_noticed(on: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    def other(state: State, inputs: Inputs, *rest: Any) -> tuple[State, Outputs]:
+        state, outputs = step(state, inputs, *rest)
+        return state, replace(outputs, progress=0.123) if inputs.tick == 12 else outputs
+
+    monkeypatch.setattr("armctl.proving.episode.step", other)
+    found = Episode(Story(1, 3.0, RUN[:1]), on).play().violations
+    assert [(v.invariant, v.text) for v in found] == [("replay", "the step, run again, differs at tick 12")]
+
+
+def test_an_episodes_log_replays_and_one_that_differs_is_told(on: Stage) -> None:
+    records: list[TickRecord] = []
+    Episode(Story(1, 3.0, (*RUN[:1], Kill(1.0, 3, 0.4))), on, log=records.append).play()
+    assert [record.inputs.tick for record in records].count(0) == 2
+    wrong = replace(records[4], outputs=replace(records[4].outputs, events=(Event("info", "STATE", "no such thing"),)))
+    assert mismatch(on, records) == ""
+    assert mismatch(on, [*records[:4], wrong, *records[5:]]).startswith("tick 4, ")
+
+
+def test_an_episodes_log_ends_where_it_could_not_be_written(on: Stage) -> None:
+    records: list[TickRecord] = []
+    Episode(Story(1, 2.0, RUN[:1]), on, log=records.append).play()
+    nan = replace(records[8], inputs=replace(records[8].inputs, commands=(SetRate(9, math.nan),)))
+    assert mismatch(on, [*records[:8], nan, *records[9:]]) == ""
+    assert mismatch(on, [nan]) == ""
+
+
+def mismatch(on: Stage, records: Sequence[TickRecord]) -> str:
+    """What the replay of a log of these records says."""
+    with soak.EpisodeLog(on) as log:
+        for record in records:
+            log.take(record)
+        return log.mismatch()
 
 
 def test_a_failing_episode_is_shrunk_and_told_with_the_command_that_repeats_it(
