@@ -9,6 +9,7 @@ Rules.
 3. A joint nears its limit no faster than it can still stop before it. A tool that is led along a line waits as a
    whole for the joint that has to.
 4. No link is led below the floor: the place where the arm would stop is looked at before every goal.
+5. A servo that lags behind is waited for, by the whole arm, from rest.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.control.machine import Jogging, Trigger
-from armctl.control.tick import Tick, finish_jog, send_goal
+from armctl.control.tick import Tick, finish_jog, send_goal, share_of_step
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
@@ -97,8 +98,12 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         min(max(q + v * s.period_s, joint.limits_rad[0]), joint.limits_rad[1]) if v else q
         for q, v, joint in zip(jog.position_rad, velocity, s.arm.joints, strict=True)
     )
+    goal = [round(joint.tick(q)) for joint, q in zip(s.arm.joints, position, strict=True)]
+    if share_of_step(s, goal) < 1.0:
+        s.state = replace(s.state, jog=replace(jog, velocity_rad_s=(0.0,) * len(position)))
+        return None
     s.state = replace(s.state, jog=replace(jog, position_rad=position, velocity_rad_s=tuple(velocity)))
-    send_goal(s, [round(joint.tick(q)) for joint, q in zip(s.arm.joints, position, strict=True)])
+    send_goal(s, goal)
     return None
 
 

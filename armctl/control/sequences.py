@@ -19,6 +19,7 @@ from armctl.control.tick import (
     full_torque,
     latch_servo,
     send_goal,
+    share_of_step,
     stop_motion,
     take_over,
     torque_off,
@@ -51,8 +52,6 @@ REST_TOLERANCE_RAD = math.radians(3.0)
 VERIFY_TICKS = 20
 GRIP_TICKS = 2
 """A load felt once may be the servo setting off."""
-LEAD_TICKS = math.radians(11.0) / ax12a.TICK_RAD
-"""No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick."""
 
 
 def adopt(s: Tick) -> None:
@@ -194,7 +193,7 @@ def _move(s: Tick, motion: Motion) -> None:
         return finish_motion(s, motion.stop_code or "LOST_TORQUE", "")
     progress_s = min(motion.progress_s + rate * s.period_s, trajectory.duration_s)
     goal = _goal_at(s, trajectory, progress_s)
-    share = _share_of_step(s, goal)
+    share = share_of_step(s, goal)
     if share < 1.0:
         progress_s = motion.progress_s + share * (progress_s - motion.progress_s)
         goal = _goal_at(s, trajectory, progress_s)
@@ -235,19 +234,6 @@ def _hold_gripped(s: Tick, motion: Motion, grip: Grip) -> None:
 def _goal_at(s: Tick, trajectory: JointTrajectory, time_s: float) -> list[int]:
     q = sample_trajectory(trajectory, time_s)
     return [round(joint.tick(position)) for joint, position in zip(s.arm.joints, q, strict=True)]
-
-
-def _share_of_step(s: Tick, goal: list[int]) -> float:
-    """How much of the way from the last goal to `goal` may be sent now: a servo that lags behind is waited for."""
-    assert s.state.goal is not None
-    share = 1.0
-    for registers, last, tick in zip(s.registers, s.state.goal, goal, strict=True):
-        assert registers is not None
-        ahead = abs(tick - registers.position)
-        if ahead > LEAD_TICKS:
-            behind = abs(last - registers.position)
-            share = min(share, max(0.0, LEAD_TICKS - behind) / (ahead - behind) if ahead > behind else 1.0)
-    return share
 
 
 def sample_trajectory(trajectory: JointTrajectory, time_s: float) -> tuple[float, ...]:

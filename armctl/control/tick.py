@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,8 @@ from armctl.messages import (
     Write,
 )
 
+LEAD_TICKS = math.radians(11.0) / ax12a.TICK_RAD
+"""No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick."""
 MINIMUM_SPEED_UNITS = 16
 """Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal."""
 
@@ -218,3 +221,16 @@ def take_over(s: Tick) -> None:
         settings=tuple(registers.settings for registers in known),
         error_since_ns=(),
     )
+
+
+def share_of_step(s: Tick, goal: list[int]) -> float:
+    """How much of the way from the last goal to `goal` may be sent now: a servo that lags behind is waited for."""
+    assert s.state.goal is not None
+    share = 1.0
+    for registers, last, tick in zip(s.registers, s.state.goal, goal, strict=True):
+        assert registers is not None
+        ahead = abs(tick - registers.position)
+        if ahead > LEAD_TICKS:
+            behind = abs(last - registers.position)
+            share = min(share, max(0.0, LEAD_TICKS - behind) / (ahead - behind) if ahead > behind else 1.0)
+    return share

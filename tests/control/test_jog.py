@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.control.jog import SPEED_RAD_S, joint_velocities
+from armctl.control.tick import LEAD_TICKS
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import jacobian, tool_position
 from armctl.messages import Clear, Hold, HostLost, Jog, Mode, Park, Release, Run
@@ -68,6 +69,17 @@ def test_a_jog_stops_within_one_tick_of_its_last_heartbeat_and_holds() -> None:
     assert not arm.goals
     assert arm.mode() is Mode.HOLDING
     assert "JOG_END" in arm.events
+
+
+def test_a_joint_that_lags_behind_is_waited_for() -> None:
+    arm = holding()
+    arm.stuck.add(0)
+    there = arm.get(0, ax12a.PRESENT_POSITION)
+    for tick in range(20):
+        arm.run_tick(Jog(100 + tick, (SPEED_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0), (), tick == 0))
+        assert abs(arm.get(0, ax12a.GOAL) - there) <= LEAD_TICKS
+    assert arm.state.fault is not None
+    assert arm.state.fault.code == "BLOCKED"
 
 
 def test_a_heartbeat_that_was_only_late_starts_the_arm_again_from_rest() -> None:
