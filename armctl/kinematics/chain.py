@@ -53,11 +53,12 @@ class SerialChain:
 
     @cached_property
     def _alpha_trig(self) -> tuple[tuple[float, float], ...]:
-        # The alphas of real arms are multiples of 90 deg: keep their sines and cosines exact.
+        # The alphas of real arms are multiples of 90 deg, as near as a float comes to them: keep their sines and
+        # cosines exact.
         pairs = []
         for row in self.rows:
             quarter = row.alpha / (np.pi / 2.0)
-            if abs(quarter - round(quarter)) < 1e-12:
+            if abs(quarter - round(quarter)) < 1e-14:
                 pairs.append(((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4])
             else:
                 pairs.append((float(np.cos(row.alpha)), float(np.sin(row.alpha))))
