@@ -1,9 +1,9 @@
-# Sets up .venv for the scripts beside this file. Source it with the wanted extra: . tools/environment.sh report|test
+# Sets up .venv for the scripts beside this file. Source it with the wanted extra, or none, as the first argument.
 # A finished set-up is reused until pyproject.toml or the constraints change.
 
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd)
-extra=$1
+extra=${1:+[$1]}
 venv="$root/.venv"
 constraints="$root/tools/constraints.txt"
 
@@ -31,17 +31,17 @@ if ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
 fi
 
 wanted=$(cat "$root/pyproject.toml" "$constraints" | cksum)
-stamp="$venv/.installed-$extra"
+stamp="$venv/.installed$extra"
 if [ ! -x "$venv/bin/python" ] || ! "$venv/bin/python" -c '' 2>/dev/null; then
     echo "Setting up $venv ..." >&2
     rm -rf "$venv"
     "$python" -m venv "$venv"
 fi
 if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
-    echo "Installing armctl[$extra] (a minute or two the first time) ..." >&2
+    echo "Installing armctl$extra (a minute or two the first time) ..." >&2
     log="$venv/install.log"
     if ! "$venv/bin/python" -m pip install --disable-pip-version-check --constraint "$constraints" \
-        --editable "$root[$extra]" >"$log" 2>&1; then
+        --editable "$root$extra" >"$log" 2>&1; then
         tail -n 15 "$log" >&2
         echo "The installation failed; the whole log is in $log. Is the network up?" >&2
         exit 1

@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from armctl.errors import ArmctlError, BusError, ConfigError, LogError, RequestRefused, UnreachableTarget
+from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 
 MAX_LINE_BYTES = 65536
 MAX_DEPTH = 16
@@ -170,7 +170,12 @@ def notification_line(method: str, params: dict[str, Any]) -> bytes:
     return encode({"jsonrpc": "2.0", "method": method, "params": params})
 
 
-_CODES: dict[type[ArmctlError], str] = {ConfigError: "CONFIG", LogError: "LOG", UnreachableTarget: "UNREACHABLE"}
+_CODES: dict[type[ArmctlError], str] = {
+    ConfigError: "CONFIG",
+    LogError: "LOG",
+    NoDaemon: "NO_DAEMON",
+    UnreachableTarget: "UNREACHABLE",
+}
 
 
 def error_data(error: ArmctlError) -> dict[str, Any]:

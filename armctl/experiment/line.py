@@ -7,8 +7,8 @@ runs are the experiment's rows, so that no lucky run stands for the plan.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -38,6 +38,12 @@ TAKES = 5
 Progress = Callable[[float, str], None]
 Stage = Callable[[str, float], AbstractContextManager[Progress]]
 """Begins a stage of so many steps; what it yields is told how many are done."""
+
+
+@contextmanager
+def silent(_label: str, _total: float) -> Iterator[Progress]:
+    """A stage nobody is told of."""
+    yield lambda _done, _note: None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +81,7 @@ def experiment(
         RequestRefused: the line cannot be followed, or the arm stopped.
     """
     if ways is None:
-        rng = np.random.default_rng(seed)
-        ways = line_paths(rig.arm, rig.robot, line.A, line.B, line.duration_s, rng, most=refine.DRAWN_WAYS)
+        ways = drawn_ways(rig, line, seed)
     outcomes = []
     for one in via:
         count = choose_via(rig, line, model, ways, tolerance_mm) if one == "auto" else one
@@ -90,6 +95,16 @@ def experiment(
                 show(1 + rounds + repeat + 1, f"repeat {repeat + 1} of {repeats}")
         outcomes.append(Outcome(count, done, best, runs))
     return outcomes
+
+
+def drawn_ways(rig: Rig, line: Line, seed: int) -> FloatArray:
+    """Joint positions along the line [rad], shape (ways, stations, n).
+
+    Raises:
+        RequestRefused: the line cannot be followed.
+    """
+    rng = np.random.default_rng(seed)
+    return line_paths(rig.arm, rig.robot, line.A, line.B, line.duration_s, rng, most=refine.DRAWN_WAYS)
 
 
 def run_rounds(

@@ -23,7 +23,7 @@ from armctl.recording import recordings
 from armctl.report import experiment as page
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
-from armctl.trajectory.line_path import line_paths, onto
+from armctl.trajectory.line_path import onto
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def virtual(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage
     """
     rig = VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=RANDOM_SPEC), period_s)
     wanted = _wanted(rig, asked, config)
-    _ways(rig, wanted, asked)  # a line that cannot be followed is refused before anything moves
+    line.drawn_ways(rig, wanted, asked.seed)  # a line that cannot be followed is refused before anything moves
     takes: list[FloatArray] | None = _load(config, arm, asked.recordings)
     if not takes:
         with stage("guiding by hand", line.TAKES) as show:
@@ -85,11 +85,6 @@ def _wanted(rig: Rig, asked: Asked, config: Config) -> refine.Line:
     return refine.Line(np.array(asked.from_m), np.array(asked.to_m), asked.duration_s, asked.objective, unseen)
 
 
-def _ways(rig: Rig, wanted: refine.Line, asked: Asked) -> FloatArray:
-    rng = np.random.default_rng(asked.seed)
-    return line_paths(rig.arm, rig.robot, wanted.A, wanted.B, wanted.duration_s, rng, most=refine.DRAWN_WAYS)
-
-
 def _experiment(
     rig: Rig,
     wanted: refine.Line,
@@ -98,7 +93,7 @@ def _experiment(
     takes: list[FloatArray] | None,
     stage: Stage,
 ) -> dict[str, Any]:
-    ways, ga = _ways(rig, wanted, asked), None
+    ways, ga = line.drawn_ways(rig, wanted, asked.seed), None
     if takes:
         ga, path = line.genetic(takes, rig, wanted, asked.via, asked.seed, asked.profile)
         if asked.recordings:

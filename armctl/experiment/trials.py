@@ -6,8 +6,6 @@ one random line, and the experiment on it for every number of via points, judged
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +14,7 @@ import numpy as np
 from armctl.config import load_arm
 from armctl.errors import RequestRefused
 from armctl.experiment import calibrate_sag, line, refine
-from armctl.experiment.line import Progress, Via
+from armctl.experiment.line import Via
 from armctl.experiment.rig import Measured, VirtualRig
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
@@ -76,7 +74,7 @@ def run(trial: Trial) -> dict[str, Any]:
                 rounds=trial.rounds,
                 seed=trial.seed,
                 model=model,
-                stage=_silent,
+                stage=line.silent,
             )
             break
         except RequestRefused as refusal:
@@ -162,8 +160,3 @@ def _mean(errors: list[tuple[float, float]]) -> tuple[float, float]:
 def true_mm(measured: Measured, wanted: refine.Line) -> tuple[float, float]:
     assert measured.true_tool_m is not None
     return line.errors_mm(measured.true_tool_m, wanted)
-
-
-@contextmanager
-def _silent(_label: str, _total: float) -> Iterator[Progress]:
-    yield lambda _done, _note: None

@@ -28,6 +28,7 @@ from armctl.genetic.path_cost import PathCost, path_cost
 from armctl.genetic.shortest_path import shortest_path
 from armctl.genetic.triple_cost import IntArray, evaluate
 from armctl.kinematics.transform import FloatArray
+from armctl.proving.figures import check, row
 from armctl.sim.arm import SimulatedArm
 from armctl.trajectory.interpolate import time_of_progress
 from armctl.trajectory.straightness import distance_to_line, progress_along_line
@@ -103,26 +104,18 @@ def bench(seed: int, generations: int = GENERATIONS, rounds: int = ROUNDS) -> di
         ours = libraries[0]
         for one in libraries:
             rate, found = one.evaluations_per_s, median(one.costs)
-            rows.append(_row(work, one.who, rate, "evaluations/s", rate / ours.evaluations_per_s))
-            rows.append(_row(work, one.who, found * 1e3, "mm, least cost", found / exact[work]))
-        rows.append(_row(work, "exact optimum", exact[work] * 1e3, "mm, least cost", 1.0))
+            rows.append(row(f"straight line, {work}", one.who, rate, "evaluations/s", rate / ours.evaluations_per_s))
+            rows.append(row(f"straight line, {work}", one.who, found * 1e3, "mm, least cost", found / exact[work]))
+        rows.append(row(f"straight line, {work}", "exact optimum", exact[work] * 1e3, "mm, least cost", 1.0))
         by_name = {one.who: one for one in libraries}
         # With limits armctl's crossover weighs 2^60 mixtures for each child: there the cost counts, not the number.
         for who, bound in (("pymoo", PYMOO_RATIO), ("DEAP", DEAP_RATIO)) if work == "as printed" else ():
             ratio = ours.evaluations_per_s / by_name[who].evaluations_per_s
-            checks.append(_check(f"{work}: evaluations/s over {who}'s", ratio, bound, ratio >= bound))
+            checks.append(check(f"genetic algorithm, {work}: evaluations/s over {who}'s", ratio, bound, least=True))
         best = min(median(one.costs) for one in libraries[1:])
         share = median(ours.costs) / best
-        checks.append(_check(f"{work}: final cost over the best peer's", share, 1.0, share <= 1.0 + 1e-9))
+        checks.append(check(f"genetic algorithm, {work}: final cost over the best peer's", round(share, 9), 1.0))
     return {"rows": rows, "checks": checks, "seed": seed}
-
-
-def _row(work: str, who: str, value: float, unit: str, ratio: float) -> dict[str, Any]:
-    return {"work": f"straight line, {work}", "who": who, "value": value, "unit": unit, "ratio": ratio}
-
-
-def _check(name: str, value: float, bound: float, ok: bool) -> dict[str, Any]:
-    return {"name": f"genetic algorithm, {name}", "ok": ok, "value": value, "bound": bound}
 
 
 def _problem(seed: int) -> PathCost:
@@ -247,7 +240,7 @@ def _deap(generations: int) -> Minimise:
         toolbox.register("evaluate", lambda genes: (float(cost(np.array([genes]))[0]),))
         best = tools.HallOfFame(1)
         algorithms.eaSimple(
-            [Individual(row) for row in first.tolist()],
+            [Individual(genes) for genes in first.tolist()],
             toolbox,
             cxpb=CROSSOVER,
             mutpb=1.0,

@@ -24,6 +24,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.inverse import refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
+from armctl.proving.figures import check, row
 
 TARGETS = 100
 PEER_TARGETS = 5
@@ -59,17 +60,17 @@ def bench(seed: int, targets: int = TARGETS, peer_targets: int = PEER_TARGETS, r
             ms[who] = min(ms[who], (time.perf_counter() - begin) / count * 1e3)
             gap = np.linalg.norm(tool_position(robot.chain, q) - points[:count], axis=1)
             distance_mm[who] = float(gap[:compared].mean()) * 1e3
-    rows = [_row(WORK, who, value, "ms a target", value / ms[OURS]) for who, value in ms.items()]
+    rows = [row(WORK, who, value, "ms a target", value / ms[OURS]) for who, value in ms.items()]
     rows += [
-        _row("mean final distance", who, value, "mm", value / distance_mm[who]) for who, value in distance_mm.items()
+        row("mean final distance", who, value, "mm", value / distance_mm[who]) for who, value in distance_mm.items()
     ]
     peers = [who for who in solvers if not who.startswith("armctl")]
     fastest, nearest = min(ms[who] for who in peers), min(distance_mm[who] for who in peers)
     checks = [
-        _check("fastest of pymoo and DEAP / GA of 000 with polish", fastest / ms[OURS], SPEED_BOUND, above=True),
-        _check("its final distance / the nearer of theirs", distance_mm[OURS] / nearest, 1.0, above=False),
-        _check("fastest of pymoo and DEAP / improved GA", fastest / ms[IMPROVED], 1.0, above=True),
-        _check("the improved GA's distance / the nearer of theirs", distance_mm[IMPROVED] / nearest, 1.0, above=False),
+        check("fastest of pymoo and DEAP / GA of 000 with polish", fastest / ms[OURS], SPEED_BOUND, least=True),
+        check("its final distance / the nearer of theirs", distance_mm[OURS] / nearest, 1.0),
+        check("fastest of pymoo and DEAP / improved GA", fastest / ms[IMPROVED], 1.0, least=True),
+        check("the improved GA's distance / the nearer of theirs", distance_mm[IMPROVED] / nearest, 1.0),
     ]
     return {"rows": rows, "checks": checks}
 
@@ -181,11 +182,3 @@ def _pymoo(robot: Robot, seed: int) -> Callable[[FloatArray], FloatArray]:
         return np.asarray(_distance(robot, wanted, np.asarray(found.X, dtype=np.float64)[None])[1][0])
 
     return solve
-
-
-def _row(work: str, who: str, value: float, unit: str, ratio: float) -> dict[str, Any]:
-    return {"work": work, "who": who, "value": value, "unit": unit, "ratio": ratio}
-
-
-def _check(name: str, value: float, bound: float, *, above: bool) -> dict[str, Any]:
-    return {"name": name, "value": value, "bound": bound, "ok": value >= bound if above else value <= bound}

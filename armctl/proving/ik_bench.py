@@ -26,6 +26,7 @@ from armctl.kinematics.inverse import pose_errors, solve_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.proving import genetic_ik_bench
+from armctl.proving.figures import check, row
 
 POSES = 1000
 SLOW_POSES = 100
@@ -87,25 +88,23 @@ def inverse(seed: int, poses: int, rounds: int) -> dict[str, Any]:
                 _time(solver, robot.chain, T[: min(poses, solver.poses)])
     ours = next(solver for solver in solvers if solver.who == "armctl, closed form, batch")
     alone = next(solver for solver in solvers if solver.who == "armctl, closed form, one by one from arrays")
-    rows = [_row("IK of a PUMA 560 pose", one.who, one.us, "us", one.us / ours.us) for one in solvers]
-    rows += [_row("poses solved to 1e-6 m and rad", one.who, one.share, "", one.share) for one in solvers]
+    rows = [row("IK of a PUMA 560 pose", one.who, one.us, "us", one.us / ours.us) for one in solvers]
+    rows += [row("poses solved to 1e-6 m and rad", one.who, one.share, "", one.share) for one in solvers]
     exact = [one.us for one in solvers if one.who.startswith(TOOLBOX) and one.share >= EXACT_SHARE]
     fastest = min(exact, default=math.inf)
     numeric = next(solver for solver in solvers if solver.who.startswith("armctl, damped"))
     checks = [
-        _check("closed form, batch [us a pose]", ours.us, BATCH_BOUND_US, ours.us <= BATCH_BOUND_US),
-        _check("closed form, one by one [us a pose]", alone.us, ALONE_BOUND_US, alone.us <= ALONE_BOUND_US),
-        _check(
-            "fastest exact roboticstoolbox / batch", fastest / ours.us, BATCH_RATIO, fastest >= BATCH_RATIO * ours.us
-        ),
-        _check(
+        check("closed form, batch [us a pose]", ours.us, BATCH_BOUND_US),
+        check("closed form, one by one [us a pose]", alone.us, ALONE_BOUND_US),
+        check("fastest exact roboticstoolbox / batch", fastest / ours.us, BATCH_RATIO, least=True),
+        check(
             "fastest exact roboticstoolbox / one by one",
             fastest / alone.us,
             ALONE_RATIO,
-            fastest >= ALONE_RATIO * alone.us,
+            least=True,
         ),
-        _check("share solved by the closed form", ours.share, EXACT_SHARE, ours.share >= EXACT_SHARE),
-        _check("share solved by damped least squares", numeric.share, EXACT_SHARE, numeric.share >= EXACT_SHARE),
+        check("share solved by the closed form", ours.share, EXACT_SHARE, least=True),
+        check("share solved by damped least squares", numeric.share, EXACT_SHARE, least=True),
     ]
     return {"rows": rows, "checks": checks}
 
@@ -128,8 +127,8 @@ def forward(seed: int, poses: int, rounds: int) -> dict[str, Any]:
             taken_s[who] = min(taken_s[who], time.perf_counter() - begin)
     rates = {who: poses / taken for who, taken in taken_s.items()}
     ours = rates["armctl, batch"]
-    rows = [_row("FK of a PUMA 560", who, rate / 1e6, "M poses/s", ours / rate) for who, rate in rates.items()]
-    return {"rows": rows, "checks": [_check("FK, batch [poses/s]", ours, FK_BOUND_PER_S, ours >= FK_BOUND_PER_S)]}
+    rows = [row("FK of a PUMA 560", who, rate / 1e6, "M poses/s", ours / rate) for who, rate in rates.items()]
+    return {"rows": rows, "checks": [check("FK, batch [poses/s]", ours, FK_BOUND_PER_S, least=True)]}
 
 
 def _time(solver: _Solver, chain: SerialChain, T: FloatArray) -> None:
@@ -197,8 +196,8 @@ def _analytic(chain: SerialChain) -> Callable[[FloatArray], FloatArray]:
     puma = roboticstoolbox.models.DH.Puma560()
     puma.base = puma.tool = spatialmath.SE3()
     offset = chain.rows[1].d
-    for link, row, d in zip(puma.links, chain.rows, (0.0, 0.0, offset, chain.rows[3].d, 0.0, 0.0), strict=True):
-        link.d, link.a, link.alpha = d, row.a, row.alpha
+    for link, dh, d in zip(puma.links, chain.rows, (0.0, 0.0, offset, chain.rows[3].d, 0.0, 0.0), strict=True):
+        link.d, link.a, link.alpha = d, dh.a, dh.alpha
 
     def solve(T: FloatArray) -> FloatArray:
         return np.array([puma.ikine_a(spatialmath.SE3(one, check=False)).q for one in T])
@@ -215,11 +214,11 @@ class _Pinocchio:
         self._pin = pinocchio
         self._model = pinocchio.Model()
         place, parent = pinocchio.SE3.Identity(), 0
-        for i, row in enumerate(chain.rows):
+        for i, dh in enumerate(chain.rows):
             parent = self._model.addJoint(parent, pinocchio.JointModelRZ(), place, f"joint {i + 1}")
-            c, s = math.cos(row.alpha), math.sin(row.alpha)
+            c, s = math.cos(dh.alpha), math.sin(dh.alpha)
             twist = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-            place = pinocchio.SE3(twist, np.array([row.a, 0.0, row.d]))
+            place = pinocchio.SE3(twist, np.array([dh.a, 0.0, dh.d]))
         self._tool = self._model.addFrame(pinocchio.Frame("tool", parent, 0, place, pinocchio.FrameType.OP_FRAME))
         self._data = self._model.createData()
 
@@ -252,9 +251,9 @@ def _ikpy(chain: SerialChain) -> Callable[[FloatArray], FloatArray]:
         from ikpy.chain import Chain
         from ikpy.link import OriginLink, URDFLink
     links, place, turn = [OriginLink()], np.zeros(3), np.zeros(3)
-    for i, row in enumerate(chain.rows):
+    for i, dh in enumerate(chain.rows):
         links.append(URDFLink(f"joint {i + 1}", place, turn, rotation=np.array([0.0, 0.0, 1.0])))
-        place, turn = np.array([row.a, 0.0, row.d]), np.array([row.alpha, 0.0, 0.0])
+        place, turn = np.array([dh.a, 0.0, dh.d]), np.array([dh.alpha, 0.0, 0.0])
     links.append(URDFLink("tool", place, turn, rotation=None))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -265,11 +264,3 @@ def _ikpy(chain: SerialChain) -> Callable[[FloatArray], FloatArray]:
             return np.array([arm.inverse_kinematics_frame(one, orientation_mode="all")[1:7] for one in T])
 
     return solve
-
-
-def _row(work: str, who: str, value: float, unit: str, ratio: float) -> dict[str, Any]:
-    return {"work": work, "who": who, "value": value, "unit": unit, "ratio": ratio}
-
-
-def _check(name: str, value: float, bound: float, ok: bool) -> dict[str, Any]:
-    return {"name": name, "value": value, "bound": bound, "ok": ok}

@@ -24,6 +24,7 @@ from armctl.control.process import ControlProcess, ControlSettings
 from armctl.demo import program
 from armctl.errors import ArmctlError
 from armctl.messages import TickRecord
+from armctl.proving.figures import check, row
 from armctl.proving.rig import ARM, rig
 
 SECONDS = 20.0
@@ -48,7 +49,7 @@ def bench(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
                 value_ms = float(np.percentile(late_ms, share))
                 name = "max" if share == 100 else f"p{share}"
                 rows.append(
-                    _row(
+                    row(
                         f"lateness {name} at {rate_hz} Hz, {work}",
                         "armctl control",
                         value_ms,
@@ -57,14 +58,14 @@ def bench(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
                     )
                 )
             p99 = float(np.percentile(late_ms, 99))
-            checks.append(_check(f"lateness p99 at {rate_hz} Hz, {work} [ms]", p99, bound_ms))
+            checks.append(check(f"lateness p99 at {rate_hz} Hz, {work} [ms]", p99, bound_ms))
     cpu, memory = daemon_cost(seed, seconds)
     for process, core in cpu.items():
-        rows.append(_row("CPU at 10 Hz, nothing to do", process, 100.0 * core, "% of a core", core / DAEMON_CPU_BOUND))
+        rows.append(row("CPU at 10 Hz, nothing to do", process, 100.0 * core, "% of a core", core / DAEMON_CPU_BOUND))
     for process, megabytes in memory.items():
-        rows.append(_row("memory (PSS)", process, megabytes, "MB", megabytes / DAEMON_MEMORY_BOUND_MB))
-    checks.append(_check("daemon's CPU over all its processes [core]", sum(cpu.values()), DAEMON_CPU_BOUND))
-    checks.append(_check("daemon's memory over all its processes [MB]", sum(memory.values()), DAEMON_MEMORY_BOUND_MB))
+        rows.append(row("memory (PSS)", process, megabytes, "MB", megabytes / DAEMON_MEMORY_BOUND_MB))
+    checks.append(check("daemon's CPU over all its processes [core]", sum(cpu.values()), DAEMON_CPU_BOUND))
+    checks.append(check("daemon's memory over all its processes [MB]", sum(memory.values()), DAEMON_MEMORY_BOUND_MB))
     return {"rows": rows, "checks": checks, "seed": seed}
 
 
@@ -147,11 +148,3 @@ def _pss_MB(pid: int) -> float:
         if line.startswith("Pss:"):
             return int(line.split()[1]) / 1024.0
     raise ArmctlError(f"/proc/{pid}/smaps_rollup tells no Pss")
-
-
-def _row(work: str, who: str, value: float, unit: str, ratio: float) -> dict[str, Any]:
-    return {"work": work, "who": who, "value": value, "unit": unit, "ratio": ratio}
-
-
-def _check(name: str, value: float, bound: float) -> dict[str, Any]:
-    return {"name": name, "value": value, "bound": bound, "ok": value <= bound}

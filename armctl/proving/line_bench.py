@@ -17,6 +17,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
+from armctl.proving.figures import check, row
 from armctl.trajectory.interpolate import Interpolation, joint_path
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.placement import place
@@ -56,22 +57,18 @@ def bench(seed: int, lines: int = LINES) -> dict[str, Any]:
             for (count, who), errors in found.items():
                 if count == via:
                     value = _middle(errors, index)
-                    rows.append(_row(f"straight line, {via} via points", who, value, unit, value / plain))
+                    rows.append(row(f"straight line, {via} via points", who, value, unit, value / plain))
         if via:
             share = _middle(found[via, "cubic, placed"], 0) / _middle(found[via, "linear, on the line"], 0)
             name = f"straight line, {via} via points: curved and placed over straight and on the line"
-            checks.append({"name": name, "ok": share <= HALF, "value": share, "bound": HALF})
+            checks.append(check(name, share, HALF))
     for index, unit in enumerate(("mm mean", "mm max")):
-        rows.append(_row("straight line, any number", "tick floor", _middle(floor, index), unit, 1.0))
+        rows.append(row("straight line, any number", "tick floor", _middle(floor, index), unit, 1.0))
     return {"rows": rows, "checks": checks, "seed": seed}
 
 
 def _middle(errors: Errors, index: int) -> float:
     return float(np.mean([one[index] for one in errors]))
-
-
-def _row(work: str, who: str, value: float, unit: str, ratio: float) -> dict[str, Any]:
-    return {"work": work, "who": who, "value": value, "unit": unit, "ratio": ratio}
 
 
 def _drawn(arm: ArmConfig, robot: Robot, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from armctl.clock import NS_PER_S
 from armctl.messages import TickRecord
+from armctl.proving.figures import Row, check, row
 from armctl.proving.hostile import WAYS, files, read_all
 from armctl.proving.log_rig import log_context, repeated, simulated_records
 from armctl.recording import channels
@@ -65,7 +66,6 @@ HOUR_MB_BOUND = 12.0
 DECODE_BOUND_PER_S = 500e3
 RECOVER_BOUND_S = 3.0
 REFUSE_BOUND_MS = 100.0
-Row = dict[str, Any]
 
 
 def bench(seed: int, *, ticks: int = HOUR_TICKS, written: int = WRITTEN_TICKS, rounds: int = ROUNDS) -> dict[str, Any]:
@@ -80,11 +80,11 @@ def bench(seed: int, *, ticks: int = HOUR_TICKS, written: int = WRITTEN_TICKS, r
         _log(flushed, records, ticks)
         compacted = root / "compacted.mcap"
         size_MB = _size("an hour of a moving arm", flushed, compacted, rows)
-        checks.append(_check("an hour of a moving arm, compacted [MB]", size_MB, HOUR_MB_BOUND, most=True))
+        checks.append(check("an hour of a moving arm, compacted [MB]", size_MB, HOUR_MB_BOUND))
         still = root / "still.mcap"
         _log(still, simulated_records(seed, min(SIMULATED_TICKS, ticks), moving=False), ticks)
         size_MB = _size("an hour of an arm that holds", still, root / "still-compacted.mcap", rows)
-        checks.append(_check("an hour of an arm that holds, compacted [MB]", size_MB, HOUR_MB_BOUND, most=True))
+        checks.append(check("an hour of an arm that holds, compacted [MB]", size_MB, HOUR_MB_BOUND))
         _decode(flushed, compacted, rounds, rows, checks)
         _topic(compacted, rounds, rows, checks)
         _recovery(flushed, root, rows, checks)
@@ -135,12 +135,12 @@ def _write(records: list[TickRecord], root: Path, rounds: int, rows: list[Row], 
             seconds[who] = min(seconds[who], _best_s(work, 1, path))
     count_ready, foxglove_s = len(messages.ready), seconds["foxglove-sdk, CDR given"]
     whole_us, foxglove_us = 1e6 * whole_s / count, 1e6 * foxglove_s / count_ready
-    rows.append(_row("write, from ticks", "armctl", whole_us, "us/message", whole_us / foxglove_us))
+    rows.append(row("write, from ticks", "armctl", whole_us, "us/message", whole_us / foxglove_us))
     for who, took_s in seconds.items():
-        rows.append(_row("encode and write", who, 1e6 * took_s / count_ready, "us/message", took_s / foxglove_s))
+        rows.append(row("encode and write", who, 1e6 * took_s / count_ready, "us/message", took_s / foxglove_s))
     ours_s, ros2_s = seconds["armctl"], seconds["mcap-ros2-support"]
-    checks.append(_check("encode and write, times foxglove-sdk's", ours_s / foxglove_s, 1.6, most=True))
-    checks.append(_check("encode and write, times faster than mcap-ros2-support", ros2_s / ours_s, 5.0, most=False))
+    checks.append(check("encode and write, times foxglove-sdk's", ours_s / foxglove_s, 1.6))
+    checks.append(check("encode and write, times faster than mcap-ros2-support", ros2_s / ours_s, 5.0, least=True))
 
 
 class _Messages:
@@ -233,10 +233,10 @@ def _size(work: str, flushed: Path, compacted: Path, rows: list[Row]) -> float:
     took_s = time.process_time() - begun_s
     before_MB, after_MB = flushed.stat().st_size / 1e6, compacted.stat().st_size / 1e6
     per_message = 1e6 * after_MB / info(compacted).messages
-    rows.append(_row(f"{work}, flushed every second", "armctl", before_MB, "MB", before_MB / after_MB))
-    rows.append(_row(f"{work}, compacted", "armctl", after_MB, "MB", 1.0))
-    rows.append(_row(f"{work}, compacted", "armctl", per_message, "B/message", 1.0))
-    rows.append(_row(f"{work}, compacting", "armctl", took_s, "s", 1.0))
+    rows.append(row(f"{work}, flushed every second", "armctl", before_MB, "MB", before_MB / after_MB))
+    rows.append(row(f"{work}, compacted", "armctl", after_MB, "MB", 1.0))
+    rows.append(row(f"{work}, compacted", "armctl", per_message, "B/message", 1.0))
+    rows.append(row(f"{work}, compacting", "armctl", took_s, "s", 1.0))
     return after_MB
 
 
@@ -261,12 +261,12 @@ def _decode(flushed: Path, compacted: Path, rounds: int, rows: list[Row], checks
         "mcap-ros2-support": _rate(lambda: _decode_ros2(compacted), 1),
     }
     for who, rate in rates.items():
-        rows.append(_row("decode all", who, rate, "messages/s", rates["armctl"] / rate))
+        rows.append(row("decode all", who, rate, "messages/s", rates["armctl"] / rate))
     held = info(compacted)
     real_time = rates["armctl"] * held.duration_s / held.messages
-    checks.append(_check("decode all [messages/s]", rates["armctl"], DECODE_BOUND_PER_S, most=False))
-    checks.append(_check("decode all, times real time", real_time, 9000.0, most=False))
-    checks.append(_check("decode all, times rosbags", rates["armctl"] / rates["rosbags"], 9.0, most=False))
+    checks.append(check("decode all [messages/s]", rates["armctl"], DECODE_BOUND_PER_S, least=True))
+    checks.append(check("decode all, times real time", real_time, 9000.0, least=True))
+    checks.append(check("decode all, times rosbags", rates["armctl"] / rates["rosbags"], 9.0, least=True))
 
 
 def _decode_rosbags(path: Path) -> int:
@@ -301,9 +301,9 @@ def _topic(path: Path, rounds: int, rows: list[Row], checks: list[Row]) -> None:
 
     assert (ours() == ros2()).all()
     ours_s, ros2_s = _best_s(ours, rounds), _best_s(ros2, 1)
-    rows.append(_row("one topic to numpy", "armctl", ours_s, "s", 1.0))
-    rows.append(_row("one topic to numpy", "mcap-ros2-support", ros2_s, "s", ros2_s / ours_s))
-    checks.append(_check("one topic to numpy, times mcap-ros2-support", ros2_s / ours_s, 10.0, most=False))
+    rows.append(row("one topic to numpy", "armctl", ours_s, "s", 1.0))
+    rows.append(row("one topic to numpy", "mcap-ros2-support", ros2_s, "s", ros2_s / ours_s))
+    checks.append(check("one topic to numpy, times mcap-ros2-support", ros2_s / ours_s, 10.0, least=True))
 
 
 def _recovery(flushed: Path, root: Path, rows: list[Row], checks: list[Row]) -> None:
@@ -313,9 +313,9 @@ def _recovery(flushed: Path, root: Path, rows: list[Row], checks: list[Row]) -> 
     begun_s = time.process_time()
     result = recover(cut)
     took_s = time.process_time() - begun_s
-    rows.append(_row("recover a 90 % cut", "armctl", took_s, "s", 1.0))
-    rows.append(_row("recover a 90 % cut, messages", "armctl", result.recovered_messages, "messages", 1.0))
-    checks.append(_check("recover a 90 % cut [s]", took_s, RECOVER_BOUND_S, most=True))
+    rows.append(row("recover a 90 % cut", "armctl", took_s, "s", 1.0))
+    rows.append(row("recover a 90 % cut, messages", "armctl", result.recovered_messages, "messages", 1.0))
+    checks.append(check("recover a 90 % cut [s]", took_s, RECOVER_BOUND_S))
 
 
 def _refusals(root: Path, rows: list[Row], checks: list[Row]) -> None:
@@ -326,9 +326,9 @@ def _refusals(root: Path, rows: list[Row], checks: list[Row]) -> None:
         begun_s = time.process_time()
         read_all(path)
         took_ms = 1e3 * (time.process_time() - begun_s) / WAYS
-        rows.append(_row(f"refuse {name}", "armctl", took_ms, "ms", 1.0))
+        rows.append(row(f"refuse {name}", "armctl", took_ms, "ms", 1.0))
         worst_ms = max(worst_ms, took_ms)
-    checks.append(_check("refuse a hostile file [ms]", worst_ms, REFUSE_BOUND_MS, most=True))
+    checks.append(check("refuse a hostile file [ms]", worst_ms, REFUSE_BOUND_MS))
 
 
 def _schema(topic: str) -> bytes:
@@ -358,11 +358,3 @@ def _best_s(work: Callable[[], object], rounds: int, path: Path | None = None) -
         if path is not None:
             path.unlink()
     return best_s
-
-
-def _row(work: str, who: str, value: float, unit: str, ratio: float) -> Row:
-    return {"work": work, "who": who, "value": value, "unit": unit, "ratio": ratio}
-
-
-def _check(name: str, value: float, bound: float, *, most: bool) -> dict[str, Any]:
-    return {"name": name, "value": value, "bound": bound, "ok": value <= bound if most else value >= bound}

@@ -23,6 +23,7 @@ from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instruction
 from armctl.kinematics import robots
 from armctl.messages import JointTrajectory, Mode, Run, TorqueOn
+from armctl.proving.figures import check, row
 from armctl.proving.mujoco_arm import mjcf
 from armctl.proving.rig import ARM
 from armctl.sim.arm import SimulatedArm
@@ -60,18 +61,8 @@ def bench(seed: int, seconds: float = SECONDS, rounds: int = ROUNDS) -> dict[str
         ),
     }
     return {
-        "rows": [
-            {"work": work, "who": who, "value": value, "unit": "s/s", "ratio": value / peer}
-            for (work, who), value in figures.items()
-        ],
-        "checks": [
-            {
-                "name": "virtual seconds per CPU second, whole loop",
-                "value": mixed,
-                "bound": SPEED_BOUND,
-                "ok": mixed >= SPEED_BOUND,
-            }
-        ],
+        "rows": [row(work, who, value, "s/s", value / peer) for (work, who), value in figures.items()],
+        "checks": [check("virtual seconds per CPU second, whole loop", mixed, SPEED_BOUND, least=True)],
         "seed": seed,
     }
 

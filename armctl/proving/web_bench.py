@@ -23,6 +23,7 @@ from typing import Any
 from armctl.client import Client
 from armctl.errors import ArmctlError
 from armctl.proving.dashboard import Dashboard, dashboard
+from armctl.proving.figures import check, row
 from armctl.proving.jitter_bench import cpu_s
 from armctl.proving.load import ticks_between
 
@@ -55,40 +56,32 @@ def bench(seed: int, seconds: float = SECONDS, rounds: int = ROUNDS) -> dict[str
     size, page_s = pages[0][0], max(seconds for _, seconds in pages)
     more = live["control"] - idle["control"]
     rows = [
-        _row("live view", "messages", rate_hz, "1/s", rate_hz / 10.0),
-        _row("live view", "armctl web", 100.0 * live["web"], "% of a core", live["web"] / LIVE_CPU_BOUND),
-        _row("nobody looks", "armctl web", 100.0 * idle["web"], "% of a core", idle["web"] / LIVE_CPU_BOUND),
-        _row("nobody looks", "control", 100.0 * idle["control"], "% of a core", 1.0),
-        _row("live view", "control", 100.0 * live["control"], "% of a core", live["control"] / idle["control"]),
-        _row("lateness p99, nobody looks", "control", late[0]["lateness_ms_p99"], "ms", 1.0),
-        _row(
+        row("live view", "messages", rate_hz, "1/s", rate_hz / 10.0),
+        row("live view", "armctl web", 100.0 * live["web"], "% of a core", live["web"] / LIVE_CPU_BOUND),
+        row("nobody looks", "armctl web", 100.0 * idle["web"], "% of a core", idle["web"] / LIVE_CPU_BOUND),
+        row("nobody looks", "control", 100.0 * idle["control"], "% of a core", 1.0),
+        row("live view", "control", 100.0 * live["control"], "% of a core", live["control"] / idle["control"]),
+        row("lateness p99, nobody looks", "control", late[0]["lateness_ms_p99"], "ms", 1.0),
+        row(
             "lateness p99, live view",
             "control",
             late[1]["lateness_ms_p99"],
             "ms",
             late[1]["lateness_ms_p99"] / late[0]["lateness_ms_p99"],
         ),
-        _row("first page", "index, script, style, packed", size / 1e3, "kB", 1.0),
-        _row("first page and state, the slowest", "HTTP client", page_s, "s", page_s / PAGE_BOUND_S),
+        row("first page", "index, script, style, packed", size / 1e3, "kB", 1.0),
+        row("first page and state, the slowest", "HTTP client", page_s, "s", page_s / PAGE_BOUND_S),
     ]
     checks = [
-        _check("live view's CPU in the web process [core]", live["web"], LIVE_CPU_BOUND),
-        _check("what the live view adds in the control process [core]", more, TICK_CPU_BOUND),
-        _check("ticks skipped while somebody looks", float(late[1]["skipped_ticks"]), 0.0),
-        _check("first page and state [s]", page_s, PAGE_BOUND_S),
+        check("live view's CPU in the web process [core]", live["web"], LIVE_CPU_BOUND),
+        check("what the live view adds in the control process [core]", more, TICK_CPU_BOUND),
+        check("ticks skipped while somebody looks", float(late[1]["skipped_ticks"]), 0.0),
+        check("first page and state [s]", page_s, PAGE_BOUND_S),
     ]
     if usable_s is not None:
-        rows.append(_row("page usable, median", "Chromium", usable_s, "s", usable_s / PAGE_BOUND_S))
-        checks.append(_check("page usable in Chromium, median [s]", usable_s, PAGE_BOUND_S))
+        rows.append(row("page usable, median", "Chromium", usable_s, "s", usable_s / PAGE_BOUND_S))
+        checks.append(check("page usable in Chromium, median [s]", usable_s, PAGE_BOUND_S))
     return {"rows": rows, "checks": checks, "seed": seed}
-
-
-def _row(work: str, who: str, value: float, unit: str, ratio: float) -> dict[str, Any]:
-    return {"work": work, "who": who, "value": value, "unit": unit, "ratio": ratio}
-
-
-def _check(name: str, value: float, bound: float) -> dict[str, Any]:
-    return {"name": name, "value": value, "bound": bound, "ok": value <= bound}
 
 
 def _cost(running: Dashboard, control_pid: int, seconds: float) -> dict[str, float]:

@@ -6,8 +6,7 @@ and judged by itself, by the true pose of its tool; a plan is run on each as it 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.experiment import calibrate_sag, line, refine
-from armctl.experiment.line import Progress, Via
+from armctl.experiment.line import Via
 from armctl.experiment.rig import Measured, VirtualRig
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
@@ -64,7 +63,7 @@ def work(case: Case) -> list[dict[str, Any]]:
                 rounds=case.rounds,
                 seed=case.seed,
                 model=model,
-                stage=_silent,
+                stage=line.silent,
             )
         except RequestRefused as refusal:
             found.append(_refused(case, via, refusal))
@@ -103,8 +102,3 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 }
         result.append(one)
     return result
-
-
-@contextmanager
-def _silent(_label: str, _total: float) -> Iterator[Progress]:
-    yield lambda _done, _note: None

@@ -6,8 +6,7 @@ switched off by a tick five times as short. What whole ticks alone would cost on
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from armctl.config import ArmConfig
 from armctl.experiment import calibrate_sag, line, refine, trials
 from armctl.experiment.evidence import outcome
-from armctl.experiment.line import Progress, Via
+from armctl.experiment.line import Via
 from armctl.experiment.rig import VirtualRig
 from armctl.report.experiment import Outcome
 from armctl.report.line import LineRun, errors_mm
@@ -78,7 +77,7 @@ def work(case: Case) -> Evidence:
         rounds=case.rounds,
         seed=case.seed,
         model=model,
-        stage=_silent,
+        stage=line.silent,
     )
     rows, outcomes = [], []
     for one in found:
@@ -118,8 +117,3 @@ def with_shares(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def _true_mm(run: LineRun, wanted: refine.Line) -> tuple[float, float]:
     assert run.truth_tool_m is not None
     return errors_mm(run.truth_tool_m, wanted.A, wanted.B)
-
-
-@contextmanager
-def _silent(_label: str, _total: float) -> Iterator[Progress]:
-    yield lambda _done, _note: None

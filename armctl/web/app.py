@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
 
 from armctl import __version__
-from armctl.api.jsonrpc import ProtocolError, strict_json
+from armctl.api.jsonrpc import ProtocolError, error_data, strict_json
 from armctl.api.methods import Confirmed, Optimize
 from armctl.config import NAME_PATTERN, ArmConfig, Config, Name, data_dir
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
@@ -123,8 +123,8 @@ async def _refused(_: Request, error: Exception) -> Response:
     status = 503 if isinstance(error, NoDaemon) else 404 if isinstance(error, LogError) else 409
     if isinstance(error, ConfigError):
         status = 422
-    code = getattr(error, "code", type(error).__name__)
-    return _error(status, code, str(error), list(getattr(error, "reasons", [str(error)])))
+    data = error_data(error)  # the socket's codes
+    return _error(status, data["code"], str(error), data["reasons"])
 
 
 async def _invalid(_: Request, error: Exception) -> Response:

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from armctl.errors import RequestRefused
 from armctl.experiment import refine, sag_model, trials
-from armctl.experiment.line import errors_mm, experiment, run_rounds
+from armctl.experiment.line import errors_mm, experiment, run_rounds, silent
 from armctl.experiment.rig import Measured, VirtualRig
-from armctl.experiment.trials import _silent
 from armctl.kinematics.chain import tool_position
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
@@ -150,7 +149,7 @@ def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew() -> None:
         rounds=2,
         seed=0,
         model=sag_model.nominal(on.arm, ROBOT.chain),
-        stage=_silent,
+        stage=silent,
         ways=ways(),
     )
     assert [one.number for one in outcome.rounds] == [0, 1, 2]

@@ -34,17 +34,13 @@ def test_an_arm_that_stops_in_time_is_in_order() -> None:
     assert run.stop_ms == pytest.approx(180.0, abs=11.0)
 
 
-def test_a_shaft_that_swings_through_its_play_later_is_in_order() -> None:
-    assert judged(np.where(TIME_S > 0.4, 0.6, 0.0)).violations == []
-
-
 @pytest.mark.parametrize(
     ("turned_deg", "told"),
     [
         (6.0 * np.minimum(TIME_S / 0.4, 1.0), "moved for 3"),
         (11.0 * np.minimum(TIME_S / 0.2, 1.0), "turned by 11.0 deg"),
-        (np.where(TIME_S > 0.5, 1.0, 0.0), "moved by 1.00 deg from 250 ms on"),
-        (np.where(abs(TIME_S - 0.6) < 0.05, 0.9, 0.0), "moved by 0.90 deg from 250 ms on"),
+        (np.where(TIME_S > 0.5, 0.8, 0.0), "moved by 0.80 deg from 250 ms on"),
+        (np.where(abs(TIME_S - 0.6) < 0.05, 0.7, 0.0), "moved by 0.70 deg from 250 ms on"),
     ],
 )
 def test_an_arm_that_goes_on_too_long_too_far_or_again_is_noticed(

@@ -103,6 +103,11 @@ def test_the_newest_log_comes_first_whatever_its_name(tmp_path: Path) -> None:
     assert [log["name"] for log in logs] == ["armctl-2.mcap.part", "fault-2.mcap", "armctl-1.mcap", "fault-1.mcap"]
 
 
+def test_a_refusal_has_the_code_it_has_on_the_socket(guard: Guard) -> None:
+    assert ask(guard, "GET", "/api/status").json()["error"]["code"] == "NO_DAEMON"
+    assert ask(guard, "GET", "/api/logs/none.mcap").json()["error"]["code"] == "LOG"
+
+
 def test_a_field_that_does_not_fit_is_named_with_its_bound(guard: Guard) -> None:
     error = ask(guard, "GET", "/api/logs/bad.mcap?from_s=-1").json()["error"]
     assert error["code"] == "INVALID"

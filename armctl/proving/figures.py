@@ -1,0 +1,17 @@
+"""What every benchmark answers with: rows of figures side by side, and checks of them against a bound."""
+
+from __future__ import annotations
+
+from typing import Any
+
+Row = dict[str, Any]
+
+
+def row(work: str, who: str, value: float, unit: str, ratio: float) -> Row:
+    """One figure of one of those compared; `ratio` is to what the benchmark says it is to."""
+    return {"work": work, "who": who, "value": value, "unit": unit, "ratio": ratio}
+
+
+def check(name: str, value: float, bound: float, *, least: bool = False) -> Row:
+    """Whether a figure is at most its bound, or at least."""
+    return {"name": name, "value": value, "bound": bound, "ok": value >= bound if least else value <= bound}
