@@ -22,6 +22,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Command, JointTrajectory, Mode, Reply, Run, Teach, TeachEnd, TickRecord, TorqueOn
+from armctl.sim import steps
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
@@ -106,6 +107,7 @@ class VirtualRig:
         Raises:
             RequestRefused: the arm does not take torque.
         """
+        steps.compiled()
         self.simulated = simulated
         self.arm = simulated.config
         self.robot = robots.get(self.arm.robot, self.arm.lengths_m)

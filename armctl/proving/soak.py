@@ -34,6 +34,7 @@ from armctl.proving.invariants import Violation
 from armctl.proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter
+from armctl.sim import steps
 
 SEED = 1
 TWICE_EVERY = 40
@@ -161,6 +162,7 @@ _tally = Tally()
 def _begin() -> None:
     global _stage
     logging.disable(logging.CRITICAL)
+    steps.compiled()
     _stage = stage()
 
 

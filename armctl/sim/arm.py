@@ -26,9 +26,10 @@ from armctl.kinematics.transform import FloatArray
 from armctl.sim.faults import Faults, Planned
 from armctl.sim.gravity import gravity_loads, links_of
 from armctl.sim.hand import Hand
-from armctl.sim.joint import STEP_S, Joint, turn
+from armctl.sim.joint import Joint, turn
 from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
+from armctl.sim.steps import STEP_S
 
 STEP_NS = 1_000_000
 FAULT_TOLERANCE_S = 1e-6

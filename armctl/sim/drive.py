@@ -6,6 +6,7 @@ from struct import Struct
 from typing import NamedTuple
 
 from armctl.dynamixel import ax12a
+from armctl.sim import steps
 
 DRIVING = Struct("<6xHH4xH8xBx4BHHH12xH")
 """Of the table: angle limits; max torque; torque enable; margins, slopes; goal, moving speed, torque limit; punch."""
@@ -29,14 +30,10 @@ class Drive(NamedTuple):
     """Output in wheel mode, which knows no goal; None: not in wheel mode."""
 
     def output(self, error_tick: int) -> float:
-        """Output at a distance from the goal [tick], CCW positive: 0 in the margin, then punch and slope."""
-        if error_tick > self.ccw_margin:
-            output = self.punch + (error_tick - self.ccw_margin) * self.ccw_gain
-            return output if output < self.output_limit else self.output_limit
-        if error_tick < -self.cw_margin:
-            output = self.punch - (error_tick + self.cw_margin) * self.cw_gain
-            return -output if output < self.output_limit else -self.output_limit
-        return 0.0
+        """Output at a distance from the goal [tick], CCW positive."""
+        return steps.output_at(
+            error_tick, self.output_limit, self.punch, self.cw_margin, self.ccw_margin, self.cw_gain, self.ccw_gain
+        )
 
 
 def drive_of(

@@ -23,9 +23,6 @@ from armctl.kinematics.transform import FloatArray
 if TYPE_CHECKING:
     from armctl.sim.arm import SimulatedArm
 
-STIFFNESS_NM_RAD = 60.0
-DAMPING_NM_S = 0.6
-MAX_TORQUE_NM = 2.0
 CARRY_SPEED_RAD_S = 0.8
 """Fastest joint while the arm is carried to the start."""
 CARRY_MIN_S = 1.0
@@ -154,12 +151,6 @@ class Hand:
         others = take.from_rad[n:].tolist()
         speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
         return here + others, speeds + [0.0] * len(others)
-
-    @staticmethod
-    def torque(behind_rad: float, slower_rad_s: float) -> float:
-        """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower."""
-        torque = STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s
-        return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
 
     def _at(self, take: _Take, time_s: float) -> list[float]:
         """Aim of the chain's joints [rad] at a time within the take."""

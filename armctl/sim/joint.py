@@ -20,14 +20,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from armctl.dynamixel.ax12a import TICK_MAX, TICK_RAD
+from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.sim import steps
 from armctl.sim.drive import Drive
-from armctl.sim.hand import Hand
-from armctl.sim.servo import SimulatedServo, sensed_tick
+from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
+from armctl.sim.steps import STEP_S
 
-STEP_S = 1e-3
-HIGHEST_RAD = TICK_MAX * TICK_RAD
 RATED_V = 12.0
 """The supply at which stall torque and no-load speed are stated."""
 
@@ -87,19 +86,16 @@ def turn(
     Args:
         pull: Where the hand wants the shaft [rad] and how fast [rad/s], so many steps ago; None: no hand.
     """
-    enabled, spin, goal = drive.enabled, drive.spin, float(drive.goal_tick)
-    rate = STEP_S / joint.inertia
-    coulomb, stiction, half_play = joint.coulomb, joint.stiction, joint.half_play
+    enabled, goal = drive.enabled, float(drive.goal_tick)
     low, high = (joint.low, joint.high) if joint.held is None else (joint.held, joint.held)
     stall = brake = 0.0
     if enabled and not joint.dead_motor:
         stall = joint.stall * (voltage_V / RATED_V)
         brake = joint.stall / spec.no_load_speed_rad_s
-    shaft, motor, omega = joint.shaft, joint.motor, joint.omega
     if joint.drive is not drive or servo.reference_tick != joint.ramp_end_tick:
         joint.drive, joint.ramped_steps, joint.ramp_begin_tick = drive, 0, servo.reference_tick
     step, start, ramp = joint.ramped_steps, joint.ramp_begin_tick, drive.ramp_tick_s * STEP_S
-    if spin is not None:
+    if drive.spin is not None:
         start = goal
     elif not enabled:
         goal = start
@@ -109,90 +105,48 @@ def turn(
         arrival = math.ceil(abs(goal - start) / ramp) if ramp else 1
         if goal < start:
             ramp = -ramp
-    ramping, end = step < arrival, step + count
-    pulled = 0 if pull is None else pull[2] - step - 1
-    external = joint.load
-    drift = _drift(external, spec)
-    output = push = 0.0
-    near, far, sensed = math.inf, -math.inf, 0
-    held = False
-    while step < end:
-        step += 1
-        whole = math.floor((goal if step >= arrival else start + ramp * step) + 0.5)
-        last = end
-        if step < arrival and whole != goal:  # the last step before the reference gets to another tick
-            if ramp > 0.0:
-                last = min(end, max(step, math.ceil((whole + 0.5 - start) / ramp) - 1))
-            else:
-                last = min(end, max(step, math.floor((whole - 0.5 - start) / ramp)))
-        stale = True
-        for now in range(step, last + 1):
-            if stale:
-                stale = False
-                if not near <= shaft < far:
-                    sensed, near, far = _sense(servo, shaft, low, high)
-                if enabled:
-                    output = drive.output(whole - sensed) if spin is None else spin
-                push = stall * output
-            if pull is not None:
-                behind, slower = pull[0] + pull[1] * ((pulled + now) * STEP_S) - shaft, pull[1] - omega
-                external = joint.load + Hand.torque(behind, slower)
-                drift = _drift(external, spec)
-            torque = push - brake * omega + external
-            if omega > 0.0:
-                omega += (torque - coulomb) * rate
-                if omega < 0.0:
-                    omega = 0.0
-            elif omega < 0.0:
-                omega += (torque + coulomb) * rate
-                if omega > 0.0:
-                    omega = 0.0
-            elif torque > stiction:
-                omega = (torque - coulomb) * rate
-            elif torque < -stiction:
-                omega = (torque + coulomb) * rate
-            else:
-                held, before = True, (shaft, motor)
-            motor += omega * STEP_S
-            shaft += drift
-            if shaft > motor + half_play:
-                shaft = motor + half_play
-            elif shaft < motor - half_play:
-                shaft = motor - half_play
-            if not near <= shaft < far:
-                stale = True
-                if shaft < low:
-                    motor, shaft, omega = motor + low - shaft, low, max(omega, 0.0)
-                elif shaft > high:
-                    motor, shaft, omega = motor + high - shaft, high, min(omega, 0.0)
-            if held:
-                held = False
-                if (shaft, motor) == before and pull is None:
-                    break  # and so would every further step up to `last`
-        step = last
-    moved = ramping or omega != 0.0 or omega != joint.omega or shaft != joint.shaft
+    aim, aim_speed, pulled = (0.0, 0.0, 0) if pull is None else pull
+    shaft, motor, omega, output = steps.integrate(
+        joint.shaft,
+        joint.motor,
+        joint.omega,
+        step,
+        count,
+        start,
+        goal,
+        ramp,
+        arrival,
+        joint.load,
+        STEP_S / joint.inertia,
+        joint.coulomb,
+        joint.stiction,
+        joint.half_play,
+        low,
+        high,
+        stall,
+        brake,
+        spec.shaft_friction_Nm,
+        spec.play_speed_rad_s * STEP_S,
+        -1 if servo.frozen_tick is None else servo.frozen_tick,
+        enabled,
+        enabled and drive.spin is not None,
+        drive.spin or 0.0,
+        drive.output_limit,
+        drive.punch,
+        drive.cw_margin,
+        drive.ccw_margin,
+        drive.cw_gain,
+        drive.ccw_gain,
+        pull is not None,
+        aim,
+        aim_speed,
+        pulled - step - 1,
+    )
+    end = step + count
+    moved = step < arrival or omega != 0.0 or omega != joint.omega or shaft != joint.shaft
     joint.shaft, joint.motor, joint.omega = shaft, motor, omega
     servo.position_tick = shaft / TICK_RAD
     servo.velocity_rad_s, servo.output = omega, output
     servo.reference_tick = joint.ramp_end_tick = goal if end >= arrival else start + ramp * end
     joint.ramped_steps = end
     return moved
-
-
-def _drift(external: float, spec: ArmSpec) -> float:
-    """How far a torque pushes the shaft through its play in a step."""
-    if -spec.shaft_friction_Nm <= external <= spec.shaft_friction_Nm:
-        return 0.0
-    return math.copysign(spec.play_speed_rad_s * STEP_S, external)
-
-
-def _sense(servo: SimulatedServo, shaft: float, low: float, high: float) -> tuple[int, float, float]:
-    """What the servo takes its shaft for [tick], and the angles from near to below far that it takes for the same."""
-    if servo.frozen_tick is not None:
-        return servo.frozen_tick, low, high
-    if low < 0.0 or high > HIGHEST_RAD:
-        return sensed_tick(shaft / TICK_RAD), math.inf, -math.inf
-    sensed = math.floor(shaft / TICK_RAD + 0.5)
-    near = (sensed - 0.5) * TICK_RAD
-    far = near + TICK_RAD
-    return sensed, near if near > low else low, far if far < high else high

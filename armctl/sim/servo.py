@@ -12,15 +12,14 @@ Rules, from ROBOTIS' e-manual and the AX-12 user's manual unless marked:
   blink. It stays overloaded until torque is enabled again with a torque limit above 0.
 - Both angle limits 0 is wheel mode: the goal means nothing, the moving speed is the output, bit 10 its direction.
 - A reboot restores the RAM (goal = present, torque limit = max torque, unlocked) and keeps the EEPROM.
-- Beyond 0..1023 the potentiometer saturates for `EDGE_TICK` and is open in the rest of the turn: what it reads there
-  is erratic (here a function of the angle alone, so that it repeats).
+- Beyond 0..1023 the potentiometer saturates for `steps.EDGE_TICK` and is open in the rest of the turn: what it reads
+  there is erratic (here a function of the angle alone, so that it repeats).
 
 What differs between reports and firmwares is a field of `ServoVariants`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cache
 from struct import Struct
@@ -32,13 +31,10 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Instruction, Packet, encode_status
 from armctl.sim.drive import DRIVING, Drive, drive_of
+from armctl.sim.steps import sensed_tick
 
 LOCKED_WRITABLE = range(24, 36)
 """Addresses that stay writable after LOCK."""
-TURN_TICK = 2.0 * math.pi / ax12a.TICK_RAD
-EDGE_TICK = 10.0
-"""The resistive track ends this far beyond 0 and 1023: a guess."""
-
 
 _MEASURED = Struct("<HHH5B")
 """From the present position on: position, speed, load, voltage, temperature, registered, address 45, moving."""
@@ -56,19 +52,6 @@ class ServoVariants:
     """The goal register follows the position while torque is off; otherwise it keeps the old goal."""
     ramp_from_reference: bool = True
     """A new goal continues the speed ramp from the reference in force; otherwise from the present position."""
-
-
-def sensed_tick(position_tick: float) -> int:
-    """What the potentiometer reads at a shaft angle, the dead zone included."""
-    tick = math.floor(position_tick + 0.5)
-    if 0 <= tick <= ax12a.TICK_MAX:
-        return tick
-    turned = position_tick % TURN_TICK
-    if turned > TURN_TICK - EDGE_TICK:
-        return 0
-    if turned > ax12a.TICK_MAX + EDGE_TICK:
-        return int(turned * 64.0) * 0x9E3779B1 >> 12 & ax12a.TICK_MAX  # erratic, yet the same at the same angle
-    return min(math.floor(turned + 0.5), ax12a.TICK_MAX)
 
 
 class SimulatedServo:

@@ -11,9 +11,9 @@ from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.errors import UnreachableTarget
 from armctl.kinematics.transform import FloatArray
-from armctl.sim import hand as hand_module
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.hand import Guided, Hand
+from armctl.sim.hand import Guided
+from armctl.sim.steps import MAX_TORQUE_NM, hand_torque
 
 FROM_M, TO_M = np.array([0.18, -0.125, 0.10]), np.array([0.18, 0.125, 0.10])
 
@@ -110,6 +110,6 @@ def test_wobble_that_leaves_the_reach_does_not_stop_the_hand(arm: ArmConfig) -> 
 
 
 def test_force_of_the_hand_is_limited() -> None:
-    assert Hand.torque(10.0, 0.0) == hand_module.MAX_TORQUE_NM
-    assert Hand.torque(0.0, -10.0) == -hand_module.MAX_TORQUE_NM
-    assert Hand.torque(0.01, 0.1) == pytest.approx(0.66)
+    assert hand_torque(10.0, 0.0) == MAX_TORQUE_NM
+    assert hand_torque(0.0, -10.0) == -MAX_TORQUE_NM
+    assert hand_torque(0.01, 0.1) == pytest.approx(0.66)

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.sim.drive import Drive
-from armctl.sim.hand import Hand
-from armctl.sim.joint import STEP_S, Joint, turn
-from armctl.sim.servo import SimulatedServo, sensed_tick
+from armctl.sim.joint import Joint, turn
+from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
+from armctl.sim.steps import STEP_S, hand_torque, sensed_tick
 
 SPEC = ArmSpec()
 VOLTAGE_V = 11.7
@@ -79,7 +79,7 @@ def plain_step(
             torque = joint.stall * (output * VOLTAGE_V / 12.0 - joint.omega / SPEC.no_load_speed_rad_s)
     external = joint.load
     if pull is not None:
-        external += Hand.torque(pull[0] + pull[1] * step * STEP_S - joint.shaft, pull[1] - joint.omega)
+        external += hand_torque(pull[0] + pull[1] * step * STEP_S - joint.shaft, pull[1] - joint.omega)
     torque += external
     moving = joint.omega if joint.omega != 0.0 else torque
     if joint.omega != 0.0 or abs(torque) > joint.stiction:

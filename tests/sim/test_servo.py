@@ -17,7 +17,8 @@ from armctl.dynamixel.packet import (
     Packet,
 )
 from armctl.sim.drive import compliance_slope
-from armctl.sim.servo import TURN_TICK, ServoVariants, SimulatedServo, sensed_tick
+from armctl.sim.servo import ServoVariants, SimulatedServo
+from armctl.sim.steps import TURN_TICK, sensed_tick
 
 
 def servo(variants: ServoVariants = ServoVariants(), *, noise_tick: float = 0.0) -> SimulatedServo:  # noqa: B008
