@@ -24,16 +24,15 @@ def shortest_path(cost: Sequence[FloatArray] | FloatArray) -> IntArray:
     Returns:
         Index of the choice at each station, shape (m,).
     """
-    best = np.zeros(cost[0].shape[:2])  # of all paths so far that end in (i, j)
-    choices = []
+    arrivals = [np.zeros(cost[0].shape[:2])]  # of all paths so far that end in (i, j)
     for triple in cost:
-        arrival = best[:, :, None] + triple
-        choices.append(arrival.argmin(axis=0))
-        best = arrival.min(axis=0)
-    j, last = divmod(int(best.argmin()), best.shape[1])
+        arrivals.append((arrivals[-1][:, :, None] + triple).min(axis=0))
+    j, last = divmod(int(arrivals.pop().argmin()), cost[-1].shape[2])
     genes = [last, j]
-    for choice in reversed(choices):
-        genes.append(int(choice[genes[-1], genes[-2]]))
+    # Which way led there is asked of those few places only that lie on the best path.
+    for before, triple in zip(reversed(arrivals), reversed(cost), strict=True):
+        after, here = genes[-2:]
+        genes.append(int((before[:, here] + triple[:, here, after]).argmin()))
     return np.array(genes[::-1], dtype=np.intp)
 
 
@@ -44,11 +43,13 @@ def window_search(table: FloatArray, genes: IntArray, begin: int, length: int) -
         table: Costs of triples, shape (m - 2, R, R, R).
         genes: One chromosome, shape (m,).
     """
-    recordings, m = table.shape[1], len(genes)
+    m = len(genes)
     free = slice(begin, min(begin + length, m))
     first, last = max(begin - 2, 0), min(free.stop + 2, m)  # the triples that touch the window reach so far
-    choices = [np.arange(recordings) if free.start <= k < free.stop else genes[k : k + 1] for k in range(first, last)]
-    cost = [table[first + k][np.ix_(*choices[k : k + 3])] for k in range(len(choices) - 2)]
+    choices = [
+        slice(None) if free.start <= k < free.stop else slice(genes[k], genes[k] + 1) for k in range(first, last)
+    ]
+    cost = [table[first + k][tuple(choices[k : k + 3])] for k in range(len(choices) - 2)]
     chosen = shortest_path(cost)
     better = genes.copy()
     better[free] = chosen[free.start - first : free.stop - first]
