@@ -10,7 +10,9 @@ Rules.
    and the others make up for where it stands.
 4. A motion is repeatable, its readings are not: the same plan, run again, seems straighter or less straight by the
    repeat noise. So a plan that seems better than the kept one is run a second time, and takes its place only if the
-   mean of both is better by more than that noise. Kept plans therefore get better from one to the next.
+   mean of both is better by more than that noise. Kept plans therefore get better from one to the next. Now and then a
+   joint sticks in one run where it slips in another: two runs that differ by far more than the noise ask for a third,
+   and the median of the three counts, for choosing as for learning.
 5. A plan that is not kept is forgotten: the next one starts from the kept plan again, with a smaller gain and with all
    that was measured of it by then. Rounds end when `PATIENCE` in a row were not kept.
 6. Goals go to the nearest whole tick, each joint by itself. Choosing every tick's goals together, among the 2^n
@@ -44,8 +46,10 @@ from armctl.trajectory.straightness import distance_to_line, max_error, mean_err
 GAINS = (0.8, 0.6, 0.5, 0.4, 0.35, 0.3)
 LESS = 0.5
 """Of the gain, after each plan in a row that was not kept: stiction answers a large correction with a jump."""
-RUNS = 2
-"""How often a plan is run before it may be kept."""
+RUNS, MOST_RUNS = 2, 3
+"""How often a plan is run before it may be kept: at least, and where two runs disagree."""
+DISAGREE = 4.0 * 2.0**0.5
+"""Deviations of the noise between two runs that noise alone hardly ever makes."""
 SMOOTH_S = 0.25
 """Standard deviation of the window over which readings are averaged."""
 STILL_RAD = 3.0 * TICK_RAD
@@ -128,7 +132,7 @@ class Round:
     @property
     def filtered_mm(self) -> float:
         """What rounds are compared by."""
-        return float(np.mean(self.run_mm))
+        return float(np.median(self.run_mm))
 
 
 def progress_of_ticks(m: int) -> FloatArray:
@@ -282,7 +286,7 @@ def smoothed(values: FloatArray, period_s: float) -> FloatArray:
 def learn(rig: Rig, last: Round, gain: float) -> Course:
     """The round's course corrected by what its runs showed."""
     course = last.course
-    lag = np.mean([lag_of(rig, last.plan, run) for run in last.runs], axis=0)
+    lag = np.median([lag_of(rig, last.plan, run) for run in last.runs], axis=0)
     surprise = gain * smoothed(lag - course.lag_rad, rig.period_s)
     held = (np.ptp(course.expected_rad, axis=0) < STILL_RAD).astype(float)
     return _placed(rig, replace(course, lag_rad=course.lag_rad + surprise), held=held)
@@ -305,6 +309,19 @@ def again(rig: Rig, one: Round) -> Round:
     """
     measured = rig.run(one.plan)
     return replace(one, runs=(*one.runs, measured), run_mm=(*one.run_mm, seen_mm(rig, one, measured)))
+
+
+def often_enough(rig: Rig, one: Round, noise_mm: float) -> Round:
+    """The round with as many runs as it takes to believe them.
+
+    Args:
+        noise_mm: Of `filtered_mm` from run to run, as far as it is known without this round.
+    Raises:
+        RequestRefused: the plan may not run, or was stopped.
+    """
+    while len(one.runs) < RUNS or (len(one.runs) < MOST_RUNS and np.ptp(one.run_mm) > DISAGREE * noise_mm):
+        one = again(rig, one)
+    return one
 
 
 def seen_mm(rig: Rig, one: Round, measured: Measured) -> float:
@@ -365,9 +382,7 @@ def refine(rig: Rig, first: Round, rounds: int, show: Callable[[Round], None] = 
 
     The last of them that is `kept` is the outcome.
     """
-    best = replace(first, kept=True)
-    while len(best.run_mm) < RUNS:
-        best = again(rig, best)
+    best = replace(often_enough(rig, first, NOISE_MM), kept=True)
     done = [best]
     unkept = 0
     for number in range(first.number + 1, first.number + 1 + rounds):
@@ -376,7 +391,7 @@ def refine(rig: Rig, first: Round, rounds: int, show: Callable[[Round], None] = 
         try:
             one = run(rig, course, plan_of(rig, course, first.plan.seed), number)
             if one.filtered_mm < best.filtered_mm:
-                one = again(rig, one)
+                one = often_enough(rig, one, repeat_noise_mm(done))
         except RequestRefused as refusal:
             if refusal.code not in ("PREFLIGHT", "LIMIT"):
                 raise
@@ -395,11 +410,15 @@ def refine(rig: Rig, first: Round, rounds: int, show: Callable[[Round], None] = 
 
 
 def repeat_noise_mm(rounds: Iterable[Round]) -> float:
-    """Standard deviation of `filtered_mm` from run to run of one plan, by the rounds that were run more than once."""
+    """Standard deviation of `filtered_mm` from run to run of one plan, by the rounds that were run more than once.
+
+    Of a round whose runs disagreed the two that are nearest to each other count.
+    """
     squares, freedom = NOISE_RUNS * NOISE_MM**2, NOISE_RUNS
     for one in rounds:
-        squares += float(((np.array(one.run_mm) - one.filtered_mm) ** 2).sum())
-        freedom += len(one.run_mm) - 1
+        if len(one.run_mm) >= RUNS:
+            squares += float(np.diff(np.sort(one.run_mm)).min() ** 2) / 2.0
+            freedom += 1
     return float(np.sqrt(squares / freedom))
 
 

@@ -172,7 +172,7 @@ def worsened(found: dict[str, Any], noise_mm: float) -> list[str]:
         reasons.append(f"ends at {final:.2f} mm, round 1 had {first:.2f} mm")
     for number in found["kept"]:
         runs = found["seen_mm"][number]
-        seen = float(np.mean(runs))
+        seen = float(np.median(runs))
         if again > seen + LIKELY * noise_mm * (1.0 + 1.0 / len(runs)) ** 0.5:
             reasons.append(f"the outcome looks like {again:.2f} mm, round {number} looked like {seen:.2f} mm")
     return reasons
