@@ -57,7 +57,7 @@ class _Take:
     seed: int
     start_s: float
     when: Guided
-    from_rad: FloatArray
+    from_rad: list[float]
     """Where the arm was taken up."""
     guess_rad: FloatArray
     line_m: tuple[FloatArray, FloatArray]
@@ -66,7 +66,7 @@ class _Take:
     phase_rad: FloatArray
     pace: FloatArray
     """Weights of the sines that vary the speed."""
-    knots_rad: list[FloatArray]
+    knots_rad: list[list[float]]
 
 
 class Hand:
@@ -75,6 +75,9 @@ class Hand:
     def __init__(self, arm: SimulatedArm) -> None:
         self._arm = arm
         self._take: _Take | None = None
+        self._aimed_at: tuple[_Take | None, float] = None, 0.0
+        self._aimed: tuple[list[float], list[float]] = [], []
+        """The aim of this moment of this take."""
         limits = np.array([joint.limits_rad for joint in arm.config.joints])
         self._limits = limits[: arm.chain.n]
         span = self._limits[:, 1] - self._limits[:, 0]
@@ -116,7 +119,7 @@ class Hand:
             start_s=self._arm.time_s,
             when=Guided(0.0, 0.0, 0.0),
             # A hand that already holds the arm keeps its grip, else the arm would sag for a moment.
-            from_rad=np.array(self.aim(self._arm.time_s)[0]) if self.holding else self._arm.true_positions(),
+            from_rad=self.aim(self._arm.time_s)[0] if self.holding else self._arm.true_positions().tolist(),
             guess_rad=guess,
             line_m=line,
             amplitude_m=share * peak,
@@ -129,8 +132,8 @@ class Hand:
         for share_of_line in (0.0, 0.5, 1.0):
             q = solve_position(self._arm.chain, line[0] + share_of_line * (line[1] - line[0]), q, self._limits)
         take.knots_rad.append(self._solve(take, 0.0, line_s, guess))
-        way = np.abs(take.knots_rad[0] - take.from_rad[:n]).max()
-        carry_s = max(CARRY_MIN_S, 1.875 * float(way) / CARRY_SPEED_RAD_S)  # minimum jerk peaks at 1.875 of its mean
+        way = max(abs(to - at) for to, at in zip(take.knots_rad[0], take.from_rad, strict=False))
+        carry_s = max(CARRY_MIN_S, 1.875 * way / CARRY_SPEED_RAD_S)  # minimum jerk peaks at 1.875 of its mean
         begin_s = carry_s + DWELL_BEFORE_S
         take.when = Guided(begin_s + line_s + DWELL_AFTER_S, begin_s, begin_s + line_s)
         self._take = take
@@ -145,30 +148,34 @@ class Hand:
         take = self._take
         assert take is not None
         time_s -= take.start_s
-        n = self._arm.chain.n
-        ahead_s = 1e-3
-        here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
-        others = take.from_rad[n:].tolist()
-        speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
-        return here + others, speeds + [0.0] * len(others)
+        if time_s - take.when.begin_s >= take.when.end_s - take.when.begin_s:
+            time_s = math.inf  # the aim stays
+        if self._aimed_at[0] is not take or self._aimed_at[1] != time_s:
+            self._aimed_at = take, time_s
+            others = take.from_rad[self._arm.chain.n :]
+            ahead_s = 1e-3
+            here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
+            speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
+            self._aimed = here + others, speeds + [0.0] * len(others)
+        return self._aimed
 
     def _at(self, take: _Take, time_s: float) -> list[float]:
         """Aim of the chain's joints [rad] at a time within the take."""
         begin_s, end_s = take.when.begin_s, take.when.end_s
         if time_s < begin_s:
             s = _minimum_jerk(time_s / (begin_s - DWELL_BEFORE_S))
-            return [a + s * (b - a) for a, b in zip(take.from_rad.tolist(), take.knots_rad[0].tolist(), strict=False)]
+            return [a + s * (b - a) for a, b in zip(take.from_rad, take.knots_rad[0], strict=False)]
         line_s = end_s - begin_s
         x = min(time_s - begin_s, line_s) / KNOT_S
         k = int(x)
         # Solved one by one as time passes, so that no single call takes long.
         while len(take.knots_rad) < k + 2:
             knot_s = min(len(take.knots_rad) * KNOT_S, line_s)
-            take.knots_rad.append(self._solve(take, knot_s, line_s, take.knots_rad[-1]))
-        before, after = take.knots_rad[k].tolist(), take.knots_rad[k + 1].tolist()
+            take.knots_rad.append(self._solve(take, knot_s, line_s, np.array(take.knots_rad[-1])))
+        before, after = take.knots_rad[k], take.knots_rad[k + 1]
         return [a + (x - k) * (b - a) for a, b in zip(before, after, strict=True)]
 
-    def _solve(self, take: _Take, time_s: float, line_s: float, guess: FloatArray) -> FloatArray:
+    def _solve(self, take: _Take, time_s: float, line_s: float, guess: FloatArray) -> list[float]:
         u = time_s / line_s
         # Time itself is bent, staying monotone: the weights' sum is below 1.
         bent = u + sum(float(w) * math.sin(k * math.pi * u) / (k * math.pi) for k, w in enumerate(take.pace, start=1))
@@ -180,8 +187,9 @@ class Hand:
         # Where the wobble leads out of reach the hand keeps to the line, and where that does too it waits.
         for target in (on_line + wobble, on_line):
             with contextlib.suppress(UnreachableTarget):
-                return solve_position(self._arm.chain, target, guess, self._limits, tolerance_m=1e-5, iterations=50)
-        return guess
+                guess = solve_position(self._arm.chain, target, guess, self._limits, tolerance_m=1e-5, iterations=50)
+                break
+        return [float(angle) for angle in guess]
 
 
 def _minimum_jerk(u: float) -> float:

@@ -1,6 +1,6 @@
 """One joint of a simulated arm: a mass on a motor with friction, in the servo's own direction (CCW positive).
 
-Integrated at 1 kHz by semi-implicit Euler:
+Integrated at 1 kHz by semi-implicit Euler, in `steps.py`:
 
     output  = 0 inside the margin, `punch` at its edge, then a ramp over the slope, capped by the torque limits;
               the error is counted in whole ticks between the reference and the quantised shaft
@@ -17,136 +17,178 @@ to another tick. Both give the same as computing every step.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.sim import steps
 from armctl.sim.drive import Drive
 from armctl.sim.servo import SimulatedServo
-from armctl.sim.spec import ArmSpec
+from armctl.sim.state import State
 from armctl.sim.steps import STEP_S
 
-RATED_V = 12.0
-"""The supply at which stall torque and no-load speed are stated."""
+
+class _Number:
+    """A number of a joint that lies in the arm's state."""
+
+    def __init__(self, place: int) -> None:
+        self._place = place
+
+    def __get__(self, joint: Joint, _: type[Joint]) -> float:
+        return joint.state.numbers[joint.at + self._place]
+
+    def __set__(self, joint: Joint, value: float) -> None:
+        joint.state.numbers[joint.at + self._place] = value
 
 
-@dataclass(slots=True)
+class _Count:
+    """A whole number of a joint that lies in the arm's state."""
+
+    def __init__(self, place: int) -> None:
+        self._place = place
+
+    def __get__(self, joint: Joint, _: type[Joint]) -> int:
+        return joint.state.counts[joint.of + self._place]
+
+    def __set__(self, joint: Joint, value: int) -> None:
+        joint.state.counts[joint.of + self._place] = value
+
+
 class Joint:
-    """Constants and state of one joint, in the servo's direction: angle = tick * TICK_RAD."""
+    """One joint of the arm's state, and its servo: angles are the servo's, angle = tick * TICK_RAD."""
 
-    direction: int
-    zero_rad: float
-    """Shaft angle at joint position 0, the zero offset included."""
-    coulomb: float
-    stiction: float
-    half_play: float
-    low: float
-    high: float
-    shaft: float
-    motor: float
-    stall: float = 0.0
-    """Torque at the rated supply."""
-    omega: float = 0.0
-    load: float = 0.0
-    """Torque of gravity on the shaft."""
-    inertia: float = 1.0
-    weighed: float = math.inf
-    """The shaft's angle that load and inertia belong to."""
-    drive: Drive | None = None
-    """What the reference ramps by, and since when: the same sum however time is cut."""
-    ramped_steps: int = 0
-    ramp_begin_tick: float = 0.0
-    ramp_end_tick: float = 0.0
-    """Where the ramp has left the reference; another value there is a new begin."""
-    ahead: int = 0
-    """Steps it has been integrated beyond the arm's time."""
-    loaded_steps: int = 0
-    dead_motor: bool = False
-    held: float | None = None
-    """Where something holds the shaft."""
-    boot_step: int = 0
-    """When its firmware runs again, while it is booting."""
+    shaft, motor, omega = _Number(steps.SHAFT), _Number(steps.MOTOR), _Number(steps.OMEGA)
+    output, effort = _Number(steps.OUTPUT), _Number(steps.EFFORT)
+    direction, zero_rad = _Number(steps.DIRECTION), _Number(steps.ZERO)
+    coulomb, stiction, half_play = _Number(steps.COULOMB), _Number(steps.STICTION), _Number(steps.HALF_PLAY)
+    stall, brake = _Number(steps.STALL), _Number(steps.BRAKE)
+    load, rate = _Number(steps.LOAD), _Number(steps.RATE)
+    ahead, dead_motor = _Count(steps.AHEAD), _Count(steps.DEAD)
+    booting, boot_step = _Count(steps.BOOTING), _Count(steps.BOOT_STEP)
+
+    def __init__(
+        self,
+        state: State,
+        i: int,
+        servo: SimulatedServo,
+        *,
+        direction: float,
+        zero_rad: float,
+        rest_rad: float,
+        coulomb: float,
+        stiction: float,
+        half_play: float,
+        low: float,
+        high: float,
+        stall: float,
+        brake: float,
+        shaft: float,
+    ) -> None:
+        """Joint i of a state, standing still.
+
+        Args:
+            zero_rad: Shaft angle at joint position 0, the zero offset included.
+            rest_rad: The joint position in the rest pose.
+            stall: Torque at the rated supply [N m].
+            brake: What the motor loses by turning [N m s].
+            shaft: Where it is [rad].
+        """
+        self.state, self.servo = state, servo
+        self.at, self.of = steps.ARM_NUMBERS + i * steps.JOINT_NUMBERS, steps.ARM_COUNTS + i * steps.JOINT_COUNTS
+        constants = (direction, zero_rad, rest_rad, coulomb, stiction, half_play, low, high, stall, brake)
+        for place, value in enumerate(constants, self.at + steps.DIRECTION):
+            state.numbers[place] = value
+        self._ends = low, high
+        self.shaft = self.motor = shaft
+        self.rate = STEP_S
+        state.numbers[self.at + steps.WEIGHED_AT] = float("inf")
+        self.freeze(None)
+        self.writes, self.drive = servo.writes, servo.drive
+        self._alarms = servo.alarm_registers
+        self.drive_by(self.drive)
+        self._load_alarms()
 
     def position_rad(self) -> float:
         return self.direction * (self.shaft - self.zero_rad)
 
+    @property
+    def held(self) -> bool:
+        """Whether something holds the shaft where it is."""
+        numbers, at = self.state.numbers, self.at
+        return numbers[at + steps.LOW] == numbers[at + steps.HIGH]
 
-def turn(
-    joint: Joint,
-    servo: SimulatedServo,
-    drive: Drive,
-    spec: ArmSpec,
-    voltage_V: float,
-    count: int,
-    pull: tuple[float, float, int] | None,
-) -> bool:
-    """Integrate `count` steps of a joint under its present load; whether anything about it changed.
+    def hold(self, at_rad: float | None) -> None:
+        """Let the shaft go no further than an angle both ways; None: its own ends."""
+        low, high = self._ends if at_rad is None else (at_rad, at_rad)
+        self.state.numbers[self.at + steps.LOW], self.state.numbers[self.at + steps.HIGH] = low, high
 
-    Args:
-        pull: Where the hand wants the shaft [rad] and how fast [rad/s], so many steps ago; None: no hand.
-    """
-    enabled, goal = drive.enabled, float(drive.goal_tick)
-    low, high = (joint.low, joint.high) if joint.held is None else (joint.held, joint.held)
-    stall = brake = 0.0
-    if enabled and not joint.dead_motor:
-        stall = joint.stall * (voltage_V / RATED_V)
-        brake = joint.stall / spec.no_load_speed_rad_s
-    if joint.drive is not drive or servo.reference_tick != joint.ramp_end_tick:
-        joint.drive, joint.ramped_steps, joint.ramp_begin_tick = drive, 0, servo.reference_tick
-    step, start, ramp = joint.ramped_steps, joint.ramp_begin_tick, drive.ramp_tick_s * STEP_S
-    if drive.spin is not None:
-        start = goal
-    elif not enabled:
-        goal = start
-    arrival = 0
-    """In which step, counted from 1 at the ramp's begin, the reference reaches the goal."""
-    if start != goal:
-        arrival = math.ceil(abs(goal - start) / ramp) if ramp else 1
-        if goal < start:
-            ramp = -ramp
-    aim, aim_speed, pulled = (0.0, 0.0, 0) if pull is None else pull
-    shaft, motor, omega, output = steps.integrate(
-        joint.shaft,
-        joint.motor,
-        joint.omega,
-        step,
-        count,
-        start,
-        goal,
-        ramp,
-        arrival,
-        joint.load,
-        STEP_S / joint.inertia,
-        joint.coulomb,
-        joint.stiction,
-        joint.half_play,
-        low,
-        high,
-        stall,
-        brake,
-        spec.shaft_friction_Nm,
-        spec.play_speed_rad_s * STEP_S,
-        -1 if servo.frozen_tick is None else servo.frozen_tick,
-        enabled,
-        enabled and drive.spin is not None,
-        drive.spin or 0.0,
-        drive.output_limit,
-        drive.punch,
-        drive.cw_margin,
-        drive.ccw_margin,
-        drive.cw_gain,
-        drive.ccw_gain,
-        pull is not None,
-        aim,
-        aim_speed,
-        pulled - step - 1,
-    )
-    end = step + count
-    moved = step < arrival or omega != 0.0 or omega != joint.omega or shaft != joint.shaft
-    joint.shaft, joint.motor, joint.omega = shaft, motor, omega
-    servo.position_tick = shaft / TICK_RAD
-    servo.velocity_rad_s, servo.output = omega, output
-    servo.reference_tick = joint.ramp_end_tick = goal if end >= arrival else start + ramp * end
-    joint.ramped_steps = end
-    return moved
+    def freeze(self, tick: int | None) -> None:
+        """Let the servo read the same for ever; None: its sensor works."""
+        self.state.counts[self.of + steps.FROZEN] = -1 if tick is None else tick
+
+    def pull(self, aim_rad: float, speed_rad_s: float) -> None:
+        """Take note of where a hand wants the joint, and how fast."""
+        numbers, at = self.state.numbers, self.at
+        direction = numbers[at + steps.DIRECTION]
+        numbers[at + steps.AIM] = numbers[at + steps.ZERO] + direction * aim_rad
+        numbers[at + steps.AIM_SPEED] = direction * speed_rad_s
+
+    def obey(self) -> bool:
+        """Take note of what was written to the servo; whether the arm may go on resting."""
+        servo, before = self.servo, self.drive
+        drive = servo.drive
+        self.drive, self.writes = drive, servo.writes
+        if drive is not before:
+            self.drive_by(drive)
+        if servo.alarm_registers != self._alarms:
+            self._alarms = servo.alarm_registers
+            self._load_alarms()
+        at_goal = not drive.enabled or drive.spin is not None or servo.reference_tick == drive.goal_tick
+        return at_goal and drive == before
+
+    def drive_by(self, drive: Drive) -> None:
+        """Let another drive rule the motor; its ramp begins where the reference is."""
+        numbers, counts, at, of = self.state.numbers, self.state.counts, self.at, self.of
+        numbers[at + steps.GOAL] = drive.goal_tick
+        numbers[at + steps.RAMP] = drive.ramp_tick_s * STEP_S
+        numbers[at + steps.LIMIT] = drive.output_limit
+        numbers[at + steps.PUNCH] = drive.punch
+        numbers[at + steps.CW_GAIN] = drive.cw_gain
+        numbers[at + steps.CCW_GAIN] = drive.ccw_gain
+        numbers[at + steps.SPIN] = drive.spin or 0.0
+        counts[of + steps.FRESH] = 1
+        counts[of + steps.ENABLED] = drive.enabled
+        counts[of + steps.SPINS] = drive.spin is not None
+        counts[of + steps.CW_MARGIN] = drive.cw_margin
+        counts[of + steps.CCW_MARGIN] = drive.ccw_margin
+
+    def _load_alarms(self) -> None:
+        for place, register in enumerate(self._alarms, self.of + steps.MAX_DEGC):
+            self.state.counts[place] = register
+
+    def look(self) -> None:
+        """Take note of what the servo itself may have changed, or somebody else."""
+        servo, numbers, at = self.servo, self.state.numbers, self.at
+        numbers[at + steps.REFERENCE] = servo.reference_tick
+        numbers[at + steps.OUTPUT] = servo.output
+        numbers[at + steps.DEGC] = servo.temperature_degC
+        numbers[at + steps.SERVO_V] = servo.voltage_V
+        self.state.counts[self.of + steps.OVERLOADED] = servo.overloaded
+
+    def show(self) -> None:
+        """Let the servo have what the physics made of it."""
+        servo, at = self.servo, self.at
+        (
+            shaft,
+            servo.velocity_rad_s,
+            servo.output,
+            servo.reference_tick,
+            servo.temperature_degC,
+            servo.voltage_V,
+        ) = self.state.numbers[at : at + 6]
+        servo.position_tick = shaft / TICK_RAD
+
+    def ask(self, overload_s: float) -> None:
+        """If the joint asks for it, let the servo shut down or go on booting."""
+        counts, of = self.state.counts, self.of
+        if counts[of + steps.ASKS]:
+            counts[of + steps.ASKS] = 0
+            self.servo.protect(overloaded=counts[of + steps.LOADED] * STEP_S > overload_s)
+            self.servo.booting = counts[of + steps.BOOTING] != 0

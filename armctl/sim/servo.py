@@ -38,6 +38,7 @@ LOCKED_WRITABLE = range(24, 36)
 
 _MEASURED = Struct("<HHH5B")
 """From the present position on: position, speed, load, voltage, temperature, registered, address 45, moving."""
+_ALARMS = Struct("<11x3B4xB")
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,11 @@ class SimulatedServo:
         if registers != self._driven_by:
             self._driven_by, self._drive = registers, drive_of(*registers)
         return self._drive
+
+    @property
+    def alarm_registers(self) -> tuple[int, ...]:
+        """What says whether it shuts down: temperature limit, lowest and highest voltage, shutdown."""
+        return _ALARMS.unpack_from(self._table)
 
     def _value(self, register: Register) -> int:
         return int.from_bytes(self._table[register.address : register.address + register.size], "little")

@@ -1,16 +1,24 @@
-"""The millisecond steps of one simulated joint, as functions of plain numbers; `joint.py` has the equations.
+"""The millisecond steps of the simulated joints, as functions of plain numbers; `joint.py` and `arm.py` have the laws.
 
 Nothing here knows of servos or registers, so that numba can make machine code of it: `compiled`, once in a process,
 makes what takes the most time of a simulation about a hundred times faster, bit for bit the same. Without numba
 (the extra `fast`) everything runs as it stands.
+
+All that changes lies in three flat arrays, see `state.py`: `numbers` and `counts` hold the arm's own and then those of
+one joint after another, `chain` the links. The names in capitals below are places in them: of the arm's from 0 on, of
+joint i's from `ARM_NUMBERS + i * JOINT_NUMBERS` (written `at`) and `ARM_COUNTS + i * JOINT_COUNTS` (`of`) on.
+
+All functions stay in this one file, because numba keeps machine code until the file of a function changes, and does
+not see those of the functions it calls.
 """
 
 from __future__ import annotations
 
 import functools
 import math
+from array import array
 
-from armctl.dynamixel.ax12a import TICK_MAX, TICK_RAD
+from armctl.dynamixel.ax12a import TICK_MAX, TICK_RAD, ErrorBit
 
 STEP_S = 1e-3
 HIGHEST_RAD = TICK_MAX * TICK_RAD
@@ -21,6 +29,62 @@ STIFFNESS_NM_RAD = 60.0
 DAMPING_NM_S = 0.6
 MAX_TORQUE_NM = 2.0
 """Of the hand that guides the arm."""
+GRAVITY_M_S2 = 9.81
+RATED_V = 12.0
+"""The supply at which stall torque and no-load speed are stated."""
+OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int(ErrorBit.OVERHEAT)
+
+# fmt: off
+(
+    # What the supply gives without load, and under the present one.
+    SUPPLY_V, VOLTAGE_V,
+    # Of the spec; when a chunk is a short one; within what gravity stays as it was weighed; what a chunk leaves of a
+    # difference in temperature.
+    NO_LOAD_RAD_S, FRICTION_NM, SLIP_RAD, OVERLOAD_OUTPUT, OVERLOAD_S, SUPPLY_OHM, STALL_A, IDLE_DEGC, HEATING_DEGC,
+    ROTOR_KG_M2, SUPPORT_RAD, FAST_RAD_S, WEIGHED_RAD, DECAY, FAST_DECAY,
+    ARM_NUMBERS,
+) = range(18)
+(
+    # Those a servo shows, in the order `Joint.show` wants them.
+    SHAFT, OMEGA, OUTPUT, REFERENCE, DEGC, SERVO_V,
+    # Motor, ramp: where it began and where it has left the reference; current as a fraction of the stall current.
+    MOTOR, RAMP_BEGIN, RAMP_END, EFFORT,
+    # Gravity, step over inertia, and the shaft's angle that these belong to.
+    LOAD, RATE, WEIGHED_AT,
+    # What the joint is made of, in the order `Joint` takes it; low and high may be where something holds the shaft.
+    DIRECTION, ZERO, REST, COULOMB, STICTION, HALF_PLAY, LOW, HIGH, STALL, BRAKE,
+    # The drive, in the order `Joint.obey` writes it; the hand's aim of the shaft and its speed.
+    GOAL, RAMP, LIMIT, PUNCH, CW_GAIN, CCW_GAIN, SPIN, AIM, AIM_SPEED,
+    JOINT_NUMBERS,
+) = range(33)
+(
+    JOINTS, LINKS,
+    # Steps since the first `advance`; those at which the present chunk begins and ends; its length, slow and fast.
+    STEP, CHUNK_STEP, CHUNK_END, CHUNK_STEPS, FAST_CHUNK_STEPS,
+    # Whether gravity and inertia belong to the present configuration; whether anything changed in this chunk; whether
+    # nothing did in the one before; whether nothing will until an input does; whether a hand pulls; whether some joint
+    # asks for its servo.
+    WEIGHED, STIRRED, STILL, RESTING, PULLS, ASKING,
+    ARM_COUNTS,
+) = range(14)
+(
+    # Steps it has been integrated beyond the arm's time; since the ramp's begin; of too high an output.
+    AHEAD, RAMPED, LOADED,
+    # Whether the drive is another; what it says; what a frozen sensor reads, or -1; whether the motor is dead.
+    FRESH, ENABLED, SPINS, CW_MARGIN, CCW_MARGIN, FROZEN, DEAD,
+    # Alarms: that stands, registers in the order `Joint.obey` writes them; whether its servo has to be looked at.
+    OVERLOADED, MAX_DEGC, MIN_DV, MAX_DV, SHUTDOWN, ASKS,
+    # Whether its firmware is starting, and when that is over.
+    BOOTING, BOOT_STEP,
+    JOINT_COUNTS,
+) = range(19)
+(TOOL_M, MODIFIED, CHAIN_NUMBERS) = range(3)
+(COS_ALPHA, SIN_ALPHA, LINK_A, LINK_D, OFFSET, ANGLE, TORQUE, INERTIA, AXIS_X, AXIS_Y, AXIS_Z, LINK_NUMBERS) = range(12)
+(POINT_X, POINT_Y, POINT_Z, POINT_KG, POINT_NUMBERS) = range(5)
+# fmt: on
+
+machine_code = False
+"""Whether the functions below run as such."""
 
 
 @functools.cache
@@ -30,12 +94,16 @@ def compiled() -> bool:
         from numba import njit
     except ImportError:
         return False
-    for name in ("sensed_tick", "output_at", "hand_torque", "play_drift", "integrate"):
+    for name in (
+        *("sensed_tick", "output_at", "hand_torque", "play_drift", "integrate", "weigh_links", "weigh"),
+        *("begin_chunk", "turn", "drain", "close_chunk", "play"),
+    ):
         plain = globals()[name]
         try:
             globals()[name] = njit(cache=True)(plain)
         except RuntimeError:  # nowhere to keep machine code: it is made anew
             globals()[name] = njit(plain)
+    globals()["machine_code"] = True
     return True
 
 
@@ -199,3 +267,261 @@ def integrate(
                     break  # and so would every further step up to `last`
         step = last
     return shaft, motor, omega, output
+
+
+def weigh_links(chain: array[float], links: int) -> None:
+    """Gravity torque [N m] and inertia [kg m^2] about every axis of a chain; `gravity.py` has the law."""
+    modified = chain[MODIFIED] != 0.0
+    points = CHAIN_NUMBERS + links * LINK_NUMBERS
+    ox = oy = oz = 0.0
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    px = py = pz = 0.0
+    for i in range(links):
+        at = CHAIN_NUMBERS + i * LINK_NUMBERS
+        ca, sa, a, d = chain[at + COS_ALPHA], chain[at + SIN_ALPHA], chain[at + LINK_A], chain[at + LINK_D]
+        if modified:
+            ox, oy, oz = ox + a * xx, oy + a * xy, oz + a * xz
+            if sa != 0.0:
+                yx, yy, yz, zx, zy, zz = (
+                    ca * yx + sa * zx, ca * yy + sa * zy, ca * yz + sa * zz,
+                    ca * zx - sa * yx, ca * zy - sa * yy, ca * zz - sa * yz,
+                )  # fmt: skip
+        px, py, pz = ox, oy, oz
+        chain[at + AXIS_X], chain[at + AXIS_Y], chain[at + AXIS_Z] = zx, zy, zz
+        point = points + i * POINT_NUMBERS
+        chain[point + POINT_X], chain[point + POINT_Y], chain[point + POINT_Z] = px, py, pz
+        angle = chain[at + ANGLE] + chain[at + OFFSET]
+        c, s = math.cos(angle), math.sin(angle)
+        ox, oy, oz = ox + d * zx, oy + d * zy, oz + d * zz
+        xx, xy, xz, yx, yy, yz = (
+            c * xx + s * yx, c * xy + s * yy, c * xz + s * yz,
+            c * yx - s * xx, c * yy - s * xy, c * yz - s * xz,
+        )  # fmt: skip
+        if not modified:
+            ox, oy, oz = ox + a * xx, oy + a * xy, oz + a * xz
+            if sa != 0.0:
+                yx, yy, yz, zx, zy, zz = (
+                    ca * yx + sa * zx, ca * yy + sa * zy, ca * yz + sa * zz,
+                    ca * zx - sa * yx, ca * zy - sa * yy, ca * zz - sa * yz,
+                )  # fmt: skip
+    tool_m = chain[TOOL_M]
+    ox, oy, oz = ox + tool_m * xx, oy + tool_m * xy, oz + tool_m * xz
+    end = points + links * POINT_NUMBERS
+    chain[end + POINT_X], chain[end + POINT_Y], chain[end + POINT_Z] = (px + ox) / 2.0, (py + oy) / 2.0, (pz + oz) / 2.0
+    end += POINT_NUMBERS
+    chain[end + POINT_X], chain[end + POINT_Y], chain[end + POINT_Z] = ox, oy, oz
+    for i in range(links):
+        at = CHAIN_NUMBERS + i * LINK_NUMBERS
+        ux, uy, uz = chain[at + AXIS_X], chain[at + AXIS_Y], chain[at + AXIS_Z]
+        point = points + i * POINT_NUMBERS
+        px, py, pz = chain[point + POINT_X], chain[point + POINT_Y], chain[point + POINT_Z]
+        torque = inertia = 0.0
+        while point < end:
+            point += POINT_NUMBERS
+            rx, ry, rz = chain[point + POINT_X] - px, chain[point + POINT_Y] - py, chain[point + POINT_Z] - pz
+            kg = chain[point + POINT_KG]
+            vx, vy, vz = uy * rz - uz * ry, uz * rx - ux * rz, ux * ry - uy * rx
+            torque -= kg * vz
+            inertia += kg * (vx * vx + vy * vy + vz * vz)
+        chain[at + TORQUE] = GRAVITY_M_S2 * torque
+        chain[at + INERTIA] = inertia
+
+
+def weigh(numbers: array[float], counts: array[int], chain: array[float]) -> None:
+    """Gravity torque and diagonal inertia of every joint, from the true configuration."""
+    counts[WEIGHED] = 1
+    links, supported = counts[LINKS], True
+    for i in range(counts[JOINTS]):
+        at = ARM_NUMBERS + i * JOINT_NUMBERS
+        angle = numbers[at + DIRECTION] * (numbers[at + SHAFT] - numbers[at + ZERO])
+        if not abs(angle - numbers[at + REST]) <= numbers[SUPPORT_RAD]:
+            supported = False
+        if i < links:
+            chain[CHAIN_NUMBERS + i * LINK_NUMBERS + ANGLE] = angle
+    weigh_links(chain, links)
+    for i in range(counts[JOINTS]):
+        at = ARM_NUMBERS + i * JOINT_NUMBERS
+        if i < links:
+            link = CHAIN_NUMBERS + i * LINK_NUMBERS
+            numbers[at + LOAD] = 0.0 if supported else numbers[at + DIRECTION] * chain[link + TORQUE]
+            numbers[at + RATE] = STEP_S / (numbers[ROTOR_KG_M2] + chain[link + INERTIA])
+            numbers[at + WEIGHED_AT] = numbers[at + SHAFT]
+        else:
+            numbers[at + LOAD] = 0.0
+            numbers[at + RATE] = STEP_S / numbers[ROTOR_KG_M2]
+
+
+def begin_chunk(numbers: array[float], counts: array[int], chain: array[float]) -> None:
+    """Begin a chunk at the present step, a short one while a joint is fast; weigh the arm if it is time."""
+    fast = far = False
+    for i in range(counts[JOINTS]):
+        at = ARM_NUMBERS + i * JOINT_NUMBERS
+        if not -numbers[FAST_RAD_S] <= numbers[at + OMEGA] <= numbers[FAST_RAD_S]:
+            fast = True
+        moved = numbers[at + SHAFT] - numbers[at + WEIGHED_AT]
+        if i < counts[LINKS] and not -numbers[WEIGHED_RAD] <= moved <= numbers[WEIGHED_RAD]:
+            far = True
+    counts[CHUNK_STEP] = counts[STEP]
+    counts[CHUNK_END] = counts[STEP] + (counts[FAST_CHUNK_STEPS] if fast else counts[CHUNK_STEPS])
+    if not counts[WEIGHED] and (counts[STILL] or far):
+        weigh(numbers, counts, chain)
+
+
+def turn(numbers: array[float], counts: array[int], i: int, ahead: int) -> None:
+    """Let joint i come to `ahead` steps, at most to the end of the chunk, beyond where all joints are."""
+    at, of = ARM_NUMBERS + i * JOINT_NUMBERS, ARM_COUNTS + i * JOINT_COUNTS
+    begin = counts[of + AHEAD]
+    count = ahead - begin
+    if count <= 0:
+        return
+    counts[of + AHEAD] = ahead
+    enabled, spins = counts[of + ENABLED] != 0, counts[of + SPINS] != 0
+    if counts[of + FRESH] or numbers[at + REFERENCE] != numbers[at + RAMP_END]:
+        counts[of + FRESH] = counts[of + RAMPED] = 0
+        numbers[at + RAMP_BEGIN] = numbers[at + REFERENCE]
+    step, start, goal, ramp = counts[of + RAMPED], numbers[at + RAMP_BEGIN], numbers[at + GOAL], numbers[at + RAMP]
+    if spins:
+        start = goal
+    elif not enabled:
+        goal = start
+    arrival = 0  # in which step, counted from 1 at the ramp's begin, the reference reaches the goal
+    if start != goal:
+        arrival = math.ceil(abs(goal - start) / ramp) if ramp != 0.0 else 1
+        if goal < start:
+            ramp = -ramp
+    stall = brake = 0.0
+    if enabled and not counts[of + DEAD]:
+        stall, brake = numbers[at + STALL] * (numbers[VOLTAGE_V] / RATED_V), numbers[at + BRAKE]
+    turns = enabled and spins  # numba takes no decision among so many arguments
+    shaft_before, omega_before = numbers[at + SHAFT], numbers[at + OMEGA]
+    shaft, motor, omega, output = integrate(
+        shaft_before,
+        numbers[at + MOTOR],
+        omega_before,
+        step,
+        count,
+        start,
+        goal,
+        ramp,
+        arrival,
+        numbers[at + LOAD],
+        numbers[at + RATE],
+        numbers[at + COULOMB],
+        numbers[at + STICTION],
+        numbers[at + HALF_PLAY],
+        numbers[at + LOW],
+        numbers[at + HIGH],
+        stall,
+        brake,
+        numbers[FRICTION_NM],
+        numbers[SLIP_RAD],
+        counts[of + FROZEN],
+        enabled,
+        turns,
+        numbers[at + SPIN],
+        numbers[at + LIMIT],
+        numbers[at + PUNCH],
+        counts[of + CW_MARGIN],
+        counts[of + CCW_MARGIN],
+        numbers[at + CW_GAIN],
+        numbers[at + CCW_GAIN],
+        counts[PULLS] != 0,
+        numbers[at + AIM],
+        numbers[at + AIM_SPEED],
+        counts[STEP] + begin - counts[CHUNK_STEP] - step - 1,
+    )
+    moved = step < arrival or omega != 0.0 or omega != omega_before or shaft != shaft_before
+    end = step + count
+    numbers[at + SHAFT], numbers[at + MOTOR], numbers[at + OMEGA], numbers[at + OUTPUT] = shaft, motor, omega, output
+    numbers[at + REFERENCE] = numbers[at + RAMP_END] = goal if end >= arrival else start + ramp * end
+    counts[of + RAMPED] = end
+    effort = output - omega / numbers[NO_LOAD_RAD_S] if output != 0.0 else 0.0
+    numbers[at + EFFORT] = effort
+    asks = False
+    if enabled and not -numbers[OVERLOAD_OUTPUT] <= effort <= numbers[OVERLOAD_OUTPUT]:
+        moved = True
+        counts[of + LOADED] += count
+        if counts[of + LOADED] * STEP_S > numbers[OVERLOAD_S] and not counts[of + OVERLOADED]:
+            counts[of + OVERLOADED] = 1
+            asks = True
+    else:
+        counts[of + LOADED] = 0
+    if enabled:
+        alarms = OVERLOAD if counts[of + OVERLOADED] else 0
+        if not counts[of + MIN_DV] <= round(numbers[at + SERVO_V] * 10.0) <= counts[of + MAX_DV]:
+            alarms |= VOLTAGE
+        if round(numbers[at + DEGC]) > counts[of + MAX_DEGC]:
+            alarms |= OVERHEAT
+        if alarms & counts[of + SHUTDOWN]:
+            asks = True
+    if counts[of + BOOTING]:
+        moved = True
+        if counts[STEP] + ahead >= counts[of + BOOT_STEP]:
+            counts[of + BOOTING] = 0
+            asks = True
+    if asks:
+        counts[of + ASKS] = counts[ASKING] = 1
+    if moved:
+        counts[WEIGHED], counts[STIRRED] = 0, 1
+
+
+def drain(numbers: array[float], counts: array[int]) -> bool:
+    """Renew the voltage under the present load; whether it is another than before."""
+    current_A = 0.0
+    for i in range(counts[JOINTS]):
+        at = ARM_NUMBERS + i * JOINT_NUMBERS
+        if numbers[at + OUTPUT] != 0.0:
+            current_A += max(0.0, numbers[at + OUTPUT] * numbers[at + EFFORT]) * numbers[STALL_A]
+    voltage_V = max(0.0, numbers[SUPPLY_V] - numbers[SUPPLY_OHM] * current_A)
+    if voltage_V == numbers[VOLTAGE_V]:
+        return False
+    numbers[VOLTAGE_V] = voltage_V
+    for i in range(counts[JOINTS]):
+        numbers[ARM_NUMBERS + i * JOINT_NUMBERS + SERVO_V] = voltage_V
+    return True
+
+
+def close_chunk(numbers: array[float], counts: array[int]) -> None:
+    """End the chunk: supply, temperatures, and whether the arm rests from now on."""
+    if drain(numbers, counts):
+        counts[STIRRED] = 1
+    slow = counts[CHUNK_END] - counts[CHUNK_STEP] == counts[CHUNK_STEPS]
+    decay = numbers[DECAY] if slow else numbers[FAST_DECAY]
+    for i in range(counts[JOINTS]):
+        at = ARM_NUMBERS + i * JOINT_NUMBERS
+        settled = numbers[IDLE_DEGC] + numbers[HEATING_DEGC] * numbers[at + EFFORT] * numbers[at + EFFORT]
+        numbers[at + DEGC] = settled + (numbers[at + DEGC] - settled) * decay
+    counts[STILL], counts[STIRRED] = 0 if counts[STIRRED] else 1, 0
+    # At rest nothing changes until an input does, if gravity is the one of this very configuration.
+    counts[RESTING] = 1 if counts[WEIGHED] and counts[STILL] and not counts[PULLS] else 0
+
+
+def play(numbers: array[float], counts: array[int], chain: array[float], until: int, only: int) -> bool:
+    """Let time pass to the step `until`, or to where somebody has to look: at rest, or at a joint that asks.
+
+    While a hand pulls it goes to the end of a chunk at most, because the aim is another in the next one.
+
+    Args:
+        only: The one joint that will be looked at, or -1; within a chunk the others then stay behind.
+    Returns:
+        Whether only this joint was brought to `until`.
+    """
+    while counts[STEP] < until:
+        if counts[STEP] >= counts[CHUNK_END]:
+            begin_chunk(numbers, counts, chain)
+        due, left = until - counts[STEP], counts[CHUNK_END] - counts[STEP]
+        if only >= 0 and due < left:
+            turn(numbers, counts, only, due)
+            return True
+        count = min(due, left)
+        for i in range(counts[JOINTS]):
+            turn(numbers, counts, i, count)
+            counts[ARM_COUNTS + i * JOINT_COUNTS + AHEAD] -= count
+        counts[STEP] += count
+        if counts[ASKING]:  # whoever looks closes the chunk
+            break
+        if count == left:
+            close_chunk(numbers, counts)
+            if counts[RESTING] or counts[PULLS]:
+                break
+    return False
