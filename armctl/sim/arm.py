@@ -192,7 +192,7 @@ class SimulatedArm:
         joints, counts = self._joints, self._state.counts
         end = (now_ns - self._origin_ns) // STEP_NS
         while True:
-            if self.faults.due_s <= self.time_s + FAULT_TOLERANCE_S:
+            if self.faults.due_s <= self._step * STEP_S + FAULT_TOLERANCE_S:
                 self._suffer()
             if end <= self._step:
                 return
@@ -211,8 +211,9 @@ class SimulatedArm:
                 self._warm(self._step - before)
                 counts[steps.RESTING] = self._step < self._overheat_step
                 continue
-            within = only is not None and self._step < counts[steps.CHUNK_END] and until < counts[steps.CHUNK_END]
-            played = joints if only is None or not within else joints[only : only + 1]
+            played = joints
+            if only is not None and self._step < counts[steps.CHUNK_END] and until < counts[steps.CHUNK_END]:
+                played = joints[only : only + 1]
             self._aim()
             for joint in played:
                 joint.look()

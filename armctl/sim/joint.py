@@ -132,16 +132,16 @@ class Joint:
 
     def obey(self) -> bool:
         """Take note of what was written to the servo; whether the arm may go on resting."""
-        servo, before = self.servo, self.drive
-        drive = servo.drive
-        self.drive, self.writes = drive, servo.writes
-        if drive is not before:
+        servo, drive = self.servo, self.servo.drive
+        self.writes, same = servo.writes, drive is self.drive
+        if not same:
+            same, self.drive = drive == self.drive, drive
             self.drive_by(drive)
-        if servo.alarm_registers != self._alarms:
-            self._alarms = servo.alarm_registers
+        alarms = servo.alarm_registers
+        if alarms != self._alarms:
+            self._alarms = alarms
             self._load_alarms()
-        at_goal = not drive.enabled or drive.spin is not None or servo.reference_tick == drive.goal_tick
-        return at_goal and drive == before
+        return same and (not drive.enabled or drive.spin is not None or servo.reference_tick == drive.goal_tick)
 
     def drive_by(self, drive: Drive) -> None:
         """Let another drive rule the motor; its ramp begins where the reference is."""

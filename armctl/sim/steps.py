@@ -136,7 +136,9 @@ def output_at(
 def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
     """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower."""
     torque = STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s
-    return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
+    if torque > MAX_TORQUE_NM:
+        return MAX_TORQUE_NM
+    return torque if torque > -MAX_TORQUE_NM else -MAX_TORQUE_NM
 
 
 def play_drift(external_Nm: float, friction_Nm: float, slip_rad: float) -> float:
@@ -395,41 +397,14 @@ def turn(numbers: array[float], counts: array[int], i: int, ahead: int) -> None:
     turns = enabled and spins  # numba takes no decision among so many arguments
     shaft_before, omega_before = numbers[at + SHAFT], numbers[at + OMEGA]
     shaft, motor, omega, output = integrate(
-        shaft_before,
-        numbers[at + MOTOR],
-        omega_before,
-        step,
-        count,
-        start,
-        goal,
-        ramp,
-        arrival,
-        numbers[at + LOAD],
-        numbers[at + RATE],
-        numbers[at + COULOMB],
-        numbers[at + STICTION],
-        numbers[at + HALF_PLAY],
-        numbers[at + LOW],
-        numbers[at + HIGH],
-        stall,
-        brake,
-        numbers[FRICTION_NM],
-        numbers[SLIP_RAD],
-        counts[of + FROZEN],
-        enabled,
-        turns,
-        numbers[at + SPIN],
-        numbers[at + LIMIT],
-        numbers[at + PUNCH],
-        counts[of + CW_MARGIN],
-        counts[of + CCW_MARGIN],
-        numbers[at + CW_GAIN],
-        numbers[at + CCW_GAIN],
-        counts[PULLS] != 0,
-        numbers[at + AIM],
-        numbers[at + AIM_SPEED],
+        shaft_before, numbers[at + MOTOR], omega_before, step, count, start, goal, ramp, arrival,
+        numbers[at + LOAD], numbers[at + RATE], numbers[at + COULOMB], numbers[at + STICTION], numbers[at + HALF_PLAY],
+        numbers[at + LOW], numbers[at + HIGH], stall, brake, numbers[FRICTION_NM], numbers[SLIP_RAD],
+        counts[of + FROZEN], enabled, turns, numbers[at + SPIN], numbers[at + LIMIT], numbers[at + PUNCH],
+        counts[of + CW_MARGIN], counts[of + CCW_MARGIN], numbers[at + CW_GAIN], numbers[at + CCW_GAIN],
+        counts[PULLS] != 0, numbers[at + AIM], numbers[at + AIM_SPEED],
         counts[STEP] + begin - counts[CHUNK_STEP] - step - 1,
-    )
+    )  # fmt: skip
     moved = step < arrival or omega != 0.0 or omega != omega_before or shaft != shaft_before
     end = step + count
     numbers[at + SHAFT], numbers[at + MOTOR], numbers[at + OMEGA], numbers[at + OUTPUT] = shaft, motor, omega, output
