@@ -315,9 +315,9 @@ class SimulatedArm:
     def _warm(self, count: int) -> None:
         """Let the temperatures change for so many steps of rest."""
         decay = math.exp(-count * STEP_S / self.spec.heating_s)
-        idle, heating = self.spec.idle_degC, self.spec.stall_heating_degC
+        idle, heating, numbers = self.spec.idle_degC, self.spec.stall_heating_degC, self._state.numbers
         for joint in self._joints:
-            effort, servo = joint.effort, joint.servo
+            effort, servo = numbers[joint.at + steps.EFFORT], joint.servo
             settled = idle + heating * effort * effort
             servo.temperature_degC = settled + (servo.temperature_degC - settled) * decay
 

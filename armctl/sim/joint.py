@@ -166,7 +166,9 @@ class Joint:
     def look(self) -> None:
         """Take note of what the servo itself may have changed, or somebody else."""
         servo, numbers, at = self.servo, self.state.numbers, self.at
-        numbers[at + steps.REFERENCE] = servo.reference_tick
+        if servo.reference_tick != numbers[at + steps.REFERENCE]:
+            numbers[at + steps.REFERENCE] = servo.reference_tick
+            self.state.counts[self.of + steps.FRESH] = 1
         numbers[at + steps.OUTPUT] = servo.output
         numbers[at + steps.DEGC] = servo.temperature_degC
         numbers[at + steps.SERVO_V] = servo.voltage_V

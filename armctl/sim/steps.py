@@ -47,8 +47,8 @@ OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int
 (
     # Those a servo shows, in the order `Joint.show` wants them.
     SHAFT, OMEGA, OUTPUT, REFERENCE, DEGC, SERVO_V,
-    # Motor, ramp: where it began and where it has left the reference; current as a fraction of the stall current.
-    MOTOR, RAMP_BEGIN, RAMP_END, EFFORT,
+    # Motor; where the ramp began; current as a fraction of the stall current.
+    MOTOR, RAMP_BEGIN, EFFORT,
     # Gravity, step over inertia, and the shaft's angle that these belong to.
     LOAD, RATE, WEIGHED_AT,
     # What the joint is made of, in the order `Joint` takes it; low and high may be where something holds the shaft.
@@ -56,7 +56,7 @@ OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int
     # The drive, in the order `Joint.obey` writes it; the hand's aim of the shaft and its speed.
     GOAL, RAMP, LIMIT, PUNCH, CW_GAIN, CCW_GAIN, SPIN, AIM, AIM_SPEED,
     JOINT_NUMBERS,
-) = range(33)
+) = range(32)
 (
     JOINTS, LINKS,
     # Steps since the first `advance`; those at which the present chunk begins and ends; its length, slow and fast.
@@ -70,7 +70,7 @@ OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int
 (
     # Steps it has been integrated beyond the arm's time; since the ramp's begin; of too high an output.
     AHEAD, RAMPED, LOADED,
-    # Whether the drive is another; what it says; what a frozen sensor reads, or -1; whether the motor is dead.
+    # Whether drive or reference are others; what the drive says; what a frozen sensor reads, or -1; no torque at all.
     FRESH, ENABLED, SPINS, CW_MARGIN, CCW_MARGIN, FROZEN, DEAD,
     # Alarms: that stands, registers in the order `Joint.obey` writes them; whether its servo has to be looked at.
     OVERLOADED, MAX_DEGC, MIN_DV, MAX_DV, SHUTDOWN, ASKS,
@@ -96,7 +96,7 @@ def compiled() -> bool:
         return False
     for name in (
         *("sensed_tick", "output_at", "hand_torque", "play_drift", "integrate", "weigh_links", "weigh"),
-        *("begin_chunk", "turn", "drain", "close_chunk", "play"),
+        *("far", "begin_chunk", "turn", "drain", "close_chunk", "play"),
     ):
         plain = globals()[name]
         try:
@@ -353,19 +353,25 @@ def weigh(numbers: array[float], counts: array[int], chain: array[float]) -> Non
             numbers[at + RATE] = STEP_S / numbers[ROTOR_KG_M2]
 
 
+def far(numbers: array[float], counts: array[int]) -> bool:
+    """Whether a joint has come so far that gravity is to be weighed again."""
+    weighed_rad = numbers[WEIGHED_RAD]
+    for i in range(counts[LINKS]):
+        at = ARM_NUMBERS + i * JOINT_NUMBERS
+        if not -weighed_rad <= numbers[at + SHAFT] - numbers[at + WEIGHED_AT] <= weighed_rad:
+            return True
+    return False
+
+
 def begin_chunk(numbers: array[float], counts: array[int], chain: array[float]) -> None:
     """Begin a chunk at the present step, a short one while a joint is fast; weigh the arm if it is time."""
-    fast = far = False
+    fast, fast_rad_s = False, numbers[FAST_RAD_S]
     for i in range(counts[JOINTS]):
-        at = ARM_NUMBERS + i * JOINT_NUMBERS
-        if not -numbers[FAST_RAD_S] <= numbers[at + OMEGA] <= numbers[FAST_RAD_S]:
+        if not -fast_rad_s <= numbers[ARM_NUMBERS + i * JOINT_NUMBERS + OMEGA] <= fast_rad_s:
             fast = True
-        moved = numbers[at + SHAFT] - numbers[at + WEIGHED_AT]
-        if i < counts[LINKS] and not -numbers[WEIGHED_RAD] <= moved <= numbers[WEIGHED_RAD]:
-            far = True
     counts[CHUNK_STEP] = counts[STEP]
     counts[CHUNK_END] = counts[STEP] + (counts[FAST_CHUNK_STEPS] if fast else counts[CHUNK_STEPS])
-    if not counts[WEIGHED] and (counts[STILL] or far):
+    if not counts[WEIGHED] and (counts[STILL] or far(numbers, counts)):
         weigh(numbers, counts, chain)
 
 
@@ -378,7 +384,7 @@ def turn(numbers: array[float], counts: array[int], i: int, ahead: int) -> None:
         return
     counts[of + AHEAD] = ahead
     enabled, spins = counts[of + ENABLED] != 0, counts[of + SPINS] != 0
-    if counts[of + FRESH] or numbers[at + REFERENCE] != numbers[at + RAMP_END]:
+    if counts[of + FRESH]:
         counts[of + FRESH] = counts[of + RAMPED] = 0
         numbers[at + RAMP_BEGIN] = numbers[at + REFERENCE]
     step, start, goal, ramp = counts[of + RAMPED], numbers[at + RAMP_BEGIN], numbers[at + GOAL], numbers[at + RAMP]
@@ -408,7 +414,7 @@ def turn(numbers: array[float], counts: array[int], i: int, ahead: int) -> None:
     moved = step < arrival or omega != 0.0 or omega != omega_before or shaft != shaft_before
     end = step + count
     numbers[at + SHAFT], numbers[at + MOTOR], numbers[at + OMEGA], numbers[at + OUTPUT] = shaft, motor, omega, output
-    numbers[at + REFERENCE] = numbers[at + RAMP_END] = goal if end >= arrival else start + ramp * end
+    numbers[at + REFERENCE] = goal if end >= arrival else start + ramp * end
     counts[of + RAMPED] = end
     effort = output - omega / numbers[NO_LOAD_RAD_S] if output != 0.0 else 0.0
     numbers[at + EFFORT] = effort
@@ -445,8 +451,9 @@ def drain(numbers: array[float], counts: array[int]) -> bool:
     current_A = 0.0
     for i in range(counts[JOINTS]):
         at = ARM_NUMBERS + i * JOINT_NUMBERS
-        if numbers[at + OUTPUT] != 0.0:
-            current_A += max(0.0, numbers[at + OUTPUT] * numbers[at + EFFORT]) * numbers[STALL_A]
+        output = numbers[at + OUTPUT]
+        if output != 0.0:
+            current_A += max(0.0, output * numbers[at + EFFORT]) * numbers[STALL_A]
     voltage_V = max(0.0, numbers[SUPPLY_V] - numbers[SUPPLY_OHM] * current_A)
     if voltage_V == numbers[VOLTAGE_V]:
         return False
@@ -462,9 +469,11 @@ def close_chunk(numbers: array[float], counts: array[int]) -> None:
         counts[STIRRED] = 1
     slow = counts[CHUNK_END] - counts[CHUNK_STEP] == counts[CHUNK_STEPS]
     decay = numbers[DECAY] if slow else numbers[FAST_DECAY]
+    idle, heating = numbers[IDLE_DEGC], numbers[HEATING_DEGC]
     for i in range(counts[JOINTS]):
         at = ARM_NUMBERS + i * JOINT_NUMBERS
-        settled = numbers[IDLE_DEGC] + numbers[HEATING_DEGC] * numbers[at + EFFORT] * numbers[at + EFFORT]
+        effort = numbers[at + EFFORT]
+        settled = idle + heating * effort * effort
         numbers[at + DEGC] = settled + (numbers[at + DEGC] - settled) * decay
     counts[STILL], counts[STIRRED] = 0 if counts[STIRRED] else 1, 0
     # At rest nothing changes until an input does, if gravity is the one of this very configuration.
