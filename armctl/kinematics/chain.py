@@ -65,8 +65,14 @@ class SerialChain:
         return tuple(pairs)
 
     @cached_property
-    def _offsets(self) -> FloatArray:
-        return np.array([[row.offset] for row in self.rows])
+    def _offsets(self) -> FloatArray | None:
+        """Shape (n,); None where all are zero."""
+        return np.array([row.offset for row in self.rows]) if any(row.offset for row in self.rows) else None
+
+    @cached_property
+    def _table(self) -> tuple[tuple[float, float, float, float], ...]:
+        """Of each row a, d, and the cosine and sine of alpha."""
+        return tuple((row.a, row.d, *trig) for row, trig in zip(self.rows, self._alpha_trig, strict=True))
 
 
 def link_frames(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -116,65 +122,17 @@ def forward_kinematics(chain: SerialChain, q: FloatArray) -> FloatArray:
 def tool_pose(chain: SerialChain, q: Sequence[float]) -> tuple[Axis, Axis, Axis, Axis]:
     """Columns X, Y, Z and P of the tool frame of one configuration, in plain floats.
 
-    The control step asks for it every tick, and for five joints most of numpy's time is its own. Same products in the
-    same order as `forward_kinematics`, hence the same bits.
-
     Args:
         q: Joint positions [rad], n of them.
     """
-    angles = np.array([q]).T
-    if chain._offsets.any():
-        angles = angles + chain._offsets
-    x0, x1, x2, y0, y1, y2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    p0 = p1 = p2 = 0.0
-    standard = chain.convention == "standard"
-    cosines, sines = np.cos(angles).ravel().tolist(), np.sin(angles).ravel().tolist()
-    for row, (ca, sa), c, s in zip(chain.rows, chain._alpha_trig, cosines, sines, strict=True):
-        a, d = row.a, row.d
-        if standard:
-            ac, as_ = a * c, a * s
-            p0, p1, p2 = (
-                x0 * ac + y0 * as_ + z0 * d + p0,
-                x1 * ac + y1 * as_ + z1 * d + p1,
-                x2 * ac + y2 * as_ + z2 * d + p2,
-            )
-            x0, x1, x2, y0, y1, y2 = (
-                x0 * c + y0 * s,
-                x1 * c + y1 * s,
-                x2 * c + y2 * s,
-                y0 * c - x0 * s,
-                y1 * c - x1 * s,
-                y2 * c - x2 * s,
-            )
-        else:
-            p0, p1, p2 = x0 * a + p0, x1 * a + p1, x2 * a + p2
-        if sa != 0.0 or ca < 0.0:
-            y0, y1, y2, z0, z1, z2 = (
-                ca * y0 + sa * z0,
-                ca * y1 + sa * z1,
-                ca * y2 + sa * z2,
-                ca * z0 - sa * y0,
-                ca * z1 - sa * y1,
-                ca * z2 - sa * y2,
-            )
-        if not standard:
-            p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
-            x0, x1, x2, y0, y1, y2 = (
-                x0 * c + y0 * s,
-                x1 * c + y1 * s,
-                x2 * c + y2 * s,
-                y0 * c - x0 * s,
-                y1 * c - x1 * s,
-                y2 * c - x2 * s,
-            )
-    if chain.tool_m != 0.0:
-        p0, p1, p2 = x0 * chain.tool_m + p0, x1 * chain.tool_m + p1, x2 * chain.tool_m + p2
-    return (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2)
+    return _frames_of_one(chain, np.array(q, dtype=np.float64))[-1]
 
 
 def tool_position(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Tool point in the base frame [m], shape (..., 3), of joint positions q [rad], shape (..., n)."""
     flat = _flat(chain, q)
+    if len(flat) == 1:
+        return np.array(_frames_of_one(chain, flat[0])[-1][3]).reshape(*np.shape(q)[:-1], 3)
     points = np.empty((len(flat), 3))
     for begin in range(0, len(flat), BLOCK):
         *_, (_, _, _, P) = _frames(chain, flat[begin : begin + BLOCK])
@@ -193,6 +151,8 @@ def jacobian(chain: SerialChain, q: FloatArray) -> FloatArray:
         ValueError: the last axis of q is not n.
     """
     flat = _flat(chain, q)
+    if len(flat) == 1:
+        return np.array(_jacobian_of_one(chain, flat[0])).reshape(*np.shape(q)[:-1], 6, chain.n)
     J = np.empty((len(flat), 6, chain.n))
     for begin in range(0, len(flat), BLOCK):
         block = slice(begin, begin + BLOCK)
@@ -230,6 +190,9 @@ _BASE: Columns = (
 )
 
 
+_BASE_OF_ONE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+
+
 def _flat(chain: SerialChain, q: FloatArray) -> FloatArray:
     q = np.asarray(q, dtype=np.float64)
     if q.ndim == 0 or q.shape[-1] != chain.n:
@@ -241,8 +204,8 @@ def _frames(chain: SerialChain, q: FloatArray) -> Iterator[Columns]:
     """Every link frame, and the tool frame if it is another, of q, shape (m, n)."""
     X, Y, Z, P = _BASE
     angles = np.ascontiguousarray(q.T)
-    if chain._offsets.any():
-        angles = angles + chain._offsets
+    if chain._offsets is not None:
+        angles = angles + chain._offsets[:, None]
     cosines, sines = np.cos(angles), np.sin(angles)
     for row, (ca, sa), c, s in zip(chain.rows, chain._alpha_trig, cosines, sines, strict=True):
         if chain.convention == "standard":
@@ -272,6 +235,76 @@ def _twist(Y: FloatArray, Z: FloatArray, ca: float, sa: float) -> tuple[FloatArr
     if ca == 0.0:
         return (Z, -Y) if sa > 0.0 else (-Z, Y)
     return ca * Y + sa * Z, ca * Z - sa * Y
+
+
+def _frames_of_one(chain: SerialChain, q: FloatArray) -> list[tuple[Axis, Axis, Axis, Axis]]:
+    """The frames of one configuration q, shape (n,), in plain floats.
+
+    For one pose of five joints most of numpy's time is its own, and the control step asks for it every tick. Same
+    products in the same order as `_frames`, hence the same bits, but for the sign of a zero.
+    """
+    x0, x1, x2, y0, y1, y2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    p0 = p1 = p2 = 0.0
+    standard = chain.convention == "standard"
+    angles = q if chain._offsets is None else q + chain._offsets
+    frames = []
+    for (a, d, ca, sa), c, s in zip(chain._table, np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True):
+        if standard:
+            if a != 0.0:
+                ac, as_ = a * c, a * s
+                l0, l1, l2 = x0 * ac + y0 * as_, x1 * ac + y1 * as_, x2 * ac + y2 * as_
+                if d != 0.0:
+                    l0, l1, l2 = l0 + z0 * d, l1 + z1 * d, l2 + z2 * d
+                p0, p1, p2 = l0 + p0, l1 + p1, l2 + p2
+            elif d != 0.0:
+                p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
+            x0, x1, x2, y0, y1, y2 = (
+                x0 * c + y0 * s,
+                x1 * c + y1 * s,
+                x2 * c + y2 * s,
+                y0 * c - x0 * s,
+                y1 * c - x1 * s,
+                y2 * c - x2 * s,
+            )
+        elif a != 0.0:
+            p0, p1, p2 = x0 * a + p0, x1 * a + p1, x2 * a + p2
+        if sa != 0.0 or ca < 0.0:
+            y0, y1, y2, z0, z1, z2 = (
+                ca * y0 + sa * z0,
+                ca * y1 + sa * z1,
+                ca * y2 + sa * z2,
+                ca * z0 - sa * y0,
+                ca * z1 - sa * y1,
+                ca * z2 - sa * y2,
+            )
+        if not standard:
+            if d != 0.0:
+                p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
+            x0, x1, x2, y0, y1, y2 = (
+                x0 * c + y0 * s,
+                x1 * c + y1 * s,
+                x2 * c + y2 * s,
+                y0 * c - x0 * s,
+                y1 * c - x1 * s,
+                y2 * c - x2 * s,
+            )
+        frames.append(((x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2)))
+    if chain.tool_m != 0.0:
+        m = chain.tool_m
+        frames.append((*frames[-1][:3], (x0 * m + p0, x1 * m + p1, x2 * m + p2)))
+    return frames
+
+
+def _jacobian_of_one(chain: SerialChain, q: FloatArray) -> list[list[float]]:
+    """Rows of the Jacobian at q, shape (n,); see `joint_axes` for the axes."""
+    frames = [_BASE_OF_ONE, *_frames_of_one(chain, q)]
+    first = 0 if chain.convention == "standard" else 1
+    t0, t1, t2 = frames[-1][3]
+    columns = []
+    for _, _, (z0, z1, z2), (p0, p1, p2) in frames[first : first + chain.n]:
+        v0, v1, v2 = t0 - p0, t1 - p1, t2 - p2
+        columns.append((z1 * v2 - z2 * v1, z2 * v0 - z0 * v2, z0 * v1 - z1 * v0, z0, z1, z2))
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def _write(T: FloatArray, columns: Columns) -> None:

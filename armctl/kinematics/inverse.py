@@ -6,6 +6,8 @@ reach is tried from others. Position errors count in units of the arm's length, 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from armctl.errors import UnreachableTarget
@@ -41,10 +43,11 @@ def solve_position(
     Raises:
         UnreachableTarget: no solution was found; carries the least distance seen.
     """
-    q = np.clip(np.asarray(q_start, dtype=np.float64), limits[:, 0], limits[:, 1])
+    low, high = limits[:, 0], limits[:, 1]
+    q = np.minimum(np.maximum(q_start, low), high)
     damping = 1e-4
     error = target - tool_position(chain, q)
-    distance = float(np.linalg.norm(error))
+    distance = math.sqrt(error @ error)
     best, best_distance = q, distance
     for _ in range(iterations):
         if distance <= tolerance_m:
@@ -61,13 +64,13 @@ def solve_position(
             if rest is not None and rest_gain > 0.0 and distance > 100.0 * tolerance_m:
                 pull = rest_gain * (rest - q)[free]
                 step[free] += pull - Jf.T @ np.linalg.solve(gram, Jf @ pull)
-            blocked = free & (((q <= limits[:, 0]) & (step < 0.0)) | ((q >= limits[:, 1]) & (step > 0.0)))
+            blocked = free & (((q <= low) & (step < 0.0)) | ((q >= high) & (step > 0.0)))
             if not blocked.any() or blocked.sum() == free.sum():
                 break
             free &= ~blocked
-        candidate = np.clip(q + step, limits[:, 0], limits[:, 1])
+        candidate = np.minimum(np.maximum(q + step, low), high)
         candidate_error = target - tool_position(chain, candidate)
-        candidate_distance = float(np.linalg.norm(candidate_error))
+        candidate_distance = math.sqrt(candidate_error @ candidate_error)
         if candidate_distance < distance:
             q, error, distance = candidate, candidate_error, candidate_distance
             damping = max(damping * 0.3, 1e-12)

@@ -99,6 +99,7 @@ def test_one_pose_and_a_batch_give_the_same_bits(chain: SerialChain, seed: int) 
         for j in range(3):
             assert np.array_equal(batch[i, j], forward_kinematics(chain, q[i, j]))
             assert np.array_equal(batch[i, j, :3, 3], tool(chain, q[i, j]))
+            assert np.array_equal(jacobian(chain, q)[i, j], jacobian(chain, q[i, j]))
     assert jacobian(chain, q).shape == (2, 3, 6, chain.n)
 
 
