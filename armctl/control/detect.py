@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
+from armctl.control.machine import replace
 from armctl.control.tick import POWER_ON, Tick, all_powered, latch, latch_servo, send_goal
 from armctl.dynamixel import ax12a
 from armctl.messages import Mode

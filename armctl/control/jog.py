@@ -16,12 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.control.machine import Jogging, Trigger
+from armctl.control.machine import Jogging, Trigger, replace
 from armctl.control.tick import Tick, finish_jog, send_goal, share_of_step
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian

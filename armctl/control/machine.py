@@ -15,12 +15,32 @@ illegal and changes nothing. Who may ask for what, and in which words a request 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from armctl.errors import IllegalTransition
 from armctl.messages import Fault, JointTrajectory, Mode, Problem
+
+if TYPE_CHECKING:
+    from dataclasses import replace as replace  # so that the fields' names and types are checked
+else:
+
+    def replace(state, **changes):
+        """What `dataclasses.replace` does, for the classes below in a tenth of its time: a step makes several of them.
+
+        They are frozen, without slots and without `__post_init__`, so that a copy of the fields is all there is to it.
+
+        Raises:
+            TypeError: there is no such field.
+        """
+        fields = state.__dict__
+        if not changes.keys() <= fields.keys():
+            raise TypeError(f"{type(state).__name__} has no {', '.join(sorted(changes.keys() - fields.keys()))}")
+        other = object.__new__(type(state))
+        other.__dict__.update(fields, **changes)
+        return other
 
 
 class Trigger(StrEnum):
@@ -88,7 +108,7 @@ _ADVICE: dict[Mode, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Motion:
     """A trajectory under way."""
 
@@ -110,7 +130,7 @@ class Motion:
     ended: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Jogging:
     """A jog under way."""
 
@@ -140,7 +160,7 @@ class Settle(StrEnum):
     """The rest pose has to be seen before torque goes."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class State:
     """Everything the control step remembers from one tick to the next; plain values only."""
 

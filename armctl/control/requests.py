@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 from armctl.config import ArmConfig
 from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
-from armctl.control.machine import Motion, Settle, Trigger
+from armctl.control.machine import Motion, Settle, Trigger, replace
 from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS, abandon_settling
 from armctl.control.tick import (
     Tick,

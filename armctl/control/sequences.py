@@ -6,11 +6,10 @@ Every stage is decided by what the servos report, not by what was written to the
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from armctl.control.detect import SILENT_AGE_S
 from armctl.control.jog import advance_jog
-from armctl.control.machine import Motion, Settle, Trigger
+from armctl.control.machine import Motion, Settle, Trigger, replace
 from armctl.control.tick import (
     Tick,
     all_powered,

@@ -14,15 +14,13 @@ Rules.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from armctl.config import ArmConfig
 from armctl.control.detect import detect_faults
-from armctl.control.machine import State
+from armctl.control.machine import State, replace
 from armctl.control.requests import carry_out
 from armctl.control.sequences import adopt, advance
 from armctl.control.tick import Registers, Tick, decode
-from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import load_ratio, speed_rad_s
 from armctl.kinematics.chain import tool_pose
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import quaternion_from_columns
@@ -56,10 +54,10 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     advance(s)
     positions = tuple([r.position for r in registers if r is not None])
     last_ticks = positions if len(positions) == len(arm.joints) else ()
-    if s.goal is not None:
-        s.state = replace(s.state, last_ticks=last_ticks, previous_goal=s.state.goal, goal=s.goal.ticks)
-    elif last_ticks != s.state.last_ticks:
+    if s.goal is None:
         s.state = replace(s.state, last_ticks=last_ticks)
+    else:
+        s.state = replace(s.state, last_ticks=last_ticks, previous_goal=s.state.goal, goal=s.goal.ticks)
     motion = s.state.motion
     return s.state, Outputs(
         mode=s.state.mode,
@@ -77,7 +75,7 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
 
 def _joint_states(inputs: Inputs, registers: tuple[Registers | None, ...], arm: ArmConfig) -> tuple[JointState, ...]:
     now_ns = inputs.now_ns
-    states = []
+    states: list[JointState] = []
     for reading, r, joint in zip(inputs.sample.servos, registers, arm.joints, strict=True):
         if r is None:
             states.append(JointState(False, 0.0, 0.0, 0.0, 0.0, 0.0, False, now_ns / 1e9))
@@ -87,8 +85,8 @@ def _joint_states(inputs: Inputs, registers: tuple[Registers | None, ...], arm: 
             JointState(
                 True,
                 joint.position_rad(r.position),
-                direction * ax12a.speed_rad_s(r.speed),
-                direction * ax12a.load_ratio(r.load),
+                direction * speed_rad_s(r.speed),
+                direction * load_ratio(r.load),
                 r.voltage / 10.0,
                 float(r.temperature),
                 r.torque_enabled != 0,
@@ -101,5 +99,6 @@ def _joint_states(inputs: Inputs, registers: tuple[Registers | None, ...], arm: 
 def _tool_pose(joints: tuple[JointState, ...], robot: Robot) -> ToolPose | None:
     if not all(joint.known for joint in joints):
         return None
-    X, Y, Z, P = tool_pose(robot.chain, [joint.position_rad for joint in joints[: robot.chain.n]])
+    chain = robot.chain
+    X, Y, Z, P = tool_pose(chain, [joint.position_rad for joint in joints[: chain.n]])
     return ToolPose(P, quaternion_from_columns(X, Y, Z))

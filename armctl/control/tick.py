@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import SETTLING
-from armctl.control.machine import Settle, State, Trigger, transition
+from armctl.control.machine import Settle, State, Trigger, replace, transition
 from armctl.dynamixel import ax12a
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (

@@ -131,12 +131,12 @@ def to_signed_magnitude(value: int) -> int:
 
 def speed_rad_s(raw: int) -> float:
     """Present speed [rad/s], CCW positive."""
-    return signed_magnitude(raw) * SPEED_UNIT_RAD_S
+    return signed_magnitude(raw) * SPEED_UNIT_RAD_S if raw else 0.0
 
 
 def load_ratio(raw: int) -> float:
     """Present load as a fraction of full output, CCW positive."""
-    return signed_magnitude(raw) / LOAD_MAX
+    return signed_magnitude(raw) / LOAD_MAX if raw else 0.0
 
 
 def moving_speed_units(speed: float) -> int:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import dataclasses
 
 import pytest
 
-from armctl.control.machine import TRANSITIONS, Jogging, Motion, Settle, State, Trigger, transition
+from armctl.control.machine import TRANSITIONS, Jogging, Motion, Settle, State, Trigger, replace, transition
 from armctl.errors import IllegalTransition
 from armctl.messages import Fault, JointTrajectory, Mode, Problem, from_json, to_json
 
@@ -62,3 +62,21 @@ def test_state_survives_json_bit_for_bit() -> None:
         error_since_ns=(0, 5),
     )
     assert from_json(State, to_json(state)) == state
+
+
+def test_a_replaced_state_is_what_dataclasses_make_of_it_and_leaves_the_first_as_it_was() -> None:
+    motion = Motion(JointTrajectory(0.1, ((0.0,), (1.0,))), None)
+    for before, changes in (
+        (State(), {"mode": Mode.HOLDING, "goal": (512,)}),
+        (motion, {"rate": 0.5}),
+        (Jogging((0.0,), (0.0,), (1.0,), (), 5), {"stop_code": "LATE"}),
+    ):
+        text = repr(before)
+        after = replace(before, **changes)
+        assert after == dataclasses.replace(before, **changes)
+        assert type(after) is type(before)
+        assert repr(before) == text
+    with pytest.raises(TypeError, match="no such_field"):
+        replace(State(), such_field=1)  # type: ignore[call-arg]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        replace(State(), phase=2).phase = 3  # type: ignore[misc]
