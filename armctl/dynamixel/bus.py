@@ -25,6 +25,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import NamedTuple
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL, GroupSyncWrite, Protocol1PacketHandler
 from dynamixel_sdk.robotis_def import INST_READ, INST_WRITE
@@ -64,9 +65,10 @@ LATENCY_PROBES = 6
 
 MOTION_MARGIN = 1.5
 MOTION_MARGIN_TICKS = 3.0
-SPEED_MAX_TICK_S = ax12a.NO_LOAD_SPEED_RAD_S / ax12a.TICK_RAD
+SPEED_BOUND_TICK_S = MOTION_MARGIN * (ax12a.NO_LOAD_SPEED_RAD_S / ax12a.TICK_RAD)
 POSITION_AT = ax12a.PRESENT_POSITION.address - ax12a.STATUS_BEGIN
 
+ID_MAX = ax12a.ID.maximum
 HEADER_SIZE = 5
 STATUS_OVERHEAD = 6
 """Bytes of a status packet beside its parameters: header, id, length, error, checksum."""
@@ -89,8 +91,7 @@ def _impossible_bits() -> int:
 IMPOSSIBLE_BITS = _impossible_bits()
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """What came back to one request; `problem` is empty when it is good."""
 
     data: bytes = b""
@@ -405,8 +406,8 @@ class ServoBus:
             PortGone: the port vanished or was never opened.
             ValueError: no such servo id.
         """
-        if not 0 <= servo_id <= ax12a.ID.maximum:
-            raise ValueError(f"servo id {servo_id} is not in 0..{ax12a.ID.maximum}")
+        if not 0 <= servo_id <= ID_MAX:
+            raise ValueError(f"servo id {servo_id} is not in 0..{ID_MAX}")
         request = [0xFF, 0xFF, servo_id, len(parameters) + 2, instruction, *parameters, 0]
         port = self._port
         begin_ns = self._clock.now_ns()
@@ -444,15 +445,17 @@ class ServoBus:
 def _possible_motion(track: _Track, position: int, now_ns: int) -> bool:
     """Whether a servo can have moved to `position` since it was last read, or since the read that was doubted."""
     reading, suspect = track.reading, track.suspect
-    if not reading.registers and suspect is None:
-        return True
-    if reading.registers and _reachable(position, _position(reading.registers), now_ns - reading.stamp_ns):
+    if reading.registers:
+        if _reachable(position, _position(reading.registers), now_ns - reading.stamp_ns):
+            return True
+    elif suspect is None:
         return True
     return suspect is not None and _reachable(position, suspect[0], now_ns - suspect[1])
 
 
 def _reachable(position: int, before: int, elapsed_ns: int) -> bool:
-    return abs(position - before) <= MOTION_MARGIN * SPEED_MAX_TICK_S * elapsed_ns / NS_PER_S + MOTION_MARGIN_TICKS
+    way = abs(position - before)
+    return way <= MOTION_MARGIN_TICKS or way <= SPEED_BOUND_TICK_S * elapsed_ns / NS_PER_S + MOTION_MARGIN_TICKS
 
 
 def _position(block: bytes) -> int:

@@ -13,8 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 HEADER = b"\xff\xff"
+_WHOLE_SUM = (sum(HEADER) + 0xFF) & 0xFF
+"""Sum of a whole packet, checksum and header included."""
 BROADCAST_ID = 0xFE
 MIN_LENGTH = 2
 MAX_LENGTH = 246
@@ -36,8 +39,7 @@ class Instruction(IntEnum):
     SYNC_WRITE = 0x83
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(NamedTuple):
     """One packet with a good checksum."""
 
     servo_id: int
@@ -104,6 +106,19 @@ class Decoder:
         """The fewest bytes that can complete a packet; so many may be fed at once without missing when it ended."""
         buffer = self._buffer
         return (buffer[3] + 4 if len(buffer) > 3 else OVERHEAD_BYTES) - len(buffer)
+
+    def whole(self, data: bytes) -> Packet | None:
+        """The good packet that `data` is from the first byte to the last; None: anything else, which is to be fed."""
+        if (
+            not self._buffer
+            and OVERHEAD_BYTES <= len(data) <= MAX_LENGTH + 4
+            and len(data) == data[3] + 4
+            and data[:2] == HEADER
+            and data[2] <= BROADCAST_ID
+            and sum(data) & 0xFF == _WHOLE_SUM
+        ):
+            return Packet(data[2], data[4], data[5:-1])
+        return None
 
     def feed(self, data: bytes) -> list[Packet | BadChecksum]:
         """Everything that `data` completes, in order."""

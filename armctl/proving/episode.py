@@ -51,6 +51,9 @@ STATUS_REPLY = 32
 TORQUE_AT = 3 + ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN
 GOAL_AT = 3 + ax12a.GOAL.address - ax12a.STATUS_BEGIN
 """Places in such a reply behind its header."""
+WATCHED = (ax12a.TORQUE_LIMIT, ax12a.GOAL, ax12a.MOVING_SPEED)
+READ, PING = int(Instruction.READ), int(Instruction.PING)
+"""As plain numbers: every packet is looked at."""
 NEAR_S = 2.0
 """A fault is planned so long before it begins: the next tick comes earlier, however late."""
 RESTART_S = 1.0
@@ -72,8 +75,9 @@ class LateClock(VirtualClock):
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         if self.late_ns:
-            deadline_ns, self.late_ns = max(deadline_ns, self.now_ns()) + self.late_ns, 0
-        super().sleep_until_ns(deadline_ns)
+            deadline_ns, self.late_ns = max(deadline_ns, self._now_ns) + self.late_ns, 0
+        if deadline_ns > self._now_ns:
+            self._now_ns = deadline_ns
 
 
 class WatchedPort(LoopbackPort):
@@ -146,7 +150,7 @@ class Watch:
         self.wire.update(packet)
         self.hear(now_ns)
         self._sent = []
-        if packet[4] == Instruction.READ:
+        if packet[4] == READ:
             if packet[5] == ax12a.STATUS_BEGIN:
                 self._pending = packet[2]
                 index = self._index[packet[2]]
@@ -154,7 +158,7 @@ class Watch:
             else:
                 self._identifying = True
             return
-        if packet[4] == Instruction.PING:
+        if packet[4] == PING:
             return
         self._sent = list(_writes(packet, self._index))
         # The servos act on a packet's last byte; where the arm is by then does not depend on who asks first.
@@ -171,7 +175,7 @@ class Watch:
         """Whatever has come from the servo asked last is all that came."""
         pending, received = self._pending, self.received
         if pending is not None and len(received) >= STATUS_REPLY:
-            at = received.find(bytes((0xFF, 0xFF, pending, STATUS_REPLY - 4)))
+            at = received.find(b"\xff\xff%c%c" % (pending, STATUS_REPLY - 4))
             reply = received[at + 2 : at + STATUS_REPLY]
             if at >= 0 and len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
                 index = self._index[pending]
@@ -204,10 +208,8 @@ class Watch:
             known.sensed_tick = math.floor(servo.position_tick + 0.5) if frozen is None else frozen
             if servo.writes != self._writes[i]:
                 self._writes[i] = servo.writes
-                known.limit = servo.get(ax12a.TORQUE_LIMIT)
+                known.limit, known.goal, known.speed = servo.values(*WATCHED)
                 known.torque = servo.torque_enabled and known.limit > 0
-                known.goal = servo.get(ax12a.GOAL)
-                known.speed = servo.get(ax12a.MOVING_SPEED)
         return self._servos
 
 

@@ -21,7 +21,7 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BITS_PER_BYTE, BROADCAST_ID, BadChecksum, Decoder, Packet, encode_status
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Faults
-from armctl.sim.servo import SimulatedServo
+from armctl.sim.servo import ID_AT, SimulatedServo
 
 BYTE_GAP_NS = 100_000_000
 PAUSE_NS = 200_000
@@ -91,23 +91,27 @@ class SimulatedBus:
         if not data:
             return
         byte_ns = BITS_PER_BYTE * NS_PER_S // self.baud
-        time_ns = now_ns
+        decoder, time_ns = self._decoder, now_ns
         if self._last_byte_ns is not None:
             time_ns = max(now_ns, self._last_byte_ns)
             if time_ns - self._last_byte_ns > BYTE_GAP_NS:
-                self._decoder.reset()
+                decoder.reset()
         echo = False
-        if self.faults:
+        if self.arm.faults:
             self.arm.advance(now_ns)
             echo = self.faults.in_force("echo") is not None
+        if not echo and (whole := decoder.whole(data)) is not None:
+            self._last_byte_ns = time_ns = time_ns + len(data) * byte_ns
+            self._dispatch(whole, time_ns, byte_ns)
+            return
         at = 0
         while at < len(data):
-            piece = data[at : at + self._decoder.wanted]
+            piece = data[at : at + decoder.wanted]
             at += len(piece)
             if echo:
                 self._hand_on(piece, time_ns, byte_ns)
             time_ns += len(piece) * byte_ns
-            for packet in self._decoder.feed(piece):
+            for packet in decoder.feed(piece):
                 self._dispatch(packet, time_ns, byte_ns)
         self._last_byte_ns = time_ns
 
@@ -131,30 +135,37 @@ class SimulatedBus:
 
     def transmit(self, now_ns: int) -> bytes:
         """Reply bytes that have arrived at the host by `now_ns`, each handed out once."""
-        count = bisect_right(self._arrivals_ns, now_ns)
-        arrived = bytes(self._replies[:count])
-        del self._replies[:count], self._arrivals_ns[:count]
+        replies, arrivals_ns = self._replies, self._arrivals_ns
+        if not arrivals_ns:
+            return b""
+        count = bisect_right(arrivals_ns, now_ns)
+        arrived = bytes(replies[:count])
+        del replies[:count], arrivals_ns[:count]
         return arrived
 
     def _dispatch(self, packet: Packet | BadChecksum, time_ns: int, byte_ns: int) -> None:
-        faults, to = self.faults, packet.servo_id
-        servos, everyone = self.arm.servos, bool(faults) or to == BROADCAST_ID
-        hearers = [i for i, servo in enumerate(servos) if everyone or servo.servo_id == to]
-        self.arm.advance(time_ns, hearers[0] if len(hearers) == 1 else None)
-        if faults and faults.in_force("dead_bus"):
-            return
+        arm, to = self.arm, packet.servo_id
+        servos, faults = arm.servos, arm.faults or None
+        everyone = to == BROADCAST_ID
+        hearers = [i for i, servo in enumerate(servos) if everyone or servo.table[ID_AT] == to]
+        arm.advance(time_ns, hearers[0] if len(hearers) == 1 and faults is None else None)
+        if faults is not None:
+            if faults.in_force("dead_bus"):
+                return
+            if faults.in_force("same_id"):  # a stranger hears what is told to another servo
+                hearers = list(range(len(servos)))
         statuses: list[bytes] = []
         delay_ns = late_ns = 0
         for i in hearers:
             servo_id, servo = self._servo_ids[i], servos[i]
             if servo.booting or abs(servo.baud / self.baud - 1.0) > BAUD_TOLERANCE:
                 continue
-            if faults and faults.in_force("mute", servo_id):
+            if faults is not None and faults.in_force("mute", servo_id):
                 continue
             servo_delay_ns = servo.return_delay_ns
             status = servo.handle(packet)
-            if faults:
-                if packet.servo_id == servo_id and (noise := faults.strike("garbage", servo_id)):
+            if faults is not None:
+                if to == servo_id and (noise := faults.strike("garbage", servo_id)):
                     self._quiet_ns = max(time_ns, self._quiet_ns)
                     self._speak(noise.rng.bytes(round(noise.amount)), byte_ns, 0)
                 if status is not None:
@@ -221,7 +232,7 @@ class SimulatedBus:
         """Let bytes that come to the adapter one after another from `time_ns` on reach the host, after those before."""
         arrivals_ns: Sequence[int] = range(time_ns + byte_ns, time_ns + len(data) * byte_ns + 1, byte_ns)
         latency_ns = self._latency_ns
-        if self.faults and (other := self.faults.in_force("latency")):
+        if self.arm.faults and (other := self.arm.faults.in_force("latency")):
             latency_ns = round(other.amount * 1e6)
         if latency_ns:  # the adapter hands on what it has when its timer fires
             phase_ns = self._phase_ns

@@ -56,10 +56,12 @@ class LoopbackPort(ServoPort):
         missing = length - len(self._received)
         if missing > 0:
             self._check()
-            all_ns = self._bus.arrival_ns(missing)
-            deadline_ns = self._deadline_ns
-            self.clock.sleep_until_ns(deadline_ns if all_ns is None else min(all_ns, deadline_ns))
+            all_ns, until_ns = self._bus.arrival_ns(missing), self._deadline_ns
+            self.clock.sleep_until_ns(until_ns if all_ns is None or all_ns > until_ns else all_ns)
             self._arrive()
+            if len(self._received) <= length:
+                data, self._received = self._received, b""
+                return data
         data, self._received = self._received[:length], self._received[length:]
         return data
 

@@ -20,6 +20,7 @@ What differs between reports and firmwares is a field of `ServoVariants`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from struct import Struct
@@ -28,13 +29,22 @@ from typing import Literal
 import numpy as np
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.ax12a import LOAD_MAX, SPEED_UNIT_RAD_S, ErrorBit, Register, to_signed_magnitude
 from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Instruction, Packet, encode_status
 from armctl.sim.drive import DRIVING, Drive, drive_of
 from armctl.sim.steps import sensed_tick
 
 LOCKED_WRITABLE = range(24, 36)
 """Addresses that stay writable after LOCK."""
+
+ID_AT = ax12a.ID.address
+_MIN_VOLTAGE_AT = ax12a.MIN_VOLTAGE.address
+_MAX_VOLTAGE_AT = ax12a.MAX_VOLTAGE.address
+_TEMPERATURE_LIMIT_AT = ax12a.TEMPERATURE_LIMIT.address
+_RETURN_LEVEL_AT = ax12a.RETURN_LEVEL.address
+_TORQUE_ENABLE_AT = ax12a.TORQUE_ENABLE.address
+_GOAL_AT = ax12a.GOAL.address
+_POSITION_AT = ax12a.PRESENT_POSITION.address
 
 _MEASURED = Struct("<HHH5B")
 """From the present position on: position, speed, load, voltage, temperature, registered, address 45, moving."""
@@ -72,7 +82,8 @@ class SimulatedServo:
         Args:
             noise_tick: Standard deviation of the reported position.
         """
-        self._table = bytearray(ax12a.TABLE_SIZE)
+        self.table = bytearray(ax12a.TABLE_SIZE)
+        """The control table; what is measured is brought up to date by whoever asks for it."""
         self._rng = rng
         self.noise: float | None = None
         """Noise of every position reading, in standard deviations; None: each reading has its own."""
@@ -109,18 +120,23 @@ class SimulatedServo:
             self._refresh(0.0)
         return self._value(register)
 
+    def values(self, *registers: Register) -> tuple[int, ...]:
+        """What `get` says of several registers of the RAM, all at one instant."""
+        self._refresh(0.0)
+        return tuple(map(self._value, registers))
+
     def set(self, register: Register, value: int) -> None:
         """Put a value into the table without any check or effect: the factory's or a wizard's hand."""
-        self._table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
+        self.table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
         self.writes += 1
 
     @property
     def servo_id(self) -> int:
-        return self._table[ax12a.ID.address]
+        return self.table[ID_AT]
 
     @property
     def torque_enabled(self) -> bool:
-        return bool(self._table[ax12a.TORQUE_ENABLE.address])
+        return bool(self.table[ax12a.TORQUE_ENABLE.address])
 
     @property
     def wheel_mode(self) -> bool:
@@ -128,11 +144,11 @@ class SimulatedServo:
 
     @property
     def baud(self) -> float:
-        return 2e6 / (self._table[ax12a.BAUD.address] + 1)
+        return 2e6 / (self.table[ax12a.BAUD.address] + 1)
 
     @property
     def return_delay_ns(self) -> int:
-        return self._table[ax12a.RETURN_DELAY.address] * 2000
+        return self.table[ax12a.RETURN_DELAY.address] * 2000
 
     @property
     def led(self) -> Literal["off", "on", "blinking"]:
@@ -144,7 +160,7 @@ class SimulatedServo:
     @property
     def drive(self) -> Drive:
         """The position controller's settings now."""
-        registers = DRIVING.unpack(self._table)
+        registers = DRIVING.unpack(self.table)
         if registers != self._driven_by:
             self._driven_by, self._drive = registers, drive_of(*registers)
         return self._drive
@@ -155,7 +171,8 @@ class SimulatedServo:
         return _ALARMS.unpack_from(self._table)
 
     def _value(self, register: Register) -> int:
-        return int.from_bytes(self._table[register.address : register.address + register.size], "little")
+        table, at = self.table, register.address
+        return table[at] | table[at + 1] << 8 if register.size == 2 else table[at]
 
     def _quantised_tick(self, noise_tick: float = 0.0) -> int:
         return sensed_tick(self.position_tick + noise_tick) if self.frozen_tick is None else self.frozen_tick
@@ -166,64 +183,53 @@ class SimulatedServo:
 
     def _refresh(self, noise_tick: float) -> None:
         """Bring the measured registers up to date."""
-        table = self._table
-        enabled = table[24]
+        table = self.table
+        enabled = table[_TORQUE_ENABLE_AT]
         position, speed = self.frozen_tick, 0
         if position is None:
             position = sensed_tick(self.position_tick + noise_tick)
-            speed = round(self.velocity_rad_s / ax12a.SPEED_UNIT_RAD_S)
+            speed = round(self.velocity_rad_s / SPEED_UNIT_RAD_S)
         if not enabled and self._variants.goal_follows_when_limp:
-            table[30:32] = position.to_bytes(2, "little")
+            table[_GOAL_AT : _GOAL_AT + 2] = position.to_bytes(2, "little")
         _MEASURED.pack_into(
             table,
-            ax12a.PRESENT_POSITION.address,
+            _POSITION_AT,
             position,
-            ax12a.to_signed_magnitude(speed),
-            ax12a.to_signed_magnitude(round(self.output * ax12a.LOAD_MAX)),
+            to_signed_magnitude(speed) if speed else 0,
+            to_signed_magnitude(round(self.output * LOAD_MAX)) if self.output else 0,
             min(max(round(self.voltage_V * 10.0), 0), 255),
             min(max(round(self.temperature_degC), 0), 255),
             self._registered is not None,
             table[45],
-            enabled and (speed != 0 or self.reference_tick != self._value(ax12a.GOAL)),
+            enabled and (speed != 0 or self.reference_tick != table[_GOAL_AT] | table[_GOAL_AT + 1] << 8),
         )
 
     # --------------------------------------------------------------------------------------- instructions
 
     def handle(self, packet: Packet | BadChecksum) -> bytes | None:
         """React to a packet on the bus; the status packet sent back, or None for silence."""
-        servo_id, level = self.servo_id, self._table[ax12a.RETURN_LEVEL.address]
-        if packet.servo_id != servo_id and (packet.servo_id != BROADCAST_ID or isinstance(packet, BadChecksum)):
+        table, to = self.table, packet.servo_id
+        servo_id, level = table[ID_AT], table[_RETURN_LEVEL_AT]
+        if to not in (servo_id, BROADCAST_ID):
             return None
         reply = b""
-        if isinstance(packet, BadChecksum):
-            code, error = None, int(ErrorBit.CHECKSUM)
-        else:
+        if isinstance(packet, Packet):
             code = packet.code
-            match code:
-                case Instruction.PING:
-                    error = 0
-                case Instruction.READ:
-                    error, reply = self._read(packet.parameters)
-                case Instruction.WRITE:
-                    error = self._write(packet.parameters[:1], packet.parameters[1:])
-                case Instruction.REG_WRITE:
-                    error = self._register_write(packet.parameters[:1], packet.parameters[1:])
-                case Instruction.ACTION:
-                    error = self._action()
-                case Instruction.RESET:
-                    error = 0
-                    self._restore_factory_table()
-                case Instruction.SYNC_WRITE:
-                    error = self._sync_write(servo_id, packet.parameters)
-                case _:
-                    return None
-        errors = error | self._alarms()
-        self._last_error = errors
-        self._shut_down(errors)
-        answers = code == Instruction.PING or level == 2 or (level == 1 and code == Instruction.READ)
-        if packet.servo_id == BROADCAST_ID or not answers:
+            react = _REACTIONS.get(code)
+            if react is None:
+                return None
+            error, reply = react(self, packet.parameters)
+        elif to == BROADCAST_ID:
             return None
-        return encode_status(servo_id, errors, reply)
+        else:
+            code, error = -1, int(ErrorBit.CHECKSUM)
+        error |= self._alarms()
+        self._last_error = error
+        if error:
+            self._shut_down(error)
+        if to == BROADCAST_ID or not (level == 2 or code == Instruction.PING or (level and code == Instruction.READ)):
+            return None
+        return encode_status(servo_id, error, reply)
 
     def _read(self, parameters: bytes) -> tuple[int, bytes]:
         if len(parameters) != 2:
@@ -233,9 +239,12 @@ class SimulatedServo:
             return ErrorBit.RANGE, b""
         noise = 0.0
         if self._noise_tick:
-            noise = self._noise_tick * (float(self._rng.standard_normal()) if self.noise is None else self.noise)
+            noise = self._noise_tick * (self._rng.standard_normal() if self.noise is None else self.noise)
         self._refresh(noise)
-        return 0, bytes(self._table[begin : begin + size])
+        return 0, bytes(self.table[begin : begin + size])
+
+    def _told(self, parameters: bytes) -> tuple[int, bytes]:
+        return self._write(parameters[:1], parameters[1:]), b""
 
     def _write(self, address: bytes, data: bytes) -> int:
         error = self._refusal(address, data)
@@ -243,28 +252,33 @@ class SimulatedServo:
             self._apply(address[0], data)
         return error
 
-    def _register_write(self, address: bytes, data: bytes) -> int:
+    def _register_write(self, parameters: bytes) -> tuple[int, bytes]:
+        address, data = parameters[:1], parameters[1:]
         error = self._refusal(address, data)
         if not error:
             self._registered = (address[0], data)
-        return error
+        return error, b""
 
-    def _action(self) -> int:
+    def _action(self, _: bytes) -> tuple[int, bytes]:
         if self._registered is None:
-            return ErrorBit.INSTRUCTION
+            return ErrorBit.INSTRUCTION, b""
         address, data = self._registered
         self._registered = None
-        return self._write(bytes((address,)), data)
+        return self._write(bytes((address,)), data), b""
 
-    def _sync_write(self, servo_id: int, parameters: bytes) -> int:
+    def _reset(self, _: bytes) -> tuple[int, bytes]:
+        self._restore_factory_table()
+        return 0, b""
+
+    def _sync_write(self, parameters: bytes) -> tuple[int, bytes]:
         size = parameters[1] + 1 if len(parameters) > 1 else 0
         if size < 2 or (len(parameters) - 2) % size:
-            return ErrorBit.INSTRUCTION
-        error = 0
+            return ErrorBit.INSTRUCTION, b""
+        error, servo_id = 0, self.table[ID_AT]
         for begin in range(2, len(parameters), size):
             if parameters[begin] == servo_id:
                 error |= self._write(parameters[:1], parameters[begin + 1 : begin + size])
-        return error
+        return error, b""
 
     def _refusal(self, address: bytes, data: bytes) -> int:
         """Why this write must not happen."""
@@ -273,13 +287,13 @@ class SimulatedServo:
         begin, end = address[0], address[0] + len(data)
         if end > ax12a.TABLE_SIZE:
             return ErrorBit.RANGE
-        locked = bool(self._table[ax12a.LOCK.address])
+        locked = bool(self.table[ax12a.LOCK.address])
         if locked and not (begin in LOCKED_WRITABLE and end - 1 in LOCKED_WRITABLE):
             return ErrorBit.RANGE
-        after = bytearray(self._table)
+        after = bytearray(self.table)
         after[begin:end] = data
         error, wheel = 0, self.wheel_mode
-        for register in _touched(begin, end):
+        for register in _touched(begin, end).values():
             value = int.from_bytes(after[register.address : register.address + register.size], "little")
             highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not wheel else register.maximum
             if (
@@ -299,20 +313,20 @@ class SimulatedServo:
         was_enabled = self.torque_enabled
         if not was_enabled:
             self._refresh(0.0)  # a goal that followed the position is where it is now
-        self._table[address : address + len(data)] = data
+        self.table[address : address + len(data)] = data
         self.writes += 1
-        energising = (ax12a.GOAL in touched and self._variants.goal_write_energises) or (
-            ax12a.MOVING_SPEED in touched and self._variants.speed_write_energises
+        energising = (ax12a.GOAL.name in touched and self._variants.goal_write_energises) or (
+            ax12a.MOVING_SPEED.name in touched and self._variants.speed_write_energises
         )
-        if energising and ax12a.TORQUE_ENABLE not in touched:
-            self._table[ax12a.TORQUE_ENABLE.address] = 1
+        if energising and ax12a.TORQUE_ENABLE.name not in touched:
+            self.table[ax12a.TORQUE_ENABLE.address] = 1
         if not self.torque_enabled:
             self.output = 0.0
         elif not was_enabled:
             self.reference_tick = self._quantised_tick()
             if self._value(ax12a.TORQUE_LIMIT) > 0:
                 self.overloaded = False
-        elif ax12a.GOAL in touched and not self._variants.ramp_from_reference:
+        elif ax12a.GOAL.name in touched and not self._variants.ramp_from_reference:
             self.reference_tick = self._quantised_tick()
 
     def _restore_factory_table(self) -> None:
@@ -337,27 +351,43 @@ class SimulatedServo:
 
     def _alarms(self) -> int:
         """Error bits that stand; plain numbers, since the physics asks every few milliseconds."""
-        table = self._table
+        table = self.table
         error = int(ErrorBit.OVERLOAD) if self.overloaded else 0
-        if not table[ax12a.MIN_VOLTAGE.address] <= round(self.voltage_V * 10.0) <= table[ax12a.MAX_VOLTAGE.address]:
+        # What lies between two whole numbers also does rounded; most of the time there is nothing to round.
+        low, volts, high = table[_MIN_VOLTAGE_AT], self.voltage_V * 10.0, table[_MAX_VOLTAGE_AT]
+        if not low <= volts <= high and not low <= round(volts) <= high:
             error |= int(ErrorBit.VOLTAGE)
-        if round(self.temperature_degC) > table[ax12a.TEMPERATURE_LIMIT.address]:
+        limit, degC = table[_TEMPERATURE_LIMIT_AT], self.temperature_degC
+        if degC > limit and round(degC) > limit:
             error |= int(ErrorBit.OVERHEAT)
         return error
 
     def protect(self, *, overloaded: bool = False) -> None:
         """Note an overload, and shut down if an alarm that stands is also in the shutdown register."""
         self.overloaded |= overloaded
-        self._shut_down(self._alarms())
+        if error := self._alarms():
+            self._shut_down(error)
 
     def _shut_down(self, error: int) -> None:
-        if error and self.torque_enabled and error & self._value(ax12a.SHUTDOWN):
+        if self.torque_enabled and error & self._value(ax12a.SHUTDOWN):
             self.set(ax12a.TORQUE_LIMIT, 0)
             self.set(ax12a.TORQUE_ENABLE, 0)
             self.output = 0.0
 
 
+_REACTIONS: dict[int, Callable[[SimulatedServo, bytes], tuple[int, bytes]]] = {
+    Instruction.PING: lambda _servo, _parameters: (0, b""),
+    Instruction.READ: SimulatedServo._read,
+    Instruction.WRITE: SimulatedServo._told,
+    Instruction.REG_WRITE: SimulatedServo._register_write,
+    Instruction.ACTION: SimulatedServo._action,
+    Instruction.RESET: SimulatedServo._reset,
+    Instruction.SYNC_WRITE: SimulatedServo._sync_write,
+}
+"""What each instruction does with its parameters: the error bits and the bytes of the reply."""
+
+
 @cache
-def _touched(begin: int, end: int) -> tuple[Register, ...]:
-    """Registers that overlap the addresses begin..end-1."""
-    return tuple(r for r in ax12a.REGISTERS if r.address < end and r.address + r.size > begin)
+def _touched(begin: int, end: int) -> dict[str, Register]:
+    """Registers that overlap the addresses begin..end-1, by name."""
+    return {r.name: r for r in ax12a.REGISTERS if r.address < end and r.address + r.size > begin}

@@ -60,6 +60,22 @@ def test_result_depends_on_the_bytes_and_not_on_their_cuts(stream: bytes, data: 
 
 
 @settings(deadline=None)
+@given(packets, st.binary(max_size=4), st.data())
+def test_whole_takes_one_packet_alone_and_only_what_feeding_it_gives(
+    packet: Packet, more: bytes, data: st.DataObject
+) -> None:
+    good = encode(packet)
+    assert Decoder().whole(good) == packet
+    raw = bytearray(good + more)
+    raw[data.draw(st.integers(0, len(raw) - 1))] ^= data.draw(st.integers(0, 255))
+    whole = Decoder().whole(bytes(raw))
+    assert whole is None or Decoder().feed(bytes(raw)) == [whole]
+    half_fed = Decoder()
+    half_fed.feed(good[:3])
+    assert half_fed.whole(good) is None
+
+
+@settings(deadline=None)
 @given(packets, st.data())
 def test_any_single_wrong_byte_behind_the_length_is_a_bad_checksum(packet: Packet, data: st.DataObject) -> None:
     good = encode(packet)
