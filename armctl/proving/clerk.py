@@ -1,13 +1,13 @@
 """The user of an episode: wants runs, parks and teaches, follows every fault's card, and says wrong things at times.
 
 The clerk knows what `armctl status` shows, and what a person at the arm sees: where it is, whether it is limp, which
-fault still strikes. Each of his doings is a generator that yields the commands of one tick.
+fault still strikes. Each of his doings is a generator of one tick's commands; what he asks for `requests.py` draws.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,13 +17,11 @@ from armctl.control.faults import SETTLING
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray
 from armctl.messages import (
     Clear,
     Command,
     Hold,
     Jog,
-    JointTrajectory,
     Mode,
     Park,
     Pause,
@@ -37,30 +35,21 @@ from armctl.messages import (
     TickRecord,
     TorqueOn,
 )
+from armctl.proving.requests import PERIOD_S, Requests
 from armctl.proving.story import Story, Strike, Wish, Word
 from armctl.sim.faults import Fault
-from armctl.trajectory.approach import approach_trajectory, lowest_link_m
-from armctl.trajectory.interpolate import PEAK_SPEED
-from armctl.trajectory.plan import Plan, joint_trajectory
 
 if TYPE_CHECKING:
     from armctl.proving.episode import Episode
 
-PERIOD_S = 0.1
 READY_S = 3.0
 """When faults end, the arm is ready (latched) within this time."""
 MOVE_S = 1.0
 """From a `clear` to a moving arm."""
 PATIENCE_S = 60.0
 """A card that does not lead out of a fault in so long does not tell the truth."""
-FAST_SHARE = 0.97
-"""Of a joint's speed limit, in the fastest runs."""
-POSTURES = 64
 WRONG_SHARE = 0.2
 """How often a run is asked for first that must be refused."""
-ELSEWHERE_RAD = 0.2
-LEAN_TICKS = 27
-"""At the default compliance 82 % of a servo's output, and 7.9 deg."""
 LEAN_S = 4.0
 
 Doing = Generator[tuple[Command, ...], None, None]
@@ -74,13 +63,12 @@ class Clerk:
         self._wishes = [line for line in story.lines if isinstance(line, Wish)]
         self._words = [line for line in story.lines if isinstance(line, Word)]
         self._faults = [line.fault for line in story.lines if isinstance(line, Strike)]
-        self._postures = episode.postures
+        self._requests = Requests(arm, robot, episode.postures)
         self._request_id = 0
         self._replies: dict[int, Reply] = {}
         self._record: TickRecord | None = None
         self._doing: Doing | None = None
         self._now_s = 0.0
-        self._moved_goal = False
 
     # ------------------------------------------------------------------------------------ the loop's side
 
@@ -97,7 +85,8 @@ class Clerk:
                 except StopIteration:
                     self._doing = None
         while self._words and self._words[0].at_s <= now_s:
-            said += self._blurt(self._words.pop(0))
+            word = self._words.pop(0)
+            said += self._requests.blurt(word, self._id(), None if self._record is None else self._commanded())
         return said
 
     def see(self, now_s: float, record: TickRecord) -> None:
@@ -242,7 +231,7 @@ class Clerk:
 
     def _guide(self, rng: np.random.Generator) -> Doing:
         """A hand leads the limp arm along a short line; it stays at the arm."""
-        postures = self._postures
+        postures = self._episode.postures
         q = postures[int(rng.integers(len(postures)))]
         point = tool_position(self._robot.chain, q[: self._robot.chain.n])
         body = self._episode.body
@@ -268,9 +257,11 @@ class Clerk:
         yield from self._power_up(rng)
         if self._mode is not Mode.HOLDING or self._code:
             return
-        if rng.random() < WRONG_SHARE and (wrong := self._wrong(rng)) is not None:
-            yield from self._ask(Run(self._id(), wrong), 1.0)
-        trajectory = self._trajectory(rng)
+        q_now = self._commanded()
+        if rng.random() < WRONG_SHARE and q_now is not None:
+            yield from self._ask(Run(self._id(), self._requests.wrong(rng, q_now)), 1.0)
+            q_now = self._commanded()
+        trajectory = None if q_now is None else self._requests.right(rng, q_now)
         if trajectory is None:
             return
         request = Run(self._id(), trajectory)
@@ -283,19 +274,6 @@ class Clerk:
             if self._code or request.request_id in self._replies:
                 return
             yield from self._aside(rng)
-
-    def _wrong(self, rng: np.random.Generator) -> JointTrajectory | None:
-        """A run that must be refused: one that starts elsewhere, is too fast or, now and then, holds no number."""
-        q_now = self._commanded()
-        if q_now is None:
-            return None
-        what = rng.random()
-        if what < 0.3:
-            return JointTrajectory(PERIOD_S, (tuple(q_now), (math.nan, *q_now[1:])), label="no number")
-        if what < 0.65:
-            return self._draw_trajectory(rng, np.array(q_now) + ELSEWHERE_RAD * rng.choice((-1.0, 1.0)))
-        way = self._draw_trajectory(rng, np.array(q_now))
-        return JointTrajectory(PERIOD_S / 4.0, way.positions_rad, label="too fast")
 
     def _aside(self, rng: np.random.Generator) -> Doing:
         """Something said during a run."""
@@ -315,12 +293,7 @@ class Clerk:
         yield from self._power_up(rng)
         begin = True
         for _ in range(int(rng.integers(1, 4))):
-            joints: tuple[float, ...] = ()
-            tool: tuple[float, ...] = ()
-            if rng.random() < 0.5:
-                joints = tuple(rng.uniform(-1.5, 1.5, size=len(self._arm.joints)).tolist())
-            else:
-                tool = tuple(rng.uniform(-0.2, 0.2, size=3).tolist())
+            joints, tool = self._requests.velocities(rng)
             until_s = self._now_s + float(rng.uniform(0.2, 3.0))
             while self._now_s < until_s:
                 if self._code or self._mode not in (Mode.HOLDING, Mode.JOGGING):
@@ -340,63 +313,11 @@ class Clerk:
         index = int(rng.integers(len(self._arm.joints)))
         joint = self._arm.joints[index]
         tick = ax12a.register_value(ax12a.PRESENT_POSITION, self._record.inputs.sample.servos[index].registers)
-        target = list(q_now)
-        target[index] = joint.position_rad(tick + LEAN_TICKS * (1 if tick < ax12a.TICK_MAX / 2 else -1))
         held = Fault(kind="blocked_joint", servo_id=joint.servo_id, begin_s=self._now_s, duration_s=LEAN_S)
         self._faults.append(held)
         self._episode.fault(held)
-        way = approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "leaning")
-        yield from self._ask(Run(self._id(), way), LEAN_S)
+        yield from self._ask(Run(self._id(), self._requests.leaning(q_now, index, tick)), LEAN_S)
         yield from self._wait(LEAN_S)
-
-    def _trajectory(self, rng: np.random.Generator) -> JointTrajectory | None:
-        """A motion from where the arm is commanded to be, as the host would build it."""
-        q_now = self._commanded()
-        if q_now is None:
-            return None
-        for _ in range(6):
-            trajectory = self._draw_trajectory(rng, np.array(q_now))
-            if lowest_link_m(trajectory, self._robot) > self._arm.floor_m:
-                return trajectory
-        return None
-
-    def _draw_trajectory(self, rng: np.random.Generator, q_now: FloatArray) -> JointTrajectory:
-        postures = self._postures
-        via = int(rng.integers(3))
-        rows = [q_now, *(postures[int(rng.integers(len(postures)))] for _ in range(via + 1))]
-        if rng.random() < 0.3:
-            return approach_trajectory(
-                q_now.tolist(), rows[-1].tolist(), self._arm, self._robot, PERIOD_S, "a slow way"
-            )
-        waypoints = np.array(rows)
-        limits = np.array([joint.speed_limit_rad_s for joint in self._arm.joints]) * FAST_SHARE
-        ways_s = (np.abs(np.diff(waypoints, axis=0)) / limits).max(axis=1) + 0.05
-        slow = 1.0 if rng.random() < 0.5 else float(rng.uniform(1.0, 3.0))
-        duration_s = float(ways_s.sum()) * PEAK_SPEED * slow
-        progress = [0.0, *np.cumsum(ways_s / ways_s.sum()).tolist()]
-        progress[-1] = 1.0
-        plan = Plan(
-            arm_id=self._arm.arm_id,
-            calibration_hash=self._arm.calibration_hash,
-            from_m=(0.0, 0.0, 0.0),
-            to_m=(0.0, 0.0, 0.0),
-            duration_s=duration_s,
-            via=via,
-            interpolation="cubic" if slow > 1.5 else "linear",
-            waypoints_rad=tuple(map(tuple, waypoints.tolist())),
-            waypoint_progress=tuple(progress),
-            predicted_mean_error_mm=0.0,
-            predicted_max_error_mm=0.0,
-            seed=0,
-        )
-        trajectory = joint_trajectory(plan, self._arm, q_now.tolist(), PERIOD_S)
-        points = tool_position(self._robot.chain, np.array(trajectory.positions_rad)[:, : self._robot.chain.n])
-        tool_m_s = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max()) / PERIOD_S
-        slower = tool_m_s / (FAST_SHARE * self._arm.tool_speed_limit_m_s)
-        if slower > 1.0:  # the host refuses a faster one
-            slow_plan = plan.model_copy(update={"duration_s": duration_s * slower})
-            trajectory = joint_trajectory(slow_plan, self._arm, q_now.tolist(), PERIOD_S)
-        return trajectory
 
     # ------------------------------------------------------------------------------------------ recovery
 
@@ -452,8 +373,7 @@ class Clerk:
                 servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
         on = [servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) > 0 for servo in body.servos]
         if code in ("LOST_TORQUE", "TRIPPED", "NOT_LIMP") or (any(on) and not all(on)) or self._weak():
-            request_id = self._id()
-            yield (Release(request_id),)
+            yield (Release(self._id()),)
             yield from self._wait(0.2)
         body.hand.release()
 
@@ -465,81 +385,15 @@ class Clerk:
         q_now = self._commanded()
         if q_now is None:
             return
-        limits = [joint.limits_rad for joint in self._arm.joints]
-        target = [
-            q + math.copysign(math.radians(4.0), (low + high) / 2.0 - q)
-            for q, (low, high) in zip(q_now, limits, strict=True)
-        ]
-        way = approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "going on")
         goals = [servo.get(ax12a.GOAL) for servo in self._episode.body.servos]
         request_id = self._id()
-        yield (Run(request_id, way),)
+        yield (Run(request_id, self._requests.going_on(q_now)),)
         while not self._code and request_id not in self._replies:
             if [servo.get(ax12a.GOAL) for servo in self._episode.body.servos] != goals:
                 return
             if self._now_s - cleared_s > MOVE_S:
-                quiet = self._faulty_until_s() < cleared_s - READY_S
-                if quiet:
+                if self._faulty_until_s() < cleared_s - READY_S:
                     text = "no goal moved within 1 s of a `clear` and a motion asked for"
                     self._episode.judge.found(self._now_s, "11", text)
                 return
             yield ()
-
-    # ------------------------------------------------------------------------------------ out of the blue
-
-    def _blurt(self, word: Word) -> tuple[Command, ...]:
-        rng = np.random.default_rng(word.number)
-        request_id = self._id()
-        match word.what:
-            case "hold":
-                return (Hold(request_id),)
-            case "clear":
-                return (Clear(request_id),)
-            case "release":
-                return (Release(request_id),)
-            case "torque_on":
-                return (TorqueOn(request_id),)
-            case "park":
-                return (Park(request_id),)
-            case "teach":
-                return (Teach(request_id),)
-            case "teach_end":
-                return (TeachEnd(request_id),)
-            case "pause":
-                return (Pause(request_id),)
-            case "resume":
-                return (Resume(request_id),)
-            case "set_rate":
-                return (SetRate(request_id, float(rng.choice((0.0, 0.1, 0.5, 1.0, math.nan)))),)
-            case "jog":
-                speeds = rng.uniform(-1.0, 1.0, size=len(self._arm.joints)).tolist()
-                return (Jog(request_id, tuple(speeds), begin=bool(rng.random() < 0.5)),)
-        q_now = None if self._record is None else self._commanded()
-        if q_now is None:
-            return ()
-        if word.what == "elsewhere":
-            q_now = [q + float(rng.choice((-0.1, 0.1, -0.2, 0.2, 0.5))) for q in q_now]
-        trajectory = self._draw_trajectory(rng, np.array(q_now))
-        if word.what == "nonsense" and rng.random() < 0.3:
-            trajectory = JointTrajectory(PERIOD_S / 4.0, trajectory.positions_rad, label="too fast")
-        elif word.what == "nonsense":
-            bad = float(rng.choice((math.nan, math.inf, 5.0, -5.0)))
-            rows = [list(row) for row in trajectory.positions_rad]
-            rows[int(rng.integers(len(rows)))][int(rng.integers(len(q_now)))] = bad
-            trajectory = JointTrajectory(PERIOD_S, tuple(map(tuple, rows)), label="nonsense")
-        elif lowest_link_m(trajectory, self._robot) < self._arm.floor_m:
-            return ()
-        return (Run(request_id, trajectory),)
-
-
-def postures(arm: ArmConfig, robot: Robot) -> Sequence[FloatArray]:
-    """Some postures above the floor [rad], the same ones for every episode."""
-    rng = np.random.default_rng(0)
-    limits = np.array([joint.limits_rad for joint in arm.joints])
-    found: list[FloatArray] = []
-    while len(found) < POSTURES:
-        q = limits[:, 0] + (limits[:, 1] - limits[:, 0]) * np.clip(rng.uniform(-0.1, 1.1, size=len(limits)), 0.0, 1.0)
-        still = JointTrajectory(PERIOD_S, (tuple(q.tolist()), tuple(q.tolist())))
-        if lowest_link_m(still, robot) > arm.floor_m + 0.02:
-            found.append(q)
-    return found

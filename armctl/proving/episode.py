@@ -33,9 +33,10 @@ from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Command, Connected, HostLost, Mode, TickRecord, to_json
-from armctl.proving.clerk import Clerk, postures
+from armctl.proving.clerk import Clerk
 from armctl.proving.duties import Servo
 from armctl.proving.invariants import Judge, Sent, Violation
+from armctl.proving.requests import postures
 from armctl.proving.story import HostGone, Kill, Late, Story, Strike, Tamper
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
