@@ -2,7 +2,8 @@
 
 Deadlines are absolute: tick k is due at start + k * period. A tick that comes half a period too late, or 50 ms, is
 skipped, never made up for in a burst. While the port is gone the loop keeps ticking (so that the fault is seen,
-logged and published) and looks for the port again every half second.
+logged and published) and looks for the port again every half second; not before a sample has told the step that it is
+gone, for a port may be lost in a tick's last write and be back before the next tick.
 """
 
 from __future__ import annotations
@@ -45,6 +46,8 @@ class ControlLoop:
         self._tick = 0
         self._deadline_ns = 0
         self._next_open_ns = 0
+        self._loss_told = True
+        """Whether the latest sample told of a lost port, if one is lost."""
         self._dropped = 0
         self._keyframe_due = True
 
@@ -68,6 +71,7 @@ class ControlLoop:
         late_ns = clock.now_ns() - self._deadline_ns
         commands = (*self._connect(commands), *commands)
         sample = self._bus.read_sample()
+        self._loss_told = not sample.port_open
         inputs = Inputs(self._tick, clock.now_ns(), sample, commands, late_ns)
         self.state, outputs = step(self.state, inputs, self._arm, self._robot, self._period_s)
         write_begin_ns = clock.now_ns()
@@ -126,7 +130,7 @@ class ControlLoop:
     def _connect(self, commands: Sequence[Command]) -> tuple[Command, ...]:
         """Open a lost port again, and identify the servos where that is due."""
         now_ns = self._clock.now_ns()
-        due = not self._bus.is_open and now_ns >= self._next_open_ns
+        due = not self._bus.is_open and self._loss_told and now_ns >= self._next_open_ns
         if due:
             self._next_open_ns = now_ns + REOPEN_NS
             self._bus.close()

@@ -77,7 +77,7 @@ class SimulatedBus:
 
     def plugged(self, now_ns: int) -> bool:
         """Whether the adapter is in the host."""
-        if not self.faults:
+        if not self.arm.faults:
             return True
         self.arm.advance(now_ns)
         return self.faults.in_force("unplug") is None

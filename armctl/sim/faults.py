@@ -204,6 +204,8 @@ class Faults:
         self._planned: list[Planned] = []
         self.due_s = math.inf
         """When something changes next."""
+        self.unplugs = 0
+        """How often the adapter was pulled out of the host so far."""
         for fault in script:
             self.begin(fault, 0.0)
 
@@ -245,6 +247,7 @@ class Faults:
         for planned in self._planned:
             if planned.begin_s <= now_s and not planned.begun:
                 planned.begun = True
+                self.unplugs += planned.fault.kind == "unplug"
                 planned.next_write_s = planned.begin_s if planned.fault.kind == "second_writer" else math.inf
                 due.append(planned)
             elif planned.next_write_s <= now_s:

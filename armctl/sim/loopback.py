@@ -3,7 +3,8 @@
 Rules:
 
 1. Only reading moves the clock, and only to where something happens: the next reply byte, or the packet's deadline.
-2. No threads and no real time, so the same calls give the same bytes at the same instants.
+2. A port that was open when the adapter was pulled out is gone at its next use, though the adapter be back by then.
+3. No threads and no real time, so the same calls give the same bytes at the same instants.
 
 Not modelled: the kernel's buffers, scheduling delays, and an adapter that drops what it is sent.
 """
@@ -23,20 +24,23 @@ class LoopbackPort(ServoPort):
         super().__init__("loopback", baud, clock)
         self._bus = bus
         self._plugged = True
+        self._unplugs = 0
+        """How often the adapter had been pulled out when the port was opened."""
         self._received = b""
 
     def unplug(self) -> None:
         """From now on every use of the port raises `PortGone`, and opening it `PortMissing`."""
-        self._plugged = False
+        self._plugged = self.is_open = False
 
     def replug(self) -> None:
-        """Let the port be opened again."""
+        """Let the port be opened again; one that was open stays gone, as a descriptor does."""
         self._plugged = True
 
     def openPort(self) -> bool:
         if not (self._plugged and self._bus.plugged(self.clock.now_ns())):
             raise PortMissing("loopback: unplugged; call replug(), or wait for the end of the fault")
-        self.is_open, self.clean = True, False
+        self._unplugs = self._bus.faults.unplugs
+        self.is_open, self.clean, self._received = True, False, b""
         self.clearPort()
         return True
 
@@ -75,7 +79,7 @@ class LoopbackPort(ServoPort):
         self._received += self._bus.transmit(self.clock.now_ns())
 
     def _check(self) -> None:
-        bus = self._bus
-        if not (self._plugged and self.is_open) or (bus.faults and not bus.plugged(self.clock.now_ns())):
+        # Whether it is plugged in is asked first: that may move the arm over faults that began and ended meanwhile.
+        if not self.is_open or not self._bus.plugged(self.clock.now_ns()) or self._bus.faults.unplugs != self._unplugs:
             self.is_open = False
             raise PortGone("loopback: the port vanished; plug the adapter in again")

@@ -14,6 +14,7 @@ from armctl.control.link import Link, LinkClosed, Ready
 from armctl.control.loop import ControlLoop
 from armctl.control.machine import State
 from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.packet import Instruction
 from armctl.kinematics import robots
 from armctl.messages import (
     Clear,
@@ -38,6 +39,18 @@ from armctl.sim.loopback import LoopbackPort
 ARM = load_arm("ax12-line")
 
 
+class LosablePort(LoopbackPort):
+    """A port that may be pulled out just as a goal is written to it."""
+
+    lose_at_next_write = False
+
+    def _send(self, packet: bytes) -> int:
+        if self.lose_at_next_write and packet[4] == Instruction.SYNC_WRITE:
+            self.lose_at_next_write = False
+            self.unplug()
+        return super()._send(packet)
+
+
 @dataclass
 class Rig:
     """A control loop that owns a simulated arm."""
@@ -48,7 +61,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         self.simulated = SimulatedArm(ARM, seed=self.seed)
-        self.port = LoopbackPort(SimulatedBus(self.simulated), self.clock)
+        self.port = LosablePort(SimulatedBus(self.simulated), self.clock)
         self.loop = self.make_loop()
 
     def make_loop(self, restarted: bool = False) -> ControlLoop:
@@ -160,6 +173,21 @@ def test_unplugging_latches_and_a_replug_leads_back_to_holding_by_clear() -> Non
     rig.port.replug()
     rig.ticks(7)
     assert "PORT_BACK" in rig.codes()
+    assert rig.mode() is Mode.FAULTED
+    rig.ticks(1, Clear(3))
+    assert rig.replies()[3].ok
+    assert rig.mode() is Mode.HOLDING
+
+
+def test_a_port_lost_while_writing_is_told_though_the_adapter_is_back_before_the_next_tick() -> None:
+    rig = holding()
+    rig.ticks(5, Run(2, rig.line()))
+    rig.port.lose_at_next_write = True
+    rig.ticks(1)
+    rig.port.replug()
+    rig.ticks(8)
+    assert rig.codes().index("PORT_GONE") < rig.codes().index("PORT_BACK")
+    assert rig.replies()[2].code == "PORT_GONE"
     assert rig.mode() is Mode.FAULTED
     rig.ticks(1, Clear(3))
     assert rig.replies()[3].ok

@@ -12,6 +12,7 @@ from armctl.errors import PortGone, PortMissing
 from armctl.messages import Goal, Sample, Write
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
+from armctl.sim.faults import Fault
 from armctl.sim.loopback import LoopbackPort
 
 TICK_NS = 100_000_000
@@ -160,6 +161,24 @@ def test_every_use_of_an_unplugged_port_is_port_gone(bench: Bench) -> None:
         with pytest.raises(PortGone):
             use()
     assert not bench.port.is_open
+
+
+def test_port_that_was_out_between_two_uses_is_gone_though_the_adapter_is_back(bench: Bench) -> None:
+    bench.tick()
+    bench.port.unplug()
+    bench.port.replug()
+    assert not bench.tick().port_open
+    bench.bus.open()
+    assert bench.tick().port_open
+
+
+def test_fault_that_ended_before_the_next_use_has_taken_the_port_with_it(bench: Bench) -> None:
+    bench.tick()
+    for _ in range(2):
+        bench.arm.faults.begin(Fault(kind="unplug", begin_s=0.02, duration_s=0.05), bench.arm.time_s)
+        assert not bench.tick().port_open
+        bench.bus.open()
+        assert bench.tick().port_open
 
 
 def test_reading_returns_early_bytes_at_the_deadline_and_clearing_drops_them(bench: Bench) -> None:
