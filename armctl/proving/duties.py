@@ -28,6 +28,8 @@ SILENCE_S = 0.2
 LATCH_S = 0.5
 REPORT_SLACK_S = 0.3
 """Beyond the matrix's bound: a fault may begin just behind a reading, and a silent servo is asked now and then."""
+BACK_S = 3.0
+"""An adapter that is in again is found, and its servos are identified, within this time."""
 RECOVERING_S = 1.0
 """For so long a fault still excuses what its joints do, once they are back at their goals."""
 BACK_TICKS = 3.5 / TICK_DEG
@@ -112,6 +114,8 @@ class Duties:
         self._faults: list[tuple[float, float, Fault]] = []
         self._expected: list[tuple[float, str, frozenset[str]]] = []
         """By when a fault has to be reported, which, and under what codes; none: any will do."""
+        self._back_by_s = math.inf
+        """By when a port that was reported gone has to be reported back."""
         self._hand_s = -math.inf
         """When a hand was last at the arm."""
 
@@ -160,6 +164,16 @@ class Duties:
         self._expected.clear()
         return wrong
 
+    def port_gone(self, now_s: float) -> None:
+        """The port is reported gone: once the adapter is in again it has to be reported back."""
+        self._back_by_s = BACK_S + max(
+            (end_s for _, end_s, fault in self._faults if fault.kind == "unplug" and end_s > now_s), default=now_s
+        )
+
+    def port_back(self) -> None:
+        """The port is reported back, or nobody is there to do so."""
+        self._back_by_s = math.inf
+
     def may_restart(self) -> bool:
         """Whether a servo may restart, or have restarted just now."""
         return any(fault.kind == "brown_out" for _, _, fault in (*self._faults, *self._planned))
@@ -179,6 +193,9 @@ class Duties:
 
     def overdue(self, now_s: float) -> list[str]:
         """What should have been reported by now; each told once."""
+        if now_s > self._back_by_s:
+            self.port_back()
+            return [f"the adapter has been in again for {BACK_S:g} s"]
         if not any(by_s < now_s for by_s, _, _ in self._expected):
             return []
         found = [what for by_s, what, _ in self._expected if by_s < now_s]
@@ -204,6 +221,7 @@ class Duties:
                 if duty.from_s > last_s:
                     duty.from_s += gap_s
             self._expected = [(by_s + gap_s, what, codes) for by_s, what, codes in self._expected]
+            self._back_by_s += gap_s
         for planned in [planned for planned in self._planned if planned[0] <= now_s]:
             self._planned.remove(planned)
             self._faults.append(planned)
@@ -235,9 +253,10 @@ class Duties:
                 report_within_s = None if known.mode is Mode.OFF else LATCH_S
             else:
                 until_s = end_s
-        elif fault.kind == "unplug" and lasts_s > 2.0 * self._period_s:
-            # A tick that identifies the servos may cost the next one: a shorter absence may fall where nobody asks.
+        elif fault.kind == "unplug":
             stop_within_s = report_within_s = self._period_s
+            if self._back_by_s < math.inf:
+                self._back_by_s = max(self._back_by_s, end_s + BACK_S)
         elif not powered:
             return
         elif fault.kind == "trip" and certain and self._takes_torque(servos, fault):

@@ -461,6 +461,8 @@ class Episode:
             if event.code.isupper() and event.code not in ("STATE", "CONNECTED"):
                 self.rows[event.code] += 1
                 self.note(f"   {event.code}: {event.text}")
+            if event.code == "PORT_BACK":
+                self.judge.port_back()
         for reply in record.outputs.replies:
             if not reply.ok:
                 self.rows[f"refused or ended: {reply.code}"] += 1

@@ -26,7 +26,8 @@ Rules:
 | 9 | every write | nothing below address 24 |
 | lead | shafts after the program died | still after 250 ms, within 10 deg |
 | late | goals | at most 4 in 250 ms: no burst |
-| rows | what is reported after a fault | the matrix's bound, a tick and 0.2 s; a lost reply is asked for again |
+| rows | what is reported after a fault | the matrix's bound, a tick and 0.2 s; a lost reply is asked for again; |
+| | | a port that is there again, within 3 s |
 
 11, 13 and 14 need more than one arm's bytes: the user of an episode and the soak tell them by `Judge.found`.
 """
@@ -202,6 +203,8 @@ class Judge:
             self._fault_s = now_s
             if code == "LOST_TORQUE":
                 self._watch_tripped(now_s)
+            if code == "PORT_GONE":
+                self._duties.port_gone(now_s)
             for what in self._duties.reported(code):
                 self._violate("rows", now_s, -1, f"{what} is reported as {code}")
             if code in SETTLING:
@@ -222,11 +225,16 @@ class Judge:
         self._mode, self._code = mode, code
         self._adopting &= mode is Mode.OFF  # from now on a fault may send the arm to rest
 
+    def port_back(self) -> None:
+        """The program in charge says that a port it lost is there again."""
+        self._duties.port_back()
+
     def died(self, now_s: float, servos: Sequence[Servo]) -> None:
         """The program in charge is gone at once; another one will take over."""
         self._dead, self._in_charge = (now_s, [servo.shaft_tick for servo in servos]), False
         self._sent = [None] * len(self._sent)
         self._duties.nobody_reports()
+        self._duties.port_back()
         self._duties.cleared()
         self._duties.must_stop(now_s, "the program died, and the next one adopts", by_clear=False, invariant="6")
         self._mode, self._code = Mode.OFF, ""
@@ -368,7 +376,7 @@ class Judge:
             from_s = now_s + 1.5 * self._period_s
             self._duties.must_stop(from_s, f"a tick came {gap_s:.2f} s late", by_clear=False, invariant="6")
         for what in self._duties.overdue(now_s):
-            self._violate("rows", now_s, -1, f"{what}, and no fault is reported")
+            self._violate("rows", now_s, -1, f"{what}, and nobody reports it")
         before, self._before = self._before, [_copy(servo) for servo in servos]
         for i, servo in enumerate(servos):
             if not servo.torque:

@@ -420,6 +420,38 @@ def test_a_fault_that_nobody_reports_or_under_another_code(kind: str, code: str,
     assert bench.broken == (set() if told == "well" else {"rows"})
 
 
+@pytest.mark.parametrize(("told", "broken"), [(True, set()), (False, {"6", "rows"})])
+@pytest.mark.parametrize("duration_s", [0.01, 0.15, 1.0])
+def test_every_unplug_however_short_stops_the_arm_and_is_reported(
+    duration_s: float, told: bool, broken: set[str]
+) -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="unplug", begin_s=bench.now_s + 0.02, duration_s=duration_s))
+    bench.tick(Mode.MOVING)
+    for _ in range(8):
+        if told:
+            bench.tick(Mode.FAULTED, "PORT_GONE")
+        else:
+            bench.move(5)
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize(("after_s", "broken"), [(2.5, set()), (3.5, {"rows"}), (None, {"rows"})])
+@pytest.mark.parametrize("duration_s", [0.05, 2.0])
+def test_a_port_is_reported_back_within_three_seconds(
+    duration_s: float, after_s: float | None, broken: set[str]
+) -> None:
+    bench = running()
+    begin_s = bench.now_s
+    bench.judge.plan(Fault(kind="unplug", begin_s=begin_s, duration_s=duration_s))
+    bench.tick(Mode.MOVING)
+    while bench.now_s < begin_s + duration_s + 4.0:
+        bench.tick(Mode.FAULTED, "PORT_GONE")
+        if after_s is not None and bench.now_s >= begin_s + duration_s + after_s:
+            bench.judge.port_back()
+    assert bench.broken == broken
+
+
 @pytest.mark.parametrize(("limit", "broken"), [(0, {"rows"}), (1023, set())])
 def test_a_servo_that_shut_itself_down_is_not_just_without_torque(limit: int, broken: set[str]) -> None:
     bench = running()
