@@ -122,6 +122,7 @@ class Watch:
         """When it surely will not be."""
         self._body, self._judge = body, judge
         self._index = {servo_id: i for i, servo_id in enumerate(arm.servo_ids)}
+        self._heads = {servo_id: bytes((0xFF, 0xFF, servo_id, STATUS_REPLY - 4)) for servo_id in arm.servo_ids}
         self._pending: int | None = None
         self._writes = [-1] * len(body.servos)
         self._servos = [Servo(False, 0, 0, 0, 0.0, 0) for _ in body.servos]
@@ -176,7 +177,7 @@ class Watch:
         """Whatever has come from the servo asked last is all that came."""
         pending, received = self._pending, self.received
         if pending is not None and len(received) >= STATUS_REPLY:
-            at = received.find(b"\xff\xff%c%c" % (pending, STATUS_REPLY - 4))
+            at = received.find(self._heads[pending])
             reply = received[at + 2 : at + STATUS_REPLY]
             if at >= 0 and len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
                 index = self._index[pending]

@@ -216,6 +216,7 @@ class SimulatedBus:
                 planned.rng,
                 position_tick=servo.position_tick + away_tick,
                 noise_tick=self.arm.spec.noise_tick,
+                draws_at_once=1,
             )
             for register in ax12a.REGISTERS:
                 if register.eeprom:

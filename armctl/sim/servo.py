@@ -20,7 +20,7 @@ What differs between reports and firmwares is a field of `ServoVariants`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from struct import Struct
@@ -75,16 +75,18 @@ class SimulatedServo:
         *,
         position_tick: float = 512.0,
         noise_tick: float = 0.0,
+        draws_at_once: int = 64,
         variants: ServoVariants = ServoVariants(),
     ) -> None:
         """A servo just powered up, with the factory's registers except its id.
 
         Args:
             noise_tick: Standard deviation of the reported position.
+            draws_at_once: How many numbers of `rng` are drawn ahead for it; 1 if others draw from it too.
         """
         self.table = bytearray(ax12a.TABLE_SIZE)
         """The control table; what is measured is brought up to date by whoever asks for it."""
-        self._rng = rng
+        self._draws = _standard_normals(rng, draws_at_once)
         self.noise: float | None = None
         """Noise of every position reading, in standard deviations; None: each reading has its own."""
         self._noise_tick = noise_tick
@@ -191,14 +193,15 @@ class SimulatedServo:
             speed = round(self.velocity_rad_s / SPEED_UNIT_RAD_S)
         if not enabled and self._variants.goal_follows_when_limp:
             table[_GOAL_AT : _GOAL_AT + 2] = position.to_bytes(2, "little")
+        decivolts, degC = round(self.voltage_V * 10.0), round(self.temperature_degC)
         _MEASURED.pack_into(
             table,
             _POSITION_AT,
             position,
             to_signed_magnitude(speed) if speed else 0,
             to_signed_magnitude(round(self.output * LOAD_MAX)) if self.output else 0,
-            min(max(round(self.voltage_V * 10.0), 0), 255),
-            min(max(round(self.temperature_degC), 0), 255),
+            decivolts if 0 <= decivolts <= 255 else min(max(decivolts, 0), 255),
+            degC if 0 <= degC <= 255 else min(max(degC, 0), 255),
             self._registered is not None,
             table[45],
             enabled and (speed != 0 or self.reference_tick != table[_GOAL_AT] | table[_GOAL_AT + 1] << 8),
@@ -239,7 +242,7 @@ class SimulatedServo:
             return ErrorBit.RANGE, b""
         noise = 0.0
         if self._noise_tick:
-            noise = self._noise_tick * (self._rng.standard_normal() if self.noise is None else self.noise)
+            noise = self._noise_tick * (next(self._draws) if self.noise is None else self.noise)
         self._refresh(noise)
         return 0, bytes(self.table[begin : begin + size])
 
@@ -385,6 +388,12 @@ _REACTIONS: dict[int, Callable[[SimulatedServo, bytes], tuple[int, bytes]]] = {
     Instruction.SYNC_WRITE: SimulatedServo._sync_write,
 }
 """What each instruction does with its parameters: the error bits and the bytes of the reply."""
+
+
+def _standard_normals(rng: np.random.Generator, at_once: int) -> Iterator[float]:
+    """The same numbers as one draw after another; a draw by itself costs more than what it is for."""
+    while True:
+        yield from rng.standard_normal(at_once).tolist()
 
 
 @cache
