@@ -277,6 +277,19 @@ def test_6_a_short_silence_obliges_only_while_it_lasts() -> None:
     assert advancing(bench) is None
 
 
+@pytest.mark.parametrize(("duration_s", "broken"), [(0.15, set()), (0.6, {"6"})])
+def test_6_an_arm_on_its_way_to_rest_may_go_on_after_a_short_unplug_alone(duration_s: float, broken: set[str]) -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "run")
+    bench.tick(Mode.FAULTED, "OVERLOAD")
+    bench.judge.plan(Fault(kind="unplug", begin_s=bench.now_s + 0.02, duration_s=duration_s))
+    for _ in range(3):
+        bench.tick(Mode.FAULTED, "OVERLOAD")
+    bench.hear()
+    advancing(bench, mode=Mode.FAULTED, code="OVERLOAD")
+    assert bench.broken & {"6", "rows"} == broken
+
+
 @pytest.mark.parametrize("word", ["hold", "pause", "host_lost"])
 def test_6_goals_that_advance_on_after_a_stop(word: str) -> None:
     bench = running()
