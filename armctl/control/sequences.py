@@ -41,6 +41,8 @@ STILL_TICKS = 3
 """Largest change between two samples of an arm that counts as still (noise is one tick)."""
 SOFT_TORQUE = 128
 """Torque limit while torque comes on (12.5 %)."""
+ENERGISE_AWAY_TICKS = 2
+"""0.6 deg: no servo takes torque with a goal farther from its shaft."""
 RAMP_TICKS = 5
 ENERGISE_TICKS = RAMP_TICKS + 10
 """A servo that does not show its full torque limit by then refuses it."""
@@ -104,6 +106,11 @@ def _energise(s: Tick) -> None:
         s.events.append(Event("warning", "JUMP_REFUSED", surprise))
         s.go(Trigger.ENERGISE_FAILED)
         end_sequence(s, "JUMP_REFUSED", surprise)
+    elif s.state.phase == 1 and any(_drifted(s, i, anchor[i]) > ENERGISE_AWAY_TICKS for i in range(len(anchor))):
+        # Torque would pull a shaft back to where it was: another goal, to be looked at again.
+        here = tuple(_within_limits(s, i) if _drifted(s, i, was) else was for i, was in enumerate(anchor))
+        s.state = replace(s.state, anchor=here, phase=0)
+        send_goal(s, here)
     elif s.state.phase == 1:
         s.writes.extend(Write(i, ax12a.TORQUE_ENABLE.address, ax12a.TORQUE_ENABLE.size, 1) for i in s.arm.servo_ids)
         send_goal(s, anchor)  # again: a limp servo may have let its goal follow the shaft
@@ -116,6 +123,20 @@ def _energise(s: Tick) -> None:
         s.go(Trigger.ENERGISED)
         s.state = replace(s.state, request_id=None, anchor=None)
         take_over(s)
+
+
+def _within_limits(s: Tick, index: int) -> int:
+    """Where a shaft is [tick], or the limit that it is just beyond."""
+    registers, (low, high) = s.registers[index], s.arm.joints[index].limits_tick
+    assert registers is not None
+    return min(max(registers.position, low), high)
+
+
+def _drifted(s: Tick, index: int, anchor: int) -> int:
+    """How far a limp shaft has come since energising began [tick]; one under torque, soft as it is, only sags."""
+    registers = s.registers[index]
+    assert registers is not None
+    return 0 if registers.torque_enabled else abs(_within_limits(s, index) - anchor)
 
 
 def _at_full_torque(s: Tick) -> bool:
@@ -137,6 +158,8 @@ def _surprise(s: Tick, index: int, anchor: int) -> str:
     joint, registers = s.arm.joints[index], s.registers[index]
     assert registers is not None
     who = f"servo {joint.servo_id} ({joint.name})"
+    if s.state.phase == 1 and _drifted(s, index, anchor) > STILL_TICKS:
+        return f"{who} moved while torque came on; hold the arm still and try again"
     if abs(registers.position - anchor) * ax12a.TICK_RAD > JUMP_RAD:
         return f"{who} moved while torque came on; support the arm and try again"
     if abs(registers.goal - anchor) > (STILL_TICKS if s.state.phase == 1 else 0):

@@ -156,6 +156,43 @@ def test_any_surprise_while_torque_comes_on_backs_out(
     assert text in arm.replies[1].message
 
 
+def about_to_energise_limp_servos() -> IdealArm:
+    """An arm whose servos no goal energises, one tick before torque is to come on."""
+    arm = IdealArm().connect()
+
+    def stay_limp(arm: IdealArm) -> None:
+        for index in range(6):
+            if arm.mode() is Mode.ENERGISING and arm.state.phase == 0:
+                arm.put(index, ax12a.TORQUE_ENABLE, 0)
+
+    arm.after_write = stay_limp
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    return arm
+
+
+def test_a_limp_shaft_that_moves_off_before_torque_comes_on_backs_out() -> None:
+    arm = about_to_energise_limp_servos()
+    arm.put(0, ax12a.PRESENT_POSITION, arm.get(0, ax12a.PRESENT_POSITION) + 4)
+    arm.run_tick()
+    assert arm.mode() is Mode.OFF
+    assert arm.replies[1].code == "JUMP_REFUSED"
+    assert "moved while torque came on" in arm.replies[1].message
+
+
+def test_torque_comes_on_at_the_goal_that_a_limp_shaft_has_not_left_by_more_than_half_a_degree() -> None:
+    arm = about_to_energise_limp_servos()
+    for position in (515, 518):
+        arm.put(0, ax12a.PRESENT_POSITION, position)
+        arm.run_tick()
+        assert not any(arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6))
+        assert arm.get(0, ax12a.GOAL) == position
+    arm.run_tick()
+    assert all(arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6))
+    arm.run_ticks(12)
+    assert (arm.mode(), arm.replies[1].ok) == (Mode.HOLDING, True)
+
+
 def test_torque_on_is_refused_for_a_moving_arm_and_outside_the_limits() -> None:
     arm = IdealArm().connect()
     arm.put(0, ax12a.PRESENT_POSITION, 600)
