@@ -170,7 +170,7 @@ class SimulatedServo:
     @property
     def alarm_registers(self) -> tuple[int, ...]:
         """What says whether it shuts down: temperature limit, lowest and highest voltage, shutdown."""
-        return _ALARMS.unpack_from(self._table)
+        return _ALARMS.unpack_from(self.table)
 
     def _value(self, register: Register) -> int:
         table, at = self.table, register.address
