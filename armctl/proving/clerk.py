@@ -371,6 +371,7 @@ class Clerk:
             if servo.wheel_mode:
                 servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
                 servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
+                self._episode.judge.mended(self._arm.joints.index(joint))
         on = [servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) > 0 for servo in body.servos]
         if code in ("LOST_TORQUE", "TRIPPED", "NOT_LIMP") or (any(on) and not all(on)) or self._weak():
             yield (Release(self._id()),)

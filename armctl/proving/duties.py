@@ -256,9 +256,8 @@ class Duties:
         elif fault.kind == "unplug":
             stop_within_s = report_within_s = self._period_s
             if known.latched and lasts_s <= 2.0 * self._period_s:
-                until_s = (
-                    end_s  # nothing latches over a fault; an arm that it sends to rest goes on, as after a silence
-                )
+                # Nothing latches over a fault; an arm that it sends to rest goes on, as after a short silence.
+                until_s = end_s
             if self._back_by_s < math.inf:
                 self._back_by_s = max(self._back_by_s, end_s + BACK_S)
         elif not powered:

@@ -301,9 +301,10 @@ class Episode:
         self.clerk = Clerk(story, arm, stage.robot, self)
         for line in story.lines:
             if isinstance(line, Tamper):
-                servo = self.body.servos[arm.servo_ids.index(line.servo_id)]
-                servo.set(ax12a.CW_LIMIT, 0)
-                servo.set(ax12a.CCW_LIMIT, 0)
+                index = arm.servo_ids.index(line.servo_id)
+                self.body.servos[index].set(ax12a.CW_LIMIT, 0)
+                self.body.servos[index].set(ax12a.CCW_LIMIT, 0)
+                self.judge.tampered(index)
         self._acts = [line for line in story.lines if isinstance(line, Late | Kill | HostGone)]
         self._kill: Kill | None = None
         self._gone: HostGone | None = None

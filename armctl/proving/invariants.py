@@ -14,7 +14,8 @@ Rules:
 |-|-|-|
 | 1 | every goal that arrives | the calibration's limits, and the servo's EEPROM limits |
 | 2 | goal steps; goal - shaft each tick | vmax * period + 1 tick from the goal sent before, twice that from the one |
-| | | held (a servo may have missed one); 12 deg from the shaft. Aside: a goal at the servo's own position |
+| | | held (a servo may have missed one); 12 deg from the shaft, and from what its sensor says, whatever holds or |
+| | | moves it, when a goal goes on. Aside: a goal at the servo's own position |
 | 3 | torque 0 -> 1 by a write | 0.6 deg and one tick of noise; speed not 0; limit 20 %; 2 deg to the goal in 500 ms |
 | 4 | torque 0 -> 1 by a write | `torque on` within 2 s, and no fault reported since |
 | 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick; within 3 deg (and 2 ticks of noise) of rest on the |
@@ -27,7 +28,7 @@ Rules:
 | lead | shafts after the program died | still after 250 ms, within 10 deg |
 | late | goals | at most 4 in 250 ms: no burst |
 | rows | what is reported after a fault | the matrix's bound, a tick and 0.2 s; a lost reply is asked for again; |
-| | | a port that is there again, within 3 s |
+| | | a port that is there again, within 3 s; no torque while a servo's EEPROM is wrong |
 
 11, 13 and 14 need more than one arm's bytes: the user of an episode and the soak tell them by `Judge.found`.
 """
@@ -123,6 +124,8 @@ class Judge:
         self._sent_before: list[int | None] = [None] * n
         """And those before them: what a servo holds that missed one."""
         self._goal_times: deque[float] = deque(maxlen=BURST + 1)
+        self._unfit: set[int] = set()
+        """Whose EEPROM forbids torque."""
         self._heard_s = [-math.inf] * n
         self._all_heard = False
         """Whether every servo answered in the last tick."""
@@ -225,6 +228,14 @@ class Judge:
         self._mode, self._code = mode, code
         self._adopting &= mode is Mode.OFF  # from now on a fault may send the arm to rest
 
+    def tampered(self, i: int) -> None:
+        """Somebody has set a servo's EEPROM such that the arm must not be moved."""
+        self._unfit.add(i)
+
+    def mended(self, i: int) -> None:
+        """The user has set it right."""
+        self._unfit.discard(i)
+
     def port_back(self) -> None:
         """The program in charge says that a port it lost is there again."""
         self._duties.port_back()
@@ -294,8 +305,13 @@ class Judge:
         # Since the reading it was computed from a moving shaft has gone on: 25 ms, a quarter of a tick's way.
         moved = abs(was.shaft_tick - self._before[i].shaft_tick) if self._before else 0.0
         here = min(max(was.sensed_tick, low), high)
-        if abs(goal - here) > HERE_TICKS + moved / (1.0 if self._duties.excused(now_s, i) else 4.0):
+        moved /= 1.0 if self._duties.excused(now_s, i) else 4.0
+        ahead = abs(goal - here)
+        if ahead > HERE_TICKS + moved:
             self._advance(now_s, i, known, goal, was.goal)
+        if ahead > max(LEAD_TICKS + NOISE_TICKS + moved, abs(known - here)):
+            text = f"goal {goal}, {ahead * TICK_DEG:.1f} deg ahead of its servo at {was.sensed_tick} (bound 12)"
+            self._violate("2", now_s, i, text)
 
     def _advance(self, now_s: float, i: int, known: int, goal: int, held: int) -> None:
         """A goal that moves a servo, from the one sent before, or held by the servo."""
@@ -324,6 +340,9 @@ class Judge:
                 self._violate("7", now_s, i, f"goal {known} -> {goal}, away from rest, {self._code} being latched")
 
     def _energised(self, now_s: float, i: int, now: Servo) -> None:
+        for unfit in self._unfit:
+            text = f"torque came on although {self._names[unfit]} is in wheel mode"
+            self._violate("rows", now_s, i, text)
         self._enabled[i] = (now_s, now.shaft_tick)
         self._sent[i] = now.goal
         if abs(now.goal - now.sensed_tick) > HERE_TICKS:

@@ -36,6 +36,8 @@ from armctl.trajectory.plan import Plan, joint_trajectory
 PERIOD_S = 0.1
 FAST_SHARE = 0.97
 """Of a joint's speed limit, in the fastest runs."""
+WRIST, WRIST_SHARE = 2, 0.25
+"""Joints that hardly move the tool, and how often they turn alone: nothing but their own limits makes them slow."""
 POSTURES = 64
 ELSEWHERE_RAD = 0.2
 LEAN_TICKS = 27
@@ -66,6 +68,8 @@ class Requests:
                 q_now.tolist(), rows[-1].tolist(), self._arm, self._robot, PERIOD_S, "a slow way"
             )
         waypoints = np.array(rows)
+        if rng.random() < WRIST_SHARE:
+            waypoints[:, :-WRIST] = q_now[:-WRIST]
         limits = np.array([joint.speed_limit_rad_s for joint in self._arm.joints]) * FAST_SHARE
         ways_s = (np.abs(np.diff(waypoints, axis=0)) / limits).max(axis=1) + 0.05
         slow = 1.0 if rng.random() < 0.5 else float(rng.uniform(1.0, 3.0))

@@ -26,6 +26,7 @@ from armctl.messages import JointTrajectory, Mode, Run, TorqueOn
 from armctl.proving.figures import check, row
 from armctl.proving.mujoco_arm import mjcf
 from armctl.proving.rig import ARM
+from armctl.sim import steps
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
@@ -47,6 +48,7 @@ Play = Callable[[float], None]
 
 def bench(seed: int, seconds: float = SECONDS, rounds: int = ROUNDS) -> dict[str, Any]:
     """Rows and checks; `ratio` is to MuJoCo's figure."""
+    steps.compiled()
     peer = _speed(_mujoco(seed), seconds, rounds)
     arm, loop = _Arm(seed), _Loop(seed)
     figures = {

@@ -132,6 +132,17 @@ def test_2_a_servo_that_missed_a_goal_may_get_two_steps_at_once_and_not_more() -
     assert bench.broken == {"2"}
 
 
+@pytest.mark.parametrize(("steps", "broken"), [(2, set()), (3, {"2"})])
+def test_2_no_goal_goes_over_12_deg_ahead_even_of_a_joint_that_something_holds(steps: int, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="blocked_joint", servo_id=ARM.servo_ids[0], begin_s=bench.now_s, duration_s=5.0))
+    for _ in range(steps):
+        bench.move(15, follow=False)
+    assert bench.broken == broken
+    bench.move(-15, follow=False)
+    assert bench.broken == broken
+
+
 def test_2_a_joint_over_12_deg_from_its_goal() -> None:
     bench = Bench()
     bench.at(MIDDLE - 42.0)
@@ -397,6 +408,17 @@ def test_a_burst_of_goals() -> None:
         bench.now_s += 0.05
         bench.goal(MIDDLE, k)
     assert bench.broken == {"late"}
+
+
+@pytest.mark.parametrize(("mended", "broken"), [(False, {"rows"}), (True, set())])
+def test_torque_never_comes_on_with_a_servo_whose_eeprom_was_left_wrong(mended: bool, broken: set[str]) -> None:
+    bench = Bench(torque=False)
+    bench.judge.tampered(3)
+    if mended:
+        bench.judge.mended(3)
+    bench.judge.asked(bench.now_s, "torque_on")
+    bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)
+    assert bench.broken == broken
 
 
 @pytest.mark.parametrize(("step", "broken"), [(0.0, set()), (6.0, {"lead"})])
