@@ -295,8 +295,9 @@ class Judge:
         self._sent[i], self._sent_before[i] = goal, last
         if self._adopting and not any(_given_up(servo) for servo in before):
             self._violate("6", now_s, i, "a goal from a program that has only just adopted the arm")
-        # After a `clear` it goes on from the goals that the servos hold.
-        known = was.goal if last is None or "clear" in self._asked_now else last
+        known = was.goal if last is None else last
+        if "clear" in self._asked_now and abs(goal - was.goal) < abs(goal - known):
+            known = was.goal  # it was granted: from there on it goes on from the goals that the servos hold
         if goal == known or not was.torque:
             return
         age_s = now_s - self._heard_s[i]
@@ -451,14 +452,13 @@ class Judge:
     def _watch_rest(
         self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], invariant: str, why: str
     ) -> None:
-        for i, (servo, was) in enumerate(zip(servos, before, strict=True)):
-            moved = servo.shaft_tick - was.shaft_tick
-            if (
-                servo.torque
-                and abs(moved) > STILL_TICKS
-                and not _sags(servo, moved)
-                and not self._duties.excused(now_s)
-            ):
+        all_moved = [servo.shaft_tick - was.shaft_tick for servo, was in zip(servos, before, strict=True)]
+        if self._duties.excused(now_s) or any(
+            abs(moved) > STILL_TICKS and not servo.torque for servo, moved in zip(servos, all_moved, strict=True)
+        ):
+            return  # a limp joint that falls shakes those that hold
+        for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True)):
+            if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved):
                 self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")
 
     def _watch_dead(

@@ -143,6 +143,19 @@ def test_2_no_goal_goes_over_12_deg_ahead_even_of_a_joint_that_something_holds(s
     assert bench.broken == broken
 
 
+@pytest.mark.parametrize(("asked", "broken"), [("clear", set()), ("pause", {"2"})])
+def test_2_beside_a_clear_a_goal_may_go_on_from_the_one_sent_or_the_one_held(asked: str, broken: set[str]) -> None:
+    for known in (MIDDLE, MIDDLE + 40):
+        bench = running()
+        bench.goal(MIDDLE)
+        bench.tick(Mode.MOVING)
+        bench.servos[0].goal = MIDDLE + 40  # another program's
+        bench.at(MIDDLE + 20)
+        bench.judge.asked(bench.now_s, asked)
+        bench.goal(known + 10)
+        assert bench.broken == (broken if known > MIDDLE else set())
+
+
 def test_2_a_joint_over_12_deg_from_its_goal() -> None:
     bench = Bench()
     bench.at(MIDDLE - 42.0)
@@ -278,6 +291,21 @@ def test_6_goals_that_advance_on_after_a_fault(kind: str, bound_s: float) -> Non
     late_s = advancing(bench)
     assert late_s is not None
     assert bound_s + 0.3 < late_s <= bound_s + 0.51
+
+
+@pytest.mark.parametrize(("falls", "broken"), [(True, set()), (False, {"6"})])
+def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, "hold")
+    bench.at(MIDDLE + 8)
+    for _ in range(12):
+        bench.tick(Mode.HOLDING)
+    bench.servos[1].torque = False
+    bench.tick(Mode.HOLDING)
+    bench.at(MIDDLE + 4)
+    bench.at(MIDDLE - 4 - (40 if falls else 0), 1)
+    bench.tick(Mode.HOLDING)
+    assert bench.broken == broken
 
 
 def test_6_a_short_silence_obliges_only_while_it_lasts() -> None:
