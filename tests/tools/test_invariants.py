@@ -303,7 +303,7 @@ def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: se
     bench.servos[1].torque = False
     bench.tick(Mode.HOLDING)
     bench.at(MIDDLE + 4)
-    bench.at(MIDDLE - 4 - (40 if falls else 0), 1)
+    bench.at(MIDDLE - (40 if falls else 1), 1)
     bench.tick(Mode.HOLDING)
     assert bench.broken == broken
 
