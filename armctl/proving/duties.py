@@ -178,6 +178,13 @@ class Duties:
         """Whether a servo may restart, or have restarted just now."""
         return any(fault.kind == "brown_out" for _, _, fault in (*self._faults, *self._planned))
 
+    def other_writer(self, now_s: float, i: int) -> bool:
+        """Whether another program may just have written a joint's goal."""
+        return any(
+            fault.kind == "second_writer" and fault.servo_id in (None, self._servo_ids[i]) and begin_s <= now_s
+            for begin_s, _, fault in self._faults
+        )
+
     def nobody_reports(self) -> None:
         """Nobody is there who could report a fault, or there is no torque any more."""
         self._expected.clear()

@@ -16,7 +16,7 @@ Rules:
 | 2 | goal steps; goal - shaft each tick | vmax * period + 1 tick from the goal sent before, twice that from the one |
 | | | held (a servo may have missed one); 12 deg from the shaft, and from what its sensor says, whatever holds or |
 | | | moves it, when a goal goes on. Aside: a goal at the servo's own position |
-| 3 | torque 0 -> 1 by a write | 0.6 deg and one tick of noise; speed not 0; limit 20 %; 2 deg to the goal in 500 ms |
+| 3 | torque 0 -> 1 by a write | a goal of its own: 0.6 deg and one tick of noise; speed not 0; limit 20 %; 2 deg to the goal in 500 ms |
 | 4 | torque 0 -> 1 by a write | `torque on` within 2 s, and no fault reported since |
 | 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick; within 3 deg (and 2 ticks of noise) of rest on the |
 | | | way there, at 20 deg/s; or undoing a torque-on of the last 2 s |
@@ -345,8 +345,9 @@ class Judge:
             text = f"torque came on although {self._names[unfit]} is in wheel mode"
             self._violate("rows", now_s, i, text)
         self._enabled[i] = (now_s, now.shaft_tick)
+        own = now.goal == self._sent[i] or not self._duties.other_writer(now_s, i)
         self._sent[i] = now.goal
-        if abs(now.goal - now.sensed_tick) > HERE_TICKS:
+        if own and abs(now.goal - now.sensed_tick) > HERE_TICKS:
             text = f"torque came on at {now.sensed_tick} with goal {now.goal} (bound {HERE_TICKS:.1f} ticks)"
             self._violate("3", now_s, i, text)
         if now.limit > SOFT_LIMIT or now.speed == 0:

@@ -213,6 +213,21 @@ def test_3_torque_comes_on_with_a_goal_elsewhere() -> None:
     assert bench.broken == {"3"}
 
 
+@pytest.mark.parametrize(
+    ("servo", "own", "broken"), [(0, MIDDLE, set()), (1, MIDDLE, {"3"}), (None, MIDDLE, set()), (0, MIDDLE + 40, {"3"})]
+)
+def test_3_another_programs_goal_at_torque_on_is_not_this_ones(servo: int | None, own: int, broken: set[str]) -> None:
+    bench = Bench(torque=False)
+    bench.judge.asked(bench.now_s, "torque_on")
+    one = None if servo is None else ARM.servo_ids[servo]
+    bench.judge.plan(Fault(kind="second_writer", servo_id=one, begin_s=bench.now_s, duration_s=5.0))
+    bench.goal(own)
+    bench.tick()
+    bench.servos[0].goal = MIDDLE + 40
+    bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)
+    assert bench.broken & {"3"} == broken
+
+
 @pytest.mark.parametrize(("goal", "broken"), [(MIDDLE + 9, {"3"}), (MIDDLE - 9, set())])
 def test_3_a_joint_that_turns_to_its_goal_at_torque_on_jumps_and_one_that_turns_from_it_sags(
     goal: int, broken: set[str]
