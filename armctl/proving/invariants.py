@@ -16,7 +16,8 @@ Rules:
 | 2 | goal steps; goal - shaft each tick | vmax * period + 1 tick from the goal sent before, twice that from the one |
 | | | held (a servo may have missed one); 12 deg from the shaft, and from what its sensor says, whatever holds or |
 | | | moves it, when a goal goes on. Aside: a goal at the servo's own position |
-| 3 | torque 0 -> 1 by a write | a goal of its own: 0.6 deg and one tick of noise; speed not 0; limit 20 %; 2 deg to the goal in 500 ms |
+| 3 | torque 0 -> 1 by a write | 0.6 deg and one tick of noise to a goal of its own; speed not 0; limit 20 %; |
+| | | 2 deg to the goal in 500 ms |
 | 4 | torque 0 -> 1 by a write | `torque on` within 2 s, and no fault reported since |
 | 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick; within 3 deg (and 2 ticks of noise) of rest on the |
 | | | way there, at 20 deg/s; or undoing a torque-on of the last 2 s |
