@@ -113,7 +113,7 @@ class Clerk:
                 return f"{kind} is in force"
         if any(servo.temperature_degC >= self._arm.temperature_limit_degC + 1.0 for servo in servos):
             return "a servo is hot"
-        on = [servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) > 0 for servo in servos]
+        on = self._stiff()
         quiet = not any(self._under_way(kind) for kind in ("brown_out", "trip", "second_writer"))
         if any(on) and not all(on) and quiet:
             return "some servos are limp while others hold"
@@ -209,7 +209,7 @@ class Clerk:
 
     def _power_up(self, rng: np.random.Generator) -> Doing:
         """Torque on; a limp arm away from its rest is carried to some posture, and supported meanwhile."""
-        if self._mode is not Mode.OFF:
+        if self._mode is not Mode.OFF or any(self._stiff()):
             return
         hand = self._episode.body.hand
         rest = np.array([joint.rest_rad for joint in self._arm.joints])
@@ -223,6 +223,10 @@ class Clerk:
         if hand.holding:
             yield from self._wait(0.3)
         hand.release()
+
+    def _stiff(self) -> list[bool]:
+        """Which joints resist a hand; a status that is a tick behind does not show it."""
+        return [servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) > 0 for servo in self._episode.body.servos]
 
     def _let_go(self) -> Doing:
         """A hand that was still at the arm when another program took over."""
@@ -372,7 +376,7 @@ class Clerk:
                 servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
                 servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
                 self._episode.judge.mended(self._arm.joints.index(joint))
-        on = [servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) > 0 for servo in body.servos]
+        on = self._stiff()
         if code in ("LOST_TORQUE", "TRIPPED", "NOT_LIMP") or (any(on) and not all(on)) or self._weak():
             yield (Release(self._id()),)
             yield from self._wait(0.2)

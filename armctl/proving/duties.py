@@ -229,6 +229,7 @@ class Duties:
                     duty.from_s += gap_s
             self._expected = [(by_s + gap_s, what, codes) for by_s, what, codes in self._expected]
             self._back_by_s += gap_s
+            self._forget_silences(last_s, now_s)
         for planned in [planned for planned in self._planned if planned[0] <= now_s]:
             self._planned.remove(planned)
             self._faults.append(planned)
@@ -244,6 +245,14 @@ class Duties:
                 self._faults[k] = (begin_s, now_s, fault)
         self._duties = [duty for duty in self._duties if duty.until_s + 1.0 > now_s]
         self._faults = [fault for fault in self._faults if fault[1] + RECOVERING_S > now_s]
+
+    def _forget_silences(self, last_s: float, now_s: float) -> None:
+        """A silence that ends while the program is late was a short one for it, and is over."""
+        for begin_s, end_s, fault in self._faults:
+            if fault.kind in SILENCES and end_s <= now_s and last_s - begin_s < LATCH_S:
+                what = _named(fault, end_s - begin_s)
+                self._duties = [duty for duty in self._duties if duty.why != what]
+                self._expected = [expected for expected in self._expected if expected[1] != what]
 
     def _begin(self, begin_s: float, end_s: float, fault: Fault, servos: Sequence[Servo], known: Known) -> None:
         """What a fault obliges the program to, by the rows of the matrix."""
@@ -277,7 +286,7 @@ class Duties:
             fault.kind == "hot" and certain and value >= HOT_DEGC
         ):
             report_within_s = self._period_s
-        what = f"{fault.kind} for {lasts_s:.2f} s"
+        what = _named(fault, lasts_s)
         if stop_within_s is not None:
             from_s = begin_s + stop_within_s + STOP_S
             by_clear, by_release = until_s == math.inf, fault.kind in MOVES_ARM
@@ -319,3 +328,7 @@ class Duties:
 
     def _takes_torque(self, servos: Sequence[Servo], fault: Fault) -> bool:
         return any(servo.torque or servo.limit == 0 for _, servo in self._struck(servos, fault))
+
+
+def _named(fault: Fault, lasts_s: float) -> str:
+    return f"{fault.kind} for {lasts_s:.2f} s"

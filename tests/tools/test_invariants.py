@@ -308,6 +308,21 @@ def test_6_goals_that_advance_on_after_a_fault(kind: str, bound_s: float) -> Non
     assert bound_s + 0.3 < late_s <= bound_s + 0.51
 
 
+@pytest.mark.parametrize(("late_s", "broken"), [(0.7, set()), (0.0, {"6"})])
+def test_6_a_silence_that_ends_while_the_program_is_late_is_a_short_one(late_s: float, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="mute", servo_id=3, begin_s=bench.now_s, duration_s=0.93))
+    for _ in range(3):
+        bench.tick(Mode.MOVING)
+    for _ in range(1 if late_s else 8):
+        bench.now_s += late_s
+        bench.tick(Mode.HOLDING)
+    bench.judge.asked(bench.now_s, "run")
+    bench.tick(Mode.MOVING)
+    advancing(bench)
+    assert bench.broken & {"6", "rows"} == (broken | {"rows"} if broken else broken)
+
+
 @pytest.mark.parametrize(("falls", "broken"), [(True, set()), (False, {"6"})])
 def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: set[str]) -> None:
     bench = running()
