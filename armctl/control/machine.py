@@ -181,6 +181,10 @@ class State:
     """Last goal sent [tick]."""
     previous_goal: tuple[int, ...] | None = None
     """The goal before it: what a servo shows that missed the last one."""
+    ramp: tuple[float, ...] | None = None
+    """Where the servos' own speed ramps stood when the last goal was sent [tick]; None: at it."""
+    goal_ns: int = 0
+    """When that was."""
     settings: tuple[int, ...] = ()
     """Of each servo the registers that only torque-on writes (see tick.py), as they were when torque was taken over."""
     anchor: tuple[int, ...] | None = None

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import SETTLING
 from armctl.control.machine import Settle, State, Trigger, replace, transition
@@ -26,6 +27,8 @@ from armctl.messages import (
 
 LEAD_TICKS = math.radians(11.0) / ax12a.TICK_RAD
 """No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick."""
+IN_TIME = 0.9
+"""Of a period: a tick that comes no sooner is one in time."""
 MINIMUM_SPEED_UNITS = 16
 """Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal."""
 
@@ -165,7 +168,7 @@ def torque_off(s: Tick) -> None:
 def send_goal(s: Tick, ticks: Sequence[int]) -> None:
     """Goal and speed for every servo, inside the limits, each arriving in one tick."""
     goal, speeds = [], []
-    before = s.state.goal
+    before = ramps(s)
     tick_rad_s = ax12a.TICK_RAD / s.period_s
     for i, (joint, tick) in enumerate(zip(s.arm.joints, ticks, strict=True)):
         low, high = joint.limits_tick
@@ -175,6 +178,24 @@ def send_goal(s: Tick, ticks: Sequence[int]) -> None:
         slowest = max(MINIMUM_SPEED_UNITS, ax12a.moving_speed_units(units))
         speeds.append(min(slowest, ax12a.moving_speed_units(joint.speed_limit_rad_s)))
     s.goal = Goal(tuple(goal), tuple(speeds))
+
+
+def ramps(s: Tick) -> tuple[float, ...] | None:
+    """Where the servos' own speed ramps are by now [tick]: at the last goal, or short of it.
+
+    After a late tick the next one comes soon. A goal that then got no more speed than its own way needs would leave the
+    ramp behind for the rest of the motion, and an arm whose program dies would go on for so long.
+    """
+    goal, begin = s.state.goal, s.state.ramp
+    if goal is None or begin is None:
+        return goal
+    elapsed_s = (s.inputs.now_ns - s.state.goal_ns) / NS_PER_S
+    share = elapsed_s / s.period_s if elapsed_s < IN_TIME * s.period_s else 1.0
+    now = []
+    for joint, at, tick in zip(s.arm.joints, begin, goal, strict=True):
+        way = min(abs(tick - at) * share, joint.speed_limit_rad_s * max(elapsed_s, share * s.period_s) / ax12a.TICK_RAD)
+        now.append(tick if way >= abs(tick - at) else at + math.copysign(way, tick - at))
+    return tuple(now)
 
 
 def stop_motion(s: Tick, code: str) -> None:
@@ -218,6 +239,7 @@ def take_over(s: Tick) -> None:
         s.state,
         goal=tuple(registers.goal for registers in known),
         previous_goal=None,
+        ramp=None,
         settings=tuple(registers.settings for registers in known),
         error_since_ns=(),
     )

@@ -243,6 +243,30 @@ def test_a_run_streams_goals_one_tick_ahead_and_answers_at_its_end() -> None:
     assert max(steps) <= 5  # 0.02 rad a tick is 4 servo ticks
 
 
+@pytest.mark.parametrize("after_s", [0.006, 0.05, 0.095, 0.1, 0.3])
+def test_a_goal_soon_after_another_is_given_the_speed_for_both_ways(after_s: float) -> None:
+    arm = holding()
+    arm.run_tick(Run(5, line(arm)))
+    arm.run_ticks(6)
+    first = arm.outputs
+    arm.now_ns += round((after_s - PERIOD_S) * 1e9)
+    second = arm.run_tick()
+    assert first is not None
+    assert first.goal is not None
+    assert second.goal is not None
+    ways = [abs(after[0] - before[0]) for before, after in pairwise(arm.goals[-3:])]
+    left = ways[0] * (1.0 - after_s / PERIOD_S) if after_s < 0.9 * PERIOD_S else 0.0
+    units = max(MINIMUM_SPEED_UNITS, ax12a.moving_speed_units((left + ways[1]) * ax12a.TICK_RAD / PERIOD_S))
+    fastest = ax12a.moving_speed_units(arm.arm.joints[0].speed_limit_rad_s)
+    assert second.goal.speeds[0] == pytest.approx(min(units, fastest), abs=1)
+    # Nothing is owed for ever: a tick later every ramp is where it ought to be, or as near as its speed limit lets it.
+    third = arm.run_tick()
+    assert third.goal is not None
+    way = abs(arm.goals[-1][0] - arm.goals[-2][0])
+    wanted = max(MINIMUM_SPEED_UNITS, ax12a.moving_speed_units(way * ax12a.TICK_RAD / PERIOD_S))
+    assert third.goal.speeds[0] == wanted or units > fastest
+
+
 def test_speeds_let_every_joint_arrive_together_and_never_say_unlimited() -> None:
     arm = holding()
     outputs = arm.run_tick(Run(5, line(arm, delta_rad=1.9)))
