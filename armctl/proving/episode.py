@@ -51,6 +51,7 @@ STATUS_REPLY = 32
 """Bytes of a good reply to a READ of 24..49."""
 TORQUE_AT = 3 + ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN
 GOAL_AT = 3 + ax12a.GOAL.address - ax12a.STATUS_BEGIN
+POSITION_AT = 3 + ax12a.PRESENT_POSITION.address - ax12a.STATUS_BEGIN
 """Places in such a reply behind its header."""
 WATCHED = (ax12a.TORQUE_LIMIT, ax12a.GOAL, ax12a.MOVING_SPEED)
 READ, PING = int(Instruction.READ), int(Instruction.PING)
@@ -182,7 +183,8 @@ class Watch:
             if at >= 0 and len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
                 index = self._index[pending]
                 torque, goal = reply[TORQUE_AT], reply[GOAL_AT] | reply[GOAL_AT + 1] << 8
-                self._judge.heard(self.now_s(now_ns), index, goal if torque else None)
+                position = reply[POSITION_AT] | reply[POSITION_AT + 1] << 8
+                self._judge.heard(self.now_s(now_ns), index, position, goal if torque else None)
                 self._heard.add(index)
         self._pending = None
         received.clear()

@@ -128,6 +128,8 @@ class Judge:
         self._unfit: set[int] = set()
         """Whose EEPROM forbids torque."""
         self._heard_s = [-math.inf] * n
+        self._told = [0] * n
+        """When each servo was last heard, and where it said it was."""
         self._all_heard = False
         """Whether every servo answered in the last tick."""
         self._before: list[Servo] = []
@@ -179,14 +181,15 @@ class Judge:
         if kind in ("hold", "host_lost") or (kind == "pause" and self._mode is Mode.MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
-    def heard(self, now_s: float, index: int, goal: int | None = None) -> None:
+    def heard(self, now_s: float, index: int, position: int, goal: int | None = None) -> None:
         """A good reply of a servo has reached the host.
 
         Args:
+            position: Where it says it is [tick].
             goal: The one it tells, of a servo under torque. One that is not from here obliges a program that looks;
                 one that this program's next goal replaced before anybody asked the servo is seen by nobody.
         """
-        self._heard_s[index] = now_s
+        self._heard_s[index], self._told[index] = now_s, position
         looks = self._in_charge and self._mode in POWERED and not self._code
         if goal not in (None, self._sent[index], self._sent_before[index]) and self._sent[index] is not None and looks:
             self._duties.overruled(now_s, index)
@@ -308,11 +311,12 @@ class Judge:
         moved = abs(was.shaft_tick - self._before[i].shaft_tick) if self._before else 0.0
         here = min(max(was.sensed_tick, low), high)
         moved /= 1.0 if self._duties.excused(now_s, i) else 4.0
-        ahead = abs(goal - here)
-        if ahead > HERE_TICKS + moved:
+        if abs(goal - here) > HERE_TICKS + moved:
             self._advance(now_s, i, known, goal, was.goal)
-        if ahead > max(LEAD_TICKS + NOISE_TICKS + moved, abs(known - here)):
-            text = f"goal {goal}, {ahead * TICK_DEG:.1f} deg ahead of its servo at {was.sensed_tick} (bound 12)"
+        told = min(max(self._told[i], low), high)
+        ahead = abs(goal - told)
+        if ahead > max(LEAD_TICKS + NOISE_TICKS, abs(known - told)):
+            text = f"goal {goal}, {ahead * TICK_DEG:.1f} deg ahead of its servo, which is at {told} (bound 12)"
             self._violate("2", now_s, i, text)
 
     def _advance(self, now_s: float, i: int, known: int, goal: int, held: int) -> None:

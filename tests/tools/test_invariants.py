@@ -36,7 +36,7 @@ class Bench:
 
     def hear(self) -> None:
         for index, servo in enumerate(self.servos):
-            self.judge.heard(self.now_s, index, servo.goal if servo.torque else None)
+            self.judge.heard(self.now_s, index, servo.sensed_tick, servo.goal if servo.torque else None)
 
     def tick(self, mode: Mode | None = None, code: str = "", *, heard: bool = True) -> None:
         """The end of a tick, a period later."""
@@ -132,6 +132,15 @@ def test_2_a_servo_that_missed_a_goal_may_get_two_steps_at_once_and_not_more() -
     assert bench.broken == {"2"}
 
 
+def test_2_what_counts_is_where_the_servo_said_it_was_when_it_was_read() -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="frozen_sensor", servo_id=ARM.servo_ids[0], begin_s=bench.now_s, duration_s=0.1))
+    bench.tick(Mode.MOVING)
+    bench.at(MIDDLE + 90)  # it sees again, just after it was read
+    bench.goal(MIDDLE - 10)
+    assert bench.broken == set()
+
+
 @pytest.mark.parametrize(("steps", "broken"), [(2, set()), (3, {"2"})])
 def test_2_no_goal_goes_over_12_deg_ahead_even_of_a_joint_that_something_holds(steps: int, broken: set[str]) -> None:
     bench = running()
@@ -151,6 +160,7 @@ def test_2_beside_a_clear_a_goal_may_go_on_from_the_one_sent_or_the_one_held(ask
         bench.tick(Mode.MOVING)
         bench.servos[0].goal = MIDDLE + 40  # another program's
         bench.at(MIDDLE + 20)
+        bench.hear()
         bench.judge.asked(bench.now_s, asked)
         bench.goal(known + 10)
         assert bench.broken == (broken if known > MIDDLE else set())
