@@ -166,7 +166,7 @@ def torque_off(s: Tick) -> None:
 
 
 def send_goal(s: Tick, ticks: Sequence[int]) -> None:
-    """Goal and speed for every servo, inside the limits, each arriving in one tick."""
+    """Goal and speed for every servo, inside the limits, each arriving in one tick from where its ramp is by now."""
     goal, speeds = [], []
     before = ramps(s)
     tick_rad_s = ax12a.TICK_RAD / s.period_s
