@@ -292,7 +292,17 @@ class Duties:
             by_clear, by_release = until_s == math.inf, fault.kind in MOVES_ARM
             self.must_stop(from_s, what, until_s=until_s, by_clear=by_clear, by_release=by_release, invariant="6")
         if report_within_s is not None and not known.latched:
-            self.must_report(begin_s + report_within_s + REPORT_SLACK_S, what, CODES[fault.kind])
+            seen_s = self._heard_again_s(begin_s, fault)
+            self.must_report(seen_s + report_within_s + REPORT_SLACK_S, what, CODES[fault.kind])
+
+    def _heard_again_s(self, begin_s: float, fault: Fault) -> float:
+        """From when on what a servo says of a fault that began then can be heard; silence itself can at once."""
+        silences = [
+            end_s
+            for _, end_s, other in self._faults
+            if other.kind in SILENCES and other.probability == 1.0 and other.servo_id in (None, fault.servo_id)
+        ]
+        return begin_s if fault.kind in SILENCES else max([begin_s, *silences])
 
     def overruled(self, now_s: float, i: int) -> None:
         """A servo under torque has a goal that the program in charge did not send."""

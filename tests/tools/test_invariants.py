@@ -333,6 +333,24 @@ def test_6_a_silence_that_ends_while_the_program_is_late_is_a_short_one(late_s: 
     assert bench.broken & {"6", "rows"} == (broken | {"rows"} if broken else broken)
 
 
+@pytest.mark.parametrize(
+    ("silent", "kind", "broken"), [(1, "mute", set()), (2, "mute", {"rows"}), (None, "dead_bus", set())]
+)
+def test_what_began_while_nobody_could_hear_it_is_reported_afterwards(
+    silent: int | None, kind: str, broken: set[str]
+) -> None:
+    bench = running()
+    one = None if silent is None else ARM.servo_ids[silent]
+    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=0.45))
+    bench.tick(Mode.MOVING, heard=False)
+    hot = Fault(kind="hot", servo_id=ARM.servo_ids[1], begin_s=bench.now_s, duration_s=2.0, value=68.9)
+    bench.judge.plan(hot)
+    for _ in range(6):
+        bench.tick(Mode.MOVING)
+    bench.tick(Mode.FAULTED, "HOT")
+    assert bench.broken & {"rows"} == broken
+
+
 @pytest.mark.parametrize(("falls", "broken"), [(True, set()), (False, {"6"})])
 def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: set[str]) -> None:
     bench = running()
