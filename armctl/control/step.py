@@ -19,7 +19,7 @@ from armctl.control.detect import detect_faults
 from armctl.control.machine import State, replace
 from armctl.control.requests import carry_out
 from armctl.control.sequences import adopt, advance
-from armctl.control.tick import Registers, Tick, decode, ramps
+from armctl.control.tick import Registers, Tick, decode
 from armctl.dynamixel.ax12a import load_ratio, speed_rad_s
 from armctl.kinematics.chain import tool_pose
 from armctl.kinematics.robots.robot import Robot
@@ -62,7 +62,7 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
             last_ticks=last_ticks,
             previous_goal=s.state.goal,
             goal=s.goal.ticks,
-            ramp=ramps(s),
+            ramp=s.ramp,
             goal_ns=inputs.now_ns,
         )
     motion = s.state.motion

@@ -91,6 +91,8 @@ class Tick:
     """Whether every servo was heard in this very sample."""
     writes: list[Write] = field(default_factory=list)
     goal: Goal | None = None
+    ramp: tuple[float, ...] | None = None
+    """Where the servos' own speed ramps are when that goal is sent."""
     replies: list[Reply] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
@@ -168,7 +170,7 @@ def torque_off(s: Tick) -> None:
 def send_goal(s: Tick, ticks: Sequence[int]) -> None:
     """Goal and speed for every servo, inside the limits, each arriving in one tick from where its ramp is by now."""
     goal, speeds = [], []
-    before = ramps(s)
+    before = s.ramp = ramps(s)
     tick_rad_s = ax12a.TICK_RAD / s.period_s
     for i, (joint, tick) in enumerate(zip(s.arm.joints, ticks, strict=True)):
         low, high = joint.limits_tick

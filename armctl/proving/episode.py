@@ -36,7 +36,7 @@ from armctl.messages import Command, Connected, HostLost, Mode, TickRecord, to_j
 from armctl.proving.clerk import Clerk
 from armctl.proving.duties import Servo
 from armctl.proving.invariants import Judge, Sent, Violation
-from armctl.proving.requests import postures
+from armctl.proving.requests import PERIOD_S, postures
 from armctl.proving.story import HostGone, Kill, Late, Story, Strike, Tamper
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
@@ -46,7 +46,6 @@ from armctl.sim.servo import ServoVariants
 from armctl.sim.spec import DEFAULT_SPEC
 
 ARM = "ax12-line"
-PERIOD_S = 0.1
 STATUS_REPLY = 32
 """Bytes of a good reply to a READ of 24..49."""
 TORQUE_AT = 3 + ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN

@@ -29,8 +29,9 @@ from typing import Any, Self
 
 from armctl.config import Config
 from armctl.messages import Command, Run, SetRate, TickRecord
-from armctl.proving.episode import PERIOD_S, Episode, Outcome, Stage, stage
+from armctl.proving.episode import Episode, Outcome, Stage, stage
 from armctl.proving.invariants import Violation
+from armctl.proving.requests import PERIOD_S
 from armctl.proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter

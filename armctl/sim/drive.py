@@ -6,7 +6,6 @@ from struct import Struct
 from typing import NamedTuple
 
 from armctl.dynamixel import ax12a
-from armctl.sim import steps
 
 DRIVING = Struct("<6xHH4xH8xBx4BHHH12xH")
 """Of the table: angle limits; max torque; torque enable; margins, slopes; goal, moving speed, torque limit; punch."""
@@ -28,12 +27,6 @@ class Drive(NamedTuple):
     ccw_gain: float
     spin: float | None
     """Output in wheel mode, which knows no goal; None: not in wheel mode."""
-
-    def output(self, error_tick: int) -> float:
-        """Output at a distance from the goal [tick], CCW positive."""
-        return steps.output_at(
-            error_tick, self.output_limit, self.punch, self.cw_margin, self.ccw_margin, self.cw_gain, self.ccw_gain
-        )
 
 
 def drive_of(

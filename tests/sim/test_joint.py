@@ -19,7 +19,7 @@ from armctl.sim.joint import Joint
 from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
 from armctl.sim.state import State
-from armctl.sim.steps import STEP_S, hand_torque, sensed_tick
+from armctl.sim.steps import STEP_S, hand_torque, output_at, sensed_tick
 
 SPEC = ArmSpec()
 VOLTAGE_V = 11.7
@@ -111,6 +111,18 @@ def servo_at(joint: PlainJoint, reference_tick: float, frozen_tick: int | None) 
     return servo
 
 
+def output_of(drive: Drive, error_tick: int) -> float:
+    return output_at(
+        error_tick,
+        drive.output_limit,
+        drive.punch,
+        drive.cw_margin,
+        drive.ccw_margin,
+        drive.cw_gain,
+        drive.ccw_gain,
+    )
+
+
 def plain_step(
     joint: PlainJoint, servo: SimulatedServo, drive: Drive, pull: tuple[float, float, int] | None, step: int
 ) -> None:
@@ -124,7 +136,7 @@ def plain_step(
         jumps = ramp == 0.0 or abs(way) <= ramp
         servo.reference_tick = drive.goal_tick if jumps else servo.reference_tick + math.copysign(ramp, way)
         sensed = sensed_tick(joint.shaft / TICK_RAD) if servo.frozen_tick is None else servo.frozen_tick
-        output = drive.output(math.floor(servo.reference_tick + 0.5) - sensed) if drive.spin is None else drive.spin
+        output = output_of(drive, math.floor(servo.reference_tick + 0.5) - sensed) if drive.spin is None else drive.spin
         if not joint.dead_motor:
             torque = joint.stall * (output * VOLTAGE_V / 12.0 - joint.omega / SPEC.no_load_speed_rad_s)
     external = joint.load
@@ -214,10 +226,10 @@ def test_drive_is_read_off_the_table() -> None:
     assert (drive.enabled, drive.goal_tick, drive.cw_margin, drive.ccw_margin, drive.spin) == (True, 700, 2, 3, None)
     assert drive.ramp_tick_s == pytest.approx(100 * ax12a.SPEED_UNIT_RAD_S / TICK_RAD)
     assert (drive.output_limit, drive.punch) == pytest.approx((800 / 1023, 50 / 1023))
-    assert drive.output(3) == 0.0 == drive.output(-2)
-    assert drive.output(-3) == pytest.approx(-50 / 1023 - (1.0 - 50 / 1023) / 16)
-    assert drive.output(4) == pytest.approx(50 / 1023 + (1.0 - 50 / 1023) / 64)
-    assert drive.output(500) == 800 / 1023
+    assert output_of(drive, 3) == 0.0 == output_of(drive, -2)
+    assert output_of(drive, -3) == pytest.approx(-50 / 1023 - (1.0 - 50 / 1023) / 16)
+    assert output_of(drive, 4) == pytest.approx(50 / 1023 + (1.0 - 50 / 1023) / 64)
+    assert output_of(drive, 500) == 800 / 1023
     servo.set(ax12a.CW_LIMIT, 0)
     servo.set(ax12a.CCW_LIMIT, 0)
     assert servo.drive.spin == pytest.approx(100 / 1023)
