@@ -115,7 +115,7 @@ class Watch:
         """Everything the host ever said."""
         self.packets = 0
         self.kill_at = -1
-        """Raises `Killed` instead of sending the packet of this number."""
+        """Raises `Killed` once so many packets are sent."""
         self.unpluggable = False
         """Whether the adapter may be out of the host."""
         self._plugged_ns = -1
@@ -146,7 +146,7 @@ class Watch:
 
     def before(self, packet: bytes, now_ns: int) -> None:
         """A packet is about to leave the host."""
-        if self.packets == self.kill_at:
+        if self.packets == self.kill_at:  # before the first of a tick
             raise Killed
         self.packets += 1
         self.wire.update(packet)
@@ -172,6 +172,8 @@ class Watch:
         if self._sent:
             self._judge.wrote(self.now_s(now_ns), self._sent, self._before, self.servos())
             self._sent = []
+        if self.packets == self.kill_at:
+            raise Killed
 
     def hear(self, now_ns: int) -> None:
         """Whatever has come from the servo asked last is all that came."""
@@ -351,6 +353,7 @@ class Episode:
                 self.watch.kill_at = -1
                 back_s, self._kill = self._kill.back_s, None
                 self.rows["SIGKILL"] += 1
+                self.body.advance(self._clock.now_ns())
                 self.judge.died(self.now_s, self.watch.servos())
                 self.clerk.lost()
                 self._idle(back_s)

@@ -92,7 +92,7 @@ class Kill:
     back_s: float
 
     def __str__(self) -> str:
-        return f"the control process dies before packet {self.sends + 1} of a tick, back after {self.back_s:.2f} s"
+        return f"the control process dies after {self.sends} packets of a tick, back after {self.back_s:.2f} s"
 
 
 @dataclass(frozen=True, slots=True)

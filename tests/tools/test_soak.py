@@ -16,7 +16,9 @@ from armctl.control.step import step
 from armctl.messages import Event, Inputs, Mode, Outputs, SetRate, TickRecord
 from armctl.proving import __main__ as proving
 from armctl.proving import soak
+from armctl.proving.duties import TICK_DEG, Servo
 from armctl.proving.episode import Episode, Stage, stage
+from armctl.proving.invariants import Judge
 from armctl.proving.story import WISHES, Kill, Late, Line, Story, Strike, Wish, Word, draw, shrink
 from armctl.sim.faults import KINDS, Fault
 
@@ -87,6 +89,24 @@ def test_killed_in_mid_tick_the_next_process_adopts_the_arm(on: Stage) -> None:
     episode = played(on, Kill(5.0, 3, 0.8), duration_s=12.0)
     assert (episode.rows["SIGKILL"], episode.rows["RESTARTED"]) == (1, 1)
     assert f"state {Mode.HOLDING}" in [text for at_s, text in episode.told if at_s > 5.8]
+
+
+@pytest.mark.parametrize("sends", [0, 3, 7])
+def test_a_death_counts_from_where_the_arm_is_then_right_behind_a_goal_too(
+    on: Stage, monkeypatch: pytest.MonkeyPatch, sends: int
+) -> None:
+    leads_deg: list[float] = []
+
+    def died(judge: Judge, now_s: float, servos: Sequence[Servo]) -> None:
+        assert episode.body.time_s == pytest.approx(now_s, abs=0.0011)
+        leads_deg.extend(abs(servo.goal - servo.shaft_tick) * TICK_DEG for servo in servos)
+        judge_died(judge, now_s, servos)
+
+    judge_died = Judge.died
+    monkeypatch.setattr(Judge, "died", died)
+    episode = Episode(Story(16, 12.0, (Wish(0.3, "run", 538574), Kill(8.6, sends, 0.8))), on)
+    assert episode.play().violations == []
+    assert max(leads_deg) > (6.0 if sends == 7 else 1.0)
 
 
 def test_a_late_tick_stops_the_run(on: Stage) -> None:
