@@ -230,10 +230,11 @@ class Duties:
             self._expected = [(by_s + gap_s, what, codes) for by_s, what, codes in self._expected]
             self._back_by_s += gap_s
             self._forget_silences(last_s, now_s)
-        for planned in [planned for planned in self._planned if planned[0] <= now_s]:
-            self._planned.remove(planned)
-            self._faults.append(planned)
-            begin_s, end_s, fault = planned
+        begun = [planned for planned in self._planned if planned[0] <= now_s]
+        if begun:
+            self._planned = [planned for planned in self._planned if planned[0] > now_s]
+            self._faults += begun
+        for begin_s, end_s, fault in begun:
             # What began in a gap nobody was there to see begin.
             begin_s = begin_s if gap_s <= 0.05 else now_s
             if begin_s < end_s:
@@ -241,7 +242,9 @@ class Duties:
         for k, (begin_s, end_s, fault) in enumerate(self._faults):
             moves = fault.kind in MOVES_JOINT or fault.kind in MOVES_ARM
             falls = now_s - begin_s < FALL_S and self._limp(servos, fault)
-            if moves and end_s <= now_s < end_s + RECOVERING_S and (falls or self._away(servos, fault)):
+            unseen = gap_s > 0.05 and end_s > last_s
+            recovering = unseen or (now_s < end_s + RECOVERING_S and (falls or self._away(servos, fault)))
+            if moves and end_s <= now_s and recovering:
                 self._faults[k] = (begin_s, now_s, fault)
         self._duties = [duty for duty in self._duties if duty.until_s + 1.0 > now_s]
         self._faults = [fault for fault in self._faults if fault[1] + RECOVERING_S > now_s]
@@ -296,11 +299,17 @@ class Duties:
             self.must_report(seen_s + report_within_s + REPORT_SLACK_S, what, CODES[fault.kind])
 
     def _heard_again_s(self, begin_s: float, fault: Fault) -> float:
-        """From when on what a servo says of a fault that began then can be heard; silence itself can at once."""
+        """From when on what a servo says of a fault that began then can be heard; silence itself can at once.
+
+        It may have been read just before, so that silence which begins within a period comes first.
+        """
         silences = [
             end_s
-            for _, end_s, other in self._faults
-            if other.kind in SILENCES and other.probability == 1.0 and other.servo_id in (None, fault.servo_id)
+            for other_s, end_s, other in (*self._faults, *self._planned)
+            if other.kind in SILENCES
+            and other.probability == 1.0
+            and other.servo_id in (None, fault.servo_id)
+            and other_s <= begin_s + self._period_s
         ]
         return begin_s if fault.kind in SILENCES else max([begin_s, *silences])
 

@@ -59,7 +59,7 @@ JUMP_S = 0.5
 REST_TICKS = 3.0 / TICK_DEG + 2.0
 REST_SPEED_DEG_S = 20.0
 ASKED_S = 2.0
-"""A torque-on takes so long at most, waiting for servos included."""
+"""A torque-on takes so long at most, without the ticks in which a servo is not heard."""
 REST_S = 0.3
 """From the last goal that may advance to an arm that is still."""
 STILL_TICKS = 0.9 / TICK_DEG
@@ -381,12 +381,15 @@ class Judge:
     def polled(self, now_s: float, unheard: Sequence[tuple[int, int]], heard: int, asked: int) -> None:
         """Which servos were asked in vain in a tick, each how often, how many answered and how often all were asked.
 
-        Where all answered a tick ago, the first that does not deserves a second try, unless two others had one.
+        Where all answered a tick ago, the first that does not deserves a second try, unless two others had one. A
+        torque-on waits for all of them.
         """
         n = len(self._names)
         if unheard and self._all_heard and unheard[0][1] < 2 and asked < n + 2 and self._in_charge:
             self._violate("rows", now_s, unheard[0][0], "a lost reply was not asked for again")
         self._all_heard = heard == n
+        if not self._all_heard and self._mode is Mode.ENERGISING:
+            self._torque_asked_s += self._period_s
 
     def ticked(self, now_s: float, servos: Sequence[Servo]) -> None:
         """Another tick is over (or a period without any program)."""

@@ -273,6 +273,19 @@ def test_5_torque_goes_off_on_request_alone(asked: str, broken: set[str]) -> Non
     assert bench.broken == broken
 
 
+@pytest.mark.parametrize(("unheard", "broken"), [(12, set()), (0, {"5"})])
+def test_5_a_torque_on_that_waits_for_its_servos_may_be_undone_later(unheard: int, broken: set[str]) -> None:
+    bench = Bench(torque=False)
+    bench.judge.asked(bench.now_s, "torque_on")
+    bench.goal(MIDDLE, torque=True)
+    for k in range(25):
+        lost = [(3, 2)] if k < unheard else []
+        bench.judge.polled(bench.now_s, lost, N - len(lost), N + len(lost))
+        bench.tick(Mode.ENERGISING)
+    bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
+    assert bench.broken == broken
+
+
 @pytest.mark.parametrize(("away", "broken"), [(0, set()), (11, set()), (14, {"5"})])
 def test_5_torque_goes_off_at_the_rest_pose_that_was_asked_for(away: int, broken: set[str]) -> None:
     bench = Bench()
@@ -349,6 +362,41 @@ def test_what_began_while_nobody_could_hear_it_is_reported_afterwards(
         bench.tick(Mode.MOVING)
     bench.tick(Mode.FAULTED, "HOT")
     assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(("later_s", "broken"), [(0.0, set()), (0.04, set()), (0.16, {"rows"})])
+@pytest.mark.parametrize("planned_first", [True, False])
+def test_what_was_silent_before_anybody_heard_it_is_reported_afterwards(
+    planned_first: bool, later_s: float, broken: set[str]
+) -> None:
+    bench = running()
+    both = [
+        Fault(kind="trip", servo_id=1, begin_s=bench.now_s, duration_s=0.2),
+        Fault(kind="dead_bus", begin_s=bench.now_s + later_s, duration_s=0.75),
+    ]
+    for fault in both if planned_first else both[::-1]:
+        bench.judge.plan(fault)
+    for _ in range(9):
+        bench.tick(Mode.HOLDING, heard=False)
+    bench.tick(Mode.FAULTED, "TRIPPED")
+    assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(("late_s", "broken"), [(1.3, set()), (0.0, {"7"})])
+def test_7_what_a_frozen_sensor_moves_may_come_back_after_a_late_tick(late_s: float, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="frozen_sensor", servo_id=1, begin_s=bench.now_s, duration_s=1.0))
+    bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.at(MIDDLE + 100.0)
+    for _ in range(8):
+        bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.now_s += late_s
+    bench.at(MIDDLE + 10.0)
+    for _ in range(1 if late_s else 13):
+        bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.at(MIDDLE + 5.0)
+    bench.tick(Mode.FAULTED, "BLOCKED")
+    assert bench.broken == broken
 
 
 @pytest.mark.parametrize(("falls", "broken"), [(True, set()), (False, {"6"})])
