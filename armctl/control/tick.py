@@ -25,8 +25,11 @@ from armctl.messages import (
     Write,
 )
 
-LEAD_TICKS = math.radians(11.0) / ax12a.TICK_RAD
-"""No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick."""
+LEAD_TICKS = math.radians(9.0) / ax12a.TICK_RAD
+"""No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick.
+
+So far an arm goes on at most when its program dies, noise and overshoot making it 10 deg.
+"""
 IN_TIME = 0.9
 """Of a period: a tick that comes no sooner is one in time."""
 MINIMUM_SPEED_UNITS = 16

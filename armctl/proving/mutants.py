@@ -90,7 +90,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("goals two ticks further ahead", SEQUENCES,
        ("q = sample_trajectory(trajectory, time_s)", "q = sample_trajectory(trajectory, time_s + 2.0 * s.period_s)"),
        ("if share < 1.0:", "if share < 0.0:")),
-    _m("the lead is not bounded", TICK, ("LEAD_TICKS = math.radians(11.0)", "LEAD_TICKS = math.radians(25.0)")),
+    _m("the lead is not bounded", TICK, ("LEAD_TICKS = math.radians(9.0)", "LEAD_TICKS = math.radians(25.0)")),
     _m("a pause is ignored", SEQUENCES, ("or motion.paused or", "or")),
     _m("the host's death is ignored", REQUESTS, ('finish_motion(s, "HOST_LOST", "")', "pass")),
     _m("a late tick is ignored", SEQUENCES, ('stop_motion(s, "LATE")', "pass")),
