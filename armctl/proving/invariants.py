@@ -140,6 +140,8 @@ class Judge:
         """In this tick."""
         self._unless_cleared: list[tuple[str, float, int, str]] = []
         """What this tick's `clear`, if it is granted, makes right."""
+        self._clears_and_moves = False
+        """Whether this tick's `clear` comes together with a request to move."""
         self._unless_settling: list[tuple[str, float, int, str]] = []
         """What is right if this tick's report tells of a fault that sends the arm to rest at once."""
         self._torque_asked_s = -math.inf
@@ -174,6 +176,7 @@ class Judge:
         calm = self._mode in (Mode.HOLDING, Mode.OFF) and not self._code
         if (kind in MOTION_REQUESTS and calm) or (kind == "resume" and self._mode is Mode.MOVING):
             self._duties.motion_asked()
+        self._clears_and_moves |= kind in MOTION_REQUESTS and "clear" in self._asked_now
         if kind in ("release", "teach"):
             self._duties.nobody_reports()
         if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
@@ -221,6 +224,8 @@ class Judge:
                 self._duties.must_stop(from_s, f"{code} is latched", by_clear=True, invariant="7")
         elif self._code and not code:
             self._duties.cleared()
+            if self._clears_and_moves:
+                self._duties.motion_asked()
             self._sent = [None] * len(self._sent)
             if cause:
                 self._violate("7", now_s, -1, f"{self._code} was cleared although {cause}")
@@ -229,6 +234,7 @@ class Judge:
         for unless_cleared in self._unless_cleared if code else ():
             self._violate(*unless_cleared)
         self._unless_cleared.clear()
+        self._clears_and_moves = False
         self._mode, self._code = mode, code
         self._adopting &= mode is Mode.OFF  # from now on a fault may send the arm to rest
 
@@ -309,11 +315,10 @@ class Judge:
             self._violate("8", now_s, i, f"a goal {age_s:.3f} s after its last reply (bound {AGE_S})")
         # Since the reading it was computed from a moving shaft has gone on: 25 ms, a quarter of a tick's way.
         moved = abs(was.shaft_tick - self._before[i].shaft_tick) if self._before else 0.0
-        here = min(max(was.sensed_tick, low), high)
-        moved /= 1.0 if self._duties.excused(now_s, i) else 4.0
-        if abs(goal - here) > HERE_TICKS + moved:
+        here, told = (min(max(tick, low), high) for tick in (was.sensed_tick, self._told[i]))
+        thrown = self._duties.excused(now_s, i)
+        if abs(goal - here) > HERE_TICKS + moved / (1.0 if thrown else 4.0) and not (thrown and goal == told):
             self._advance(now_s, i, known, goal, was.goal)
-        told = min(max(self._told[i], low), high)
         ahead = abs(goal - told)
         if ahead > max(LEAD_TICKS + NOISE_TICKS, abs(known - told)):
             text = f"goal {goal}, {ahead * TICK_DEG:.1f} deg ahead of its servo, which is at {told} (bound 12)"
@@ -326,7 +331,7 @@ class Judge:
             self._violate("2", now_s, i, f"goal {goal} after {known} sent, {held} held (bound {step:.1f} ticks)")
         for duty in self._duties.in_force(self._time_s, now_s):
             text = f"goal {known} -> {goal}, {now_s - duty.from_s:.2f} s too late: {duty.why}"
-            if duty.by_clear and "clear" in self._asked_now:
+            if "clear" in self._asked_now and (duty.by_clear or self._clears_and_moves):
                 self._unless_cleared.append((duty.invariant, now_s, i, text))
             elif not duty.by_clear and not self._code:
                 self._unless_settling.append((duty.invariant, now_s, i, text))

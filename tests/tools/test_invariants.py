@@ -184,6 +184,19 @@ def test_2_a_joint_that_something_holds_is_excused_and_its_neighbour_is_not() ->
     assert bench.broken == {"2"}
 
 
+@pytest.mark.parametrize(("goal", "broken"), [(MIDDLE - 200, set()), (MIDDLE - 199, {"2"})])
+def test_2_a_goal_where_a_joint_that_something_moves_said_it_was_is_no_motion(goal: int, broken: set[str]) -> None:
+    bench = Bench()
+    bench.judge.plan(Fault(kind="frozen_sensor", servo_id=1, begin_s=bench.now_s, duration_s=0.05))
+    bench.at(MIDDLE - 200.0)
+    bench.hear()
+    bench.at(MIDDLE - 207.0)  # it has turned round since
+    bench.tick(heard=False)
+    bench.judge.asked(bench.now_s, "hold")
+    bench.goal(goal)
+    assert bench.broken == broken
+
+
 @pytest.mark.parametrize("speed", [0, 92])
 def test_2_and_3_a_speed_of_none_or_too_much(speed: int) -> None:
     bench = Bench()
@@ -500,6 +513,24 @@ def test_7_a_motion_asked_for_together_with_a_clear_needs_the_clear_to_be_grante
     bench.judge.asked(bench.now_s, "park")
     bench.goal(MIDDLE + 5)
     bench.tick(Mode.FAULTED if code else Mode.PARKING, code)
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize(("asked", "broken"), [(("clear", "run"), set()), (("clear",), {"6"})])
+def test_6_a_motion_asked_for_together_with_a_clear_ends_an_older_hold(
+    asked: tuple[str, ...], broken: set[str]
+) -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, "hold")
+    for _ in range(8):
+        bench.tick(Mode.HOLDING)
+    for _ in range(8):
+        bench.tick(Mode.FAULTED, "PORT_GONE")
+    for kind in asked:
+        bench.judge.asked(bench.now_s, kind)
+    bench.goal(MIDDLE + 5)
+    bench.tick(Mode.MOVING)
+    bench.move(5)
     assert bench.broken == broken
 
 
