@@ -65,7 +65,7 @@ class SimulatedBus:
         """When the last reply leaves the wire."""
         self._replies = bytearray()
         """The bytes under way to the host."""
-        self._arrivals_ns: list[int] = []
+        self._arrivals_ns: Sequence[int] = ()
         """When each of them gets there."""
         self._strangers: dict[int, SimulatedServo] = {}
         """The second servos with an id that is taken, by the number of their fault."""
@@ -138,9 +138,10 @@ class SimulatedBus:
         replies, arrivals_ns = self._replies, self._arrivals_ns
         if not arrivals_ns:
             return b""
-        count = bisect_right(arrivals_ns, now_ns)
+        count = len(replies) if arrivals_ns[-1] <= now_ns else bisect_right(arrivals_ns, now_ns)
         arrived = bytes(replies[:count])
-        del replies[:count], arrivals_ns[:count]
+        del replies[:count]
+        self._arrivals_ns = arrivals_ns[count:]
         return arrived
 
     def _dispatch(self, packet: Packet | BadChecksum, time_ns: int, byte_ns: int) -> None:
@@ -238,7 +239,8 @@ class SimulatedBus:
         if latency_ns:  # the adapter hands on what it has when its timer fires
             phase_ns = self._phase_ns
             arrivals_ns = [phase_ns - (phase_ns - at_ns) // latency_ns * latency_ns for at_ns in arrivals_ns]
-        if self._arrivals_ns and arrivals_ns[0] < self._arrivals_ns[-1]:
-            arrivals_ns = [max(at_ns, self._arrivals_ns[-1]) for at_ns in arrivals_ns]
-        self._arrivals_ns += arrivals_ns
+        before_ns = self._arrivals_ns
+        if before_ns:
+            arrivals_ns = [*before_ns, *(max(at_ns, before_ns[-1]) for at_ns in arrivals_ns)]
+        self._arrivals_ns = arrivals_ns
         self._replies += data
