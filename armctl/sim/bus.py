@@ -63,7 +63,7 @@ class SimulatedBus:
         """When the servos had the last byte of the host."""
         self._quiet_ns = 0
         """When the last reply leaves the wire."""
-        self._replies = bytearray()
+        self._replies = b""
         """The bytes under way to the host."""
         self._arrivals_ns: Sequence[int] = ()
         """When each of them gets there."""
@@ -135,12 +135,14 @@ class SimulatedBus:
 
     def transmit(self, now_ns: int) -> bytes:
         """Reply bytes that have arrived at the host by `now_ns`, each handed out once."""
-        replies, arrivals_ns = self._replies, self._arrivals_ns
+        arrivals_ns = self._arrivals_ns
         if not arrivals_ns:
             return b""
-        count = len(replies) if arrivals_ns[-1] <= now_ns else bisect_right(arrivals_ns, now_ns)
-        arrived = bytes(replies[:count])
-        del replies[:count]
+        if arrivals_ns[-1] <= now_ns:
+            arrived, self._replies, self._arrivals_ns = self._replies, b"", ()
+            return arrived
+        count = bisect_right(arrivals_ns, now_ns)
+        arrived, self._replies = self._replies[:count], self._replies[count:]
         self._arrivals_ns = arrivals_ns[count:]
         return arrived
 
