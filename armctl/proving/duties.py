@@ -180,10 +180,16 @@ class Duties:
 
     def other_writer(self, now_s: float, i: int) -> bool:
         """Whether another program may just have written a joint's goal."""
-        return any(
-            fault.kind == "second_writer" and fault.servo_id in (None, self._servo_ids[i]) and begin_s <= now_s
-            for begin_s, _, fault in self._faults
+        return self._written_until_s(now_s, i) > -math.inf
+
+    def _written_until_s(self, now_s: float, i: int) -> float:
+        """When the last of the other programs ends that write to a joint, or did just now."""
+        ends = (
+            end_s
+            for begin_s, end_s, fault in (*self._faults, *self._planned)
+            if fault.kind == "second_writer" and begin_s <= now_s and fault.servo_id in (None, self._servo_ids[i])
         )
+        return max(ends, default=-math.inf)
 
     def nobody_reports(self) -> None:
         """Nobody is there who could report a fault, or there is no torque any more."""
@@ -315,17 +321,9 @@ class Duties:
 
     def overruled(self, now_s: float, i: int) -> None:
         """A servo under torque has a goal that the program in charge did not send."""
-        writers = [
-            end_s
-            for begin_s, end_s, fault in (*self._faults, *self._planned)
-            if fault.kind == "second_writer" and begin_s <= now_s and fault.servo_id in (None, self._servo_ids[i])
-        ]
-        if (
-            writers
-            and max(writers) > now_s + 0.15
-            and not any("second_writer" in what for _, what, _ in self._expected)
-        ):
-            what = f"second_writer, until {max(writers):.2f} s"
+        until_s = self._written_until_s(now_s, i)
+        if until_s > now_s + 0.15 and not any("second_writer" in what for _, what, _ in self._expected):
+            what = f"second_writer, until {until_s:.2f} s"
             self.must_stop(now_s + self._period_s + STOP_S, what, by_clear=True, invariant="6")
             self.must_report(now_s + self._period_s + REPORT_SLACK_S, what, CODES["second_writer"])
 
