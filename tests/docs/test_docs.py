@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import click
 import pytest
@@ -40,6 +41,8 @@ class Stand:
     """A simulator and a daemon, started when a block needs them."""
 
     folder: Path
+    runtime: Path
+    """As short as a runtime folder is: a socket's name has 107 bytes, and a test's folder may be as long alone."""
     programs: ExitStack = field(default_factory=ExitStack)
     running: str = ""
 
@@ -48,7 +51,7 @@ class Stand:
     @property
     def port(self) -> Path:
         """Where `armctl sim` publishes its port when nothing else is said."""
-        return self.folder / "xdg_runtime_dir" / DEFAULT_LINK
+        return self.runtime / DEFAULT_LINK
 
     def need(self, what: str) -> None:
         if what == self.running:
@@ -96,13 +99,15 @@ def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stand]:
     for name in list(os.environ):
         if name.startswith(("ARMCTL_", "NOTIFY_", "XDG_")):
             monkeypatch.delenv(name)
-    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR"):
+    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):
         (tmp_path / name.lower()).mkdir()
         monkeypatch.setenv(name, str(tmp_path / name.lower()))
-    monkeypatch.setenv("ARMCTL_SOCKET", str(tmp_path / "daemon.sock"))
-    stand = Stand(tmp_path)
-    yield stand
-    stand.programs.close()
+    with TemporaryDirectory(prefix="armctl-") as runtime:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
+        monkeypatch.setenv("ARMCTL_SOCKET", f"{runtime}/daemon.sock")
+        stand = Stand(tmp_path, Path(runtime))
+        yield stand
+        stand.programs.close()
 
 
 @pytest.mark.pty
