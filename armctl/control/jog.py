@@ -21,7 +21,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.control.machine import Jogging, Trigger, replace
-from armctl.control.tick import Tick, finish_jog, send_goal, share_of_step
+from armctl.control.tick import Tick, finish_jog, send_goal, share_of_step, whole_ticks
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
@@ -97,17 +97,13 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         min(max(q + v * s.period_s, joint.limits_rad[0]), joint.limits_rad[1]) if v else q
         for q, v, joint in zip(jog.position_rad, velocity, s.arm.joints, strict=True)
     )
-    share = share_of_step(s, _ticks(s, position))
+    share = share_of_step(s, whole_ticks(s, position))
     if share < 1.0:  # a joint lags behind: it is waited for
         velocity = [share * v for v in velocity]
         position = tuple(a + share * (b - a) for a, b in zip(jog.position_rad, position, strict=True))
     s.state = replace(s.state, jog=replace(jog, position_rad=position, velocity_rad_s=tuple(velocity)))
-    send_goal(s, _ticks(s, position))
+    send_goal(s, whole_ticks(s, position))
     return None
-
-
-def _ticks(s: Tick, position_rad: Sequence[float]) -> list[int]:
-    return [round(joint.tick(q)) for joint, q in zip(s.arm.joints, position_rad, strict=True)]
 
 
 def joint_velocities(robot: Robot, q: Sequence[float], tool_m_s: Sequence[float]) -> list[float]:

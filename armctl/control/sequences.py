@@ -23,6 +23,7 @@ from armctl.control.tick import (
     take_over,
     torque_off,
     weak_joints,
+    whole_ticks,
 )
 from armctl.dynamixel import ax12a
 from armctl.messages import (
@@ -255,7 +256,7 @@ def _hold_gripped(s: Tick, motion: Motion, grip: Grip) -> None:
 
 def _goal_at(s: Tick, trajectory: JointTrajectory, time_s: float) -> list[int]:
     q = sample_trajectory(trajectory, time_s)
-    return [round(joint.tick(position)) for joint, position in zip(s.arm.joints, q, strict=True)]
+    return whole_ticks(s, q)
 
 
 def sample_trajectory(trajectory: JointTrajectory, time_s: float) -> tuple[float, ...]:

@@ -30,6 +30,8 @@ LEAD_TICKS = math.radians(9.0) / ax12a.TICK_RAD
 
 So far an arm goes on at most when its program dies, noise and overshoot making it 10 deg.
 """
+ROUNDING_TICKS = 1.0
+"""What rounding may add, of the goal sent last and of a part of the way to the next one."""
 IN_TIME = 0.9
 """Of a period: a tick that comes no sooner is one in time."""
 MINIMUM_SPEED_UNITS = 16
@@ -170,6 +172,11 @@ def torque_off(s: Tick) -> None:
     )
 
 
+def whole_ticks(s: Tick, position_rad: Sequence[float]) -> list[int]:
+    """The nearest servo position of every joint position [rad]."""
+    return [round(joint.tick(q)) for joint, q in zip(s.arm.joints, position_rad, strict=True)]
+
+
 def send_goal(s: Tick, ticks: Sequence[int]) -> None:
     """Goal and speed for every servo, inside the limits, each arriving in one tick from where its ramp is by now."""
     goal, speeds = [], []
@@ -259,5 +266,6 @@ def share_of_step(s: Tick, goal: list[int]) -> float:
         ahead = abs(tick - registers.position)
         if ahead > LEAD_TICKS:
             behind = abs(last - registers.position)
-            share = min(share, max(0.0, LEAD_TICKS - behind) / (ahead - behind) if ahead > behind else 1.0)
+            room = max(0.0, LEAD_TICKS - ROUNDING_TICKS - behind)
+            share = min(share, room / (ahead - behind) if ahead > behind else 1.0)
     return share

@@ -15,12 +15,14 @@ Rules:
 | 1 | every goal that arrives | the calibration's limits, and the servo's EEPROM limits |
 | 2 | goal steps; goal - shaft each tick | vmax * period + 1 tick from the goal sent before, twice that from the one |
 | | | held (a servo may have missed one); 12 deg from the shaft, and from what its sensor says, whatever holds or |
-| | | moves it, when a goal goes on. Aside: a goal at the servo's own position |
+| | | moves it, when a goal goes on. Aside: a goal at the servo's own position, or |
+| | | where a joint that something moves said it was |
 | 3 | torque 0 -> 1 by a write | 0.6 deg and one tick of noise to a goal of its own; speed not 0; limit 20 %; |
 | | | 2 deg to the goal in 500 ms |
 | 4 | torque 0 -> 1 by a write | `torque on` within 2 s, and no fault reported since |
 | 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick; within 3 deg (and 2 ticks of noise) of rest on the |
-| | | way there, at 20 deg/s; or undoing a torque-on of the last 2 s |
+| | | way there, at 20 deg/s; or undoing a torque-on of the last 2 s, without ticks in |
+| | | which a servo is not heard |
 | 6 | goals after what stops motion | 200 ms after the matrix's bound; shafts still 500 ms after it |
 | 7 | goals while a fault is reported | none after 250 ms, but to rest for heat, voltage and load |
 | | `clear` | refused while the cause lasts |
@@ -261,6 +263,7 @@ class Judge:
         self._mode, self._code = Mode.OFF, ""
         self._unless_cleared.clear()
         self._unless_settling.clear()
+        self._clears_and_moves = False
 
     def back(self) -> None:
         """Another program is in charge."""

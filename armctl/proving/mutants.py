@@ -94,7 +94,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("a pause is ignored", SEQUENCES, ("or motion.paused or", "or")),
     _m("the host's death is ignored", REQUESTS, ('finish_motion(s, "HOST_LOST", "")', "pass")),
     _m("a late tick is ignored", SEQUENCES, ('stop_motion(s, "LATE")', "pass")),
-    _m("sign of direction", SEQUENCES, ("round(joint.tick(position))", "round(joint.tick(-position))")),
+    _m("sign of direction", TICK, ("round(joint.tick(q))", "round(joint.tick(-q))")),
     _m("torque-on without a goal", REQUESTS, (
         "    send_goal(s, ticks)\n    s.state = replace(s.state, request_id=request_id, anchor=tuple(ticks))",
         "    held = tuple(r.goal for r in s.registers if r)\n"

@@ -38,7 +38,7 @@ from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim import steps
 
 SEED = 1
-TWICE_EVERY = 100
+TWICE_EVERY = 40
 """Of so many episodes one is played twice, and its log replayed; as is each worker's first, and every failure."""
 SHRINK_S = 120.0
 MIB_PER_DAY = 1.0
@@ -167,6 +167,11 @@ def _begin() -> None:
     logging.disable(logging.CRITICAL)
     steps.compiled()
     _stage = stage()
+
+
+def _begin_worker() -> None:
+    """In a process that does nothing else."""
+    _begin()
     gc.freeze()  # what is there by now stays; and what an episode drops, counting takes care of
     gc.set_threshold(GARBAGE)
 
@@ -281,7 +286,7 @@ def _played(seed: int, episodes: range, workers: int) -> Iterator[Tally]:
         yield from map(_episodes, work)
         logging.disable(before)
         return
-    with multiprocessing.get_context("spawn").Pool(workers, _begin) as pool:
+    with multiprocessing.get_context("spawn").Pool(workers, _begin_worker) as pool:
         yield from pool.imap_unordered(_episodes, work)
 
 

@@ -30,7 +30,7 @@ def test_no_goal_is_farther_ahead_than_the_bound_and_a_servo_that_stays_behind_i
     begin = len(arm.goals)
     arm.run_tick(Run(2, line(arm, FAST_RAD, FAST_S)))
     arm.run_ticks(8)
-    assert 28 < max(abs(goal[0] - start) for goal in arm.goals[begin:]) <= LEAD_TICKS + 1.0
+    assert 28 < max(abs(goal[0] - start) for goal in arm.goals[begin:]) <= LEAD_TICKS
     assert arm.state.fault is not None
     assert arm.state.fault.code == "BLOCKED"
 
