@@ -124,11 +124,6 @@ def signed_magnitude(value: int) -> int:
     return -magnitude if value & 0x400 else magnitude
 
 
-def to_signed_magnitude(value: int) -> int:
-    """The inverse of `signed_magnitude`, saturating at 1023."""
-    return min(abs(value), 1023) | (0x400 if value < 0 else 0)
-
-
 def speed_rad_s(raw: int) -> float:
     """Present speed [rad/s], CCW positive."""
     return signed_magnitude(raw) * SPEED_UNIT_RAD_S if raw else 0.0

@@ -72,9 +72,10 @@ class SimulatedArm:
         """The true geometry, link length errors included."""
         self._links = links_of(self.chain)
         tool_kg = float(rng.uniform(*spec.tool_kg))
-        parts, servos = [], []
+        parts: list[dict[str, float]] = []
         stop = math.radians(spec.stop_deg)
-        for joint, servo_rng in zip(arm.joints, rng.spawn(len(arm.joints)), strict=True):
+        servo_rngs = rng.spawn(len(arm.joints))
+        for joint in arm.joints:
             if spec.zero_offset_within_tick is None:
                 zero_offset_tick = spec.zero_offset_tick * float(rng.standard_normal())
             else:
@@ -96,29 +97,21 @@ class SimulatedArm:
                     "shaft": rest,
                 }
             )
-            servo = SimulatedServo(
-                joint.servo_id,
-                servo_rng,
-                position_tick=rest / ax12a.TICK_RAD,
-                noise_tick=spec.noise_tick,
-                variants=spec.variants,
-            )
-            servo.voltage_V, servo.temperature_degC = spec.supply_V, spec.idle_degC
-            servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
-            servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
-            servos.append(servo)
         for part in parts:
             part["stall"] = spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
             part["brake"] = part["stall"] / spec.no_load_speed_rad_s
         servo_kg = spec.servo_kg + spec.bracket_kg
-        servos_kg = [servo_kg * (1.0 + spec.mass_spread * float(rng.uniform(-1.0, 1.0))) for _ in servos]
+        servos_kg = [servo_kg * (1.0 + spec.mass_spread * float(rng.uniform(-1.0, 1.0))) for _ in arm.joints]
         self.points_kg = (*servos_kg[: self.chain.n], sum(servos_kg[self.chain.n :]), tool_kg)
         """As `gravity_loads` wants them: servos beyond the chain sit midway between its last axis and the tool."""
-        self._servos = tuple(servos)
-        self._state = self._made()
-        self._joints = [
-            Joint(self._state, i, servo, **part) for i, (servo, part) in enumerate(zip(servos, parts, strict=True))
-        ]
+        self._state = State(len(parts), self.chain.n, laid_out(self._links, self.points_kg, self.chain.tool_m))
+        self._state.set_spec(spec)
+        self._state.set_pace((CHUNK_STEPS, FAST_CHUNK_STEPS), FAST_RAD_S, WEIGHED_RAD, spec.heating_s)
+        self._servos = tuple(
+            self._servo(i, servo_rng, part["shaft"])
+            for i, (servo_rng, part) in enumerate(zip(servo_rngs, parts, strict=True))
+        )
+        self._joints = [Joint(servo, **part) for servo, part in zip(self._servos, parts, strict=True)]
         self._origin_ns: int | None = None
         self._step = 0
         """As in the state."""
@@ -132,16 +125,30 @@ class SimulatedArm:
         self.standing = False
         """Whether time is held, see `Lockstep` in sim/pty.py."""
 
-    def _made(self) -> State:
-        chain = laid_out(self._links, self.points_kg, self.chain.tool_m)
-        state = State(self.spec, len(self._servos), self.chain.n, chain)
-        state.set_pace((CHUNK_STEPS, FAST_CHUNK_STEPS), FAST_RAD_S, WEIGHED_RAD, self.spec.heating_s)
-        return state
+    def _servo(self, i: int, rng: np.random.Generator, shaft_rad: float) -> SimulatedServo:
+        joint, spec = self.config.joints[i], self.spec
+        servo = SimulatedServo(
+            joint.servo_id,
+            rng,
+            (self._state, i),
+            position_tick=shaft_rad / ax12a.TICK_RAD,
+            noise_tick=spec.noise_tick,
+            variants=spec.variants,
+        )
+        servo.voltage_V, servo.temperature_degC = spec.supply_V, spec.idle_degC
+        servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
+        servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
+        return servo
 
     @property
     def servos(self) -> tuple[SimulatedServo, ...]:
         """In the order of the calibration's joints."""
         return self._servos
+
+    @property
+    def eeprom_writes(self) -> int:
+        """How often the EEPROM of some servo was written to."""
+        return self._state.counts[steps.EEPROM_WRITES]
 
     @property
     def time_s(self) -> float:
@@ -158,13 +165,14 @@ class SimulatedArm:
     def true_positions(self) -> FloatArray:
         """Joint positions of the output shafts [rad], shape (n,): no quantisation, noise or zero offset."""
         latest = max(joint.ahead for joint in self._joints)
+        self._state.counts[steps.PULLS] = self.hand.holding
         for i, joint in enumerate(self._joints):
             if joint.ahead < latest:
-                self._aim()
-                joint.look()
+                if self.hand.holding:
+                    self._aim()
                 self._state.turn(i, latest)
-                joint.show()
-        self._answer()
+        if self._state.counts[steps.ASKING]:
+            self._answer()
         return np.array([joint.position_rad() for joint in self._joints])
 
     def true_tool_position(self) -> FloatArray:
@@ -199,63 +207,53 @@ class SimulatedArm:
             until = end
             if self.faults.due_s < end * STEP_S:
                 until = min(end, math.ceil((self.faults.due_s - FAULT_TOLERANCE_S / 2.0) / STEP_S))
-            for joint in joints:
-                if joint.servo.writes != joint.writes:
-                    self._obey(joint)
-            if counts[steps.RESTING] and not self.hand.holding:
+            if counts[steps.TOLD]:
+                counts[steps.TOLD] = 0
+                for joint in joints:
+                    if joint.servo.writes != joint.writes:
+                        self._obey(joint)
+            holding = self.hand.holding
+            if counts[steps.RESTING] and not holding:
                 # Time passes, and only temperatures change: up to the one that will trip a servo.
                 if self._overheat_step is None:
                     self._overheat_step = self._step + self._steps_to_overheat()
                 before, self._step = self._step, min(until, self._overheat_step)
                 counts[steps.STEP] = self._step
-                self._warm(self._step - before)
+                self._state.warm(math.exp((before - self._step) * STEP_S / self.spec.heating_s))
                 counts[steps.RESTING] = self._step < self._overheat_step
                 continue
-            played = joints
-            if only is not None and self._step < counts[steps.CHUNK_END] and until < counts[steps.CHUNK_END]:
-                played = joints[only : only + 1]
-            self._aim()
-            for joint in played:
-                joint.look()
+            counts[steps.PULLS] = holding
+            if holding:
+                self._aim()
             enough = self._state.play(until, -1 if only is None else only)
-            while counts[steps.PULLS] and not enough and counts[steps.STEP] < until and not counts[steps.ASKING]:
+            while holding and not enough and counts[steps.STEP] < until and not counts[steps.ASKING]:
                 self._step = counts[steps.STEP]
                 self._aim()
                 enough = self._state.play(until, -1 if only is None else only)
-            for joint in played:
-                joint.show()
             self._step, self._overheat_step = counts[steps.STEP], None
-            self._answer()
+            if counts[steps.ASKING]:
+                self._answer()
             if enough:
                 return
 
     def _aim(self) -> None:
-        """Let the joints know whether a hand pulls, and where to in the chunk they are in or about to begin."""
+        """Let the joints know where a hand pulls to in the chunk they are in or about to begin."""
         counts = self._state.counts
-        holding = self.hand.holding
-        counts[steps.PULLS] = holding
-        if holding:
-            begin = counts[steps.CHUNK_STEP] if self._step < counts[steps.CHUNK_END] else self._step
-            aims = self.hand.aim(begin * STEP_S)
-            if aims is not self._aims:
-                self._aims = aims
-                for joint, aim_rad, speed_rad_s in zip(self._joints, *aims, strict=True):
-                    joint.pull(aim_rad, speed_rad_s)
+        begin = counts[steps.CHUNK_STEP] if self._step < counts[steps.CHUNK_END] else self._step
+        aims = self.hand.aim(begin * STEP_S)
+        if aims is not self._aims:
+            self._aims = aims
+            for joint, aim_rad, speed_rad_s in zip(self._joints, *aims, strict=True):
+                joint.pull(aim_rad, speed_rad_s)
 
     def _answer(self) -> None:
         """Let servos shut down whose joints ask for it, and close the chunk if that waited for them."""
         state = self._state
-        if not state.counts[steps.ASKING]:
-            return
         state.counts[steps.ASKING] = 0
         for joint in self._joints:
-            joint.ask(self.spec.overload_s)
+            joint.ask()
         if self._step == state.counts[steps.CHUNK_END]:
-            for joint in self._joints:
-                joint.look()
             state.close_chunk()
-            for joint in self._joints:
-                joint.show()
 
     def _obey(self, joint: Joint) -> None:
         """Take note of what was written to a joint's servo; writes that change nothing do not wake an arm at rest."""
@@ -285,13 +283,9 @@ class SimulatedArm:
                 servo.frozen_tick = None
             elif servo.frozen_tick is None:
                 servo.freeze()
-            joint.freeze(servo.frozen_tick)
-            joint.look()
         sag = faults.in_force("brown_out")
         state.numbers[steps.SUPPLY_V] = spec.supply_V if sag is None else sag.amount
         state.drain()
-        for joint in self._joints:
-            joint.show()
 
     def _strike(self, planned: Planned, i: int) -> None:
         """Let a fault that begins, or a second writer whose write is due, strike servo i."""
@@ -300,8 +294,7 @@ class SimulatedArm:
             return
         if kind == "brown_out":
             servo.reboot()
-            servo.booting = True
-            self._joints[i].booting, self._joints[i].boot_step = 1, self._step + round(self.spec.boot_s / STEP_S)
+            servo.booting, self._joints[i].boot_step = 1, self._step + round(self.spec.boot_s / STEP_S)
         elif kind == "trip":
             servo.protect(overloaded=True)
         elif kind == "hot":
@@ -311,15 +304,6 @@ class SimulatedArm:
             goal = self._writer_goals.setdefault((planned.id, i), min(max(own, 0), ax12a.TICK_MAX))
             data = bytes((ax12a.GOAL.address, 2, servo.get(ax12a.ID))) + goal.to_bytes(2, "little")
             servo.handle(Packet(BROADCAST_ID, Instruction.SYNC_WRITE, data))
-
-    def _warm(self, count: int) -> None:
-        """Let the temperatures change for so many steps of rest."""
-        decay = math.exp(-count * STEP_S / self.spec.heating_s)
-        idle, heating, numbers = self.spec.idle_degC, self.spec.stall_heating_degC, self._state.numbers
-        for joint in self._joints:
-            effort, servo = numbers[joint.at + steps.EFFORT], joint.servo
-            settled = idle + heating * effort * effort
-            servo.temperature_degC = settled + (servo.temperature_degC - settled) * decay
 
     def _steps_to_overheat(self) -> int:
         """How long the arm may rest until some servo's temperature passes its limit."""

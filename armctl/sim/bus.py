@@ -21,7 +21,7 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BITS_PER_BYTE, BROADCAST_ID, BadChecksum, Decoder, Packet, encode_status
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Faults
-from armctl.sim.servo import ID_AT, SimulatedServo
+from armctl.sim.servo import SimulatedServo
 
 BYTE_GAP_NS = 100_000_000
 PAUSE_NS = 200_000
@@ -67,6 +67,10 @@ class SimulatedBus:
         """The bytes under way to the host."""
         self._arrivals_ns: Sequence[int] = ()
         """When each of them gets there."""
+        self._hearers: dict[int, list[int]] = {}
+        """Which servos hear a packet, by whom it is to."""
+        self._listed_for = (-1, 0)
+        """At how many writes to EEPROMs, and at which baud, that was so."""
         self._strangers: dict[int, SimulatedServo] = {}
         """The second servos with an id that is taken, by the number of their fault."""
 
@@ -77,7 +81,7 @@ class SimulatedBus:
 
     def plugged(self, now_ns: int) -> bool:
         """Whether the adapter is in the host."""
-        if not self.arm.faults:
+        if not self.arm.faults.pending:
             return True
         self.arm.advance(now_ns)
         return self.faults.in_force("unplug") is None
@@ -97,7 +101,7 @@ class SimulatedBus:
             if time_ns - self._last_byte_ns > BYTE_GAP_NS:
                 decoder.reset()
         echo = False
-        if self.arm.faults:
+        if self.arm.faults.pending:
             self.arm.advance(now_ns)
             echo = self.faults.in_force("echo") is not None
         if not echo and (whole := decoder.whole(data)) is not None:
@@ -148,34 +152,40 @@ class SimulatedBus:
 
     def _dispatch(self, packet: Packet | BadChecksum, time_ns: int, byte_ns: int) -> None:
         arm, to = self.arm, packet.servo_id
-        servos, faults = arm.servos, arm.faults or None
-        everyone = to == BROADCAST_ID
-        hearers = [i for i, servo in enumerate(servos) if everyone or servo.table[ID_AT] == to]
-        arm.advance(time_ns, hearers[0] if len(hearers) == 1 and faults is None else None)
-        if faults is not None:
-            if faults.in_force("dead_bus"):
-                return
-            if faults.in_force("same_id"):  # a stranger hears what is told to another servo
-                hearers = list(range(len(servos)))
+        if (arm.eeprom_writes, self.baud) != self._listed_for:
+            self._list_hearers()
+        hearers = self._hearers.get(to, ())
+        faults = arm.faults
+        if len(hearers) == 1 and not faults.pending:  # most packets by far
+            arm.advance(time_ns, hearers[0])
+            servo = arm.servos[hearers[0]]
+            delay_ns = servo.return_delay_ns
+            status = None if servo.booting else servo.handle(packet)
+            if status is not None:
+                self._quiet_ns = max(time_ns + delay_ns, self._quiet_ns)
+                self._speak(status, byte_ns, 0)
+            return
+        arm.advance(time_ns)
+        if faults.in_force("dead_bus"):
+            return
+        if faults.in_force("same_id"):  # a stranger hears what is told to another servo
+            hearers = self._hearers[BROADCAST_ID]
         statuses: list[bytes] = []
         delay_ns = late_ns = 0
         for i in hearers:
-            servo_id, servo = self._servo_ids[i], servos[i]
-            if servo.booting or abs(servo.baud / self.baud - 1.0) > BAUD_TOLERANCE:
-                continue
-            if faults is not None and faults.in_force("mute", servo_id):
+            servo_id, servo = self._servo_ids[i], arm.servos[i]
+            if servo.booting or faults.in_force("mute", servo_id):
                 continue
             servo_delay_ns = servo.return_delay_ns
             status = servo.handle(packet)
-            if faults is not None:
-                if to == servo_id and (noise := faults.strike("garbage", servo_id)):
-                    self._quiet_ns = max(time_ns, self._quiet_ns)
-                    self._speak(noise.rng.bytes(round(noise.amount)), byte_ns, 0)
-                if status is not None:
-                    status, servo_late_ns = self._spoil(status, servo_id)
-                    late_ns = max(late_ns, servo_late_ns)
-                if stranger := self._stranger(servo_id, servo):
-                    statuses += filter(None, [stranger.handle(packet)])
+            if to == servo_id and (noise := faults.strike("garbage", servo_id)):
+                self._quiet_ns = max(time_ns, self._quiet_ns)
+                self._speak(noise.rng.bytes(round(noise.amount)), byte_ns, 0)
+            if status is not None:
+                status, servo_late_ns = self._spoil(status, servo_id)
+                late_ns = max(late_ns, servo_late_ns)
+            if stranger := self._stranger(servo_id, servo):
+                statuses += filter(None, [stranger.handle(packet)])
             if status is not None:
                 statuses.append(status)
                 delay_ns = max(delay_ns, servo_delay_ns)
@@ -186,6 +196,15 @@ class SimulatedBus:
         for status in statuses[1:]:
             on_wire = bytes(a & b for a, b in zip_longest(on_wire, status, fillvalue=0xFF))
         self._speak(on_wire, byte_ns, late_ns)
+
+    def _list_hearers(self) -> None:
+        """Note which servos hear what is said to whom: this changes with an EEPROM, or with the host's baud."""
+        hearers: dict[int, list[int]] = {BROADCAST_ID: []}
+        for i, servo in enumerate(self.arm.servos):
+            if abs(servo.baud / self.baud - 1.0) <= BAUD_TOLERANCE:
+                hearers[BROADCAST_ID].append(i)
+                hearers.setdefault(servo.servo_id, []).append(i)
+        self._hearers, self._listed_for = hearers, (self.arm.eeprom_writes, self.baud)
 
     def _spoil(self, status: bytes, servo_id: int) -> tuple[bytes | None, int]:
         """What the faults leave of a reply, and how much later [ns] it reaches the host."""
@@ -236,7 +255,7 @@ class SimulatedBus:
         """Let bytes that come to the adapter one after another from `time_ns` on reach the host, after those before."""
         arrivals_ns: Sequence[int] = range(time_ns + byte_ns, time_ns + len(data) * byte_ns + 1, byte_ns)
         latency_ns = self._latency_ns
-        if self.arm.faults and (other := self.arm.faults.in_force("latency")):
+        if self.arm.faults.pending and (other := self.arm.faults.in_force("latency")):
             latency_ns = round(other.amount * 1e6)
         if latency_ns:  # the adapter hands on what it has when its timer fires
             phase_ns = self._phase_ns

@@ -204,14 +204,12 @@ class Faults:
         self._planned: list[Planned] = []
         self.due_s = math.inf
         """When something changes next."""
+        self.pending = 0
+        """How many are planned or in force."""
         self.unplugs = 0
         """How often the adapter was pulled out of the host so far."""
         for fault in script:
             self.begin(fault, 0.0)
-
-    def __bool__(self) -> bool:
-        """Whether any is planned or in force."""
-        return bool(self._planned)
 
     def begin(self, fault: Fault, now_s: float) -> int:
         """Plan a fault, its `begin_s` counting from `now_s`; the number to end it by."""
@@ -220,6 +218,7 @@ class Faults:
         end_s = math.inf if fault.duration_s is None else begin_s + fault.duration_s
         rng = np.random.default_rng((self._seed, self._last_id))
         self._planned.append(Planned(self._last_id, fault, begin_s, end_s, rng))
+        self.pending = len(self._planned)
         self.due_s = min(self.due_s, begin_s)
         return self._last_id
 
@@ -243,6 +242,7 @@ class Faults:
             What the arm has to do now: faults that begin, and second writers whose write is due.
         """
         self._planned = [planned for planned in self._planned if planned.end_s > now_s]
+        self.pending = len(self._planned)
         due = []
         for planned in self._planned:
             if planned.begin_s <= now_s and not planned.begun:

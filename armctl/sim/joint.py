@@ -17,56 +17,27 @@ to another tick. Both give the same as computing every step.
 
 from __future__ import annotations
 
-from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.sim import steps
 from armctl.sim.drive import Drive
 from armctl.sim.servo import SimulatedServo
-from armctl.sim.state import State
+from armctl.sim.state import Count, Number, Seat
 from armctl.sim.steps import STEP_S
 
 
-class _Number:
-    """A number of a joint that lies in the arm's state."""
-
-    def __init__(self, place: int) -> None:
-        self._place = place
-
-    def __get__(self, joint: Joint, _: type[Joint]) -> float:
-        return joint.state.numbers[joint.at + self._place]
-
-    def __set__(self, joint: Joint, value: float) -> None:
-        joint.state.numbers[joint.at + self._place] = value
-
-
-class _Count:
-    """A whole number of a joint that lies in the arm's state."""
-
-    def __init__(self, place: int) -> None:
-        self._place = place
-
-    def __get__(self, joint: Joint, _: type[Joint]) -> int:
-        return joint.state.counts[joint.of + self._place]
-
-    def __set__(self, joint: Joint, value: int) -> None:
-        joint.state.counts[joint.of + self._place] = value
-
-
-class Joint:
+class Joint(Seat):
     """One joint of the arm's state, and its servo: angles are the servo's, angle = tick * TICK_RAD."""
 
-    shaft, motor, omega = _Number(steps.SHAFT), _Number(steps.MOTOR), _Number(steps.OMEGA)
-    output, effort = _Number(steps.OUTPUT), _Number(steps.EFFORT)
-    direction, zero_rad = _Number(steps.DIRECTION), _Number(steps.ZERO)
-    coulomb, stiction, half_play = _Number(steps.COULOMB), _Number(steps.STICTION), _Number(steps.HALF_PLAY)
-    stall, brake = _Number(steps.STALL), _Number(steps.BRAKE)
-    load, rate = _Number(steps.LOAD), _Number(steps.RATE)
-    ahead, dead_motor = _Count(steps.AHEAD), _Count(steps.DEAD)
-    booting, boot_step = _Count(steps.BOOTING), _Count(steps.BOOT_STEP)
+    shaft, motor, omega = Number(steps.SHAFT), Number(steps.MOTOR), Number(steps.OMEGA)
+    effort = Number(steps.EFFORT)
+    direction, zero_rad = Number(steps.DIRECTION), Number(steps.ZERO)
+    coulomb, stiction, half_play = Number(steps.COULOMB), Number(steps.STICTION), Number(steps.HALF_PLAY)
+    stall, brake = Number(steps.STALL), Number(steps.BRAKE)
+    load, rate = Number(steps.LOAD), Number(steps.RATE)
+    ahead, dead_motor = Count(steps.AHEAD), Count(steps.DEAD)
+    boot_step = Count(steps.BOOT_STEP)
 
     def __init__(
         self,
-        state: State,
-        i: int,
         servo: SimulatedServo,
         *,
         direction: float,
@@ -81,7 +52,7 @@ class Joint:
         brake: float,
         shaft: float,
     ) -> None:
-        """Joint i of a state, standing still.
+        """The joint in the seat of its servo, standing still.
 
         Args:
             zero_rad: Shaft angle at joint position 0, the zero offset included.
@@ -90,20 +61,17 @@ class Joint:
             brake: What the motor loses by turning [N m s].
             shaft: Where it is [rad].
         """
-        self.state, self.servo = state, servo
-        self.at, self.of = steps.ARM_NUMBERS + i * steps.JOINT_NUMBERS, steps.ARM_COUNTS + i * steps.JOINT_COUNTS
+        super().__init__(servo.state, servo.i)
+        self.servo = servo
         constants = (direction, zero_rad, rest_rad, coulomb, stiction, half_play, low, high, stall, brake)
         for place, value in enumerate(constants, self.at + steps.DIRECTION):
-            state.numbers[place] = value
+            self.numbers[place] = value
         self._ends = low, high
         self.shaft = self.motor = shaft
         self.rate = STEP_S
-        state.numbers[self.at + steps.WEIGHED_AT] = float("inf")
-        self.freeze(None)
+        self.numbers[self.at + steps.WEIGHED_AT] = float("inf")
         self.writes, self.drive = servo.writes, servo.drive
-        self._alarms = servo.alarm_registers
         self.drive_by(self.drive)
-        self._load_alarms()
 
     def position_rad(self) -> float:
         return self.direction * (self.shaft - self.zero_rad)
@@ -111,21 +79,17 @@ class Joint:
     @property
     def held(self) -> bool:
         """Whether something holds the shaft where it is."""
-        numbers, at = self.state.numbers, self.at
+        numbers, at = self.numbers, self.at
         return numbers[at + steps.LOW] == numbers[at + steps.HIGH]
 
     def hold(self, at_rad: float | None) -> None:
         """Let the shaft go no further than an angle both ways; None: its own ends."""
         low, high = self._ends if at_rad is None else (at_rad, at_rad)
-        self.state.numbers[self.at + steps.LOW], self.state.numbers[self.at + steps.HIGH] = low, high
-
-    def freeze(self, tick: int | None) -> None:
-        """Let the servo read the same for ever; None: its sensor works."""
-        self.state.counts[self.of + steps.FROZEN] = -1 if tick is None else tick
+        self.numbers[self.at + steps.LOW], self.numbers[self.at + steps.HIGH] = low, high
 
     def pull(self, aim_rad: float, speed_rad_s: float) -> None:
         """Take note of where a hand wants the joint, and how fast."""
-        numbers, at = self.state.numbers, self.at
+        numbers, at = self.numbers, self.at
         direction = numbers[at + steps.DIRECTION]
         numbers[at + steps.AIM] = numbers[at + steps.ZERO] + direction * aim_rad
         numbers[at + steps.AIM_SPEED] = direction * speed_rad_s
@@ -137,15 +101,11 @@ class Joint:
         if not same:
             same, self.drive = drive == self.drive, drive
             self.drive_by(drive)
-        alarms = servo.alarm_registers
-        if alarms != self._alarms:
-            self._alarms = alarms
-            self._load_alarms()
         return same and (not drive.enabled or drive.spin is not None or servo.reference_tick == drive.goal_tick)
 
     def drive_by(self, drive: Drive) -> None:
         """Let another drive rule the motor; its ramp begins where the reference is."""
-        numbers, counts, at, of = self.state.numbers, self.state.counts, self.at, self.of
+        numbers, counts, at, of = self.numbers, self.counts, self.at, self.of
         numbers[at + steps.GOAL] = drive.goal_tick
         numbers[at + steps.RAMP] = drive.ramp_tick_s * STEP_S
         numbers[at + steps.LIMIT] = drive.output_limit
@@ -159,38 +119,9 @@ class Joint:
         counts[of + steps.CW_MARGIN] = drive.cw_margin
         counts[of + steps.CCW_MARGIN] = drive.ccw_margin
 
-    def _load_alarms(self) -> None:
-        for place, register in enumerate(self._alarms, self.of + steps.MAX_DEGC):
-            self.state.counts[place] = register
-
-    def look(self) -> None:
-        """Take note of what the servo itself may have changed, or somebody else."""
-        servo, numbers, at = self.servo, self.state.numbers, self.at
-        if servo.reference_tick != numbers[at + steps.REFERENCE]:
-            numbers[at + steps.REFERENCE] = servo.reference_tick
-            self.state.counts[self.of + steps.FRESH] = 1
-        numbers[at + steps.OUTPUT] = servo.output
-        numbers[at + steps.DEGC] = servo.temperature_degC
-        numbers[at + steps.SERVO_V] = servo.voltage_V
-        self.state.counts[self.of + steps.OVERLOADED] = servo.overloaded
-
-    def show(self) -> None:
-        """Let the servo have what the physics made of it."""
-        servo, at = self.servo, self.at
-        (
-            shaft,
-            servo.velocity_rad_s,
-            servo.output,
-            servo.reference_tick,
-            servo.temperature_degC,
-            servo.voltage_V,
-        ) = self.state.numbers[at : at + 6]
-        servo.position_tick = shaft / TICK_RAD
-
-    def ask(self, overload_s: float) -> None:
-        """If the joint asks for it, let the servo shut down or go on booting."""
-        counts, of = self.state.counts, self.of
+    def ask(self) -> None:
+        """If the joint asks for it, let the servo shut down."""
+        counts, of = self.counts, self.of
         if counts[of + steps.ASKS]:
             counts[of + steps.ASKS] = 0
-            self.servo.protect(overloaded=counts[of + steps.LOADED] * STEP_S > overload_s)
-            self.servo.booting = counts[of + steps.BOOTING] != 0
+            self.servo.protect()

@@ -24,31 +24,27 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from struct import Struct
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import LOAD_MAX, SPEED_UNIT_RAD_S, ErrorBit, Register, to_signed_magnitude
+from armctl.dynamixel.ax12a import TICK_RAD, ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Instruction, Packet, encode_status
+from armctl.sim import steps
 from armctl.sim.drive import DRIVING, Drive, drive_of
-from armctl.sim.steps import sensed_tick
+from armctl.sim.state import Count, Number, Seat, State
 
 LOCKED_WRITABLE = range(24, 36)
 """Addresses that stay writable after LOCK."""
 
-ID_AT = ax12a.ID.address
-_MIN_VOLTAGE_AT = ax12a.MIN_VOLTAGE.address
-_MAX_VOLTAGE_AT = ax12a.MAX_VOLTAGE.address
-_TEMPERATURE_LIMIT_AT = ax12a.TEMPERATURE_LIMIT.address
+_READ = int(Instruction.READ)
+_ID_AT = ax12a.ID.address
 _RETURN_LEVEL_AT = ax12a.RETURN_LEVEL.address
-_TORQUE_ENABLE_AT = ax12a.TORQUE_ENABLE.address
-_GOAL_AT = ax12a.GOAL.address
-_POSITION_AT = ax12a.PRESENT_POSITION.address
+_REGISTERED_AT = ax12a.REGISTERED.address
 
-_MEASURED = Struct("<HHH5B")
-"""From the present position on: position, speed, load, voltage, temperature, registered, address 45, moving."""
 _ALARMS = Struct("<11x3B4xB")
+"""Of the table: temperature limit, lowest and highest voltage; shutdown."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +61,22 @@ class ServoVariants:
     """A new goal continues the speed ramp from the reference in force; otherwise from the present position."""
 
 
-class SimulatedServo:
+class SimulatedServo(Seat):
     """Registers, instructions and error bits of one AX-12A; the arm's physics moves it."""
+
+    velocity_rad_s = Number(steps.OMEGA)
+    output = Number(steps.OUTPUT)
+    """Motor output, -1..1, CCW positive."""
+    voltage_V, temperature_degC = Number(steps.SERVO_V), Number(steps.DEGC)
+    overloaded = Count(steps.OVERLOADED)
+    booting = Count(steps.BOOTING)
+    """Deaf and mute: its firmware has not started yet."""
 
     def __init__(
         self,
         servo_id: int,
         rng: np.random.Generator,
+        seat: tuple[State, int] | None = None,
         *,
         position_tick: float = 512.0,
         noise_tick: float = 0.0,
@@ -81,31 +86,24 @@ class SimulatedServo:
         """A servo just powered up, with the factory's registers except its id.
 
         Args:
+            seat: The arm's state and its place in it; None: no arm moves this servo.
             noise_tick: Standard deviation of the reported position.
             draws_at_once: How many numbers of `rng` are drawn ahead for it; 1 if others draw from it too.
         """
+        super().__init__(*(seat or (State(1), 0)))
         self.table = bytearray(ax12a.TABLE_SIZE)
         """The control table; what is measured is brought up to date by whoever asks for it."""
+        self._view: Any = np.frombuffer(self.table, np.uint8)
         self._draws = _standard_normals(rng, draws_at_once)
         self.noise: float | None = None
         """Noise of every position reading, in standard deviations; None: each reading has its own."""
         self._noise_tick = noise_tick
         self._variants = variants
+        self.counts[self.of + steps.FOLLOWS] = variants.goal_follows_when_limp
         self._registered: tuple[int, bytes] | None = None
-        self.position_tick = position_tick
-        """Output shaft as its potentiometer sees it, before quantisation and noise."""
-        self.velocity_rad_s = 0.0
-        self.output = 0.0
-        """Motor output, -1..1, CCW positive."""
-        self.reference_tick = position_tick
-        """Where the speed ramp stands."""
-        self.voltage_V = 12.0
-        self.temperature_degC = 30.0
-        self.overloaded = False
-        self.frozen_tick: int | None = None
-        """What a frozen position sensor reads; None: it works."""
-        self.booting = False
-        """Deaf and mute: its firmware has not started yet."""
+        self.position_tick = self.reference_tick = position_tick
+        self.voltage_V, self.temperature_degC = 12.0, 30.0
+        self.frozen_tick = None
         self._last_error = 0
         self._driven_by: tuple[int, ...] = ()
         self._drive: Drive
@@ -129,12 +127,51 @@ class SimulatedServo:
 
     def set(self, register: Register, value: int) -> None:
         """Put a value into the table without any check or effect: the factory's or a wizard's hand."""
-        self.table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
+        self._put(register.address, value.to_bytes(register.size, "little"))
+
+    def _put(self, address: int, data: bytes) -> None:
+        counts = self.counts
+        self.table[address : address + len(data)] = data
         self.writes += 1
+        counts[steps.TOLD] = 1
+        if address < ax12a.EEPROM_END:
+            counts[steps.EEPROM_WRITES] += 1
+            for place, limit in enumerate(_ALARMS.unpack_from(self.table), self.of + steps.MAX_DEGC):
+                counts[place] = limit
+
+    @property
+    def position_tick(self) -> float:
+        """Output shaft as its potentiometer sees it, before quantisation and noise."""
+        return self.numbers[self.at + steps.SHAFT] / TICK_RAD
+
+    @position_tick.setter
+    def position_tick(self, value: float) -> None:
+        self.numbers[self.at + steps.SHAFT] = value * TICK_RAD
+
+    @property
+    def reference_tick(self) -> float:
+        """Where the speed ramp stands."""
+        return self.numbers[self.at + steps.REFERENCE]
+
+    @reference_tick.setter
+    def reference_tick(self, value: float) -> None:
+        if value != self.numbers[self.at + steps.REFERENCE]:
+            self.numbers[self.at + steps.REFERENCE] = value
+            self.counts[self.of + steps.FRESH] = 1
+
+    @property
+    def frozen_tick(self) -> int | None:
+        """What a frozen position sensor reads; None: it works."""
+        tick = self.counts[self.of + steps.FROZEN]
+        return None if tick < 0 else tick
+
+    @frozen_tick.setter
+    def frozen_tick(self, value: int | None) -> None:
+        self.counts[self.of + steps.FROZEN] = -1 if value is None else value
 
     @property
     def servo_id(self) -> int:
-        return self.table[ID_AT]
+        return self.table[_ID_AT]
 
     @property
     def torque_enabled(self) -> bool:
@@ -167,84 +204,65 @@ class SimulatedServo:
             self._driven_by, self._drive = registers, drive_of(*registers)
         return self._drive
 
-    @property
-    def alarm_registers(self) -> tuple[int, ...]:
-        """What says whether it shuts down: temperature limit, lowest and highest voltage, shutdown."""
-        return _ALARMS.unpack_from(self.table)
-
     def _value(self, register: Register) -> int:
         table, at = self.table, register.address
         return table[at] | table[at + 1] << 8 if register.size == 2 else table[at]
 
-    def _quantised_tick(self, noise_tick: float = 0.0) -> int:
-        return sensed_tick(self.position_tick + noise_tick) if self.frozen_tick is None else self.frozen_tick
+    def _quantised_tick(self) -> int:
+        frozen = self.frozen_tick
+        return steps.sensed_tick(self.position_tick) if frozen is None else frozen
 
     def freeze(self) -> None:
         """Let the position sensor read for ever what it reads now; `frozen_tick = None` mends it."""
         self.frozen_tick = self._quantised_tick()
 
-    def _refresh(self, noise_tick: float) -> None:
-        """Bring the measured registers up to date."""
-        table = self.table
-        enabled = table[_TORQUE_ENABLE_AT]
-        position, speed = self.frozen_tick, 0
-        if position is None:
-            position = sensed_tick(self.position_tick + noise_tick)
-            speed = round(self.velocity_rad_s / SPEED_UNIT_RAD_S)
-        if not enabled and self._variants.goal_follows_when_limp:
-            table[_GOAL_AT : _GOAL_AT + 2] = position.to_bytes(2, "little")
-        decivolts, degC = round(self.voltage_V * 10.0), round(self.temperature_degC)
-        _MEASURED.pack_into(
-            table,
-            _POSITION_AT,
-            position,
-            to_signed_magnitude(speed) if speed else 0,
-            to_signed_magnitude(round(self.output * LOAD_MAX)) if self.output else 0,
-            decivolts if 0 <= decivolts <= 255 else min(max(decivolts, 0), 255),
-            degC if 0 <= degC <= 255 else min(max(degC, 0), 255),
-            self._registered is not None,
-            table[45],
-            enabled and (speed != 0 or self.reference_tick != table[_GOAL_AT] | table[_GOAL_AT + 1] << 8),
-        )
+    def _refresh(self, noise_tick: float) -> int:
+        """Bring the measured registers up to date; the error bits that stand."""
+        if steps.machine_code:
+            numbers, counts, _ = self.state.views
+            return steps.measure(numbers, counts, self._view, self.i, noise_tick)
+        return steps.measure(self.numbers, self.counts, self.table, self.i, noise_tick)
 
     # --------------------------------------------------------------------------------------- instructions
 
     def handle(self, packet: Packet | BadChecksum) -> bytes | None:
         """React to a packet on the bus; the status packet sent back, or None for silence."""
         table, to = self.table, packet.servo_id
-        servo_id, level = table[ID_AT], table[_RETURN_LEVEL_AT]
+        servo_id, level = table[_ID_AT], table[_RETURN_LEVEL_AT]
         if to not in (servo_id, BROADCAST_ID):
             return None
         reply = b""
         if isinstance(packet, Packet):
             code = packet.code
-            react = _REACTIONS.get(code)
-            if react is None:
+            if code == _READ:  # most of them by far
+                error, reply = self._read(packet.parameters)
+            elif (react := _REACTIONS.get(code)) is None:
                 return None
-            error, reply = react(self, packet.parameters)
+            else:
+                error, reply = react(self, packet.parameters)
+                error |= self._alarms()
         elif to == BROADCAST_ID:
             return None
         else:
-            code, error = -1, int(ErrorBit.CHECKSUM)
-        error |= self._alarms()
+            code, error = -1, ErrorBit.CHECKSUM | self._alarms()
         self._last_error = error
         if error:
             self._shut_down(error)
-        if to == BROADCAST_ID or not (level == 2 or code == Instruction.PING or (level and code == Instruction.READ)):
+        if to == BROADCAST_ID or not (level == 2 or code == Instruction.PING or (level and code == _READ)):
             return None
         return encode_status(servo_id, error, reply)
 
     def _read(self, parameters: bytes) -> tuple[int, bytes]:
+        """Every error bit, those that stand included, and the bytes asked for."""
         if len(parameters) != 2:
-            return ErrorBit.INSTRUCTION, b""
+            return ErrorBit.INSTRUCTION | self._alarms(), b""
         begin, size = parameters
         if size == 0 or begin + size > ax12a.TABLE_SIZE:
-            return ErrorBit.RANGE, b""
+            return ErrorBit.RANGE | self._alarms(), b""
         noise = 0.0
         if self._noise_tick:
             noise = self._noise_tick * (next(self._draws) if self.noise is None else self.noise)
-        self._refresh(noise)
-        return 0, bytes(self.table[begin : begin + size])
+        return self._refresh(noise), bytes(self.table[begin : begin + size])
 
     def _told(self, parameters: bytes) -> tuple[int, bytes]:
         return self._write(parameters[:1], parameters[1:]), b""
@@ -260,6 +278,7 @@ class SimulatedServo:
         error = self._refusal(address, data)
         if not error:
             self._registered = (address[0], data)
+            self.table[_REGISTERED_AT] = 1
         return error, b""
 
     def _action(self, _: bytes) -> tuple[int, bytes]:
@@ -267,6 +286,7 @@ class SimulatedServo:
             return ErrorBit.INSTRUCTION, b""
         address, data = self._registered
         self._registered = None
+        self.table[_REGISTERED_AT] = 0
         return self._write(bytes((address,)), data), b""
 
     def _reset(self, _: bytes) -> tuple[int, bytes]:
@@ -277,7 +297,7 @@ class SimulatedServo:
         size = parameters[1] + 1 if len(parameters) > 1 else 0
         if size < 2 or (len(parameters) - 2) % size:
             return ErrorBit.INSTRUCTION, b""
-        error, servo_id = 0, self.table[ID_AT]
+        error, servo_id = 0, self.table[_ID_AT]
         for begin in range(2, len(parameters), size):
             if parameters[begin] == servo_id:
                 error |= self._write(parameters[:1], parameters[begin + 1 : begin + size])
@@ -316,8 +336,7 @@ class SimulatedServo:
         was_enabled = self.torque_enabled
         if not was_enabled:
             self._refresh(0.0)  # a goal that followed the position is where it is now
-        self.table[address : address + len(data)] = data
-        self.writes += 1
+        self._put(address, data)
         energising = (ax12a.GOAL.name in touched and self._variants.goal_write_energises) or (
             ax12a.MOVING_SPEED.name in touched and self._variants.speed_write_energises
         )
@@ -328,7 +347,7 @@ class SimulatedServo:
         elif not was_enabled:
             self.reference_tick = self._quantised_tick()
             if self._value(ax12a.TORQUE_LIMIT) > 0:
-                self.overloaded = False
+                self.overloaded = 0
         elif ax12a.GOAL.name in touched and not self._variants.ramp_from_reference:
             self.reference_tick = self._quantised_tick()
 
@@ -347,23 +366,15 @@ class SimulatedServo:
         self.set(ax12a.TORQUE_LIMIT, self._value(ax12a.MAX_TORQUE))
         self._registered = None
         self._last_error = 0
-        self.overloaded = False
+        self.overloaded = 0
         self.output = 0.0
 
     # --------------------------------------------------------------------------------------------- alarms
 
     def _alarms(self) -> int:
-        """Error bits that stand; plain numbers, since the physics asks every few milliseconds."""
-        table = self.table
-        error = int(ErrorBit.OVERLOAD) if self.overloaded else 0
-        # What lies between two whole numbers also does rounded; most of the time there is nothing to round.
-        low, volts, high = table[_MIN_VOLTAGE_AT], self.voltage_V * 10.0, table[_MAX_VOLTAGE_AT]
-        if not low <= volts <= high and not low <= round(volts) <= high:
-            error |= int(ErrorBit.VOLTAGE)
-        limit, degC = table[_TEMPERATURE_LIMIT_AT], self.temperature_degC
-        if degC > limit and round(degC) > limit:
-            error |= int(ErrorBit.OVERHEAT)
-        return error
+        """Error bits that stand."""
+        numbers, counts, _ = self.state.views if steps.machine_code else self.state.plain
+        return steps.alarms(numbers, counts, self.at, self.of)
 
     def protect(self, *, overloaded: bool = False) -> None:
         """Note an overload, and shut down if an alarm that stands is also in the shutdown register."""
@@ -380,14 +391,13 @@ class SimulatedServo:
 
 _REACTIONS: dict[int, Callable[[SimulatedServo, bytes], tuple[int, bytes]]] = {
     Instruction.PING: lambda _servo, _parameters: (0, b""),
-    Instruction.READ: SimulatedServo._read,
     Instruction.WRITE: SimulatedServo._told,
     Instruction.REG_WRITE: SimulatedServo._register_write,
     Instruction.ACTION: SimulatedServo._action,
     Instruction.RESET: SimulatedServo._reset,
     Instruction.SYNC_WRITE: SimulatedServo._sync_write,
 }
-"""What each instruction does with its parameters: the error bits and the bytes of the reply."""
+"""What each instruction but READ does with its parameters: the error bits of the request, the bytes of the reply."""
 
 
 def _standard_normals(rng: np.random.Generator, at_once: int) -> Iterator[float]:

@@ -1,8 +1,8 @@
 """The millisecond steps of the simulated joints, as functions of plain numbers; `joint.py` and `arm.py` have the laws.
 
-Nothing here knows of servos or registers, so that numba can make machine code of it: `compiled`, once in a process,
-makes what takes the most time of a simulation about a hundred times faster, bit for bit the same. Without numba
-(the extra `fast`) everything runs as it stands.
+Nothing here knows of servos, and of registers only where they lie, so that numba can make machine code of it:
+`compiled`, once in a process, makes what takes the most time of a simulation about a hundred times faster, bit for bit
+the same. Without numba (the extra `fast`) everything runs as it stands.
 
 All that changes lies in three flat arrays, see `state.py`: `numbers` and `counts` hold the arm's own and then those of
 one joint after another, `chain` the links. The names in capitals below are places in them: of the arm's from 0 on, of
@@ -18,7 +18,8 @@ import functools
 import math
 from array import array
 
-from armctl.dynamixel.ax12a import TICK_MAX, TICK_RAD, ErrorBit
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import LOAD_MAX, SPEED_UNIT_RAD_S, TICK_MAX, TICK_RAD, ErrorBit
 
 STEP_S = 1e-3
 HIGHEST_RAD = TICK_MAX * TICK_RAD
@@ -33,6 +34,10 @@ GRAVITY_M_S2 = 9.81
 RATED_V = 12.0
 """The supply at which stall torque and no-load speed are stated."""
 OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int(ErrorBit.OVERHEAT)
+TORQUE_ENABLE_AT, GOAL_AT = ax12a.TORQUE_ENABLE.address, ax12a.GOAL.address
+POSITION_AT, SPEED_AT, LOAD_AT = ax12a.PRESENT_POSITION.address, ax12a.PRESENT_SPEED.address, ax12a.PRESENT_LOAD.address
+VOLTAGE_AT, TEMPERATURE_AT = ax12a.PRESENT_VOLTAGE.address, ax12a.PRESENT_TEMPERATURE.address
+MOVING_AT = ax12a.MOVING.address
 
 # fmt: off
 (
@@ -45,7 +50,7 @@ OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int
     ARM_NUMBERS,
 ) = range(18)
 (
-    # Those a servo shows, in the order `Joint.show` wants them.
+    # Those a servo reports.
     SHAFT, OMEGA, OUTPUT, REFERENCE, DEGC, SERVO_V,
     # Motor; where the ramp began; current as a fraction of the stall current.
     MOTOR, RAMP_BEGIN, EFFORT,
@@ -53,7 +58,7 @@ OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int
     LOAD, RATE, WEIGHED_AT,
     # What the joint is made of, in the order `Joint` takes it; low and high may be where something holds the shaft.
     DIRECTION, ZERO, REST, COULOMB, STICTION, HALF_PLAY, LOW, HIGH, STALL, BRAKE,
-    # The drive, in the order `Joint.obey` writes it; the hand's aim of the shaft and its speed.
+    # The drive, in the order `Joint.drive_by` writes it; the hand's aim of the shaft and its speed.
     GOAL, RAMP, LIMIT, PUNCH, CW_GAIN, CCW_GAIN, SPIN, AIM, AIM_SPEED,
     JOINT_NUMBERS,
 ) = range(32)
@@ -65,19 +70,21 @@ OVERLOAD, VOLTAGE, OVERHEAT = int(ErrorBit.OVERLOAD), int(ErrorBit.VOLTAGE), int
     # nothing did in the one before; whether nothing will until an input does; whether a hand pulls; whether some joint
     # asks for its servo.
     WEIGHED, STIRRED, STILL, RESTING, PULLS, ASKING,
+    # Whether a servo was told something that the physics has not heard of; how often one's EEPROM was written to.
+    TOLD, EEPROM_WRITES,
     ARM_COUNTS,
-) = range(14)
+) = range(16)
 (
     # Steps it has been integrated beyond the arm's time; since the ramp's begin; of too high an output.
     AHEAD, RAMPED, LOADED,
     # Whether drive or reference are others; what the drive says; what a frozen sensor reads, or -1; no torque at all.
     FRESH, ENABLED, SPINS, CW_MARGIN, CCW_MARGIN, FROZEN, DEAD,
-    # Alarms: that stands, registers in the order `Joint.obey` writes them; whether its servo has to be looked at.
+    # Alarms: that stands, registers in the order the servo writes them; whether its servo has to be looked at.
     OVERLOADED, MAX_DEGC, MIN_DV, MAX_DV, SHUTDOWN, ASKS,
-    # Whether its firmware is starting, and when that is over.
-    BOOTING, BOOT_STEP,
+    # Whether its firmware is starting, and when that is over; whether a limp servo's goal follows its position.
+    BOOTING, BOOT_STEP, FOLLOWS,
     JOINT_COUNTS,
-) = range(19)
+) = range(20)
 (TOOL_M, MODIFIED, CHAIN_NUMBERS) = range(3)
 (COS_ALPHA, SIN_ALPHA, LINK_A, LINK_D, OFFSET, ANGLE, TORQUE, INERTIA, AXIS_X, AXIS_Y, AXIS_Z, LINK_NUMBERS) = range(12)
 (POINT_X, POINT_Y, POINT_Z, POINT_KG, POINT_NUMBERS) = range(5)
@@ -96,7 +103,8 @@ def compiled() -> bool:
         return False
     for name in (
         *("sensed_tick", "output_at", "hand_torque", "play_drift", "integrate", "weigh_links", "weigh"),
-        *("far", "begin_chunk", "turn", "drain", "close_chunk", "play"),
+        *("far", "begin_chunk", "alarms", "turn", "drain", "warm", "close_chunk", "play"),
+        *("to_signed_magnitude", "measure"),
     ):
         plain = globals()[name]
         try:
@@ -375,6 +383,16 @@ def begin_chunk(numbers: array[float], counts: array[int], chain: array[float]) 
         weigh(numbers, counts, chain)
 
 
+def alarms(numbers: array[float], counts: array[int], at: int, of: int) -> int:
+    """Error bits of a servo that stand."""
+    error = OVERLOAD if counts[of + OVERLOADED] else 0
+    if not counts[of + MIN_DV] <= round(numbers[at + SERVO_V] * 10.0) <= counts[of + MAX_DV]:
+        error |= VOLTAGE
+    if round(numbers[at + DEGC]) > counts[of + MAX_DEGC]:
+        error |= OVERHEAT
+    return error
+
+
 def turn(numbers: array[float], counts: array[int], i: int, ahead: int) -> None:
     """Let joint i come to `ahead` steps, at most to the end of the chunk, beyond where all joints are."""
     at, of = ARM_NUMBERS + i * JOINT_NUMBERS, ARM_COUNTS + i * JOINT_COUNTS
@@ -427,14 +445,8 @@ def turn(numbers: array[float], counts: array[int], i: int, ahead: int) -> None:
             asks = True
     else:
         counts[of + LOADED] = 0
-    if enabled:
-        alarms = OVERLOAD if counts[of + OVERLOADED] else 0
-        if not counts[of + MIN_DV] <= round(numbers[at + SERVO_V] * 10.0) <= counts[of + MAX_DV]:
-            alarms |= VOLTAGE
-        if round(numbers[at + DEGC]) > counts[of + MAX_DEGC]:
-            alarms |= OVERHEAT
-        if alarms & counts[of + SHUTDOWN]:
-            asks = True
+    if enabled and alarms(numbers, counts, at, of) & counts[of + SHUTDOWN]:
+        asks = True
     if counts[of + BOOTING]:
         moved = True
         if counts[STEP] + ahead >= counts[of + BOOT_STEP]:
@@ -463,18 +475,22 @@ def drain(numbers: array[float], counts: array[int]) -> bool:
     return True
 
 
-def close_chunk(numbers: array[float], counts: array[int]) -> None:
-    """End the chunk: supply, temperatures, and whether the arm rests from now on."""
-    if drain(numbers, counts):
-        counts[STIRRED] = 1
-    slow = counts[CHUNK_END] - counts[CHUNK_STEP] == counts[CHUNK_STEPS]
-    decay = numbers[DECAY] if slow else numbers[FAST_DECAY]
+def warm(numbers: array[float], counts: array[int], decay: float) -> None:
+    """Bring the temperatures nearer to where the present efforts lead; `decay` is what is left of the way."""
     idle, heating = numbers[IDLE_DEGC], numbers[HEATING_DEGC]
     for i in range(counts[JOINTS]):
         at = ARM_NUMBERS + i * JOINT_NUMBERS
         effort = numbers[at + EFFORT]
         settled = idle + heating * effort * effort
         numbers[at + DEGC] = settled + (numbers[at + DEGC] - settled) * decay
+
+
+def close_chunk(numbers: array[float], counts: array[int]) -> None:
+    """End the chunk: supply, temperatures, and whether the arm rests from now on."""
+    if drain(numbers, counts):
+        counts[STIRRED] = 1
+    slow = counts[CHUNK_END] - counts[CHUNK_STEP] == counts[CHUNK_STEPS]
+    warm(numbers, counts, numbers[DECAY] if slow else numbers[FAST_DECAY])
     counts[STILL], counts[STIRRED] = 0 if counts[STIRRED] else 1, 0
     # At rest nothing changes until an input does, if gravity is the one of this very configuration.
     counts[RESTING] = 1 if counts[WEIGHED] and counts[STILL] and not counts[PULLS] else 0
@@ -509,3 +525,33 @@ def play(numbers: array[float], counts: array[int], chain: array[float], until: 
             if counts[RESTING] or counts[PULLS]:
                 break
     return False
+
+
+def to_signed_magnitude(value: int) -> int:
+    """A speed or load as its register has it, saturating at 1023: the inverse of `ax12a.signed_magnitude`."""
+    return min(-value, 1023) | 0x400 if value < 0 else min(value, 1023)
+
+
+def measure(numbers: array[float], counts: array[int], table: bytearray, i: int, noise_tick: float) -> int:
+    """Bring what servo i measures up to date in its control table; the error bits that stand.
+
+    Args:
+        noise_tick: Of the position.
+    """
+    at, of = ARM_NUMBERS + i * JOINT_NUMBERS, ARM_COUNTS + i * JOINT_COUNTS
+    enabled = table[TORQUE_ENABLE_AT] != 0
+    position, speed = counts[of + FROZEN], 0
+    if position < 0:
+        position = sensed_tick(numbers[at + SHAFT] / TICK_RAD + noise_tick)
+        speed = round(numbers[at + OMEGA] / SPEED_UNIT_RAD_S)
+    if not enabled and counts[of + FOLLOWS]:
+        table[GOAL_AT], table[GOAL_AT + 1] = position & 0xFF, position >> 8
+    shown_speed, shown_load = to_signed_magnitude(speed), to_signed_magnitude(round(numbers[at + OUTPUT] * LOAD_MAX))
+    table[POSITION_AT], table[POSITION_AT + 1] = position & 0xFF, position >> 8
+    table[SPEED_AT], table[SPEED_AT + 1] = shown_speed & 0xFF, shown_speed >> 8
+    table[LOAD_AT], table[LOAD_AT + 1] = shown_load & 0xFF, shown_load >> 8
+    table[VOLTAGE_AT] = min(max(round(numbers[at + SERVO_V] * 10.0), 0), 255)
+    table[TEMPERATURE_AT] = min(max(round(numbers[at + DEGC]), 0), 255)
+    moving = enabled and (speed != 0 or numbers[at + REFERENCE] != table[GOAL_AT] + 256.0 * table[GOAL_AT + 1])
+    table[MOVING_AT] = 1 if moving else 0
+    return alarms(numbers, counts, at, of)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,6 @@ from armctl.sim.drive import Drive
 from armctl.sim.joint import Joint
 from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
-from armctl.sim.state import State
 from armctl.sim.steps import STEP_S, hand_torque, output_at, sensed_tick
 
 SPEC = ArmSpec()
@@ -46,9 +44,8 @@ class PlainJoint:
 
     def as_integrated(self, servo: SimulatedServo, drive: Drive) -> Joint:
         """The same joint in the state of an arm that has no other."""
+        servo.state.set_spec(SPEC)
         joint = Joint(
-            State(SPEC, 1, 0, array("d", [0.0, 0.0])),
-            0,
             servo,
             direction=self.direction,
             zero_rad=2.6,
@@ -67,7 +64,6 @@ class PlainJoint:
         joint.load, joint.rate = self.load, STEP_S / self.inertia
         joint.dead_motor = self.dead_motor
         joint.hold(self.held)
-        joint.freeze(servo.frozen_tick)
         joint.drive_by(drive)
         return joint
 
@@ -168,9 +164,7 @@ def turn(joint: Joint, count: int, pull: tuple[float, float, int] | None) -> boo
     counts[steps.PULLS], counts[steps.STIRRED], joint.ahead = pull is not None, 0, 0
     if pull is not None:
         numbers[joint.at + steps.AIM], numbers[joint.at + steps.AIM_SPEED], counts[steps.STEP] = pull
-    joint.look()
     joint.state.turn(0, count)
-    joint.show()
     return bool(counts[steps.STIRRED])
 
 

@@ -25,8 +25,10 @@ from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import Fault, Faults
 from armctl.sim.gravity import laid_out, links_of
 from armctl.sim.spec import RANDOM_SPEC
-from armctl.sim.state import State
+from armctl.sim.state import Seat, State
 from tests.sim.conftest import sync_write
+
+MEASURED = frozenset(r.name for r in ax12a.REGISTERS if r.name.startswith("present_")) | {"moving"}
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +88,56 @@ def test_machine_code_gives_the_same_bits(
 def test_machine_code_reads_the_same_ticks(plain: ModuleType, position_tick: float) -> None:
     assert steps.compiled()
     assert steps.sensed_tick(position_tick) == plain.sensed_tick(position_tick)
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    shaft=number(-0.5, 6.8),
+    omega=st.sampled_from([0.0, -7.0]) | number(-13.0, 13.0),
+    output=number(-1.0, 1.0),
+    supply=st.tuples(number(-1.0, 30.0), number(-20.0, 300.0)),
+    frozen_tick=st.sampled_from([-1, -1, -1, 0, 700]),
+    follows=st.booleans(),
+    overloaded=st.booleans(),
+    table=st.binary(min_size=ax12a.TABLE_SIZE, max_size=ax12a.TABLE_SIZE),
+    noise_tick=number(-2.0, 2.0),
+)
+def test_machine_code_measures_the_same(
+    plain: ModuleType,
+    shaft: float,
+    omega: float,
+    output: float,
+    supply: tuple[float, float],
+    frozen_tick: int,
+    follows: bool,
+    overloaded: bool,
+    table: bytes,
+    noise_tick: float,
+) -> None:
+    assert steps.compiled()
+    state = State(2)
+    seat = Seat(state, 1)
+    for place, value in (
+        *((steps.SHAFT, shaft), (steps.OMEGA, omega), (steps.OUTPUT, output), (steps.REFERENCE, 700.0)),
+        *((steps.SERVO_V, supply[0]), (steps.DEGC, supply[1])),
+    ):
+        state.numbers[seat.at + place] = value
+    for place, whole in (
+        *((steps.FROZEN, frozen_tick), (steps.FOLLOWS, follows), (steps.OVERLOADED, overloaded)),
+        *((steps.MAX_DEGC, table[11]), (steps.MIN_DV, table[12]), (steps.MAX_DV, table[13])),
+    ):
+        state.counts[seat.of + place] = whole
+    here, there = bytearray(table), bytearray(table)
+    view: Any = np.frombuffer(there, np.uint8)
+    numbers, counts, _ = state.views
+    alarms = steps.measure(numbers, counts, view, 1, noise_tick)
+    assert plain.measure(state.numbers, state.counts, here, 1, noise_tick) == alarms
+    assert here == there
+    for register in ax12a.REGISTERS:
+        if register.name not in ("goal_position", *MEASURED):
+            assert ax12a.register_value(register, bytes(here), 0) == ax12a.register_value(register, table, 0)
+        elif register.name in MEASURED:
+            assert register.minimum <= ax12a.register_value(register, bytes(here), 0) <= register.maximum
 
 
 @settings(deadline=None, max_examples=300)
@@ -155,7 +207,7 @@ def test_machine_code_plays_the_same_arm(
         simulated.advance(now_ns, int(rng.integers(6)) if rng.random() < 0.5 else None)
         if rng.random() < 0.2:
             simulated.true_positions()
-        overloaded |= simulated.servos[1].overloaded
+        overloaded |= simulated.servos[1].overloaded != 0
         hot |= simulated.servos[2].get(ax12a.TORQUE_LIMIT) == 0
     assert overloaded
     assert hot
