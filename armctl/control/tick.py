@@ -64,10 +64,9 @@ class Registers(NamedTuple):
     @property
     def settings(self) -> int:
         """What only torque-on writes, margins, slopes, punch and torque limit, as one number to compare."""
-        number = 0
-        for value in (self.cw_margin, self.ccw_margin, self.cw_slope, self.ccw_slope, self.punch, self.torque_limit):
-            number = number << 10 | value
-        return number
+        margins = self.cw_margin << 10 | self.ccw_margin
+        slopes = self.cw_slope << 10 | self.ccw_slope
+        return (margins << 20 | slopes) << 20 | self.punch << 10 | self.torque_limit
 
 
 _BLOCK = struct.Struct("<6B6H6BH")

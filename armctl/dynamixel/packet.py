@@ -61,14 +61,15 @@ class BadChecksum:
 
 
 def _encode(servo_id: int, code: int, parameters: bytes, highest_id: int) -> bytes:
+    length = len(parameters) + 2
     if not 0 <= servo_id <= highest_id:
         raise ValueError(f"servo id {servo_id} is outside 0..{highest_id}")
     if not 0 <= code <= 0xFF:
         raise ValueError(f"code {code} is no byte")
-    if len(parameters) + 2 > MAX_LENGTH:
+    if length > MAX_LENGTH:
         raise ValueError(f"{len(parameters)} parameters; a packet holds at most {MAX_LENGTH - 2}")
-    body = bytes((servo_id, len(parameters) + 2, code)) + parameters
-    return HEADER + body + bytes((~sum(body) & 0xFF,))
+    checksum = ~(servo_id + length + code + sum(parameters)) & 0xFF
+    return b"\xff\xff%c%c%c%b%c" % (servo_id, length, code, parameters, checksum)
 
 
 def encode_instruction(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
