@@ -156,14 +156,15 @@ class SimulatedBus:
             self._list_hearers()
         hearers = self._hearers.get(to, ())
         faults = arm.faults
-        if len(hearers) == 1 and not faults.pending:  # most packets by far
-            arm.advance(time_ns, hearers[0])
-            servo = arm.servos[hearers[0]]
-            delay_ns = servo.return_delay_ns
-            status = None if servo.booting else servo.handle(packet)
-            if status is not None:
-                self._quiet_ns = max(time_ns + delay_ns, self._quiet_ns)
-                self._speak(status, byte_ns, 0)
+        if not faults.pending and (len(hearers) == 1 or to == BROADCAST_ID):  # nearly all: one reply at most
+            arm.advance(time_ns, hearers[0] if len(hearers) == 1 else None)
+            for i in hearers:
+                servo = arm.servos[i]
+                delay_ns = servo.return_delay_ns
+                status = None if servo.booting else servo.handle(packet)
+                if status is not None:
+                    self._quiet_ns = max(time_ns + delay_ns, self._quiet_ns)
+                    self._speak(status, byte_ns, 0)
             return
         arm.advance(time_ns)
         if faults.in_force("dead_bus"):

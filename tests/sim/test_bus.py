@@ -97,6 +97,35 @@ def test_servo_at_another_baud_hears_nothing(arm: ArmConfig) -> None:
     assert replies(bus) == [Packet(1, 0)]
 
 
+def told(bus: SimulatedBus, servo_id: int, instruction: Instruction, parameters: bytes = b"") -> int | None:
+    """The error byte of the reply to one more packet; None: nobody answers."""
+    bus.receive(encode_instruction(servo_id, instruction, parameters), BEGIN_NS)
+    answers = replies(bus)
+    assert len(answers) < 2
+    return answers[0].code if answers and isinstance(answers[0], Packet) else None
+
+
+def test_who_hears_the_host_changes_with_ids_and_bauds(arm: ArmConfig) -> None:
+    bus = SimulatedBus(SimulatedArm(arm))
+    assert told(bus, 1, Instruction.WRITE, bytes((ax12a.ID.address, 9))) == 0
+    assert told(bus, 1, Instruction.PING) is None
+    assert told(bus, 9, Instruction.WRITE, bytes((ax12a.BAUD.address, 34))) == 0
+    assert told(bus, 9, Instruction.PING) is None
+    bus.baud = 57_600
+    assert told(bus, 2, Instruction.PING) is None
+    assert told(bus, 9, Instruction.PING) == 0
+    bus.arm.servos[1].set(ax12a.BAUD, 34)
+    assert told(bus, 2, Instruction.PING) == 0
+    for servo in bus.arm.servos:
+        servo.set(ax12a.BAUD, 34)
+    assert told(bus, 0xFE, Instruction.RESET) is None
+    assert {servo.servo_id for servo in bus.arm.servos} == {1}
+    assert told(bus, 1, Instruction.PING) is None
+    bus.baud = 1_000_000
+    bus.arm.servos[3].set(ax12a.ID, 200)
+    assert told(bus, 200, Instruction.PING) == 0
+
+
 def test_two_servos_with_one_id_corrupt_each_others_reply(arm: ArmConfig) -> None:
     bus = SimulatedBus(SimulatedArm(arm))
     bus.arm.servos[2].set(ax12a.ID, 2)
