@@ -121,9 +121,7 @@ def _linear_jacobian(robot: Robot, q: Sequence[float]) -> list[list[float]]:
 
 
 def _joint_velocities(J: list[list[float]], tool_m_s: Sequence[float], joints: int) -> list[float]:
-    (a, b, c), (_, d, e), (_, _, f) = (
-        [sum(x * y for x, y in zip(row, column, strict=True)) for column in J] for row in J
-    )
+    (a, b, c), (_, d, e), (_, _, f) = ([_dot(row, column) for column in J] for row in J)
     a, d, f = a + DAMPING_M2, d + DAMPING_M2, f + DAMPING_M2
     # The inverse of a symmetric 3x3 matrix by its cofactors.
     A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
@@ -131,10 +129,16 @@ def _joint_velocities(J: list[list[float]], tool_m_s: Sequence[float], joints: i
     determinant = a * A + b * B + c * C
     x, y, z = tool_m_s
     force = (A * x + B * y + C * z, B * x + D * y + E * z, C * x + E * y + F * z)
-    velocities = [
-        sum(row[i] * value for row, value in zip(J, force, strict=True)) / determinant for i in range(len(J[0]))
-    ]
+    velocities = [(x * force[0] + y * force[1] + z * force[2]) / determinant for x, y, z in zip(*J, strict=True)]
     return velocities + [0.0] * (joints - len(velocities))
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    """Scalar product of what both have; Python's own sum of floats rounds differently from 3.12 on."""
+    total = 0.0
+    for x, y in zip(a, b, strict=False):
+        total += x * y
+    return total
 
 
 def _slower(arm: ArmConfig, J: list[list[float]], velocity: Sequence[float]) -> list[float]:
@@ -142,7 +146,8 @@ def _slower(arm: ArmConfig, J: list[list[float]], velocity: Sequence[float]) -> 
     ratio = max(
         abs(v) / min(SPEED_RAD_S, joint.speed_limit_rad_s) for v, joint in zip(velocity, arm.joints, strict=True)
     )
-    tool_m_s = math.hypot(*(sum(x * v for x, v in zip(row, velocity, strict=False)) for row in J))
+    tool = [_dot(row, velocity) for row in J]
+    tool_m_s = math.sqrt(_dot(tool, tool))
     ratio = max(1.0, ratio, tool_m_s / arm.tool_speed_limit_m_s)
     return [v / ratio for v in velocity]
 

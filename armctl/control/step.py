@@ -2,7 +2,8 @@
 
 Rules.
 1. All time comes from the inputs, all memory is in the state: the same inputs give the same outputs, bit for
-   bit, which is what makes every log a test.
+   bit, which is what makes every log a test. On every machine: no sine, power, sum or matrix product is a library's,
+   which may round otherwise in its next version.
 2. Goals are positions of the trajectory one tick ahead; what stops feeding goals stops the arm within two.
 3. A stop runs the trajectory's own time down to zero within `STOP_S`, so the arm stays on its path.
 4. Torque is enabled only by the energising sequence, on request, at the position the arm has; it is disabled

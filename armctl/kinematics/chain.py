@@ -5,8 +5,8 @@ Modified:  A_i = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)
 
 with theta_i = q_i + offset_i. A frame is four columns, axes X, Y, Z and origin P, each with the poses side by side
 (shape (3, m)): turning about z mixes X and Y, twisting about x mixes Y and Z, and what a table has as zero is left
-out. Products are written out elementwise (no BLAS) and summed in a fixed order, so that the same input gives the
-same bits for one pose and for a batch.
+out. Products are written out elementwise (no BLAS) and summed in a fixed order, with sines of our own, so that the
+same input gives the same bits for one pose and for a batch, here and on another machine.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 
+from armctl.kinematics.sine import cos_sin, cos_sin_of_all
 from armctl.kinematics.transform import FloatArray
 
 BLOCK = 2048
@@ -61,18 +62,18 @@ class SerialChain:
             if abs(quarter - round(quarter)) < 1e-14:
                 pairs.append(((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4])
             else:
-                pairs.append((float(np.cos(row.alpha)), float(np.sin(row.alpha))))
+                pairs.append(cos_sin(row.alpha))
         return tuple(pairs)
 
     @cached_property
-    def _offsets(self) -> FloatArray | None:
-        """Shape (n,); None where all are zero."""
-        return np.array([row.offset for row in self.rows]) if any(row.offset for row in self.rows) else None
+    def _offsets(self) -> FloatArray:
+        """Shape (n, 1)."""
+        return np.array([[row.offset] for row in self.rows])
 
     @cached_property
-    def _table(self) -> tuple[tuple[float, float, float, float], ...]:
-        """Of each row a, d, and the cosine and sine of alpha."""
-        return tuple((row.a, row.d, *trig) for row, trig in zip(self.rows, self._alpha_trig, strict=True))
+    def _table(self) -> tuple[tuple[float, float, float, float, float], ...]:
+        """Of each row offset, a, d, and the cosine and sine of alpha."""
+        return tuple((row.offset, row.a, row.d, *trig) for row, trig in zip(self.rows, self._alpha_trig, strict=True))
 
 
 def link_frames(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -125,14 +126,14 @@ def tool_pose(chain: SerialChain, q: Sequence[float]) -> tuple[Axis, Axis, Axis,
     Args:
         q: Joint positions [rad], n of them.
     """
-    return _frames_of_one(chain, np.array(q, dtype=np.float64))[-1]
+    return _frames_of_one(chain, q)[-1]
 
 
 def tool_position(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Tool point in the base frame [m], shape (..., 3), of joint positions q [rad], shape (..., n)."""
     flat = _flat(chain, q)
     if len(flat) == 1:
-        return np.array(_frames_of_one(chain, flat[0])[-1][3]).reshape(*np.shape(q)[:-1], 3)
+        return np.array(_frames_of_one(chain, flat[0].tolist())[-1][3]).reshape(*np.shape(q)[:-1], 3)
     points = np.empty((len(flat), 3))
     for begin in range(0, len(flat), BLOCK):
         *_, (_, _, _, P) = _frames(chain, flat[begin : begin + BLOCK])
@@ -152,7 +153,7 @@ def jacobian(chain: SerialChain, q: FloatArray) -> FloatArray:
     """
     flat = _flat(chain, q)
     if len(flat) == 1:
-        return np.array(_jacobian_of_one(chain, flat[0])).reshape(*np.shape(q)[:-1], 6, chain.n)
+        return np.array(_jacobian_of_one(chain, flat[0].tolist())).reshape(*np.shape(q)[:-1], 6, chain.n)
     J = np.empty((len(flat), 6, chain.n))
     for begin in range(0, len(flat), BLOCK):
         block = slice(begin, begin + BLOCK)
@@ -203,10 +204,7 @@ def _flat(chain: SerialChain, q: FloatArray) -> FloatArray:
 def _frames(chain: SerialChain, q: FloatArray) -> Iterator[Columns]:
     """Every link frame, and the tool frame if it is another, of q, shape (m, n)."""
     X, Y, Z, P = _BASE
-    angles = np.ascontiguousarray(q.T)
-    if chain._offsets is not None:
-        angles = angles + chain._offsets[:, None]
-    cosines, sines = np.cos(angles), np.sin(angles)
+    cosines, sines = cos_sin_of_all(np.ascontiguousarray(q.T) + chain._offsets)
     for row, (ca, sa), c, s in zip(chain.rows, chain._alpha_trig, cosines, sines, strict=True):
         if chain.convention == "standard":
             if row.a != 0.0:
@@ -237,8 +235,8 @@ def _twist(Y: FloatArray, Z: FloatArray, ca: float, sa: float) -> tuple[FloatArr
     return ca * Y + sa * Z, ca * Z - sa * Y
 
 
-def _frames_of_one(chain: SerialChain, q: FloatArray) -> list[tuple[Axis, Axis, Axis, Axis]]:
-    """The frames of one configuration q, shape (n,), in plain floats.
+def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, Axis, Axis, Axis]]:
+    """The frames of one configuration q, n joint positions, in plain floats.
 
     For one pose of five joints most of numpy's time is its own, and the control step asks for it every tick. Same
     products in the same order as `_frames`, hence the same bits, but for the sign of a zero.
@@ -246,9 +244,9 @@ def _frames_of_one(chain: SerialChain, q: FloatArray) -> list[tuple[Axis, Axis, 
     x0, x1, x2, y0, y1, y2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     p0 = p1 = p2 = 0.0
     standard = chain.convention == "standard"
-    angles = q if chain._offsets is None else q + chain._offsets
     frames = []
-    for (a, d, ca, sa), c, s in zip(chain._table, np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True):
+    for (offset, a, d, ca, sa), angle in zip(chain._table, q, strict=True):
+        c, s = cos_sin(angle + offset)
         if standard:
             if a != 0.0:
                 ac, as_ = a * c, a * s
@@ -295,8 +293,8 @@ def _frames_of_one(chain: SerialChain, q: FloatArray) -> list[tuple[Axis, Axis, 
     return frames
 
 
-def _jacobian_of_one(chain: SerialChain, q: FloatArray) -> list[list[float]]:
-    """Rows of the Jacobian at q, shape (n,); see `joint_axes` for the axes."""
+def _jacobian_of_one(chain: SerialChain, q: Sequence[float]) -> list[list[float]]:
+    """Rows of the Jacobian at q, n joint positions; see `joint_axes` for the axes."""
     frames = [_BASE_OF_ONE, *_frames_of_one(chain, q)]
     first = 0 if chain.convention == "standard" else 1
     t0, t1, t2 = frames[-1][3]

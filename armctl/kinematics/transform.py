@@ -37,8 +37,10 @@ def quaternion_from_columns(
         q = (m01 + m10, 1.0 - m00 + m11 - m22, m12 + m21, m02 - m20)
     else:
         q = (m02 + m20, m12 + m21, 1.0 - m00 - m11 + m22, m10 - m01)
-    norm = math.sqrt(sum(c * c for c in q)) * (-1.0 if q[3] < 0.0 else 1.0)
-    return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+    x, y, z, w = q
+    # Written out: Python's own sum of floats rounds differently from 3.12 on, and logs are replayed there.
+    norm = math.sqrt(x * x + y * y + z * z + w * w) * (-1.0 if w < 0.0 else 1.0)
+    return x / norm, y / norm, z / norm, w / norm
 
 
 def matrix_from_quaternion(quaternion: tuple[float, float, float, float]) -> FloatArray:

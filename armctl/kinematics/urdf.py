@@ -21,6 +21,7 @@ from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import DHRow, SerialChain, link_frames
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.sine import cos_sin
 from armctl.kinematics.transform import FloatArray, rpy_from_matrix
 
 BASE = "base_link"
@@ -44,7 +45,7 @@ def moving_frames(arm: ArmConfig, robot: Robot, q: FloatArray) -> FloatArray:
     n = robot.chain.n
     frames = list(link_frames(robot.chain, q[:n])[1 : n + 1])
     for position in q[n : len(arm.joints)].tolist():
-        frames.append(frames[-1] @ _rotation_x(position))
+        frames.append(_turned_about_x(frames[-1], position))
     return np.array(frames)
 
 
@@ -113,11 +114,12 @@ def _inverse(T: FloatArray) -> FloatArray:
     return inverse
 
 
-def _rotation_x(angle: float) -> FloatArray:
-    T = np.eye(4)
-    c, s = math.cos(angle), math.sin(angle)
-    T[1:3, 1:3] = [[c, -s], [s, c]]
-    return T
+def _turned_about_x(T: FloatArray, angle: float) -> FloatArray:
+    """Written out: a linear algebra library may round differently on another machine, and logs are replayed there."""
+    c, s = cos_sin(angle)
+    turned = T.copy()
+    turned[:, 1], turned[:, 2] = c * T[:, 1] + s * T[:, 2], c * T[:, 2] - s * T[:, 1]
+    return turned
 
 
 def _vector(values: FloatArray) -> str:

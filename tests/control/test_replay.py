@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from armctl import messages
 from armctl.config import Config
 from armctl.kinematics import robots
+from armctl.kinematics.sine import cos_sin
 from armctl.messages import (
     Clear,
     Command,
@@ -51,7 +59,9 @@ def test_reading_commands_leaves_nothing_behind() -> None:
     assert messages._adapter.cache_info().currsize == known
 
 
-def test_a_log_with_every_command_replays_without_a_mismatch(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def story(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
+    """The log of a story with every command, and its ticks."""
     rig = Rig()
     rig.ticks(3)
     rig.ticks(15, TorqueOn(1))
@@ -65,7 +75,7 @@ def test_a_log_with_every_command_replays_without_a_mismatch(tmp_path: Path) -> 
     rig.ticks(2, Jog(30, tool_m_s=(0.0, 0.0, 0.05), begin=True), Pause(31))
     rig.ticks(8)
     assert rig.mode() is Mode.HOLDING
-    rig.ticks(3, Park(40))
+    rig.ticks(8, Park(40))
     rig.ticks(5, Hold(41))
     rig.simulated.servos[2].protect(overloaded=True)
     rig.ticks(5)
@@ -77,11 +87,59 @@ def test_a_log_with_every_command_replays_without_a_mismatch(tmp_path: Path) -> 
     assert {code for code in rig.codes() if code.startswith("JOG")} == {"JOG_BEGIN", "JOG_END"}
 
     robot = robots.get(ARM.robot, ARM.lengths_m)
-    path = tmp_path / "story.mcap"
+    path = tmp_path_factory.mktemp("story") / "story.mcap"
     writer = LogWriter(path, LogContext(ARM, robot, Config(), "/dev/robot", 0.1))
     for record in rig.records:
         writer.write_tick(record)
     writer.close()
+    return path, len(rig.records)
+
+
+def test_a_log_with_every_command_replays_without_a_mismatch(story: tuple[Path, int]) -> None:
+    path, ticks = story
     result = replay.check(path)
     assert (result.mismatches, result.first_mismatch) == (0, "")
-    assert result.ticks == len(rig.records) - 1
+    assert result.ticks == ticks - 1
+
+
+def rounded_elsewhere(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function on another machine: its last bit is another."""
+
+    def other(*arguments: Any, **options: Any) -> Any:
+        result = function(*arguments, **options)
+        return np.nextafter(result, np.inf) if isinstance(result, float | np.ndarray) else result
+
+    return other
+
+
+def test_a_log_replays_the_same_where_libraries_round_otherwise(
+    story: tuple[Path, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sines by another C library, `sum` and `hypot` of another Python, powers by another numpy."""
+    path, _ = story
+    for module in (np, math):
+        for name in ("cos", "sin", "tan", "hypot", "exp", "pow", "power", "atan2", "arctan2", "dist"):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, rounded_elsewhere(getattr(module, name)))
+    monkeypatch.setattr("builtins.sum", rounded_elsewhere(sum))
+    cos_sin.cache_clear()
+    result = replay.check(path)
+    cos_sin.cache_clear()
+    assert (result.mismatches, result.first_mismatch) == (0, "")
+
+
+CHECK = """
+import pathlib, sys
+from armctl.recording.replay import check
+result = check(pathlib.Path(sys.argv[1]))
+print(result.messages, result.mismatches)
+"""
+
+
+def test_a_log_replays_the_same_on_a_processor_without_fused_products(story: tuple[Path, int]) -> None:
+    """Where the C library is glibc for x86, which is told here that this is such a processor."""
+    fewer = {**os.environ, "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F"}
+    checked = subprocess.run([sys.executable, "-c", CHECK, story[0]], env=fewer, capture_output=True, check=True)
+    messages, mismatches = map(int, checked.stdout.split())
+    assert messages > 300
+    assert mismatches == 0
