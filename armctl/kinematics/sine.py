@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +29,6 @@ PARTS_RAD = (
     float.fromhex("0x1.3198a2e037073p-69"),
 )
 """Of pi/2: its first 33 bits, the next 33 and the next 53."""
-SINE = tuple((-1.0) ** i / math.factorial(2 * i + 1) for i in range(8, 0, -1))
-COSINE = tuple((-1.0) ** i / math.factorial(2 * i) for i in range(9, 1, -1))
-"""Coefficients from the highest power down, without those of the first powers."""
 
 
 @lru_cache(maxsize=8192)
@@ -39,23 +37,7 @@ def cos_sin(angle: float) -> tuple[float, float]:
     if not -LARGEST_RAD <= angle <= LARGEST_RAD:
         return float(np.cos(angle)), float(np.sin(angle))
     turns = round(angle * QUARTERS_PER_RAD)
-    first, second, third = PARTS_RAD
-    rest, way = angle - turns * first, turns * second
-    x = rest - way
-    bent = rest - x
-    low = ((rest - (x + bent)) + (bent - way)) - turns * third
-    x, low = x + low, (x - (x + low)) + low
-    z = x * x
-    half = 0.5 * z
-    c = -1 / 6402373705728000 * z + 1 / 20922789888000
-    c = ((c * z - 1 / 87178291200) * z + 1 / 479001600) * z - 1 / 3628800
-    c = ((c * z + 1 / 40320) * z - 1 / 720) * z + 1 / 24
-    s = 1 / 355687428096000 * z - 1 / 1307674368000
-    s = ((s * z + 1 / 6227020800) * z - 1 / 39916800) * z + 1 / 362880
-    s = ((s * z - 1 / 5040) * z + 1 / 120) * z - 1 / 6
-    near = 1.0 - half
-    c = near + (((1.0 - near) - half) + (z * z * c - x * low))
-    s = x + (x * z * s + low * near)
+    c, s = _beyond_turns(angle, turns)
     turns &= 3
     if turns == 0:
         return c, s
@@ -74,26 +56,30 @@ def cos_sin_of_all(angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         c, s = cos_sin_of_all(np.where(beyond, 0.0, angles))
         return np.where(beyond, np.cos(angles), c), np.where(beyond, np.sin(angles), s)
     turns = np.rint(angles * QUARTERS_PER_RAD)
-    first, second, third = PARTS_RAD
-    rest, way = angles - turns * first, turns * second
-    x = rest - way
-    bent = rest - x
-    low = ((rest - (x + bent)) + (bent - way)) - turns * third
-    x, low = x + low, (x - (x + low)) + low
-    z = x * x
-    half = 0.5 * z
-    c, s = np.full_like(z, COSINE[0]), np.full_like(z, SINE[0])
-    for of_cosine, of_sine in zip(COSINE[1:], SINE[1:], strict=True):
-        c *= z
-        c += of_cosine
-        s *= z
-        s += of_sine
-    near = 1.0 - half
-    c = near + (((1.0 - near) - half) + (z * z * c - x * low))
-    s = x + (x * z * s + low * near)
+    c, s = _beyond_turns(angles, turns)
     quarter = turns.astype(np.int64) & 3
     odd = (quarter & 1) != 0
     c, s = np.where(odd, s, c), np.where(odd, c, s)
     np.negative(c, out=c, where=(quarter + 1 & 2) != 0)
     np.negative(s, out=s, where=(quarter & 2) != 0)
     return c, s
+
+
+def _beyond_turns(angle: Any, turns: Any) -> tuple[Any, Any]:
+    """Cosine and sine of what an angle has beyond so many quarter turns; floats and arrays take the same operations."""
+    first, second, third = PARTS_RAD
+    rest, way = angle - turns * first, turns * second
+    x = rest - way
+    bent = rest - x
+    low = ((rest - (x + bent)) + (bent - way)) - turns * third
+    x, low = x + low, (x - (x + low)) + low
+    z = x * x
+    c = -1 / 6402373705728000 * z + 1 / 20922789888000
+    c = ((c * z - 1 / 87178291200) * z + 1 / 479001600) * z - 1 / 3628800
+    c = ((c * z + 1 / 40320) * z - 1 / 720) * z + 1 / 24
+    s = 1 / 355687428096000 * z - 1 / 1307674368000
+    s = ((s * z + 1 / 6227020800) * z - 1 / 39916800) * z + 1 / 362880
+    s = ((s * z - 1 / 5040) * z + 1 / 120) * z - 1 / 6
+    half = 0.5 * z
+    near = 1.0 - half
+    return near + (((1.0 - near) - half) + (z * z * c - x * low)), x + (x * z * s + low * near)
