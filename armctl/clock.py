@@ -11,7 +11,7 @@ import os
 import time
 from typing import Protocol
 
-NS_PER_S = 1_000_000_000
+from armctl.messages import NS_PER_S as NS_PER_S
 
 
 class Clock(Protocol):

@@ -1,4 +1,4 @@
-"""YAML files -> frozen configuration, once, strictly.
+"""YAML text -> frozen configuration, strictly; `armctl.files` says where the files are and reads them.
 
 Two files exist. `Config` says how the daemon runs (`armctl.yaml`, optional: every key has a default).
 `ArmConfig` describes one physical arm (`calibration/NAME.yaml`). Units stand in the key; angles are degrees in
@@ -13,10 +13,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import re
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
@@ -340,88 +338,3 @@ def validate(model: type[M], data: object, file: str) -> M:
         first, *rest = lines
         text = first[1] + "".join(f"\n  {key}: {message}" for key, message in rest)
         raise ConfigError(file, first[0], text) from None
-
-
-def read_text(path: Path, what: str) -> str:
-    """A configuration file's text.
-
-    Raises:
-        ConfigError: it cannot be read.
-    """
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(str(path), "", f"cannot read the {what}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigError(str(path), "", f"the {what} is not UTF-8 text") from None
-
-
-def calibration_dirs() -> tuple[Path, ...]:
-    """Folders searched for an arm's name, first hit wins."""
-    package = Path(__file__).resolve().parent
-    config_home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
-    return (
-        config_home / "armctl" / "calibration",
-        Path("/etc/armctl/calibration"),
-        package / "calibration",
-        package.parent / "calibration",
-    )
-
-
-def find_arm_file(arm: str) -> Path:
-    """The calibration file of an arm given by name or path.
-
-    Raises:
-        ConfigError: there is none; the message lists the known names.
-    """
-    if "/" in arm or arm.endswith((".yaml", ".yml")):
-        return Path(arm)
-    known: set[str] = set()
-    for folder in calibration_dirs():
-        path = folder / f"{arm}.yaml"
-        if re.fullmatch(NAME_PATTERN, arm) and path.is_file():
-            return path
-        known.update(found.stem for found in folder.glob("*.yaml") if folder.is_dir())
-    raise ConfigError(
-        arm, "", "no such arm", f"known: {', '.join(sorted(known)) or 'none'}; or give the path of a calibration file"
-    )
-
-
-def load_arm(arm: str) -> ArmConfig:
-    """The arm of that name or path."""
-    path = find_arm_file(arm)
-    return validate(ArmConfig, parse_yaml(read_text(path, "calibration"), str(path)), str(path))
-
-
-def load_config(path: str | None = None) -> Config:
-    """The daemon's configuration: `path`, else `ARMCTL_CONFIG`, else the user's or the system's file, else defaults."""
-    chosen = path or os.environ.get("ARMCTL_CONFIG")
-    if chosen:
-        return validate(Config, parse_yaml(read_text(Path(chosen), "configuration"), chosen), chosen)
-    config_home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
-    for candidate in (config_home / "armctl" / "armctl.yaml", Path("/etc/armctl/armctl.yaml")):
-        if candidate.is_file():
-            return validate(Config, parse_yaml(read_text(candidate, "configuration"), str(candidate)), str(candidate))
-    return Config()
-
-
-def data_dir(config: Config) -> Path:
-    """Folder that holds `logs/`, `recordings/` and `plans/`."""
-    if config.data_dir:
-        return Path(config.data_dir)
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "armctl"
-
-
-def socket_path(override: str | None = None) -> Path:
-    """Where the daemon listens: `override`, else `ARMCTL_SOCKET`, else the user's or the service's socket."""
-    chosen = override or os.environ.get("ARMCTL_SOCKET")
-    if chosen:
-        return Path(chosen)
-    service = Path("/run/armctl/armctl.sock")
-    try:
-        if service.exists():
-            return service
-    except PermissionError:  # there is a service, for another group
-        return service
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    return (Path(runtime) if runtime else data_dir(Config())) / "armctl.sock"

@@ -15,6 +15,8 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter
 
+NS_PER_S = 1_000_000_000
+
 # ---------------------------------------------------------------------------------------------- bus -> step
 
 

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.config import MAX_YAML_BYTES, MAX_YAML_DEPTH, find_arm_file, parse_yaml
+from armctl.config import MAX_YAML_BYTES, MAX_YAML_DEPTH, parse_yaml
 from armctl.errors import ConfigError
+from armctl.files import find_arm_file
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from armctl.config import ArmConfig, load_arm, validate
+from armctl.config import ArmConfig, validate
 from armctl.errors import ConfigError
+from armctl.files import load_arm
 
 GRIPPER = {"joint": "gripper", "open_deg": 0.0, "closed_deg": 90.0}
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from armctl.cli.help import TOPICS
-from armctl.installation import UNITS
+from armctl.commissioning.installation import UNITS
 
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = {"armctl": "armctl", "calibration": "armctl/calibration", "systemd": "armctl/systemd"}
@@ -86,9 +86,9 @@ def test_the_wheel_alone_finds_every_page_calibration_unit_and_table(python: Pyt
         f"""
 from importlib.resources import files
 from armctl.cli.help import page
-from armctl.config import load_arm
-from armctl.installation import template
-from armctl.reproduce.paper_000 import printed
+from armctl.files import load_arm
+from armctl.commissioning.installation import template
+from armctl.papers.paper_000 import printed
 from armctl.web.app import STATIC
 
 assert all(page(topic).startswith("# ") for topic in {list(TOPICS)})

@@ -64,8 +64,8 @@ def calibrate_command(
     """
     from armctl.commissioning import calibration
     from armctl.commissioning.eeprom import write_new
-    from armctl.config import find_arm_file, load_arm, load_config
     from armctl.errors import RequestRefused
+    from armctl.files import find_arm_file, load_arm, load_config
 
     if sum(choice is not None for choice in (points, readings, zero_at, sag or None)) != 1:
         raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero and --sag")
@@ -167,9 +167,9 @@ def _calibrate_sag(output: Output, config: Config, socket: str | None) -> None:
     import numpy as np
 
     from armctl.client import Client
-    from armctl.config import load_arm
-    from armctl.experiment import calibrate_sag, stored
-    from armctl.experiment.run import DaemonRig
+    from armctl.files import load_arm
+    from armctl.lab import calibrate_sag, stored
+    from armctl.lab.run import DaemonRig
 
     with Client(socket) as client, output.progress("calibration lines", calibrate_sag.LINES) as show:
         rig = DaemonRig(client, load_arm(config.arm))

@@ -29,7 +29,7 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
 
     Example: armctl demo --out demo
     """
-    from armctl import demo
+    from armctl.lab import demo
 
     result = demo.run(out.absolute(), seed, output.progress)
     if not output.result(result):

@@ -11,7 +11,7 @@ from armctl.cli.output import HOLDS, POINT, Output, config_option, output_option
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
-    from armctl.experiment.line import Via
+    from armctl.lab.line import Via
 
 Point = tuple[float, float, float]
 
@@ -118,10 +118,10 @@ def line_command(
     --virtual
     """
     from armctl.client import Client
-    from armctl.config import load_arm, load_config
     from armctl.errors import ConfigError
-    from armctl.experiment import session
-    from armctl.experiment.run import DaemonRig
+    from armctl.files import load_arm, load_config
+    from armctl.lab import session
+    from armctl.lab.run import DaemonRig
 
     if period_s is not None and not virtual:
         raise ConfigError(

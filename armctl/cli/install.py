@@ -12,7 +12,7 @@ import click
 from armctl.cli.output import F, Output, output_option
 
 if TYPE_CHECKING:
-    from armctl.installation import Act
+    from armctl.commissioning.installation import Act
 
 
 def acting_options(function: F) -> F:
@@ -52,8 +52,8 @@ def install_command(
 
     Example: sudo armctl install --port /dev/ttyUSB0
     """
+    from armctl.commissioning.installation import SYSTEM, installation, missing_commands
     from armctl.errors import ConfigError
-    from armctl.installation import SYSTEM, installation, missing_commands
 
     acts = installation(arm=arm, port=port, user=user, prefix=prefix)
     missing = missing_commands(acts) if root == SYSTEM and not dry_run else []
@@ -75,13 +75,13 @@ def uninstall_command(output: Output, dry_run: bool, root: Path) -> int:
 
     Example: sudo armctl uninstall --dry-run
     """
-    from armctl.installation import removal
+    from armctl.commissioning.installation import removal
 
     return _carry_out(output, removal(), root, dry_run, "left: /etc/armctl, /var/lib/armctl, the user and group armctl")
 
 
 def _carry_out(output: Output, acts: Sequence[Act], root: Path, dry_run: bool, done: str) -> int:
-    from armctl.installation import carry_out
+    from armctl.commissioning.installation import carry_out
 
     told: list[dict[str, object]] = []
 

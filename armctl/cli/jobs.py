@@ -384,9 +384,9 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
 def _optimize_here(
     recordings: tuple[str, ...], config_file: str | None, wanted: dict[str, Any], progress: Any
 ) -> dict[str, Any]:
-    from armctl.config import data_dir, load_arm, load_config
+    from armctl.files import data_dir, load_arm, load_config
     from armctl.genetic.algorithm import Settings
-    from armctl.jobs import OptimizeRequest, optimize_task
+    from armctl.host.jobs import OptimizeRequest, optimize_task
 
     config = load_config(config_file)
     folder = data_dir(config) / "recordings"
@@ -418,7 +418,7 @@ def run_command(output: Output, plan: Path, socket: str | None) -> None:
     Example: armctl run plan-via2.json
     """
     from armctl.client import Client
-    from armctl.config import read_text
+    from armctl.files import read_text
     from armctl.trajectory.plan import plan_from_text
 
     parsed = plan_from_text(read_text(plan, "plan"), str(plan))

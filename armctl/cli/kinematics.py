@@ -360,7 +360,7 @@ def _improved(robot: Robot, target: Target, present: list[float] | None, polish:
 def _evolve(method: Any, robot: Robot, target: Target, present: list[float] | None, polish: bool, seed: int) -> Answer:
     import numpy as np
 
-    from armctl.genetic.inverse_kinematics.solve import solve
+    from armctl.kinematics.genetic.solve import solve
 
     near = None if present is None else np.array(present)
     return solve(robot, target, method=method, present=near, polish=polish, seed=seed)

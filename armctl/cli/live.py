@@ -32,9 +32,9 @@ def live_command(
 
     Example: armctl live --layout armctl.json; armctl live
     """
-    from armctl import live
-    from armctl.config import load_arm, load_config
+    from armctl.files import load_arm, load_config
     from armctl.recording.edit import new_file
+    from armctl.web import live
 
     if layout is not None:
         with new_file(layout) as stream:

@@ -124,8 +124,8 @@ def _report(output: Output, log: Path, report: Path, answer: dict[str, Any]) -> 
 def _onto_sim(output: Output, log: Path, arm: str | None, foreign: bool, seed: int) -> int:
     from dataclasses import asdict
 
-    from armctl import rehearsal
-    from armctl.config import load_arm, load_config
+    from armctl.files import load_arm, load_config
+    from armctl.lab import rehearsal
 
     timeline = _loaded(output, log)
     played = load_arm(arm or load_config().arm)

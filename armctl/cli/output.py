@@ -143,7 +143,7 @@ INSTALL = re.compile(r"pip install '[^']+'")
 def _workspace_command(socket: str | None) -> str:
     """What shows where the arm in question can reach: the daemon's arm, without a daemon the configured one."""
     from armctl.client import Client
-    from armctl.config import calibration_dirs, load_arm, load_config
+    from armctl.files import calibration_dirs, load_arm, load_config
 
     with suppress(ArmctlError):
         arms = [load_arm(load_config().arm)]

@@ -49,8 +49,8 @@ def daemon_command(
     """
     import logging
 
-    from armctl.config import load_arm, load_config, socket_path
-    from armctl.daemon import serve
+    from armctl.files import load_arm, load_config, socket_path
+    from armctl.host.daemon import serve
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     config = load_config(config_file)
@@ -97,7 +97,7 @@ def sim_command(
 
     Example: armctl sim --link /tmp/servos
     """
-    from armctl.config import load_arm, read_text
+    from armctl.files import load_arm, read_text
     from armctl.sim import pty
     from armctl.sim.faults import Fault, parse
 

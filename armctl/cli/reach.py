@@ -127,8 +127,8 @@ def transfer_command(
     cycle = Cycle(pick_m, place_m, height_m, lift_s, carry_s, dwell_s, cycles)
     answer = {}
     if virtual is not None:
-        from armctl.config import load_arm
-        from armctl.experiment.transfer import record
+        from armctl.files import load_arm
+        from armctl.lab.transfer import record
 
         if log_path is None:
             raise ConfigError("armctl transfer", "--log", "--virtual needs a file for its log", "give --log FILE.mcap")

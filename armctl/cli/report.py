@@ -21,8 +21,8 @@ def report_command(output: Output, out: Path | None, config_file: str | None) ->
 
     Example: armctl report --out armctl-report.zip
     """
-    from armctl import bundle
-    from armctl.config import load_config
+    from armctl.commissioning import bundle
+    from armctl.files import load_config
 
     path = out or Path(f"armctl-report-{datetime.now():%Y%m%d-%H%M%S}.zip")
     files = bundle.write(path, load_config(config_file), config_file or "", lambda part: output.say(f"  {part}"))

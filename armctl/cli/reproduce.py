@@ -13,7 +13,7 @@ from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
     from armctl.kinematics.errata import Erratum
-    from armctl.report.reproduce import PaperReport
+    from armctl.papers.page import PaperReport
 
 PAPERS = ("000", "001", "002", "003", "004")
 
@@ -31,10 +31,10 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
 
     Example: armctl reproduce all --out reproduction
     """
-    from armctl.report import reproduce as report
-    from armctl.reproduce.errata import errata
-    from armctl.reproduce.run import reproduce
-    from armctl.reproduce.verdict import FULL, QUICK
+    from armctl.papers import page as report
+    from armctl.papers.errata import errata
+    from armctl.papers.run import reproduce
+    from armctl.papers.verdict import FULL, QUICK
 
     papers = PAPERS if paper == "all" else (paper,)
     reports = reproduce(papers, QUICK if quick else FULL, seed, output.progress)
@@ -65,7 +65,7 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
 
 
 def show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page: Path | None) -> None:
-    from armctl.report.reproduce import shown
+    from armctl.papers.page import shown
 
     for report in reports:
         rows = [(row.quantity, shown(row.printed), shown(row.armctl), row.unit, row.verdict) for row in report.rows]

@@ -40,7 +40,7 @@ def set_id_command(
     Example: armctl servo set-id 1 4
     """
     from armctl.commissioning.eeprom import set_id
-    from armctl.config import load_config
+    from armctl.files import load_config
 
     with opened(make_bus(load_config(config_file), port, baud)) as bus:
         set_id(bus, old, new)
@@ -61,7 +61,7 @@ def set_baud_command(
     Example: armctl servo set-baud 1 1000000 --baud 57600
     """
     from armctl.commissioning.eeprom import set_baud
-    from armctl.config import load_config
+    from armctl.files import load_config
 
     config = load_config(config_file)
     with opened(make_bus(config, port, baud)) as bus:
@@ -95,8 +95,8 @@ def set_return_delay_command(
     Example: armctl servo set-return-delay all 0
     """
     from armctl.commissioning.eeprom import require_writable, write_register
-    from armctl.config import load_arm, load_config
     from armctl.dynamixel import ax12a
+    from armctl.files import load_arm, load_config
 
     config = load_config(config_file)
     if servo != "all" and not servo.isdecimal():
@@ -125,7 +125,7 @@ def set_command(
     Example: armctl servo set 3 ccw_angle_limit 1006
     """
     from armctl.commissioning.eeprom import SETTABLE, write_register
-    from armctl.config import load_config
+    from armctl.files import load_config
 
     known = {known.name: known for known in SETTABLE}
     if register not in known:
@@ -157,7 +157,7 @@ def eeprom_save(
     Example: armctl servo eeprom save before.yaml
     """
     from armctl.commissioning.eeprom import save
-    from armctl.config import load_arm, load_config
+    from armctl.files import load_arm, load_config
 
     config = load_config(config_file)
     with opened(make_bus(config, port, baud)) as bus:
@@ -176,7 +176,7 @@ def eeprom_diff(output: Output, file: Path, port: str | None, baud: int | None, 
     Example: armctl servo eeprom diff before.yaml
     """
     from armctl.commissioning.eeprom import differences, load
-    from armctl.config import load_config
+    from armctl.files import load_config
 
     snapshot = load(file)
     with opened(make_bus(load_config(config_file), port, baud)) as bus:
@@ -201,7 +201,7 @@ def eeprom_restore(
     Example: armctl servo eeprom restore before.yaml --servo 3
     """
     from armctl.commissioning.eeprom import load, restore
-    from armctl.config import load_config
+    from armctl.files import load_config
 
     snapshot = load(file)
     with opened(make_bus(load_config(config_file), port, baud)) as bus:

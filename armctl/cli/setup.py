@@ -90,7 +90,7 @@ def scan_command(output: Output, port: str | None, baud: str | None, config_file
     Example: armctl scan --port /dev/ttyUSB0 --baud all
     """
     from armctl.commissioning.scan import USUAL_BAUDS, scan
-    from armctl.config import load_config
+    from armctl.files import load_config
 
     if baud is not None and baud != "all" and not baud.isdecimal():
         raise click.BadParameter(f"{baud!r} is neither a number nor `all`", param_hint="--baud")
@@ -160,8 +160,8 @@ def doctor_command(
     """
     from armctl.client import Client
     from armctl.commissioning import doctor
-    from armctl.config import data_dir, load_arm, load_config
     from armctl.errors import NoDaemon
+    from armctl.files import data_dir, load_arm, load_config
 
     config = load_config(config_file)
     described = load_arm(arm or config.arm)

@@ -23,8 +23,8 @@ def web_command(output: Output, port: int, socket: str | None, config_file: str 
 
     Example: armctl web
     """
-    from armctl.config import load_arm, load_config, socket_path
-    from armctl.service_manager import notify
+    from armctl.files import load_arm, load_config, socket_path
+    from armctl.host.service_manager import notify
     from armctl.web.server import serve
 
     config = load_config(config_file)

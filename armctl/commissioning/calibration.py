@@ -34,10 +34,11 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from armctl.clock import Clock
-from armctl.config import ArmConfig, parse_yaml, read_text, validate
+from armctl.config import ArmConfig, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, ServoBus
 from armctl.errors import ConfigError, PortGone, RequestRefused
+from armctl.files import read_text
 from armctl.kinematics import robots
 from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.robots.robot import Robot

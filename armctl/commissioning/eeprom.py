@@ -20,11 +20,12 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from armctl.commissioning.scan import scan
-from armctl.config import parse_yaml, read_text, validate
+from armctl.config import parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
 from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, PORT_GONE, ServoBus
 from armctl.errors import ConfigError, PortGone, RequestRefused
+from armctl.files import read_text
 from armctl.messages import Write
 
 EEPROM_REGISTERS = tuple(register for register in ax12a.REGISTERS if register.eeprom)

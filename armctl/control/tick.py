@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import SETTLING
 from armctl.control.machine import Settle, State, Trigger, replace, transition
 from armctl.dynamixel import ax12a
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (
+    NS_PER_S,
     Event,
     Fault,
     Goal,

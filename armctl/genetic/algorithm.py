@@ -27,8 +27,7 @@ import numpy as np
 from armctl.errors import ConfigError
 from armctl.genetic import operators
 from armctl.genetic.shortest_path import window_search
-from armctl.genetic.triple_cost import IntArray
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.genetic.triple_cost import IntArray, triples
-from armctl.kinematics.transform import FloatArray
+from armctl.genetic.triple_cost import triples
+from armctl.kinematics.transform import FloatArray, IntArray
 
 
 def fitness_from_cost(cost: FloatArray) -> FloatArray:

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armctl.genetic.triple_cost import IntArray
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, IntArray
 
 
 def shortest_path(cost: Sequence[FloatArray] | FloatArray) -> IntArray:

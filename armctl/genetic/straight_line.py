@@ -22,10 +22,10 @@ from armctl.genetic.alignment import Candidates, align
 from armctl.genetic.free_path import free_path
 from armctl.genetic.path_cost import PathCost, path_cost
 from armctl.genetic.shortest_path import shortest_path
-from armctl.genetic.triple_cost import IntArray, evaluate
+from armctl.genetic.triple_cost import evaluate
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.trajectory.interpolate import Interpolation, time_of_progress
 from armctl.trajectory.placement import Objective, place
 from armctl.trajectory.plan import Plan

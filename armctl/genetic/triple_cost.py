@@ -7,11 +7,8 @@ enough for anything that depends on a gene, its speed and its acceleration.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from armctl.kinematics.transform import FloatArray
-
-IntArray = NDArray[np.intp]
+from armctl.kinematics.transform import FloatArray, IntArray
 
 
 def evaluate(table: FloatArray, genes: IntArray) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 
 def quaternion_from_matrix(R: FloatArray) -> tuple[float, float, float, float]:

@@ -6,50 +6,26 @@ Every figure that stands for several runs says their spread. Where a true tool p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 from armctl.report import pareto, picture
-from armctl.report.line import COLOURS, PAPER_ROWS, LineRun, along_and_off, errors_mm, layout, space_figure
+from armctl.report.line import (
+    COLOURS,
+    PAPER_ROWS,
+    ExperimentReport,
+    LineRun,
+    along_and_off,
+    errors_mm,
+    layout,
+    space_figure,
+)
 from armctl.report.page import Page, plotly
 from armctl.trajectory.straightness import distance_to_line
 
 BEFORE = "#b9c2cd"
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What became of one number of via points."""
-
-    via: int | str
-    before: LineRun
-    """The plain plan on the arm as it is."""
-    runs: Sequence[LineRun]
-    """The best corrected plan, repeated."""
-    rounds: Sequence[LineRun]
-    """Each correction in order, from the plain plan on."""
-
-
-@dataclass(frozen=True, eq=False)
-class ExperimentReport:
-    """Everything the page shows; what is empty is left out."""
-
-    from_m: FloatArray
-    to_m: FloatArray
-    outcomes: Sequence[Outcome]
-    best_cost_mm: Sequence[float] = ()
-    """Of the genetic algorithm, by generation."""
-    exact_mean_mm: float | None = None
-    limits: Sequence[dict[str, Any]] = ()
-    """True mean errors [mm] with one effect switched off: `via`, `without` (None: with all), `before_mm`, `after_mm`,
-    `spread_mm`, `ticks_mm`, `unseen_mm`."""
-    fronts: Sequence[dict[str, Any]] = ()
-    """Rows of `armctl study pareto`."""
-    notes: Sequence[str] = field(default_factory=tuple)
 
 
 def write(report: ExperimentReport, path: Path) -> None:

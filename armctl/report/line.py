@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,37 @@ class LineRun:
     truth_time_s: FloatArray | None = None
     truth_tool_m: FloatArray | None = None
     """By an outside measurement (the simulator's true pose), where there is one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one number of via points."""
+
+    via: int | str
+    before: LineRun
+    """The plain plan on the arm as it is."""
+    runs: Sequence[LineRun]
+    """The best corrected plan, repeated."""
+    rounds: Sequence[LineRun]
+    """Each correction in order, from the plain plan on."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentReport:
+    """Everything the page shows; what is empty is left out."""
+
+    from_m: FloatArray
+    to_m: FloatArray
+    outcomes: Sequence[Outcome]
+    best_cost_mm: Sequence[float] = ()
+    """Of the genetic algorithm, by generation."""
+    exact_mean_mm: float | None = None
+    limits: Sequence[dict[str, Any]] = ()
+    """True mean errors [mm] with one effect switched off: `via`, `without` (None: with all), `before_mm`, `after_mm`,
+    `spread_mm`, `ticks_mm`, `unseen_mm`."""
+    fronts: Sequence[dict[str, Any]] = ()
+    """Rows of `armctl study pareto`."""
+    notes: Sequence[str] = field(default_factory=tuple)
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,11 @@ from __future__ import annotations
 import html
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.line import LineRun, along_and_off, errors_mm
-
-if TYPE_CHECKING:
-    from armctl.report.experiment import ExperimentReport
+from armctl.report.line import ExperimentReport, LineRun, along_and_off, errors_mm
 
 WIDTH = 800
 MARGIN = 24

@@ -21,9 +21,9 @@ import numpy as np
 
 from armctl.config import ArmConfig, GripperConfig
 from armctl.errors import RequestRefused, UnreachableTarget
-from armctl.genetic.inverse_kinematics import solve as genetic
 from armctl.kinematics import solution
 from armctl.kinematics.chain import forward_kinematics, link_frames
+from armctl.kinematics.genetic import solve as genetic
 from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray

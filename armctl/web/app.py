@@ -25,10 +25,11 @@ from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
 
 from armctl import __version__
-from armctl.api.jsonrpc import ProtocolError, error_data, strict_json
-from armctl.api.methods import Confirmed, Optimize
-from armctl.config import NAME_PATTERN, ArmConfig, Config, Name, data_dir
+from armctl.config import NAME_PATTERN, ArmConfig, Config, Name
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
+from armctl.files import data_dir
+from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
+from armctl.host.methods import Confirmed, Optimize
 from armctl.kinematics import robots
 from armctl.kinematics.chain import link_frames, tool_position
 from armctl.recording import reader, recordings

@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
-from armctl.async_client import AsyncClient
+from armctl.client.asynchronous import AsyncClient
 from armctl.errors import ArmctlError, NoDaemon
 
 RETRY_S = 0.5

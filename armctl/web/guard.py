@@ -17,7 +17,7 @@ import json
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
-from armctl.api.jsonrpc import MAX_LINE_BYTES, ProtocolError, strict_json
+from armctl.host.jsonrpc import MAX_LINE_BYTES, ProtocolError, strict_json
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]

@@ -16,7 +16,6 @@ import pytest
 from armctl.cli import PURPOSES, cli, main
 from armctl.cli.output import HOLDS, POINT, Output, next_command
 from armctl.client import Client
-from armctl.config import find_arm_file
 from armctl.errors import (
     ArmctlError,
     BusError,
@@ -26,6 +25,7 @@ from armctl.errors import (
     RequestRefused,
     UnreachableTarget,
 )
+from armctl.files import find_arm_file
 
 COMMANDS = cli.list_commands(click.Context(cli))
 

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from armctl.cli import main
-from armctl.config import Config, load_arm
-from armctl.experiment import stored
-from armctl.experiment.line import errors_mm
-from armctl.experiment.refine import Line
-from armctl.experiment.rig import Measured, VirtualRig
-from armctl.experiment.tool_points import COLUMNS
+from armctl.config import Config
+from armctl.files import load_arm
+from armctl.lab import stored
+from armctl.lab.line import errors_mm
+from armctl.lab.refine import Line
+from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.tool_points import COLUMNS
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
-from tests.experiment.daemon import SimulatedDaemon
 from tests.genetic import hand
 from tests.host.doubles import write_take
+from tests.lab.daemon import SimulatedDaemon
 
 A, B = (0.18, -0.1, 0.10), (0.18, 0.1, 0.10)
 LINE = ["experiment", "line", "--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10"]

@@ -9,7 +9,7 @@ import pytest
 
 from armctl.cli import main
 from armctl.kinematics.errata import Erratum
-from armctl.reproduce import errata
+from armctl.papers import errata
 
 
 def test_json_holds_rows_and_errata(capsys: pytest.CaptureFixture[str]) -> None:

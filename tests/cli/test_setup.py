@@ -17,8 +17,8 @@ import pytest
 
 from armctl.cli import main, setup
 from armctl.commissioning.calibration import Readings, readings_text
-from armctl.config import find_arm_file, load_arm
 from armctl.dynamixel import ax12a
+from armctl.files import find_arm_file, load_arm
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
 
 

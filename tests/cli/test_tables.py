@@ -27,12 +27,12 @@ from armctl.commissioning.calibration import Fit, Parameter
 from armctl.commissioning.doctor import Check
 from armctl.commissioning.eeprom import Difference
 from armctl.commissioning.scan import FoundServo
-from armctl.config import load_arm
+from armctl.files import load_arm
 from armctl.kinematics.errata import Erratum
+from armctl.lab.study.limits import WITHOUT
+from armctl.papers.page import PaperReport, Row
 from armctl.recording import timeline
 from armctl.recording.player import Player
-from armctl.report.reproduce import PaperReport, Row
-from armctl.study.limits import WITHOUT
 from tests.recording.simulated import simulated_records, write_log
 
 COLUMNS = 80

@@ -17,10 +17,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from proving.rig import hold
 
 from armctl.client import Client
-from armctl.demo import program
-from armctl.proving.rig import hold
+from armctl.lab.demo import program
 
 pytestmark = pytest.mark.pty
 PATIENCE_S = 30.0

@@ -8,8 +8,9 @@ import numpy as np
 
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.commissioning.calibration import Touch, read_ticks
-from armctl.config import ArmConfig, load_arm
+from armctl.config import ArmConfig
 from armctl.dynamixel.bus import ServoBus
+from armctl.files import load_arm
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm

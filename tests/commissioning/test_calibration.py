@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from armctl.commissioning import calibration
 from armctl.commissioning.calibration import Fit, Readings, Touch, fit, read_ticks, recalibrated, zeroed
-from armctl.config import ArmConfig, load_arm, parse_yaml, validate
+from armctl.config import ArmConfig, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, PortGone, RequestRefused
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points

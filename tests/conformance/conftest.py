@@ -18,11 +18,11 @@ from pathlib import Path
 import pytest
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock, VirtualClock
-from armctl.config import load_arm
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, Decoder, Instruction, Packet, encode_instruction
 from armctl.dynamixel.port import SerialPort, ServoPort
+from armctl.files import load_arm
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort

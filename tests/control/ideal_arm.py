@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from armctl.config import ArmConfig, load_arm
+from armctl.config import ArmConfig
 from armctl.control.machine import State
 from armctl.control.step import step
 from armctl.dynamixel import ax12a
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.messages import Command, Connected, Inputs, Mode, Outputs, Reply, Sample, ServoReading
 

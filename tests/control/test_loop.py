@@ -9,12 +9,12 @@ from itertools import pairwise
 import pytest
 
 from armctl.clock import VirtualClock
-from armctl.config import load_arm
 from armctl.control.link import Link, LinkClosed, Ready
 from armctl.control.loop import ControlLoop
 from armctl.control.machine import State
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import Instruction
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.messages import (
     Clear,

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.config import load_arm
 from armctl.control.requests import START_TOLERANCE_RAD
 from armctl.control.sequences import SOFT_TORQUE, sample_trajectory
 from armctl.control.step import step
 from armctl.control.tick import MINIMUM_SPEED_UNITS
 from armctl.dynamixel import ax12a
+from armctl.files import load_arm
 from armctl.messages import (
     Clear,
     Command,

@@ -25,9 +25,9 @@ import pytest
 from armctl.cli import cli
 from armctl.cli.help import DOCS, TOPICS, page
 from armctl.cli.processes import DEFAULT_LINK
-from armctl.config import load_arm
 from armctl.control.faults import CODES, NEXT, WHAT
-from armctl.demo import program
+from armctl.files import load_arm
+from armctl.lab.demo import program
 
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 RUN_PAGES = ("start", "arm", "api", "new-arm")

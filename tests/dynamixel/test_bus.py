@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.clock import VirtualClock
-from armctl.config import ArmConfig, load_arm
+from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import BUS_NOISE, NO_REPLY, PORT_GONE, PROBE_EVERY, SILENT_MISSES, ServoBus
 from armctl.dynamixel.port import ServoPort
 from armctl.errors import PortGone
+from armctl.files import load_arm
 from armctl.messages import Goal, Sample, ServoReading, Write
 
 BYTE_NS = 10_000

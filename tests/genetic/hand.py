@@ -6,7 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from armctl.config import ArmConfig, load_arm
+from armctl.config import ArmConfig
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import jacobian
 from armctl.kinematics.inverse import solve_position

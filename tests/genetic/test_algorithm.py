@@ -7,8 +7,8 @@ import pytest
 
 from armctl.errors import ConfigError
 from armctl.genetic.algorithm import DEFAULT, PAPER, GeneticAlgorithm, Settings
-from armctl.genetic.triple_cost import IntArray, evaluate
-from armctl.kinematics.transform import FloatArray
+from armctl.genetic.triple_cost import evaluate
+from armctl.kinematics.transform import FloatArray, IntArray
 
 PLAIN = replace(
     DEFAULT, population=40, crossover="one cut", mutation_probability=0.05, charge_shares=(1.0,), searches=0

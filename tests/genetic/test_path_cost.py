@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from armctl.genetic.alignment import Candidates
 from armctl.genetic.path_cost import PathCost, path_cost
-from armctl.genetic.triple_cost import IntArray, evaluate
-from armctl.kinematics.transform import FloatArray
+from armctl.genetic.triple_cost import evaluate
+from armctl.kinematics.transform import FloatArray, IntArray
 
 SPEED, ACCELERATION = np.array([1.0, 2.0]), np.array([8.0, 10.0])
 

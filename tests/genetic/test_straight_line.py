@@ -11,9 +11,8 @@ from armctl.genetic.algorithm import DEFAULT, PAPER, Settings
 from armctl.genetic.free_path import MOST_OFFSET_RAD
 from armctl.genetic.path_cost import POWER
 from armctl.genetic.straight_line import StraightLineResult, optimize
-from armctl.genetic.triple_cost import IntArray
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.trajectory.interpolate import Interpolation
 from armctl.trajectory.placement import Objective
 from armctl.trajectory.plan import plan_from_text, plan_to_text, preflight

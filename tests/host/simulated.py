@@ -10,12 +10,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from armctl.api.host import Host
 from armctl.clock import VirtualClock
-from armctl.config import ArmConfig, Config, LogConfig, load_arm
+from armctl.config import ArmConfig, Config, LogConfig
 from armctl.control.link import Link
 from armctl.control.loop import ControlLoop
 from armctl.dynamixel.bus import ServoBus
+from armctl.files import load_arm
+from armctl.host.host import Host
 from armctl.kinematics import robots
 from armctl.messages import Command, Mode, TickRecord
 from armctl.recording import replay

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from armctl.async_client import AsyncClient
+from armctl.client.asynchronous import AsyncClient
 from armctl.errors import NoDaemon, RequestRefused
 
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from armctl.api import jsonrpc
 from armctl.client import Client
 from armctl.errors import (
     ArmctlError,
@@ -25,6 +24,7 @@ from armctl.errors import (
     RequestRefused,
     UnreachableTarget,
 )
+from armctl.host import jsonrpc
 
 PATIENCE_S = 20.0
 

@@ -19,14 +19,15 @@ from typing import Any, TypeVar
 
 import pytest
 
-from armctl import daemon, service_manager
 from armctl.client import Client
 from armctl.clock import NS_PER_S, VirtualClock
-from armctl.config import Config, load_arm
+from armctl.config import Config
 from armctl.control.link import StartFailed
 from armctl.control.process import ControlSettings
-from armctl.daemon import MAX_DEATHS, PATIENT_WAIT_S, listen, restart_wait_s, run_daemon
 from armctl.errors import ArmctlError, BusError, ConfigError, NoDaemon, PortBusy, PortGone, PortMissing, RequestRefused
+from armctl.files import load_arm
+from armctl.host import daemon, service_manager
+from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, listen, restart_wait_s, run_daemon
 from armctl.messages import Hold, Mode
 from armctl.recording.writer import LogContext
 from tests.control.ideal_arm import IdealArm

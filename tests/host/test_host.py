@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armctl.api import exchange
-from armctl.api import host as host_module
-from armctl.api.host import Host
-from armctl.api.motions import Target
 from armctl.clock import VirtualClock
 from armctl.control.link import Link
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, LogError, RequestRefused
+from armctl.host import exchange
+from armctl.host import host as host_module
+from armctl.host.host import Host
+from armctl.host.motions import Target
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import rpy_from_matrix
 from armctl.messages import Hold, Mode, Reply, Run, TeachEnd, TickRecord

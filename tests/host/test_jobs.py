@@ -13,7 +13,7 @@ import pytest
 
 from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT
-from armctl.jobs import OptimizeRequest, Progress, optimize_task, run_job
+from armctl.host.jobs import OptimizeRequest, Progress, optimize_task, run_job
 from armctl.trajectory.plan import plan_from_text
 from tests.genetic import hand
 from tests.host.doubles import write_take

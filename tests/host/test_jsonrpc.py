@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.api import jsonrpc
-from armctl.api.jsonrpc import MAX_DEPTH, MAX_LINE_BYTES, ProtocolError, TokenBucket, decode
 from armctl.errors import ConfigError, IllegalTransition, LogError, PortBusy, RequestRefused, UnreachableTarget
+from armctl.host import jsonrpc
+from armctl.host.jsonrpc import MAX_DEPTH, MAX_LINE_BYTES, ProtocolError, TokenBucket, decode
 
 
 def request(**changes: Any) -> bytes:

@@ -11,14 +11,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from armctl.api.host import Host
-from armctl.api.methods import Methods, describe
-from armctl.api.server import Connection
 from armctl.clock import VirtualClock
 from armctl.config import validate
 from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT
-from armctl.jobs import OptimizeRequest, Progress
+from armctl.host.host import Host
+from armctl.host.jobs import OptimizeRequest, Progress
+from armctl.host.methods import Methods, describe
+from armctl.host.server import Connection
 from armctl.recording.recordings import Recording, load
 from tests.genetic import hand
 from tests.host.doubles import MemoryRecorder, write_take

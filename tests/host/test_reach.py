@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.api.motions import Target
-from armctl.api.reach import Wanted, reach
 from armctl.errors import RequestRefused
+from armctl.host.motions import Target
+from armctl.host.reach import Wanted, reach
 from armctl.kinematics.chain import tool_position
 from armctl.messages import Mode, TickRecord
 from armctl.trajectory.grasp import Method

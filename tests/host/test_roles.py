@@ -8,7 +8,7 @@ import pwd
 
 import pytest
 
-from armctl.api.roles import may_command
+from armctl.host.roles import may_command
 
 NOBODY = next(user for user in pwd.getpwall() if user.pw_uid not in (0, os.getuid()))
 NO_USER = 3_999_999_999

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from armctl.api import jsonrpc, server
-from armctl.api.server import BURST, MAX_SNAPSHOTS, Connection, Method, Server
 from armctl.clock import Clock, MonotonicClock, VirtualClock
 from armctl.errors import RequestRefused
+from armctl.host import jsonrpc, server
+from armctl.host.server import BURST, MAX_SNAPSHOTS, Connection, Method, Server
 
 PATIENCE_S = 20.0
 

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from armctl.clock import NS_PER_S
-from armctl.config import ArmConfig, Config, LogConfig, load_arm
+from armctl.config import ArmConfig, Config, LogConfig
 from armctl.control.machine import State
 from armctl.control.step import step
 from armctl.dynamixel import ax12a
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (

@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from armctl.proving.damage import UnsyncedDisk
-from armctl.proving.log_rig import repeated
+from proving.damage import UnsyncedDisk
+from proving.log_rig import repeated
+
 from armctl.recording.compact import compact
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, CONTEXT, make_records

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
+from proving.damage import UnsyncedDisk, chunk_places
+from proving.log_rig import repeated
 
 from armctl.errors import LogError
 from armctl.messages import TickRecord
-from armctl.proving.damage import UnsyncedDisk, chunk_places
-from armctl.proving.log_rig import repeated
 from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
 from armctl.recording.disk import Disk

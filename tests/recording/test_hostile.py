@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from proving import hostile
 
 from armctl.errors import LogError
-from armctl.proving import hostile
 from armctl.recording import reader
 from armctl.recording.chunks import MAGIC
 
@@ -19,7 +19,7 @@ MIB = 2**20
 _PEAK = """
 import resource, sys
 from pathlib import Path
-from armctl.proving.hostile import read_all
+from proving.hostile import read_all
 resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
 for name in sys.argv[1:]:
     read_all(Path(name))

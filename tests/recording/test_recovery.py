@@ -6,10 +6,10 @@ import random
 from pathlib import Path
 
 import pytest
+from proving import damage
+from proving.damage import UnsyncedDisk, chunk_places
 
 from armctl.clock import NS_PER_S
-from armctl.proving import damage
-from armctl.proving.damage import UnsyncedDisk, chunk_places
 from armctl.recording.chunks import CHUNK, RECORD
 from armctl.recording.compact import compact
 from armctl.recording.reader import LogFile, LogMessage, info

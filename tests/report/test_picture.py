@@ -11,8 +11,7 @@ import pytest
 
 from armctl.kinematics.transform import FloatArray
 from armctl.report import experiment, picture
-from armctl.report.experiment import ExperimentReport, Outcome
-from armctl.report.line import LineRun
+from armctl.report.line import ExperimentReport, LineRun, Outcome
 
 A, B = np.array([0.18, -0.1, 0.1]), np.array([0.18, 0.1, 0.1])
 SVG = "{http://www.w3.org/2000/svg}"

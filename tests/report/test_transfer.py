@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.config import load_arm
 from armctl.errors import LogError, RequestRefused
-from armctl.experiment import transfer as experiment
-from armctl.experiment.transfer import record
+from armctl.files import load_arm
 from armctl.kinematics import robots
+from armctl.lab import transfer as experiment
+from armctl.lab.transfer import record
 from armctl.recording import replay, timeline
 from armctl.report import transfer as report
 from armctl.report.transfer import QUANTITIES, Transfer

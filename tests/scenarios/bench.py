@@ -24,8 +24,8 @@ import numpy as np
 
 from armctl.client import Client
 from armctl.clock import NS_PER_S
-from armctl.config import load_arm
 from armctl.errors import RequestRefused
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray

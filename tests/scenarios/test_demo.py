@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from armctl import demo
+from armctl.lab import demo
 
 pytestmark = pytest.mark.pty
 

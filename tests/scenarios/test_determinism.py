@@ -11,11 +11,11 @@ from contextlib import ExitStack
 import pytest
 
 from armctl.clock import MonotonicClock
-from armctl.config import load_arm
 from armctl.control.loop import ControlLoop
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.port import SerialPort
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.messages import Mode, Sample, Teach
 from tests.scenarios.bench import LINE_M, Simulator, simulator

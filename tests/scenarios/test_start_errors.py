@@ -13,7 +13,7 @@ import pytest
 import serial
 import yaml
 
-from armctl.config import calibration_dirs
+from armctl.files import calibration_dirs
 from tests.scenarios.bench import Bench, armctl, bench, simulator
 
 pytestmark = pytest.mark.pty
@@ -22,7 +22,7 @@ CALIBRATION = next(folder / "ax12-line.yaml" for folder in calibration_dirs() if
 OTHER_MODEL = """
 import sys
 from pathlib import Path
-from armctl.config import load_arm
+from armctl.files import load_arm
 from armctl.dynamixel import ax12a
 from armctl.sim import pty
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import pytest
 
-from armctl.config import ArmConfig, load_arm
+from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instruction
+from armctl.files import load_arm
 
 
 @pytest.fixture(scope="session")

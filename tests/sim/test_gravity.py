@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from proving.mujoco_arm import mjcf
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.proving.mujoco_arm import mjcf
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.gravity import gravity_loads

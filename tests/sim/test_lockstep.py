@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from armctl.config import load_arm
 from armctl.dynamixel.packet import Instruction, encode_instruction
+from armctl.files import load_arm
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.control import TruthRing

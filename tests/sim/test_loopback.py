@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from armctl.clock import VirtualClock
-from armctl.config import ArmConfig, load_arm
+from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import NO_REPLY, PORT_GONE, ServoBus
 from armctl.errors import PortGone, PortMissing
+from armctl.files import load_arm
 from armctl.messages import Goal, Sample, Write
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus

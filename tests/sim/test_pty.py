@@ -29,7 +29,7 @@ pytestmark = pytest.mark.pty
 PROGRAM = """
 import sys
 from pathlib import Path
-from armctl.config import load_arm
+from armctl.files import load_arm
 from armctl.sim.pty import run
 run(load_arm("ax12-line"), link=Path(sys.argv[1]), ready=lambda link: print("ready", link, flush=True))
 """

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.config import load_arm
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.trajectory.approach import SHORTEST_APPROACH_S, approach_duration_s, approach_trajectory, lowest_link_m

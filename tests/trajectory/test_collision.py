@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.config import load_arm
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain
 from armctl.kinematics.transform import FloatArray

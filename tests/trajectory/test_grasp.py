@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from armctl.config import ArmConfig, load_arm
+from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots.robot import Robot

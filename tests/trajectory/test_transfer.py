@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from armctl.config import load_arm
 from armctl.errors import RequestRefused
+from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.trajectory.transfer import Cycle, motion, transfer_trajectory

@@ -14,7 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.config import Config, load_arm
+from armctl.config import Config
+from armctl.files import load_arm
 from armctl.web.app import create_app
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard, Message
 

@@ -23,8 +23,8 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from armctl.client import Client
-from armctl.demo import FROM_M, TO_M, program
 from armctl.errors import RequestRefused
+from armctl.lab.demo import FROM_M, TO_M, program
 from armctl.sim.control import SimulatorClient, control_path
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

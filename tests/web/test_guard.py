@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.api.jsonrpc import MAX_LINE_BYTES
+from armctl.host.jsonrpc import MAX_LINE_BYTES
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard, Message, Receive, Scope, Send
 
 TOKEN = "the-token"

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.config import load_arm
 from armctl.errors import RequestRefused
+from armctl.files import load_arm
 from armctl.trajectory.plan import Plan, plan_to_text
 from armctl.web import plans
 

@@ -17,8 +17,9 @@ import pytest
 import uvicorn
 
 from armctl.cli import main
-from armctl.config import Config, load_arm
+from armctl.config import Config
 from armctl.errors import ConfigError
+from armctl.files import load_arm
 from armctl.web import server
 from armctl.web.guard import TOKEN_HEADER
 

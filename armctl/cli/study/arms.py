@@ -15,7 +15,7 @@ from armctl.cli.tables import show_table
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armctl.experiment.line import Via
+    from armctl.lab.line import Via
     from armctl.trajectory.placement import Objective
 
 
@@ -50,9 +50,9 @@ def arms_command(
 
     Example: armctl study arms --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 2,stream --arms 20
     """
-    from armctl.config import load_arm, load_config, read_text
-    from armctl.experiment.line import check_via
-    from armctl.study import arms
+    from armctl.files import load_arm, load_config, read_text
+    from armctl.lab.line import check_via
+    from armctl.lab.study import arms
     from armctl.trajectory.plan import plan_from_text
 
     config = load_config(config_file)

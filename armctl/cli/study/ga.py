@@ -47,9 +47,9 @@ def ga_command(
     """
     from dataclasses import replace
 
-    from armctl.config import load_arm, load_config
+    from armctl.files import load_arm, load_config
     from armctl.genetic.algorithm import PROFILES
-    from armctl.study import settings
+    from armctl.lab.study import settings
 
     config = load_config(config_file)
     arm = load_arm(config.arm)

@@ -15,7 +15,7 @@ from armctl.cli.study.pareto import marked_fronts
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
-    from armctl.experiment.line import Via
+    from armctl.lab.line import Via
     from armctl.trajectory.placement import Objective
 
 
@@ -53,10 +53,11 @@ def limits_command(
     """
     import numpy as np
 
-    from armctl.config import load_arm, load_config
-    from armctl.experiment.line import check_via
+    from armctl.files import load_arm, load_config
+    from armctl.lab.line import check_via
+    from armctl.lab.study import arms, limits, pareto
     from armctl.report import experiment as page
-    from armctl.study import arms, limits, pareto
+    from armctl.report.line import ExperimentReport
 
     check_via(via)
     config = load_config(config_file)
@@ -82,7 +83,7 @@ def limits_command(
             scheduler,
         )
         page.write(
-            page.ExperimentReport(
+            ExperimentReport(
                 from_m=np.array(from_m),
                 to_m=np.array(to_m),
                 outcomes=found[0].outcomes,

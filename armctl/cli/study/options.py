@@ -46,7 +46,7 @@ def gathered(
     output: Output, label: str, work: Callable[[A], R], cases: Sequence[A], workers: int | None, scheduler: str | None
 ) -> list[R]:
     """Outcomes of the work on every case, in their order, with progress shown."""
-    from armctl.study.workers import carry_out
+    from armctl.lab.study.workers import carry_out
 
     count = workers or len(os.sched_getaffinity(0))
     with output.progress(label, len(cases)) as show:
@@ -65,9 +65,9 @@ def candidates(
     """The named recordings; without names, takes of the simulated hand."""
     import numpy as np
 
-    from armctl.config import data_dir
-    from armctl.experiment.rig import VirtualRig
-    from armctl.jobs import load_takes
+    from armctl.files import data_dir
+    from armctl.host.jobs import load_takes
+    from armctl.lab.rig import VirtualRig
     from armctl.recording import recordings
     from armctl.sim.arm import SimulatedArm
     from armctl.sim.spec import RANDOM_SPEC

@@ -33,8 +33,8 @@ def paper_command(
 
     Example: armctl study paper --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --xlsx angles.xlsx
     """
-    from armctl.config import load_arm, load_config
-    from armctl.study import table_ii
+    from armctl.files import load_arm, load_config
+    from armctl.lab.study import table_ii
 
     config = load_config(config_file)
     arm = load_arm(config.arm)

@@ -14,7 +14,7 @@ from armctl.cli.study.options import PAGE, Point, candidates, gathered, line_opt
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
-    from armctl.study import arms, pareto
+    from armctl.lab.study import arms, pareto
     from armctl.trajectory.placement import Objective
 
 
@@ -51,9 +51,9 @@ def pareto_command(
 
     Example: armctl study pareto --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --arms 4 --report pareto.html
     """
-    from armctl.config import load_arm, load_config
+    from armctl.files import load_arm, load_config
+    from armctl.lab.study import arms, pareto
     from armctl.report import pareto as page
-    from armctl.study import arms, pareto
 
     config = load_config(config_file)
     arm = load_arm(config.arm)
@@ -105,7 +105,7 @@ def marked_fronts(
     scheduler: str | None,
 ) -> list[dict[str, Any]]:
     """Rows of every duration and number of via points, with the truth of the arms that ran them, fronts marked."""
-    from armctl.study import arms, pareto
+    from armctl.lab.study import arms, pareto
 
     rows = [row for some in gathered(output, "optimising", pareto.work, cases, workers, scheduler) for row in some]
     if on_arms:

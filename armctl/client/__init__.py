@@ -1,0 +1,5 @@
+"""Clients of the daemon's socket: one waits for each answer, `asynchronous` lets calls overlap."""
+
+from armctl.client.blocking import Client
+
+__all__ = ["Client"]

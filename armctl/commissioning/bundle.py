@@ -1,0 +1,119 @@
+"""One file that answers the first questions of whoever reads a bug report.
+
+Rules.
+1. Nothing is changed and no servo is written; a part that cannot be had is told in its place, never a reason to stop.
+2. Secrets stay at home: values of keys that sound like one, the user's name and home folder are blotted out of every
+   text. Logs hold joint angles, requests and the arm's calibration, which is what they are wanted for.
+"""
+
+from __future__ import annotations
+
+import getpass
+import json
+import platform
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+
+from armctl import __version__
+from armctl.config import Config
+from armctl.errors import ArmctlError
+from armctl.files import data_dir, find_arm_file
+
+LOG_BYTES = 20 * 2**20
+"""The newest logs, as many as fit into so much."""
+TOOL_TIMEOUT_S = 90
+SECRET = re.compile(r"""(?im)^(\s*["']?[\w-]*(?:token|secret|password|key)[\w-]*["']?\s*[:=]\s*).+$""")
+
+
+def write(path: Path, config: Config, config_file: str, tell: Callable[[str], None]) -> list[str]:
+    """Gather everything into a new zip file.
+
+    Args:
+        path: The file; it must not exist.
+        config_file: What `--config` named, or nothing.
+        tell: Hears of each part as it is gathered.
+    Returns:
+        Names of the files inside.
+    Raises:
+        ArmctlError: the file exists or cannot be written.
+    """
+    try:
+        with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) as archive:
+            for name, gather in _texts(config, config_file):
+                tell(name)
+                archive.writestr(name, blot(gather()))
+            for log in newest_logs(data_dir(config)):
+                tell(log.name)
+                archive.write(log, f"logs/{log.name}")
+            return archive.namelist()
+    except FileExistsError:
+        raise ArmctlError(f"{path} exists; name another file with --out") from None
+    except OSError as error:
+        raise ArmctlError(f"{path}: cannot be written: {error.strerror}; name another file with --out") from None
+
+
+def _texts(config: Config, config_file: str) -> Iterator[tuple[str, Callable[[], str]]]:
+    options = ("--config", config_file) if config_file else ()
+    yield "versions.json", versions
+    yield "configuration.json", lambda: config.model_dump_json(indent=1)
+    yield "calibration.yaml", lambda: _read_calibration(config.arm)
+    yield "status.json", lambda: _said((sys.executable, "-m", "armctl", "status", "--json"))
+    yield "doctor.json", lambda: _said((sys.executable, "-m", "armctl", "doctor", "--json", *options))
+    yield "journal.txt", lambda: _said(("journalctl", "--unit=armctl", "--lines=2000", "--no-pager", "--no-hostname"))
+
+
+def versions() -> str:
+    """armctl, Python, the system, and every package armctl may use."""
+    wanted = {re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in metadata.requires("armctl") or ()}
+    installed = {}
+    for name in sorted(wanted):
+        try:
+            installed[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    facts = {"armctl": __version__, "python": sys.version, "system": platform.platform(), "packages": installed}
+    return json.dumps(facts, indent=1)
+
+
+def _read_calibration(arm: str) -> str:
+    try:
+        return find_arm_file(arm).read_text(encoding="utf-8")
+    except (ArmctlError, OSError, UnicodeDecodeError) as error:
+        return f"# not to be had: {error}\n"
+
+
+def _said(command: tuple[str, ...]) -> str:
+    """What a command printed, on either channel."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=TOOL_TIMEOUT_S)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"not to be had: {error}\n"
+    return done.stdout + done.stderr
+
+
+def newest_logs(data: Path) -> list[Path]:
+    """The newest logs, and what a crash left unfinished, as many as fit into `LOG_BYTES`."""
+    found = []
+    for log in (data / "logs").glob("*.mcap*"):
+        stat = log.stat()
+        found.append((stat.st_mtime_ns, stat.st_size, log))
+    chosen, left = [], LOG_BYTES
+    for _, size, log in sorted(found, reverse=True):
+        left -= size
+        if left < 0:
+            break
+        chosen.append(log)
+    return chosen
+
+
+def blot(text: str) -> str:
+    """The text without the values of secret-sounding keys, and without the user's home folder and name."""
+    text = SECRET.sub(r"\1(left out)", text)
+    text = text.replace(str(Path.home()), "~")
+    user = getpass.getuser()
+    return re.sub(rf"\b{re.escape(user)}\b", "(user)", text) if len(user) > 2 and user != "root" else text

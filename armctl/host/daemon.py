@@ -1,0 +1,343 @@
+"""The host process behind `armctl daemon`: it keeps a control process alive, records it, and serves clients.
+
+Rules.
+1. The port belongs to the control process alone; when that dies, requests under way fail with RESTARTED and a
+   new one is started, which takes the arm as it finds it. Dying often makes the waits longer, never endless.
+2. SIGTERM and SIGINT: the arm comes to rest, the log is closed, torque stays; all within two seconds.
+3. If this process dies, the control process sees its end of the link close, brings the arm to rest and leaves.
+4. The control process starts first, so that the arm is taken in hand while this process still imports what it needs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import socket
+from collections import deque
+from collections.abc import Callable, Coroutine
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from armctl.clock import NS_PER_S, Clock, MonotonicClock
+from armctl.config import ArmConfig, Config
+from armctl.control.link import LinkClosed, Ready, StartFailed
+from armctl.control.process import ControlProcess, ControlSettings
+from armctl.errors import ArmctlError, BusError, ConfigError, PortBusy, PortGone, PortMissing, RequestRefused
+from armctl.files import data_dir
+from armctl.host import service_manager
+from armctl.messages import Reply, TickRecord
+
+if TYPE_CHECKING:
+    from armctl.host.host import Host
+    from armctl.host.teaching import TakeRecorder
+    from armctl.recording.writer import LogContext
+
+    class DaemonRecorder(TakeRecorder, Protocol):
+        """A recorder as the daemon needs it."""
+
+        def close(self) -> None: ...
+
+    MakeRecorder = Callable[[LogContext, Path, Path], DaemonRecorder]
+
+START_S = 20.0
+"""Longest wait for the first tick."""
+STILL_S = 1.0
+"""Longest wait for the arm to come to rest at the end."""
+LEAVE_S = 0.5
+MAX_DEATHS = 5
+DEATHS_WINDOW_NS = 60 * NS_PER_S
+PATIENT_WAIT_S = 5.0
+
+logger = logging.getLogger(__name__)
+
+
+class ControlLink(Protocol):
+    """The host's end of a link."""
+
+    def fileno(self) -> int: ...
+    def send(self, message: object) -> bool: ...
+    def receive(self) -> list[object]: ...
+
+
+class ControlHandle(Protocol):
+    """A control process as its supervisor needs it."""
+
+    @property
+    def pid(self) -> int: ...
+    @property
+    def link(self) -> ControlLink: ...
+    def poll(self) -> int | None: ...
+    def terminate(self, timeout_s: float) -> None: ...
+
+
+class StartControl(Protocol):
+    """Starts a control process; `ControlProcess.start`."""
+
+    def __call__(self, settings: ControlSettings, *, restarted: bool = False) -> ControlHandle: ...
+
+
+def serve(
+    config: Config, arm: ArmConfig, *, port: str, socket: Path, log_dir: Path | None, ready: Callable[[str], None]
+) -> int:
+    """`run_daemon` for callers without an event loop."""
+    return asyncio.run(run_daemon(config, arm, port=port, socket=socket, log_dir=log_dir, ready=ready))
+
+
+async def run_daemon(
+    config: Config,
+    arm: ArmConfig,
+    *,
+    port: str,
+    socket: Path,
+    log_dir: Path | None,
+    ready: Callable[[str], None],
+    start_control: StartControl = ControlProcess.start,
+    make_recorder: MakeRecorder | None = None,
+    clock: Clock | None = None,
+) -> int:
+    """Serve one arm until SIGTERM or SIGINT.
+
+    Args:
+        port: Serial device of the arm.
+        socket: Where clients connect.
+        log_dir: Folder of the log; None: `logs` below the data folder.
+        ready: Called once, with the socket's path, when clients are served.
+        start_control, make_recorder: What starts a control process and makes the recorder; None: a `Recorder`.
+    Returns:
+        Exit status.
+    Raises:
+        BusError: the control process could not take the port.
+        ConfigError: the socket cannot be made there.
+        RequestRefused: another daemon answers on the socket, or the arm never ticked.
+    """
+    clock = clock or MonotonicClock()
+    folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
+    listening = listen(socket)
+    try:
+        settings = ControlSettings(port=port, baud=config.baud, arm=arm, period_s=config.period_s)
+        ending = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, ending.set)
+        control = start_control(settings)
+        try:
+            # While the new process does the same and opens its port; what it sends meanwhile waits in the link.
+            from armctl.host.host import Host
+            from armctl.host.jobs import optimize_task, run_job
+            from armctl.host.methods import Methods
+            from armctl.host.roles import may_command
+            from armctl.host.server import Server
+            from armctl.kinematics import robots
+            from armctl.recording.recorder import Recorder
+            from armctl.recording.writer import LogContext
+
+            robot = robots.get(arm.robot, arm.lengths_m)
+            for folder in folders:
+                await asyncio.to_thread(_recover, folder)
+            context = LogContext(arm=arm, robot=robot, config=config, port=port, period_s=config.period_s)
+            recorder = (make_recorder or Recorder)(context, *folders)
+        except BaseException:
+            control.terminate(LEAVE_S)
+            raise
+        host = Host(arm, robot, config.period_s, recorder, clock)
+        methods = Methods(host, folders[1], partial(run_job, optimize_task))
+        server = Server(
+            methods.table(),
+            clock,
+            on_close=methods.client_gone,
+            may_command=partial(may_command, commanders=config.commanders),
+        )
+
+        def tick(record: TickRecord) -> None:
+            host.receive(record)
+            server.publish(host.status)
+            service_manager.notify("WATCHDOG=1")
+
+        supervisor = Supervisor(lambda: start_control(settings, restarted=True), host, tick, clock)
+        supervising = asyncio.create_task(supervisor.run(control))
+        try:
+            await _first_tick(host, supervising, ending)
+            await server.start(listening)
+            if not ending.is_set():
+                service_manager.notify("READY=1")
+                ready(str(socket))
+            await _first_of(supervising, ending.wait())
+            service_manager.notify("STOPPING=1")
+            await _rest(host)
+            await server.close()
+        finally:
+            supervising.cancel()
+            await asyncio.gather(asyncio.to_thread(recorder.close), supervising, return_exceptions=True)
+    finally:
+        listening.close()
+        socket.unlink(missing_ok=True)
+    return 0
+
+
+class Supervisor:
+    """Keeps a control process alive: takes in what it sends, and starts another when it is gone."""
+
+    def __init__(
+        self,
+        start: Callable[[], ControlHandle],
+        host: Host,
+        tick: Callable[[TickRecord], None],
+        clock: Clock,
+    ) -> None:
+        self._start, self._host, self._tick, self._clock = start, host, tick, clock
+        self._deaths_ns: deque[int] = deque(maxlen=MAX_DEATHS + 1)
+
+    async def run(self, control: ControlHandle) -> None:
+        """Supervise, beginning with `control`, until cancelled.
+
+        Raises:
+            BusError: the very first process could not take the port.
+        """
+        first = True
+        while True:
+            failed = await self._serve(control)
+            if failed is not None and first:
+                raise start_error(failed)
+            first = False
+            self._deaths_ns.append(self._clock.now_ns())
+            wait_s = restart_wait_s(self._deaths_ns)
+            why = f"exit status {control.poll()}" if failed is None else failed.message
+            logger.error("RESTARTED: the control process is gone (%s); starting another in %g s", why, wait_s)
+            self._host.note({"event": "RESTARTED", "text": f"the control process is gone ({why})"})
+            await asyncio.sleep(wait_s)
+            control = self._start()
+
+    async def _serve(self, control: ControlHandle) -> StartFailed | None:
+        """Take in what the process sends until it is gone; returns why it could not start, if so."""
+        loop = asyncio.get_running_loop()
+        descriptor = control.link.fileno()
+        gone = asyncio.Event()
+        failed: StartFailed | None = None
+
+        def receive() -> None:
+            nonlocal failed
+            try:
+                messages = control.link.receive()
+            except LinkClosed:
+                loop.remove_reader(descriptor)
+                gone.set()
+                return
+            for message in messages:
+                if isinstance(message, TickRecord):
+                    self._tick(message)
+                elif isinstance(message, Reply):
+                    self._host.answer(message)
+                elif isinstance(message, Ready):
+                    self._host.attach(control)
+                elif isinstance(message, StartFailed):
+                    failed = message
+
+        loop.add_reader(descriptor, receive)
+        try:
+            await gone.wait()
+            self._host.control_lost()
+        finally:
+            loop.remove_reader(descriptor)
+            # The next one can have the port only when this one has let go of it.
+            await asyncio.to_thread(control.terminate, LEAVE_S)
+        return failed
+
+
+def restart_wait_s(deaths_ns: deque[int]) -> float:
+    """How long to wait before the next start, by the times of the latest deaths [ns], oldest first."""
+    often = len(deaths_ns) > MAX_DEATHS and deaths_ns[-1] - deaths_ns[0] < DEATHS_WINDOW_NS
+    return PATIENT_WAIT_S if often else 0.0
+
+
+def start_error(failed: StartFailed) -> BusError:
+    """The error that a control process met when it started."""
+    kinds: dict[str, Callable[[str], BusError]] = {
+        "PORT_MISSING": PortMissing,
+        "PORT_BUSY": PortBusy,
+        "PORT_GONE": PortGone,
+    }
+    kind = kinds.get(failed.code)
+    return BusError(failed.code, failed.message) if kind is None else kind(failed.message)
+
+
+def listen(path: Path) -> socket.socket:
+    """A socket listening at `path`, for its owner and group only.
+
+    Its folder is made if it is missing; a socket that nobody serves any more is replaced.
+
+    Raises:
+        RequestRefused: code BUSY, another daemon answers there.
+        ConfigError: there can be no socket at that path.
+    """
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        if not path.parent.exists():
+            path.parent.mkdir(parents=True)
+            path.parent.chmod(0o750)
+        if path.is_socket():
+            _refuse_second(path)
+            path.unlink()
+        listening.bind(str(path))
+        path.chmod(0o660)  # before anybody can connect
+        listening.listen()
+    except OSError as error:
+        listening.close()
+        problem = error.strerror or str(error)
+        raise ConfigError(str(path), "socket", f"cannot be made: {problem}", "choose another with --socket") from None
+    except ArmctlError:
+        listening.close()
+        raise
+    return listening
+
+
+def _refuse_second(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return
+        except TimeoutError:
+            pass  # somebody listens, too busy to accept
+    raise RequestRefused("BUSY", f"another daemon answers on {path}; end it first, or choose another --socket")
+
+
+def _recover(folder: Path) -> None:
+    """Make what a crash left in the folder whole again; a folder that cannot be read does not stop the arm."""
+    from armctl.recording.recover import recover_folder
+
+    try:
+        recover_folder(folder)
+    except (ArmctlError, OSError) as error:
+        logger.error("%s: not recovered: %s", folder, error)
+
+
+async def _first_tick(host: Host, supervising: asyncio.Task[None], ending: asyncio.Event) -> None:
+    try:
+        async with asyncio.timeout(START_S):
+            await _first_of(supervising, host.tick(), ending.wait())
+    except TimeoutError:
+        raise RequestRefused("NO_ANSWER", f"the control process did not tick within {START_S:g} s") from None
+
+
+async def _first_of(supervising: asyncio.Task[None], *events: Coroutine[Any, Any, object]) -> None:
+    """Wait until one of the events has come, or the supervisor has failed."""
+    waiting = [asyncio.create_task(event) for event in events]
+    try:
+        await asyncio.wait((supervising, *waiting), return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in waiting:
+            task.cancel()
+    if supervising.done():
+        supervising.result()
+
+
+async def _rest(host: Host) -> None:
+    """Bring the arm to rest, as far as there is time; a control process without a host does the same."""
+    try:
+        async with asyncio.timeout(STILL_S):
+            await host.stop()
+    except (TimeoutError, ArmctlError) as error:
+        logger.warning("the arm was not seen to rest: %s", error or f"no answer in {STILL_S:g} s")

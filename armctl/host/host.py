@@ -1,0 +1,430 @@
+"""The arm as all clients share it: who may command it now, and what it is asked.
+
+Rules.
+1. Every request to the control process is answered by it, in a tick record, a `stop` of an arm at rest at once;
+   nothing is assumed to have happened.
+2. One client at a time commands. The lease is its connection: it ends with the request, with `teach_end`, with the
+   jog, or with the connection. Anyone may `stop` and `pause`; the commander's other connections may `resume` and
+   change the `rate`, because the one that runs waits for its end.
+3. A client that vanishes during its `run` stops the arm; while teaching it leaves the arm limp and the take kept.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from armctl.clock import NS_PER_S, Clock
+from armctl.config import ArmConfig
+from armctl.control.jog import joint_velocities
+from armctl.dynamixel import ax12a
+from armctl.errors import IllegalTransition, RequestRefused
+from armctl.host.exchange import Control, Exchange, restarting
+from armctl.host.lease import Client, Leases
+from armctl.host.motions import (
+    Target,
+    Watch,
+    line_result,
+    move_result,
+    move_trajectory,
+    refuse_collision,
+    run_name,
+    within_limits,
+)
+from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshot
+from armctl.host.teaching import TakeRecorder, Takes, Teaching
+from armctl.kinematics.robots.robot import Robot
+from armctl.messages import (
+    Clear,
+    Command,
+    Hold,
+    Jog,
+    JointTrajectory,
+    Mode,
+    Park,
+    Pause,
+    Release,
+    Reply,
+    Resume,
+    Run,
+    SetRate,
+    TickRecord,
+    TorqueOn,
+)
+from armctl.recording.channels import COMMAND
+from armctl.trajectory.plan import Plan, joint_trajectory, preflight
+
+STUCK_S = 60.0
+"""How long a motion may go without any progress, unless somebody paused it, before it is given up."""
+PARK_S = 60.0
+"""Longest way to rest: half a turn of every joint at 20 deg/s takes a quarter of it."""
+TAIL_NS = 300_000_000
+"""What a run's recording keeps after the motion has ended."""
+
+logger = logging.getLogger(__name__)
+
+Leg = Callable[[Sequence[float], Sequence[float]], JointTrajectory]
+"""Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """A leg that was run to its end."""
+
+    trajectory: JointTrajectory
+    watch: Watch
+    reply: Reply
+
+
+class Host:
+    """One arm, its control process of the moment, its recorder, and its commander of the moment."""
+
+    def __init__(self, arm: ArmConfig, robot: Robot, period_s: float, recorder: TakeRecorder, clock: Clock) -> None:
+        self.arm, self.robot, self.period_s = arm, robot, period_s
+        self.recorder = recorder
+        self._clock = clock
+        self._period_ns = round(period_s * NS_PER_S)
+        self._lost_ns: int | None = None
+        self._exchange = Exchange()
+        self._latest: TickRecord | None = None
+        self._statistics = Statistics()
+        self._ticked = asyncio.Event()
+        self._leases = Leases()
+        self._takes = Takes(recorder)
+        self.teaching = Teaching(self._exchange, self._leases, self._takes, lambda: self._latest, self.note)
+        self._watch: Watch | None = None
+        self._hold: asyncio.Task[Reply] | None = None
+        self._held_at = 0, 0
+        """When it was sent [ns], and how much had been asked by then."""
+        self._background: set[asyncio.Task[Any]] = set()
+
+    # ------------------------------------------------------------------------------------ control process
+
+    def attach(self, control: Control) -> None:
+        """Commands go to this control process from now on."""
+        self._exchange.control = control
+
+    def control_lost(self) -> None:
+        """The control process is gone: what it still owed an answer fails."""
+        self._lost_ns = self._clock.now_ns()
+        self._exchange.lost()
+
+    def receive(self, record: TickRecord) -> None:
+        """Take one tick record in: to the recorder, to whoever waits, and as the present state."""
+        self.recorder.put(record)
+        self._latest, self._lost_ns = record, None
+        self._statistics.see(record)
+        self.teaching.mind_the_hand(record.outputs.mode, self._statistics.tool_speed_m_s())
+        if record.outputs.mode is not Mode.JOGGING:
+            self._leases.end("jogging")
+        if self._watch is not None:
+            self._watch.see(record)
+        for reply in record.outputs.replies:
+            self._exchange.answer(reply)
+        for event in record.outputs.events:
+            if event.severity != "info":
+                logger.warning("%s: %s", event.code, event.text)
+        ticked, self._ticked = self._ticked, asyncio.Event()
+        ticked.set()
+
+    def answer(self, reply: Reply) -> None:
+        """Take in what the control process answers between two ticks."""
+        self._exchange.answer(reply)
+
+    async def tick(self) -> None:
+        """Wait for the next tick record."""
+        await self._ticked.wait()
+
+    # --------------------------------------------------------------------------------------------- leases
+
+    def client_gone(self, client: Client) -> None:
+        """End what the client leaves behind, safely."""
+        lease = self._leases.current
+        if lease is None or lease.client is not client:
+            return
+        lease.lost = True
+        if lease.what in ("jog", "jogging"):
+            self._leases.current = None  # its heartbeats have ceased
+        elif lease.what in ("run", "move", "park", "reach", "transfer"):
+            self.note(
+                {"event": "LEASE_LOST", "who": client.name, "text": f"the client left during its {lease.what}: hold"}
+            )
+            self._in_background(self.stop())
+        elif lease.what == "teach":
+            self._leases.current = None
+            self._in_background(self.teaching.abandon(client))
+
+    def _in_background(self, work: Any) -> None:
+        task = asyncio.ensure_future(work)
+        self._background.add(task)
+        task.add_done_callback(self._background_done)
+
+    def _background_done(self, task: asyncio.Task[Any]) -> None:
+        self._background.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            logger.warning("after a client left: %s", error)
+
+    def note(self, message: dict[str, Any]) -> None:
+        """Put something no tick record tells into the log."""
+        logger.info("%s", message)
+        self.recorder.note(COMMAND, json.dumps(message), self._clock.now_ns())
+
+    # ------------------------------------------------------------------------------------------- requests
+
+    async def stop(self) -> dict[str, Any]:
+        """Hold; returns when the arm is still. Open to every client.
+
+        Requests share one command while it is under way, and for half a period more where nothing else was asked since.
+        A motion that is still being checked does not begin any more.
+        """
+        if self._leases.current is not None:
+            self._leases.current.stopped = True
+        now_ns, asked = self._clock.now_ns(), self._exchange.asked
+        since_ns, asked_before = self._held_at
+        hold = self._hold
+        if (
+            hold is None
+            or asked != asked_before
+            or (hold.done() and (now_ns - since_ns > self._period_ns // 2 or hold.exception() is not None))
+        ):
+            hold = self._hold = asyncio.create_task(self._exchange.request(Hold))
+            self._held_at = now_ns, asked
+        await asyncio.shield(hold)
+        return self._state()
+
+    async def release(self, client: Client) -> dict[str, Any]:
+        return await self._command(client, "release", Release)
+
+    async def torque_on(self, client: Client) -> dict[str, Any]:
+        return await self._command(client, "torque_on", TorqueOn)
+
+    async def clear(self, client: Client) -> dict[str, Any]:
+        return await self._command(client, "clear", Clear)
+
+    async def park(self, client: Client) -> dict[str, Any]:
+        """Go slowly to rest, limp once there; returns then. A client that leaves meanwhile stops the arm."""
+        with self._leases.commanding(client, "park"):
+            await self._exchange.request(Park, PARK_S)
+            return self._state()
+
+    async def pause(self) -> dict[str, Any]:
+        """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is."""
+        await self._exchange.request(Pause)
+        return self._state()
+
+    async def resume(self, client: Client) -> dict[str, Any]:
+        return await self._change_run(client, "resume", Resume)
+
+    async def rate(self, client: Client, rate: float) -> dict[str, Any]:
+        """Run at this many trajectory seconds a second."""
+        result = await self._change_run(client, "rate", partial(SetRate, rate=rate))
+        return {**result, "rate": rate}
+
+    async def _change_run(self, client: Client, what: str, make: Callable[[int], Command]) -> dict[str, Any]:
+        self._leases.refuse_others(client, what)
+        await self._exchange.request(make)
+        return self._state()
+
+    async def jog(
+        self, client: Client, joints_rad_s: tuple[float, ...], tool_m_s: tuple[float, ...], begin: bool
+    ) -> dict[str, Any]:
+        """One heartbeat of a jog; answered by the next tick, which is when the next one is due.
+
+        Raises:
+            RequestRefused: BUSY, a link would touch another, or the jog has ended.
+        """
+        with self._leases.commanding(client, "jog") as lease:
+            if begin:
+                q_now = self._commanded_joints("jog")
+            elif self._latest is None or self._latest.outputs.mode is not Mode.JOGGING:
+                raise IllegalTransition("the jog has ended; begin another one")
+            else:
+                q_now = self._goals(self._latest)
+            self._hold = None  # a stop from now on is a new one
+            if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
+                ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
+                refuse_collision(q_now, ahead, self.arm, self.robot)
+            await self._exchange.request(lambda request_id: Jog(request_id, joints_rad_s, tool_m_s, begin))
+        if not lease.lost and self._latest is not None and self._latest.outputs.mode is Mode.JOGGING:
+            self._leases.keep(client, "jogging")
+        return self._state()
+
+    async def _command(self, client: Client, what: str, make: Callable[[int], Command]) -> dict[str, Any]:
+        with self._leases.commanding(client, what):
+            await self._exchange.request(make)
+            return self._state()
+
+    async def teach_begin(self, client: Client) -> dict[str, Any]:
+        """Make the arm limp; the client keeps the lease until `teach_end`."""
+        await self.teaching.begin(client)
+        return self._state()
+
+    async def teach_end(self, client: Client) -> dict[str, Any]:
+        """Leave teach mode, keeping a take that is still open; the arm stays limp."""
+        await self.teaching.end(client)
+        return self._state()
+
+    async def run(self, client: Client, plan: Plan) -> dict[str, Any]:
+        """Pre-flight, slow approach, the plan itself; recorded, and compared with the line it was made for.
+
+        Raises:
+            RequestRefused: pre-flight (every reason), BUSY, stopped or failed on the way.
+            LogError: the recording cannot be made.
+        """
+
+        def make(q_now: Sequence[float]) -> JointTrajectory:
+            if reasons := preflight(plan, self.arm, self.robot, q_now):
+                inside = all(within_limits(q, self.arm) for q in plan.waypoints_rad)
+                raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
+            return joint_trajectory(plan, self.arm, q_now, self.period_s)
+
+        name, [done] = await self.execute(client, "run", [lambda q_now, _: make(q_now)])
+        return {"recording": name, **line_result(plan, done.watch, self.robot)}
+
+    async def move(self, client: Client, target: Target, duration_s: float | None = None) -> dict[str, Any]:
+        """Go to a target, all joints arriving at once; recorded, and compared with the target.
+
+        Raises:
+            RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
+            LogError: the recording cannot be made.
+        """
+
+        def make(q_now: Sequence[float]) -> JointTrajectory:
+            return move_trajectory(target, q_now, self.arm, self.robot, self.period_s, duration_s)
+
+        name, [done] = await self.execute(client, "move", [lambda q_now, _: make(q_now)])
+        return {"recording": name, **move_result(done.watch, done.trajectory, self.robot)}
+
+    async def execute(
+        self, client: Client, what: str, legs: Sequence[Leg], note: dict[str, Any] | None = None
+    ) -> tuple[str, list[Done]]:
+        """Run one leg after the other, each made from where the arm is then; returns when it rests after the last.
+
+        Args:
+            note: Goes into the recording before the first leg.
+        Returns:
+            The one recording of them all, and what became of each.
+        Raises:
+            RequestRefused: a leg cannot be made (before the first one nothing has moved), or was stopped, or failed.
+            LogError: the recording cannot be made.
+        """
+        with self._leases.commanding(client, what) as lease:
+            trajectory = await self._made(legs[0], what)
+            name = run_name(trajectory.label)
+            await self._takes.begin(name)
+            done: list[Done] = []
+            try:
+                if note is not None:
+                    self.note(note)
+                for leg in legs:
+                    if done:
+                        trajectory = await self._made(leg, what)
+                    when = "ended" if done else "began"
+                    if lease.lost:
+                        raise RequestRefused("LEASE_LOST", f"the client left before its {what} {when}")
+                    if lease.stopped:
+                        raise RequestRefused("STOPPED", f"the {what} was stopped before it {when}")
+                    self._watch = watch = Watch()
+                    self._hold = None  # a stop from now on is a new one
+                    reply = await self._run_to_its_end(trajectory)
+                    done.append(Done(trajectory, watch, reply))
+                    end_ns = watch.time_ns[-1] + TAIL_NS
+                    while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
+                        await self.tick()
+            finally:
+                self._watch = None
+                await self._takes.end()
+            return name, done
+
+    async def _made(self, leg: Leg, what: str) -> JointTrajectory:
+        q_now = self._commanded_joints(what)
+        assert self._latest is not None
+        q_measured = tuple(joint.position_rad for joint in self._latest.outputs.joints)
+        return await asyncio.to_thread(leg, q_now, q_measured)
+
+    async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
+        request = asyncio.ensure_future(self._exchange.request(lambda request_id: Run(request_id, trajectory), None))
+        try:
+            before = None
+            while not (await asyncio.wait({request}, timeout=STUCK_S))[0]:
+                outputs = None if self._latest is None else self._latest.outputs
+                here = None if outputs is None else outputs.progress
+                if here == before and (outputs is None or outputs.rate != 0.0):
+                    self._in_background(self.stop())
+                    raise RequestRefused(
+                        "NO_ANSWER", f"the motion made no progress for {STUCK_S:g} s; see `armctl status`"
+                    )
+                before = here
+            return request.result()
+        finally:
+            request.cancel()
+
+    def _commanded_joints(self, what: str) -> tuple[float, ...]:
+        """Where the servos of a holding arm are told to be now [rad], one a joint."""
+        latest = self._latest
+        if self._exchange.control is None or latest is None:
+            raise restarting()
+        if (mode := latest.outputs.mode) is not Mode.HOLDING:
+            raise IllegalTransition(f"{what}: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")
+        return self._goals(latest)
+
+    def _goals(self, record: TickRecord) -> tuple[float, ...]:
+        """The servos' own goal registers [rad]."""
+        return tuple(
+            joint.position_rad(ax12a.register_value(ax12a.GOAL, reading.registers))
+            for joint, reading in zip(self.arm.joints, record.inputs.sample.servos, strict=True)
+        )
+
+    # --------------------------------------------------------------------------------------------- status
+
+    def _state(self) -> dict[str, Any]:
+        return {"state": self._state_name()}
+
+    def _state_name(self) -> str:
+        if self._latest is None or self._exchange.control is None:
+            return "restarting" if self._lost_ns is not None else "starting"
+        return self._latest.outputs.mode.value
+
+    def log(self) -> dict[str, Any]:
+        """Where the log goes, why it does not, and how many ticks the host was too slow for."""
+        recorder = self.recorder
+        path = None if recorder.log_path is None else str(recorder.log_path)
+        return {
+            "path": path,
+            "problem": recorder.problem,
+            "dropped": self._statistics.dropped,
+            "recorder_dropped": recorder.dropped_records,
+        }
+
+    def status(self) -> dict[str, Any]:
+        """The snapshot every client sees, as of now."""
+        now_ns = self._clock.now_ns()
+        commander, control = self._leases.current, self._exchange.control
+        return {
+            "state": self._state_name(),
+            "fault": fault_snapshot(self._latest, self._lost_ns, now_ns),
+            "period_s": self.period_s,
+            **arm_snapshot(self.arm, self._latest, self._statistics, now_ns),
+            "recording": self._takes.name,
+            "commander": None if commander is None else f"{commander.client.name}: {commander.what}",
+            "log": self.log(),
+            "arm_id": self.arm.arm_id,
+            "pids": {"daemon": os.getpid(), "control": None if control is None else control.pid},
+        }
+
+
+_TO_HOLD = {
+    Mode.OFF: "`armctl torque on` first",
+    Mode.ENERGISING: "wait until torque is on",
+    Mode.MOVING: "wait, or `armctl stop`",
+    Mode.JOGGING: "end the jog, or `armctl stop`",
+    Mode.PARKING: "wait, or `armctl stop`",
+    Mode.TEACHING: "end the teaching first",
+    Mode.FAULTED: "see `armctl status`, then `armctl clear`",
+}

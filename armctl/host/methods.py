@@ -1,0 +1,358 @@
+"""What clients can ask for: names, parameters, and which part of the daemon answers."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, field_validator, model_validator
+
+from armctl.config import Name
+from armctl.errors import ArmctlError, ConfigError, RequestRefused
+from armctl.genetic.algorithm import DEFAULT, Settings
+from armctl.host.host import Host
+from armctl.host.jobs import OptimizeRequest, Progress
+from armctl.host.jsonrpc import error_data
+from armctl.host.motions import Target
+from armctl.host.reach import Wanted, reach
+from armctl.host.server import Connection, Method
+from armctl.host.transfer import transfer
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.recording import recordings
+from armctl.recording.channels import COMMAND
+from armctl.recording.reader import read
+from armctl.recording.recordings import Recording
+from armctl.trajectory import grasp
+from armctl.trajectory.dead_time import moving_part
+from armctl.trajectory.interpolate import Interpolation
+from armctl.trajectory.placement import Objective
+from armctl.trajectory.plan import Plan
+from armctl.trajectory.straightness import max_error, mean_error
+from armctl.trajectory.transfer import Cycle
+
+Handler = Callable[[Connection, Any], Awaitable[dict[str, Any]]]
+RunOptimisation = Callable[[OptimizeRequest, Progress], Awaitable[dict[str, Any]]]
+Point = Annotated[
+    tuple[
+        Annotated[float, Field(ge=-10.0, le=10.0)],
+        Annotated[float, Field(ge=-10.0, le=10.0)],
+        Annotated[float, Field(ge=-10.0, le=10.0)],
+    ],
+    Field(strict=False),
+]
+
+
+class _Parameters(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Nothing(_Parameters):
+    """No parameters."""
+
+
+class Confirmed(_Parameters):
+    """What makes the arm fall has to be meant: `confirm` is true once the arm is supported."""
+
+    confirm: Literal[True]
+
+
+class Named(_Parameters):
+    name: Name
+
+
+class Show(_Parameters):
+    """A recording, and the line its errors are wanted against; without one, that from its first to its last point."""
+
+    name: Name
+    from_m: Point | None = None
+    to_m: Point | None = None
+
+    @model_validator(mode="after")
+    def _both_ends(self) -> Show:
+        if (self.from_m is None) != (self.to_m is None):
+            raise ValueError("from_m, to_m: a line has both ends; give both or neither")
+        return self
+
+
+class Rename(_Parameters):
+    name: Name
+    to: Name
+
+
+class Optimize(_Parameters):
+    recordings: Annotated[tuple[Name, ...], Field(min_length=1, max_length=40, strict=False)]
+    from_m: Point
+    to_m: Point
+    via: Annotated[tuple[Annotated[int, Field(ge=0, le=20)], ...], Field(min_length=1, max_length=21, strict=False)]
+    duration_s: float = Field(5.0, gt=0.0, le=600.0)
+    seed: int = Field(0, ge=0, lt=2**63)
+    interpolation: Interpolation = "cubic"
+    objective: Objective = "mean"
+    free: bool = True
+    """Whether genes may leave the recordings, and via points the path that was found."""
+    settings: Settings = DEFAULT
+    """Those of the genetic algorithm that differ from its defaults."""
+
+    @field_validator("settings", mode="before")
+    @classmethod
+    def _complete(cls, value: object) -> object:
+        if not isinstance(value, dict):
+            return value
+        known = asdict(DEFAULT)
+        for key in value:
+            if key not in known:
+                raise ValueError(f"{key}: unknown setting; known: {', '.join(known)}")
+        try:
+            return TypeAdapter(Settings).validate_json(json.dumps(known | value), strict=True)
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+
+
+class RunPlan(_Parameters):
+    plan: Plan
+
+
+Angle = Annotated[float, Field(ge=-10.0, le=10.0)]
+Metre = Annotated[float, Field(ge=-10.0, le=10.0)]
+Joints = Annotated[tuple[Angle, ...], Field(min_length=1, max_length=32, strict=False)]
+
+
+class Move(_Parameters):
+    """Where to go: just one of `joints_rad`, `point_m` and `pose`."""
+
+    joints_rad: Joints | None = None
+    point_m: Point | None = None
+    pose: Annotated[tuple[Metre, Metre, Metre, Angle, Angle, Angle], Field(strict=False)] | None = None
+    """x, y, z [m], roll, pitch, yaw [rad]."""
+    duration_s: float | None = Field(None, gt=0.0, le=600.0)
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Move:
+        if sum(target is not None for target in (self.joints_rad, self.point_m, self.pose)) != 1:
+            raise ValueError("joints_rad, point_m, pose: give just one of them")
+        return self
+
+    def target(self) -> Target:
+        return Target(self.joints_rad, self.point_m, self.pose)
+
+
+class Reach(_Parameters):
+    """A point to reach for, and what the gripper does there."""
+
+    point_m: Point
+    gripper: Literal["stay", "grip", "let_go"] = "stay"
+    ik: grasp.Method = "closed"
+    seed: int = Field(0, ge=0, lt=2**31)
+    off_m: float = Field(0.05, ge=0.005, le=0.3)
+    """Length of the straight line that leads to the point."""
+    along: grasp.Along = "above"
+
+
+class Transfer(_Parameters):
+    """A pick-and-transfer cycle between two stations."""
+
+    pick_m: Point
+    place_m: Point
+    height_m: float = Field(0.06, ge=0.005, le=0.5)
+    lift_s: float = Field(2.0, gt=0.0, le=60.0)
+    carry_s: float = Field(4.0, gt=0.0, le=60.0)
+    dwell_s: float = Field(0.5, ge=0.0, le=60.0)
+    cycles: int = Field(1, ge=1, le=20)
+
+
+class Rate(_Parameters):
+    rate: float = Field(ge=0.1, le=1.0)
+
+
+class JogBeat(_Parameters):
+    """The velocity wanted until the next heartbeat: of the joints or of the tool."""
+
+    joints_rad_s: Annotated[tuple[Angle, ...], Field(max_length=32, strict=False)] = ()
+    tool_m_s: Annotated[tuple[Metre, ...], Field(max_length=3, strict=False)] = ()
+    begin: bool = False
+
+
+class Methods:
+    """The table of methods over one host, and the optimisation under way."""
+
+    def __init__(self, host: Host, recordings_dir: Path, run_optimisation: RunOptimisation) -> None:
+        self._host = host
+        self._recordings_dir = recordings_dir
+        self._run_optimisation = run_optimisation
+        self._job_ids = itertools.count(1)
+        self._job: tuple[Connection, asyncio.Future[dict[str, Any]]] | None = None
+
+    def table(self) -> dict[str, Method]:
+        """Every method by name."""
+        host, commanded = self._host, self._commanded
+        return {
+            "status": Method(Nothing, self._status, observes=True),
+            "log": Method(Nothing, self._log, observes=True),
+            "subscribe": Method(Nothing, self._subscribe, observes=True),
+            "stop": commanded("stop", Nothing, lambda _, __: host.stop(), always=True),
+            "hold": commanded("hold", Nothing, lambda _, __: host.stop(), always=True),
+            "release": commanded("release", Confirmed, lambda client, _: host.release(client)),
+            "torque_on": commanded("torque_on", Nothing, lambda client, _: host.torque_on(client)),
+            "park": commanded("park", Nothing, lambda client, _: host.park(client)),
+            "clear": commanded("clear", Nothing, lambda client, _: host.clear(client)),
+            "teach_begin": commanded("teach_begin", Nothing, lambda client, _: host.teach_begin(client)),
+            "take_begin": commanded("take_begin", Named, lambda client, p: host.teaching.take_begin(client, p.name)),
+            "take_mark": commanded("take_mark", Nothing, lambda client, _: host.teaching.take_mark(client)),
+            "take_end": commanded("take_end", Nothing, lambda client, _: host.teaching.take_end(client)),
+            "teach_end": commanded("teach_end", Nothing, lambda client, _: host.teach_end(client)),
+            "run": commanded("run", RunPlan, lambda client, p: host.run(client, p.plan)),
+            "move": commanded("move", Move, lambda client, p: host.move(client, p.target(), p.duration_s)),
+            "reach": commanded("reach", Reach, lambda client, p: reach(host, client, Wanted(**dict(p)))),
+            "transfer": commanded("transfer", Transfer, lambda client, p: transfer(host, client, Cycle(**dict(p)))),
+            "pause": commanded("pause", Nothing, lambda _, __: host.pause(), always=True),
+            "resume": commanded("resume", Nothing, lambda client, _: host.resume(client)),
+            "rate": commanded("rate", Rate, lambda client, p: host.rate(client, p.rate)),
+            # Its heartbeats are logged as commands of the control step; here they would only repeat that.
+            "jog": Method(JogBeat, lambda client, p: host.jog(client, p.joints_rad_s, p.tool_m_s, p.begin)),
+            "recordings_list": Method(Nothing, self._recordings_list, observes=True),
+            "recordings_show": Method(Show, self._recordings_show, observes=True),
+            "recordings_rename": commanded("recordings_rename", Rename, self._recordings_rename),
+            "recordings_delete": commanded("recordings_delete", Named, self._recordings_delete),
+            "optimize": Method(Optimize, self._optimize),
+        }
+
+    def client_gone(self, client: Connection) -> None:
+        """End what nobody waits for any more."""
+        self._host.client_gone(client)
+        if self._job is not None and self._job[0] is client:
+            self._job[1].cancel()
+
+    def _commanded(self, name: str, params: type[BaseModel], handle: Handler, *, always: bool = False) -> Method:
+        """A method whose use and outcome belong into the log."""
+
+        async def noted(client: Connection, p: Any) -> dict[str, Any]:
+            outcome: dict[str, Any] = {"request": name, "who": client.name}
+            if isinstance(p, Named | Rename):
+                outcome["params"] = p.model_dump()
+            try:
+                result = await handle(client, p)
+            except ArmctlError as error:
+                data = error_data(error)
+                self._host.note({**outcome, "outcome": data["code"], "reasons": data["reasons"]})
+                raise
+            self._host.note({**outcome, "outcome": "ok"})
+            return result
+
+        return Method(params, noted, always)
+
+    async def _status(self, _: Connection, __: Nothing) -> dict[str, Any]:
+        return self._host.status()
+
+    async def _log(self, _: Connection, __: Nothing) -> dict[str, Any]:
+        return self._host.log()
+
+    async def _subscribe(self, client: Connection, _: Nothing) -> dict[str, Any]:
+        client.subscribed = True
+        return {"subscribed": True, "period_s": self._host.period_s}
+
+    async def _optimize(self, client: Connection, p: Optimize) -> dict[str, Any]:
+        if self._job is not None:
+            raise RequestRefused("BUSY", f"client {self._job[0].name} is optimising; try again when it is done")
+        job = next(self._job_ids)
+        request = OptimizeRequest(
+            arm=self._host.arm,
+            recordings=tuple(map(self._path, p.recordings)),
+            from_m=p.from_m,
+            to_m=p.to_m,
+            via=p.via,
+            duration_s=p.duration_s,
+            seed=p.seed,
+            settings=p.settings,
+            interpolation=p.interpolation,
+            objective=p.objective,
+            free=p.free,
+        )
+
+        def progress(generation: int, best: float, mean: float) -> None:
+            client.notify("progress", {"job": job, "generation": generation, "best": best, "mean": mean})
+
+        work = asyncio.ensure_future(self._run_optimisation(request, progress))
+        self._job = client, work
+        try:
+            return {"job": job, **await work}
+        except asyncio.CancelledError:
+            raise RequestRefused("CANCELLED", "the client left, and its optimisation ended") from None
+        finally:
+            self._job = None
+
+    def _path(self, name: str) -> Path:
+        return recordings.find(self._recordings_dir, name)
+
+    async def _recordings_list(self, _: Connection, __: Nothing) -> dict[str, Any]:
+        robot = self._host.robot
+        found = await asyncio.to_thread(
+            lambda: [describe(recording, robot) for recording in recordings.list_recordings(self._recordings_dir)]
+        )
+        return {"recordings": found}
+
+    async def _recordings_show(self, _: Connection, p: Show) -> dict[str, Any]:
+        robot = self._host.robot
+        line = None if p.from_m is None or p.to_m is None else (p.from_m, p.to_m)
+        return await asyncio.to_thread(
+            lambda: describe(recordings.load(self._path(p.name)), robot, line, with_marks=True)
+        )
+
+    async def _recordings_rename(self, _: Connection, p: Rename) -> dict[str, Any]:
+        path = await asyncio.to_thread(recordings.rename, self._recordings_dir, p.name, p.to)
+        return {"name": p.to, "path": str(path)}
+
+    async def _recordings_delete(self, _: Connection, p: Named) -> dict[str, Any]:
+        path = await asyncio.to_thread(recordings.delete, self._recordings_dir, p.name)
+        return {"name": p.name, "path": str(path)}
+
+
+def describe(
+    recording: Recording,
+    robot: Robot,
+    line: tuple[Sequence[float], Sequence[float]] | None = None,
+    *,
+    with_marks: bool = False,
+) -> dict[str, Any]:
+    """A recording as lists show it. Of a run only the plan proper counts, of a take not its dead time at both ends.
+
+    Args:
+        line: What its errors are measured against [m]; None: from its first to its last tool point. They are null
+            where these make no line.
+        with_marks: Whether to look for marked via points as well, which reads the file once more.
+    """
+    positions = recording.plan_positions_rad
+    moving = moving_part(positions) if recording.plan_s is None else slice(0, len(positions))
+    points = tool_position(robot.chain, positions[moving, : robot.chain.n])
+    marks = via_marks(recording.path) if with_marks else None
+    A, B = (np.asarray(end) for end in line or (points[0], points[-1]))
+    errors = None if np.array_equal(A, B) else (float(mean_error(points, A, B)), float(max_error(points, A, B)))
+    return {
+        "name": recording.name,
+        "path": str(recording.path),
+        "duration_s": recording.duration_s,
+        "samples": recording.samples,
+        "mean_error_mm": None if errors is None else 1e3 * errors[0],
+        "max_error_mm": None if errors is None else 1e3 * errors[1],
+        "arm_id": recording.arm_id,
+        "calibration_hash": recording.calibration_hash,
+        "complete": recording.complete,
+        "dead_samples": [moving.start, len(positions) - moving.stop],
+        **({} if marks is None else {"marks": marks}),
+    }
+
+
+def via_marks(path: Path) -> list[dict[str, Any]]:
+    """The via points that were marked while a take was recorded."""
+    notes = (json.loads(message.value["data"]) for message in read(path, (COMMAND,)))
+    return [
+        {key: note[key] for key in ("tick", "position_m", "joints_rad")}
+        for note in notes
+        if note.get("event") == "VIA_MARK"
+    ]

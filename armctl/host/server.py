@@ -1,0 +1,302 @@
+"""Connections of the daemon's Unix socket.
+
+Rules.
+1. A connection's requests are served side by side, so that `stop` never waits behind a `run`.
+2. Every request costs a token; without one it is refused, save methods marked `always` (`stop`, `hold`).
+   After each line the other connections get their turn, so a flood slows down nobody but its sender.
+3. What is waiting to be sent is bounded: snapshots by dropping the oldest and counting the gap, answers by
+   cutting the connection. A client that takes nothing for `stall_s` is cut.
+4. A client who may not command may look: it is served the methods that `observes`, and those marked `always`.
+5. End of file means the client is gone. What it began is told so (`on_close`); answers still due are sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import struct
+from collections import deque
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from armctl.clock import NS_PER_S, Clock
+from armctl.config import validate
+from armctl.errors import ArmctlError, ConfigError, RequestRefused
+from armctl.host import jsonrpc
+from armctl.host.jsonrpc import ProtocolError, Request, TokenBucket
+
+RATE = 200.0
+BURST = 400.0
+STALL_S = 5.0
+MAX_CONNECTIONS = 64
+MAX_SNAPSHOTS = 64
+MAX_UNSENT_BYTES = 1 << 20
+MAX_REQUESTS = 32
+MAX_ALWAYS_REQUESTS = 1024
+
+logger = logging.getLogger(__name__)
+
+
+class Connection:
+    """One client: who it is, and what is to be sent to it."""
+
+    def __init__(
+        self, writer: asyncio.StreamWriter, bucket: TokenBucket, stall_s: float, may_command: Callable[[int], bool]
+    ) -> None:
+        pid, self.uid = _peer(writer.get_extra_info("socket"))
+        self.name = f"pid {pid} (uid {self.uid})"
+        self.commands = may_command(self.uid)
+        self.bucket = bucket
+        self.subscribed = False
+        self.requests: set[asyncio.Task[None]] = set()
+        self._writer = writer
+        self._stall_s = stall_s
+        self._lines: deque[bytes] = deque()
+        self._unsent_bytes = 0
+        self._snapshots: deque[bytes] = deque()
+        self._gap = 0
+        self._finishing = False
+        self._wake = asyncio.Event()
+        # Whatever the kernel has not taken counts as no progress.
+        writer.transport.set_write_buffer_limits(high=0)
+
+    def send(self, line: bytes) -> None:
+        """Send an answer or a notification that must not get lost; cuts a client that lets them pile up."""
+        if self._unsent_bytes > MAX_UNSENT_BYTES:
+            self.cut("it does not read its answers")
+            return
+        self._lines.append(line)
+        self._unsent_bytes += len(line)
+        self._wake.set()
+
+    def notify(self, method: str, params: dict[str, Any]) -> None:
+        self.send(jsonrpc.notification_line(method, params))
+
+    def send_snapshot(self, body: bytes) -> None:
+        """Queue one snapshot (a JSON object), dropping the oldest of too many."""
+        if len(self._snapshots) == MAX_SNAPSHOTS:
+            self._snapshots.popleft()
+            self._gap += 1
+        self._snapshots.append(body)
+        self._wake.set()
+
+    def finish(self) -> None:
+        """Close as soon as everything is sent."""
+        self._finishing = True
+        self._wake.set()
+
+    def cut(self, why: str) -> None:
+        """Close at once."""
+        if not self._writer.transport.is_closing():
+            logger.warning("client %s is cut: %s", self.name, why)
+        self._writer.transport.abort()
+
+    async def send_all(self) -> None:
+        """Send what comes until finished, cut or gone; then the transport is closed."""
+        try:
+            while not (self._finishing and not self._lines):
+                if (line := self._next_line()) is None:
+                    self._wake.clear()
+                    await self._wake.wait()
+                    continue
+                self._writer.write(line)
+                async with asyncio.timeout(self._stall_s):
+                    await self._writer.drain()
+        except TimeoutError:
+            self.cut(f"it took nothing for {self._stall_s:g} s")
+        except ConnectionError:
+            pass  # the client is gone; its reader sees the same
+        finally:
+            self._writer.transport.abort()  # everything sent is with the kernel by now
+
+    def _next_line(self) -> bytes | None:
+        if self._lines:
+            line = self._lines.popleft()
+            self._unsent_bytes -= len(line)
+            return line
+        if self._snapshots and not self._finishing:
+            gap, self._gap = self._gap, 0
+            body = self._snapshots.popleft()
+            return b'{"jsonrpc":"2.0","method":"snapshot","params":{"gap":%d,%b}\n' % (gap, body[1:])
+        return None
+
+
+def _peer(peer: socket.socket) -> tuple[int, int]:
+    """Process and user at the other end."""
+    size = struct.calcsize("3i")
+    pid, uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
+    return pid, uid
+
+
+@dataclass(frozen=True)
+class Method:
+    """One thing a client can ask for: its parameters, and what carries it out."""
+
+    params: type[BaseModel]
+    handle: Callable[[Connection, Any], Awaitable[dict[str, Any]]]
+    always: bool = False
+    observes: bool = False
+    """Whether it changes nothing."""
+
+
+class Server:
+    """Serves `methods` on a listening Unix socket."""
+
+    def __init__(
+        self,
+        methods: Mapping[str, Method],
+        clock: Clock,
+        *,
+        on_close: Callable[[Connection], None],
+        stall_s: float = STALL_S,
+        may_command: Callable[[int], bool] = lambda _uid: True,
+    ) -> None:
+        self._methods = methods
+        self._may_command = may_command
+        self._clock = clock
+        self._on_close = on_close
+        self._stall_s = stall_s
+        self._connections: dict[Connection, asyncio.Task[None]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._server: asyncio.Server | None = None
+
+    async def start(self, listening: socket.socket) -> None:
+        """Accept connections on a bound socket."""
+        self._server = await asyncio.start_unix_server(self._accept, sock=listening, limit=jsonrpc.MAX_LINE_BYTES)
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # A task of asyncio's own would leave a traceback in the log where `close` has to cancel it.
+        task = asyncio.create_task(self._connected(reader, writer))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def close(self) -> None:
+        """Send what is still due, briefly, and close every connection."""
+        if self._server is not None:
+            self._server.close()
+        tasks = tuple(self._connections.values())
+        requests = [request for connection in self._connections for request in connection.requests]
+        if requests:
+            await asyncio.wait(requests, timeout=0.2)
+        for connection in tuple(self._connections):
+            connection.finish()
+        if tasks:
+            _, late = await asyncio.wait(tasks, timeout=0.2)
+            for task in late:
+                task.cancel()
+            await asyncio.gather(*late, return_exceptions=True)
+
+    def publish(self, snapshot: Callable[[], dict[str, Any]]) -> None:
+        """Queue the snapshot for every subscriber; it is made only if there is one."""
+        subscribers = [connection for connection in self._connections if connection.subscribed]
+        if subscribers:
+            body = jsonrpc.encode(snapshot()).rstrip(b"\n")
+            for connection in subscribers:
+                connection.send_snapshot(body)
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        bucket = TokenBucket(RATE, BURST, self._now_s())
+        connection = Connection(writer, bucket, self._stall_s, self._may_command)
+        task = asyncio.current_task()
+        assert task is not None
+        sender = asyncio.create_task(connection.send_all())
+        if len(self._connections) >= MAX_CONNECTIONS:
+            refusal = RequestRefused("BUSY", f"{MAX_CONNECTIONS} clients are connected already; close one")
+            connection.send(jsonrpc.error_line(None, refusal))
+            connection.finish()
+            await sender
+            return
+        self._connections[connection] = task
+        logger.info("client %s connected", connection.name)
+        try:
+            try:
+                await self._read(connection, reader)
+            finally:
+                connection.subscribed = False
+                self._on_close(connection)
+            if connection.requests:
+                await asyncio.wait(connection.requests)
+            connection.finish()
+            await sender
+        finally:
+            for request in connection.requests:
+                request.cancel()
+            sender.cancel()
+            del self._connections[connection]
+            logger.info("client %s is gone", connection.name)
+
+    async def _read(self, connection: Connection, reader: asyncio.StreamReader) -> None:
+        """Dispatch lines until the client is gone or sends one that is too long."""
+        while True:
+            try:
+                line = await reader.readuntil(b"\n")
+            except asyncio.LimitOverrunError:
+                problem = f"a line is longer than {jsonrpc.MAX_LINE_BYTES} bytes; the connection is closed"
+                connection.send(jsonrpc.error_line(None, ProtocolError(jsonrpc.PARSE_ERROR, problem)))
+                return
+            except (asyncio.IncompleteReadError, ConnectionError):
+                return
+            self._dispatch(connection, line)
+            await asyncio.sleep(0)
+
+    def _dispatch(self, connection: Connection, line: bytes) -> None:
+        paid = connection.bucket.take(self._now_s())
+        try:
+            request = jsonrpc.decode(line)
+        except ProtocolError as error:
+            connection.send(jsonrpc.error_line(error.id, error))
+            return
+        try:
+            method = self._admit(connection, request, paid)
+            params = _parameters(method, request)
+        except (ProtocolError, RequestRefused) as error:
+            if request.answered:
+                connection.send(jsonrpc.error_line(request.id, error))
+            return
+        task = asyncio.create_task(_serve(connection, request, method, params))
+        connection.requests.add(task)
+        task.add_done_callback(connection.requests.discard)
+
+    def _admit(self, connection: Connection, request: Request, paid: bool) -> Method:
+        method = self._methods.get(request.method)
+        if method is None:
+            known = ", ".join(self._methods)
+            raise ProtocolError(jsonrpc.METHOD_NOT_FOUND, f"no method {request.method[:60]!r}; known: {known}")
+        if not (connection.commands or method.always or method.observes):
+            raise RequestRefused(
+                "NOT_A_COMMANDER",
+                f"{request.method}: {connection.name} may look, and stop the arm; who may command stands under "
+                "`commanders` in the daemon's configuration",
+            )
+        if not paid and not method.always:
+            raise RequestRefused("RATE_LIMIT", f"more than {RATE:g} requests a second; wait (`stop` is served always)")
+        bound = MAX_ALWAYS_REQUESTS if method.always else MAX_REQUESTS
+        if len(connection.requests) >= bound:
+            raise RequestRefused("RATE_LIMIT", f"{bound} requests of this client are under way already; wait")
+        return method
+
+    def _now_s(self) -> float:
+        return self._clock.now_ns() / NS_PER_S
+
+
+def _parameters(method: Method, request: Request) -> BaseModel:
+    try:
+        return validate(method.params, request.params, request.method)
+    except ConfigError as error:
+        raise ProtocolError(jsonrpc.INVALID_PARAMS, str(error)) from error
+
+
+async def _serve(connection: Connection, request: Request, method: Method, params: BaseModel) -> None:
+    try:
+        line = jsonrpc.result_line(request.id, await method.handle(connection, params))
+    except ArmctlError as error:
+        line = jsonrpc.error_line(request.id, error)
+    except Exception as error:  # the daemon and its other clients go on; the defect is in its log
+        logger.exception("request %s of client %s failed", request.method, connection.name)
+        line = jsonrpc.error_line(request.id, error)
+    if request.answered:
+        connection.send(line)

@@ -1,0 +1,152 @@
+"""Binary chromosomes: the joint angles of an arm as strings of bits, and what is done to them.
+
+A chromosome has `bits` bits a joint, the first joint's highest bit first. They are kept as one machine word a joint,
+so that operators work on whole words: a cut is a mask, a flipped bit an exclusive or, the Hamming distance a count of
+ones. A population is an array (runs, individuals, joints); every run draws its random numbers from a stream of its
+own, so that a run gives the same bits alone and among others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.errors import ConfigError
+from armctl.kinematics.transform import FloatArray, IntArray
+
+Words = NDArray[np.uint32]
+MOST_BITS = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Coding:
+    """What the bits mean."""
+
+    ranges_rad: FloatArray
+    """Angle of all zeros and of the last code, shape (joints, 2)."""
+    bits: int
+    """Of one joint."""
+    gray: bool = False
+    """Neighbouring angles differ in one bit (reflected Gray code); else the plain binary number."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.bits <= MOST_BITS:
+            raise ConfigError("genetic algorithm", "bits", f"{self.bits} is outside 1 to {MOST_BITS}")
+
+    @property
+    def joints(self) -> int:
+        return len(self.ranges_rad)
+
+    @property
+    def length(self) -> int:
+        """Bits of a chromosome."""
+        return self.joints * self.bits
+
+    @cached_property
+    def tails(self) -> Words:
+        """For each place of a cut the mask of what follows it, shape (length, joints)."""
+        after = (np.arange(self.joints) + 1) * self.bits - np.arange(self.length)[:, None]
+        return np.asarray((1 << np.clip(after, 0, self.bits)) - 1, dtype=np.uint32)
+
+    def angles(self, words: Words) -> FloatArray:
+        """Joint angles [rad] of chromosomes, shape (..., joints)."""
+        value = words
+        if self.gray:
+            shift = 1
+            while shift < self.bits:
+                value = value ^ (value >> np.uint32(shift))
+                shift *= 2
+        low, high = self.ranges_rad.T
+        return np.asarray(low + value * ((high - low) / (2.0**self.bits - 1.0)))
+
+    def words(self, angles: FloatArray) -> Words:
+        """The chromosomes nearest to joint angles [rad] within the ranges, shape (..., joints)."""
+        low, high = self.ranges_rad.T
+        share = np.clip((angles - low) / (high - low), 0.0, 1.0)
+        value = np.rint(share * (2.0**self.bits - 1.0)).astype(np.uint32)
+        return np.asarray(value ^ (value >> np.uint32(1)) if self.gray else value)
+
+
+class Streams:
+    """One stream of random numbers a run."""
+
+    def __init__(self, seeds: Sequence[int | Sequence[int]]) -> None:
+        self._rngs = [np.random.default_rng(seed) for seed in seeds]
+
+    def uniform(self, *shape: int, runs: IntArray | None = None) -> FloatArray:
+        """Numbers within [0, 1) for every run or those of the indices `runs`, shape (runs, *shape)."""
+        rngs = self._rngs if runs is None else [self._rngs[run] for run in runs]
+        drawn = np.empty((len(rngs), *shape))
+        for rng, out in zip(rngs, drawn, strict=True):
+            rng.random(out=out)
+        return drawn
+
+
+def random_words(coding: Coding, chance: FloatArray) -> Words:
+    """Chromosomes from random numbers, shape (..., joints)."""
+    return np.asarray(chance * 2.0**coding.bits, dtype=np.float64).astype(np.uint32)
+
+
+def roulette(fitness: FloatArray, chance: FloatArray) -> IntArray:
+    """In every run the individuals drawn in proportion to fitness.
+
+    Args:
+        fitness: Values >= 0, not all zero, shape (runs, individuals).
+        chance: Random numbers, shape (runs, draws).
+    Returns:
+        Indices, shape (runs, draws).
+    """
+    cumulative = fitness.cumsum(axis=1)
+    drawn = np.empty(chance.shape, dtype=np.int64)
+    for sums, chances, out in zip(cumulative, chance, drawn, strict=True):
+        out[:] = sums.searchsorted(chances * sums[-1], side="right")
+    # Rounding may carry a draw up to the last sum itself.
+    return np.asarray(np.minimum(drawn, fitness.shape[1] - 1))
+
+
+def cross(coding: Coding, words: Words, crossing: FloatArray, cut: FloatArray, probability: float) -> Words:
+    """Neighbours in the population swap all bits after one cut, each pair with `probability`.
+
+    Args:
+        words: Shape (runs, individuals, joints); an odd last individual stays alone.
+        crossing, cut: Random numbers, shape (runs, pairs).
+    """
+    pairs = words.shape[1] // 2
+    place = 1 + (cut * (coding.length - 1)).astype(np.int64)
+    tail = np.where((crossing < probability)[..., None], coding.tails[place], np.uint32(0))
+    first, second = words[:, 0 : 2 * pairs : 2], words[:, 1 : 2 * pairs : 2]
+    swapped = (first ^ second) & tail
+    children = words.copy()
+    children[:, 0 : 2 * pairs : 2] ^= swapped
+    children[:, 1 : 2 * pairs : 2] ^= swapped
+    return children
+
+
+def flips(coding: Coding, individuals: int, probability: float) -> int:
+    """How many bits of a population change in one generation: `probability` of all."""
+    return round(probability * individuals * coding.length)
+
+
+def mutate(coding: Coding, words: Words, place: FloatArray) -> Words:
+    """Flip bits at random places of every run's population, drawn with replacement.
+
+    Args:
+        words: Shape (runs, individuals, joints).
+        place: Random numbers, shape (runs, flips).
+    """
+    mutated = words.copy()
+    bit = (place * (words.shape[1] * coding.length)).astype(np.int64)
+    word = bit // coding.bits + np.arange(len(words))[:, None] * (words.shape[1] * coding.joints)
+    np.bitwise_xor.at(
+        mutated.reshape(-1), word, np.uint32(1) << (coding.bits - 1 - bit % coding.bits).astype(np.uint32)
+    )
+    return mutated
+
+
+def hamming(first: Words, second: Words) -> IntArray:
+    """Number of bits in which chromosomes differ (the improved algorithm's eq. 8), shape (...)."""
+    return np.asarray(np.bitwise_count(first ^ second).sum(axis=-1, dtype=np.int64))

@@ -1,0 +1,58 @@
+"""One target answered by a genetic algorithm, as the closed form and the numeric method answer it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from armctl.kinematics import solution
+from armctl.kinematics.genetic import improved, plain
+from armctl.kinematics.genetic.problem import Evolution, Problem, points_problem, poses_problem
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.solution import Answer, Target
+from armctl.kinematics.transform import FloatArray
+
+Method = Literal["ga", "ga-improved"]
+POSITION_WEIGHT = 100.0
+"""k of eq. (4) [1/m^2]: 0.1 m counts as much as a radian."""
+
+
+def solve(
+    robot: Robot,
+    target: Target,
+    *,
+    method: Method,
+    present: FloatArray | None = None,
+    polish: bool = True,
+    seed: int = 0,
+) -> Answer:
+    """The configuration that the algorithm finds; whether the target is reachable is the closed form's word.
+
+    Args:
+        method: "ga": the algorithm of Xiang Yao et al., for a pose with the error of eq. (4); "ga-improved": with
+            niches, catastrophe and migration.
+        present: Where the arm is [rad], shape (n,); the joints that a point leaves alone stay there.
+        polish: Bring what was found onto the target.
+    Raises:
+        ConfigError: `present` has another number of joints than the chain.
+    """
+    limits = robot.limits_rad
+    exact = solution.solve(robot, target, present=present)
+    present = limits.mean(axis=1) if present is None else np.asarray(present, dtype=np.float64)
+    T = target.pose[None]
+    if target.T is None:
+        problem = points_problem(robot.chain, T[:, :3, 3], limits, present)
+    else:
+        problem = poses_problem(robot.chain, T, limits, POSITION_WEIGHT)
+    q = run(problem, method, [seed]).q_rad
+    found = solution.answer(robot, target, q, present, limits, least=exact.least_position_error_m, polish=polish)
+    return replace(found, reachable=exact.reachable)
+
+
+def run(problem: Problem, method: Method, seeds: list[int]) -> Evolution:
+    """The method with its usual settings, one run a target."""
+    if method == "ga":
+        return plain.evolve(problem, plain.PAPER, seeds)
+    return improved.evolve(problem, improved.DEFAULT, seeds)

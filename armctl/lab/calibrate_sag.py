@@ -1,0 +1,85 @@
+"""Calibration lines: motions from which the sag model of an arm is identified, in any rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from armctl.errors import RequestRefused
+from armctl.kinematics.transform import FloatArray
+from armctl.lab import refine, sag_model
+from armctl.lab.rig import Rig
+from armctl.lab.sag_model import SagModel
+from armctl.trajectory.line_path import line_paths
+from armctl.trajectory.plan import lead
+
+LINES = 8
+DURATION_S = 5.0
+STRETCH = 0.75
+"""How far out the lines lead, of the stretched arm: beyond, an uncorrected arm may sag until it counts as blocked."""
+DRAWN_WAYS = 8
+MOST_TRIES = 400
+
+
+def random_line(
+    rig: Rig, rng: np.random.Generator, *, lengths_m: tuple[float, float] = (0.2, 0.3), stretch: float = STRETCH
+) -> tuple[FloatArray, FloatArray]:
+    """A line through the part of the workspace in front of the arm, with room to every side.
+
+    Returns:
+        A and B [m], shape (3,).
+    """
+    chain, arm = rig.robot.chain, rig.arm
+    stretched = float(sum(np.hypot(row.a, row.d) for row in chain.rows[1:]))
+    shoulder = np.array([0.0, 0.0, chain.rows[0].d])
+    while True:
+        direction = rng.standard_normal(3)
+        half = rng.uniform(*lengths_m) / 2.0 * direction / np.linalg.norm(direction)
+        middle = rng.uniform((-0.1, -0.3, arm.floor_m + 0.03), (0.34, 0.3, 0.35))
+        points = middle + np.linspace(-1.0, 1.0, 21)[:, None] * half
+        radius = np.hypot(points[:, 0], points[:, 1])
+        if (
+            np.linalg.norm(points - shoulder, axis=1).max() < stretch * stretched
+            and radius.min() > 0.10
+            and points[:, 2].min() > arm.floor_m + 0.03
+            and np.abs(np.arctan2(points[:, 1], points[:, 0])).max() < 2.0
+        ):
+            return middle - half, middle + half
+
+
+def identify(
+    rig: Rig, rng: np.random.Generator, lines: int = LINES, show: Callable[[int], None] = lambda _: None
+) -> SagModel:
+    """The sag model of the rig's arm, from so many uncorrected lines.
+
+    Raises:
+        RequestRefused: the arm cannot run enough lines, or stopped.
+    """
+    chain = rig.robot.chain
+    lags: list[FloatArray] = []
+    rows: list[FloatArray] = []
+    for _ in range(MOST_TRIES):
+        if len(lags) == lines:
+            break
+        A, B = random_line(rig, rng)
+        try:
+            ways = line_paths(rig.arm, rig.robot, A, B, DURATION_S, rng, most=DRAWN_WAYS)
+            way = ways[int(rng.integers(len(ways)))]
+            course = next(refine.courses(rig, refine.Line(A, B, DURATION_S), None, None, way[None]))
+            plan = refine.plan_of(rig, course, 0)
+            if refine.too_heavy(rig, None, plan):
+                continue
+            measured = rig.run(plan)
+        except RequestRefused as refusal:
+            if refusal.code not in ("PREFLIGHT", "LIMIT", "LINE"):
+                raise
+            continue
+        lag = refine.lag_of(rig, plan, measured)
+        q = course.goals_rad - refine.smoothed(lag, rig.period_s)
+        lags.append(lag)
+        rows.append(sag_model.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
+        show(len(lags))
+    if len(lags) < lines:
+        raise RequestRefused("CALIBRATE", f"only {len(lags)} of {lines} calibration lines could be run")
+    return sag_model.identify(rig.arm, chain, lags, rows)

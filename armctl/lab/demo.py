@@ -1,0 +1,304 @@
+"""The whole job on simulated servos: teach, optimise, run with 0, 1 and 2 via points, replay, report.
+
+Everything happens as on a real arm: the simulator is a program behind a pseudo terminal, the daemon owns that port,
+and what follows are requests on its socket. Only two things come from the simulator beside the wire: the hand that
+guides the limp arm, and the true tool pose, by which straightness is judged. The simulator runs in lockstep with the
+daemon's ticks, so the same seed gives the same recordings and with them the same result of the optimiser.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from armctl.client import Client
+from armctl.config import ArmConfig
+from armctl.errors import ArmctlError, RequestRefused
+from armctl.files import load_arm
+from armctl.genetic.algorithm import DEFAULT
+from armctl.kinematics import robots
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.recording import recordings, replay
+from armctl.report import line
+from armctl.sim.control import SimulatorClient, control_path
+from armctl.trajectory.plan import Plan, plan_from_text, plan_positions
+
+FROM_M = (0.18, -0.125, 0.10)
+TO_M = (0.18, 0.125, 0.10)
+TAKES = 5
+VIA = (0, 1, 2)
+DURATION_S = 5.0
+START_TIMEOUT_S = 20.0
+STOP_TIMEOUT_S = 5.0
+
+Progress = Callable[[float, str], None]
+Stage = Callable[[str, float], AbstractContextManager[Progress]]
+"""Begins a stage of so many steps; what it yields is told how many are done."""
+
+
+@dataclass
+class _Session:
+    """The running programs, and where they write."""
+
+    out: Path
+    arm: ArmConfig
+    client: Client
+    watcher: Iterator[dict[str, Any]]
+    simulator: SimulatorClient
+    stage: Stage
+
+    def wait_ticks(self, count: int, show: Callable[[int], None] = lambda _: None) -> None:
+        """Let so many ticks of the daemon pass.
+
+        Raises:
+            ArmctlError: the daemon latched a fault meanwhile.
+        """
+        for passed in range(count):
+            fault = next(self.watcher)["fault"]
+            if fault is not None:
+                raise ArmctlError(f"{fault['code']}: {fault['text']}")
+            show(passed + 1)
+
+
+def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
+    """Run the demonstration into `out`; an earlier one there is moved aside, not overwritten.
+
+    Returns:
+        The JSON of `armctl demo`.
+    Raises:
+        ArmctlError: some part failed; the programs' own words stand in `out`/daemon.log and simulator.log.
+    """
+    _make_room(out)
+    arm = load_arm("ax12-line")
+    with ExitStack() as cleanup:
+        sockets = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="armctl-")))
+        port, socket = sockets / "servos", sockets / "daemon.sock"
+        config = out / "armctl.yaml"
+        config.write_text(yaml.safe_dump({"port": str(port), "data_dir": str(out)}), encoding="utf-8")
+        with stage("starting", 2) as show:
+            cleanup.enter_context(
+                program(out / "simulator.log", "sim", "--link", str(port), "--seed", str(seed), "--lockstep")
+            )
+            show(1, "simulated servos")
+            cleanup.enter_context(
+                program(out / "daemon.log", "daemon", "--config", str(config), "--socket", str(socket))
+            )
+            show(2, "daemon")
+        session = _Session(
+            out=out,
+            arm=arm,
+            client=cleanup.enter_context(Client(socket)),
+            watcher=cleanup.enter_context(Client(socket)).subscribe(),
+            simulator=cleanup.enter_context(SimulatorClient(control_path(port))),
+            stage=stage,
+        )
+        names = _teach(session, seed)
+        optimised = _optimise(session, names, seed)
+        plans = [plan_from_text(plan["text"], f"plan with {plan['via']} via points") for plan in optimised["plans"]]
+        for plan in optimised["plans"]:
+            (out / f"plan-via{plan['via']}.json").write_text(plan["text"], encoding="utf-8")
+        runs = [_run(session, plan) for plan in plans]
+    return _finish(out, arm, stage, names, optimised, runs)
+
+
+def _teach(session: _Session, seed: int) -> list[str]:
+    """Record the candidates, the simulator's hand guiding the limp arm."""
+    client, period_s = session.client, next(session.watcher)["period_s"]
+    session.wait_ticks(5)
+    client.call("teach_begin")
+    session.wait_ticks(2)
+    names = [f"candidate-{take}" for take in range(1, TAKES + 1)]
+    for take, name in enumerate(names):
+        guided = session.simulator.guide(FROM_M, TO_M, seed=seed * 1000 + take)
+        at_A, at_B = round((guided.begin_s - 0.3) / period_s), round((guided.end_s + 0.8) / period_s)
+        with session.stage(f"teaching {take + 1} of {TAKES}", at_B + 5) as show:
+            session.wait_ticks(at_A, partial(_tell, show, 0, "to the start"))
+            client.call("take_begin", name=name)
+            session.wait_ticks(at_B - at_A, partial(_tell, show, at_A, "along the line"))
+            client.call("take_end")
+            session.wait_ticks(5)
+            show(at_B + 5, "")
+    client.call("teach_end")
+    client.call("torque_on")
+    session.simulator.let_go()
+    return names
+
+
+def _tell(show: Progress, before: int, note: str, passed: int) -> None:
+    show(before + passed, note)
+
+
+def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
+    with session.stage("optimising", DEFAULT.generations) as show:
+        return session.client.call(
+            "optimize",
+            on_progress=lambda p: show(p["generation"] + 1, f"{p['best']:.3f} mm"),
+            recordings=names,
+            from_m=FROM_M,
+            to_m=TO_M,
+            via=VIA,
+            duration_s=DURATION_S,
+            seed=seed,
+        )
+
+
+def _run(session: _Session, plan: Plan) -> tuple[Plan, dict[str, Any], FloatArray, FloatArray]:
+    """Run a plan; it, the daemon's answer, and the true tool path with its times from the plan's begin."""
+    with session.stage(f"running, {plan.via} via points", 1) as show:
+        answer = session.client.call("run", plan=plan.model_dump(mode="json"))
+        show(1, f"{answer['mean_error_mm']:.1f} mm by encoders")
+    truth = session.simulator.truth(answer["begin_ns"], answer["end_ns"])
+    if len(truth.time_ns) < 2:
+        raise RequestRefused("SIMULATOR", "the simulator kept no truth of this run")
+    return plan, answer, (truth.time_ns - answer["begin_ns"]) / 1e9, truth.tool_m
+
+
+def _finish(
+    out: Path,
+    arm: ArmConfig,
+    stage: Stage,
+    names: list[str],
+    optimised: dict[str, Any],
+    runs: list[tuple[Plan, dict[str, Any], FloatArray, FloatArray]],
+) -> dict[str, Any]:
+    """Replay every log, write the report, and say it all."""
+    folder = out / "recordings"
+    logs = sorted((out / "logs").glob("*.mcap")) + sorted(folder.glob("*.mcap"))
+    replayed = {"ticks": 0, "messages": 0, "mismatches": 0, "seconds": 0.0}
+    with stage("replaying every log", len(logs)) as show:
+        for count, log in enumerate(logs):
+            result = replay.check(log)
+            for key in replayed:
+                replayed[key] += getattr(result, key)
+            show(count + 1, log.name)
+    chain = robots.get(arm.robot, arm.lengths_m).chain
+    A, B = np.array(FROM_M), np.array(TO_M)
+    rows, charts = [], []
+    for plan, answer, truth_time_s, truth_tool_m in runs:
+        chart = _chart(plan, answer, folder, chain_tool=lambda q: tool_position(chain, q[..., : chain.n]))
+        charts.append(replace(chart, truth_time_s=truth_time_s, truth_tool_m=truth_tool_m))
+        mean_mm, max_mm = line.errors_mm(truth_tool_m, A, B)
+        rows.append(
+            {
+                "via": plan.via,
+                **{key: answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
+                "predicted_mean_error_mm": plan.predicted_mean_error_mm,
+                "predicted_max_error_mm": plan.predicted_max_error_mm,
+                "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},
+                "recording": answer["recording"],
+            }
+        )
+    with stage("writing the report", 1) as show:
+        takes = [recordings.load(folder / f"{name}.mcap").positions_rad for name in names]
+        line.write(
+            line.LineReport(
+                from_m=A,
+                to_m=B,
+                joint_names=arm.joint_names,
+                candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
+                candidate_errors_mm=[
+                    (one["name"], one["mean_error_mm"], one["max_error_mm"]) for one in optimised["baseline"]
+                ],
+                ga_tool_m=np.array(optimised["ga"]["tool_m"]),
+                ga_mean_mm=optimised["ga"]["mean_error_mm"],
+                exact_mean_mm=optimised["exact"]["mean_error_mm"],
+                gap_ratio=optimised["gap_ratio"],
+                best_mm=np.array(optimised["history"]["best_cost_mm"]),
+                mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
+                runs=charts,
+                notes=(
+                    f"Every log was run through the control step again: {replayed['ticks']} ticks, "
+                    f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
+                ),
+            ),
+            out / "report.html",
+        )
+        show(1, "")
+    return {
+        "rows": rows,
+        "ga": {key: value for key, value in optimised["ga"].items() if key != "tool_m"},
+        "exact": {key: value for key, value in optimised["exact"].items() if key != "tool_m"},
+        "gap_ratio": optimised["gap_ratio"],
+        "baseline": optimised["baseline"],
+        "logs": [str(log) for log in logs],
+        "plan": str(out / f"plan-via{VIA[-1]}.json"),
+        "report": str(out / "report.html"),
+        "replay": replayed,
+    }
+
+
+def _chart(
+    plan: Plan, answer: dict[str, Any], folder: Path, chain_tool: Callable[[FloatArray], FloatArray]
+) -> line.LineRun:
+    take = recordings.load(folder / f"{answer['recording']}.mcap")
+    begin_s, end_s = take.plan_s or (0.0, take.duration_s)
+    inside = (take.time_s >= begin_s) & (take.time_s <= end_s)
+    time_s, q = take.time_s[inside] - begin_s, take.positions_rad[inside]
+    return line.LineRun(
+        via=plan.via,
+        duration_s=answer["duration_s"],
+        predicted_mean_mm=plan.predicted_mean_error_mm,
+        predicted_max_mm=plan.predicted_max_error_mm,
+        predicted_tool_m=chain_tool(plan_positions(plan, np.linspace(0.0, plan.duration_s, 201))),
+        via_tool_m=chain_tool(np.array(plan.waypoints_rad)[1:-1]),
+        time_s=time_s,
+        positions_rad=q,
+        goals_rad=plan_positions(plan, np.clip(time_s, 0.0, plan.duration_s)),
+        tool_m=chain_tool(q),
+    )
+
+
+@contextmanager
+def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """An armctl of its own that has said `ready`; ended on leaving.
+
+    Args:
+        log: Where its messages go.
+    Raises:
+        ArmctlError: it did not start; its last words are in the message.
+    """
+    with log.open("a", encoding="utf-8") as words:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "armctl", *arguments], stdout=subprocess.PIPE, stderr=words, text=True
+        )
+        assert process.stdout is not None
+        try:
+            if not process.stdout.readline().startswith("ready "):
+                process.wait(START_TIMEOUT_S)
+                told = log.read_text(encoding="utf-8").strip().splitlines()
+                raise ArmctlError(f"armctl {arguments[0]} did not start: {told[-1] if told else 'no word'}")
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdout.close()
+
+
+def _make_room(out: Path) -> None:
+    """An empty `out`: what an earlier demonstration left moves into a folder of its own."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        old = [path for path in out.iterdir() if not path.name.startswith("earlier-")]
+        if old:
+            aside = out / f"earlier-{datetime.now(UTC):%Y%m%dT%H%M%S}"
+            aside.mkdir()
+            for path in old:
+                path.rename(aside / path.name)
+    except OSError as error:
+        raise ArmctlError(f"{out}: cannot write there: {error.strerror}; choose another folder with --out") from None

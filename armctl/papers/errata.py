@@ -1,0 +1,136 @@
+"""Every erratum of the five papers: those of the robots' equations, and those of tables, figures and algorithms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, jacobian, tool_position
+from armctl.kinematics.errata import Erratum
+from armctl.kinematics.transform import rotation_error
+from armctl.papers import paper_000, paper_002
+from armctl.trajectory.straightness import mean_error, progress_along_line
+
+STEP_RAD = 1e-5
+
+
+def errata(papers: Sequence[str]) -> list[Erratum]:
+    """Of those papers ("000" to "004"), in their order."""
+    known = [one for name in robots.names() for one in robots.get(name).errata] + list(_OWN)
+    return sorted((one for one in known if one.paper in papers), key=lambda one: one.paper)
+
+
+def _height_alone() -> tuple[float, float]:
+    """Eq. (18), as printed and corrected, against the squared distance of tool and target [cm^2].
+
+    Its angles count from the vertical; the hand's joint of Fig. 9 has a quarter turn.
+    """
+    robot = robots.get("xiang-6dof")
+    l1, l2, l3, l4 = (100.0 * robot.lengths_m[name] for name in ("d1", "a2", "a3", "d5"))
+    target, (theta1, t2, t3, t4) = np.array([20.0, 25.0, 30.0]), (0.4, 0.3, 0.5, 0.2)
+    q = np.array([theta1, math.pi / 2.0 - t2, -t3, -t4 - math.pi / 2.0, 0.0])
+    missed = float(((tool_position(robot.chain, q) * 100.0 - target) ** 2).sum())
+    out = l2 * math.sin(t2) + l3 * math.sin(t2 + t3) + l4 * math.sin(t2 + t3 + t4)
+    height = (target[2] - l1 - l2 * math.cos(t2) - l3 * math.cos(t2 + t3) - l4 * math.cos(t2 + t3 + t4)) ** 2
+    plane = (target[0] - out * math.cos(theta1)) ** 2 + (target[1] - out * math.sin(theta1)) ** 2
+    return abs(float(height) - missed), abs(float(height + plane) - missed)
+
+
+def _radius_alone() -> tuple[float, float]:
+    """Delta xy0 of a tool at (25, 20, 30) whose target is (20, 25, 30), against the triangle of the two radii [cm]."""
+    (x, y), (x0, y0) = (25.0, 20.0), (20.0, 25.0)
+    radius, wanted, turned = math.hypot(x, y), math.hypot(x0, y0), math.atan2(y, x) - math.atan2(y0, x0)
+    distance = math.sqrt(radius**2 + wanted**2 - 2.0 * radius * wanted * math.cos(turned))
+    return abs(abs(radius - wanted) - distance), abs(math.hypot(x - x0, y - y0) - distance)
+
+
+def _grid_reach() -> tuple[float, float]:
+    """How far out of reach the furthest target of the grid lies, and the furthest of those called reachable [cm]."""
+    robot = robots.get("xiang-6dof")
+    beyond = {key: distance for key, (distance, _) in paper_000.out_of_reach(robot).items()}
+    named = {(30.0, 30.0), (29.0, 30.0), (30.0, 29.0)}
+    others = [distance for key, distance in beyond.items() if key not in named]
+    return max(beyond.values()) * 100.0, max(others, default=0.0) * 100.0
+
+
+def _ordered_population() -> tuple[float, float]:
+    """Median over pairs of |row i + row 15 - i - 90| [deg]: of random angles in the same range, and of Fig. 7."""
+    shown = paper_000.printed()["joint_1_population"]
+    drawn = np.random.default_rng(0).uniform(shown.min(), shown.max(), shown.shape)
+    random, print_ = (float(np.median(np.abs(one + one[::-1] - 90.0))) for one in (drawn, shown))
+    return random, print_
+
+
+def _standing_still() -> tuple[float, float]:
+    """Eq. (20) of a tool that stays at A is its least, 0; the way it does not go stays unseen (share of AB)."""
+    A, B = np.array(paper_002.FROM_M), np.array(paper_002.TO_M)
+    still = np.repeat(A[None], 50, axis=0)
+    gone = float(progress_along_line(still, A, B)[-1])
+    return 1.0 - gone, float(mean_error(still, A, B))
+
+
+def _column_of_the_jacobian() -> tuple[float, float]:
+    """The tool's motion by J whose i-th row, and whose i-th column, is (Z x P, Z), against finite differences."""
+    robot = robots.get("transfer-6dof")
+    q, rate = np.array([0.3, -1.0, 0.5, 0.2, 0.7, 0.1]), np.array([0.2, -0.1, 0.3, 0.4, -0.2, 0.1])
+    J = jacobian(robot.chain, q)
+    ahead, behind = (forward_kinematics(robot.chain, q + side * STEP_RAD * rate) for side in (1.0, -1.0))
+    turn = rotation_error(behind[:3, :3], ahead[:3, :3])
+    true = np.concatenate((ahead[:3, 3] - behind[:3, 3], turn)) / (2.0 * STEP_RAD)
+    return float(np.abs(J.T @ rate - true).max()), float(np.abs(J @ rate - true).max())
+
+
+_OWN = (
+    Erratum(
+        "000",
+        "eq. (18)",
+        "min W = |z0 - ...|^2",
+        "min W = |x0 - x|^2 + |y0 - y|^2 + |z0 - z|^2",
+        "W at one configuration against the squared distance by forward kinematics [cm^2]",
+        _height_alone,
+    ),
+    Erratum(
+        "000",
+        "tables, delta xy0",
+        "the error in the plane is sqrt(x^2 + y^2) - sqrt(x0^2 + y0^2)",
+        "it is sqrt((x - x0)^2 + (y - y0)^2)",
+        "a tool at (25, 20, 30) for the target (20, 25, 30), by the law of cosines [cm]",
+        _radius_alone,
+    ),
+    Erratum(
+        "000",
+        "grid x, y in 21..30, z = 10",
+        "all hundred targets are given to the arm; the errors are the algorithm's",
+        "(30, 30, 10), (29, 30, 10) and (30, 29, 10) are out of reach by Fig. 9",
+        "distance beyond the arm's exact reach, of the furthest target and of the other 97 [cm]",
+        _grid_reach,
+    ),
+    Erratum(
+        "000",
+        "Fig. 7",
+        "a random initial population of joint 1",
+        "a smooth function on a grid: 45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg, so that rows 1 and 14, 2 and 13 ... "
+        "add up to 90",
+        "median of |sum of mirrored rows - 90| over all cells, of random numbers and of Fig. 7 [deg]",
+        _ordered_population,
+    ),
+    Erratum(
+        "002",
+        "eqs. (19), (20)",
+        "the least mean distance is the straight movement from A to B",
+        "standing still at A has mean distance 0: ends, order and progress must be held as well",
+        "share of AB that a path of least objective leaves undone; its objective [m]",
+        _standing_still,
+    ),
+    Erratum(
+        "004",
+        "before eq. (8)",
+        "(Z_i x P, Z_i) is the line i of the Jacobian",
+        "it is column i, as eq. (9) has it",
+        "tool velocity at one configuration against central differences",
+        _column_of_the_jacobian,
+    ),
+)

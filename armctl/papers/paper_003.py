@@ -1,0 +1,227 @@
+"""003: the four-joint manipulator (`lanzhou-4dof`): test poses, inverse kinematics, workspace, quintic trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.kinematics import robots, workspace
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.inverse import pose_errors
+from armctl.kinematics.robots.lanzhou_4dof import FIG_5_DEG, QZ_DEG
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.solution import LIMIT_SLACK_RAD, pose_target, solve, within_limits
+from armctl.kinematics.transform import FloatArray
+from armctl.papers.page import PaperReport, Picture, Row, Table
+from armctl.papers.verdict import Effort, Stage, claim, same
+from armctl.report import kinematics as drawn
+from armctl.report import views
+from armctl.trajectory.quintic import Curves, curves, quintic
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+PAPER = "003"
+PRINTED_IKINE = (1.0472, 0.7854, -1.5708, 1.5708)
+PRINTED_FIG_5_MM = {"x": 219.0, "z": 139.0}
+START_DEG = (0.0, 90.0, 0.0, 0.0)
+END_DEG = (60.0, 45.0, -90.0, 82.0)
+"""The print's start, and qz with theta4 at the end of its range: print gives no end for the trajectory."""
+DURATION_S = 2.0
+EXACT = 1e-12
+
+
+def round_trip(robot: Robot, poses: int, rng: np.random.Generator) -> tuple[float, int, float]:
+    """In-range poses through inverse and forward kinematics.
+
+    Returns:
+        The greatest pose error [m and rad] of any branch, the most branches of a pose, and how far [rad] the
+        configuration that a pose was made of is from the nearest branch, at most.
+    """
+    assert robot.closed_form is not None
+    limits = robot.limits_rad
+    q = rng.uniform(limits[:, 0], limits[:, 1], (poses, robot.chain.n))
+    T = forward_kinematics(robot.chain, q)
+    branches = robot.closed_form.poses(T)
+    back = np.asarray(np.isfinite(branches).all(axis=-1))
+    shown = np.where(back[..., None], branches, q[:, None])
+    position_m, turn_rad = pose_errors(robot.chain, shown, np.broadcast_to(T[:, None], (*shown.shape[:2], 4, 4)))
+    holds = np.maximum(position_m, turn_rad) < 1e-6
+    away = np.abs((shown - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1)
+    away = np.where(back & holds, away, np.inf).min(axis=1)
+    worst = float(np.maximum(position_m, turn_rad)[back & holds].max())
+    return worst, int((back & holds).sum(axis=1).max()), float(away.max())
+
+
+def trajectory(robot: Robot) -> Curves:
+    """The quintic motion of Figs. 6 to 8."""
+    motion = quintic(np.radians(START_DEG), np.radians(END_DEG), DURATION_S)
+    return curves(robot.chain, motion, np.linspace(0.0, DURATION_S, 201))
+
+
+def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
+    """Recompute the paper."""
+    robot = robots.get("lanzhou-4dof")
+    rng = np.random.default_rng(seed)
+    with stage("003: inverse kinematics and workspace", 2) as show:
+        worst, most, away = round_trip(robot, effort.random_poses, rng)
+        show(1, "workspace")
+        extent = workspace.extents(robot.chain, robot.limits_rad, rng)
+        points = workspace.cloud(robot.chain, robot.limits_rad, effort.samples, rng)
+        show(2, "")
+    motion = trajectory(robot)
+    rows = [
+        *_pose_rows(robot),
+        claim(
+            PAPER, "poses through IK and back, greatest error", "no error", worst, "m, rad", worst < EXACT, "misprint"
+        ),
+        claim(
+            PAPER, "distance of a branch from the joints it came from", "no error", away, "rad", away < 1e-9, "misprint"
+        ),
+        claim(PAPER, "solutions of a pose at most", "4", str(most), "", most == 4, "misprint"),
+        *_workspace_rows(robot, extent, points),
+        *_trajectory_rows(robot, motion),
+    ]
+    return PaperReport(
+        PAPER,
+        "kinematics of a four-joint manipulator",
+        (
+            "Lengths in millimetres, Table 1 in the modified convention (print builds it with standard links). The "
+            "paper prints pictures of the workspace and of the curves without numbers and does not give the ends of "
+            "its trajectory: the motion here goes from its start (0, 90, 0, 0) deg to qz with theta4 at the end of its "
+            "range.",
+        ),
+        tuple(rows),
+        (_extent_table(extent, points),),
+        (*_workspace_pictures(extent, points), *_curve_pictures(robot, motion)),
+    )
+
+
+def _pose_rows(robot: Robot) -> list[Row]:
+    x, _, z = (tool_position(robot.chain, np.radians(FIG_5_DEG)) * 1e3).tolist()
+    q = np.radians(QZ_DEG)
+    T = forward_kinematics(robot.chain, q)
+    found = solve(robot, pose_target(T), present=np.array(PRINTED_IKINE)).solutions
+    nearest = min(found, key=lambda one: float(np.abs(np.array(one.q_rad) - PRINTED_IKINE).max()))
+    rows = [
+        same(PAPER, "x at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["x"], x, "mm", digits=1.0),
+        same(PAPER, "z at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["z"], z, "mm", digits=1.0),
+    ]
+    for joint, (printed, value) in enumerate(zip(PRINTED_IKINE, nearest.q_rad, strict=True)):
+        rows.append(same(PAPER, f"ikine of qz, theta{joint + 1}", printed, value, "rad", digits=1e-4))
+    inside = bool(within_limits(q, robot.limits_rad))
+    rows.append(
+        claim(
+            PAPER, "qz within the ranges of Table 1", "yes", "yes" if inside else "no: theta4", "", inside, "misprint"
+        )
+    )
+    return rows
+
+
+def _word(holds: bool) -> str:
+    return "yes" if holds else "no"
+
+
+def _workspace_rows(robot: Robot, extent: FloatArray, points: FloatArray) -> list[Row]:
+    cloud = workspace.cloud_extents(points)
+    inside = bool(((cloud[:, 0] >= extent[:, 0]) & (cloud[:, 1] <= extent[:, 1])).all())
+    notch = float(np.hypot(points[:, 0], points[:, 1]).min()) * 1e3
+    offset = robot.lengths_m["d2"] * 1e3
+    rows = [
+        claim(PAPER, "random points within the exact extents", "yes", _word(inside), "", inside, "misprint"),
+        claim(
+            PAPER, f"radius of the cylindrical notch, Fig. 4 (d2 = {offset:g} mm)", "a notch", notch, "mm",
+            notch >= offset - 1e-6, "misprint",
+        ),
+    ]  # fmt: skip
+    for i, axis in enumerate("xyz"):
+        text = f"{extent[i, 0] * 1e3:.3f} .. {extent[i, 1] * 1e3:.3f}"
+        rows.append(Row(PAPER, f"exact extent along {axis}", None, text, "mm", "differs: print has a picture only"))
+    return rows
+
+
+def _trajectory_rows(robot: Robot, motion: Curves) -> list[Row]:
+    wanted = tool_position(robot.chain, np.radians(END_DEG))
+    missed = float(np.linalg.norm(motion.tool_position_m[-1] - wanted))
+    ends = max(float(np.abs(values[[0, -1]]).max()) for values in (motion.velocity_rad_s, motion.acceleration_rad_s2))
+    inside = bool(
+        (motion.position_rad >= robot.limits_rad[:, 0] - LIMIT_SLACK_RAD).all()
+        and (motion.position_rad <= robot.limits_rad[:, 1] + LIMIT_SLACK_RAD).all()
+    )
+    steps = float(np.abs(np.diff(motion.acceleration_rad_s2, axis=0)).max() / np.abs(motion.acceleration_rad_s2).max())
+    return [
+        claim(
+            PAPER,
+            "distance of the trajectory's end from what is wanted",
+            "reached",
+            missed,
+            "m",
+            missed < EXACT,
+            "misprint",
+        ),
+        claim(PAPER, "velocity and acceleration at both ends", "0", ends, "rad/s, rad/s^2", ends < 1e-9, "misprint"),
+        claim(
+            PAPER,
+            "greatest step of acceleration between samples, of its peak",
+            "continuous",
+            steps,
+            "",
+            steps < 0.1,
+            "misprint",
+        ),
+        claim(
+            PAPER,
+            "motion within the joint ranges",
+            "-",
+            "yes" if inside else "no",
+            "",
+            inside,
+            "differs: it leaves them",
+        ),
+    ]
+
+
+def _extent_table(extent: FloatArray, points: FloatArray) -> Table:
+    cloud = workspace.cloud_extents(points)
+    rows = tuple(
+        (axis, *(f"{value * 1e3:.4f}" for value in (*extent[i].tolist(), *cloud[i].tolist())))
+        for i, axis in enumerate("xyz")
+    )
+    header = ("axis", "exact least", "exact greatest", "random least", "random greatest")
+    return Table("Fig. 4: workspace", header, rows, f"mm; random: {len(points)} configurations by eq. (12)")
+
+
+def _workspace_pictures(extent: FloatArray, points: FloatArray) -> list[Picture]:
+    def draw(view: str) -> Callable[[], go.Figure]:
+        return lambda: views.workspace(points, extent, view)
+
+    return [
+        Picture(f"Fig. 4: {view}", f"{view} of random configurations", draw(view)) for view in views.WORKSPACE_VIEWS
+    ]
+
+
+def _curve_pictures(robot: Robot, motion: Curves) -> list[Picture]:
+    def draw(title: str) -> Callable[[], go.Figure]:
+        return lambda: drawn.curve_figures(motion)[title]
+
+    def space() -> go.Figure:
+        arms = {"start": motion.position_rad[0], "end": motion.position_rad[-1]}
+        figure = drawn.arm_figures(robot.chain, arms)["from the side and above"]
+        x, y, z = motion.tool_position_m.T
+        figure.add_scatter3d(x=x, y=y, z=z, mode="lines", name="tool path")
+        return figure
+
+    figures = {
+        "Fig. 7": ("Tool position", "Tool velocity", "Tool acceleration"),
+        "Fig. 8": ("Joint positions", "Joint velocities", "Joint accelerations"),
+    }
+    return [
+        Picture("Fig. 6: path of the tool", "the arm at both ends and the path of its tool", space),
+        *(
+            Picture(f"{number}: {title}", f"{title} over time", draw(title))
+            for number, titles in figures.items()
+            for title in titles
+        ),
+    ]

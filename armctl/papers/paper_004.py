@@ -1,0 +1,282 @@
+"""004: the transfer robot (`transfer-6dof`): kinematics both ways, Jacobian, the curves of a cycle (Figs. 3 to 7).
+
+A `Cycle` is what the curves are drawn from, whoever made it: here the model itself, by `simulated_cycle`; a recorded
+run of the arm fits in as well.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.files import load_arm
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, jacobian
+from armctl.kinematics.differential import dexterity
+from armctl.kinematics.inverse import pose_errors
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.robots.transfer_6dof import FIG_3_START_M, INITIAL_DEG, PRINTED_INITIAL
+from armctl.kinematics.solution import pose_target, solve
+from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error
+from armctl.lab.transfer import record
+from armctl.papers.page import PaperReport, Picture, Row
+from armctl.papers.verdict import Effort, Stage, claim
+from armctl.report import kinematics as drawn
+from armctl.report import transfer
+from armctl.report.transfer import Transfer
+from armctl.trajectory import transfer as trajectory
+from armctl.trajectory.quintic import Curves, curves, quintic
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+PAPER = "004"
+ROBOT = "transfer-6dof"
+SCALE = 0.4
+"""Of the arm in calibration/transfer-6dof.yaml."""
+LOGGED = trajectory.Cycle(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
+EXACT = 1e-12
+STEP_RAD = 1e-5
+DIFFERENCE_BOUND = 1e-8
+"""What central differences of that step can tell."""
+PRINTED_SPEED_MM_S = {"x": 297.0, "y": 200.0, "z": 245.0}
+PRINTED_ACCELERATION_MM_S2 = {"x": 95.0, "y": 113.0, "z": 46.0}
+
+HOME_DEG = (0.0, -60.0, -30.0, 0.0, 90.0, 0.0)
+PICK_M = (0.350, -0.300, -0.150)
+PLACE_M = (0.350, 0.300, 0.050)
+ABOVE_M = 0.120
+DOWN_RPY = (np.pi, 0.0, 0.0)
+STAGE_S = (2.0, 1.0, 1.0, 3.0, 1.0, 1.0, 2.0)
+SAMPLES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """A pick-and-transfer cycle and where its motion is from."""
+
+    curves: Curves
+    source: str
+
+
+def stops(robot: Robot) -> FloatArray:
+    """Joint positions of the cycle [rad], shape (8, 6): home, above and at the pick, above and at the place, home.
+
+    Raises:
+        UnreachableTarget: never for the paper's lengths; `solve` answers the nearest configuration otherwise.
+    """
+    home = np.radians(HOME_DEG)
+    way = [home]
+    for x, y, z in (PICK_M, PLACE_M):
+        for height in (z + ABOVE_M, z, z + ABOVE_M):
+            T = pose_from_xyz_rpy(x, y, height, *DOWN_RPY)
+            answer = solve(robot, pose_target(T), present=way[-1])
+            way.append(np.array(answer.solutions[0].q_rad))
+    return np.unwrap(np.stack([*way, home]), axis=0)
+
+
+def simulated_cycle(robot: Robot, samples: int = SAMPLES) -> Cycle:
+    """The cycle by the model: quintic motions from stop to stop."""
+    q = stops(robot)
+    begin_s, parts = 0.0, []
+    for start, end, duration_s in zip(q, q[1:], STAGE_S, strict=False):
+        part = curves(robot.chain, quintic(start, end, duration_s), np.linspace(0.0, duration_s, samples))
+        parts.append((part, begin_s))
+        begin_s += duration_s
+    joined = {
+        field.name: np.concatenate([getattr(part, field.name) for part, _ in parts])
+        for field in fields(Curves)
+        if field.name != "time_s"
+    }
+    time_s = np.concatenate([part.time_s + begin for part, begin in parts])
+    return Cycle(Curves(time_s=time_s, **joined), "quintic motions of the model")
+
+
+def jacobian_gap(robot: Robot, q: FloatArray) -> float:
+    """Greatest difference between the Jacobian and central differences of forward kinematics, q of shape (m, n)."""
+    J = jacobian(robot.chain, q)
+    worst = 0.0
+    for joint in range(robot.chain.n):
+        step = np.zeros(robot.chain.n)
+        step[joint] = STEP_RAD
+        ahead, behind = forward_kinematics(robot.chain, q + step), forward_kinematics(robot.chain, q - step)
+        linear = (ahead[:, :3, 3] - behind[:, :3, 3]) / (2.0 * STEP_RAD)
+        turn = rotation_error(behind[:, :3, :3], ahead[:, :3, :3]) / (2.0 * STEP_RAD)
+        worst = max(worst, float(np.abs(np.concatenate((linear, turn), axis=1) - J[:, :, joint]).max()))
+    return worst
+
+
+def reproduce(effort: Effort, seed: int, stage: Stage, cycle: Cycle | None = None) -> PaperReport:
+    """Recompute the paper; the curves are those of `cycle`, the model's own if none is given."""
+    robot = robots.get(ROBOT)
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (effort.random_poses, robot.chain.n))
+    with stage("004: kinematics and cycle", 1):
+        logged = logged_cycle(seed)
+        shown = cycle or simulated_cycle(robot)
+        rows = [*_pose_rows(robot), *_inverse_rows(robot, q), *_jacobian_rows(robot, q), *_curve_rows(shown.curves)]
+    return PaperReport(
+        PAPER,
+        "a transfer robot with six degrees of freedom",
+        (
+            "Lengths in millimetres, Table 1 in the modified convention. The motion behind the printed curves is not "
+            "given, and their start lies out of reach: the curves here are those of a pick-and-transfer cycle, "
+            f"{shown.source}.",
+            "The last five pictures are drawn from the MCAP log of such a cycle, run by the control loop on simulated "
+            f"AX-12A servos, which can carry it at {SCALE:g} of its size. `armctl transfer` runs it on a daemon.",
+        ),
+        tuple(rows),
+        (),
+        (*_pictures(robot, shown.curves), *_logged_pictures(logged)),
+    )
+
+
+def logged_cycle(seed: int) -> Transfer:
+    """A cycle that the control loop ran on a simulated arm, read back from its log."""
+    arm = load_arm(ROBOT)
+    with tempfile.TemporaryDirectory(prefix="armctl-") as folder:
+        return transfer.load(record(arm, LOGGED, Path(folder) / "transfer.mcap", seed=seed))
+
+
+def _logged_pictures(logged: Transfer) -> list[Picture]:
+    def draw(title: str) -> Callable[[], go.Figure]:
+        return lambda: transfer.draw(logged)[title]
+
+    return [
+        Picture(f"from the log, {title}", f"{title}: the model's and the recorded one", draw(title))
+        for title in transfer.titles()
+    ]
+
+
+def _pose_rows(robot: Robot) -> list[Row]:
+    found = forward_kinematics(robot.chain, np.radians(INITIAL_DEG)) * 1e3
+    rows = []
+    for axis, printed, value in zip("xyz", np.array(PRINTED_INITIAL)[:3, 3], found[:3, 3], strict=True):
+        verdict = "equal" if abs(printed * 1e3 - value) < 0.5 else "misprint"
+        rows.append(
+            Row(PAPER, f"initial position, {axis}", float(printed) * 1e3, round(float(value), 9) + 0.0, "mm", verdict)
+        )
+    R = np.array(PRINTED_INITIAL)[:3, :3]
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    rows.append(claim(PAPER, "R R^T - 1 of the initial rotation", "a rotation", off, "", off < 1e-9, "misprint"))
+    assert robot.closed_form is not None
+    _, beyond = robot.closed_form.nearest_position(np.array(FIG_3_START_M))
+    start = "({:.0f}, {:.0f}, {:.0f})".format(*(value * 1e3 for value in FIG_3_START_M))
+    rows.append(
+        claim(
+            PAPER,
+            f"Fig. 3 starts at {start}: out of reach by",
+            "as calculated",
+            beyond * 1e3,
+            "mm",
+            beyond == 0.0,
+            "misprint",
+        )
+    )
+    return rows
+
+
+def _inverse_rows(robot: Robot, q: FloatArray) -> list[Row]:
+    assert robot.closed_form is not None
+    T = forward_kinematics(robot.chain, q)
+    branches = robot.closed_form.poses(T)
+    exists = np.asarray(np.isfinite(branches).all(axis=-1))
+    filled = np.where(exists[..., None], branches, q[:, None])
+    position_m, turn_rad = pose_errors(robot.chain, filled, np.broadcast_to(T[:, None], (*filled.shape[:2], 4, 4)))
+    worst = float(np.maximum(position_m, turn_rad)[exists].max())
+    most = int(exists.sum(axis=1).max())
+    what = f"{len(q)} poses through IK and back, every branch: greatest error"
+    return [
+        claim(PAPER, what, "mutually", worst, "m, rad", worst < EXACT, "differs: rounding near a singularity"),
+        claim(
+            PAPER,
+            "solutions of a pose at most",
+            "16 (2 each of theta1 to theta4)",
+            str(most),
+            "",
+            most == 16,
+            "misprint",
+        ),
+    ]
+
+
+def _jacobian_rows(robot: Robot, q: FloatArray) -> list[Row]:
+    gap = jacobian_gap(robot, q)
+    J = jacobian(robot.chain, np.radians(INITIAL_DEG))
+    found = dexterity(J)
+    best = max(dexterity(one).manipulability for one in jacobian(robot.chain, q))
+    why = "differs: print gives none"
+    return [
+        claim(
+            PAPER,
+            "Jacobian by eq. (8) against central differences",
+            "the same",
+            gap,
+            "",
+            gap < DIFFERENCE_BOUND,
+            "misprint",
+        ),
+        Row(PAPER, "rank of the Jacobian at the initial position", None, str(found.rank), "", why),
+        Row(PAPER, "manipulability at the initial position", None, found.manipulability, "", why),
+        Row(PAPER, f"greatest manipulability of {len(q)} random configurations", None, best, "", why),
+    ]
+
+
+def _curve_rows(shown: Curves) -> list[Row]:
+    why = "differs: print does not give its motion"
+    speed, push = (
+        np.abs(values).max(axis=0) * 1e3 for values in (shown.tool_velocity_m_s, shown.tool_acceleration_m_s2)
+    )
+    rows = []
+    for i, axis in enumerate("xyz"):
+        printed, found = PRINTED_SPEED_MM_S[axis], float(speed[i])
+        rows.append(Row(PAPER, f"greatest speed along {axis}, Fig. 4", printed, found, "mm/s", why))
+    for i, axis in enumerate("xyz"):
+        printed, found = PRINTED_ACCELERATION_MM_S2[axis], float(push[i])
+        rows.append(Row(PAPER, f"greatest acceleration along {axis}, Fig. 5", printed, found, "mm/s^2", why))
+    away = _derivative_gap(shown)
+    rows.append(
+        claim(PAPER, "Fig. 4 against the slope of Fig. 3, of its peak", "consistent", away, "", away < 0.01, "misprint")
+    )
+    return rows
+
+
+def _derivative_gap(shown: Curves) -> float:
+    """Greatest difference between the tool's velocity and the slope of its position, as a share of the top speed."""
+    step = np.diff(shown.time_s)
+    moving = step > 0.0
+    slope = np.diff(shown.tool_position_m, axis=0)[moving] / step[moving, None]
+    middle = (shown.tool_velocity_m_s[1:] + shown.tool_velocity_m_s[:-1])[moving] / 2.0
+    return float(np.abs(slope - middle).max() / np.abs(shown.tool_velocity_m_s).max())
+
+
+def _pictures(robot: Robot, shown: Curves) -> list[Picture]:
+    titles = (
+        "Tool position",
+        "Tool velocity",
+        "Tool acceleration",
+        "Tool angular velocity",
+        "Tool angular acceleration",
+    )
+
+    def draw(title: str) -> Callable[[], go.Figure]:
+        return lambda: drawn.curve_figures(shown)[title]
+
+    def space() -> go.Figure:
+        q = stops(robot)
+        figure = drawn.arm_figures(robot.chain, {"home": q[0], "pick": q[2], "place": q[5]})["from the side and above"]
+        x, y, z = shown.tool_position_m.T
+        figure.add_scatter3d(x=x, y=y, z=z, mode="lines", name="tool path")
+        return figure
+
+    return [
+        Picture("the cycle", "the arm at home, pick and place and the path of its tool", space),
+        *(
+            Picture(f"Fig. {number}: {title}", f"{title} over time", draw(title))
+            for number, title in enumerate(titles, start=3)
+        ),
+    ]

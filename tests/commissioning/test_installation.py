@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+import pytest
+
+from armctl.commissioning.installation import (
+    SYSTEM,
+    InstallationFailed,
+    RemoveFile,
+    Run,
+    WriteFile,
+    carry_out,
+    installation,
+    missing_commands,
+    removal,
+    udev_rules,
+    usb_adapter,
+)
+from armctl.config import parse_yaml
+from armctl.errors import ArmctlError, ConfigError
+from armctl.files import load_arm
+
+
+@pytest.fixture
+def prefix(tmp_path: Path) -> Path:
+    program = tmp_path / "opt" / "armctl" / "bin" / "armctl"
+    program.parent.mkdir(parents=True)
+    program.touch()
+    return program.parent.parent
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return tmp_path / "root"
+
+
+@pytest.fixture
+def sysfs(tmp_path: Path) -> Path:
+    """A kernel that knows a U2D2 behind ttyUSB0, and a serial port that is not of USB."""
+    usb = tmp_path / "sys" / "devices" / "usb1" / "1-1"
+    (usb / "1-1:1.0" / "ttyUSB0").mkdir(parents=True)
+    for key, value in (("idVendor", "0403"), ("idProduct", "6014"), ("serial", "FT4THUX8")):
+        (usb / key).write_text(value + "\n")
+    plain = tmp_path / "sys" / "devices" / "platform" / "serial8250"
+    plain.mkdir(parents=True)
+    for name, device in (("ttyUSB0", usb / "1-1:1.0" / "ttyUSB0"), ("ttyS0", plain)):
+        tty = tmp_path / "sys" / "class" / "tty" / name
+        tty.mkdir(parents=True)
+        (tty / "device").symlink_to(device)
+    return tmp_path / "sys"
+
+
+def due(acts: list[WriteFile | RemoveFile | Run], root: Path) -> list[str]:
+    done: list[str] = []
+    carry_out(acts, root, lambda act, is_due: done.append(str(act)) if is_due else None)
+    return done
+
+
+def contents(root: Path) -> dict[str, str]:
+    return {str(path.relative_to(root)): path.read_text() for path in root.rglob("*") if path.is_file()}
+
+
+def test_an_installation_is_complete_and_readable_by_the_service(prefix: Path, root: Path) -> None:
+    carry_out(installation(arm="ax12-line", prefix=prefix), root, lambda act, is_due: None)
+    found = contents(root)
+    assert sorted(found) == [
+        "etc/armctl/armctl.yaml",
+        "etc/armctl/calibration/ax12-line.yaml",
+        "etc/systemd/system/armctl-web.service",
+        "etc/systemd/system/armctl.service",
+        "etc/sysusers.d/armctl.conf",
+        "etc/tmpfiles.d/armctl.conf",
+        "etc/udev/rules.d/60-armctl.rules",
+    ]
+    assert f"ExecStart={prefix}/bin/armctl daemon" in found["etc/systemd/system/armctl.service"]
+    assert parse_yaml(found["etc/armctl/armctl.yaml"], "armctl.yaml") == {"port": "/dev/armctl", "arm": "ax12-line"}
+    assert load_arm(str(root / "etc/armctl/calibration/ax12-line.yaml")) == load_arm("ax12-line")
+    assert {stat.S_IMODE(path.stat().st_mode) for path in root.rglob("*") if path.is_file()} == {0o644}
+
+
+def test_installing_twice_changes_nothing(prefix: Path, root: Path) -> None:
+    acts = installation(arm="ax12-line", prefix=prefix)
+    assert due(acts, root)
+    before = contents(root)
+    assert due(acts, root) == []
+    assert contents(root) == before
+
+
+def test_a_persons_configuration_is_kept_and_a_changed_unit_is_renewed(prefix: Path, root: Path) -> None:
+    acts = installation(arm="ax12-line", prefix=prefix)
+    due(acts, root)
+    mine, unit = root / "etc/armctl/armctl.yaml", root / "etc/systemd/system/armctl.service"
+    mine.write_text("arm: mine\n")
+    unit.write_text("# old\n")
+    assert due(acts, root) == ["write /etc/systemd/system/armctl.service"]
+    assert mine.read_text() == "arm: mine\n"
+
+
+def test_removal_leaves_configuration_and_calibrations_and_nothing_else(prefix: Path, root: Path) -> None:
+    due(installation(arm="ax12-line", prefix=prefix), root)
+    due(removal(), root)
+    assert sorted(contents(root)) == ["etc/armctl/armctl.yaml", "etc/armctl/calibration/ax12-line.yaml"]
+    assert due(removal(), root) == []
+
+
+def test_commands_run_on_the_running_system_only(prefix: Path, root: Path) -> None:
+    commands = [act for act in installation(arm="ax12-line", prefix=prefix, user="eve") if isinstance(act, Run)]
+    assert Run(("usermod", "--append", "--groups", "armctl", "eve")) in commands
+    assert all(act.due(SYSTEM) and not act.due(root) for act in commands)
+
+
+def test_a_command_that_fails_is_named_with_its_words() -> None:
+    act = Run(("sh", "-c", "echo no such group >&2; exit 6"))
+    with pytest.raises(InstallationFailed, match=r"run sh .*exit status 6: no such group"):
+        act.do(SYSTEM)
+    Run(act.command, may_fail=True).do(SYSTEM)
+    with pytest.raises(InstallationFailed, match="no-such-program"):
+        Run(("no-such-program",)).do(SYSTEM)
+    assert missing_commands([act, Run(("no-such-program",))]) == ["no-such-program"]
+
+
+def test_a_folder_that_cannot_be_written_is_told_with_the_act(prefix: Path, root: Path) -> None:
+    root.write_text("a file where a folder should be")
+    with pytest.raises(InstallationFailed, match=r"write /etc/sysusers.d/armctl.conf: Not a directory"):
+        due(installation(arm="ax12-line", prefix=prefix), root)
+
+
+def test_a_program_in_a_home_folder_is_refused_with_the_way_out() -> None:
+    with pytest.raises(ConfigError, match="no such program"):
+        installation(arm="ax12-line", prefix=Path("/home/eve/.venv"))
+
+
+def test_a_home_folder_is_no_place_for_a_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "is_file", lambda path: True)
+    with pytest.raises(ConfigError, match=r"home folder; python3 -m venv /opt/armctl"):
+        installation(arm="ax12-line", prefix=Path("/home/eve/.venv"))
+
+
+def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path, sysfs: Path) -> None:
+    acts = installation(arm="ax12-line", prefix=prefix, port="/dev/ttyUSB0", sysfs=sysfs)
+    [rules] = [act.text for act in acts if isinstance(act, WriteFile) and act.path.suffix == ".rules"]
+    rows = [row for row in rules.splitlines() if not row.startswith("#")]
+    assert len(rows) == 2
+    assert all('ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", ATTRS{serial}=="FT4THUX8"' in row for row in rows)
+    assert 'MODE="0660", GROUP="armctl"' in rows[0]
+    assert 'ATTR{latency_timer}="1"' in rows[1]
+
+
+def test_a_serial_number_that_is_no_plain_word_does_not_get_into_a_rule(sysfs: Path) -> None:
+    (sysfs / "devices/usb1/1-1/serial").write_text('X", RUN+="/bin/sh\n')
+    assert "RUN" not in udev_rules(usb_adapter(Path("/dev/ttyUSB0"), sysfs))
+
+
+@pytest.mark.parametrize(("port", "problem"), [("/dev/ttyUSB7", "no such serial device"), ("/dev/ttyS0", "no USB")])
+def test_a_port_without_an_adapter_is_refused(sysfs: Path, port: str, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        usb_adapter(Path(port), sysfs)
+
+
+def test_an_unknown_arm_is_refused_before_anything_is_touched(prefix: Path) -> None:
+    with pytest.raises(ArmctlError, match="no such arm"):
+        installation(arm="no-such-arm", prefix=prefix)

@@ -1,0 +1,215 @@
+"""The published and the improved algorithm: laws, and the figures in short form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armctl.errors import ConfigError
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.genetic import chromosomes, improved, plain
+from armctl.kinematics.genetic.chromosomes import Coding, Streams
+from armctl.kinematics.genetic.problem import (
+    Evolution,
+    Problem,
+    behind_the_waist,
+    moving,
+    points_problem,
+    poses_problem,
+)
+from armctl.kinematics.genetic.solve import POSITION_WEIGHT, solve
+from armctl.kinematics.inverse import pose_errors
+from armctl.kinematics.robots.puma560 import WANTED_XYZ_RPY
+from armctl.kinematics.solution import point_target, pose_target
+from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
+
+XIANG, PUMA = robots.get("xiang-6dof"), robots.get("puma560")
+POINTS = np.array([[0.20, 0.25, 0.30], [0.30, 0.25, 0.20], [0.25, -0.22, 0.10], [-0.2, 0.1, 0.2]])
+WANTED = pose_from_xyz_rpy(*WANTED_XYZ_RPY)
+SHORT = replace(plain.PAPER, generations=40)
+SHORT_IMPROVED = replace(
+    improved.DEFAULT, generations=40, individuals=20, catastrophe_generations=4, migration_generations=5
+)
+ALGORITHMS: list[Any] = [(plain.evolve, SHORT), (improved.evolve, SHORT_IMPROVED)]
+
+
+def points(targets: FloatArray = POINTS) -> Problem:
+    return points_problem(XIANG.chain, targets, XIANG.limits_rad)
+
+
+def poses(count: int) -> Problem:
+    T = np.repeat(WANTED[None], count, axis=0)
+    return poses_problem(PUMA.chain, T, PUMA.limits_rad, POSITION_WEIGHT)
+
+
+def test_the_published_settings_are_the_printed_ones() -> None:
+    assert plain.Settings(95, 0.6, 0.01, 300, 16) == plain.PAPER
+
+
+def test_error_of_a_pose_is_eq_4_and_of_a_point_the_squared_distance() -> None:
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (2, 3, 6))
+    gap = forward_kinematics(PUMA.chain, q) - WANTED
+    expected = (gap[..., :3, :3] ** 2).sum(axis=(-2, -1)) + POSITION_WEIGHT * (gap[..., :3, 3] ** 2).sum(axis=-1)
+    np.testing.assert_allclose(poses(2).cost(q), expected, rtol=1e-12)
+    q = np.random.default_rng(1).uniform(-3.0, 3.0, (4, 3, 5))
+    away = np.linalg.norm(tool_position(XIANG.chain, q) - POINTS[:, None], axis=-1)
+    np.testing.assert_allclose(points().cost(q), away**2, rtol=1e-12)
+
+
+def test_only_joints_that_move_the_tool_are_searched() -> None:
+    assert moving(XIANG.chain) == (0, 1, 2, 3)
+    assert points().free == (0, 1, 2, 3)
+    assert behind_the_waist(points()).free == (1, 2, 3)
+    present = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
+    held = points_problem(XIANG.chain, POINTS, XIANG.limits_rad, present)
+    assert (plain.evolve(held, SHORT, [0, 1, 2, 3]).q_rad[:, 4] == 0.5).all()
+
+
+def test_the_waist_by_eq_12_faces_the_target() -> None:
+    problem = behind_the_waist(points())
+    np.testing.assert_allclose(problem.base_rad[:, 0], np.arctan2(POINTS[:, 1], POINTS[:, 0]), atol=1e-12)
+    found = tool_position(XIANG.chain, plain.evolve(problem, plain.PAPER, [0, 1, 2, 3]).q_rad)
+    cross = found[:, 0] * POINTS[:, 1] - found[:, 1] * POINTS[:, 0]
+    np.testing.assert_allclose(cross, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("evolve", "short"), ALGORITHMS)
+def test_a_run_is_the_same_alone_and_among_others(evolve: Callable[..., Evolution], short: Any) -> None:
+    many = evolve(points(), short, [[7, run] for run in range(4)])
+    for run in range(4):
+        alone = evolve(points(POINTS[run : run + 1]), short, [[7, run]])
+        np.testing.assert_array_equal(many.q_rad[run], alone.q_rad[0])
+        np.testing.assert_array_equal(many.mean_cost[:, run], alone.mean_cost[:, 0])
+
+
+@pytest.mark.parametrize(("evolve", "short"), ALGORITHMS)
+def test_the_best_is_what_it_is_said_to_be_and_never_gets_worse(evolve: Callable[..., Evolution], short: Any) -> None:
+    problem = points()
+    found = evolve(problem, short, [1, 2, 3, 4])
+    np.testing.assert_array_equal(problem.cost(found.q_rad[:, None])[:, 0], found.cost)
+    np.testing.assert_array_equal(found.best_cost[-1], found.cost)
+    assert (np.diff(found.best_cost, axis=0) <= 0.0).all()
+    assert (found.best_cost <= found.mean_cost).all()
+    other = evolve(problem, short, [5, 6, 7, 8])
+    assert not np.array_equal(found.q_rad, other.q_rad)
+
+
+@pytest.mark.parametrize(("evolve", "short"), ALGORITHMS)
+def test_one_seed_a_target_is_asked_for(evolve: Callable[..., Evolution], short: Any) -> None:
+    with pytest.raises(ValueError, match="1 seeds for 4 targets"):
+        evolve(points(), short, [0])
+
+
+def test_niches_hold_who_is_near_their_head_and_heads_are_the_best_left() -> None:
+    coding = Coding(PUMA.limits_rad, 20, gray=True)
+    words = chromosomes.random_words(coding, Streams([0, 1]).uniform(30, 6))
+    words[:, 10:20] = words[:, :1] ^ np.uint32(1)  # a crowd beside the first individual
+    cost = np.random.default_rng(3).uniform(1.0, 2.0, (2, 30))
+    cost[:, 0] = 0.5
+    parted = improved.part(coding, words, cost, improved.DEFAULT)
+    radius = improved.DEFAULT.niche_radius * coding.length
+    for run in range(2):
+        assert parted.heads[run, 0] == 0
+        assert (parted.niche[run, 10:20] == 0).all()
+        assert len(set(parted.heads[run].tolist())) == improved.DEFAULT.niches
+        for one, head in enumerate(parted.heads[run]):
+            members = np.flatnonzero(parted.niche[run] == one)
+            assert cost[run, head] == cost[run, members].min()
+            assert (chromosomes.hamming(words[run, members], words[run, head]) <= radius).all()
+    shared = improved.shared_fitness(coding, cost, parted, improved.DEFAULT)
+    plain_fitness = plain.fitness(cost)
+    assert (shared <= plain_fitness).all()
+    for run in range(2):
+        np.testing.assert_array_equal(shared[run, parted.heads[run]], plain_fitness[run, parted.heads[run]])
+
+
+def test_a_copy_of_a_head_gives_up_more_fitness_than_a_distant_member() -> None:
+    coding = Coding(PUMA.limits_rad, 20, gray=True)
+    words = np.zeros((1, 4, 6), dtype=np.uint32)
+    words[0, 2] = 1  # six bits away
+    cost = np.array([[1.0, 1.0, 1.0, 4.0]])
+    parted = improved.part(coding, words, cost, replace(improved.DEFAULT, niches=1))
+    settings = replace(improved.DEFAULT, niches=1, sharing=2.0)
+    head, copy, distant, _ = improved.shared_fitness(coding, cost, parted, settings)[0].tolist()
+    assert head == distant == 1.0
+    assert copy == pytest.approx(1.0 - 2.0 * 6.0 / 120.0)
+
+
+def test_everybody_in_one_niche_leaves_the_best_as_every_head() -> None:
+    coding = Coding(PUMA.limits_rad, 20, gray=True)
+    words = np.zeros((1, 5, 6), dtype=np.uint32)
+    cost = np.array([[3.0, 2.0, 1.0, 2.0, 3.0]])
+    parted = improved.part(coding, words, cost, improved.DEFAULT)
+    assert parted.heads.tolist() == [[2, 2, 2, 2]]
+    assert (parted.niche == 0).all()
+
+
+def test_migration_takes_the_first_of_each_population_to_the_next_of_its_run() -> None:
+    words = np.arange(4 * 3 * 1, dtype=np.uint32).reshape(4, 3, 1)  # two runs of two populations
+    moved = improved.migrated(words, 2)
+    np.testing.assert_array_equal(moved[:, :2], words[:, :2])
+    assert moved[:, 2, 0].tolist() == [3, 0, 9, 6]
+
+
+def test_a_catastrophe_brings_newcomers_and_keeps_the_best() -> None:
+    calm = replace(SHORT_IMPROVED, catastrophe_generations=1000)
+    struck = improved.evolve(poses(3), SHORT_IMPROVED, [0, 1, 2])
+    quiet = improved.evolve(poses(3), calm, [0, 1, 2])
+    assert struck.mean_cost[-1].mean() > quiet.mean_cost[-1].mean()
+    assert (np.diff(struck.best_cost, axis=0) <= 0.0).all()
+
+
+def test_the_improved_algorithm_beats_the_standard_one_and_comes_below_a_millimetre() -> None:
+    """Short form of `armctl reproduce 001`: 8 seeds of 50."""
+    T = np.repeat(WANTED[None], 8, axis=0)
+    standard = replace(plain.PAPER, population=improved.DEFAULT.populations * improved.DEFAULT.individuals)
+    ours = pose_errors(PUMA.chain, improved.evolve(poses(8), improved.DEFAULT, range(8)).q_rad, T)
+    theirs = pose_errors(PUMA.chain, plain.evolve(poses(8), standard, range(8)).q_rad, T)
+    assert np.median(ours[0]) < 1e-3
+    for better, worse in zip(ours, theirs, strict=True):
+        for statistic in (np.median, np.mean, np.max, np.min, np.std):
+            assert statistic(better) < statistic(worse)
+
+
+@pytest.mark.parametrize("method", ["ga", "ga-improved"])
+def test_solve_answers_as_the_other_methods_do(method: Any) -> None:
+    found = solve(XIANG, point_target((0.2, 0.25, 0.3)), method=method, seed=3)
+    assert found.reachable
+    assert found.least_position_error_m == 0.0
+    assert found.solutions[0].position_error_m < 1e-9
+    again = solve(XIANG, point_target((0.2, 0.25, 0.3)), method=method, seed=3)
+    assert again == found
+
+
+def test_solve_without_polish_says_what_the_algorithm_missed() -> None:
+    found = solve(PUMA, pose_target(WANTED), method="ga-improved", polish=False)
+    assert found.reachable
+    assert 1e-9 < found.solutions[0].position_error_m < 1e-3
+    assert solve(PUMA, pose_target(WANTED), method="ga-improved").solutions[0].position_error_m < 1e-9
+
+
+def test_solve_tells_a_target_out_of_reach_with_the_exact_distance() -> None:
+    found = solve(XIANG, point_target((0.3, 0.3, 0.1)), method="ga-improved")
+    assert not found.reachable
+    exact = float(np.hypot(np.hypot(0.3, 0.3), 0.001)) - 0.416
+    assert found.least_position_error_m == pytest.approx(exact, abs=1e-12)
+    assert found.solutions[0].position_error_m == pytest.approx(exact, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda: plain.Settings(population=1), "population: 1 is outside 2 to"),
+        (lambda: plain.Settings(mutation_probability=1.5), "mutation_probability"),
+        (lambda: improved.Settings(populations=0), "populations"),
+        (lambda: improved.Settings(niches=61), "niches: 61 is outside 1 to 60"),
+    ],
+)
+def test_settings_out_of_bounds_are_refused(change: Callable[[], object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        change()

@@ -1,0 +1,60 @@
+"""A daemon in this process: it runs plans on a simulated arm in virtual time, and keeps what it measured by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Self
+
+import pytest
+
+import armctl.client
+from armctl.lab.rig import Measured, VirtualRig
+from armctl.recording import recordings
+from armctl.recording.recordings import Recording
+from armctl.trajectory.plan import Plan
+
+
+class SimulatedDaemon:
+    """Answers the calls of an experiment; `install` puts it where clients and recordings are looked for."""
+
+    def __init__(self, rig: VirtualRig) -> None:
+        self.rig = rig
+        self.runs: list[Measured] = []
+
+    def install(self, patch: pytest.MonkeyPatch) -> None:
+        patch.setattr(armctl.client, "Client", lambda _socket: self)
+        patch.setattr(recordings, "load", self.load)
+        patch.setattr("os.nice", lambda _more: 0)  # nobody drives a real arm beside the tests
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        match method:
+            case "status":
+                joints = [{"position_rad": position} for position in self.rig.goals_rad]
+                return {"period_s": self.rig.period_s, "joints": joints}
+            case "run":
+                self.runs.append(self.rig.run(Plan.model_validate(params["plan"])))
+                return {"recording": f"run-{len(self.runs)}", "duration_s": self.runs[-1].duration_s}
+            case "recordings_show":
+                return {"path": f"takes/{params['name']}.mcap"}
+        raise AssertionError(method)
+
+    def load(self, path: Path) -> Recording:
+        run, arm = self.runs[int(path.stem.removeprefix("run-")) - 1], self.rig.arm
+        return Recording(
+            name=path.stem,
+            path=path,
+            arm_id=arm.arm_id,
+            calibration_hash=arm.calibration_hash,
+            joint_names=arm.joint_names,
+            start_ns=0,
+            time_s=run.time_s,
+            positions_rad=run.positions_rad,
+            plan_s=(0.0, run.duration_s),
+            complete=True,
+        )

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.genetic.algorithm import DEFAULT
+from armctl.lab.study.pareto import Case, on_front, with_fronts, with_truth, work
+from tests.genetic import hand
+
+pairs = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=1, max_size=12)
+
+
+@given(pairs)
+@settings(deadline=None)
+def test_on_the_front_is_who_no_other_beats(points: list[tuple[int, int]]) -> None:
+    first, second = np.array(points, dtype=float).T
+    for point, front in zip(points, on_front(first, second), strict=True):
+        beaten = any(a <= point[0] and b <= point[1] and (a, b) != point for a, b in points)
+        assert front == (not beaten)
+
+
+def test_what_could_not_be_done_is_on_no_front() -> None:
+    assert on_front(np.array([1.0, 2.0]), np.array([np.inf, 3.0])).tolist() == [False, True]
+
+
+def case(duration_s: float) -> Case:
+    takes = tuple(hand.recordings(3, 2))
+    return Case(
+        hand.arm(), takes, (0.18, -0.125, 0.10), (0.18, 0.125, 0.10), (0, 2), duration_s, 0,
+        settings=replace(DEFAULT, generations=30),
+    )  # fmt: skip
+
+
+def test_too_short_a_duration_is_not_feasible_and_a_longer_one_is() -> None:
+    fast, slow = work(case(0.5)), work(case(5.0))
+    assert [(row["duration_s"], row["via"]) for row in fast + slow] == [(0.5, 0), (0.5, 2), (5.0, 0), (5.0, 2)]
+    assert not any(row["feasible"] for row in fast)
+    assert all(row["feasible"] for row in slow)
+    marked = with_fronts(fast + slow)
+    assert [row["front_duration"] for row in marked] == [False, False, False, True]
+    assert [row["front_via"] for row in marked] == [False, False, True, True]
+
+
+def test_where_arms_ran_their_truth_counts_and_who_was_refused_is_out() -> None:
+    rows = work(case(5.0))
+    ran: list[dict[str, Any]] = [
+        {"via": 0, "wanted_s": 5.0, "refused": None, "truth": {"mean_error_mm": 4.0}},
+        {"via": 0, "wanted_s": 5.0, "refused": None, "truth": {"mean_error_mm": 2.0}},
+        {"via": 2, "wanted_s": 5.0, "refused": "too heavy"},
+        {"via": 2, "wanted_s": 9.0, "refused": None, "truth": {"mean_error_mm": 0.1}},
+    ]
+    none, two = with_fronts(with_truth(rows, ran))
+    assert none["truth"] == {"mean_error_mm": 3.0, "spread_mm": pytest.approx(1.0), "arms": 2}
+    assert two["truth"] is None
+    assert two["refused"] == ["too heavy"]
+    assert none["front_via"]
+    assert not two["front_via"]

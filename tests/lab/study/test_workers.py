@@ -1,0 +1,104 @@
+"""The same work by whoever does it: this process, spawned ones, a real Dask scheduler with two workers."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armctl.errors import ArmctlError, RequestRefused
+from armctl.lab.study.workers import carry_out
+
+LOCAL = "tcp://127.0.0.1:0"
+
+
+def draw(seed: int) -> tuple[int, list[float]]:
+    """Which process drew, and what."""
+    return os.getpid(), np.random.default_rng(seed).standard_normal(3).tolist()
+
+
+def refuse(seed: int) -> int:
+    if seed == 2:
+        raise RequestRefused("BAD_LINE", ["too short", "too low"])
+    return seed
+
+
+def values(results: list[tuple[int, list[float]]]) -> list[list[float]]:
+    return [value for _, value in results]
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a Dask scheduler of its own process, with two worker processes, on the loopback only."""
+    folder = tmp_path_factory.mktemp("dask")
+    address_file = folder / "scheduler.json"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    with ExitStack() as cleanup:
+
+        def start(*arguments: str) -> subprocess.Popen[str]:
+            words = cleanup.enter_context((folder / f"{arguments[0].rsplit('.', 1)[-1]}.log").open("a"))
+            process = subprocess.Popen(
+                [sys.executable, "-m", *arguments],
+                stdout=words,
+                stderr=subprocess.PIPE,
+                text=True,
+                env=environment,
+            )
+
+            def end() -> None:
+                process.terminate()
+                process.communicate()
+
+            cleanup.callback(end)
+            return process
+
+        def until(process: subprocess.Popen[str], sign: str) -> str:
+            assert process.stderr is not None
+            for line in process.stderr:
+                if sign in line:
+                    return line
+            raise AssertionError(f"{process.args!r} ended before it said {sign!r}")
+
+        boss = start(
+            "distributed.cli.dask_scheduler", "--host", LOCAL, "--no-dashboard", "--scheduler-file", str(address_file)
+        )
+        address = until(boss, "Scheduler at:").split()[-1]
+        for _ in range(2):
+            worker = start(
+                "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny",
+                "--host", "127.0.0.1", "--local-directory", str(folder),
+            )  # fmt: skip
+            until(worker, "Registered to:")
+        yield address
+
+
+def test_here_in_spawned_processes_and_on_a_cluster_the_results_are_the_same_bits_in_order(scheduler: str) -> None:
+    told: list[int] = []
+    alone = carry_out(draw, range(8), workers=1, scheduler=None, tell=told.append)
+    spawned = carry_out(draw, range(8), workers=2, scheduler=None, tell=told.append)
+    cluster = carry_out(draw, range(8), workers=1, scheduler=scheduler, tell=told.append)
+    assert values(alone) == values(spawned) == values(cluster)
+    assert told == 3 * list(range(1, 9))
+    assert {pid for pid, _ in alone} == {os.getpid()}
+    assert os.getpid() not in {pid for pid, _ in spawned}
+    assert len({pid for pid, _ in cluster} - {os.getpid()}) == 2
+
+
+def test_what_the_work_raises_is_raised_here_with_its_fields(scheduler: str) -> None:
+    for workers, where in ((1, None), (2, None), (1, scheduler)):
+        with pytest.raises(RequestRefused) as caught:
+            carry_out(refuse, range(4), workers=workers, scheduler=where, tell=lambda _: None)
+        assert caught.value.code == "BAD_LINE"
+        assert caught.value.reasons == ("too short", "too low")
+
+
+def test_a_scheduler_that_is_none_is_named_with_the_remedy() -> None:
+    for address in ("tcp://127.0.0.1:1", "nonsense://"):
+        with pytest.raises(ArmctlError, match=r"no Dask scheduler at .*start one with"):
+            carry_out(draw, range(2), workers=1, scheduler=address, tell=lambda _: None)

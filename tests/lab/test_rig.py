@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armctl.errors import RequestRefused
+from armctl.kinematics.chain import tool_position
+from armctl.lab import refine
+from armctl.lab.rig import TRUTH_NS, VirtualRig
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import ArmSpec
+from armctl.trajectory.line_path import line_paths
+from armctl.trajectory.plan import Plan
+from tests.genetic import hand
+
+KIND = ArmSpec(
+    servo_kg=0.0,
+    bracket_kg=0.0,
+    tool_kg=(0.0, 0.0),
+    friction_Nm=(0.0, 0.0),
+    play_deg=(0.0, 0.0),
+    noise_tick=0.0,
+    zero_offset_within_tick=0.0,
+)
+"""An arm without the faults of one, so that its motion can be held against the plan."""
+LINE = refine.Line(hand.A, hand.B, 3.0)
+
+
+def rig(spec: ArmSpec = KIND, seed: int = 1) -> VirtualRig:
+    return VirtualRig(SimulatedArm(hand.arm(), seed=seed, spec=spec))
+
+
+def plan(on: VirtualRig, via: int | None = 4) -> Plan:
+    ways = line_paths(on.arm, on.robot, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=12)
+    return refine.plan_of(on, next(refine.courses(on, LINE, via, None, ways)), 0)
+
+
+def test_a_perfect_arm_is_measured_where_its_plan_says_and_in_its_time() -> None:
+    on = rig()
+    wanted = plan(on)
+    measured = on.run(wanted)
+    assert measured.duration_s == pytest.approx(3.0, abs=1e-3)
+    assert len(measured.time_s) == 31
+    np.testing.assert_allclose(measured.time_s, np.arange(31) * 0.1, atol=0.01)
+    assert np.abs(refine.lag_of(on, wanted, measured)).max() < np.radians(1.5)
+
+
+def test_the_truth_is_looked_at_every_few_milliseconds_from_begin_to_end() -> None:
+    measured = rig().run(plan(rig()))
+    assert measured.true_time_s is not None
+    assert measured.true_tool_m is not None
+    assert len(measured.true_time_s) == len(measured.true_tool_m)
+    np.testing.assert_allclose(np.diff(measured.true_time_s), TRUTH_NS / 1e9)
+    assert measured.true_time_s[0] < 0.005
+    assert measured.true_time_s[-1] > 2.995
+
+
+def test_looking_at_the_truth_changes_nothing_and_a_seed_repeats_a_run() -> None:
+    spec = ArmSpec()
+    first, second = (rig(spec, 4).run(plan(rig(spec, 4))) for _ in range(2))
+    np.testing.assert_array_equal(first.positions_rad, second.positions_rad)
+    assert first.true_tool_m is not None
+    assert second.true_tool_m is not None
+    np.testing.assert_array_equal(first.true_tool_m, second.true_tool_m)
+
+
+def test_a_plan_that_must_not_run_is_refused_with_every_reason() -> None:
+    on = rig()
+    with pytest.raises(RequestRefused, match="made for arm") as refusal:
+        on.run(plan(on).model_copy(update={"arm_id": "other"}))
+    assert refusal.value.code == "PREFLIGHT"
+
+
+def test_a_guided_take_goes_from_A_to_B_and_the_arm_holds_afterwards() -> None:
+    on = rig(ArmSpec())
+    take = on.teach(hand.A, hand.B, seed=5)
+    tool = tool_position(on.robot.chain, take[:, :5])
+    assert np.linalg.norm(tool[0] - hand.A) < 0.03
+    assert np.linalg.norm(tool[-1] - hand.B) < 0.03
+    assert on.run(plan(on)).duration_s == pytest.approx(3.0, abs=1e-3)

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.dynamixel.ax12a import STALL_TORQUE_NM, TICK_RAD
+from armctl.kinematics.chain import link_frames
+from armctl.lab.sag_model import (
+    SERVO_KG,
+    TOOL_KG,
+    directions,
+    heaviest_rad,
+    identify,
+    nominal,
+    predict,
+    regressors,
+)
+from tests.genetic import hand
+
+ARM, CHAIN = hand.arm(), hand.robot().chain
+PERIOD_S = 0.1
+
+
+def motion(rng: np.random.Generator, m: int = 51) -> np.ndarray:
+    limits = np.array([joint.limits_rad for joint in ARM.joints])[:5]
+    ends = rng.uniform(0.8 * limits[:, 0], 0.8 * limits[:, 1], (2, 5))
+    return np.asarray(ends[0] + np.linspace(0.0, 1.0, m)[:, None] * (ends[1] - ends[0]) * 0.5)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_coefficients_are_found_again_in_what_they_make(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    X = [regressors(CHAIN, motion(rng), rng.uniform(-0.05, 0.05, 5), PERIOD_S) for _ in range(8)]
+    plain = nominal(ARM, CHAIN)
+    truth = plain.model_copy(
+        update={
+            "gravity_rad_m": tuple(tuple(g * rng.uniform(0.7, 1.3) for g in row) for row in plain.gravity_rad_m),
+            "friction_rad": tuple(f * rng.uniform(0.7, 1.3) for f in plain.friction_rad),
+        }
+    )
+    lags = [predict(truth, rows) + 0.3 * TICK_RAD * rng.standard_normal((51, 5)) for rows in X]
+    found = identify(ARM, CHAIN, lags, X)
+    assert max(found.residual_tick) < 0.36
+    for rows in X:
+        assert np.abs(predict(found, rows) - predict(truth, rows)).mean() < 0.2 * TICK_RAD
+
+
+def test_friction_keeps_its_side_at_rest_and_turns_over_within_a_tick() -> None:
+    q = np.concatenate([np.linspace(0.0, 0.1, 11), np.full(5, 0.1), np.linspace(0.1, 0.0, 11)])[:, None]
+    h = directions(q, np.array([0.0]))[:, 0]
+    assert h[0] == 0.0
+    assert h[5] > 0.99
+    assert (h[10:16] > 0.99).all()
+    assert h[-1] < -0.99
+    np.testing.assert_array_equal(directions(-q, np.array([0.0]))[:, 0], -h)
+
+
+def test_a_joint_that_came_from_one_side_begins_with_friction_on_it() -> None:
+    assert directions(np.zeros((2, 1)), np.array([-0.05]))[0, 0] == pytest.approx(-1.0, abs=1e-3)
+
+
+def potential_J(q: np.ndarray) -> float:
+    points = link_frames(CHAIN, q)[1:, :3, 3]
+    return 9.81 * float(SERVO_KG * points[:-1, 2].sum() + SERVO_KG * points[-2:, 2].mean() + TOOL_KG * points[-1, 2])
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_the_nominal_arm_sags_by_the_slope_of_its_potential_energy(seed: int) -> None:
+    q = np.random.default_rng(seed).uniform(-1.5, 1.5, 5)
+    slope = np.array([(potential_J(q + step) - potential_J(q - step)) / 2e-6 for step in 1e-6 * np.eye(5)])
+    stiffness = STALL_TORQUE_NM * (1.0 - 32.0 / 1023.0) / (32.0 * TICK_RAD)
+    reach = regressors(CHAIN, np.tile(q, (2, 1)), np.zeros(5), 1.0)[:, 0, :5]
+    sag = (np.array(nominal(ARM, CHAIN).gravity_rad_m) * reach).sum(axis=1)
+    np.testing.assert_allclose(sag, slope / stiffness, atol=1e-7)
+
+
+def test_a_stretched_arm_is_heavier_than_a_folded_one() -> None:
+    model = nominal(ARM, CHAIN)
+    stretched = heaviest_rad(model, CHAIN, np.zeros((2, 5)))
+    folded = heaviest_rad(model, CHAIN, np.tile([0.0, 1.4, -2.4, 0.5, 0.0], (2, 1)))
+    assert stretched[1] > np.radians(5.0) > folded[1]
+    assert stretched[0] == pytest.approx(model.friction_rad[0])

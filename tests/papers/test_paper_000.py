@@ -1,0 +1,69 @@
+"""000: the printed tables, the grid, and the short form of the published algorithm."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from armctl.kinematics import robots
+from armctl.kinematics.chain import tool_position
+from armctl.papers import paper_000
+from armctl.papers.paper_000 import GridError
+from tests.papers.stage import SHORT, silent
+
+ROBOT = robots.get("xiang-6dof")
+
+
+def test_all_600_cells_agree_with_each_other() -> None:
+    assert paper_000.consistent_cells() == 600
+    assert all(paper_000.printed()[name].shape == (10, 10) for name in paper_000.TABLES)
+
+
+def test_one_changed_cell_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = {name: values.copy() for name, values in paper_000.printed().items()}
+    tables["delta_z0"][4, 7] += 0.001
+    monkeypatch.setattr(paper_000, "printed", lambda: tables)
+    assert paper_000.consistent_cells() == 600 - 3  # the difference, the height it is of, and its share
+
+
+def test_printed_errors_are_the_papers_anchors() -> None:
+    table = paper_000.printed()
+    found = GridError(table["delta_xy0"].ravel(), table["delta_z0"].ravel()).statistics()
+    np.testing.assert_allclose(found, [0.254239, 1.42111, 0.044635, 0.474872], atol=5e-7)
+
+
+def test_figure_7_is_a_formula_in_all_cells_but_one() -> None:
+    shown, formula = paper_000.printed()["joint_1_population"], paper_000.population_formula()
+    wrong = np.argwhere(np.abs(shown - formula) > 0.6e-4)
+    assert wrong.tolist() == [[0, 9]]
+    assert shown[0, 9] + shown[13, 9] == pytest.approx(89.9998, abs=1e-9)
+
+
+def test_three_targets_are_out_of_reach_by_exactly_so_much() -> None:
+    found = {where: distance for where, (distance, _) in paper_000.out_of_reach(ROBOT).items()}
+    expected = {(x, y): math.hypot(x / 100, y / 100, 0.001) - 0.416 for x, y in ((29, 30), (30, 29), (30, 30))}
+    assert found == pytest.approx(expected, abs=1e-15)
+
+
+def test_with_polish_97_targets_are_reached_and_the_others_come_as_near_as_they_can() -> None:
+    run = paper_000.evolve_grid(ROBOT, 5, waist_given=False)
+    q, missed = paper_000.polished(ROBOT, paper_000.grid_m(), run.q_rad)
+    assert (missed <= 1e-9).sum() == 97
+    least = dict.fromkeys(range(100), 0.0)
+    for (x, y), (distance, _) in paper_000.out_of_reach(ROBOT).items():
+        least[int((x - 21.0) * 10 + y - 21.0)] = distance
+    np.testing.assert_allclose(missed, list(least.values()), atol=1e-7)
+    assert paper_000.grid_error(tool_position(ROBOT.chain, q)).statistics()[0] <= 0.0108
+
+
+def test_the_report_tells_every_quantity_with_its_verdict() -> None:
+    report = paper_000.reproduce(SHORT, 0, silent)
+    verdicts = {row.quantity: row.verdict for row in report.rows}
+    assert verdicts["cells of the six tables that agree"] == "equal"
+    assert verdicts["mean |dxy|, GA with polish"] == "better"
+    assert sum("out of reach by exactly" in name for name in verdicts) == 3
+    assert [table.title for table in report.tables[:6]] == [f"table {name}" for name in paper_000.TABLES]
+    assert all(len(table.rows) == 10 and len(table.rows[0]) == 11 for table in report.tables[:6])
+    assert len([picture for picture in report.pictures if "Fig. 11" in picture.title]) == 4

@@ -1,0 +1,129 @@
+"""001 to 004 in short form: what each recomputation shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armctl.kinematics import robots
+from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.genetic import improved
+from armctl.kinematics.genetic.problem import Evolution, Problem
+from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY
+from armctl.kinematics.robots.robot import Robot
+from armctl.papers import paper_001, paper_002, paper_003, paper_004
+from armctl.papers.page import PaperReport
+from armctl.papers.paper_004 import Cycle
+from armctl.papers.verdict import error, same
+from tests.papers.stage import SHORT, silent
+
+TRANSFER = robots.get("transfer-6dof")
+
+
+def verdicts(report: PaperReport) -> dict[str, str]:
+    assert all(row.paper == report.paper for row in report.rows)
+    for row in report.rows:
+        assert row.verdict in ("equal", "better", "misprint") or row.verdict.startswith("differs: "), row
+    return {row.quantity: row.verdict for row in report.rows}
+
+
+def test_verdicts_follow_the_numbers() -> None:
+    assert same("000", "", 1.5708, np.pi / 2.0, "rad", digits=1e-4).verdict == "equal"
+    assert same("000", "", 1.5710, np.pi / 2.0, "rad", digits=1e-4).verdict == "misprint"
+    assert error("000", "", 1.0, 0.5, "mm", why="x").verdict == "better"
+    assert error("000", "", 1.0, 1.0, "mm", why="x").verdict == "equal"
+    assert error("000", "", 1.0, 1.5, "mm", why="x").verdict == "differs: x"
+
+
+def test_001_rows_of_table_2_lie_apart_as_printed() -> None:
+    near, far = paper_001.table_2_errors(IMPROVED_XYZ_RPY), paper_001.table_2_errors(STANDARD_XYZ_RPY)
+    assert near[0] == pytest.approx(0.005312, abs=1e-6)
+    assert near[1] <= 0.0029
+    assert far == pytest.approx((0.45658, 0.15), abs=0.002)
+
+
+def test_001_improved_algorithm_is_better_in_every_statistic() -> None:
+    found = verdicts(paper_001.reproduce(SHORT, 0, silent))
+    compared = [name for name in found if name.endswith("improved / standard")]
+    assert len(compared) == 2 * len(paper_001.STATISTICS)
+    assert all(found[name] == "equal" for name in compared)
+    assert found["improved: distance, median of 6 seeds"] == "better"
+    assert found["improved, with polish: greatest distance"] == "better"
+
+
+def test_001_a_pose_that_was_missed_gets_another_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = robots.get("puma560")
+    tried: list[list[int]] = []
+    T = forward_kinematics(robot.chain, np.random.default_rng(0).uniform(-np.pi, np.pi, (3, 6)))
+    evolve = improved.evolve
+
+    def counted(problem: Problem, settings: improved.Settings, seeds: list[list[int]]) -> Evolution:
+        tried.extend(seeds)
+        return evolve(problem, settings, seeds)
+
+    monkeypatch.setattr(improved, "evolve", counted)
+    monkeypatch.setattr(paper_001, "SOLVED", -1.0)  # nothing counts as solved
+    found = paper_001.solved_by_polish(robot, T, 7, lambda _done, _note: None)
+    assert len({tuple(seed) for seed in tried}) == 3 * paper_001.TRIES
+    assert found.position_m.max() < 1e-6
+
+
+def test_002_puts_the_virtual_experiment_beside_table_ii() -> None:
+    report = paper_002.reproduce(SHORT, 0, silent)
+    found = verdicts(report)
+    for number in (1, 2, 3):
+        assert found[f"Table II, experiment {number}, time (asked for as printed)"] == "equal"
+    printed = [row.printed for row in report.rows if row.quantity.endswith("mean error, before")]
+    assert printed == [10.1499, 7.42501, 7.00036]
+    measured = [row.armctl for row in report.rows if row.quantity.endswith("mean error, before")]
+    assert all(isinstance(value, float) and 1.0 < value < 100.0 for value in measured)
+
+
+def test_003_names_what_print_has_wrong_and_keeps_what_it_has_right() -> None:
+    found = verdicts(paper_003.reproduce(SHORT, 0, silent))
+    assert {name for name, verdict in found.items() if verdict == "misprint"} == {
+        "z at (0, 0, -90, 90) deg, Fig. 5",
+        "qz within the ranges of Table 1",
+        "solutions of a pose at most",
+    }
+    assert [found[f"ikine of qz, theta{joint}"] for joint in (1, 2, 3, 4)] == ["equal"] * 4
+
+
+def test_003_poses_come_back_exactly_with_two_branches() -> None:
+    worst, most, away = paper_003.round_trip(robots.get("lanzhou-4dof"), 500, np.random.default_rng(4))
+    assert worst < 1e-12
+    assert most == 2
+    assert away < 1e-9
+
+
+def test_004_kinematics_hold_and_the_printed_start_does_not() -> None:
+    found = verdicts(paper_004.reproduce(SHORT, 0, silent))
+    assert found["Jacobian by eq. (8) against central differences"] == "equal"
+    assert found["20 poses through IK and back, every branch: greatest error"] == "equal"
+    assert found["initial position, x"] == found["R R^T - 1 of the initial rotation"] == "misprint"
+    assert found["Fig. 3 starts at (-500, 610, 1300): out of reach by"] == "misprint"
+
+
+def test_004_the_cycle_visits_pick_and_place_and_comes_home() -> None:
+    q = paper_004.stops(TRANSFER)
+    points = tool_position(TRANSFER.chain, q)
+    np.testing.assert_allclose(points[2], paper_004.PICK_M, atol=1e-9)
+    np.testing.assert_allclose(points[5], paper_004.PLACE_M, atol=1e-9)
+    np.testing.assert_allclose(points[0], points[-1], atol=1e-12)
+    down = forward_kinematics(TRANSFER.chain, q[1:7])[:, :3, 2]
+    np.testing.assert_allclose(down, np.broadcast_to([0.0, 0.0, -1.0], (6, 3)), atol=1e-9)
+
+
+def test_004_longer_arms_give_another_cycle() -> None:
+    longer: Robot = robots.get("transfer-6dof", {"a2": 0.5})
+    one, other = (paper_004.simulated_cycle(robot, 5).curves for robot in (TRANSFER, longer))
+    assert np.abs(one.position_rad - other.position_rad).max() > 1e-3
+    np.testing.assert_allclose(one.tool_position_m[9], other.tool_position_m[9], atol=1e-9)
+
+
+def test_004_draws_the_cycle_it_is_given() -> None:
+    given = Cycle(paper_004.simulated_cycle(TRANSFER, 5).curves, "a recording")
+    report = paper_004.reproduce(SHORT, 0, silent, given)
+    assert "a recording" in report.notes[0]
+    chart = next(picture for picture in report.pictures if picture.title.startswith("Fig. 3")).draw()
+    assert len(chart.data[0].x) == len(given.curves.time_s)

@@ -1,0 +1,75 @@
+"""The load proof's short form, and that its judge would notice."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from proving import load, rig
+
+GOOD: dict[str, Any] = {
+    "request_rate_hz": 1000.0,
+    "unanswered": 0,
+    "status_ms_p99": 49.0,
+    "stop_ms_max": 99.0,
+    "taken_ms_max": 149.0,
+    "still_ms_max": 299.0,
+    "latched": 0,
+    "lateness_ms_max": 49.0,
+    "skipped_ticks": 0,
+    "other_work_cores": 0.09,
+}
+
+
+def test_figures_within_their_bounds_are_in_order() -> None:
+    assert load._judge(GOOD, 1000.0) == ([], [])
+
+
+BAD = (
+    ("request_rate_hz", 900.0),
+    ("request_rate_hz", math.nan),
+    ("unanswered", 1),
+    ("status_ms_p99", 51.0),
+    ("status_ms_p99", math.nan),
+    ("stop_ms_max", 101.0),
+    ("taken_ms_max", 151.0),
+    ("taken_ms_max", math.nan),
+    ("still_ms_max", 301.0),
+    ("latched", 1),
+    ("lateness_ms_max", 51.0),
+    ("skipped_ticks", 1),
+)
+
+
+@pytest.mark.parametrize(("key", "value"), BAD)
+def test_each_figure_beyond_its_bound_is_a_violation(key: str, value: float) -> None:
+    violations, unjudged = load._judge(GOOD | {key: value}, 1000.0)
+    assert (len(violations), unjudged) == (1, [])
+
+
+@pytest.mark.parametrize(("key", "value"), BAD)
+def test_on_a_machine_with_other_work_ticks_are_judged_and_answers_told(key: str, value: float) -> None:
+    violations, unjudged = load._judge(GOOD | {key: value, "other_work_cores": 0.2}, 1000.0)
+    assert len(violations) + len(unjudged) == 1
+    assert bool(violations) == (key in ("lateness_ms_max", "skipped_ticks"))
+
+
+def test_the_work_of_others_is_told_from_ones_own() -> None:
+    """What this very process does is its own; that of the machine is at least that."""
+    begin_own_s, begin_s = rig._own_s(), rig._machine_s()
+    sum(range(5_000_000))
+    own_s, machine_s = rig._own_s() - begin_own_s, rig._machine_s() - begin_s
+    assert own_s > 0.0
+    assert machine_s > own_s - 0.1
+
+
+@pytest.mark.pty
+def test_a_small_load_is_generated_measured_and_told() -> None:
+    """What it came to means nothing on a machine that runs tests; that it is counted does."""
+    result = load.prove(seed=1, seconds=2.0, rate_hz=80.0, stalled=2, hogs=1)
+    assert result["runs"] > 80
+    assert result["stops"] + result["moving_stops"] >= 2
+    assert result["ticks"] > 5
+    assert result["stalled"]["connections"] >= 2
+    assert 0.0 < result["status_ms_p50"] <= result["status_ms_p99"] <= result["status_ms_max"]

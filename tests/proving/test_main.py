@@ -1,0 +1,41 @@
+"""`tools/prove` and `tools/bench` as commands: names, JSON, exit status."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from proving import __main__ as proving
+
+
+@pytest.mark.parametrize(("command", "known"), [("prove", "'wire'"), ("bench", "'jitter'")])
+def test_an_unknown_name_lists_the_known_ones(command: str, known: str) -> None:
+    result = CliRunner().invoke(proving.main, [command, "nonsense"])
+    assert result.exit_code == 2
+    assert known in result.stderr
+
+
+@pytest.mark.parametrize(("violations", "status"), [(0, 0), (2, 1)])
+def test_a_proof_prints_one_object_and_fails_on_violations(
+    monkeypatch: pytest.MonkeyPatch, violations: int, status: int
+) -> None:
+    monkeypatch.setitem(proving.PROOFS, "wire", lambda seed: {"runs": 3, "violations": violations, "seed": seed})
+    result = CliRunner().invoke(proving.main, ["prove", "wire", "--seed", "9", "--json"])
+    assert result.exit_code == status
+    assert json.loads(result.stdout) == {"runs": 3, "violations": violations, "seed": 9}
+
+
+def test_all_benches_make_one_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    def bench(seed: int) -> dict[str, Any]:
+        row = {"work": "w", "who": "armctl", "value": 1.0, "unit": "ms", "ratio": 1.0}
+        return {"rows": [row], "checks": [{"name": "c", "value": 1.0, "bound": 2.0, "ok": True}], "seed": seed}
+
+    for name in proving.BENCHES:
+        monkeypatch.setitem(proving.BENCHES, name, bench)
+    result = json.loads(CliRunner().invoke(proving.main, ["bench", "all", "--json"]).stdout)
+    assert len(result["rows"]) == len(proving.BENCHES)
+    shown = CliRunner().invoke(proving.main, ["bench", "bus"])
+    assert shown.exit_code == 0
+    assert "held   c: 1.000, bound 2" in shown.stdout

@@ -1,0 +1,185 @@
+"""The soak's parts: stories, shrinking, one episode, a short run as a command."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from proving import __main__ as proving
+from proving import soak
+from proving.duties import TICK_DEG, Servo
+from proving.episode import Episode, Stage, stage
+from proving.invariants import Judge
+from proving.story import WISHES, Kill, Late, Line, Story, Strike, Wish, Word, draw, shrink
+
+from armctl.control.machine import State
+from armctl.control.step import step
+from armctl.messages import Event, Inputs, Mode, Outputs, SetRate, TickRecord
+from armctl.sim.faults import KINDS, Fault
+
+
+@pytest.fixture(scope="module")
+def on() -> Stage:
+    return stage()
+
+
+RUN = (Wish(0.3, "run", 5), Wish(20.0, "run", 6))
+
+
+def played(on: Stage, *lines: Line, duration_s: float = 30.0) -> Episode:
+    """An episode with a run, and whatever else happens, played to its end."""
+    episode = Episode(Story(1, duration_s, tuple(sorted((*RUN, *lines), key=lambda line: line.at_s))), on)
+    outcome = episode.play()
+    assert outcome.violations == []
+    return episode
+
+
+def test_a_story_is_the_same_for_the_same_numbers_and_another_for_others(on: Stage) -> None:
+    assert draw(1, 2, on.arm) == draw(1, 2, on.arm)
+    assert len({draw(seed, episode, on.arm) for seed in (1, 2) for episode in (1, 2)}) == 4
+
+
+def test_stories_hold_every_kind_of_fault_wish_and_word(on: Stage) -> None:
+    lines = [line for episode in range(60) for line in draw(1, episode, on.arm).lines]
+    assert {line.fault.kind for line in lines if isinstance(line, Strike)} == set(KINDS)
+    assert {line.what for line in lines if isinstance(line, Wish)} == set(WISHES)
+    assert {type(line) for line in lines} == set(Line.__args__)
+    assert all(str(line) for line in lines)
+
+
+def test_shrinking_keeps_what_the_failure_needs_and_nothing_else() -> None:
+    lines = tuple(Word(float(at_s), "hold", at_s) for at_s in range(1, 40))
+    tried = 0
+
+    def fails_at_s(story: Story) -> float | None:
+        nonlocal tried
+        tried += 1
+        left = {line.at_s for line in story.lines}
+        return 31.0 if {7.0, 30.0} <= left and story.duration_s > 31.0 else None
+
+    short = shrink(Story(1, 100.0, lines), fails_at_s, budget_s=60.0)
+    assert [line.at_s for line in short.lines] == [7.0, 30.0]
+    assert short.duration_s == pytest.approx(31.2)
+    assert tried < 60
+
+
+def test_a_run_a_fault_and_its_card_lead_back_to_a_moving_arm(on: Stage) -> None:
+    episode = played(on, Strike(Fault(kind="mute", servo_id=3, begin_s=4.0, duration_s=1.5)))
+    assert episode.rows["SERVO_SILENT"] == 1
+    told = [text for _, text in episode.told]
+    assert any(text.startswith("state faulted, SERVO_SILENT") for text in told)
+    assert told.index("-> clear") < len(told) - told[::-1].index("-> run") - 1
+
+
+def test_a_dropped_arm_is_lifted_by_hand_and_runs_again(on: Stage) -> None:
+    trip = Strike(Fault(kind="trip", servo_id=2, begin_s=6.0, duration_s=0.1))
+    episode = played(on, trip, duration_s=40.0)
+    assert episode.rows["TRIPPED"] == 1
+    told = [text for _, text in episode.told]
+    assert told.index("-> release") < told.index("-> clear")
+    assert told[told.index("-> clear") :].count("-> torque_on") == 1
+
+
+def test_killed_in_mid_tick_the_next_process_adopts_the_arm(on: Stage) -> None:
+    episode = played(on, Kill(5.0, 3, 0.8), duration_s=12.0)
+    assert (episode.rows["SIGKILL"], episode.rows["RESTARTED"]) == (1, 1)
+    assert f"state {Mode.HOLDING}" in [text for at_s, text in episode.told if at_s > 5.8]
+
+
+@pytest.mark.parametrize("sends", [0, 3, 7])
+def test_a_death_counts_from_where_the_arm_is_then_right_behind_a_goal_too(
+    on: Stage, monkeypatch: pytest.MonkeyPatch, sends: int
+) -> None:
+    leads_deg: list[float] = []
+
+    def died(judge: Judge, now_s: float, servos: Sequence[Servo]) -> None:
+        assert episode.body.time_s == pytest.approx(now_s, abs=0.0011)
+        leads_deg.extend(abs(servo.goal - servo.shaft_tick) * TICK_DEG for servo in servos)
+        judge_died(judge, now_s, servos)
+
+    judge_died = Judge.died
+    monkeypatch.setattr(Judge, "died", died)
+    episode = Episode(Story(16, 12.0, (Wish(0.3, "run", 538574), Kill(8.6, sends, 0.8))), on)
+    assert episode.play().violations == []
+    assert max(leads_deg) > (6.0 if sends == 7 else 1.0)
+
+
+def test_a_late_tick_stops_the_run(on: Stage) -> None:
+    assert played(on, Late(5.0, 400.0), duration_s=8.0).rows["LATE"] == 1
+
+
+def test_an_episode_says_the_same_bytes_twice_and_its_inputs_repeat_the_step(on: Stage) -> None:
+    story = replace(draw(1, 3, on.arm), duration_s=25.0)
+    outcome = soak.play(story, on, twice=True)
+    assert outcome.violations == []
+    other = soak.play(replace(story, seed=story.seed + 1), on)
+    assert other.wire != outcome.wire
+
+
+def test_a_step_that_differs_is_noticed(on: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    def other(state: State, inputs: Inputs, *rest: Any) -> tuple[State, Outputs]:
+        state, outputs = step(state, inputs, *rest)
+        return state, replace(outputs, progress=0.123) if inputs.tick == 12 else outputs
+
+    monkeypatch.setattr("proving.episode.step", other)
+    found = Episode(Story(1, 3.0, RUN[:1]), on).play().violations
+    assert [(v.invariant, v.text) for v in found] == [("replay", "the step, run again, differs at tick 12")]
+
+
+def test_an_episodes_log_replays_and_one_that_differs_is_told(on: Stage) -> None:
+    records: list[TickRecord] = []
+    Episode(Story(1, 3.0, (*RUN[:1], Kill(1.0, 3, 0.4))), on, log=records.append).play()
+    assert [record.inputs.tick for record in records].count(0) == 2
+    wrong = replace(records[4], outputs=replace(records[4].outputs, events=(Event("info", "STATE", "no such thing"),)))
+    assert mismatch(on, records) == ""
+    assert mismatch(on, [*records[:4], wrong, *records[5:]]).startswith("tick 4, ")
+
+
+def test_an_episodes_log_ends_where_it_could_not_be_written(on: Stage) -> None:
+    records: list[TickRecord] = []
+    Episode(Story(1, 2.0, RUN[:1]), on, log=records.append).play()
+    nan = replace(records[8], inputs=replace(records[8].inputs, commands=(SetRate(9, math.nan),)))
+    assert mismatch(on, [*records[:8], nan, *records[9:]]) == ""
+    assert mismatch(on, [nan]) == ""
+
+
+def mismatch(on: Stage, records: Sequence[TickRecord]) -> str:
+    """What the replay of a log of these records says."""
+    with soak.EpisodeLog(on) as log:
+        for record in records:
+            log.take(record)
+        return log.mismatch()
+
+
+def test_a_failing_episode_is_shrunk_and_told_with_the_command_that_repeats_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("armctl.control.sequences.SOFT_TORQUE", 700)
+    monkeypatch.setattr("armctl.control.requests.SOFT_TORQUE", 700)
+    told: list[str] = []
+    result = soak.prove(1, episode=4, budget_s=10.0, tell=told.append)
+    assert result["violations"] > 0
+    assert result["repeat"] == "tools/prove soak --seed 1 --episode 4"
+    assert "INVARIANT 3 BROKEN: base: torque came on with limit 700" in "\n".join(told)
+    assert any(line.endswith("shrunk to 1:") for line in told)
+
+
+def test_the_soak_as_a_command_gives_figures_and_rows() -> None:
+    result = CliRunner().invoke(proving.main, ["prove", "soak", "--seed", "1", "--episode", "1", "--json"])
+    figures = json.loads(result.stdout)
+    assert result.exit_code == 0
+    assert (figures["runs"], figures["violations"], figures["repeat"]) == (1, 0, "")
+    assert figures["hours"] > 0.03
+    assert figures["realtime_ratio"] > 1.0
+    assert [row["row"] for row in figures["rows"]] == list(soak.ROWS)
+
+
+def test_a_proof_refuses_options_that_are_not_its_own() -> None:
+    result = CliRunner().invoke(proving.main, ["prove", "packets", "--hours", "1"])
+    assert result.exit_code == 2
+    assert "packets takes no --hours" in result.stderr

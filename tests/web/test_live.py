@@ -1,0 +1,319 @@
+"""The live view: what a viewer is sent equals what the daemon says."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import select
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+from armctl.cli import main
+from armctl.clock import NS_PER_S
+from armctl.errors import ArmctlError, ConfigError, NoDaemon
+from armctl.files import load_arm
+from armctl.kinematics import robots
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
+from armctl.recording.cdr import schema_codec
+from armctl.web import live
+from tests.scenarios.bench import DEADLINE_S, bench, environment, simulator
+
+ARM = load_arm("ax12-line")
+MESSAGE = struct.Struct("<BIQ")
+EPOCH_NS = 1_750_000_000_000_000_001
+
+
+def snapshot(**changes: Any) -> dict[str, Any]:
+    """A daemon's snapshot of an arm that holds."""
+    joints = [
+        {
+            "name": joint.name,
+            "servo_id": joint.servo_id,
+            "position_rad": 0.1 * index,
+            "velocity_rad_s": 0.0,
+            "load_ratio": 0.05,
+            "voltage_V": 11.9,
+            "temperature_degC": 34.0,
+            "torque_enabled": True,
+            "age_s": 0.01,
+        }
+        for index, joint in enumerate(ARM.joints)
+    ]
+    chain = robots.get(ARM.robot, ARM.lengths_m).chain
+    place = tool_position(chain, np.linspace(0.0, 0.1 * (chain.n - 1), chain.n))
+    return {
+        "state": "holding",
+        "fault": None,
+        "tick": 7,
+        "age_s": 0.005,
+        "joints": joints,
+        "tool": {"position_m": place.tolist(), "rpy_rad": [0.0, 0.0, 0.0]},
+        "arm_id": ARM.arm_id,
+        **changes,
+    }
+
+
+def told(said: list[tuple[str, Any]]) -> dict[str, Any]:
+    return dict(said)
+
+
+# ------------------------------------------------------------------------------------------------- the encoder
+
+
+def test_a_snapshot_becomes_the_messages_of_a_tick() -> None:
+    data = snapshot()
+    messages = told(live.Encoder(ARM).messages(data, EPOCH_NS))
+    assert json.loads(messages["/armctl/status"]["data"]) == data
+    assert messages["/joint_states"]["name"] == list(ARM.joint_names)
+    assert messages["/joint_states"]["position"] == [joint["position_rad"] for joint in data["joints"]]
+    assert messages["/joint_states"]["effort"] == [0.05] * 6
+    assert list(messages["/tcp_pose"]["pose"]["position"].values()) == data["tool"]["position_m"]
+    assert [t["child_frame_id"] for t in messages["/tf"]["transforms"]] == [f"link_{i}" for i in range(1, 7)]
+    for topic in ("/joint_states", "/tcp_pose", "/diagnostics"):
+        stamp = messages[topic]["header"]["stamp"]
+        assert stamp["sec"] * NS_PER_S + stamp["nanosec"] == EPOCH_NS
+
+
+def test_every_message_fits_the_schema_it_is_announced_with() -> None:
+    encoder = live.Encoder(ARM)
+    fault = {"code": "HOT", "text": "servo 3 at 66 degC", "servo_id": 3, "since_s": 1.0, "arm": "", "next": ""}
+    messages = [*encoder.latched(EPOCH_NS), *encoder.messages(snapshot(fault=fault, state="faulted"), EPOCH_NS)]
+    assert {topic for topic, _ in messages} == set(live.PUBLISHED)
+    for topic, value in messages:
+        codec = live.PUBLISHED[topic].codec
+        assert codec.encode(codec.decode(codec.encode(value))) == codec.encode(value)
+
+
+def test_a_change_of_state_and_a_fault_are_told_once() -> None:
+    encoder = live.Encoder(ARM)
+    fault = {"code": "HOT", "text": "servo 3 at 66 degC", "servo_id": 3, "since_s": 1.0, "arm": "", "next": ""}
+    said = [
+        [value["msg"] for topic, value in encoder.messages(data, EPOCH_NS) if topic == "/rosout"]
+        for data in (
+            snapshot(),
+            snapshot(),
+            snapshot(state="faulted", fault=fault),
+            snapshot(state="faulted", fault=fault),
+        )
+    ]
+    assert said == [
+        ["STATE: first seen -> holding"],
+        [],
+        ["STATE: holding -> faulted", "HOT (servo 3): servo 3 at 66 degC"],
+        [],
+    ]
+
+
+def test_what_is_not_known_is_not_sent() -> None:
+    unknown = [{**joint, **dict.fromkeys(list(joint)[2:])} for joint in snapshot()["joints"]]
+    messages = told(live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="off"), EPOCH_NS))
+    assert messages["/joint_states"]["name"] == []
+    assert not {"/tf", "/tcp_pose"} & messages.keys()
+    assert [status["message"] for status in messages["/diagnostics"]["status"]][1:] == ["never answered"] * 6
+    starting = told(
+        live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="starting", tick=None), EPOCH_NS)
+    )
+    assert starting.keys() == {"/armctl/status", "/rosout"}
+
+
+def test_a_servo_that_stopped_answering_is_shown_as_such() -> None:
+    data = snapshot()
+    data["joints"][2]["age_s"] = 3.0
+    status = told(live.Encoder(ARM).messages(data, EPOCH_NS))["/diagnostics"]["status"]
+    assert (status[3]["level"], status[3]["message"]) == (1, "no reply for 3.0 s")
+
+
+def test_the_daemon_of_another_arm_is_refused() -> None:
+    with pytest.raises(ConfigError, match="--arm NAME"):
+        live.Encoder(ARM).messages(snapshot(arm_id="other"), EPOCH_NS)
+
+
+def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *arguments: Any) -> Any:
+        if name.startswith("foxglove"):
+            raise ImportError(name)
+        return real(name, *arguments)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ArmctlError, match=r"armctl\[live\]"):
+        live.Stream(0)
+
+
+# -------------------------------------------------------------------------------------------------- the server
+
+
+class Viewer:
+    """What Foxglove does: take the announced channels, subscribe, decode by their schemas."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self.info: dict[str, Any] = {}
+        self.channels: dict[str, dict[str, Any]] = {}
+        while len(self.channels) < len(live.PUBLISHED):
+            said = json.loads(socket.recv(timeout=10.0))
+            if said["op"] == "serverInfo":
+                self.info = said
+            elif said["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in said["channels"]}
+        self._topics = dict(enumerate(self.channels))
+
+    def subscribe(self) -> None:
+        wanted = [{"id": number, "channelId": self.channels[topic]["id"]} for number, topic in self._topics.items()]
+        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def messages(self) -> Iterator[tuple[str, int, Any]]:
+        """(topic, log time, message) as they come."""
+        while True:
+            data = self._socket.recv(timeout=10.0)
+            if isinstance(data, bytes) and data[0] == 1:
+                _, number, time_ns = MESSAGE.unpack_from(data)
+                channel = self.channels[self._topics[number]]
+                codec = schema_codec(channel["schemaName"], channel["schema"])
+                yield channel["topic"], time_ns, codec.decode(data[MESSAGE.size :])
+
+
+def viewer(port: int) -> ClientConnection:
+    return connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])  # type: ignore[list-item]
+
+
+def test_a_taken_port_is_refused_with_a_remedy() -> None:
+    stream = live.Stream(0)
+    try:
+        with pytest.raises(ArmctlError, match="--port"):
+            live.Stream(stream.port)
+    finally:
+        stream.close()
+
+
+def test_the_server_offers_nothing_that_writes_and_announces_the_schemas_of_the_log() -> None:
+    stream = live.Stream(0)
+    try:
+        with viewer(stream.port) as socket:
+            found = Viewer(socket)
+    finally:
+        stream.close()
+    assert found.info["capabilities"] == []
+    assert set(found.channels) == set(live.PUBLISHED)
+    for topic, channel in found.channels.items():
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert channel["schemaName"] == live.PUBLISHED[topic].type
+
+
+@contextmanager
+def live_view(folder: Path, socket: Path) -> Iterator[int]:
+    """`armctl live` as a person starts it; its port."""
+    with (folder / "live.err").open("w") as words:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "armctl", "live", "--port", "0", "--socket", str(socket), "--arm", "ax12-line"],
+            env=environment(folder),
+            stdout=subprocess.PIPE,
+            stderr=words,
+            text=True,
+        )
+    assert process.stdout is not None
+    try:
+        said = process.stdout.readline() if select.select([process.stdout], [], [], DEADLINE_S)[0] else ""
+        assert said.startswith("ready ws://127.0.0.1:"), (folder / "live.err").read_text()
+        yield int(said.rpartition(":")[2])
+    finally:
+        process.terminate()
+        process.wait(DEADLINE_S)
+        process.stdout.close()
+
+
+@pytest.mark.pty
+def test_a_viewer_sees_what_the_daemon_says_of_the_same_tick() -> None:
+    with simulator() as arm, bench(arm.port) as b:
+        b.start_daemon()
+        b.until(lambda now: now["tool"] is not None)
+        snapshots = b.watch()
+        with live_view(b.folder, b.socket) as port, viewer(port) as socket:
+            found = Viewer(socket)
+            found.subscribe()
+            seen: dict[int, dict[str, Any]] = {}
+            once: set[str] = set()
+            for topic, time_ns, value in found.messages():
+                if topic in ("/robot_description", "/tf_static"):
+                    once.add(topic)
+                    continue
+                seen.setdefault(time_ns, {})[topic] = value
+                if len(once) == 2 and sum("/diagnostics" in messages for messages in seen.values()) > 5:
+                    break
+        ticks = {
+            json.loads(one["/armctl/status"]["data"])["tick"]: one for one in seen.values() if "/armctl/status" in one
+        }
+        compared = 0
+        while compared < 3:
+            now = next(snapshots)
+            assert now["tick"] <= max(ticks), "the daemon and the view share no tick"
+            if not {"/joint_states", "/tcp_pose"} <= ticks.get(now["tick"], {}).keys():
+                continue
+            compared += 1
+            joints, pose = ticks[now["tick"]]["/joint_states"], ticks[now["tick"]]["/tcp_pose"]["pose"]
+            assert joints["position"] == [joint["position_rad"] for joint in now["joints"]]
+            assert joints["velocity"] == [joint["velocity_rad_s"] for joint in now["joints"]]
+            assert joints["effort"] == [joint["load_ratio"] for joint in now["joints"]]
+            assert list(pose["position"].values()) == now["tool"]["position_m"]
+            R = matrix_from_quaternion(tuple(pose["orientation"].values()))
+            assert rpy_from_matrix(R) == pytest.approx(tuple(now["tool"]["rpy_rad"]), abs=1e-9)
+        age_s = (time.time_ns() - max(seen)) / NS_PER_S
+        assert -1.0 < age_s < DEADLINE_S
+
+
+class Restarted:
+    """A daemon that ends after one snapshot, and is back; the person leaves then."""
+
+    connections = 0
+
+    def __init__(self, socket: str | None) -> None:
+        Restarted.connections += 1
+
+    def __enter__(self) -> Restarted:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def subscribe(self) -> Iterator[dict[str, Any]]:
+        yield snapshot()
+        raise NoDaemon("it closed the connection") if Restarted.connections == 1 else KeyboardInterrupt
+
+
+def test_a_daemon_that_was_restarted_is_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "Client", Restarted)
+    said: list[str] = []
+    ports: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        live.serve(None, ARM, 0, ports.append, said.append)
+    assert said == ["it closed the connection; waiting for it", "the daemon is back"]
+    assert len(ports) == 1
+
+
+def test_without_a_daemon_the_status_is_3(tmp_path: Path) -> None:
+    assert main(["live", "--socket", str(tmp_path / "nobody.sock")]) == 3
+
+
+def test_a_layout_is_written_and_never_over_another_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "layout.json"
+    assert main(["live", "--layout", str(path), "--json"]) == 0
+    layout = json.loads(path.read_text())
+    assert json.loads(capsys.readouterr().out) == {"layout": str(path)}
+
+    def panels(node: Any) -> set[str]:
+        return {node} if isinstance(node, str) else panels(node["first"]) | panels(node["second"])
+
+    assert panels(layout["layout"]) <= layout["configById"].keys()
+    assert main(["live", "--layout", str(path)]) == 1
+    assert json.loads(path.read_text()) == layout

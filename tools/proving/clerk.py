@@ -1,0 +1,404 @@
+"""The user of an episode: wants runs, parks and teaches, follows every fault's card, and says wrong things at times.
+
+The clerk knows what `armctl status` shows, and what a person at the arm sees: where it is, whether it is limp, which
+fault still strikes. Each of his doings is a generator of one tick's commands; what he asks for `requests.py` draws.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.control.faults import SETTLING
+from armctl.dynamixel import ax12a
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.messages import (
+    Clear,
+    Command,
+    Hold,
+    Jog,
+    Mode,
+    Park,
+    Pause,
+    Release,
+    Reply,
+    Resume,
+    Run,
+    SetRate,
+    Teach,
+    TeachEnd,
+    TickRecord,
+    TorqueOn,
+)
+from armctl.sim.faults import Fault
+from proving.requests import PERIOD_S, Requests
+from proving.story import Story, Strike, Wish, Word
+
+if TYPE_CHECKING:
+    from proving.episode import Episode
+
+READY_S = 3.0
+"""When faults end, the arm is ready (latched) within this time."""
+MOVE_S = 1.0
+"""From a `clear` to a moving arm."""
+PATIENCE_S = 60.0
+"""A card that does not lead out of a fault in so long does not tell the truth."""
+WRONG_SHARE = 0.2
+"""How often a run is asked for first that must be refused."""
+LEAN_S = 4.0
+
+Doing = Generator[tuple[Command, ...], None, None]
+
+
+class Clerk:
+    """One user; `commands` is asked before each tick, `see` told after it."""
+
+    def __init__(self, story: Story, arm: ArmConfig, robot: Robot, episode: Episode) -> None:
+        self._arm, self._robot, self._episode = arm, robot, episode
+        self._wishes = [line for line in story.lines if isinstance(line, Wish)]
+        self._words = [line for line in story.lines if isinstance(line, Word)]
+        self._faults = [line.fault for line in story.lines if isinstance(line, Strike)]
+        self._requests = Requests(arm, robot, episode.postures)
+        self._request_id = 0
+        self._replies: dict[int, Reply] = {}
+        self._record: TickRecord | None = None
+        self._doing: Doing | None = None
+        self._now_s = 0.0
+
+    # ------------------------------------------------------------------------------------ the loop's side
+
+    def commands(self, now_s: float) -> tuple[Command, ...]:
+        """What the user says now."""
+        self._now_s = now_s
+        said: tuple[Command, ...] = ()
+        if self._record is not None:
+            if self._doing is None:
+                self._doing = self._next()
+            if self._doing is not None:
+                try:
+                    said = next(self._doing)
+                except StopIteration:
+                    self._doing = None
+        while self._words and self._words[0].at_s <= now_s:
+            word = self._words.pop(0)
+            said += self._requests.blurt(word, self._id(), None if self._record is None else self._commanded())
+        return said
+
+    def see(self, now_s: float, record: TickRecord) -> None:
+        """What came of the tick."""
+        self._now_s, self._record = now_s, record
+        for reply in record.outputs.replies:
+            self._replies[reply.request_id] = reply
+
+    def lost(self) -> None:
+        """The program in charge is gone: whatever was asked for is void."""
+        self._record, self._doing = None, None
+
+    def persisting(self, energising: bool = False) -> str:
+        """Why no fault can be cleared now, as the simulator knows; empty: nothing that must forbid it.
+
+        Args:
+            energising: Whether the same tick has begun to switch torque on: what little there is comes from that.
+        """
+        faults, servos = self._episode.body.faults, self._episode.body.servos
+        for kind in ("mute", "dead_bus", "unplug"):
+            planned = faults.in_force(kind)
+            # Begun after this tick's reading it is next tick's business.
+            if planned is not None and planned.begin_s < self._now_s - PERIOD_S:
+                return f"{kind} is in force"
+        if any(servo.temperature_degC >= self._arm.temperature_limit_degC + 1.0 for servo in servos):
+            return "a servo is hot"
+        on = self._stiff()
+        quiet = not any(self._under_way(kind) for kind in ("brown_out", "trip", "second_writer"))
+        if any(on) and not all(on) and quiet:
+            return "some servos are limp while others hold"
+        if self._weak() and not energising:
+            return "a servo holds with a part of its torque"
+        return ""
+
+    def _weak(self) -> bool:
+        """Whether a servo has torque, but not what its calibration asks for."""
+        return any(
+            servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) < round(ax12a.LOAD_MAX * joint.torque_limit_ratio)
+            for servo, joint in zip(self._episode.body.servos, self._arm.joints, strict=True)
+        )
+
+    def _under_way(self, kind: str) -> bool:
+        return self._episode.body.faults.in_force(kind) is not None
+
+    # -------------------------------------------------------------------------------------- what is seen
+
+    @property
+    def _mode(self) -> Mode:
+        assert self._record is not None
+        return self._record.outputs.mode
+
+    @property
+    def _code(self) -> str:
+        assert self._record is not None
+        fault = self._record.outputs.fault
+        return "" if fault is None else fault.code
+
+    def _commanded(self) -> list[float] | None:
+        """Where the arm is commanded to be [rad], as the host knows it: by the goals the servos show."""
+        assert self._record is not None
+        found = []
+        for joint, reading in zip(self._arm.joints, self._record.inputs.sample.servos, strict=True):
+            if not reading.registers:
+                return None
+            found.append(joint.position_rad(ax12a.register_value(ax12a.GOAL, reading.registers)))
+        return found
+
+    def _faulty_until_s(self) -> float:
+        """When the last of the faults under way will end."""
+        begun = [fault for fault in self._faults if fault.begin_s <= self._now_s]
+        return max((fault.begin_s + (fault.duration_s or 0.0) for fault in begun), default=-math.inf)
+
+    def _id(self) -> int:
+        self._request_id += 1
+        return self._request_id
+
+    # ------------------------------------------------------------------------------------------- doings
+
+    def _next(self) -> Doing | None:
+        if self._code:
+            return self._recover()
+        if self._episode.body.hand.holding:
+            return self._let_go()
+        if self._wishes and self._wishes[0].at_s <= self._now_s:
+            wish = self._wishes.pop(0)
+            while self._wishes and self._wishes[0].at_s <= self._now_s:
+                wish = self._wishes.pop(0)
+            return self._grant(wish)
+        return None
+
+    def _grant(self, wish: Wish) -> Doing:
+        rng = np.random.default_rng(wish.number)
+        match wish.what:
+            case "run" | "mixed":
+                yield from self._run(rng, wish.what == "mixed")
+            case "park":
+                yield from self._power_up(rng)
+                yield from self._ask(Park(self._id()), 30.0)
+            case "jog":
+                yield from self._jog(rng)
+            case "lean":
+                yield from self._lean(rng)
+            case "teach":
+                yield from self._teach(rng)
+            case "release":
+                yield from self._ask(Release(self._id()), 1.0)
+
+    def _ask(self, command: Command, patience_s: float) -> Doing:
+        """Say it, and wait for the answer, a fault, or until it takes too long."""
+        request_id = getattr(command, "request_id")  # noqa: B009
+        until_s = self._now_s + patience_s
+        yield (command,)
+        while request_id not in self._replies and not self._code and self._now_s < until_s:
+            yield ()
+
+    def _wait(self, duration_s: float) -> Doing:
+        until_s = self._now_s + duration_s
+        while self._now_s < until_s:
+            yield ()
+
+    def _power_up(self, rng: np.random.Generator) -> Doing:
+        """Torque on; a limp arm away from its rest is carried to some posture, and supported meanwhile."""
+        if self._mode is not Mode.OFF or any(self._stiff()):
+            return
+        hand = self._episode.body.hand
+        rest = np.array([joint.rest_rad for joint in self._arm.joints])
+        lying = np.abs(self._episode.body.true_positions() - rest).max() < math.radians(4.0)
+        if not lying:
+            yield from self._guide(rng)
+        if not self._code:
+            yield from self._ask(TorqueOn(self._id()), 3.0)
+        if self._code:  # whoever supports an arm goes on until its card is followed
+            return
+        if hand.holding:
+            yield from self._wait(0.3)
+        hand.release()
+
+    def _stiff(self) -> list[bool]:
+        """Which joints resist a hand; a status that is a tick behind does not show it."""
+        return [servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) > 0 for servo in self._episode.body.servos]
+
+    def _let_go(self) -> Doing:
+        """A hand that was still at the arm when another program took over."""
+        yield from self._wait(1.0)
+        self._episode.body.hand.release()
+
+    def _guide(self, rng: np.random.Generator) -> Doing:
+        """A hand leads the limp arm along a short line; it stays at the arm."""
+        postures = self._episode.postures
+        q = postures[int(rng.integers(len(postures)))]
+        point = tool_position(self._robot.chain, q[: self._robot.chain.n])
+        body = self._episode.body
+        try:
+            when = body.hand.guide(point, 0.97 * point, seed=int(rng.integers(1000)), duration_s=0.5)
+        except Exception as error:  # whatever the hand cannot do, it leaves
+            if type(error).__name__ != "UnreachableTarget":
+                raise
+            return
+        yield from self._wait(when.duration_s)
+
+    def _teach(self, rng: np.random.Generator) -> Doing:
+        yield from self._ask(Teach(self._id()), 2.0)
+        if self._mode is Mode.TEACHING:
+            yield from self._guide(rng)
+            if rng.random() < 0.5:
+                self._episode.body.hand.release()
+            yield from self._ask(TeachEnd(self._id()), 2.0)
+        if rng.random() < 0.5:
+            self._episode.body.hand.release()
+
+    def _run(self, rng: np.random.Generator, mixed: bool) -> Doing:
+        yield from self._power_up(rng)
+        if self._mode is not Mode.HOLDING or self._code:
+            return
+        q_now = self._commanded()
+        if rng.random() < WRONG_SHARE and q_now is not None:
+            yield from self._ask(Run(self._id(), self._requests.wrong(rng, q_now)), 1.0)
+            q_now = self._commanded()
+        trajectory = None if q_now is None else self._requests.right(rng, q_now)
+        if trajectory is None:
+            return
+        request = Run(self._id(), trajectory)
+        if not mixed:
+            yield from self._ask(request, 60.0)
+            return
+        yield (request,)
+        for _ in range(int(rng.integers(1, 4))):
+            yield from self._wait(float(rng.uniform(0.1, 3.0)))
+            if self._code or request.request_id in self._replies:
+                return
+            yield from self._aside(rng)
+
+    def _aside(self, rng: np.random.Generator) -> Doing:
+        """Something said during a run."""
+        what = rng.random()
+        if what < 0.25:
+            yield from self._ask(Hold(self._id()), 2.0)
+        elif what < 0.6:
+            yield from self._ask(SetRate(self._id(), round(float(rng.uniform(0.1, 1.0)), 2)), 1.0)
+        else:
+            yield from self._ask(Pause(self._id()), 1.0)
+            yield from self._wait(float(rng.uniform(0.1, 2.0)))
+            if self._mode is Mode.MOVING:
+                yield from self._ask(Resume(self._id()), 1.0)
+
+    def _jog(self, rng: np.random.Generator) -> Doing:
+        """A heartbeat each tick, then none, or a stop."""
+        yield from self._power_up(rng)
+        begin = True
+        for _ in range(int(rng.integers(1, 4))):
+            joints, tool = self._requests.velocities(rng)
+            until_s = self._now_s + float(rng.uniform(0.2, 3.0))
+            while self._now_s < until_s:
+                if self._code or self._mode not in (Mode.HOLDING, Mode.JOGGING):
+                    return
+                yield (Jog(self._id(), joints, tool, begin),)
+                begin = False
+        if rng.random() < 0.5:
+            yield from self._ask(Hold(self._id()), 2.0)
+
+    def _lean(self, rng: np.random.Generator) -> Doing:
+        """A little way against something that holds a joint: not far enough to be blocked, too hard to go on."""
+        yield from self._power_up(rng)
+        q_now = self._commanded()
+        if self._mode is not Mode.HOLDING or self._code or q_now is None:
+            return
+        assert self._record is not None
+        index = int(rng.integers(len(self._arm.joints)))
+        joint = self._arm.joints[index]
+        tick = ax12a.register_value(ax12a.PRESENT_POSITION, self._record.inputs.sample.servos[index].registers)
+        held = Fault(kind="blocked_joint", servo_id=joint.servo_id, begin_s=self._now_s, duration_s=LEAN_S)
+        self._faults.append(held)
+        self._episode.fault(held)
+        yield from self._ask(Run(self._id(), self._requests.leaning(q_now, index, tick)), LEAN_S)
+        yield from self._wait(LEAN_S)
+
+    # ------------------------------------------------------------------------------------------ recovery
+
+    def _recover(self) -> Doing:
+        """Follow the card: wait for the faults' end, make safe, clear, and move on."""
+        episode = self._episode
+        while self._now_s < self._faulty_until_s() + READY_S:
+            yield ()
+            if not self._code:
+                return
+        said_s = self._now_s
+        while self._code:
+            code = self._code
+            ended_s = self._faulty_until_s()
+            if ended_s > self._now_s:  # another one has begun
+                return
+            yield from self._make_safe(code)
+            request_id = self._id()
+            yield (Clear(request_id),)
+            reply = self._replies.get(request_id)
+            if reply is None or not self._code or self._faulty_until_s() > self._now_s - 0.5:
+                return
+            if not reply.ok and self._reason() and self._now_s < said_s + PATIENCE_S:
+                yield from self._wait(0.5)
+                continue
+            if not reply.ok:
+                since_s = self._now_s - ended_s
+                text = f"not cleared {since_s:.1f} s after every fault had ended: {reply.message}"
+                episode.judge.found(self._now_s, "11", text)
+            return
+        yield from self._resume()
+
+    def _reason(self) -> str:
+        """Why a `clear` may be refused though nothing is broken any more: the arm is on its way, hot or limp."""
+        if self._code in SETTLING and self._now_s - self._settling_since() < PATIENCE_S:
+            return "on its way to rest"
+        return self.persisting()
+
+    def _settling_since(self) -> float:
+        assert self._record is not None
+        fault = self._record.outputs.fault
+        return self._now_s if fault is None else fault.since_ns / 1e9 - 1.0
+
+    def _make_safe(self, code: str) -> Doing:
+        """What the cards ask for before `clear`."""
+        body = self._episode.body
+        if any(servo.temperature_degC >= self._arm.temperature_limit_degC - 1.0 for servo in body.servos):
+            self._episode.fault(Fault(kind="hot", value=35.0, begin_s=self._now_s, duration_s=0.01))
+            yield from self._wait(0.3)
+        for servo, joint in zip(body.servos, self._arm.joints, strict=True):
+            if servo.wheel_mode:
+                servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
+                servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
+                self._episode.judge.mended(self._arm.joints.index(joint))
+        on = self._stiff()
+        if code in ("LOST_TORQUE", "TRIPPED", "NOT_LIMP") or (any(on) and not all(on)) or self._weak():
+            yield (Release(self._id()),)
+            yield from self._wait(0.2)
+        body.hand.release()
+
+    def _resume(self) -> Doing:
+        """The arm holds and the fault is cleared: work goes on within a second."""
+        if self._mode is not Mode.HOLDING:
+            return
+        cleared_s = self._now_s
+        q_now = self._commanded()
+        if q_now is None:
+            return
+        goals = [servo.get(ax12a.GOAL) for servo in self._episode.body.servos]
+        request_id = self._id()
+        yield (Run(request_id, self._requests.going_on(q_now)),)
+        while not self._code and request_id not in self._replies:
+            if [servo.get(ax12a.GOAL) for servo in self._episode.body.servos] != goals:
+                return
+            if self._now_s - cleared_s > MOVE_S:
+                if self._faulty_until_s() < cleared_s - READY_S:
+                    text = "no goal moved within 1 s of a `clear` and a motion asked for"
+                    self._episode.judge.found(self._now_s, "11", text)
+                return
+            yield ()

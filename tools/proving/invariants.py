@@ -1,0 +1,515 @@
+"""The invariants of an arm under control, judged by its servos.
+
+Rules:
+
+1. Evidence is what arrives at the servos: packets that write, the registers before and after each, the true shafts,
+   the replies that reach the host whole. What the program in charge says of itself counts only where an invariant is
+   about its word (4, 7 and the rows: what is reported as latched) or lets a user's command through.
+2. What the user asked for is evidence too, and so is what was planned to go wrong: an arm that a fault moves (a blocked
+   or dead motor, a frozen sensor, a sagging supply) is not judged by how far it is from its goal.
+3. Checks are made where something happens: at a write, at a reply, once a tick. A violation is told once for its kind
+   and joint, with the instant, the value and the bound. `duties.py` says from when no goal may advance, and why.
+
+| invariant | checked | bound here |
+|-|-|-|
+| 1 | every goal that arrives | the calibration's limits, and the servo's EEPROM limits |
+| 2 | goal steps; goal - shaft each tick | vmax * period + 1 tick from the goal sent before, twice that from the one |
+| | | held (a servo may have missed one); 12 deg from the shaft, and from what its sensor says, whatever holds or |
+| | | moves it, when a goal goes on. Aside: a goal at the servo's own position, or |
+| | | where a joint that something moves said it was |
+| 3 | torque 0 -> 1 by a write | 0.6 deg and one tick of noise to a goal of its own; speed not 0; limit 20 %; |
+| | | 2 deg to the goal in 500 ms |
+| 4 | torque 0 -> 1 by a write | `torque on` within 2 s, and no fault reported since |
+| 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick; within 3 deg (and 2 ticks of noise) of rest on the |
+| | | way there, at 20 deg/s; or undoing a torque-on of the last 2 s, without ticks in |
+| | | which a servo is not heard |
+| 6 | goals after what stops motion | 200 ms after the matrix's bound; shafts still 500 ms after it |
+| 7 | goals while a fault is reported | none after 250 ms, but to rest for heat, voltage and load |
+| | `clear` | refused while the cause lasts |
+| 8 | goals that change | every servo heard within 250 ms |
+| 9 | every write | nothing below address 24 |
+| lead | shafts after the program died | still after 250 ms, within 10 deg |
+| late | goals | at most 4 in 250 ms: no burst |
+| rows | what is reported after a fault | the matrix's bound, a tick and 0.2 s; a lost reply is asked for again; |
+| | | a port that is there again, within 3 s; no torque while a servo's EEPROM is wrong |
+
+11, 13 and 14 need more than one arm's bytes: the user of an episode and the soak tell them by `Judge.found`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from armctl.config import ArmConfig
+from armctl.control.faults import SETTLING
+from armctl.dynamixel import ax12a
+from armctl.messages import Mode
+from armctl.sim.faults import Fault
+from proving.duties import ADVANCING, POWERED, REPORT_SLACK_S, STOP_S, TICK_DEG, Duties, Known, Servo
+
+NOISE_TICKS = 1.0
+"""Two standard deviations of one reading: a program that has one reading knows a shaft no better."""
+HERE_TICKS = 0.6 / TICK_DEG + NOISE_TICKS
+"""A goal this near to the servo's own position asks for no motion."""
+LEAD_TICKS = 12.0 / TICK_DEG
+SOFT_LIMIT = 0.2 * ax12a.TORQUE_LIMIT.maximum
+JUMP_TICKS = 2.0 / TICK_DEG
+JUMP_S = 0.5
+REST_TICKS = 3.0 / TICK_DEG + 2.0
+REST_SPEED_DEG_S = 20.0
+ASKED_S = 2.0
+"""A torque-on takes so long at most, without the ticks in which a servo is not heard."""
+REST_S = 0.3
+"""From the last goal that may advance to an arm that is still."""
+STILL_TICKS = 0.9 / TICK_DEG
+"""Between two ticks: twice the play of a joint, which gravity may cross when a neighbour comes to rest."""
+AGE_S = 0.25
+BURST_S = 0.25
+BURST = 4
+JOG_S = 0.08 + 0.1 + STOP_S
+"""A heartbeat counts for 80 ms; then the arm stops."""
+LATE_S = 0.35
+"""Late by the bound of 250 ms, whatever the two readings took."""
+DEAD_S = 0.25
+DEAD_TICKS = 10.0 / TICK_DEG
+BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
+BLOCKED_S = 0.3
+MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A register write on the wire, to the servo at `index`."""
+
+    index: int
+    address: int
+    data: bytes
+
+    def value(self, register: ax12a.Register) -> int | None:
+        """What it writes into a register; None: nothing."""
+        begin = register.address - self.address
+        end = begin + register.size
+        return int.from_bytes(self.data[begin:end], "little") if begin >= 0 and end <= len(self.data) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """Something that no invariant allows."""
+
+    invariant: str
+    time_s: float
+    text: str
+
+
+class Judge:
+    """Watches one arm from its servos' side, and notes what must not be."""
+
+    def __init__(self, arm: ArmConfig, period_s: float, eeprom_limits: Sequence[tuple[int, int]]) -> None:
+        n = len(arm.joints)
+        self.violations: list[Violation] = []
+        self._names = arm.joint_names
+        self._period_s = period_s
+        self._limits = [
+            (max(low, joint.limits_tick[0]), min(high, joint.limits_tick[1]))
+            for joint, (low, high) in zip(arm.joints, eeprom_limits, strict=True)
+        ]
+        self._steps = [joint.speed_limit_rad_s * period_s / ax12a.TICK_RAD + 1.0 for joint in arm.joints]
+        self._speeds = [ax12a.moving_speed_units(joint.speed_limit_rad_s) for joint in arm.joints]
+        self._rest = [joint.tick(joint.rest_rad) for joint in arm.joints]
+        self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + 1.0
+        self._seen: set[tuple[str, int]] = set()
+        self._duties = Duties(arm.servo_ids, period_s)
+        self._sent: list[int | None] = [None] * n
+        """Goals of the program in charge, while their servos have torque."""
+        self._sent_before: list[int | None] = [None] * n
+        """And those before them: what a servo holds that missed one."""
+        self._goal_times: deque[float] = deque(maxlen=BURST + 1)
+        self._unfit: set[int] = set()
+        """Whose EEPROM forbids torque."""
+        self._heard_s = [-math.inf] * n
+        self._told = [0] * n
+        """When each servo was last heard, and where it said it was."""
+        self._all_heard = False
+        """Whether every servo answered in the last tick."""
+        self._before: list[Servo] = []
+        """The servos a tick ago."""
+        self._time_s = -math.inf
+        self._asked_s: dict[str, float] = {}
+        self._asked_now: set[str] = set()
+        """In this tick."""
+        self._unless_cleared: list[tuple[str, float, int, str]] = []
+        """What this tick's `clear`, if it is granted, makes right."""
+        self._clears_and_moves = False
+        """Whether this tick's `clear` comes together with a request to move."""
+        self._unless_settling: list[tuple[str, float, int, str]] = []
+        """What is right if this tick's report tells of a fault that sends the arm to rest at once."""
+        self._torque_asked_s = -math.inf
+        self._mode, self._code, self._fault_s = Mode.OFF, "", -math.inf
+        """What is reported; the code of a fault, and since when."""
+        self._enabled: dict[int, tuple[float, float]] = {}
+        """When and where [tick] each servo took torque, for the half second of watching."""
+        self._far_s = [math.inf] * n
+        """Since when each servo is far from its goal."""
+        self._dead: tuple[float, list[float]] | None = None
+        """When the program in charge died, and where the shafts were."""
+        self._in_charge = False
+        """Whether there is a program at all."""
+        self._adopting = False
+        """Whether another program is taking over, and nobody has asked it for anything yet."""
+
+    # ------------------------------------------------------------------------------------- what is known
+
+    def plan(self, fault: Fault) -> None:
+        """Take note of a fault that will begin, at `begin_s` of the arm's time."""
+        self._duties.plan(fault)
+
+    def led(self, now_s: float) -> None:
+        """A hand is at the arm."""
+        self._duties.led(now_s)
+
+    def asked(self, now_s: float, kind: str) -> None:
+        """The user (or the host) asks for something."""
+        self._asked_s[kind] = now_s
+        self._asked_now.add(kind)
+        self._adopting = False
+        calm = self._mode in (Mode.HOLDING, Mode.OFF) and not self._code
+        if (kind in MOTION_REQUESTS and calm) or (kind == "resume" and self._mode is Mode.MOVING):
+            self._duties.motion_asked()
+        self._clears_and_moves |= kind in MOTION_REQUESTS and "clear" in self._asked_now
+        if kind in ("release", "teach"):
+            self._duties.nobody_reports()
+        if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
+            self._torque_asked_s = now_s
+        if kind in ("hold", "host_lost") or (kind == "pause" and self._mode is Mode.MOVING):
+            self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
+
+    def heard(self, now_s: float, index: int, position: int, goal: int | None = None) -> None:
+        """A good reply of a servo has reached the host.
+
+        Args:
+            position: Where it says it is [tick].
+            goal: The one it tells, of a servo under torque. One that is not from here obliges a program that looks;
+                one that this program's next goal replaced before anybody asked the servo is seen by nobody.
+        """
+        self._heard_s[index], self._told[index] = now_s, position
+        looks = self._in_charge and self._mode in POWERED and not self._code
+        if goal not in (None, self._sent[index], self._sent_before[index]) and self._sent[index] is not None and looks:
+            self._duties.overruled(now_s, index)
+
+    def reported(self, now_s: float, mode: Mode, code: str, cause: str = "") -> None:
+        """What the program in charge says after a tick.
+
+        Args:
+            code: Of the fault that is latched; empty: none is.
+            cause: Why a fault cannot be cleared now, as far as the simulator knows; empty: nothing.
+        """
+        for unless_settling in self._unless_settling if code not in SETTLING else ():
+            self._violate(*unless_settling)
+        self._unless_settling.clear()
+        if code:
+            self._torque_asked_s = -math.inf
+        if code and code != self._code:
+            self._fault_s = now_s
+            if code == "LOST_TORQUE":
+                self._watch_tripped(now_s)
+            if code == "PORT_GONE":
+                self._duties.port_gone(now_s)
+            for what in self._duties.reported(code):
+                self._violate("rows", now_s, -1, f"{what} is reported as {code}")
+            if code in SETTLING:
+                self._duties.motion_asked()
+            else:
+                from_s = now_s + 1.5 * self._period_s + 0.1
+                self._duties.must_stop(from_s, f"{code} is latched", by_clear=True, invariant="7")
+        elif self._code and not code:
+            self._duties.cleared()
+            if self._clears_and_moves:
+                self._duties.motion_asked()
+            self._sent = [None] * len(self._sent)
+            if cause:
+                self._violate("7", now_s, -1, f"{self._code} was cleared although {cause}")
+        elif not code and mode in (Mode.OFF, Mode.TEACHING):
+            self._duties.let_go()
+        for unless_cleared in self._unless_cleared if code else ():
+            self._violate(*unless_cleared)
+        self._unless_cleared.clear()
+        self._clears_and_moves = False
+        self._mode, self._code = mode, code
+        self._adopting &= mode is Mode.OFF  # from now on a fault may send the arm to rest
+
+    def tampered(self, i: int) -> None:
+        """Somebody has set a servo's EEPROM such that the arm must not be moved."""
+        self._unfit.add(i)
+
+    def mended(self, i: int) -> None:
+        """The user has set it right."""
+        self._unfit.discard(i)
+
+    def port_back(self) -> None:
+        """The program in charge says that a port it lost is there again."""
+        self._duties.port_back()
+
+    def died(self, now_s: float, servos: Sequence[Servo]) -> None:
+        """The program in charge is gone at once; another one will take over."""
+        self._dead, self._in_charge = (now_s, [servo.shaft_tick for servo in servos]), False
+        self._sent = [None] * len(self._sent)
+        self._duties.nobody_reports()
+        self._duties.port_back()
+        self._duties.cleared()
+        self._duties.must_stop(now_s, "the program died, and the next one adopts", by_clear=False, invariant="6")
+        self._mode, self._code = Mode.OFF, ""
+        self._unless_cleared.clear()
+        self._unless_settling.clear()
+        self._clears_and_moves = False
+
+    def back(self) -> None:
+        """Another program is in charge."""
+        self._dead, self._in_charge, self._adopting = None, True, True
+
+    # ---------------------------------------------------------------------------------- what is observed
+
+    def wrote(self, now_s: float, sent: Sequence[Sent], before: Sequence[Servo], after: Sequence[Servo]) -> None:
+        """One packet of the host that writes has arrived.
+
+        Args:
+            sent: What it tells each servo addressed, heard or not.
+            before, after: Every servo then, in joint order.
+        """
+        goals = False
+        for one in sent:
+            i, was, now = one.index, before[one.index], after[one.index]
+            if one.address < ax12a.EEPROM_END:
+                self._violate("9", now_s, i, f"a write to address {one.address}: EEPROM")
+            speed, goal = one.value(ax12a.MOVING_SPEED), one.value(ax12a.GOAL)
+            if speed is not None and not 1 <= speed <= self._speeds[i]:
+                self._violate("3" if speed == 0 else "2", now_s, i, f"speed {speed} (bound 1 to {self._speeds[i]})")
+            if goal is not None:
+                goals = True
+                self._goal(now_s, i, goal, before)
+            if now.torque and not was.torque:
+                self._energised(now_s, i, now)
+            elif was.torque and not now.torque:
+                self._released(now_s, i, before)
+        if goals:
+            times = self._goal_times
+            times.append(now_s)
+            if len(times) > BURST and now_s - times[0] < BURST_S:
+                self._violate("late", now_s, -1, f"{len(times)} goals in {now_s - times[0]:.3f} s (bound {BURST})")
+
+    def _goal(self, now_s: float, i: int, goal: int, before: Sequence[Servo]) -> None:
+        was = before[i]
+        low, high = self._limits[i]
+        if not low <= goal <= high:
+            self._violate("1", now_s, i, f"goal {goal} outside {low} to {high}")
+        last = self._sent[i]
+        self._sent[i], self._sent_before[i] = goal, last
+        if self._adopting and not any(_given_up(servo) for servo in before):
+            self._violate("6", now_s, i, "a goal from a program that has only just adopted the arm")
+        known = was.goal if last is None else last
+        if "clear" in self._asked_now and abs(goal - was.goal) < abs(goal - known):
+            known = was.goal  # it was granted: from there on it goes on from the goals that the servos hold
+        if goal == known or not was.torque:
+            return
+        age_s = now_s - self._heard_s[i]
+        if age_s > AGE_S:
+            self._violate("8", now_s, i, f"a goal {age_s:.3f} s after its last reply (bound {AGE_S})")
+        # Since the reading it was computed from a moving shaft has gone on: 25 ms, a quarter of a tick's way.
+        moved = abs(was.shaft_tick - self._before[i].shaft_tick) if self._before else 0.0
+        here, told = (min(max(tick, low), high) for tick in (was.sensed_tick, self._told[i]))
+        thrown = self._duties.excused(now_s, i)
+        if abs(goal - here) > HERE_TICKS + moved / (1.0 if thrown else 4.0) and not (thrown and goal == told):
+            self._advance(now_s, i, known, goal, was.goal)
+        ahead = abs(goal - told)
+        if ahead > max(LEAD_TICKS + NOISE_TICKS, abs(known - told)):
+            text = f"goal {goal}, {ahead * TICK_DEG:.1f} deg ahead of its servo, which is at {told} (bound 12)"
+            self._violate("2", now_s, i, text)
+
+    def _advance(self, now_s: float, i: int, known: int, goal: int, held: int) -> None:
+        """A goal that moves a servo, from the one sent before, or held by the servo."""
+        step, way = self._steps[i], abs(goal - known)
+        if way > step or (abs(goal - held) > 2.0 * step and not self._duties.excused(now_s, i)):
+            self._violate("2", now_s, i, f"goal {goal} after {known} sent, {held} held (bound {step:.1f} ticks)")
+        for duty in self._duties.in_force(self._time_s, now_s):
+            text = f"goal {known} -> {goal}, {now_s - duty.from_s:.2f} s too late: {duty.why}"
+            if "clear" in self._asked_now and (duty.by_clear or self._clears_and_moves):
+                self._unless_cleared.append((duty.invariant, now_s, i, text))
+            elif not duty.by_clear and not self._code:
+                self._unless_settling.append((duty.invariant, now_s, i, text))
+            else:
+                self._violate(duty.invariant, now_s, i, text)
+        if self._mode is Mode.JOGGING and (since_s := now_s - self._asked_s["jog"]) > JOG_S:
+            self._violate("6", now_s, i, f"jogs on {since_s:.2f} s after the last heartbeat (bound {JOG_S:.2f})")
+        for j, heard_s in enumerate(self._heard_s):
+            if now_s - heard_s > AGE_S:
+                self._violate("8", now_s, j, f"the arm moves on, {now_s - heard_s:.3f} s after its last reply")
+        settling = self._code in SETTLING
+        since_s = now_s - max(self._fault_s, self._asked_s.get("park", -math.inf))
+        if (settling or self._mode is Mode.PARKING) and since_s > STOP_S:
+            if way > self._rest_step:
+                self._violate("5", now_s, i, f"goal {known} -> {goal} on the way to rest (bound {self._rest_step:.1f})")
+            if settling and abs(goal - self._rest[i]) > abs(known - self._rest[i]) + 1.0:
+                self._violate("7", now_s, i, f"goal {known} -> {goal}, away from rest, {self._code} being latched")
+
+    def _energised(self, now_s: float, i: int, now: Servo) -> None:
+        for unfit in self._unfit:
+            text = f"torque came on although {self._names[unfit]} is in wheel mode"
+            self._violate("rows", now_s, i, text)
+        self._enabled[i] = (now_s, now.shaft_tick)
+        own = now.goal == self._sent[i] or not self._duties.other_writer(now_s, i)
+        self._sent[i] = now.goal
+        if own and abs(now.goal - now.sensed_tick) > HERE_TICKS:
+            text = f"torque came on at {now.sensed_tick} with goal {now.goal} (bound {HERE_TICKS:.1f} ticks)"
+            self._violate("3", now_s, i, text)
+        if now.limit > SOFT_LIMIT or now.speed == 0:
+            text = f"torque came on with limit {now.limit} (bound {SOFT_LIMIT:.0f}), speed {now.speed} (not 0)"
+            self._violate("3", now_s, i, text)
+        text = "torque came on, which nobody asked for since the last fault"
+        if not self._energising(now_s):
+            self._violate("4", now_s, i, text)
+        elif self._code:  # asked for behind a `clear` of the same tick
+            self._unless_cleared.append(("4", now_s, i, text))
+
+    def _released(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
+        self._sent[i] = None
+        if self._asked_now & {"release", "teach"} or self._energising(now_s):
+            return
+        settling = self._mode is Mode.PARKING or self._code in SETTLING
+        away = max(abs(servo.sensed_tick - rest) for servo, rest in zip(before, self._rest, strict=True))
+        if not settling or away > REST_TICKS:
+            self._violate("5", now_s, i, f"torque cut, {away * TICK_DEG:.1f} deg from rest, and nobody asked")
+
+    def _energising(self, now_s: float) -> bool:
+        """Whether a torque-on may be under way; a tick that is late does not count."""
+        late_s = max(0.0, now_s - self._time_s - self._period_s)
+        return now_s - late_s - self._torque_asked_s <= ASKED_S
+
+    def polled(self, now_s: float, unheard: Sequence[tuple[int, int]], heard: int, asked: int) -> None:
+        """Which servos were asked in vain in a tick, each how often, how many answered and how often all were asked.
+
+        Where all answered a tick ago, the first that does not deserves a second try, unless two others had one. A
+        torque-on waits for all of them.
+        """
+        n = len(self._names)
+        if unheard and self._all_heard and unheard[0][1] < 2 and asked < n + 2 and self._in_charge:
+            self._violate("rows", now_s, unheard[0][0], "a lost reply was not asked for again")
+        self._all_heard = heard == n
+        if not self._all_heard and self._mode is Mode.ENERGISING:
+            self._torque_asked_s += self._period_s
+
+    def ticked(self, now_s: float, servos: Sequence[Servo]) -> None:
+        """Another tick is over (or a period without any program)."""
+        last_s, self._time_s = self._time_s, now_s
+        gap_s = now_s - last_s - self._period_s
+        if gap_s > 0.05:
+            self._torque_asked_s += gap_s
+        mode = Mode.OFF if self._asked_now & {"release", "teach"} else self._mode
+        self._asked_now.clear()
+        known = Known(mode, bool(self._code), self._in_charge)
+        self._duties.tick(last_s, now_s, servos, known)
+        if gap_s > LATE_S and self._mode in ADVANCING:
+            from_s = now_s + 1.5 * self._period_s
+            self._duties.must_stop(from_s, f"a tick came {gap_s:.2f} s late", by_clear=False, invariant="6")
+        for what in self._duties.overdue(now_s):
+            self._violate("rows", now_s, -1, f"{what}, and nobody reports it")
+        before, self._before = self._before, [_copy(servo) for servo in servos]
+        for i, servo in enumerate(servos):
+            if not servo.torque:
+                self._enabled.pop(i, None)
+                self._far_s[i] = math.inf
+                continue
+            away = abs(servo.goal - servo.shaft_tick)
+            if away > LEAD_TICKS and not self._duties.excused(now_s, i):
+                self._violate("2", now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
+            if before:
+                self._watch_strain(now_s, i, abs(before[i].goal - servo.sensed_tick))
+            if i in self._enabled:
+                self._watch_jump(now_s, i, servo)
+        if before and gap_s <= 0.05:
+            if self._code not in SETTLING:
+                for duty in self._duties.in_force(last_s, now_s, REST_S):
+                    self._watch_rest(now_s, servos, before, duty.invariant, duty.why)
+            if self._dead is not None and self._duties.excused(now_s):
+                self._dead = (self._dead[0], [servo.shaft_tick for servo in servos])
+            elif self._dead is not None and now_s - self._dead[0] > DEAD_S:
+                self._watch_dead(now_s, servos, before, self._dead[1])
+
+    def _watch_tripped(self, now_s: float) -> None:
+        """Servos that shut themselves down say so by their torque limit: the card is another than for lost torque."""
+        limits = [servo.limit for servo in self._before if not servo.torque]
+        if limits and not any(limits) and self._mode in POWERED and not self._duties.may_restart():
+            self._violate("rows", now_s, -1, "a servo that shut itself down is reported as LOST_TORQUE")
+
+    def _watch_strain(self, now_s: float, i: int, away_ticks: float) -> None:
+        """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported.
+
+        It counts from when a program watches for it: one that has just adopted the arm knows of nothing before.
+        """
+        if away_ticks <= BLOCKED_TICKS or self._mode not in POWERED or self._code:
+            self._far_s[i] = math.inf
+        elif self._far_s[i] == math.inf:
+            self._far_s[i] = now_s
+        elif now_s - self._far_s[i] > BLOCKED_S + self._period_s:
+            self._far_s[i] = now_s
+            what = f"{self._names[i]} over 8 deg from its goal for 0.3 s"
+            self._duties.must_report(now_s + REPORT_SLACK_S, what)
+
+    def _watch_jump(self, now_s: float, i: int, servo: Servo) -> None:
+        since_s, from_tick = self._enabled[i]
+        if now_s - since_s > JUMP_S:
+            del self._enabled[i]
+            return
+        moved = servo.shaft_tick - from_tick
+        if abs(moved) > JUMP_TICKS and not _sags(servo, moved) and not self._duties.excused(now_s, i):
+            text = f"moved {abs(moved) * TICK_DEG:.1f} deg within {now_s - since_s:.2f} s of torque-on (bound 2)"
+            self._violate("3", now_s, i, text)
+
+    def _watch_rest(
+        self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], invariant: str, why: str
+    ) -> None:
+        all_moved = [servo.shaft_tick - was.shaft_tick for servo, was in zip(servos, before, strict=True)]
+        if self._duties.excused(now_s) or any(
+            abs(moved) > STILL_TICKS and not servo.torque for servo, moved in zip(servos, all_moved, strict=True)
+        ):
+            return  # a limp joint that falls shakes those that hold
+        for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True)):
+            if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved):
+                self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")
+
+    def _watch_dead(
+        self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], shafts_then: Sequence[float]
+    ) -> None:
+        self._watch_rest(now_s, servos, before, "lead", "the program is dead")
+        for i, (servo, shaft) in enumerate(zip(servos, shafts_then, strict=True)):
+            moved = abs(servo.shaft_tick - shaft)
+            if servo.torque and moved > DEAD_TICKS:
+                self._violate("lead", now_s, i, f"moved {moved * TICK_DEG:.1f} deg after the program died (bound 10)")
+
+    # ----------------------------------------------------------------------------- what an episode finds
+
+    def found(self, now_s: float, invariant: str, text: str) -> None:
+        """Something that whoever plays the user, or the episode itself, has seen."""
+        self._violate(invariant, now_s, -1, text)
+
+    def _violate(self, invariant: str, now_s: float, index: int, text: str) -> None:
+        if (invariant, index) not in self._seen:
+            self._seen.add((invariant, index))
+            who = f"{self._names[index]}: " if index >= 0 else ""
+            self.violations.append(Violation(invariant, now_s, who + text))
+
+
+def _copy(servo: Servo) -> Servo:
+    return Servo(servo.torque, servo.goal, servo.speed, servo.limit, servo.shaft_tick, servo.sensed_tick)
+
+
+def _given_up(servo: Servo) -> bool:
+    """Whether a servo is so far from its goal that the goal may be given up for its position."""
+    return servo.torque and abs(servo.goal - servo.sensed_tick) > BLOCKED_TICKS - 4.0
+
+
+def _sags(servo: Servo, moved: float) -> bool:
+    """Whether a shaft moves away from its goal: a load does that, a motor does not."""
+    left = servo.goal - servo.shaft_tick
+    return moved * left < 0.0 and abs(left) > NOISE_TICKS

@@ -1,0 +1,150 @@
+"""How late ticks come, and what the daemon costs when nothing happens.
+
+Lateness is measured by the control process itself, at its own absolute deadlines, on a simulated arm in another
+process: idle, and with one busy process a core beside it (no priority, no real-time class: what a laptop gives).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import select
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armctl.control.link import StartFailed
+from armctl.control.process import ControlProcess, ControlSettings
+from armctl.errors import ArmctlError
+from armctl.files import load_arm
+from armctl.lab.demo import program
+from armctl.messages import TickRecord
+from proving.figures import check, row
+from proving.rig import ARM, rig
+
+SECONDS = 20.0
+RATES_HZ = (10, 100)
+SETTLE_S = 1.0
+"""Left out at the begin: imports, first keyframe, adoption."""
+IDLE_BOUND_MS = 1.0
+BUSY_BOUND_MS = 5.0
+DAEMON_CPU_BOUND = 0.03
+DAEMON_MEMORY_BOUND_MB = 150.0
+
+
+def bench(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
+    """Rows and checks; `ratio` is to the bound."""
+    rows: list[dict[str, Any]] = []
+    checks: list[dict[str, Any]] = []
+    for work, hogs in (("idle", 0), ("all cores busy", os.cpu_count() or 1)):
+        for rate_hz in RATES_HZ:
+            late_ms = lateness_ms(seed, 1.0 / rate_hz, seconds, hogs)
+            bound_ms = BUSY_BOUND_MS if hogs else IDLE_BOUND_MS
+            for share in (50, 99, 100):
+                value_ms = float(np.percentile(late_ms, share))
+                name = "max" if share == 100 else f"p{share}"
+                rows.append(
+                    row(
+                        f"lateness {name} at {rate_hz} Hz, {work}",
+                        "armctl control",
+                        value_ms,
+                        "ms",
+                        value_ms / bound_ms,
+                    )
+                )
+            p99 = float(np.percentile(late_ms, 99))
+            checks.append(check(f"lateness p99 at {rate_hz} Hz, {work} [ms]", p99, bound_ms))
+    cpu, memory = daemon_cost(seed, seconds)
+    for process, core in cpu.items():
+        rows.append(row("CPU at 10 Hz, nothing to do", process, 100.0 * core, "% of a core", core / DAEMON_CPU_BOUND))
+    for process, megabytes in memory.items():
+        rows.append(row("memory (PSS)", process, megabytes, "MB", megabytes / DAEMON_MEMORY_BOUND_MB))
+    checks.append(check("daemon's CPU over all its processes [core]", sum(cpu.values()), DAEMON_CPU_BOUND))
+    checks.append(check("daemon's memory over all its processes [MB]", sum(memory.values()), DAEMON_MEMORY_BOUND_MB))
+    return {"rows": rows, "checks": checks, "seed": seed}
+
+
+def lateness_ms(seed: int, period_s: float, seconds: float, hogs: int) -> list[float]:
+    """Lateness [ms] of every tick of a control process that runs for `seconds` beside so many busy processes."""
+    with tempfile.TemporaryDirectory(prefix="armctl-") as name:
+        port = Path(name) / "servos"
+        options = ("--link", str(port), "--seed", str(seed), "--return-delay-us", "0")
+        with program(Path(name) / "simulator.log", "sim", *options):
+            settings = ControlSettings(port=str(port), baud=1_000_000, arm=load_arm(ARM), period_s=period_s)
+            control = ControlProcess.start(settings)
+            try:
+                _records(control, SETTLE_S)
+                with busy(hogs, seconds):
+                    return [record.lateness_us / 1e3 for record in _records(control, seconds)]
+            finally:
+                control.terminate(2.0)
+
+
+def _records(control: ControlProcess, seconds: float) -> list[TickRecord]:
+    """What the control process sends, from its first record on for so long."""
+    records: list[TickRecord] = []
+    end_s = time.monotonic() + 20.0
+    while (left_s := end_s - time.monotonic()) > 0.0:
+        select.select([control.link], [], [], left_s)
+        for message in control.link.receive():
+            if isinstance(message, StartFailed):
+                raise ArmctlError(f"the control process did not start: {message.message}")
+            if isinstance(message, TickRecord):
+                if not records:
+                    end_s = time.monotonic() + seconds
+                records.append(message)
+    return records
+
+
+@contextlib.contextmanager
+def busy(hogs: int, seconds: float) -> Iterator[None]:
+    """So many processes that compute; they end by themselves soon after `seconds`, whatever becomes of this one."""
+    context = multiprocessing.get_context("spawn")
+    processes = [context.Process(target=_burn, args=(seconds + 5.0,), daemon=True) for _ in range(hogs)]
+    for process in processes:
+        process.start()
+    try:
+        if processes:
+            time.sleep(0.5)
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+            process.join()
+
+
+def _burn(seconds: float) -> None:
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        sum(range(10_000))
+
+
+def daemon_cost(seed: int, seconds: float) -> tuple[dict[str, float], dict[str, float]]:
+    """CPU share of a core and memory [MB, proportional] of each of a daemon's processes, nobody watching."""
+    with rig("--return-delay-us", "0", seed=seed) as running:
+        pids = running.client.call("status")["pids"]
+        running.stop_watching()
+        time.sleep(SETTLE_S)
+        before = {name: cpu_s(pid) for name, pid in pids.items()}
+        begin_s = time.monotonic()
+        time.sleep(seconds)
+        took_s = time.monotonic() - begin_s
+        cpu = {name: (cpu_s(pid) - before[name]) / took_s for name, pid in pids.items()}
+        return cpu, {name: _pss_MB(pid) for name, pid in pids.items()}
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time that all threads of a process have used so far, to the nanosecond."""
+    return time.clock_gettime(~pid << 3 | 2)  # what clock_getcpuclockid(3) makes of a process on Linux
+
+
+def _pss_MB(pid: int) -> float:
+    for line in Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8").splitlines():
+        if line.startswith("Pss:"):
+            return int(line.split()[1]) / 1024.0
+    raise ArmctlError(f"/proc/{pid}/smaps_rollup tells no Pss")

@@ -1,0 +1,89 @@
+"""Tick records to write logs of: the control loop on simulated servos in virtual time, an arm that moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.config import Config, LogConfig
+from armctl.control.loop import ControlLoop
+from armctl.dynamixel.bus import ServoBus
+from armctl.files import load_arm
+from armctl.kinematics import robots
+from armctl.messages import Command, JointTrajectory, Mode, Run, ServoReading, TickRecord, TorqueOn
+from armctl.recording.writer import LogContext
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.loopback import LoopbackPort
+
+ARM = "ax12-line"
+PERIOD_S = 0.1
+AMPLITUDE_RAD = 0.25
+SWING_TICKS = 70
+TORQUE_TICK = 3
+
+
+def log_context(log: LogConfig | None = None) -> LogContext:
+    """What logs of the simulated arm have in common; without a bound on free space, unless `log` has one."""
+    arm = load_arm(ARM)
+    config = Config(log=log or LogConfig(free_bytes=0))
+    return LogContext(arm, robots.get(arm.robot, arm.lengths_m), config, "loopback", PERIOD_S)
+
+
+def simulated_records(seed: int, ticks: int, *, moving: bool = True) -> list[TickRecord]:
+    """Consecutive ticks of an arm that is switched on and holds, or swings all its joints one swing after another."""
+    arm, clock = load_arm(ARM), VirtualClock(5 * NS_PER_S)
+    bus = ServoBus(LoopbackPort(SimulatedBus(SimulatedArm(arm, seed=seed)), clock), arm.servo_ids, clock)
+    loop = ControlLoop(bus, clock, arm, robots.get(arm.robot, arm.lengths_m), PERIOD_S)
+    loop.open()
+    records: list[TickRecord] = []
+    for tick in range(ticks):
+        commands: tuple[Command, ...] = (TorqueOn(1),) if tick == TORQUE_TICK else ()
+        if moving and tick > TORQUE_TICK and loop.state.mode is Mode.HOLDING:
+            commands = (Run(tick, _swing(loop)),)
+        records.append(loop.tick(commands))
+    return records
+
+
+def repeated(records: list[TickRecord], ticks: int) -> Iterator[TickRecord]:
+    """`ticks` records: the given ones again and again, at later times and with later numbers."""
+    first, span = records[0].inputs, len(records)
+    for tick in range(ticks):
+        record = records[tick % span]
+        shift = tick - tick % span
+        if shift == 0:
+            yield record
+            continue
+        later_ns = shift * round(PERIOD_S * NS_PER_S)
+        sample = record.inputs.sample
+        servos = tuple(_later(reading, later_ns) for reading in sample.servos)
+        inputs = replace(
+            record.inputs,
+            tick=first.tick + tick,
+            now_ns=record.inputs.now_ns + later_ns,
+            sample=replace(sample, time_ns=sample.time_ns + later_ns, servos=servos),
+            commands=(),
+        )
+        yield replace(record, inputs=inputs)
+
+
+def _later(reading: ServoReading, later_ns: int) -> ServoReading:
+    return replace(reading, stamp_ns=reading.stamp_ns + later_ns)
+
+
+def _swing(loop: ControlLoop) -> JointTrajectory:
+    """All joints away and back, from where the arm is told to be."""
+    goal, arm = loop.state.goal, load_arm(ARM)
+    assert goal is not None
+    begin_rad = [joint.position_rad(tick) for joint, tick in zip(arm.joints, goal, strict=True)]
+    towards_rad = [
+        math.copysign(AMPLITUDE_RAD, sum(joint.limits_rad) / 2.0 - q)
+        for joint, q in zip(arm.joints, begin_rad, strict=True)
+    ]
+    phases = [0.5 - 0.5 * math.cos(2.0 * math.pi * i / SWING_TICKS) for i in range(SWING_TICKS + 1)]
+    positions = tuple(
+        tuple(q + phase * amplitude for q, amplitude in zip(begin_rad, towards_rad, strict=True)) for phase in phases
+    )
+    return JointTrajectory(PERIOD_S, positions)

@@ -1,0 +1,187 @@
+"""What the user of an episode asks for, drawn by a seed: motions, right and wrong ones, and words out of the blue."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import (
+    Clear,
+    Command,
+    Hold,
+    Jog,
+    JointTrajectory,
+    Park,
+    Pause,
+    Release,
+    Resume,
+    Run,
+    SetRate,
+    Teach,
+    TeachEnd,
+    TorqueOn,
+)
+from armctl.trajectory.approach import approach_trajectory, lowest_link_m
+from armctl.trajectory.interpolate import PEAK_SPEED
+from armctl.trajectory.plan import Plan, joint_trajectory
+from proving.story import Word
+
+PERIOD_S = 0.1
+FAST_SHARE = 0.97
+"""Of a joint's speed limit, in the fastest runs."""
+WRIST, WRIST_SHARE = 2, 0.25
+"""Joints that hardly move the tool, and how often they turn alone: nothing but their own limits makes them slow."""
+POSTURES = 64
+ELSEWHERE_RAD = 0.2
+LEAN_TICKS = 27
+"""At the default compliance 82 % of a servo's output, and 7.9 deg."""
+
+
+class Requests:
+    """What may be asked of one arm; each draw takes its own random numbers."""
+
+    def __init__(self, arm: ArmConfig, robot: Robot, postures: Sequence[FloatArray]) -> None:
+        self._arm, self._robot, self._postures = arm, robot, postures
+
+    def right(self, rng: np.random.Generator, q_now: Sequence[float]) -> JointTrajectory | None:
+        """A motion from where the arm is commanded to be, as the host would build it; None: none was found."""
+        for _ in range(6):
+            trajectory = self.draw(rng, np.array(q_now))
+            if lowest_link_m(trajectory, self._robot) > self._arm.floor_m:
+                return trajectory
+        return None
+
+    def draw(self, rng: np.random.Generator, q_now: FloatArray) -> JointTrajectory:
+        """Over some postures at some pace within the limits; nobody has looked at the floor."""
+        postures = self._postures
+        via = int(rng.integers(3))
+        rows = [q_now, *(postures[int(rng.integers(len(postures)))] for _ in range(via + 1))]
+        if rng.random() < 0.3:
+            return approach_trajectory(
+                q_now.tolist(), rows[-1].tolist(), self._arm, self._robot, PERIOD_S, "a slow way"
+            )
+        waypoints = np.array(rows)
+        if rng.random() < WRIST_SHARE:
+            waypoints[:, :-WRIST] = q_now[:-WRIST]
+        limits = np.array([joint.speed_limit_rad_s for joint in self._arm.joints]) * FAST_SHARE
+        ways_s = (np.abs(np.diff(waypoints, axis=0)) / limits).max(axis=1) + 0.05
+        slow = 1.0 if rng.random() < 0.5 else float(rng.uniform(1.0, 3.0))
+        duration_s = float(ways_s.sum()) * PEAK_SPEED * slow
+        progress = [0.0, *np.cumsum(ways_s / ways_s.sum()).tolist()]
+        progress[-1] = 1.0
+        plan = Plan(
+            arm_id=self._arm.arm_id,
+            calibration_hash=self._arm.calibration_hash,
+            from_m=(0.0, 0.0, 0.0),
+            to_m=(0.0, 0.0, 0.0),
+            duration_s=duration_s,
+            via=via,
+            interpolation="cubic" if slow > 1.5 else "linear",
+            waypoints_rad=tuple(map(tuple, waypoints.tolist())),
+            waypoint_progress=tuple(progress),
+            predicted_mean_error_mm=0.0,
+            predicted_max_error_mm=0.0,
+            seed=0,
+        )
+        trajectory = joint_trajectory(plan, self._arm, q_now.tolist(), PERIOD_S)
+        points = tool_position(self._robot.chain, np.array(trajectory.positions_rad)[:, : self._robot.chain.n])
+        tool_m_s = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max()) / PERIOD_S
+        slower = tool_m_s / (FAST_SHARE * self._arm.tool_speed_limit_m_s)
+        if slower > 1.0:  # the host refuses a faster one
+            slow_plan = plan.model_copy(update={"duration_s": duration_s * slower})
+            trajectory = joint_trajectory(slow_plan, self._arm, q_now.tolist(), PERIOD_S)
+        return trajectory
+
+    def going_on(self, q_now: Sequence[float]) -> JointTrajectory:
+        """A few degrees of every joint, towards the middle of its range."""
+        target = [
+            q + math.copysign(math.radians(4.0), (joint.limits_rad[0] + joint.limits_rad[1]) / 2.0 - q)
+            for q, joint in zip(q_now, self._arm.joints, strict=True)
+        ]
+        return approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "going on")
+
+    def leaning(self, q_now: Sequence[float], index: int, tick: int) -> JointTrajectory:
+        """A little way of one joint, which stands at `tick`: not far enough to count as blocked."""
+        target = list(q_now)
+        way_ticks = LEAN_TICKS if tick < ax12a.TICK_MAX / 2 else -LEAN_TICKS
+        target[index] = self._arm.joints[index].position_rad(tick + way_ticks)
+        return approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "leaning")
+
+    def velocities(self, rng: np.random.Generator) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """What a jog asks of the joints [rad/s] or of the tool [m/s]; the other one is empty."""
+        if rng.random() < 0.5:
+            return tuple(rng.uniform(-1.5, 1.5, size=len(self._arm.joints)).tolist()), ()
+        return (), tuple(rng.uniform(-0.2, 0.2, size=3).tolist())
+
+    def wrong(self, rng: np.random.Generator, q_now: Sequence[float]) -> JointTrajectory:
+        """A run that must be refused: one that starts elsewhere, is too fast or, now and then, holds no number."""
+        what = rng.random()
+        if what < 0.3:
+            return JointTrajectory(PERIOD_S, (tuple(q_now), (math.nan, *q_now[1:])), label="no number")
+        if what < 0.65:
+            return self.draw(rng, np.array(q_now) + ELSEWHERE_RAD * rng.choice((-1.0, 1.0)))
+        way = self.draw(rng, np.array(q_now))
+        return JointTrajectory(PERIOD_S / 4.0, way.positions_rad, label="too fast")
+
+    def blurt(self, word: Word, request_id: int, q_now: Sequence[float] | None) -> tuple[Command, ...]:
+        """What a word out of the blue comes to; a run only where it is known where the arm is commanded to be."""
+        rng = np.random.default_rng(word.number)
+        match word.what:
+            case "hold":
+                return (Hold(request_id),)
+            case "clear":
+                return (Clear(request_id),)
+            case "release":
+                return (Release(request_id),)
+            case "torque_on":
+                return (TorqueOn(request_id),)
+            case "park":
+                return (Park(request_id),)
+            case "teach":
+                return (Teach(request_id),)
+            case "teach_end":
+                return (TeachEnd(request_id),)
+            case "pause":
+                return (Pause(request_id),)
+            case "resume":
+                return (Resume(request_id),)
+            case "set_rate":
+                return (SetRate(request_id, float(rng.choice((0.0, 0.1, 0.5, 1.0, math.nan)))),)
+            case "jog":
+                speeds = rng.uniform(-1.0, 1.0, size=len(self._arm.joints)).tolist()
+                return (Jog(request_id, tuple(speeds), begin=bool(rng.random() < 0.5)),)
+        if q_now is None:
+            return ()
+        if word.what == "elsewhere":
+            q_now = [q + float(rng.choice((-0.1, 0.1, -0.2, 0.2, 0.5))) for q in q_now]
+        trajectory = self.draw(rng, np.array(q_now))
+        if word.what == "nonsense" and rng.random() < 0.3:
+            trajectory = JointTrajectory(PERIOD_S / 4.0, trajectory.positions_rad, label="too fast")
+        elif word.what == "nonsense":
+            bad = float(rng.choice((math.nan, math.inf, 5.0, -5.0)))
+            rows = [list(row) for row in trajectory.positions_rad]
+            rows[int(rng.integers(len(rows)))][int(rng.integers(len(q_now)))] = bad
+            trajectory = JointTrajectory(PERIOD_S, tuple(map(tuple, rows)), label="nonsense")
+        elif lowest_link_m(trajectory, self._robot) < self._arm.floor_m:
+            return ()
+        return (Run(request_id, trajectory),)
+
+
+def postures(arm: ArmConfig, robot: Robot) -> Sequence[FloatArray]:
+    """Some postures above the floor [rad], the same ones for every episode."""
+    rng = np.random.default_rng(0)
+    limits = np.array([joint.limits_rad for joint in arm.joints])
+    found: list[FloatArray] = []
+    while len(found) < POSTURES:
+        q = limits[:, 0] + (limits[:, 1] - limits[:, 0]) * np.clip(rng.uniform(-0.1, 1.1, size=len(limits)), 0.0, 1.0)
+        still = JointTrajectory(PERIOD_S, (tuple(q.tolist()), tuple(q.tolist())))
+        if lowest_link_m(still, robot) > arm.floor_m + 0.02:
+            found.append(q)
+    return found

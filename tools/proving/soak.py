@@ -1,0 +1,319 @@
+"""Virtual hours of the control process under random faults, commands and timing, judged by the simulated servos.
+
+One seed makes all episodes (`story.py`); each is played by itself (`episode.py`) and judged (`invariants.py`), on as
+many worker processes as asked for. The first that fails is shrunk to a short story, told in plain words beside the
+one command that repeats it.
+
+Beyond what the judge sees in each episode: every step is run again on its inputs and must say the same (replay); some,
+and all that fail, are played twice, must say the same on the wire (invariant 13), and their log is written and replayed
+as `armctl logs` would; and a worker's open files stay the same and its memory within 1 MiB a simulated day and what its
+allocator keeps (invariant 14).
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import math
+import multiprocessing
+import os
+import resource
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+from typing import Any, Self
+
+from armctl.config import Config
+from armctl.messages import Command, Run, SetRate, TickRecord
+from armctl.recording import replay
+from armctl.recording.writer import LogContext, LogWriter
+from armctl.sim import steps
+from proving.episode import Episode, Outcome, Stage, stage
+from proving.invariants import Violation
+from proving.requests import PERIOD_S
+from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink
+
+SEED = 1
+TWICE_EVERY = 40
+"""Of so many episodes one is played twice, and its log replayed; as is each worker's first, and every failure."""
+SHRINK_S = 120.0
+MIB_PER_DAY = 1.0
+SLACK_MIB = 8.0
+"""What an allocator keeps from the largest episode so far."""
+WARM = 30
+"""Episodes of a worker before its memory counts."""
+CHUNK = 4
+GARBAGE = 50_000
+"""New objects after which a worker looks for cycles among them; it counts its memory after a full search."""
+
+ROWS: dict[str, tuple[str, ...]] = {
+    "lost or slow reply": ("NO_REPLY in a reading",),
+    "bad checksum, garbage, echo, wrong id, late reply": ("BUS_NOISE in a reading",),
+    "noise above 10 % in 10 s": ("BUS_NOISE",),
+    "two servos with one id": ("DUPLICATE_ID",),
+    "a servo silent": ("SERVO_SILENT",),
+    "whole bus silent": ("BUS_DEAD",),
+    "USB unplugged": ("PORT_GONE",),
+    "USB replugged": ("PORT_BACK",),
+    "another program on the port": ("OTHER_WRITER",),
+    "torque on a limp arm, not from here": ("NOT_LIMP",),
+    "adapter latency 16 ms": ("SLOW_ADAPTER",),
+    "brown-out, servo reboot": ("LOST_TORQUE",),
+    "heat": ("HOT",),
+    "voltage": ("VOLTAGE",),
+    "load": ("OVERLOAD",),
+    "tripped": ("TRIPPED",),
+    "blocked joint, stuck sensor": ("BLOCKED",),
+    "EEPROM differs, wheel mode": ("EEPROM_MISMATCH",),
+    "goal outside limits, NaN, inf": ("refused or ended: LIMIT",),
+    "torque-on jump": ("refused or ended: JUMP_REFUSED",),
+    "start pose differs": ("refused or ended: START_MISMATCH",),
+    "late ticks, skipped": ("late ticks",),
+    "late ticks, over 250 ms": ("LATE",),
+    "SIGTERM, host lost": ("SIGTERM",),
+    "SIGKILL": ("RESTARTED",),
+}
+"""Rows of the fault matrix at or below the control process, by what the episodes count."""
+
+
+@dataclass
+class Tally:
+    """What a number of episodes came to."""
+
+    runs: int = 0
+    virtual_s: float = 0.0
+    busy_s: float = 0.0
+    rows: Counter[str] = field(default_factory=Counter)
+    failures: list[tuple[int, str, float, str]] = field(default_factory=list)
+    """Episode, invariant, when and what."""
+    grown_mib: float = 0.0
+
+    def add(self, other: Tally) -> None:
+        self.runs += other.runs
+        self.virtual_s += other.virtual_s
+        self.busy_s += other.busy_s
+        self.rows.update(other.rows)
+        self.failures += other.failures
+        self.grown_mib = max(self.grown_mib, other.grown_mib)
+
+
+def play(story: Story, on: Stage, *, twice: bool = False) -> Outcome:
+    """One episode; with `twice` also what must come out the same again, and its log (as that of every failure)."""
+    outcome = Episode(story, on).play()
+    if not (twice or outcome.violations):
+        return outcome
+    with EpisodeLog(on) as log:
+        other = Episode(story, on, log=log.take).play()
+        mismatch = log.mismatch()
+    if other.wire != outcome.wire:
+        outcome.violations.append(Violation("13", outcome.virtual_s, "the same seed gave other bytes on the wire"))
+    if mismatch:
+        outcome.violations.append(Violation("replay", outcome.virtual_s, mismatch))
+    return outcome
+
+
+class EpisodeLog:
+    """The log of an episode, on disk while it is open, and its replay.
+
+    It ends at the first command with a NaN or an infinity: none comes through the socket, and no log can hold one.
+    From there on the episode's own repetition of every step has to do.
+    """
+
+    def __init__(self, on: Stage) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="armctl-soak-")
+        self._path = Path(self._folder.name) / "episode.mcap"
+        self._writer = LogWriter(self._path, LogContext(on.arm, on.robot, Config(), "loopback", PERIOD_S))
+        self._ticks = 0
+        self._over = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._folder.cleanup()
+
+    def take(self, record: TickRecord) -> None:
+        """The next record."""
+        self._over |= not all(map(_finite, record.inputs.commands))
+        if not self._over:
+            self._writer.write_tick(record)
+            self._ticks += 1
+
+    def mismatch(self) -> str:
+        """Close it and replay it; the first message that differs, or empty."""
+        self._writer.close()
+        return replay.check(self._path).first_mismatch if self._ticks else ""
+
+
+def _finite(command: Command) -> bool:
+    if isinstance(command, Run):
+        return all(map(math.isfinite, chain.from_iterable(command.trajectory.positions_rad)))
+    return not isinstance(command, SetRate) or math.isfinite(command.rate)
+
+
+_stage: Stage | None = None
+_baseline: tuple[float, int, float] | None = None
+"""Memory [MiB], open files and simulated time [s] of this worker once it was warm."""
+_tally = Tally()
+"""Of this worker, since it began."""
+
+
+def _begin() -> None:
+    global _stage
+    logging.disable(logging.CRITICAL)
+    steps.compiled()
+    _stage = stage()
+
+
+def _begin_worker() -> None:
+    """In a process that does nothing else."""
+    _begin()
+    gc.freeze()  # what is there by now stays; and what an episode drops, counting takes care of
+    gc.set_threshold(GARBAGE)
+
+
+def _episodes(work: tuple[int, range]) -> Tally:
+    """Play some episodes in this process."""
+    assert _stage is not None
+    seed, episodes = work
+    tally = Tally()
+    for episode in episodes:
+        begin_s = time.process_time()
+        story = draw(seed, episode, _stage.arm)
+        twice = episode % TWICE_EVERY == 0 or not (_tally.runs or tally.runs)
+        outcome = play(story, _stage, twice=twice)
+        tally.runs += 1
+        tally.virtual_s += outcome.virtual_s
+        tally.busy_s += time.process_time() - begin_s
+        tally.rows.update(outcome.rows)
+        tally.failures += [(episode, v.invariant, v.time_s, v.text) for v in outcome.violations]
+    _tally.add(tally)
+    _watch_process(tally, episodes[-1])
+    return tally
+
+
+def _watch_process(tally: Tally, episode: int) -> None:
+    """Invariant 14: this process's memory and open files."""
+    global _baseline
+    if _tally.runs < WARM:
+        return
+    gc.collect()
+    memory_mib, files = _memory_mib(), len(os.listdir("/proc/self/fd"))
+    if _baseline is None:
+        _baseline = memory_mib, files, _tally.virtual_s
+    tally.grown_mib = memory_mib - _baseline[0]
+    bound_mib = SLACK_MIB + MIB_PER_DAY * (_tally.virtual_s - _baseline[2]) / 86400.0
+    if tally.grown_mib > bound_mib:
+        text = f"memory grew by {tally.grown_mib:.1f} MiB (bound {bound_mib:.1f})"
+        tally.failures.append((episode, "14", 0.0, text))
+    if files != _baseline[1]:
+        tally.failures.append((episode, "14", 0.0, f"{files} open files, {_baseline[1]} before"))
+
+
+def _memory_mib() -> float:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def prove(
+    seed: int = SEED,
+    *,
+    hours: float = 1.0,
+    workers: int = 2,
+    episode: int | None = None,
+    budget_s: float = SHRINK_S,
+    tell: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """Play `hours` virtual hours, or one episode alone.
+
+    Args:
+        budget_s: How long the first failure may be shrunk.
+        tell: Takes lines for a person: progress, and the story of a failure.
+    """
+    if episode is not None:
+        episodes = range(episode, episode + 1)
+    else:
+        episodes = range(max(1, round(hours * 3600.0 / ((SHORTEST_S + LONGEST_S) / 2.0))))
+    begin_s = time.monotonic()
+    total, told_s = Tally(), begin_s
+    for tally in _played(seed, episodes, workers):
+        total.add(tally)
+        for number, invariant, at_s, text in tally.failures:
+            tell(f"episode {number}, {at_s:.2f} s, invariant {invariant}: {text}")
+        now_s = time.monotonic()
+        if now_s - told_s >= 10.0:
+            told_s = now_s
+            left_s = (now_s - begin_s) * (len(episodes) - total.runs) / total.runs
+            tell(
+                f"{total.runs} of {len(episodes)} episodes, {total.virtual_s / 3600.0:.1f} h, "
+                f"{len(total.failures)} violations, about {left_s / 60.0:.0f} min left"
+            )
+    failed = sorted({failure[0] for failure in total.failures if failure[1] != "14"})
+    repeat = f"tools/prove soak --seed {seed} --episode {failed[0]}" if failed else ""
+    if failed:
+        before = logging.root.manager.disable
+        logging.disable(logging.CRITICAL)
+        tell_story(seed, failed[0], budget_s, tell)
+        logging.disable(before)
+        tell(f"repeat it: {repeat}")
+    rows = {row: sum(total.rows[key] for key in keys) for row, keys in ROWS.items()}
+    return {
+        "runs": total.runs,
+        "violations": len(total.failures),
+        "hours": round(total.virtual_s / 3600.0, 3),
+        "realtime_ratio": round(total.virtual_s / max(total.busy_s, 1e-9), 1),
+        "seconds": round(time.monotonic() - begin_s, 1),
+        "rows": [{"row": row, "hits": hits} for row, hits in rows.items()],
+        "failures": [
+            {"episode": number, "invariant": invariant, "time_s": round(at_s, 3), "text": text}
+            for number, invariant, at_s, text in sorted(total.failures)[:100]
+        ],
+        "grown_MiB": round(total.grown_mib, 2),
+        "repeat": repeat,
+        "seed": seed,
+    }
+
+
+def _played(seed: int, episodes: range, workers: int) -> Iterator[Tally]:
+    work = [(seed, episodes[at : at + CHUNK]) for at in range(0, len(episodes), CHUNK)]
+    if workers == 1 or len(work) == 1:
+        before = logging.root.manager.disable
+        _begin()
+        yield from map(_episodes, work)
+        logging.disable(before)
+        return
+    with multiprocessing.get_context("spawn").Pool(workers, _begin_worker) as pool:
+        yield from pool.imap_unordered(_episodes, work)
+
+
+def tell_story(seed: int, episode: int, budget_s: float, tell: Callable[[str], None]) -> None:
+    """Shrink a failing episode and tell it."""
+    on = stage()
+    story = draw(seed, episode, on.arm)
+    first = play(story, on, twice=True)
+    if not first.violations:
+        tell(f"episode {episode} fails no more when played alone")
+        return
+    wanted = first.violations[0].invariant
+
+    def fails_at_s(shorter: Story) -> float | None:
+        twice = wanted in ("13", "replay")
+        outcome = play(shorter, on, twice=True) if twice else Episode(shorter, on).play()
+        found = [v for v in outcome.violations if v.invariant == wanted]
+        return found[0].time_s if found else None
+
+    short = shrink(story, fails_at_s, budget_s)
+    outcome = Episode(short, on).play()
+    tell(f"episode {episode}, {len(story.lines)} lines, shrunk to {len(short.lines)}:")
+    told, often = "", 0
+    for at_s, text in outcome.told:
+        often = often + 1 if text == told else 0
+        if often <= 1:
+            tell(f"{at_s:9.2f} s  {text}" + (" (and again)" if often else ""))
+        told = text
+    for violation in outcome.violations or first.violations:
+        tell(f"{violation.time_s:9.2f} s  INVARIANT {violation.invariant} BROKEN: {violation.text}")

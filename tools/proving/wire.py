@@ -1,0 +1,581 @@
+"""The daemon against everything that can happen on the wire: safety.md's fault matrix, row by row, on a pty.
+
+A scenario brings the arm into a state, lets one fault strike, and watches: the daemon by its snapshots, the arm by the
+simulated servos themselves. Judged in each of them:
+
+1. The code and state of the matrix come within its bound (and one tick, for a fault may begin just behind a reading).
+2. A motion that a fault stops is still at most 0.7 s after that bound (200 ms of goals, 500 ms to come to rest).
+3. No joint moves that was not asked to, save the one whose servo the fault took away or commands.
+4. Every goal a servo holds lies within the joint's limits; no torque comes on, and none goes off, unasked.
+5. Where a fault latched: `clear` is refused while its cause stands, and once it is gone ready within 3 s, in the same
+   control process.
+
+How long the kernel kept back what went over a pseudo terminal meanwhile is measured and added to each bound; where it
+was long enough to look like a silent servo, a silence that latched is told (`unjudged`), not judged.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from armctl.client import Client
+from armctl.clock import MonotonicClock
+from armctl.control.detect import PAUSE_AGE_S
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.port import SerialPort
+from armctl.errors import ArmctlError, RequestRefused
+from armctl.messages import Write
+from armctl.sim.control import SimulatorClient
+from armctl.trajectory.plan import Plan
+from proving.rig import Rig, rig
+
+TICK_S = 0.1
+SLACK_S = 0.08
+"""For the observer: from the daemon's tick to its snapshot here, on a machine with other work."""
+LAST_GOAL_S = 0.2
+REST_S = 0.5
+CLEAR_S = 3.0
+RESTART_S = 2.0
+COOL_DEGC = 40.0
+MOVED_RAD = math.radians(3.0)
+"""Sag aside: 20 % of stall torque bends a servo by 1.9 deg, and the arm leaves its rest when the base swings."""
+STILL_RAD = math.radians(0.4)
+"""Motion within 0.1 s that still counts as rest."""
+MOVING_IDS = (1, 6)
+SWING_RAD = math.radians(30.0)
+SWING_S = 5.0
+FAST_PROGRESS = 0.4
+"""Of the whole motion, with its approach and dwell: here base and roll turn at 13 deg/s."""
+
+Before = Literal["connect", "off", "holding", "moving", "teaching"]
+Act = Callable[[Rig], None]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One row: what strikes in which state, and what must come of it."""
+
+    state: Before
+    kind: str
+    codes: tuple[str, ...]
+    """Acceptable codes, the matrix's first; empty: nothing latches."""
+    within_s: float = 0.0
+    servo_id: int | None = None
+    probability: float = 1.0
+    count: int | None = None
+    value: float | None = None
+    free: tuple[int, ...] = ()
+    """Servos whose motion the fault itself causes."""
+    limp: bool = False
+    """Whether the fault takes torque away, so that `release` comes before `clear`."""
+    settles: bool = False
+    watch_s: float = 1.0
+    """How long to watch beyond the bound."""
+    act: Act | None = None
+    """What happens instead of a simulator's fault."""
+
+    @property
+    def name(self) -> str:
+        where = "" if self.servo_id is None else f" servo {self.servo_id}"
+        often = "" if self.probability == 1.0 else f" {self.probability:.0%}"
+        times = "" if self.count is None else f" x{self.count}"
+        much = "" if self.value is None else f" {self.value:g}"
+        return f"{self.state}: {self.kind}{where}{often}{times}{much}"
+
+
+SILENT = 0.5
+"""A servo or bus without an answer latches after this long; goals stop at 0.2 s."""
+NOISE = 10.0
+ALL_SILENT = ("BUS_DEAD",)
+ALL_NOISE = ("BUS_DEAD", "BUS_NOISE")
+ONE_NOISE = ("SERVO_SILENT", "BUS_NOISE")
+"""Nothing but noise from a servo is no answer of it: what comes first counts."""
+
+
+def _stall_control(running: Rig) -> None:
+    pid = running.snapshot["pids"]["control"]
+    os.kill(pid, signal.SIGSTOP)
+    time.sleep(0.45)
+    os.kill(pid, signal.SIGCONT)
+
+
+def _kill_control(running: Rig) -> None:
+    """Kill it, and see the loss told and another one in its place within 2 s."""
+    old_pid = running.snapshot["pids"]["control"]
+    begin_s = time.monotonic()
+    os.kill(old_pid, signal.SIGKILL)
+    told = False
+    while (status := running.client.call("status"))["pids"]["control"] in (None, old_pid):
+        told |= status["fault"] is not None and status["fault"]["code"] == "RESTARTED"
+        assert time.monotonic() - begin_s < RESTART_S, "no other control process in time"
+        time.sleep(0.01)
+    back = running.wait(lambda s: s["pids"]["control"] != old_pid and s["state"] == "holding", RESTART_S)
+    assert told, "no snapshot told RESTARTED"
+    assert back, "the new control process does not hold"
+    assert time.monotonic() - begin_s < RESTART_S + TICK_S, "restarted too late"
+
+
+SCENARIOS: tuple[Scenario, ...] = (
+    Scenario("off", "lost", ("SERVO_SILENT",), SILENT, 3),
+    Scenario("off", "lost", ALL_SILENT, SILENT),
+    Scenario("off", "corrupted", (), 2.0, probability=0.05),
+    Scenario("off", "mute", ("SERVO_SILENT",), SILENT, 5),
+    Scenario("off", "dead_bus", ALL_SILENT, SILENT),
+    Scenario("off", "unplug", ("PORT_GONE",), TICK_S),
+    Scenario("holding", "lost", ("SERVO_SILENT",), SILENT, 3),
+    Scenario("holding", "lost", ALL_SILENT, SILENT),
+    Scenario("holding", "lost", (), 2.0, probability=0.1),
+    Scenario("holding", "lost", (), 1.0, 2, count=1),
+    # Where the kernel is late too, one such reply may be waited for long enough; then the time counts from that.
+    Scenario("holding", "late", ("SERVO_SILENT",), SILENT + TICK_S, 3, value=20.0),
+    Scenario("holding", "late", (), 2.0, value=1.0),
+    Scenario("holding", "duplicated", ("", "BUS_NOISE"), 3.0),
+    Scenario("holding", "corrupted", ONE_NOISE, SILENT, 4),
+    Scenario("holding", "corrupted", ALL_NOISE, SILENT),
+    Scenario("holding", "corrupted", ("BUS_NOISE", "SERVO_SILENT"), NOISE, probability=0.4),
+    Scenario("holding", "truncated", ONE_NOISE, SILENT, 2),
+    Scenario("holding", "garbage", ("", "BUS_NOISE"), 3.0),
+    # On a busy machine the reply to a request may come as late as if it were one to its repetition, and be believed.
+    Scenario("holding", "echo", (*ALL_NOISE, "SERVO_SILENT"), SILENT),
+    Scenario("holding", "wrong_id", ONE_NOISE, SILENT, 3),
+    Scenario("holding", "mute", ("SERVO_SILENT",), SILENT, 1),
+    Scenario("holding", "dead_bus", ALL_SILENT, SILENT),
+    Scenario("holding", "unplug", ("PORT_GONE",), TICK_S),
+    Scenario("holding", "brown_out", ("LOST_TORQUE",), TICK_S + 0.3, 2, count=1, value=11.0, free=(2,), limp=True),
+    Scenario("holding", "trip", ("TRIPPED",), TICK_S, 4, free=(4,), limp=True),
+    Scenario("holding", "trip", ("TRIPPED",), TICK_S, free=(1, 2, 3, 4, 5, 6), limp=True),
+    Scenario("holding", "frozen_sensor", (), 1.0, 3),
+    Scenario("holding", "blocked_joint", (), 1.0, 2),
+    Scenario("holding", "second_writer", ("OTHER_WRITER",), TICK_S + TICK_S, 6, value=30, free=(6,)),
+    # A 16 ms timer fires in time for the odd reply: then some servo was heard, and the bus is not all silent.
+    Scenario("holding", "latency", (*ALL_SILENT, "SERVO_SILENT"), SILENT, value=16.0),
+    Scenario("holding", "hot", ("HOT",), TICK_S, 5, value=67.0, settles=True),
+    Scenario("moving", "lost", ("SERVO_SILENT",), SILENT, 3),
+    Scenario("moving", "lost", ("SERVO_SILENT",), SILENT, 1),
+    Scenario("moving", "lost", ALL_SILENT, SILENT),
+    Scenario("moving", "lost", (), SWING_S, probability=0.1),
+    Scenario("moving", "late", ("SERVO_SILENT",), SILENT + TICK_S, 1, value=20.0),
+    Scenario("moving", "corrupted", (), SWING_S, probability=0.02),
+    Scenario("moving", "corrupted", ONE_NOISE, SILENT, 1),
+    Scenario("moving", "truncated", (), SWING_S, probability=0.02),
+    Scenario("moving", "garbage", ("", "BUS_NOISE"), SWING_S),
+    Scenario("moving", "duplicated", ("", "BUS_NOISE"), SWING_S),
+    Scenario("moving", "wrong_id", ONE_NOISE, SILENT, 1),
+    Scenario("moving", "echo", (*ALL_NOISE, "SERVO_SILENT"), SILENT),
+    Scenario("moving", "mute", ("SERVO_SILENT",), SILENT, 1),
+    Scenario("moving", "dead_bus", ALL_SILENT, SILENT),
+    Scenario("moving", "unplug", ("PORT_GONE",), TICK_S),
+    Scenario("moving", "brown_out", ("LOST_TORQUE",), TICK_S + 0.3, 1, count=1, value=11.0, free=(1,), limp=True),
+    Scenario("moving", "trip", ("TRIPPED",), TICK_S, 1, free=(1,), limp=True),
+    Scenario("moving", "trip", ("TRIPPED",), TICK_S, 4, free=(4,), limp=True),
+    Scenario("moving", "blocked_joint", ("BLOCKED",), 2.0, 1, free=(1,)),
+    Scenario("moving", "stuck_joint", ("BLOCKED",), 2.0, 1, free=(1,)),
+    Scenario("moving", "frozen_sensor", ("BLOCKED",), 2.0, 1, free=(1,)),
+    Scenario("moving", "second_writer", ("OTHER_WRITER",), TICK_S + TICK_S, 6, value=60, free=(6,)),
+    Scenario("moving", "latency", (*ALL_SILENT, "SERVO_SILENT"), SILENT, value=16.0),
+    Scenario("moving", "hot", ("HOT",), TICK_S, 5, value=67.0, settles=True, watch_s=6.0),
+    Scenario("moving", "control process stalls", (), 1.0, act=_stall_control),
+    Scenario("moving", "control process killed", (), 2.0, act=_kill_control),
+    Scenario("holding", "control process killed", (), 2.0, act=_kill_control),
+    Scenario("teaching", "lost", ("SERVO_SILENT",), SILENT, 3),
+    Scenario("teaching", "mute", ("SERVO_SILENT",), SILENT, 2),
+    Scenario("teaching", "dead_bus", ALL_SILENT, SILENT),
+    Scenario("teaching", "unplug", ("PORT_GONE",), TICK_S),
+    Scenario("teaching", "corrupted", (), 2.0, probability=0.05),
+    Scenario("teaching", "second_writer", ("NOT_LIMP",), TICK_S + TICK_S, 6, value=10, free=(6,), limp=True),
+    Scenario("connect", "same_id", ("DUPLICATE_ID",), 0.0, 3),
+    Scenario("connect", "latency", ("SLOW_ADAPTER",), 0.0, value=16.0),
+    Scenario("connect", "mute", ("SERVO_SILENT",), 0.0, 4),
+    Scenario("connect", "dead_bus", ALL_SILENT, 0.0),
+    Scenario("connect", "echo", ALL_NOISE, 0.0),
+    Scenario("connect", "wheel mode", ("EEPROM_MISMATCH",), 0.0, 5),
+)
+
+SHORT: tuple[str, ...] = (
+    "off: unplug",
+    "holding: lost servo 3",
+    "holding: trip servo 4",
+    "moving: lost servo 3",
+)
+"""What the test suite runs."""
+
+LATER: tuple[tuple[str, str], ...] = (
+    ("JUMP_REFUSED, NO_REPLY at 200 ms as a code of its own", "no snapshot tells them; the step's own tests hold them"),
+    ("NO_SPACE, power cut, FOREIGN_LOG", "not on the wire: tools/prove powercut"),
+    ("SIGKILL of the host, SIGTERM, ORPHAN_TAKE", "not on the wire: tools/prove kill"),
+    ("slow subscriber, flood, deep JSON, BUSY", "not on the wire: tools/prove fuzz and load"),
+    ("VOLTAGE and OVERLOAD settle, park", "their settling is judged where it is built, on the virtual clock"),
+    ("LATE as a code in a snapshot", "an event of the log; here only that the arm stops and nothing latches"),
+)
+
+
+@dataclass
+class Result:
+    """What one scenario showed."""
+
+    name: str
+    code: str = ""
+    state: str = ""
+    detected_s: float | None = None
+    bound_s: float = 0.0
+    still_s: float | None = None
+    recovered_s: float | None = None
+    kept_back_s: float = 0.0
+    """The kernel's longest delay meanwhile."""
+    unjudged: list[str] = field(default_factory=list)
+    violations: list[str] = field(default_factory=list)
+
+
+def prove(seed: int, names: Sequence[str] = (), tell: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
+    """Run the scenarios of those names (none: all) on daemons and simulators of their own."""
+    chosen = [scenario for scenario in SCENARIOS if not names or scenario.name in names]
+    results: list[Result] = []
+    left = chosen
+    while left:
+        results += (done := _session(left, seed + len(results), tell))
+        left = left[len(done) :]
+    return {
+        "runs": len(results),
+        "violations": sum(len(result.violations) for result in results),
+        "scenarios": [vars(result) for result in results],
+        "later": [{"row": row, "reason": reason} for row, reason in LATER],
+        "seed": seed,
+    }
+
+
+def _session(scenarios: Sequence[Scenario], seed: int, tell: Callable[[str], None]) -> list[Result]:
+    """Scenarios one after another on one pair, as long as it comes back to rest by itself."""
+    results: list[Result] = []
+    spoil = _spoil(scenarios[0]) if scenarios[0].state == "connect" else None
+    with rig(seed=seed, before_daemon=spoil) as running:
+        for scenario in scenarios:
+            if results and (scenario.state == "connect" or not _prepared(running)):
+                break
+            result = Result(scenario.name, bound_s=scenario.within_s)
+            try:
+                _run(running, scenario, result)
+            except (ArmctlError, AssertionError, OSError) as error:
+                result.violations.append(f"{type(error).__name__}: {error}")
+            results.append(result)
+            figures = f"{result.code or '-'} {_ms(result.detected_s)} still {_ms(result.still_s)}"
+            figures += f" kernel {_ms(result.kept_back_s)}"
+            tell(f"{result.name}: {figures} {'; '.join((*result.unjudged, *result.violations)) or 'ok'}")
+            if result.violations or scenario.state == "connect":
+                break
+    return results
+
+
+def _ms(value_s: float | None) -> str:
+    return "-" if value_s is None else f"{1e3 * value_s:.0f} ms"
+
+
+def _spoil(scenario: Scenario) -> Callable[[SimulatorClient, Path], None]:
+    def spoil(simulator: SimulatorClient, port: Path) -> None:
+        if scenario.kind == "wheel mode":
+            assert scenario.servo_id is not None
+            _wheel_mode(port, scenario.servo_id)
+        else:
+            simulator.fault_begin(scenario.kind, servo_id=scenario.servo_id, value=scenario.value)
+
+    return spoil
+
+
+def _wheel_mode(path: Path, servo_id: int) -> None:
+    clock = MonotonicClock()
+    bus = ServoBus(SerialPort(str(path), 1_000_000, clock), (servo_id,), clock)
+    bus.open()
+    for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT):
+        assert bus.write(Write(servo_id, register.address, register.size, 0))
+    bus.close()
+
+
+def _prepared(running: Rig) -> bool:
+    """Whether the arm is limp at its rest pose, without a fault."""
+    with contextlib.suppress(ArmctlError):
+        if running.snapshot["fault"] is not None:
+            return False
+        joints = running.simulator.state()["joints_rad"]
+        at_rest = all(
+            abs(q - joint.rest_rad) < math.radians(3.0) for q, joint in zip(joints, running.arm.joints, strict=True)
+        )
+        if at_rest and running.snapshot["state"] == "holding":
+            running.client.call("release", confirm=True)
+        return at_rest and running.wait(lambda s: s["state"] == "off", 1.0)
+    return False
+
+
+# ------------------------------------------------------------------------------------------------ one scenario
+
+
+def _run(running: Rig, scenario: Scenario, result: Result) -> None:
+    if scenario.state == "connect":
+        _judge_connection(running, scenario, result)
+        return
+    with _in_state(running, scenario.state) as motion:
+        control_pid = running.snapshot["pids"]["control"]
+        seen_from = len(running.seen.servos)
+        begin_ns = time.monotonic_ns()
+        fault_id = _begin(running, scenario)
+        _watch(running, scenario, motion, begin_ns)
+        end_ns = time.monotonic_ns()
+        result.kept_back_s = running.kernel.worst_s(begin_ns, end_ns)
+        _judge_detection(running, scenario, result, begin_ns, end_ns)
+        _judge_motion(running, scenario, result, motion, begin_ns, end_ns)
+        _judge_registers(running, scenario, result, seen_from)
+        if result.code and fault_id is not None and scenario.kind not in ("trip", "brown_out", "hot"):
+            _judge_refusal(running, result)
+        ended_s = time.monotonic()
+        if fault_id is not None:
+            running.simulator.fault_end(fault_id)
+        if scenario.kind == "hot":
+            running.simulator.fault_begin("hot", servo_id=scenario.servo_id, value=COOL_DEGC)
+        if result.code:
+            _recover(running, scenario, result, ended_s)
+        if scenario.act is None and running.snapshot["pids"]["control"] != control_pid:
+            result.violations.append("another control process than before")
+
+
+@dataclass
+class _Motion:
+    """A swing of base and roll, run by a client of its own."""
+
+    thread: threading.Thread | None = None
+    error: ArmctlError | None = None
+    answered: bool = False
+
+
+@contextlib.contextmanager
+def _in_state(running: Rig, state: Before) -> Iterator[_Motion]:
+    """The arm in a state, reached from limp at rest."""
+    motion = _Motion()
+    assert running.wait(lambda s: s["state"] == "off", 5.0), f"the daemon is {running.snapshot.get('state')}, not off"
+    if state == "teaching":
+        running.client.call("teach_begin")
+    elif state != "off":
+        running.client.call("torque_on")
+    mover = Client(running.socket)
+    try:
+        if state == "moving":
+            motion.thread = threading.Thread(target=_swing, args=(running, mover, motion), daemon=True)
+            motion.thread.start()
+            moved = running.wait(lambda s: s["state"] == "moving" and (s["progress"] or 0.0) > FAST_PROGRESS, 5.0)
+            assert moved, f"the swing did not begin: {motion.error}"
+        else:
+            want = {"off": "off", "holding": "holding", "teaching": "teaching"}[state]
+            assert running.wait(lambda s: s["state"] == want, 2.0)
+            time.sleep(0.3)
+        yield motion
+    finally:
+        if motion.thread is not None:
+            motion.thread.join(SWING_S + 5.0)
+        mover.close()
+        if state == "teaching":
+            with contextlib.suppress(ArmctlError):
+                running.client.call("teach_end")
+
+
+def _swing(running: Rig, client: Client, motion: _Motion) -> None:
+    try:
+        client.call("run", plan=_swing_plan(running).model_dump(mode="json"))
+    except ArmctlError as error:
+        motion.error = error
+    motion.answered = True
+
+
+def _swing_plan(running: Rig) -> Plan:
+    """Base and roll go out and come back; nothing else moves. Begins where the servos' goals are."""
+    goals = {servo["servo_id"]: servo["goal_tick"] for servo in running.simulator.state()["servos"]}
+    start = tuple(joint.position_rad(goals[joint.servo_id]) for joint in running.arm.joints)
+    out = tuple(
+        q + (SWING_RAD if joint.servo_id in MOVING_IDS else 0.0)
+        for q, joint in zip(start, running.arm.joints, strict=True)
+    )
+    return Plan(
+        arm_id=running.arm.arm_id,
+        calibration_hash=running.arm.calibration_hash,
+        from_m=(0.0, 0.0, 0.0),
+        to_m=(0.0, 0.1, 0.0),
+        duration_s=SWING_S,
+        via=1,
+        interpolation="cubic",
+        waypoints_rad=(start, out, start),
+        waypoint_progress=(0.0, 0.5, 1.0),
+        predicted_mean_error_mm=0.0,
+        predicted_max_error_mm=0.0,
+        seed=0,
+    )
+
+
+def _begin(running: Rig, scenario: Scenario) -> int | None:
+    if scenario.act is not None:
+        scenario.act(running)
+        return None
+    return running.simulator.fault_begin(
+        scenario.kind,
+        servo_id=scenario.servo_id,
+        probability=scenario.probability,
+        count=scenario.count,
+        value=scenario.value,
+    )
+
+
+def _watch(running: Rig, scenario: Scenario, motion: _Motion, begin_ns: int) -> None:
+    """Let the bound pass, and a while more; a motion nothing may stop, to its end."""
+    if scenario.codes and "" not in scenario.codes:
+        running.wait(lambda s: s["fault"] is not None, scenario.within_s + 1.0)
+        settle_s = LAST_GOAL_S + REST_S + 0.3
+        time.sleep(max(settle_s, scenario.watch_s))
+    else:
+        if motion.thread is not None:
+            motion.thread.join(SWING_S + 5.0)
+        time.sleep(max(0.0, scenario.within_s - (time.monotonic_ns() - begin_ns) / 1e9))
+
+
+def _judge_detection(running: Rig, scenario: Scenario, result: Result, begin_ns: int, end_ns: int) -> None:
+    faults = [
+        (at_ns, snapshot)
+        for at_ns, snapshot in list(running.seen.snapshots)
+        if begin_ns <= at_ns <= end_ns and snapshot["fault"] is not None and snapshot["fault"]["code"] != "RESTARTED"
+    ]
+    wanted = scenario.codes
+    result.state = running.snapshot["state"]
+    if not faults:
+        if wanted and "" not in wanted:
+            result.violations.append(f"nothing latched, wanted {wanted[0]}")
+        _judge_undisturbed(running, scenario, result)
+        return
+    at_ns, first = faults[0]
+    result.code = first["fault"]["code"]
+    result.detected_s = (at_ns - begin_ns) / 1e9 - first["fault"]["since_s"]
+    if result.code not in wanted:
+        silenced = result.code in ("SERVO_SILENT", "BUS_DEAD") and result.kept_back_s > PAUSE_AGE_S
+        told = result.unjudged if silenced else result.violations
+        told.append(f"latched {result.code}, wanted {' or '.join(wanted) or 'nothing'}")
+    bound_s = scenario.within_s + TICK_S + SLACK_S + result.kept_back_s
+    if result.detected_s > bound_s:
+        result.violations.append(f"latched after {result.detected_s:.2f} s, bound {bound_s:.2f}")
+    named = first["fault"]["servo_id"]
+    if scenario.servo_id is not None and result.code in wanted and named not in (None, scenario.servo_id):
+        result.violations.append(f"names servo {named}, it was {scenario.servo_id}")
+    for key in ("arm", "next", "text"):
+        if not first["fault"][key]:
+            result.violations.append(f"the card says nothing under {key!r}")
+    if not scenario.settles and result.state != "faulted":
+        result.violations.append(f"state {result.state} with a latched fault")
+
+
+def _judge_undisturbed(running: Rig, scenario: Scenario, result: Result) -> None:
+    """Nothing latched: the arm must be in the state it would be in anyway."""
+    after = "holding" if scenario.state == "moving" else scenario.state
+    if not running.wait(lambda s: s["state"] == after, 2.0):
+        result.violations.append(f"state {running.snapshot['state']}, wanted {after}")
+
+
+def _judge_motion(
+    running: Rig, scenario: Scenario, result: Result, motion: _Motion, begin_ns: int, end_ns: int
+) -> None:
+    truth = running.simulator.truth(begin_ns, end_ns)
+    assert len(truth.time_ns) > 20, "the simulator kept no truth"
+    ids = [joint.servo_id for joint in running.arm.joints]
+    kept = [i for i, servo_id in enumerate(ids) if servo_id not in scenario.free]
+    asked = [i for i in kept if scenario.state == "moving" and ids[i] in MOVING_IDS]
+    settling = scenario.settles and scenario.state == "moving"
+    for i in kept:
+        moved = float(np.ptp(truth.joints_rad[:, i]))
+        if i not in asked and not settling and moved > MOVED_RAD:
+            result.violations.append(f"servo {ids[i]} moved {math.degrees(moved):.1f} deg, and was not asked to")
+    if scenario.state != "moving" or not asked:
+        return
+    steps = max(1, round(0.1 / 0.01))
+    moving = np.abs(truth.joints_rad[steps:, asked] - truth.joints_rad[:-steps, asked]).max(axis=1) > STILL_RAD
+    last = np.flatnonzero(moving)
+    result.still_s = (int(truth.time_ns[last[-1] + steps]) - begin_ns) / 1e9 if len(last) else 0.0
+    if not len(last):
+        result.unjudged.append("the arm stood when it struck, on a turn or on a busy machine: its rest shows nothing")
+    stopped = bool(result.code) or scenario.act is not None
+    if stopped and not settling:
+        bound_s = scenario.within_s + TICK_S + SLACK_S + LAST_GOAL_S + REST_S + result.kept_back_s
+        if result.still_s > bound_s:
+            result.violations.append(f"moved for {result.still_s:.2f} s, bound {bound_s:.2f}")
+        if motion.answered and motion.error is None:
+            result.violations.append("the run was answered as done")
+    elif not stopped and motion.error is not None:
+        result.violations.append(f"the run failed: {motion.error}")
+
+
+def _judge_registers(running: Rig, scenario: Scenario, result: Result, seen_from: int) -> None:
+    """Goals within the limits, and no torque switched by the daemon."""
+    samples = [servos for _, servos in list(running.seen.servos)[seen_from:]]
+    strange = (scenario.servo_id,) if scenario.servo_id else tuple(joint.servo_id for joint in running.arm.joints)
+    touched = strange if scenario.kind in ("second_writer", "brown_out", "trip") else ()
+    for index, joint in enumerate(running.arm.joints):
+        if joint.servo_id in touched:
+            continue
+        low, high = joint.limits_tick
+        goals = [servos[index]["goal_tick"] for servos in samples]
+        torque = [servos[index]["torque_enabled"] for servos in samples]
+        if scenario.state in ("holding", "moving") and not all(low <= goal <= high for goal in goals):
+            result.violations.append(f"servo {joint.servo_id} held a goal outside {low}..{high}")
+        changed = len(set(torque)) > 1
+        if changed and not (scenario.settles and torque[0]):
+            result.violations.append(f"torque of servo {joint.servo_id} changed unasked")
+
+
+def _judge_refusal(running: Rig, result: Result) -> None:
+    """`clear` must be refused while the cause stands."""
+    if result.code in ("BLOCKED", "OTHER_WRITER", "NOT_LIMP", "BUS_NOISE"):
+        return  # what is wrong shows only once something moves, writes or has been read for a while
+    with contextlib.suppress(RequestRefused):
+        running.client.call("clear")
+        result.violations.append("clear was accepted while the cause stands")
+
+
+def _recover(running: Rig, scenario: Scenario, result: Result, ended_s: float) -> None:
+    """`clear` until it is accepted."""
+    if scenario.limp:
+        running.client.call("release", confirm=True)
+    while True:
+        try:
+            running.client.call("clear")
+            break
+        except RequestRefused as refusal:
+            if time.monotonic() - ended_s > CLEAR_S + SLACK_S:
+                result.violations.append(f"not cleared {CLEAR_S:g} s after the cause was gone: {refusal}")
+                return
+            time.sleep(0.05)
+    result.recovered_s = time.monotonic() - ended_s
+    powered = scenario.state in ("holding", "moving") and not scenario.limp and not scenario.settles
+    want = "holding" if powered else "off"
+    if not running.wait(lambda s: s["state"] == want and s["fault"] is None, 1.0):
+        result.violations.append(f"cleared, but {running.snapshot['state']} and not {want}")
+
+
+def _judge_connection(running: Rig, scenario: Scenario, result: Result) -> None:
+    """A bus that is unfit from the start: latched at the first tick, torque refused, nothing moves."""
+    running.wait(lambda s: s["fault"] is not None, 2.0)
+    fault = running.snapshot["fault"]
+    result.state = running.snapshot["state"]
+    result.code = fault["code"] if fault else ""
+    if result.code not in scenario.codes:
+        result.violations.append(f"latched {result.code or 'nothing'}, wanted {' or '.join(scenario.codes)}")
+    begin_ns = time.monotonic_ns()
+    for request in ("torque_on", "clear"):
+        with contextlib.suppress(RequestRefused):
+            running.client.call(request)
+            result.violations.append(f"{request} was accepted")
+    time.sleep(0.5)
+    _judge_motion(running, replace(scenario, state="off"), result, _Motion(), begin_ns, time.monotonic_ns())
+    if any(servo["torque_enabled"] for servo in running.simulator.state()["servos"]):
+        result.violations.append("a servo is under torque")
