@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from armctl import client
 from armctl.cli import main
-from armctl.client import blocking as client
 
 ANSWER = {
     "recording": "run-reach-1",

@@ -17,10 +17,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from proving.rig import hold
 
 from armctl.client import Client
 from armctl.lab.demo import program
+from proving.rig import hold
 
 pytestmark = pytest.mark.pty
 PATIENCE_S = 30.0

@@ -17,10 +17,10 @@ from typing import Any
 from unittest.mock import patch
 
 from armctl.messages import TickRecord
-from armctl.proving.episode import Episode, Stage, stage
-from armctl.proving.story import Story, Strike, draw
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import KINDS
+from proving.episode import Episode, Stage, stage
+from proving.story import Story, Strike, draw
 from tests.guard.kept import save
 
 FILE = "episodes.json"

@@ -6,6 +6,7 @@ import os
 import time
 
 import pytest
+
 from proving import bus_bench, jitter_bench, sim_bench, web_bench
 
 

@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from proving.fuzz import daemon, files, malformed, requests, tally
-from proving.fuzz.http import http_requests
-from proving.fuzz.tally import Tally
 
 from armctl.config import validate
 from armctl.errors import RequestRefused
 from armctl.host import jsonrpc
 from armctl.host.jsonrpc import MAX_LINE_BYTES, RequestId
 from armctl.host.server import Method
+from proving.fuzz import daemon, files, malformed, requests, tally
+from proving.fuzz.http import http_requests
+from proving.fuzz.tally import Tally
 
 ARM = requests.fuzzed_arm()
 VALID = requests.requests_to(ARM)

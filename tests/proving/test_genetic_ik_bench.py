@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from proving import genetic_ik_bench
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.genetic import plain
+from proving import genetic_ik_bench
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from proving import kill
 from proving.kill import Run
 

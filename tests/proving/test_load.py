@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import pytest
+
 from proving import load, rig
 
 GOOD: dict[str, Any] = {

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+
 from proving import mutants
 from proving.mutants import MUTANTS, ROOT, Mutant, StaleMutant
 

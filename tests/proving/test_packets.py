@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from proving import packets
 
 from armctl.dynamixel import packet
+from proving import packets
 
 
 def test_60_000_byte_sequences_break_nothing_and_reach_everything() -> None:

@@ -8,11 +8,11 @@ from io import BufferedWriter
 from pathlib import Path
 
 import pytest
-from proving import powercut
-from proving.cut_disk import CutDisk, Operation, leave
 
 from armctl.recording import recorder as recorder_module
 from armctl.recording.disk import Disk
+from proving import powercut
+from proving.cut_disk import CutDisk, Operation, leave
 
 
 def test_40_power_cuts_lose_no_more_than_a_second_and_no_finished_take() -> None:

@@ -10,17 +10,17 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+
+from armctl.control.machine import State
+from armctl.control.step import step
+from armctl.messages import Event, Inputs, Mode, Outputs, SetRate, TickRecord
+from armctl.sim.faults import KINDS, Fault
 from proving import __main__ as proving
 from proving import soak
 from proving.duties import TICK_DEG, Servo
 from proving.episode import Episode, Stage, stage
 from proving.invariants import Judge
 from proving.story import WISHES, Kill, Late, Line, Story, Strike, Wish, Word, draw, shrink
-
-from armctl.control.machine import State
-from armctl.control.step import step
-from armctl.messages import Event, Inputs, Mode, Outputs, SetRate, TickRecord
-from armctl.sim.faults import KINDS, Fault
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from proving import straightness
 
 from armctl.lab import trials
 from armctl.lab.trials import Trial
+from proving import straightness
 
 
 def silent(_line: str) -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from proving.damage import UnsyncedDisk
-from proving.log_rig import repeated
-
 from armctl.recording.compact import compact
 from armctl.recording.writer import LogWriter
+from proving.damage import UnsyncedDisk
+from proving.log_rig import repeated
 from tests.recording.factory import ANCHOR, CONTEXT, make_records
 
 TICKS = 36_000

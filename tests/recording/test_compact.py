@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from proving.damage import UnsyncedDisk, chunk_places
-from proving.log_rig import repeated
 
 from armctl.errors import LogError
 from armctl.messages import TickRecord
@@ -24,6 +22,8 @@ from armctl.recording.reader import LogFile, LogMessage
 from armctl.recording.recover import PartInUse, owned
 from armctl.recording.replay import check
 from armctl.recording.writer import LogWriter
+from proving.damage import UnsyncedDisk, chunk_places
+from proving.log_rig import repeated
 from tests.recording.factory import ANCHOR, CONTEXT, make_records
 
 RECORDS = make_records(400, keyframe_ticks=150)

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from proving import hostile
 
 from armctl.errors import LogError
 from armctl.recording import reader
 from armctl.recording.chunks import MAGIC
+from proving import hostile
 
 FILES = dict(hostile.files())
 MIB = 2**20

@@ -6,8 +6,6 @@ import random
 from pathlib import Path
 
 import pytest
-from proving import damage
-from proving.damage import UnsyncedDisk, chunk_places
 
 from armctl.clock import NS_PER_S
 from armctl.recording.chunks import CHUNK, RECORD
@@ -15,6 +13,8 @@ from armctl.recording.compact import compact
 from armctl.recording.reader import LogFile, LogMessage, info
 from armctl.recording.recover import RECOVERED, recover
 from armctl.recording.writer import LogWriter
+from proving import damage
+from proving.damage import UnsyncedDisk, chunk_places
 from tests.recording.factory import ANCHOR, CONTEXT, make_records
 
 RECORDS = make_records(300, keyframe_ticks=100)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from proving.mujoco_arm import mjcf
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
@@ -20,6 +19,7 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.gravity import gravity_loads
 from armctl.sim.spec import ArmSpec
+from proving.mujoco_arm import mjcf
 from tests.sim.conftest import sync_write
 
 
