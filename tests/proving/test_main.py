@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import Any
 
 import pytest
@@ -40,3 +41,17 @@ def test_all_benches_make_one_object(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = CliRunner().invoke(proving.main, ["bench", "bus"])
     assert shown.exit_code == 0
     assert "held   c: 1.000, bound 2" in shown.stdout
+
+
+def test_a_missing_peer_is_one_sentence_and_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pygad", None)
+    monkeypatch.delitem(sys.modules, "proving.ga_bench", raising=False)
+    monkeypatch.setattr(sys, "argv", ["bench", "bench", "ga"])
+    with pytest.raises(SystemExit) as ended:
+        proving.run()
+    told = capsys.readouterr().err
+    assert ended.value.code == 1
+    assert told.startswith("pygad, ")
+    assert told.count("\n") == 1

@@ -1,7 +1,8 @@
-"""`python -m proving prove|bench NAME`: what tools/prove and tools/bench run."""
+"""`python -m proving prove|bench NAME`, with tools/ on the path: what tools/prove and tools/bench run."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 from collections.abc import Callable
@@ -14,151 +15,39 @@ from armctl.errors import ArmctlError
 SEED = 1
 
 
-def _packets(seed: int) -> dict[str, Any]:
-    from proving import packets
-
-    return packets.prove(seed)
+Work = Callable[..., dict[str, Any]]
 
 
-def _wire(seed: int) -> dict[str, Any]:
-    from proving import wire
+def _work(module: str, function: str, *, tells: bool = False) -> Work:
+    """What a name runs; its module is imported only then, for each needs other peers."""
 
-    return wire.prove(seed, tell=lambda line: click.echo(line, err=True))
+    def run(seed: int, **options: Any) -> dict[str, Any]:
+        if tells:
+            options["tell"] = lambda line: click.echo(line, err=True)
+        work: Work = getattr(importlib.import_module(f"proving.{module}"), function)
+        return work(seed, **options)
 
-
-def _unit(seed: int) -> dict[str, Any]:
-    from proving import unit
-
-    return unit.prove(seed)
-
-
-def _kill(seed: int) -> dict[str, Any]:
-    from proving import kill
-
-    return kill.prove(seed, tell=lambda line: click.echo(line, err=True))
+    return run
 
 
-def _load(seed: int) -> dict[str, Any]:
-    from proving import load
-
-    return load.prove(seed, tell=lambda line: click.echo(line, err=True))
-
-
-def _powercut(seed: int) -> dict[str, Any]:
-    from proving import powercut
-
-    return powercut.prove(seed)
-
-
-def _straightness(seed: int) -> dict[str, Any]:
-    from proving import straightness
-
-    return straightness.prove(seed, tell=lambda line: click.echo(line, err=True))
-
-
-def _refinement(seed: int) -> dict[str, Any]:
-    from proving import straightness
-
-    return straightness.prove_refinement(seed, tell=lambda line: click.echo(line, err=True))
-
-
-def _soak(seed: int, **options: Any) -> dict[str, Any]:
-    from proving import soak
-
-    return soak.prove(seed, tell=lambda line: click.echo(line, err=True), **options)
-
-
-def _mutants(seed: int, **options: Any) -> dict[str, Any]:
-    from proving import mutants
-
-    return mutants.prove(seed, tell=lambda line: click.echo(line, err=True), **options)
-
-
-def _fuzz(seed: int) -> dict[str, Any]:
-    from proving import fuzz
-
-    return fuzz.prove(seed, tell=lambda line: click.echo(line, err=True))
-
-
-def _log(seed: int) -> dict[str, Any]:
-    from proving import log_bench
-
-    return log_bench.bench(seed)
-
-
-def _bus(seed: int) -> dict[str, Any]:
-    from proving import bus_bench
-
-    return bus_bench.bench(seed)
-
-
-def _gap(seed: int) -> dict[str, Any]:
-    from proving import gap
-
-    return gap.prove(seed, tell=lambda line: click.echo(line, err=True))
-
-
-def _ga(seed: int) -> dict[str, Any]:
-    from proving import ga_bench
-
-    return ga_bench.bench(seed)
-
-
-def _line(seed: int) -> dict[str, Any]:
-    from proving import line_bench
-
-    return line_bench.bench(seed)
-
-
-def _sim(seed: int) -> dict[str, Any]:
-    from proving import sim_bench
-
-    return sim_bench.bench(seed)
-
-
-def _jitter(seed: int) -> dict[str, Any]:
-    from proving import jitter_bench
-
-    return jitter_bench.bench(seed)
-
-
-def _ik(seed: int) -> dict[str, Any]:
-    from proving import ik_bench
-
-    return ik_bench.bench(seed)
-
-
-def _web(seed: int) -> dict[str, Any]:
-    from proving import web_bench
-
-    return web_bench.bench(seed)
-
-
-PROOFS: dict[str, Callable[..., dict[str, Any]]] = {
-    "fuzz": _fuzz,
-    "soak": _soak,
-    "mutants": _mutants,
-    "gap": _gap,
-    "powercut": _powercut,
-    "refinement": _refinement,
-    "straightness": _straightness,
-    "packets": _packets,
-    "wire": _wire,
-    "unit": _unit,
-    "kill": _kill,
-    "load": _load,
+PROOFS: dict[str, Work] = {
+    "fuzz": _work("fuzz", "prove", tells=True),
+    "soak": _work("soak", "prove", tells=True),
+    "mutants": _work("mutants", "prove", tells=True),
+    "gap": _work("gap", "prove", tells=True),
+    "powercut": _work("powercut", "prove"),
+    "refinement": _work("straightness", "prove_refinement", tells=True),
+    "straightness": _work("straightness", "prove", tells=True),
+    "packets": _work("packets", "prove"),
+    "wire": _work("wire", "prove", tells=True),
+    "unit": _work("unit", "prove"),
+    "kill": _work("kill", "prove", tells=True),
+    "load": _work("load", "prove", tells=True),
 }
 OPTIONS = {"soak": {"hours", "workers", "episode"}, "mutants": {"workers"}}
 """What a proof takes beside the seed."""
-BENCHES: dict[str, Callable[[int], dict[str, Any]]] = {
-    "log": _log,
-    "web": _web,
-    "bus": _bus,
-    "sim": _sim,
-    "jitter": _jitter,
-    "ik": _ik,
-    "ga": _ga,
-    "line": _line,
+BENCHES: dict[str, Work] = {
+    name: _work(f"{name}_bench", "bench") for name in ("log", "web", "bus", "sim", "jitter", "ik", "ga", "line")
 }
 
 as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
@@ -216,9 +105,22 @@ def bench(name: str, seed: int, as_json: bool) -> None:
         click.echo(f"{held} {check['name']}: {check['value']:.3f}, bound {check['bound']:g}")
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """The command; what cannot be done is told in one sentence."""
     try:
         main()
     except ArmctlError as error:
         click.echo(str(error), err=True)
         sys.exit(error.exit_status)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] in ("armctl", "proving"):
+            raise  # a mistake of our own, no missing peer
+        peer = error.name.split(".")[0]
+        click.echo(
+            f"{peer}, which this compares with or looks by, is not installed: pip install 'armctl[test]'", err=True
+        )
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    run()
