@@ -13,8 +13,8 @@ from armctl.dynamixel import ax12a
 from armctl.files import load_arm
 from armctl.messages import Mode
 from armctl.sim.faults import Fault
-from proving.duties import Servo
-from proving.invariants import Judge, Sent
+from proving.duties import Sent, Servo
+from proving.invariants import Judge
 
 ARM = load_arm("ax12-line")
 PERIOD_S = 0.1

@@ -62,6 +62,21 @@ CODES = {
 """Under which codes a fault may be reported."""
 
 
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A register write on the wire, to the servo at `index`."""
+
+    index: int
+    address: int
+    data: bytes
+
+    def value(self, register: ax12a.Register) -> int | None:
+        """What it writes into a register; None: nothing."""
+        begin = register.address - self.address
+        end = begin + register.size
+        return int.from_bytes(self.data[begin:end], "little") if begin >= 0 and end <= len(self.data) else None
+
+
 @dataclass(slots=True)
 class Servo:
     """What one servo held at an instant."""

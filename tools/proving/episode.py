@@ -41,9 +41,10 @@ from armctl.sim.loopback import LoopbackPort
 from armctl.sim.servo import ServoVariants
 from armctl.sim.spec import DEFAULT_SPEC
 from proving.clerk import Clerk
-from proving.duties import Servo
-from proving.invariants import Judge, Sent, Violation
+from proving.duties import Sent, Servo
+from proving.invariants import Judge
 from proving.requests import PERIOD_S, postures
+from proving.shafts import Violation
 from proving.story import HostGone, Kill, Late, Story, Strike, Tamper
 
 ARM = "ax12-line"

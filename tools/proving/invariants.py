@@ -41,31 +41,25 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from armctl.config import ArmConfig
 from armctl.control.faults import SETTLING
 from armctl.dynamixel import ax12a
 from armctl.messages import Mode
 from armctl.sim.faults import Fault
-from proving.duties import ADVANCING, POWERED, REPORT_SLACK_S, STOP_S, TICK_DEG, Duties, Known, Servo
+from proving.duties import ADVANCING, POWERED, STOP_S, TICK_DEG, Known, Sent, Servo
+from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, ShaftJudge, copied
 
-NOISE_TICKS = 1.0
-"""Two standard deviations of one reading: a program that has one reading knows a shaft no better."""
 HERE_TICKS = 0.6 / TICK_DEG + NOISE_TICKS
 """A goal this near to the servo's own position asks for no motion."""
 LEAD_TICKS = 12.0 / TICK_DEG
 SOFT_LIMIT = 0.2 * ax12a.TORQUE_LIMIT.maximum
-JUMP_TICKS = 2.0 / TICK_DEG
-JUMP_S = 0.5
 REST_TICKS = 3.0 / TICK_DEG + 2.0
 REST_SPEED_DEG_S = 20.0
 ASKED_S = 2.0
 """A torque-on takes so long at most, without the ticks in which a servo is not heard."""
 REST_S = 0.3
 """From the last goal that may advance to an arm that is still."""
-STILL_TICKS = 0.9 / TICK_DEG
-"""Between two ticks: twice the play of a joint, which gravity may cross when a neighbour comes to rest."""
 AGE_S = 0.25
 BURST_S = 0.25
 BURST = 4
@@ -74,44 +68,15 @@ JOG_S = 0.08 + 0.1 + STOP_S
 LATE_S = 0.35
 """Late by the bound of 250 ms, whatever the two readings took."""
 DEAD_S = 0.25
-DEAD_TICKS = 10.0 / TICK_DEG
-BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
-BLOCKED_S = 0.3
 MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
 
 
-@dataclass(frozen=True, slots=True)
-class Sent:
-    """A register write on the wire, to the servo at `index`."""
-
-    index: int
-    address: int
-    data: bytes
-
-    def value(self, register: ax12a.Register) -> int | None:
-        """What it writes into a register; None: nothing."""
-        begin = register.address - self.address
-        end = begin + register.size
-        return int.from_bytes(self.data[begin:end], "little") if begin >= 0 and end <= len(self.data) else None
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """Something that no invariant allows."""
-
-    invariant: str
-    time_s: float
-    text: str
-
-
-class Judge:
+class Judge(ShaftJudge):
     """Watches one arm from its servos' side, and notes what must not be."""
 
     def __init__(self, arm: ArmConfig, period_s: float, eeprom_limits: Sequence[tuple[int, int]]) -> None:
+        super().__init__(arm, period_s)
         n = len(arm.joints)
-        self.violations: list[Violation] = []
-        self._names = arm.joint_names
-        self._period_s = period_s
         self._limits = [
             (max(low, joint.limits_tick[0]), min(high, joint.limits_tick[1]))
             for joint, (low, high) in zip(arm.joints, eeprom_limits, strict=True)
@@ -120,8 +85,6 @@ class Judge:
         self._speeds = [ax12a.moving_speed_units(joint.speed_limit_rad_s) for joint in arm.joints]
         self._rest = [joint.tick(joint.rest_rad) for joint in arm.joints]
         self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + 1.0
-        self._seen: set[tuple[str, int]] = set()
-        self._duties = Duties(arm.servo_ids, period_s)
         self._sent: list[int | None] = [None] * n
         """Goals of the program in charge, while their servos have torque."""
         self._sent_before: list[int | None] = [None] * n
@@ -134,8 +97,6 @@ class Judge:
         """When each servo was last heard, and where it said it was."""
         self._all_heard = False
         """Whether every servo answered in the last tick."""
-        self._before: list[Servo] = []
-        """The servos a tick ago."""
         self._time_s = -math.inf
         self._asked_s: dict[str, float] = {}
         self._asked_now: set[str] = set()
@@ -147,14 +108,8 @@ class Judge:
         self._unless_settling: list[tuple[str, float, int, str]] = []
         """What is right if this tick's report tells of a fault that sends the arm to rest at once."""
         self._torque_asked_s = -math.inf
-        self._mode, self._code, self._fault_s = Mode.OFF, "", -math.inf
-        """What is reported; the code of a fault, and since when."""
-        self._enabled: dict[int, tuple[float, float]] = {}
-        """When and where [tick] each servo took torque, for the half second of watching."""
-        self._far_s = [math.inf] * n
-        """Since when each servo is far from its goal."""
-        self._dead: tuple[float, list[float]] | None = None
-        """When the program in charge died, and where the shafts were."""
+        self._fault_s = -math.inf
+        """Since when a fault is reported."""
         self._in_charge = False
         """Whether there is a program at all."""
         self._adopting = False
@@ -414,7 +369,7 @@ class Judge:
             self._duties.must_stop(from_s, f"a tick came {gap_s:.2f} s late", by_clear=False, invariant="6")
         for what in self._duties.overdue(now_s):
             self._violate("rows", now_s, -1, f"{what}, and nobody reports it")
-        before, self._before = self._before, [_copy(servo) for servo in servos]
+        before, self._before = self._before, [copied(servo) for servo in servos]
         for i, servo in enumerate(servos):
             if not servo.torque:
                 self._enabled.pop(i, None)
@@ -436,80 +391,7 @@ class Judge:
             elif self._dead is not None and now_s - self._dead[0] > DEAD_S:
                 self._watch_dead(now_s, servos, before, self._dead[1])
 
-    def _watch_tripped(self, now_s: float) -> None:
-        """Servos that shut themselves down say so by their torque limit: the card is another than for lost torque."""
-        limits = [servo.limit for servo in self._before if not servo.torque]
-        if limits and not any(limits) and self._mode in POWERED and not self._duties.may_restart():
-            self._violate("rows", now_s, -1, "a servo that shut itself down is reported as LOST_TORQUE")
-
-    def _watch_strain(self, now_s: float, i: int, away_ticks: float) -> None:
-        """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported.
-
-        It counts from when a program watches for it: one that has just adopted the arm knows of nothing before.
-        """
-        if away_ticks <= BLOCKED_TICKS or self._mode not in POWERED or self._code:
-            self._far_s[i] = math.inf
-        elif self._far_s[i] == math.inf:
-            self._far_s[i] = now_s
-        elif now_s - self._far_s[i] > BLOCKED_S + self._period_s:
-            self._far_s[i] = now_s
-            what = f"{self._names[i]} over 8 deg from its goal for 0.3 s"
-            self._duties.must_report(now_s + REPORT_SLACK_S, what)
-
-    def _watch_jump(self, now_s: float, i: int, servo: Servo) -> None:
-        since_s, from_tick = self._enabled[i]
-        if now_s - since_s > JUMP_S:
-            del self._enabled[i]
-            return
-        moved = servo.shaft_tick - from_tick
-        if abs(moved) > JUMP_TICKS and not _sags(servo, moved) and not self._duties.excused(now_s, i):
-            text = f"moved {abs(moved) * TICK_DEG:.1f} deg within {now_s - since_s:.2f} s of torque-on (bound 2)"
-            self._violate("3", now_s, i, text)
-
-    def _watch_rest(
-        self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], invariant: str, why: str
-    ) -> None:
-        all_moved = [servo.shaft_tick - was.shaft_tick for servo, was in zip(servos, before, strict=True)]
-        if self._duties.excused(now_s) or any(
-            abs(moved) > STILL_TICKS and not servo.torque for servo, moved in zip(servos, all_moved, strict=True)
-        ):
-            return  # a limp joint that falls shakes those that hold
-        for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True)):
-            if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved):
-                self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")
-
-    def _watch_dead(
-        self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], shafts_then: Sequence[float]
-    ) -> None:
-        self._watch_rest(now_s, servos, before, "lead", "the program is dead")
-        for i, (servo, shaft) in enumerate(zip(servos, shafts_then, strict=True)):
-            moved = abs(servo.shaft_tick - shaft)
-            if servo.torque and moved > DEAD_TICKS:
-                self._violate("lead", now_s, i, f"moved {moved * TICK_DEG:.1f} deg after the program died (bound 10)")
-
-    # ----------------------------------------------------------------------------- what an episode finds
-
-    def found(self, now_s: float, invariant: str, text: str) -> None:
-        """Something that whoever plays the user, or the episode itself, has seen."""
-        self._violate(invariant, now_s, -1, text)
-
-    def _violate(self, invariant: str, now_s: float, index: int, text: str) -> None:
-        if (invariant, index) not in self._seen:
-            self._seen.add((invariant, index))
-            who = f"{self._names[index]}: " if index >= 0 else ""
-            self.violations.append(Violation(invariant, now_s, who + text))
-
-
-def _copy(servo: Servo) -> Servo:
-    return Servo(servo.torque, servo.goal, servo.speed, servo.limit, servo.shaft_tick, servo.sensed_tick)
-
 
 def _given_up(servo: Servo) -> bool:
     """Whether a servo is so far from its goal that the goal may be given up for its position."""
     return servo.torque and abs(servo.goal - servo.sensed_tick) > BLOCKED_TICKS - 4.0
-
-
-def _sags(servo: Servo, moved: float) -> bool:
-    """Whether a shaft moves away from its goal: a load does that, a motor does not."""
-    left = servo.goal - servo.shaft_tick
-    return moved * left < 0.0 and abs(left) > NOISE_TICKS

@@ -33,8 +33,8 @@ from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim import steps
 from proving.episode import Episode, Outcome, Stage, stage
-from proving.invariants import Violation
 from proving.requests import PERIOD_S
+from proving.shafts import Violation
 from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink
 
 SEED = 1

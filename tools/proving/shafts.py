@@ -1,0 +1,126 @@
+"""What the shafts of an arm show: strain, jumps at torque-on, motion where there should be rest.
+
+The part of the judge that looks at true positions once a tick; `invariants.py` has the rules and looks at the packets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from armctl.config import ArmConfig
+from armctl.messages import Mode
+from proving.duties import POWERED, REPORT_SLACK_S, TICK_DEG, Duties, Servo
+
+NOISE_TICKS = 1.0
+"""Two standard deviations of one reading: a program that has one reading knows a shaft no better."""
+JUMP_TICKS = 2.0 / TICK_DEG
+JUMP_S = 0.5
+STILL_TICKS = 0.9 / TICK_DEG
+"""Between two ticks: twice the play of a joint, which gravity may cross when a neighbour comes to rest."""
+DEAD_TICKS = 10.0 / TICK_DEG
+BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
+BLOCKED_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """Something that no invariant allows."""
+
+    invariant: str
+    time_s: float
+    text: str
+
+
+class ShaftJudge:
+    """Watches the shafts of one arm, and notes what must not be."""
+
+    def __init__(self, arm: ArmConfig, period_s: float) -> None:
+        self.violations: list[Violation] = []
+        self._names = arm.joint_names
+        self._period_s = period_s
+        self._seen: set[tuple[str, int]] = set()
+        self._duties = Duties(arm.servo_ids, period_s)
+        self._mode, self._code = Mode.OFF, ""
+        """What is reported: the mode, and the code of a fault."""
+        self._before: list[Servo] = []
+        """The servos a tick ago."""
+        self._enabled: dict[int, tuple[float, float]] = {}
+        """When and where [tick] each servo took torque, for the half second of watching."""
+        self._far_s = [math.inf] * len(arm.joints)
+        """Since when each servo is far from its goal."""
+        self._dead: tuple[float, list[float]] | None = None
+        """When the program in charge died, and where the shafts were."""
+
+    def found(self, now_s: float, invariant: str, text: str) -> None:
+        """Something that whoever plays the user, or the episode itself, has seen."""
+        self._violate(invariant, now_s, -1, text)
+
+    def _violate(self, invariant: str, now_s: float, index: int, text: str) -> None:
+        if (invariant, index) not in self._seen:
+            self._seen.add((invariant, index))
+            who = f"{self._names[index]}: " if index >= 0 else ""
+            self.violations.append(Violation(invariant, now_s, who + text))
+
+    def _watch_tripped(self, now_s: float) -> None:
+        """Servos that shut themselves down say so by their torque limit: the card is another than for lost torque."""
+        limits = [servo.limit for servo in self._before if not servo.torque]
+        if limits and not any(limits) and self._mode in POWERED and not self._duties.may_restart():
+            self._violate("rows", now_s, -1, "a servo that shut itself down is reported as LOST_TORQUE")
+
+    def _watch_strain(self, now_s: float, i: int, away_ticks: float) -> None:
+        """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported.
+
+        It counts from when a program watches for it: one that has just adopted the arm knows of nothing before.
+        """
+        if away_ticks <= BLOCKED_TICKS or self._mode not in POWERED or self._code:
+            self._far_s[i] = math.inf
+        elif self._far_s[i] == math.inf:
+            self._far_s[i] = now_s
+        elif now_s - self._far_s[i] > BLOCKED_S + self._period_s:
+            self._far_s[i] = now_s
+            what = f"{self._names[i]} over 8 deg from its goal for 0.3 s"
+            self._duties.must_report(now_s + REPORT_SLACK_S, what)
+
+    def _watch_jump(self, now_s: float, i: int, servo: Servo) -> None:
+        since_s, from_tick = self._enabled[i]
+        if now_s - since_s > JUMP_S:
+            del self._enabled[i]
+            return
+        moved = servo.shaft_tick - from_tick
+        if abs(moved) > JUMP_TICKS and not _sags(servo, moved) and not self._duties.excused(now_s, i):
+            text = f"moved {abs(moved) * TICK_DEG:.1f} deg within {now_s - since_s:.2f} s of torque-on (bound 2)"
+            self._violate("3", now_s, i, text)
+
+    def _watch_rest(
+        self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], invariant: str, why: str
+    ) -> None:
+        all_moved = [servo.shaft_tick - was.shaft_tick for servo, was in zip(servos, before, strict=True)]
+        if self._duties.excused(now_s) or any(
+            abs(moved) > STILL_TICKS and not servo.torque for servo, moved in zip(servos, all_moved, strict=True)
+        ):
+            return  # a limp joint that falls shakes those that hold
+        for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True)):
+            if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved):
+                self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")
+
+    def _watch_dead(
+        self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], shafts_then: Sequence[float]
+    ) -> None:
+        self._watch_rest(now_s, servos, before, "lead", "the program is dead")
+        for i, (servo, shaft) in enumerate(zip(servos, shafts_then, strict=True)):
+            moved = abs(servo.shaft_tick - shaft)
+            if servo.torque and moved > DEAD_TICKS:
+                self._violate("lead", now_s, i, f"moved {moved * TICK_DEG:.1f} deg after the program died (bound 10)")
+
+
+def copied(servo: Servo) -> Servo:
+    """A servo as it is now."""
+    return Servo(servo.torque, servo.goal, servo.speed, servo.limit, servo.shaft_tick, servo.sensed_tick)
+
+
+def _sags(servo: Servo, moved: float) -> bool:
+    """Whether a shaft moves away from its goal: a load does that, a motor does not."""
+    left = servo.goal - servo.shaft_tick
+    return moved * left < 0.0 and abs(left) > NOISE_TICKS
