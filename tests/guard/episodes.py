@@ -16,10 +16,13 @@ from dataclasses import asdict, replace
 from typing import Any
 from unittest.mock import patch
 
+from armctl.config import Config
 from armctl.messages import TickRecord
+from armctl.recording.writer import LogContext
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import KINDS
 from proving.episode import Episode, Stage, stage
+from proving.requests import PERIOD_S
 from proving.story import Story, Strike, draw
 from tests.guard.kept import save
 
@@ -92,6 +95,20 @@ def played(numbers: Iterable[int]) -> dict[str, str]:
     finally:
         logging.disable(logging.NOTSET)
     return found
+
+
+def records(number: int) -> list[TickRecord]:
+    """What the control process logs in an episode."""
+    found: list[TickRecord] = []
+    on = stage()
+    Episode(story(number, on), on, log=found.append).play()
+    return found
+
+
+def context(config: Config) -> LogContext:
+    """What logs of an episode's arm have in common."""
+    on = stage()
+    return LogContext(on.arm, on.robot, config, "loopback", PERIOD_S)
 
 
 def tap(until: ExitStack, digests: Digests) -> None:
