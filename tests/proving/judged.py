@@ -1,0 +1,84 @@
+"""An arm's servos as a judge sees them, moved by the tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from armctl.dynamixel import ax12a
+from armctl.files import load_arm
+from armctl.messages import Mode
+from proving.duties import Sent, Servo
+from proving.invariants import Judge
+
+ARM = load_arm("ax12-line")
+PERIOD_S = 0.1
+N = len(ARM.joints)
+MIDDLE = 500
+
+
+class Bench:
+    """Servos that hold what is written to them, at the middle of their range, before a judge."""
+
+    def __init__(self, torque: bool = True) -> None:
+        self.judge = Judge(ARM, PERIOD_S, [joint.limits_tick for joint in ARM.joints])
+        self.servos = [Servo(torque, MIDDLE, 100, 1023 if torque else 128, float(MIDDLE), MIDDLE) for _ in range(N)]
+        self.now_s = 1.0
+        self.judge.back()
+        self.judge.asked(0.0, "clear")
+        self.judge.reported(0.0, Mode.HOLDING if torque else Mode.OFF, "")
+        self.tick()
+
+    def hear(self) -> None:
+        for index, servo in enumerate(self.servos):
+            self.judge.heard(self.now_s, index, servo.sensed_tick, servo.goal if servo.torque else None)
+
+    def tick(self, mode: Mode | None = None, code: str = "", *, heard: bool = True) -> None:
+        """The end of a tick, a period later."""
+        self.now_s += PERIOD_S
+        if heard:
+            self.hear()
+        self.judge.ticked(self.now_s, self.servos)
+        if mode is not None:
+            self.judge.reported(self.now_s, mode, code)
+
+    def write(self, index: int, register: ax12a.Register, value: int, **after: float | bool) -> None:
+        """One write, and what the servo holds then."""
+        before = [replace(servo) for servo in self.servos]
+        for name, held in after.items():
+            setattr(self.servos[index], name, held)
+        data = value.to_bytes(register.size, "little")
+        self.judge.wrote(self.now_s, [Sent(index, register.address, data)], before, self.servos)
+
+    def goal(self, ticks: int, index: int = 0, **after: float | bool) -> None:
+        self.write(index, ax12a.GOAL, ticks, goal=ticks, **after)
+
+    def move(self, ticks: int, *, follow: bool = True, mode: Mode = Mode.MOVING, code: str = "") -> None:
+        """A tick of a motion of joint 0, whose shaft is there at its end."""
+        self.goal(self.servos[0].goal + ticks)
+        if follow:
+            self.at(self.servos[0].goal)
+        self.tick(mode, code)
+
+    def at(self, ticks: float, index: int = 0) -> None:
+        self.servos[index].shaft_tick, self.servos[index].sensed_tick = ticks, round(ticks)
+
+    @property
+    def broken(self) -> set[str]:
+        return {violation.invariant for violation in self.judge.violations}
+
+
+def running() -> Bench:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "run")
+    bench.tick(Mode.MOVING)
+    return bench
+
+
+def advancing(bench: Bench, **of_move: object) -> float | None:
+    """Seconds until advancing goals become a violation, at most 2."""
+    begin_s = bench.now_s
+    for _ in range(20):
+        bench.move(5, **of_move)  # type: ignore[arg-type]  # of move
+        if bench.broken & {"6", "7"}:
+            return bench.now_s - begin_s
+    return None

@@ -1,0 +1,228 @@
+"""The judge on motion after what stops it, and on what a latched fault allows: caught, or left alone."""
+
+from __future__ import annotations
+
+import pytest
+
+from armctl.messages import Mode
+from armctl.sim.faults import Fault
+from tests.proving.judged import ARM, MIDDLE, Bench, advancing, running
+
+
+@pytest.mark.parametrize(
+    ("kind", "bound_s"), [("mute", 0.2), ("dead_bus", 0.2), ("unplug", 0.1), ("trip", 0.1), ("brown_out", 0.2)]
+)
+def test_6_goals_that_advance_on_after_a_fault(kind: str, bound_s: float) -> None:
+    bench = running()
+    one = None if kind in ("dead_bus", "unplug") else 3
+    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=1.5))
+    late_s = advancing(bench)
+    assert late_s is not None
+    assert bound_s + 0.3 < late_s <= bound_s + 0.51
+
+
+@pytest.mark.parametrize(("late_s", "broken"), [(0.7, set()), (0.0, {"6"})])
+def test_6_a_silence_that_ends_while_the_program_is_late_is_a_short_one(late_s: float, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="mute", servo_id=3, begin_s=bench.now_s, duration_s=0.93))
+    for _ in range(3):
+        bench.tick(Mode.MOVING)
+    for _ in range(1 if late_s else 8):
+        bench.now_s += late_s
+        bench.tick(Mode.HOLDING)
+    bench.judge.asked(bench.now_s, "run")
+    bench.tick(Mode.MOVING)
+    advancing(bench)
+    assert bench.broken & {"6", "rows"} == (broken | {"rows"} if broken else broken)
+
+
+@pytest.mark.parametrize(
+    ("silent", "kind", "broken"), [(1, "mute", set()), (2, "mute", {"rows"}), (None, "dead_bus", set())]
+)
+def test_what_began_while_nobody_could_hear_it_is_reported_afterwards(
+    silent: int | None, kind: str, broken: set[str]
+) -> None:
+    bench = running()
+    one = None if silent is None else ARM.servo_ids[silent]
+    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=0.45))
+    bench.tick(Mode.MOVING, heard=False)
+    hot = Fault(kind="hot", servo_id=ARM.servo_ids[1], begin_s=bench.now_s, duration_s=2.0, value=68.9)
+    bench.judge.plan(hot)
+    for _ in range(6):
+        bench.tick(Mode.MOVING)
+    bench.tick(Mode.FAULTED, "HOT")
+    assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(("later_s", "broken"), [(0.0, set()), (0.04, set()), (0.16, {"rows"})])
+@pytest.mark.parametrize("planned_first", [True, False])
+def test_what_was_silent_before_anybody_heard_it_is_reported_afterwards(
+    planned_first: bool, later_s: float, broken: set[str]
+) -> None:
+    bench = running()
+    both = [
+        Fault(kind="trip", servo_id=1, begin_s=bench.now_s, duration_s=0.2),
+        Fault(kind="dead_bus", begin_s=bench.now_s + later_s, duration_s=0.75),
+    ]
+    for fault in both if planned_first else both[::-1]:
+        bench.judge.plan(fault)
+    for _ in range(9):
+        bench.tick(Mode.HOLDING, heard=False)
+    bench.tick(Mode.FAULTED, "TRIPPED")
+    assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(("late_s", "broken"), [(1.3, set()), (0.0, {"7"})])
+def test_7_what_a_frozen_sensor_moves_may_come_back_after_a_late_tick(late_s: float, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="frozen_sensor", servo_id=1, begin_s=bench.now_s, duration_s=1.0))
+    bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.at(MIDDLE + 100.0)
+    for _ in range(8):
+        bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.now_s += late_s
+    bench.at(MIDDLE + 10.0)
+    for _ in range(1 if late_s else 13):
+        bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.at(MIDDLE + 5.0)
+    bench.tick(Mode.FAULTED, "BLOCKED")
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize(("falls", "broken"), [(True, set()), (False, {"6"})])
+def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: set[str]) -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, "hold")
+    bench.at(MIDDLE + 8)
+    for _ in range(12):
+        bench.tick(Mode.HOLDING)
+    bench.servos[1].torque = False
+    bench.tick(Mode.HOLDING)
+    bench.at(MIDDLE + 4)
+    bench.at(MIDDLE - (40 if falls else 1), 1)
+    bench.tick(Mode.HOLDING)
+    assert bench.broken == broken
+
+
+def test_6_a_short_silence_obliges_only_while_it_lasts() -> None:
+    bench = running()
+    bench.judge.plan(Fault(kind="mute", servo_id=3, begin_s=bench.now_s, duration_s=0.45))
+    for _ in range(5):
+        bench.tick(Mode.MOVING)
+    assert advancing(bench) is None
+
+
+@pytest.mark.parametrize(("duration_s", "broken"), [(0.15, set()), (0.6, {"6"})])
+def test_6_an_arm_on_its_way_to_rest_may_go_on_after_a_short_unplug_alone(duration_s: float, broken: set[str]) -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "run")
+    bench.tick(Mode.FAULTED, "OVERLOAD")
+    bench.judge.plan(Fault(kind="unplug", begin_s=bench.now_s + 0.02, duration_s=duration_s))
+    for _ in range(3):
+        bench.tick(Mode.FAULTED, "OVERLOAD")
+    bench.hear()
+    advancing(bench, mode=Mode.FAULTED, code="OVERLOAD")
+    assert bench.broken & {"6", "rows"} == broken
+
+
+@pytest.mark.parametrize("word", ["hold", "pause", "host_lost"])
+def test_6_goals_that_advance_on_after_a_stop(word: str) -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, word)
+    late_s = advancing(bench)
+    assert late_s is not None
+    assert late_s < 0.7
+
+
+def test_6_a_resumed_run_may_advance() -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, "pause")
+    bench.judge.asked(bench.now_s + 0.2, "resume")
+    assert advancing(bench) is None
+
+
+def test_6_a_late_tick_stops_the_motion() -> None:
+    bench = running()
+    bench.now_s += 0.5
+    bench.tick(Mode.MOVING)
+    assert advancing(bench) is not None
+
+
+def test_6_a_jog_without_heartbeats() -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "jog")
+    assert advancing(bench, mode=Mode.JOGGING) is not None
+
+
+def test_6_an_arm_that_is_not_still_in_time() -> None:
+    bench = Bench()
+    bench.judge.asked(bench.now_s, "hold")
+    bench.servos[0].goal = MIDDLE + 39
+    for k in range(10):
+        bench.at(MIDDLE + 3.5 * k)
+        bench.tick()
+    assert bench.broken == {"6"}
+
+
+def test_6_a_program_that_adopts_writes_no_goal() -> None:
+    bench = Bench()
+    bench.judge.died(bench.now_s, bench.servos)
+    bench.tick()
+    bench.judge.back()
+    bench.goal(MIDDLE)
+    assert bench.broken == {"6"}
+
+
+def test_7_a_goal_that_advances_while_a_fault_is_latched() -> None:
+    bench = running()
+    late_s = advancing(bench, mode=Mode.FAULTED, code="OTHER_WRITER")
+    assert late_s is not None
+    assert "7" in bench.broken
+    assert late_s < 0.7
+
+
+@pytest.mark.parametrize(("code", "broken"), [("", set()), ("OTHER_WRITER", {"7"})])
+def test_7_a_motion_asked_for_together_with_a_clear_needs_the_clear_to_be_granted(code: str, broken: set[str]) -> None:
+    bench = running()
+    for _ in range(5):
+        bench.tick(Mode.FAULTED, "OTHER_WRITER")
+    bench.judge.asked(bench.now_s, "clear")
+    bench.judge.asked(bench.now_s, "park")
+    bench.goal(MIDDLE + 5)
+    bench.tick(Mode.FAULTED if code else Mode.PARKING, code)
+    assert bench.broken == broken
+
+
+@pytest.mark.parametrize(("asked", "broken"), [(("clear", "run"), set()), (("clear",), {"6"})])
+def test_6_a_motion_asked_for_together_with_a_clear_ends_an_older_hold(
+    asked: tuple[str, ...], broken: set[str]
+) -> None:
+    bench = running()
+    bench.judge.asked(bench.now_s, "hold")
+    for _ in range(8):
+        bench.tick(Mode.HOLDING)
+    for _ in range(8):
+        bench.tick(Mode.FAULTED, "PORT_GONE")
+    for kind in asked:
+        bench.judge.asked(bench.now_s, kind)
+    bench.goal(MIDDLE + 5)
+    bench.tick(Mode.MOVING)
+    bench.move(5)
+    assert bench.broken == broken
+
+
+def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else() -> None:
+    bench = Bench()
+    bench.servos[0].goal = 400  # the base rests at 512
+    bench.at(400.0)
+    bench.tick(Mode.FAULTED, "HOT")
+    assert advancing(bench, mode=Mode.FAULTED, code="HOT") is None
+    bench.move(-5, mode=Mode.FAULTED, code="HOT")
+    assert bench.broken == {"7"}
+
+
+def test_7_a_fault_that_is_cleared_though_its_cause_lasts() -> None:
+    bench = Bench()
+    bench.tick(Mode.FAULTED, "SERVO_SILENT")
+    bench.judge.reported(bench.now_s, Mode.HOLDING, "", "mute is in force")
+    assert bench.broken == {"7"}
