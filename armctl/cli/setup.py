@@ -45,7 +45,7 @@ def arm_option(function: F) -> F:
 def make_port(path: str, baud: int) -> ServoPort:
     """The port the commands of this module use, not yet open."""
     from armctl.clock import MonotonicClock
-    from armctl.dynamixel.port import SerialPort
+    from armctl.dynamixel.serial_port import SerialPort
 
     return SerialPort(path, baud, MonotonicClock())
 
@@ -63,7 +63,7 @@ def make_bus(config: Config, port: str | None, baud: int | None, servo_ids: Sequ
     if baud is not None and not 9_000 <= baud <= 1_000_000:
         raise ConfigError(command, "--baud", f"{baud} is outside 9000..1000000")
     transport = make_port(path, baud or config.baud)
-    return ServoBus(transport, servo_ids, transport.clock)
+    return ServoBus(transport, servo_ids)
 
 
 @contextlib.contextmanager

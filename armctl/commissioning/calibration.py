@@ -175,7 +175,7 @@ def read_ticks(bus: ServoBus, arm: ArmConfig, clock: Clock) -> tuple[float, ...]
         PortGone: the port vanished.
     """
     ticks = np.empty((READINGS, len(arm.joints)))
-    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     due_ns = clock.now_ns()
     for row in ticks:
         clock.sleep_until_ns(due_ns)

@@ -22,7 +22,8 @@ from armctl.commissioning.scan import ALL_IDS, USUAL_BAUDS, FoundServo, Progress
 from armctl.config import ArmConfig, JointConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
-from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS, STATUS_OVERHEAD, ServoBus
+from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS, ServoBus
+from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS
 from armctl.errors import BusError, PortBusy, PortGone
 
@@ -143,7 +144,7 @@ def check_servos(
     checks += _presence(arm, baud, missing, strays, elsewhere, surroundings.options)
     if not found:
         return checks
-    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     round_trips_ns: list[float] = []
     for joint in arm.joints:
         if joint.servo_id in found:
@@ -152,7 +153,7 @@ def check_servos(
             checks += _servo_checks(bus, joint, found[joint.servo_id], surroundings.options, slow, round_trips_ns)
     if round_trips_ns:
         latency_ms = median(round_trips_ns) / NS_PER_MS
-        bus.port.latency_ms = max(ADAPTER_LATENCY_MS, latency_ms)
+        bus.port.allow_latency(max(ADAPTER_LATENCY_MS, latency_ms))
         fix = f"echo {MAX_LATENCY_TIMER_MS} | sudo tee /sys/bus/usb-serial/devices/*/latency_timer"
         value = f"adds {latency_ms:.1f} ms to every reply, at most {SLOW_ADAPTER_MS:.0f} ms are fit for motion"
         checks.append(_check("adapter_latency", latency_ms <= SLOW_ADAPTER_MS, value, fix))
@@ -260,7 +261,7 @@ def _servo_checks(
         return ax12a.register_value(register, status.data)
 
     delay_us = 2 * stored(ax12a.RETURN_DELAY)
-    wire_ns = (2 * STATUS_OVERHEAD + 2 + ax12a.EEPROM_END) * bus.port.byte_ns
+    wire_ns = (2 * OVERHEAD_BYTES + 2 + ax12a.EEPROM_END) * bus.port.byte_ns
     round_trips_ns.append(table.elapsed_ns - wire_ns - 1000 * delay_us)
     model, level = stored(ax12a.MODEL), stored(ax12a.RETURN_LEVEL)
     check("model", model == ax12a.MODEL_NUMBER, str(model), f"use an AX-12A (model {ax12a.MODEL_NUMBER})")

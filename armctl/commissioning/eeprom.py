@@ -288,7 +288,7 @@ def require_writable(bus: ServoBus, servo_id: int) -> None:
         RequestRefused: why it must not be written.
         PortGone: the port vanished.
     """
-    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     if bus.answers_twice(servo_id):
         text = "two servos answer to this id; connect them one at a time and give each its own"
         raise RequestRefused("DUPLICATE_ID", f"servo {servo_id}: {text}")
@@ -320,12 +320,12 @@ def _answers(bus: ServoBus, servo_id: int) -> bool:
 
 
 def _reads(bus: ServoBus, servo_id: int) -> bool:
-    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     return not bus.read_block(servo_id, ax12a.MODEL.address, 3).problem
 
 
 def _read(bus: ServoBus, servo_id: int, begin: int, size: int) -> bytes:
-    bus.port.latency_ms = IDENTIFY_LATENCY_MS
+    bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     reply = bus.read_block(servo_id, begin, size)
     if reply.problem == PORT_GONE:
         raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")

@@ -103,8 +103,8 @@ def _ping_all(port: ServoPort, servo_ids: Sequence[int], progress: Progress | No
         servo_id = servo_ids[index]
         request = encode_instruction(servo_id, Instruction.PING)
         patient = slow_adapter or index <= patient_until
-        port.latency_ms = IDENTIFY_LATENCY_MS if patient else ADAPTER_LATENCY_MS
-        begin_ns = port.clock.now_ns()
+        port.allow_latency(IDENTIFY_LATENCY_MS if patient else ADAPTER_LATENCY_MS)
+        begin_ns = port.begin_round()
         port.writePort(list(request))
         port.setPacketTimeout(OVERHEAD_BYTES)
         heard = _listen(port, decoder, servo_id)
@@ -134,7 +134,7 @@ def _ping_all(port: ServoPort, servo_ids: Sequence[int], progress: Progress | No
         index += 1
         if progress is not None:
             progress(port.baudrate, index, len(servo_ids))
-    port.latency_ms = IDENTIFY_LATENCY_MS
+    port.allow_latency(IDENTIFY_LATENCY_MS)
     return answers
 
 

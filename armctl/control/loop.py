@@ -142,5 +142,5 @@ class ControlLoop:
         clearing = self.state.fault is not None and any(isinstance(command, Clear) for command in commands)
         if not self._bus.is_open or not (due or first or clearing):
             return ()
-        problems = self._bus.identify(self._arm)
+        problems = self._bus.identify(self._arm.joints)
         return (Connected(problems, restarted=self._restarted and first, firmware=self._bus.firmware),)

@@ -131,7 +131,7 @@ def main(descriptor: int) -> int:
     """Body of the control process."""
     from armctl.control.loop import ControlLoop
     from armctl.dynamixel.bus import ServoBus
-    from armctl.dynamixel.port import SerialPort
+    from armctl.dynamixel.serial_port import SerialPort
     from armctl.kinematics import robots
 
     link = Link(socket.socket(fileno=descriptor))
@@ -139,7 +139,7 @@ def main(descriptor: int) -> int:
     select.select([link], [], [], SETTINGS_TIMEOUT_S)
     settings, restarted = cast("tuple[ControlSettings, bool]", link.receive()[0])
     clock = MonotonicClock()
-    bus = ServoBus(SerialPort(settings.port, settings.baud, clock), settings.arm.servo_ids, clock)
+    bus = ServoBus(SerialPort(settings.port, settings.baud, clock), settings.arm.servo_ids)
     robot = robots.get(settings.arm.robot, settings.arm.lengths_m)
     loop = ControlLoop(bus, clock, settings.arm, robot, settings.period_s, restarted=restarted)
     inbox = Inbox(link, loop, clock)

@@ -2,8 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from armctl.dynamixel import ax12a
 from armctl.messages import Problem
+
+
+class ServoJoint(Protocol):
+    """What must be known of a joint to judge its servo."""
+
+    @property
+    def servo_id(self) -> int: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def limits_tick(self) -> tuple[int, int]:
+        """Lowest and highest goal that the joint needs."""
+        ...
 
 
 def bus_dead(servos: int, garbled: bool, port_name: str, baud: int) -> Problem:
@@ -31,8 +48,20 @@ def slow_adapter(port_name: str, latency_ms: float, bound_ms: float) -> Problem:
     )
 
 
-def table_problems(servo: str, servo_id: int, table: bytes, limits_tick: tuple[int, int]) -> list[Problem]:
-    """What in the EEPROM (bytes 0..23) of a servo forbids motion of a joint with these limits."""
+def servo_silent(joint: ServoJoint) -> Problem:
+    text = "no reply; check its cable, its supply, its id, and that its status return level is 2"
+    return Problem("SERVO_SILENT", f"{_servo(joint)}: {text}", joint.servo_id)
+
+
+def duplicate_id(joint: ServoJoint) -> Problem:
+    text = "garbled replies while others answer well; two servos with this id, or a bad cable: "
+    text += "connect them one at a time and give each its own id"
+    return Problem("DUPLICATE_ID", f"{_servo(joint)}: {text}", joint.servo_id)
+
+
+def table_problems(joint: ServoJoint, table: bytes) -> list[Problem]:
+    """What in the EEPROM (bytes 0..23) of a joint's servo forbids its motion."""
+    servo, servo_id = _servo(joint), joint.servo_id
     model = ax12a.register_value(ax12a.MODEL, table, 0)
     if model != ax12a.MODEL_NUMBER:
         text = f"{servo}: model number {model}, wanted {ax12a.MODEL_NUMBER} (AX-12A); use an AX-12A, or the right id"
@@ -40,7 +69,7 @@ def table_problems(servo: str, servo_id: int, table: bytes, limits_tick: tuple[i
     cw, ccw, level = (
         ax12a.register_value(register, table, 0) for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT, ax12a.RETURN_LEVEL)
     )
-    low, high = limits_tick
+    low, high = joint.limits_tick
     faults = []
     if cw == ccw == 0:
         faults.append(
@@ -55,3 +84,7 @@ def table_problems(servo: str, servo_id: int, table: bytes, limits_tick: tuple[i
         faults.append(f"status_return_level is {level}, wanted {ax12a.RETURN_LEVEL.default}")
     remedy = "; write the servo's EEPROM with its torque off, or correct the calibration file"
     return [Problem("EEPROM_MISMATCH", f"{servo}: {fault}{remedy}", servo_id) for fault in faults]
+
+
+def _servo(joint: ServoJoint) -> str:
+    return f"servo {joint.servo_id} ({joint.name})"

@@ -13,28 +13,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from armctl.clock import VirtualClock
 from armctl.config import ArmConfig
-from armctl.control.loop import ControlLoop
 from armctl.control.requests import MAX_POINTS
-from armctl.dynamixel.bus import ServoBus
 from armctl.errors import LogError, RequestRefused
-from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import Command, JointTrajectory, Mode, Run, TickRecord, TorqueOn
+from armctl.messages import JointTrajectory, Run, TickRecord
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
-from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.approach import approach_trajectory
 
 SPEED_MARGIN = 0.99
 DWELL_S = 1.0
-ENERGISE_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -105,16 +100,20 @@ def rehearse(
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     clipped = np.clip(q, low, high)
     grid, motion, run_s = _stretched(clipped, time_s, arm, period_s)
-    robot = robots.get(arm.robot, arm.lengths_m)
-    rig = _Rig(arm, period_s, seed, watch)
-    rig.energise()
-    rig.run(approach_trajectory(rig.goals(), motion[0].tolist(), arm, robot, period_s, "approach"))
-    rig.dwell()
+    virtual = VirtualArm(SimulatedArm(arm, seed=seed), period_s)
+    robot = virtual.robot
+    if watch is not None:
+        virtual.on_tick = partial(watch, virtual.simulated)
+    virtual.energise()
+    approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), arm, robot, period_s, "approach")
+    virtual.carry_out(Run(virtual.next_id(), approach))
+    virtual.ticks(round(DWELL_S / period_s))  # it comes to rest
     records: list[TickRecord] = []
     for begin in range(0, len(motion) - 1, MAX_POINTS - 1):
         rows = motion[begin : begin + MAX_POINTS]
+        part = JointTrajectory(period_s, tuple(map(tuple, rows.tolist())), label="log")
         # Each part ends at rest; what follows its last row until that is reported belongs to no row.
-        records += rig.run(JointTrajectory(period_s, tuple(map(tuple, rows.tolist())), label="log"))[: len(rows) - 1]
+        records += virtual.carry_out(Run(virtual.next_id(), part))[: len(rows) - 1]
         if progress is not None:
             progress(min(1.0, (begin + MAX_POINTS) / len(motion)))
     followed = np.array([[joint.position_rad for joint in record.outputs.joints] for record in records])
@@ -157,65 +156,3 @@ def _stretched(
     run_s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(time_s), needed_s))])
     grid: FloatArray = np.arange(int(np.ceil(run_s[-1] / period_s - 1e-9)) + 1) * np.float64(period_s)
     return grid, np.stack([np.interp(grid, run_s, column) for column in q.T], axis=-1), run_s
-
-
-class _Rig:
-    """A control loop that owns a simulated arm."""
-
-    def __init__(
-        self, arm: ArmConfig, period_s: float, seed: int, watch: Callable[[SimulatedArm, TickRecord], None] | None
-    ) -> None:
-        clock = VirtualClock()
-        self._arm, self._period_s, self._watch = arm, period_s, watch
-        self._simulated = SimulatedArm(arm, seed=seed)
-        port = LoopbackPort(SimulatedBus(self._simulated, seed=seed), clock)
-        bus = ServoBus(port, arm.servo_ids, clock)
-        self._loop = ControlLoop(bus, clock, arm, robots.get(arm.robot, arm.lengths_m), period_s)
-        self._loop.open()
-        self._requests = 0
-
-    def goals(self) -> tuple[float, ...]:
-        """Where the arm is told to be [rad]."""
-        ticks = self._loop.state.goal
-        assert ticks is not None
-        return tuple(joint.position_rad(tick) for joint, tick in zip(self._arm.joints, ticks, strict=True))
-
-    def energise(self) -> None:
-        """Torque on, where the arm stands."""
-        for _ in range(3):  # until it is known to stand still
-            self._tick()
-        self._request(TorqueOn(self._next()), round(ENERGISE_S / self._period_s))
-
-    def run(self, trajectory: JointTrajectory) -> list[TickRecord]:
-        """Run it to its end; one record a row."""
-        return self._request(Run(self._next(), trajectory), len(trajectory.positions_rad) + round(5.0 / self._period_s))
-
-    def dwell(self) -> None:
-        """Let the arm come to rest."""
-        for _ in range(round(DWELL_S / self._period_s)):
-            self._tick()
-
-    def _next(self) -> int:
-        self._requests += 1
-        return self._requests
-
-    def _tick(self, *commands: Command) -> TickRecord:
-        record = self._loop.tick(commands)
-        if self._watch is not None:
-            self._watch(self._simulated, record)
-        return record
-
-    def _request(self, command: TorqueOn | Run, most_ticks: int) -> list[TickRecord]:
-        """Every record until the request is answered.
-
-        Raises:
-            RequestRefused: it was refused, or a fault ended it.
-        """
-        records = [self._tick(command)]
-        while not (replies := [r for r in records[-1].outputs.replies if r.request_id == command.request_id]):
-            assert len(records) <= most_ticks, f"{command.kind} was never answered"
-            records.append(self._tick())
-        if not replies[0].ok:
-            raise RequestRefused(replies[0].code, replies[0].message)
-        assert self._loop.state.mode is Mode.HOLDING
-        return records

@@ -1,8 +1,7 @@
 """What an experiment runs its plans on: one protocol, and the arm that is all virtual.
 
-`VirtualRig` puts simulated servos, the real bus, the real control loop and a virtual clock into one process: no
-daemon, no port of the system's. What it measures is what the servos report through the wire; the true tool path
-stands beside it, for judging only, and nothing that corrects a plan may look at it.
+What `VirtualRig` measures is what the servos report through the wire; the true tool path stands beside it, for judging
+only, and nothing that corrects a plan may look at it.
 """
 
 from __future__ import annotations
@@ -15,17 +14,13 @@ import numpy as np
 
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import ArmConfig
-from armctl.control.loop import ControlLoop
-from armctl.dynamixel.bus import ServoBus
 from armctl.errors import RequestRefused
-from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import Command, JointTrajectory, Mode, Reply, Run, Teach, TeachEnd, TickRecord, TorqueOn
+from armctl.messages import JointTrajectory, Run, Teach, TeachEnd, TorqueOn
 from armctl.sim import steps
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
-from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 
 TRUTH_NS = 4_000_000
@@ -33,8 +28,6 @@ TRUTH_NS = 4_000_000
 EARLY_TICKS = 2
 """So long before the plan can begin the true path is looked at."""
 FIRST_TICKS = 5
-ENERGISE_TICKS = 30
-SLACK_TICKS = 50
 BEFORE_S, AFTER_S = 0.3, 0.8
 """How much of a take is kept before the hand leaves and after it has arrived."""
 
@@ -109,24 +102,15 @@ class VirtualRig:
         """
         steps.compiled()
         self.simulated = simulated
-        self.arm = simulated.config
-        self.robot = robots.get(self.arm.robot, self.arm.lengths_m)
-        self.period_s = period_s
         self._clock = _ObservingClock(simulated)
-        bus = ServoBus(LoopbackPort(SimulatedBus(simulated), self._clock), self.arm.servo_ids, self._clock)
-        self._loop = ControlLoop(bus, self._clock, self.arm, self.robot, period_s)
-        self._loop.open()
-        self._request_id = 0
-        for _ in range(FIRST_TICKS):
-            self._loop.tick(())
-        self._carry_out(TorqueOn(self._next_id()), ENERGISE_TICKS)
+        self._virtual = VirtualArm(simulated, period_s, clock=self._clock)
+        self.arm, self.robot, self.period_s = self._virtual.arm, self._virtual.robot, period_s
+        self._virtual.energise(FIRST_TICKS)
 
     @property
     def goals_rad(self) -> tuple[float, ...]:
         """Where the arm is commanded to be."""
-        goal = self._loop.state.goal
-        assert goal is not None
-        return tuple(joint.position_rad(tick) for joint, tick in zip(self.arm.joints, goal, strict=True))
+        return self._virtual.goals_rad
 
     def run(self, plan: Plan) -> Measured:
         if reasons := preflight(plan, self.arm, self.robot, self.goals_rad):
@@ -139,13 +123,13 @@ class VirtualRig:
         Raises:
             UnreachableTarget: an end of the line is out of the hand's reach.
         """
-        hand = self.simulated.hand
+        virtual, hand = self._virtual, self.simulated.hand
         try:
             guided = hand.guide(A, B, seed=seed)
-            records = self._carry_out(Teach(self._next_id()), ENERGISE_TICKS)
-            records += [self._loop.tick(()) for _ in range(round(guided.duration_s / self.period_s))]
-            self._carry_out(TeachEnd(self._next_id()), ENERGISE_TICKS)
-            self._carry_out(TorqueOn(self._next_id()), ENERGISE_TICKS)
+            records = virtual.carry_out(Teach(virtual.next_id()))
+            records += virtual.ticks(round(guided.duration_s / self.period_s))
+            virtual.carry_out(TeachEnd(virtual.next_id()))
+            virtual.carry_out(TorqueOn(virtual.next_id()))
         finally:
             hand.release()
         begin, end = (round(at / self.period_s) for at in (guided.begin_s - BEFORE_S, guided.end_s + AFTER_S))
@@ -161,9 +145,7 @@ class VirtualRig:
         clock.time_ns, clock.positions_rad = [], []
         clock.observe_from_ns = clock.now_ns() + round((trajectory.begin_s - EARLY_TICKS * self.period_s) * NS_PER_S)
         try:
-            records = self._carry_out(
-                Run(self._next_id(), trajectory), round(trajectory.duration_s / self.period_s) + SLACK_TICKS
-            )
+            records = self._virtual.carry_out(Run(self._virtual.next_id(), trajectory))
         finally:
             clock.observe_from_ns = None
         marks = {
@@ -186,21 +168,3 @@ class VirtualRig:
             true_time_s=(true_ns[during] - begin_ns) / NS_PER_S,
             true_tool_m=self.simulated.tool_positions(np.array(clock.positions_rad)[during]),
         )
-
-    def _next_id(self) -> int:
-        self._request_id += 1
-        return self._request_id
-
-    def _carry_out(self, command: Command, most_ticks: int) -> list[TickRecord]:
-        """Tick until the command is answered, and its motion over."""
-        records: list[TickRecord] = []
-        reply: Reply | None = None
-        while len(records) < most_ticks and not (reply is not None and self._loop.state.mode is not Mode.MOVING):
-            records.append(self._loop.tick(() if records else (command,)))
-            reply = next(iter(records[-1].outputs.replies), reply)
-        if reply is None or not reply.ok:
-            code, text = (
-                ("NO_ANSWER", "the arm did not finish in time") if reply is None else (reply.code, reply.message)
-            )
-            raise RequestRefused(code, text)
-        return records

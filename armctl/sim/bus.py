@@ -56,6 +56,8 @@ class SimulatedBus:
             arm.faults = faults
         self.baud = baud
         """The host's setting; may change at any time."""
+        self.user: object = None
+        """The port that has this bus for itself, if there is one."""
         self._latency_ns = round(latency_ms * 1e6)
         self._phase_ns = int(np.random.default_rng(seed).integers(self._latency_ns)) if self._latency_ns else 0
         self._decoder = Decoder()

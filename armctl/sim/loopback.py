@@ -13,61 +13,64 @@ from __future__ import annotations
 
 from armctl.clock import VirtualClock
 from armctl.dynamixel.port import ServoPort
-from armctl.errors import PortGone, PortMissing
+from armctl.errors import PortBusy, PortGone, PortMissing
 from armctl.sim.bus import SimulatedBus
 
 
 class LoopbackPort(ServoPort):
-    """`ServoPort` over a `SimulatedBus`; waiting costs virtual time only."""
+    """`ServoPort` over a `SimulatedBus`, which runs at whatever baud the port has; waiting costs virtual time only."""
+
+    clock: VirtualClock
 
     def __init__(self, bus: SimulatedBus, clock: VirtualClock, baud: int = 1_000_000) -> None:
-        super().__init__("loopback", baud, clock)
         self._bus = bus
         self._plugged = True
         self._unplugs = 0
         """How often the adapter had been pulled out when the port was opened."""
-        self._received = b""
+        super().__init__("loopback", baud, clock)
 
     def unplug(self) -> None:
         """From now on every use of the port raises `PortGone`, and opening it `PortMissing`."""
-        self._plugged = self.is_open = False
+        self._plugged = False
+        self.closePort()
 
     def replug(self) -> None:
         """Let the port be opened again; one that was open stays gone, as a descriptor does."""
         self._plugged = True
 
+    def setBaudRate(self, baudrate: int) -> bool:
+        self._bus.baud = baudrate
+        return super().setBaudRate(baudrate)
+
     def openPort(self) -> bool:
         if not (self._plugged and self._bus.plugged(self.clock.now_ns())):
             raise PortMissing("loopback: unplugged; call replug(), or wait for the end of the fault")
-        self._unplugs = self._bus.faults.unplugs
-        self.is_open, self.clean, self._received = True, False, b""
+        if self._bus.user not in (None, self):
+            raise PortBusy("loopback: another port has this bus; close that one, one program at a time can drive it")
+        self._bus.user, self._unplugs = self, self._bus.faults.unplugs
+        self.is_open = True
+        self.begin_round()
         self.clearPort()
         return True
 
     def closePort(self) -> None:
         self.is_open = False
-
-    def clearPort(self) -> None:
-        if self._received or not self.clean:
-            self._arrive()
-            self._received = b""
+        if self._bus.user is self:
+            self._bus.user = None
 
     def getBytesAvailable(self) -> int:
         self._arrive()
         return len(self._received)
 
-    def _receive(self, length: int) -> bytes:
-        missing = length - len(self._received)
-        if missing > 0:
-            self._check()
-            all_ns, until_ns = self._bus.arrival_ns(missing), self._deadline_ns
-            self.clock.sleep_until_ns(until_ns if all_ns is None or all_ns > until_ns else all_ns)
-            self._arrive()
-            if len(self._received) <= length:
-                data, self._received = self._received, b""
-                return data
-        data, self._received = self._received[:length], self._received[length:]
-        return data
+    def _discard(self) -> None:
+        self._arrive()
+        self._received = b""
+
+    def _fill(self, length: int) -> None:
+        self._check()
+        all_ns, until_ns = self._bus.arrival_ns(length - len(self._received)), self._deadline_ns
+        self.clock.sleep_until_ns(until_ns if all_ns is None or all_ns > until_ns else all_ns)
+        self._arrive()
 
     def _send(self, packet: bytes) -> int:
         self._check()
@@ -81,5 +84,5 @@ class LoopbackPort(ServoPort):
     def _check(self) -> None:
         # Whether it is plugged in is asked first: that may move the arm over faults that began and ended meanwhile.
         if not self.is_open or not self._bus.plugged(self.clock.now_ns()) or self._bus.faults.unplugs != self._unplugs:
-            self.is_open = False
+            self.closePort()
             raise PortGone("loopback: the port vanished; plug the adapter in again")

@@ -6,18 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from armctl.clock import NS_PER_S, VirtualClock
+from armctl.clock import NS_PER_S
 from armctl.commissioning.calibration import Touch, read_ticks
 from armctl.config import ArmConfig
-from armctl.dynamixel.bus import ServoBus
 from armctl.files import load_arm
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.hand import Hand
-from armctl.sim.loopback import LoopbackPort
 from armctl.sim.spec import ArmSpec
+from armctl.sim.virtual_arm import VirtualArm
 
 
 class PosingHand(Hand):
@@ -60,26 +59,15 @@ class Bench:
         simulated: ArmConfig | None = None,
     ) -> None:
         self.config = load_arm("ax12-line")
-        self.clock = VirtualClock()
         self.arm = SimulatedArm(simulated or self.config, seed=seed, spec=spec or ArmSpec())
-        self.arm.advance(self.clock.now_ns())
         self.servos = self.arm.servos
-        self.line = SimulatedBus(self.arm, latency_ms=latency_ms, seed=seed)
-        self.port = FollowedPort(self.line, self.clock)
-        self.bus = ServoBus(self.port, self.config.servo_ids, self.clock)
+        virtual = VirtualArm(self.arm, wire=SimulatedBus(self.arm, latency_ms=latency_ms, seed=seed))
+        self.clock, self.line, self.port, self.bus = virtual.clock, virtual.wire, virtual.port, virtual.bus
+        self.arm.advance(self.clock.now_ns())
         self.bus.open()
 
     def elapsed_s(self, begin_ns: int) -> float:
         return (self.clock.now_ns() - begin_ns) / NS_PER_S
-
-
-class FollowedPort(LoopbackPort):
-    """The simulated line runs at whatever the host sets, as a pseudo terminal's does."""
-
-    def setBaudRate(self, baudrate: int) -> bool:
-        if hasattr(self, "_bus"):
-            self._bus.baud = baudrate
-        return super().setBaudRate(baudrate)
 
 
 def postures(arm: ArmConfig, count: int, rng: np.random.Generator) -> FloatArray:

@@ -103,7 +103,7 @@ def test_twins_that_read_alike_are_told_after_the_fact(monkeypatch: pytest.Monke
 def test_a_servo_is_found_again_at_its_new_baud(bench: Bench, baud: int, real: int) -> None:
     assert eeprom.set_baud(bench.bus, 2, baud) == real
     assert bench.port.baudrate == baud
-    assert bench.bus.ping(2) == 12
+    assert bench.bus.read(2, ax12a.MODEL) == 12
     assert round(bench.servos[1].baud) == pytest.approx(real, abs=1)
 
 

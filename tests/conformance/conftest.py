@@ -21,7 +21,8 @@ from armctl.clock import NS_PER_S, Clock, MonotonicClock, VirtualClock
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, Decoder, Instruction, Packet, encode_instruction
-from armctl.dynamixel.port import SerialPort, ServoPort
+from armctl.dynamixel.port import ServoPort
+from armctl.dynamixel.serial_port import SerialPort
 from armctl.files import load_arm
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
@@ -56,8 +57,6 @@ class Wire:
     def host_baud(self, baud: int) -> None:
         """Set the host's side of the line."""
         self.port.setBaudRate(baud)
-        if self._bus is not None:
-            self._bus.baud = baud
 
     def send(self, *pieces: bytes, gap_s: float = 0.0) -> None:
         """Send bytes as they are, with a pause between the pieces."""

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import socket
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 import pytest
 
-from armctl.clock import VirtualClock
 from armctl.control.link import Link, LinkClosed, Ready
-from armctl.control.loop import ControlLoop
 from armctl.control.machine import State
-from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import Instruction
 from armctl.files import load_arm
-from armctl.kinematics import robots
 from armctl.messages import (
     Clear,
     Command,
@@ -33,8 +28,8 @@ from armctl.messages import (
     from_json,
 )
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 
 ARM = load_arm("ax12-line")
 
@@ -51,29 +46,16 @@ class LosablePort(LoopbackPort):
         return super()._send(packet)
 
 
-@dataclass
-class Rig:
-    """A control loop that owns a simulated arm."""
+class Rig(VirtualArm):
+    """A virtual arm that remembers what it did."""
 
-    seed: int = 3
-    clock: VirtualClock = field(default_factory=VirtualClock)
-    records: list[TickRecord] = field(default_factory=list)
+    port: LosablePort
 
-    def __post_init__(self) -> None:
-        self.simulated = SimulatedArm(ARM, seed=self.seed)
-        self.port = LosablePort(SimulatedBus(self.simulated), self.clock)
-        self.loop = self.make_loop()
-
-    def make_loop(self, restarted: bool = False) -> ControlLoop:
-        bus = ServoBus(self.port, ARM.servo_ids, self.clock)
-        loop = ControlLoop(bus, self.clock, ARM, robots.get(ARM.robot), 0.1, restarted=restarted)
-        loop.open()
-        return loop
-
-    def ticks(self, count: int, *commands: Command) -> TickRecord:
-        for index in range(count):
-            self.records.append(self.loop.tick(commands if index == 0 else ()))
-        return self.records[-1]
+    def __init__(self, seed: int = 3, period_s: float = 0.1) -> None:
+        super().__init__(SimulatedArm(ARM, seed=seed), period_s, make_port=LosablePort)
+        self.records: list[TickRecord] = []
+        self.on_tick = self.records.append
+        self.start()
 
     def mode(self) -> Mode:
         return self.loop.state.mode
@@ -85,9 +67,7 @@ class Rig:
         return [event.code for record in self.records for event in record.outputs.events]
 
     def line(self, ticks: int = 30) -> JointTrajectory:
-        goal = self.loop.state.goal
-        assert goal is not None
-        start = [joint.position_rad(tick) for joint, tick in zip(ARM.joints, goal, strict=True)]
+        start = self.goals_rad
         points = tuple((start[0] + 0.02 * k, *start[1:]) for k in range(ticks + 1))
         return JointTrajectory(0.1, points, 0.0, 0.1 * ticks, "line")
 
@@ -138,11 +118,7 @@ def test_late_ticks_are_skipped_and_never_made_up_for_in_a_burst() -> None:
 
 
 def test_at_100_hz_a_tick_that_is_half_a_period_late_is_skipped_too() -> None:
-    rig = Rig()
-    bus = ServoBus(rig.port, ARM.servo_ids, rig.clock)
-    rig.port.closePort()
-    rig.loop = ControlLoop(bus, rig.clock, ARM, robots.get(ARM.robot), 0.01)
-    rig.loop.open()
+    rig = Rig(period_s=0.01)
     rig.ticks(60)
     rig.clock.advance_ns(30_000_000)
     rig.ticks(5)
@@ -153,7 +129,7 @@ def test_at_100_hz_a_tick_that_is_half_a_period_late_is_skipped_too() -> None:
 def test_a_new_loop_adopts_a_holding_arm_without_moving_it() -> None:
     rig = holding()
     before = rig.simulated.true_positions()
-    rig.loop = rig.make_loop(restarted=True)
+    rig.restart()
     rig.records.clear()
     rig.ticks(20)
     assert rig.mode() is Mode.HOLDING

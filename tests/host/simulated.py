@@ -10,22 +10,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from armctl.clock import VirtualClock
 from armctl.config import ArmConfig, Config, LogConfig
 from armctl.control.link import Link
-from armctl.control.loop import ControlLoop
-from armctl.dynamixel.bus import ServoBus
 from armctl.files import load_arm
 from armctl.host.host import Host
-from armctl.kinematics import robots
 from armctl.messages import Command, Mode, TickRecord
 from armctl.recording import replay
 from armctl.recording.channels import COMMAND
 from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import Fault
-from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 from tests.host.doubles import InlineExecutor, MemoryRecorder, NamedClient
 
 PERIOD_S = 0.1
@@ -36,13 +31,11 @@ class SimulatedBench:
     """The bench; an arm under torque once `holding` returns."""
 
     def __init__(self, arm: ArmConfig, seed: int = 0) -> None:
-        self.clock = VirtualClock()
         self.arm = arm
         self.simulated = SimulatedArm(arm, seed=seed)
-        self.robot = robots.get(arm.robot, arm.lengths_m)
-        bus = ServoBus(LoopbackPort(SimulatedBus(self.simulated), self.clock), arm.servo_ids, self.clock)
-        self.loop = ControlLoop(bus, self.clock, arm, self.robot, PERIOD_S)
-        self.loop.open()
+        self.virtual = VirtualArm(self.simulated, PERIOD_S)
+        self.virtual.start()
+        self.robot, self.clock, self.loop = self.virtual.robot, self.virtual.clock, self.virtual.loop
         self.recorder = MemoryRecorder()
         self.host = Host(arm, self.robot, PERIOD_S, self.recorder, self.clock)
         self.pid = 4242
@@ -54,7 +47,7 @@ class SimulatedBench:
         self.modes: set[Mode] = set()
 
     def tick(self) -> TickRecord:
-        record = self.loop.tick(tuple(cast("list[Command]", self._theirs.receive())))
+        record = self.virtual.tick(*cast("list[Command]", self._theirs.receive()))
         self.modes.add(record.outputs.mode)
         self.host.receive(record)
         self.on_tick(record)

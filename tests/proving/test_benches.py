@@ -25,7 +25,9 @@ def test_bus_bench_measures_every_client_beside_armctl() -> None:
         assert row["value"] > 0.0
         assert row["ratio"] > (1.0 if row["work"].startswith("cycle") else 0.0)
     assert {row["who"].split(",")[0] for row in result["rows"]} >= {"armctl", "dynamixel-sdk", "raw", "pypot"}
-    assert len(result["checks"]) == 6
+    assert [check["name"] for check in result["checks"]] == [
+        f"{what} / raw at {delay_us} us" for delay_us in (0, 500) for what in ("cycle", "CPU")
+    ]
 
 
 @pytest.mark.pty

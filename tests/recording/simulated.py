@@ -7,16 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from armctl.clock import VirtualClock
 from armctl.config import ArmConfig
-from armctl.control.loop import ControlLoop
-from armctl.dynamixel.bus import ServoBus
-from armctl.kinematics import robots
-from armctl.messages import Command, JointTrajectory, Run, TickRecord, TorqueOn
+from armctl.messages import JointTrajectory, Run, TickRecord, TorqueOn
 from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
-from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S
 
 
@@ -30,21 +25,10 @@ def nod(q: Sequence[float], seconds: float = 2.0) -> JointTrajectory:
 
 def simulated_records(ticks: int = 60, *, arm: ArmConfig = ARM, seed: int = 3) -> list[TickRecord]:
     """Torque on, a nod, and rest."""
-    clock = VirtualClock()
-    bus = ServoBus(LoopbackPort(SimulatedBus(SimulatedArm(arm, seed=seed)), clock), arm.servo_ids, clock)
-    loop = ControlLoop(bus, clock, arm, robots.get(arm.robot, arm.lengths_m), PERIOD_S)
-    loop.open()
-    records: list[TickRecord] = []
-    for tick in range(ticks):
-        commands: tuple[Command, ...] = ()
-        if tick == 3:
-            commands = (TorqueOn(1),)
-        if tick == 20:
-            goal = loop.state.goal
-            assert goal is not None
-            commands = (Run(2, nod([joint.position_rad(one) for joint, one in zip(arm.joints, goal, strict=True)])),)
-        records.append(loop.tick(commands))
-    return records
+    virtual = VirtualArm(SimulatedArm(arm, seed=seed), PERIOD_S)
+    virtual.start()
+    records = [*virtual.ticks(3), *virtual.ticks(17, TorqueOn(1))]
+    return records + virtual.ticks(ticks - len(records), Run(2, nod(virtual.goals_rad)))
 
 
 def write_log(path: Path, records: Sequence[TickRecord], context: LogContext = CONTEXT) -> Path:

@@ -14,7 +14,7 @@ from armctl.clock import MonotonicClock
 from armctl.control.loop import ControlLoop
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
-from armctl.dynamixel.port import SerialPort
+from armctl.dynamixel.serial_port import SerialPort
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.messages import Mode, Sample, Teach
@@ -32,7 +32,7 @@ class Master:
 
     def __init__(self, world: Simulator) -> None:
         clock, self.world = MonotonicClock(), world
-        self.bus = ServoBus(SerialPort(str(world.port), 1_000_000, clock), ARM.servo_ids, clock)
+        self.bus = ServoBus(SerialPort(str(world.port), 1_000_000, clock), ARM.servo_ids)
         self.loop = ControlLoop(self.bus, clock, ARM, robots.get(ARM.robot), 0.1)
         self.loop.open()
         self.samples: list[Sample] = []

@@ -26,7 +26,6 @@ from armctl.control.loop import ControlLoop
 from armctl.control.machine import State
 from armctl.control.step import step
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction
 from armctl.errors import BusError
 from armctl.files import load_arm
@@ -40,6 +39,7 @@ from armctl.sim.faults import Fault, Faults
 from armctl.sim.loopback import LoopbackPort
 from armctl.sim.servo import ServoVariants
 from armctl.sim.spec import DEFAULT_SPEC
+from armctl.sim.virtual_arm import VirtualArm
 from proving.clerk import Clerk
 from proving.duties import Sent, Servo
 from proving.invariants import Judge
@@ -95,8 +95,8 @@ class WatchedPort(LoopbackPort):
         if self._watch.unpluggable or not self.is_open:
             super()._check()
 
-    def _receive(self, length: int) -> bytes:
-        data = super()._receive(length)
+    def readPort(self, length: int) -> bytes:
+        data = super().readPort(length)
         self._watch.received += data
         return data
 
@@ -298,9 +298,11 @@ class Episode:
         self.body = SimulatedArm(arm, seed=story.seed, spec=spec, faults=Faults(seed=story.seed))
         self.body.advance(self._clock.now_ns())
         limits = [(servo.get(ax12a.CW_LIMIT), servo.get(ax12a.CCW_LIMIT)) for servo in self.body.servos]
-        self._simulated = SimulatedBus(self.body, seed=story.seed)
         self.judge = Judge(arm, PERIOD_S, limits)
         self.watch = Watch(arm, self.body, self.judge)
+        self._virtual = VirtualArm(
+            self.body, PERIOD_S, clock=self._clock, make_port=lambda wire, clock: WatchedPort(wire, clock, self.watch)
+        )
         self.rows: Counter[str] = Counter()
         self.told: list[tuple[float, str]] = [(line.at_s, str(line)) for line in story.lines]
         self.clerk = Clerk(story, arm, stage.robot, self)
@@ -380,16 +382,13 @@ class Episode:
 
     def _start(self, restarted: bool) -> ControlLoop | None:
         """A new control process, if the port lets itself be opened."""
-        port = WatchedPort(self._simulated, self._clock, self.watch)
-        bus = ServoBus(port, self._arm.servo_ids, self._clock)
-        loop = ControlLoop(bus, self._clock, self._arm, self._robot, PERIOD_S, restarted=restarted)
         try:
-            loop.open()
+            self._virtual.restart(restarted=restarted)
         except BusError as error:
             self.rows[f"{error.code} at the start"] += 1
             return None
         self.judge.back()
-        return loop
+        return self._virtual.loop
 
     def _idle(self, duration_s: float) -> None:
         """Time passes without a control process."""

@@ -8,15 +8,12 @@ from dataclasses import replace
 
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import Config, LogConfig
-from armctl.control.loop import ControlLoop
-from armctl.dynamixel.bus import ServoBus
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.messages import Command, JointTrajectory, Mode, Run, ServoReading, TickRecord, TorqueOn
 from armctl.recording.writer import LogContext
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
-from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 
 ARM = "ax12-line"
 PERIOD_S = 0.1
@@ -34,16 +31,14 @@ def log_context(log: LogConfig | None = None) -> LogContext:
 
 def simulated_records(seed: int, ticks: int, *, moving: bool = True) -> list[TickRecord]:
     """Consecutive ticks of an arm that is switched on and holds, or swings all its joints one swing after another."""
-    arm, clock = load_arm(ARM), VirtualClock(5 * NS_PER_S)
-    bus = ServoBus(LoopbackPort(SimulatedBus(SimulatedArm(arm, seed=seed)), clock), arm.servo_ids, clock)
-    loop = ControlLoop(bus, clock, arm, robots.get(arm.robot, arm.lengths_m), PERIOD_S)
-    loop.open()
+    virtual = VirtualArm(SimulatedArm(load_arm(ARM), seed=seed), PERIOD_S, clock=VirtualClock(5 * NS_PER_S))
+    virtual.start()
     records: list[TickRecord] = []
     for tick in range(ticks):
         commands: tuple[Command, ...] = (TorqueOn(1),) if tick == TORQUE_TICK else ()
-        if moving and tick > TORQUE_TICK and loop.state.mode is Mode.HOLDING:
-            commands = (Run(tick, _swing(loop)),)
-        records.append(loop.tick(commands))
+        if moving and tick > TORQUE_TICK and virtual.loop.state.mode is Mode.HOLDING:
+            commands = (Run(tick, _swing(virtual)),)
+        records.append(virtual.tick(*commands))
     return records
 
 
@@ -73,14 +68,12 @@ def _later(reading: ServoReading, later_ns: int) -> ServoReading:
     return replace(reading, stamp_ns=reading.stamp_ns + later_ns)
 
 
-def _swing(loop: ControlLoop) -> JointTrajectory:
+def _swing(virtual: VirtualArm) -> JointTrajectory:
     """All joints away and back, from where the arm is told to be."""
-    goal, arm = loop.state.goal, load_arm(ARM)
-    assert goal is not None
-    begin_rad = [joint.position_rad(tick) for joint, tick in zip(arm.joints, goal, strict=True)]
+    begin_rad = virtual.goals_rad
     towards_rad = [
         math.copysign(AMPLITUDE_RAD, sum(joint.limits_rad) / 2.0 - q)
-        for joint, q in zip(arm.joints, begin_rad, strict=True)
+        for joint, q in zip(virtual.arm.joints, begin_rad, strict=True)
     ]
     phases = [0.5 - 0.5 * math.cos(2.0 * math.pi * i / SWING_TICKS) for i in range(SWING_TICKS + 1)]
     positions = tuple(

@@ -24,7 +24,7 @@ import numpy as np
 
 from armctl.clock import VirtualClock
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import IMPOSSIBLE_BITS, ServoBus
+from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import (
     BROADCAST_ID,
     BadChecksum,
@@ -35,6 +35,7 @@ from armctl.dynamixel.packet import (
     encode_status,
 )
 from armctl.dynamixel.port import ServoPort
+from armctl.dynamixel.status import IMPOSSIBLE_BITS
 
 RUNS = 5_000_000
 SHARD_RUNS = 25_000
@@ -116,7 +117,7 @@ def fuzz(seed: int, shard: int, runs: int) -> Tally:
     tally = Tally()
     rng = np.random.default_rng((seed, shard))
     line = _FixedLine()
-    bus = ServoBus(line, (SERVO_ID,), line.clock)
+    bus = ServoBus(line, (SERVO_ID,))
     bus.open()
     for index, stream in enumerate(itertools.islice(sequences(rng), runs)):
         _judge_decoder(stream, index, tally)
@@ -232,7 +233,6 @@ class _FixedLine(ServoPort):
     def __init__(self) -> None:
         super().__init__("fixed", 1_000_000, VirtualClock())
         self.answer = b""
-        self._left = b""
 
     def openPort(self) -> bool:
         self.is_open = True
@@ -241,18 +241,21 @@ class _FixedLine(ServoPort):
     def closePort(self) -> None:
         self.is_open = False
 
-    def clearPort(self) -> None:
-        self._left = b""
-
     def getBytesAvailable(self) -> int:
-        return len(self._left)
+        return len(self._received)
 
     def _send(self, packet: bytes) -> int:
-        self._left = self.answer if packet[4] == Instruction.READ else b""
+        self._received = self.answer if packet[4] == Instruction.READ else b""
         return len(packet)
 
-    def _receive(self, length: int) -> bytes:
-        data, self._left = self._left[:length], self._left[length:]
-        missing = length - len(data)
-        self.clock.sleep_until_ns(self._deadline_ns if missing else self.clock.now_ns() + length * self.byte_ns)
+    def readPort(self, length: int) -> bytes:
+        data = super().readPort(length)
+        if len(data) == length:  # what is missing, `_fill` has waited for
+            self.clock.sleep_until_ns(self.clock.now_ns() + length * self.byte_ns)
         return data
+
+    def _fill(self, length: int) -> None:
+        self.clock.sleep_until_ns(self._deadline_ns)
+
+    def _discard(self) -> None:
+        pass  # `clearPort` has emptied what was left

@@ -15,18 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from armctl.clock import VirtualClock
-from armctl.control.loop import ControlLoop
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instruction
 from armctl.files import load_arm
-from armctl.kinematics import robots
-from armctl.messages import JointTrajectory, Mode, Run, TorqueOn
+from armctl.messages import JointTrajectory, Run
 from armctl.sim import steps
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
-from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 from proving.figures import check, row
 from proving.mujoco_arm import mjcf
 from proving.rig import ARM
@@ -127,26 +123,16 @@ class _Loop:
     """The control loop on a simulated arm, energised and in its working pose."""
 
     def __init__(self, seed: int) -> None:
-        self._config = load_arm(ARM)
-        clock = VirtualClock()
-        port = LoopbackPort(SimulatedBus(SimulatedArm(self._config, seed=seed)), clock)
-        bus = ServoBus(port, self._config.servo_ids, clock)
-        self._loop = ControlLoop(bus, clock, self._config, robots.get(self._config.robot), PERIOD_S)
-        self._loop.open()
-        self._requests = 0
-        self._loop.tick(())
-        self._loop.tick((TorqueOn(self._number()),))
+        self._virtual = VirtualArm(SimulatedArm(load_arm(ARM), seed=seed), PERIOD_S)
+        self._virtual.energise()
         self.hold(2.0)
-        goal = self._loop.state.goal
-        assert goal is not None
-        rest = np.array([joint.position_rad(tick) for joint, tick in zip(self._config.joints, goal, strict=True)])
+        rest = np.array(self._virtual.goals_rad)
         shares = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 81))
         self._run([(rest + share * (WORKING_RAD - rest)).tolist() for share in shares])
         self.hold(2.0)
 
     def hold(self, seconds: float) -> None:
-        for _ in range(round(seconds / PERIOD_S)):
-            self._loop.tick(())
+        self._virtual.ticks(round(seconds / PERIOD_S))
 
     def move(self, seconds: float) -> None:
         """Whole swings, at least one."""
@@ -155,18 +141,8 @@ class _Loop:
 
     def _run(self, positions_rad: list[list[float]]) -> None:
         points = tuple(tuple(position) for position in positions_rad)
-        end_s = PERIOD_S * (len(points) - 1)
-        self._loop.tick((Run(self._number(), JointTrajectory(PERIOD_S, points, 0.0, end_s, "swing")),))
-        moved = 0
-        while self._loop.state.motion is not None:
-            self._loop.tick(())
-            moved += 1
-        assert moved >= len(points) - 2, self._loop.state  # refused or stopped, the figure would be of something else
-        assert self._loop.state.mode is Mode.HOLDING, self._loop.state
-
-    def _number(self) -> int:
-        self._requests += 1
-        return self._requests
+        swing = JointTrajectory(PERIOD_S, points, 0.0, PERIOD_S * (len(points) - 1), "swing")
+        self._virtual.carry_out(Run(self._virtual.next_id(), swing))
 
 
 def _mujoco(seed: int) -> Play:

@@ -13,7 +13,7 @@ from typing import Literal
 from armctl.clock import MonotonicClock
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
-from armctl.dynamixel.port import SerialPort
+from armctl.dynamixel.serial_port import SerialPort
 from armctl.messages import Write
 from armctl.sim.control import SimulatorClient
 from proving.rig import Rig
@@ -200,7 +200,7 @@ def spoil(scenario: Scenario) -> Callable[[SimulatorClient, Path], None]:
 
 def _wheel_mode(path: Path, servo_id: int) -> None:
     clock = MonotonicClock()
-    bus = ServoBus(SerialPort(str(path), 1_000_000, clock), (servo_id,), clock)
+    bus = ServoBus(SerialPort(str(path), 1_000_000, clock), (servo_id,))
     bus.open()
     for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT):
         assert bus.write(Write(servo_id, register.address, register.size, 0))

@@ -17,20 +17,16 @@ from typing import Any, ParamSpec, TypeVar
 import yaml
 
 from armctl.clock import NS_PER_S, VirtualClock
-from armctl.control.loop import ControlLoop
-from armctl.dynamixel.bus import ServoBus
 from armctl.errors import LogError
 from armctl.host.daemon import listen
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeRequest, Progress
 from armctl.host.methods import Methods
 from armctl.host.server import Method, Server
-from armctl.kinematics import robots
 from armctl.lab.demo import program
 from armctl.messages import Command, TickRecord
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
-from armctl.sim.loopback import LoopbackPort
+from armctl.sim.virtual_arm import VirtualArm
 from proving.fuzz import malformed
 from proving.fuzz.files import Takes
 from proving.fuzz.requests import Asker, Lines, fuzzed_arm, method_of, overlong
@@ -103,9 +99,9 @@ class _Control:
 
     pid = os.getpid()
 
-    def __init__(self, loop: ControlLoop) -> None:
+    def __init__(self, virtual: VirtualArm) -> None:
         self.link = self
-        self._loop = loop
+        self._virtual = virtual
         self._waiting: list[Command] = []
 
     def send(self, message: Any) -> bool:
@@ -114,7 +110,7 @@ class _Control:
 
     def tick(self) -> TickRecord:
         commands, self._waiting = tuple(self._waiting), []
-        return self._loop.tick(commands)
+        return self._virtual.tick(*commands)
 
 
 @dataclass
@@ -199,13 +195,12 @@ class _Rig:
 async def served(seed: int, folder: Path) -> AsyncIterator[_Rig]:
     """The daemon without its processes: virtual time, simulated servos, a socket in `folder`."""
     arm = fuzzed_arm()
-    robot, clock = robots.get(arm.robot, arm.lengths_m), VirtualClock(5 * NS_PER_S)
-    port = LoopbackPort(SimulatedBus(SimulatedArm(arm, seed=seed)), clock)
-    loop = ControlLoop(ServoBus(port, arm.servo_ids, clock), clock, arm, robot, PERIOD_S)
-    loop.open()
+    clock = VirtualClock(5 * NS_PER_S)
+    virtual = VirtualArm(SimulatedArm(arm, seed=seed), PERIOD_S, clock=clock)
+    virtual.start()
     asyncio.get_running_loop().set_default_executor(_Inline())
-    host = Host(arm, robot, PERIOD_S, _Recorder(), clock)
-    control = _Control(loop)
+    host = Host(arm, virtual.robot, PERIOD_S, _Recorder(), clock)
+    control = _Control(virtual)
     host.attach(control)
     takes = Takes(folder / "template", folder / "recordings")
     methods = Methods(host, folder / "recordings", _optimise)

@@ -1,0 +1,258 @@
+"""A serial port, real or pseudo, as the bus wants it (see `port`).
+
+Two rules more than the contract has:
+
+1. Reading blocks until the bytes are there or the packet's time is over; nothing spins. The kernel has no say in how
+   long: whoever polls or reads an empty terminal while bytes are on their way waits for the kernel's worker (see
+   `kernel_worker`), whatever the time limit. So the terminal is asked only once it has told that bytes are there. A
+   reply that this worker may keep back is waited for once more, as long as the bus is patient.
+2. The first opening remembers the adapter by its USB identity (/dev/serial/by-id carries the serial number); every
+   later one looks for that adapter, whatever name the kernel gave it after a replug, and takes no other.
+"""
+
+from __future__ import annotations
+
+import array
+import errno
+import fcntl
+import grp
+import os
+import select
+import termios
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import ClassVar
+
+import serial
+from serial.tools import list_ports
+
+from armctl.clock import NS_PER_S, Clock
+from armctl.dynamixel.kernel_worker import KernelWorker
+from armctl.dynamixel.port import HEARD_MAX, NS_PER_MS, QUIET_MS, ServoPort
+from armctl.errors import BusError, PortBusy, PortGone, PortMissing
+
+KEEPS_UP_NS = NS_PER_MS
+"""A kernel worker that is not held up takes a twentieth of it."""
+LATELY_NS = NS_PER_S
+BY_ID = Path("/dev/serial/by-id")
+
+
+def _usb_identity(path: str) -> Path | None:
+    """The name under /dev/serial/by-id of the adapter at `path`; None for a port that has none (a pty)."""
+    device = Path(path).resolve()
+    return next((link for link in sorted(BY_ID.glob("*")) if link.resolve() == device), None)
+
+
+class SerialPort(ServoPort):
+    """A tty: exclusive, raw, non-blocking, with low latency where the driver knows it."""
+
+    ser: serial.Serial | None
+    _fd = -1
+    _arrivals: select.epoll
+    """Tells of arrived bytes once, and asks the terminal for nothing until it has told of some (rule 1)."""
+    _worker: KernelWorker | None
+    _late_ns = -NS_PER_S
+    """When the worker was last seen to be late."""
+    _unread = True
+    """Whether the terminal may hold bytes that it has told of already."""
+    _asked_again = False
+    """Whether this reply was waited for once more already."""
+    _ASYNC_LOW_LATENCY: ClassVar[int] = 0x2000
+
+    def __init__(self, name: str, baud: int, clock: Clock) -> None:
+        self._identity: Path | None = None
+        self._opened = ExitStack()
+        super().__init__(name, baud, clock)
+
+    def openPort(self) -> bool:
+        """Open the port for this process alone.
+
+        Raises:
+            PortMissing: no such port, no serial port, or no permission; the text lists what is there.
+            PortBusy: another process holds it; the text names the process where /proc shows it.
+        """
+        if self.is_open:
+            self.closePort()
+        path = str(self._identity or self.port_name)
+        try:
+            self.ser = serial.Serial(path, self.baudrate, timeout=0, exclusive=True)
+            self._fd = self.ser.fileno()
+            self._arrivals = self._opened.enter_context(select.epoll())
+            self._arrivals.register(self._fd, select.EPOLLIN | select.EPOLLET)
+            self._worker = self._watched_worker()
+            # The mark lives until the tty's last descriptor closes. Who owns a pty's master may hold its slave too,
+            # and would lock us out after a crash of ours; there the advisory lock must do.
+            if not _is_pty(self._fd):
+                fcntl.ioctl(self._fd, termios.TIOCEXCL)
+        except (OSError, termios.error, ValueError) as error:
+            self.closePort()
+            raise _open_error(path, self.baudrate, error) from None
+        self._identity = self._identity or _usb_identity(self.port_name)
+        self.low_latency = self._ask_low_latency(self.ser)
+        self.is_open = self._unread = True
+        return True
+
+    def closePort(self) -> None:
+        self._opened.close()
+        self.is_open, self._fd = False, -1
+        if self.ser is not None:
+            with suppress(OSError):  # an unplugged device may refuse even this; the descriptor is gone all the same
+                self.ser.close()
+            self.ser = None
+
+    def getBytesAvailable(self) -> int:
+        if self.ser is None:
+            raise self._closed()
+        try:
+            return len(self._received) + self.ser.in_waiting
+        except (OSError, termios.error) as error:
+            raise self._gone(error) from None
+
+    def _discard(self) -> None:
+        if self._fd < 0:
+            raise self._closed()
+        if not self._arrivals.poll(0) and not self._unread:  # nothing has come since the last read
+            return
+        self._unread = False
+        try:
+            termios.tcflush(self._fd, termios.TCIFLUSH)
+        except (OSError, termios.error) as error:
+            raise self._gone(error) from None
+
+    def _fill(self, length: int) -> None:
+        if self._fd < 0:
+            raise self._closed()
+        if self._allowed_ns and not (self._received or self.heard):
+            # The request has just left: until something comes, there is no need to look at the clock.
+            wait_ns, self._asked_again = self._allowed_ns, False
+        else:
+            wait_ns = self._wait_ns(length)
+        try:
+            while len(self._received) < length:
+                # `poll` waits whole milliseconds only, `select` waits for what is left of them.
+                if self._arrivals.poll(wait_ns // NS_PER_MS / 1000.0):
+                    arrived = os.read(self._fd, HEARD_MAX)
+                    if not arrived:
+                        raise OSError(errno.EIO, "end of file")
+                    self._received += arrived
+                    self._unread = len(arrived) == HEARD_MAX
+                    if len(self._received) >= length:
+                        return
+                elif not select.select((self._arrivals,), (), (), wait_ns % NS_PER_MS / NS_PER_S)[0]:
+                    if not self._allowed_ns or not self._kept_back():
+                        return
+                    self._deadline_ns = self.clock.now_ns() + self._allowed_ns
+                wait_ns = self._wait_ns(length)
+        except (OSError, termios.error) as error:
+            raise self._gone(error) from None
+
+    def _wait_ns(self, length: int) -> int:
+        """How long to wait for what is missing of `length` bytes."""
+        wait_ns = self._deadline_ns - self.clock.now_ns()
+        if self._received or self.heard:
+            # What follows needs its time on the wire, and where an adapter cut the reply, the adapter's.
+            rest_ns = (length - len(self._received)) * self.byte_ns
+            wait_ns = min(wait_ns, rest_ns + round((self._latency_ms + QUIET_MS) * NS_PER_MS))
+        return max(0, wait_ns)
+
+    def _watched_worker(self) -> KernelWorker | None:
+        try:
+            worker = KernelWorker()
+        except OSError:  # there are no pseudo terminals here; then what is late counts as lost
+            return None
+        self._opened.callback(worker.close)
+        return worker
+
+    def _kept_back(self) -> bool:
+        now_ns = self.clock.now_ns()
+        if self._worker is None or now_ns >= self._patient_until_ns:
+            return False
+        if self._worker.delay_ns(self.clock, self._patient_until_ns) > KEEPS_UP_NS:
+            self._late_ns = self.clock.now_ns()
+            return True
+        # It keeps up just now; a moment ago, when the request or the reply was on its way, it may not have.
+        first, self._asked_again = not self._asked_again, True
+        return first and now_ns - self._late_ns < LATELY_NS
+
+    def _send(self, packet: bytes) -> int:
+        if self._fd < 0:
+            raise self._closed()
+        try:
+            try:
+                sent = os.write(self._fd, packet)
+            except BlockingIOError:
+                sent = 0
+            if sent < len(packet):  # nothing that waits here may reach the servos later, in a burst
+                termios.tcflush(self._fd, termios.TCOFLUSH)
+        except (OSError, termios.error) as error:
+            raise self._gone(error) from None
+        return sent
+
+    def _closed(self) -> PortGone:
+        return PortGone(f"{self.port_name}: the port is not open; open it first")
+
+    def _gone(self, error: Exception) -> PortGone:
+        """Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them)."""
+        return PortGone(f"{self.port_name}: the port vanished ({_reason(error)}); plug the adapter in again")
+
+    def _ask_low_latency(self, ser: serial.Serial) -> bool | None:
+        state = array.array("i", [0] * 32)
+        try:
+            ser.set_low_latency_mode(True)
+            fcntl.ioctl(ser.fileno(), termios.TIOCGSERIAL, state)
+        except (ValueError, OSError):
+            return None
+        return bool(state[4] & self._ASYNC_LOW_LATENCY)
+
+
+def _is_pty(fd: int) -> bool:
+    return 136 <= os.major(os.fstat(fd).st_rdev) <= 143  # Unix98 pty slaves
+
+
+def _reason(error: Exception) -> str:
+    number = error.args[0] if error.args else None
+    return os.strerror(number) if isinstance(number, int) else str(error)
+
+
+def _open_error(path: str, baud: int, error: Exception) -> BusError:
+    """The expected failure behind what open, flock, ioctl or tcsetattr raised."""
+    number = error.args[0] if error.args else None
+    if number == errno.ENOENT:
+        found = sorted(port.device for port in list_ports.comports() if port.hwid != "n/a")
+        return PortMissing(
+            f"{path}: no such port; found: {', '.join(found) or 'no USB serial port at all'}; "
+            "plug the adapter in, or name another port with --port"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN):
+        holders = ", ".join(_holders(path)) or "another process (of another user)"
+        return PortBusy(f"{path}: in use by {holders}; stop it, one program at a time can drive the bus")
+    if number in (errno.EACCES, errno.EPERM):
+        group = _group(path)
+        return PortMissing(
+            f"{path}: no permission; it belongs to group {group}: sudo usermod -aG {group} $USER, then log in again"
+        )
+    if isinstance(error, ValueError):
+        return PortMissing(f"{path}: the adapter cannot do {baud} baud ({error}); set another baud rate")
+    return PortMissing(f"{path}: no usable serial port ({_reason(error)}); name another one with --port")
+
+
+def _holders(path: str) -> list[str]:
+    """Processes that have the port open, as far as /proc lets us see: `name (pid 123)`."""
+    device = os.path.realpath(path)
+    found: dict[str, str] = {}
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        try:
+            if os.readlink(link) == device:
+                process = link.parent.parent
+                found[process.name] = f"{(process / 'comm').read_text().strip()} (pid {process.name})"
+        except OSError:  # ended meanwhile, or not ours to see
+            continue
+    return list(found.values())
+
+
+def _group(path: str) -> str:
+    gid = os.stat(path).st_gid
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return str(gid)
