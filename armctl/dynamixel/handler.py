@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, Protocol1PacketHandler
 
 from armctl.dynamixel.packet import OVERHEAD_BYTES
-from armctl.dynamixel.port import ServoPort
+from armctl.dynamixel.port import HEARD_MAX, ServoPort
 
 ID_MAX, LENGTH_MAX, ERROR_MAX = 0xFD, 250, 0x7F
 """What the SDK takes for the begin of a status packet."""
@@ -25,7 +25,8 @@ class PacketHandler(Protocol1PacketHandler):  # type: ignore[misc]  # the SDK ha
         if not head:
             port.is_using = False
             return (), COMM_RX_TIMEOUT
-        if len(head) == OVERHEAD_BYTES and head[0] == head[1] == 0xFF:
+        # A line that has babbled is heard no further than the SDK would hear it.
+        if len(head) == OVERHEAD_BYTES and head[0] == head[1] == 0xFF and port.heard + OVERHEAD_BYTES < HEARD_MAX:
             servo_id, length, error = head[2], head[3], head[4]
             if servo_id <= ID_MAX and 2 <= length <= LENGTH_MAX and error <= ERROR_MAX:
                 packet = port.peek(length + 4)
