@@ -42,6 +42,7 @@ PURE = (
     "armctl.control.faults",
     "armctl.control.jog",
     "armctl.control.machine",
+    "armctl.control.motion",
     "armctl.control.requests",
     "armctl.control.sequences",
     "armctl.control.step",

@@ -1,56 +1,114 @@
-"""Every fault code, and the card a person reads: what the arm does now, and the next command to type."""
+"""Every fault that can latch: one row each, and the card a person reads.
+
+What a fault does follows from its row alone: how a motion ends, whether the arm goes to rest, and what has to be over
+before `clear` is allowed. When it latches stands in `detect.py` (what a sample shows), `sequences.py` (what a sequence
+waits for in vain) and `dynamixel/` (what is found when connecting).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import StrEnum
+from typing import Literal, NamedTuple
 
 from armctl.messages import Fault, JointState
 
-NEXT: dict[str, str] = {
-    "PORT_GONE": "plug the adapter back in; when `armctl status` shows the joints again, type `armctl clear`",
-    "BUS_DEAD": "check the arm's power supply and the bus cable, then type `armctl clear`",
-    "SERVO_SILENT": "check the servo's cable and LED, then type `armctl clear`",
-    "WRONG_MODEL": "put an AX-12A with that ID on the bus (or correct the calibration file), then type `armctl clear`",
-    "EEPROM_MISMATCH": "set the servo's EEPROM (or the calibration file) right, then type `armctl clear`",
-    "DUPLICATE_ID": "give one of the two servos another ID, alone on the bus, then type `armctl clear`",
-    "SLOW_ADAPTER": "set the USB adapter's latency timer to 1 ms, then type `armctl clear`",
-    "LOST_TORQUE": "support the arm, type `armctl release`, then `armctl clear` and `armctl torque on`",
-    "TRIPPED": "support the arm, remove the load, type `armctl release`, let the servo cool, then `armctl clear` "
-    "and `armctl torque on`",
-    "HOT": "let the servo cool; see its temperature in `armctl status`, then type `armctl clear`",
-    "VOLTAGE": "check the power supply and its plug, then type `armctl clear`",
-    "OVERLOAD": "take the load off the arm, then type `armctl clear`",
-    "BUS_NOISE": "check the bus cable, its length and its ground, then type `armctl clear`",
-    "OTHER_WRITER": "end the other program that writes to the bus, then type `armctl clear`",
-    "BLOCKED": "free the joint, then type `armctl clear`",
-    "NOT_LIMP": "end the other program that writes to the bus, then type `armctl release` and `armctl clear`",
-}
 
-WHAT: dict[str, str] = {
-    "PORT_GONE": "the USB adapter was unplugged; plugged in again, it is found by itself",
-    "BUS_DEAD": "no servo has answered for half a second",
-    "SERVO_SILENT": "one servo has not answered for half a second, the others have",
-    "WRONG_MODEL": "found when connecting: a servo is no AX-12A",
-    "EEPROM_MISMATCH": "found when connecting: a servo's EEPROM forbids what the calibration needs",
-    "DUPLICATE_ID": "found when connecting: two servos answer to one id",
-    "SLOW_ADAPTER": "found when connecting: the adapter holds every answer back",
-    "LOST_TORQUE": "a servo restarted, and hangs limp or has forgotten its settings",
-    "TRIPPED": "a servo shut itself down for heat or overload",
-    "HOT": "a servo is near the temperature at which it gives up",
-    "VOLTAGE": "the supply at the servos is out of range",
-    "OVERLOAD": "a joint has worked at more than 80 % of its strength for two seconds",
-    "BUS_NOISE": "more than a tenth of the replies came damaged in ten seconds",
-    "OTHER_WRITER": "a servo shows a goal or a setting that was not sent from here",
-    "BLOCKED": "a joint has been 8 degrees from its goal for 0.3 s",
-    "NOT_LIMP": "a servo of a limp arm has torque, and not from here",
-}
-"""What each code means, in words that follow `what happened:`."""
+class Cause(StrEnum):
+    """What may keep a fault from being cleared, in the order in which it is looked at (see requests.py)."""
 
-SETTLING = frozenset({"HOT", "VOLTAGE", "OVERLOAD"})
-"""Faults that would soon end in a dropped arm: it goes to rest while it can."""
+    PORT = "port"
+    """The port is closed, or its servos are not identified."""
+    PROBLEM = "problem"
+    """Connecting found something that forbids motion."""
+    SILENCE = "silence"
+    """A servo has not been heard just now."""
+    HEAT = "heat"
+    SUPPLY = "supply"
+    TORQUE = "torque"
+    """Some servos have full torque, others have not: neither limp nor holding."""
+    NONE = "none"
+    """Nothing: to be cleared as soon as the arm is still."""
 
-CODES: tuple[str, ...] = tuple(NEXT)
-"""Every code a fault can latch with."""
+
+class FaultKind(NamedTuple):
+    """One row of the table."""
+
+    code: str
+    of: Literal["servo", "bus"]
+    """Whether one servo is named."""
+    motion: Literal["ends", "slows"]
+    """What becomes of a motion under way: no goal follows, or it comes to rest on its path."""
+    to_rest: bool
+    """Whether it would soon end in a dropped arm: the arm goes to rest while it can, and goes limp there."""
+    until: Cause
+    """What has to be over before `clear` is allowed; so have, for every fault, the causes of all others."""
+    what: str
+    """In words that follow `what happened:`."""
+    remedy: str
+    """The next command to type."""
+
+
+# Where a motion ends at once, going on would be wrong or in vain: the port is gone, or a servo does not follow.
+# fmt: off
+FAULTS: tuple[FaultKind, ...] = (
+    FaultKind("PORT_GONE", "bus", "ends", False, Cause.PORT,
+        "the USB adapter was unplugged; plugged in again, it is found by itself",
+        "plug the adapter back in; when `armctl status` shows the joints again, type `armctl clear`"),
+    FaultKind("BUS_DEAD", "bus", "slows", False, Cause.SILENCE,
+        "no servo has answered for half a second",
+        "check the arm's power supply and the bus cable, then type `armctl clear`"),
+    FaultKind("SERVO_SILENT", "servo", "slows", False, Cause.SILENCE,
+        "one servo has not answered for half a second, the others have",
+        "check the servo's cable and LED, then type `armctl clear`"),
+    FaultKind("WRONG_MODEL", "servo", "slows", False, Cause.PROBLEM,
+        "found when connecting: a servo is no AX-12A",
+        "put an AX-12A with that ID on the bus (or correct the calibration file), then type `armctl clear`"),
+    FaultKind("EEPROM_MISMATCH", "servo", "slows", False, Cause.PROBLEM,
+        "found when connecting: a servo's EEPROM forbids what the calibration needs",
+        "set the servo's EEPROM (or the calibration file) right, then type `armctl clear`"),
+    FaultKind("DUPLICATE_ID", "servo", "slows", False, Cause.PROBLEM,
+        "found when connecting: two servos answer to one id",
+        "give one of the two servos another ID, alone on the bus, then type `armctl clear`"),
+    FaultKind("SLOW_ADAPTER", "bus", "slows", False, Cause.PROBLEM,
+        "found when connecting: the adapter holds every answer back",
+        "set the USB adapter's latency timer to 1 ms, then type `armctl clear`"),
+    FaultKind("LOST_TORQUE", "servo", "ends", False, Cause.TORQUE,
+        "a servo restarted, and hangs limp or has forgotten its settings",
+        "support the arm, type `armctl release`, then `armctl clear` and `armctl torque on`"),
+    FaultKind("TRIPPED", "servo", "ends", False, Cause.TORQUE,
+        "a servo shut itself down for heat or overload",
+        "support the arm, remove the load, type `armctl release`, let the servo cool, then `armctl clear` "
+        "and `armctl torque on`"),
+    FaultKind("HOT", "servo", "slows", True, Cause.HEAT,
+        "a servo is near the temperature at which it gives up",
+        "let the servo cool; see its temperature in `armctl status`, then type `armctl clear`"),
+    FaultKind("VOLTAGE", "servo", "slows", True, Cause.SUPPLY,
+        "the supply at the servos is out of range",
+        "check the power supply and its plug, then type `armctl clear`"),
+    FaultKind("OVERLOAD", "servo", "slows", True, Cause.NONE,
+        "a joint has worked at more than 80 % of its strength for two seconds",
+        "take the load off the arm, then type `armctl clear`"),
+    FaultKind("BUS_NOISE", "bus", "slows", False, Cause.NONE,
+        "more than a tenth of the replies came damaged in ten seconds",
+        "check the bus cable, its length and its ground, then type `armctl clear`"),
+    FaultKind("OTHER_WRITER", "servo", "ends", False, Cause.NONE,
+        "a servo shows a goal or a setting that was not sent from here",
+        "end the other program that writes to the bus, then type `armctl clear`"),
+    FaultKind("BLOCKED", "servo", "ends", False, Cause.NONE,
+        "a joint has been 8 degrees from its goal for 0.3 s",
+        "free the joint, then type `armctl clear`"),
+    FaultKind("NOT_LIMP", "servo", "slows", False, Cause.TORQUE,
+        "a servo of a limp arm has torque, and not from here",
+        "end the other program that writes to the bus, then type `armctl release` and `armctl clear`"),
+)
+# fmt: on
+
+KINDS = {kind.code: kind for kind in FAULTS}
+CODES = tuple(KINDS)
+NEXT = {kind.code: kind.remedy for kind in FAULTS}
+WHAT = {kind.code: kind.what for kind in FAULTS}
+SETTLING = frozenset(kind.code for kind in FAULTS if kind.to_rest)
 
 
 def card(fault: Fault, joints: Sequence[JointState], moving: bool) -> tuple[str, str]:
@@ -62,10 +120,11 @@ def card(fault: Fault, joints: Sequence[JointState], moving: bool) -> tuple[str,
     Raises:
         KeyError: a code that no part of armctl latches.
     """
+    kind = KINDS[fault.code]
     powered = [joint.torque_enabled for joint in joints]
-    if fault.code == "PORT_GONE":
+    if kind.until is Cause.PORT:
         arm = "out of reach; every servo keeps the last goal it was given, with the torque it had"
-    elif moving and fault.code in SETTLING:
+    elif moving and kind.to_rest:
         arm = "on its way to the rest pose, where torque goes off"
     elif moving:
         arm = "coming to rest on its path"
@@ -75,4 +134,4 @@ def card(fault: Fault, joints: Sequence[JointState], moving: bool) -> tuple[str,
         arm = "still; every servo holds the last goal it was given"
     else:
         arm = "partly limp; the servos that have torque hold the last goal they were given"
-    return arm, NEXT[fault.code]
+    return arm, kind.remedy

@@ -20,12 +20,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.control.machine import Jogging, Trigger, replace
-from armctl.control.tick import Tick, finish_jog, send_goal, share_of_step, whole_ticks
+from armctl.control.machine import Jogging, Phase, Trigger, target
+from armctl.control.tick import Tick
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Event, Jog, Mode
+from armctl.messages import Event, Jog
 from armctl.trajectory.collision import floor_clearance, link_points
 
 HEARTBEAT_NS = 80_000_000
@@ -39,27 +39,24 @@ DAMPING_M2 = 1e-4
 
 def begin(s: Tick, command: Jog) -> None:
     """Begin a jog from where the arm is told to be."""
-    s.go(Trigger.JOG)
+    target(s.state.phase, Trigger.JOG)
     _check(s.arm, command)
     assert s.state.goal is not None
+    s.go(Trigger.JOG)
     position = tuple(joint.position_rad(tick) for joint, tick in zip(s.arm.joints, s.state.goal, strict=True))
     still = (0.0,) * len(position)
-    s.state = replace(s.state, jog=Jogging(position, still, command.joints_rad_s, command.tool_m_s, s.inputs.now_ns))
+    s.state.jog = Jogging(position, still, command.joints_rad_s, command.tool_m_s, s.inputs.now_ns)
     s.events.append(Event("info", "JOG_BEGIN", "a jog begins"))
 
 
 def heartbeat(s: Tick, command: Jog) -> None:
     """Take one heartbeat of a jog under way."""
     jog = s.state.jog
-    if s.state.mode is not Mode.JOGGING or jog is None or jog.stop_code:
+    if s.state.phase is not Phase.JOGGING or jog is None or jog.stop_code:
         raise IllegalTransition("the jog has ended; begin another one")
     _check(s.arm, command)
-    s.state = replace(
-        s.state,
-        jog=replace(
-            jog, joints_rad_s=command.joints_rad_s, tool_m_s=command.tool_m_s, heard_ns=s.inputs.now_ns, rate=1.0
-        ),
-    )
+    jog.joints_rad_s, jog.tool_m_s = command.joints_rad_s, command.tool_m_s
+    jog.heard_ns, jog.rate = s.inputs.now_ns, 1.0
 
 
 def _check(arm: ArmConfig, command: Jog) -> None:
@@ -76,12 +73,12 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
     """The next goal of a jog, or its end."""
     silent_ns = s.inputs.now_ns - jog.heard_ns
     if jog.stop_code or silent_ns > HEARTBEAT_NS:
-        jog = replace(jog, rate=max(0.0, jog.rate - s.period_s / STOP_S))
+        jog.rate = max(0.0, jog.rate - s.period_s / STOP_S)
         if jog.rate < 1e-9 and (jog.stop_code or silent_ns > END_NS):
-            return finish_jog(s, jog.stop_code or "NO_HEARTBEAT")
+            return s.finish_jog(jog.stop_code or "NO_HEARTBEAT")
     if not s.fresh or jog.rate < 1e-9:
         # While one is unheard, a goal would energise a servo that has just restarted. The arm waits, at rest.
-        s.state = replace(s.state, jog=replace(jog, velocity_rad_s=(0.0,) * len(jog.position_rad)))
+        jog.velocity_rad_s = (0.0,) * len(jog.position_rad)
         return None
     J = _linear_jacobian(s.robot, jog.position_rad)
     velocity = _slower(s.arm, J, jog.joints_rad_s or _joint_velocities(J, jog.tool_m_s, len(jog.position_rad)))
@@ -97,12 +94,12 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         min(max(q + v * s.period_s, joint.limits_rad[0]), joint.limits_rad[1]) if v else q
         for q, v, joint in zip(jog.position_rad, velocity, s.arm.joints, strict=True)
     )
-    share = share_of_step(s, whole_ticks(s, position))
+    share = s.share_of_step(s.whole_ticks(position))
     if share < 1.0:  # a joint lags behind: it is waited for
         velocity = [share * v for v in velocity]
         position = tuple(a + share * (b - a) for a, b in zip(jog.position_rad, position, strict=True))
-    s.state = replace(s.state, jog=replace(jog, position_rad=position, velocity_rad_s=tuple(velocity)))
-    send_goal(s, whole_ticks(s, position))
+    jog.position_rad, jog.velocity_rad_s = position, tuple(velocity)
+    s.send_goal(s.whole_ticks(position))
     return None
 
 

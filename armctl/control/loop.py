@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
-from armctl.control.machine import Settle, State
+from armctl.control.machine import ENERGISING, TO_REST, State
 from armctl.control.step import step
 from armctl.dynamixel.bus import ServoBus
 from armctl.errors import BusError
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Clear, Command, Connected, Inputs, Mode, TickRecord, to_json
+from armctl.messages import Clear, Command, Connected, Inputs, TickRecord, to_json
 
 REOPEN_NS = NS_PER_S // 2
 SKIP_NS = 50_000_000
@@ -62,14 +62,15 @@ class ControlLoop:
     @property
     def at_rest(self) -> bool:
         """Whether nothing moves by this program's will, and nothing is on its way to."""
-        return self.state.motion is None and self.state.jog is None and self.state.settle is Settle.NO
+        return self.state.motion is None and self.state.jog is None and self.state.phase not in TO_REST
 
     def tick(self, commands: Sequence[Command]) -> TickRecord:
         """Wait for the next deadline, then read, decide, write."""
         clock = self._clock
         clock.sleep_until_ns(self._due_ns())
-        late_ns = clock.now_ns() - self._deadline_ns
-        commands = (*self._connect(commands), *commands)
+        begin_ns = clock.now_ns()
+        late_ns = begin_ns - self._deadline_ns
+        commands = (*self._connect(commands, begin_ns), *commands)
         sample = self._bus.read_sample()
         self._loss_told = not sample.port_open
         inputs = Inputs(self._tick, clock.now_ns(), sample, commands, late_ns)
@@ -83,17 +84,18 @@ class ControlLoop:
         keyframe = ""
         if self._keyframe_due or self._tick % KEYFRAME_TICKS == 0:
             keyframe, self._keyframe_due = to_json(self.state), False
+        end_ns = clock.now_ns()
         record = TickRecord(
             inputs,
             outputs,
             lateness_us=late_ns // 1000,
-            write_us=(clock.now_ns() - write_begin_ns) // 1000,
+            write_us=(end_ns - write_begin_ns) // 1000,
             keyframe=keyframe,
             dropped=self._dropped,
         )
         self._tick += 1
         self._deadline_ns += self._period_ns
-        behind_ns = clock.now_ns() - self._deadline_ns
+        behind_ns = end_ns - self._deadline_ns
         if behind_ns > self._skip_ns:
             self._deadline_ns += -(-behind_ns // self._period_ns) * self._period_ns
         return record
@@ -113,7 +115,7 @@ class ControlLoop:
             wait: Returns at an instant [ns]; None: the clock's.
         """
         wait = wait or self._clock.sleep_until_ns
-        while not (leave() and self.state.motion is None and self.state.mode is not Mode.ENERGISING):
+        while not (leave() and self.state.motion is None and self.state.phase not in ENERGISING):
             wait(self._due_ns())  # before the inbox is emptied: what comes at the last moment is served by this tick
             record = self.tick(inbox())
             if outbox(record):
@@ -127,9 +129,8 @@ class ControlLoop:
         self._deadline_ns = self._deadline_ns or self._clock.now_ns()
         return self._deadline_ns
 
-    def _connect(self, commands: Sequence[Command]) -> tuple[Command, ...]:
+    def _connect(self, commands: Sequence[Command], now_ns: int) -> tuple[Command, ...]:
         """Open a lost port again, and identify the servos where that is due."""
-        now_ns = self._clock.now_ns()
         due = not self._bus.is_open and self._loss_told and now_ns >= self._next_open_ns
         if due:
             self._next_open_ns = now_ns + REOPEN_NS

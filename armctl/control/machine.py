@@ -1,100 +1,165 @@
-"""The control machine: its states, what may happen in each, and nothing else.
+"""The control machine: its phases, what may happen in each, and nothing else.
 
-Theory. The arm is limp (`off`, `teaching`), on its way to torque (`energising`), under torque (`holding`,
-`moving`, `jogging`, `parking`) or latched (`faulted`). A latched arm keeps what torque it has; only `release` and
-`clear` are heard, and nothing advances but the deceleration and, for a fault that would soon drop the arm anyway, the
-slow way to rest. Every change of mode is one row of `TRANSITIONS`; an event without a row in the present mode is
-illegal and changes nothing. Who may ask for what, and in which words a request is refused, follows from the same table.
+Theory. The arm is limp, coming to torque, under torque, or latched by a fault. What the outside sees of that is one of
+eight modes (`messages.Mode`). Some modes take several steps, each of which ends when the servos *show* something, so
+the machine itself knows more: it is always in one *phase*, and every phase shows as one mode (`MODE`). Every change of
+phase is an entry of `TRANSITIONS`. A trigger that the row of the present phase does not name is illegal, and changes
+nothing.
+Who may ask for what, and in which words a request is refused, follows from the same table.
 
-    off --torque_on--> energising --energised--> holding --run--> moving --stopped--> holding
-    holding --jog--> jogging --stopped--> holding
-    holding --park--> parking --parked--> off, --stopped--> holding
-    off, holding --teach--> teaching --teach_end--> off
-    any --fault--> faulted --clear_limp--> off, --clear_powered--> holding
+A latched arm keeps the torque it has; only `release` and `clear` are heard. Nothing advances but the deceleration and,
+for a fault that would soon drop the arm anyway (`Trigger.STRAIN`), the slow way to rest. That way is the one of `park`:
+
+    come to a stop --set_off--> go there --arrived--> see that the arm is there --parked--> torque off
+    each of them --give_up--> hold: torque is never cut but at the rest pose
+
+Torque comes on in four steps, and each of them may fail (`energise_failed`: back to off):
+
+    settings and goal written --settings_seen--> torque enabled --torque_seen--> torque limit rises
+                              --ramped--> full limit to be shown --energised--> holding
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from armctl.errors import IllegalTransition
 from armctl.messages import Fault, JointTrajectory, Mode, Problem
 
-if TYPE_CHECKING:
-    from dataclasses import replace as replace  # so that the fields' names and types are checked
-else:
 
-    def replace(state, **changes):
-        """What `dataclasses.replace` does, for the classes below in a tenth of its time: a step makes several of them.
+class Phase(StrEnum):
+    """Where the machine is."""
 
-        They are frozen, without slots and without `__post_init__`, so that a copy of the fields is all there is to it.
+    FOUND = "found"
+    """Just connected: what torque the servos have is still to be taken over."""
+    OFF = "off"
 
-        Raises:
-            TypeError: there is no such field.
-        """
-        fields = state.__dict__
-        if not changes.keys() <= fields.keys():
-            raise TypeError(f"{type(state).__name__} has no {', '.join(sorted(changes.keys() - fields.keys()))}")
-        other = object.__new__(type(state))
-        other.__dict__.update(fields, **changes)
-        return other
+    PREPARING = "preparing"
+    """Settings, a soft torque limit and the present position as goal are written; to be read back."""
+    ENABLING = "enabling"
+    """Torque is enabled; every servo has to show it."""
+    RAMPING = "ramping"
+    """The torque limit rises from soft to full."""
+    CONFIRMING = "confirming"
+    """Every servo has to show its full torque limit."""
+
+    HOLDING = "holding"
+    MOVING = "moving"
+    JOGGING = "jogging"
+
+    PARK_STARTING = "park_starting"
+    PARK_GOING = "park_going"
+    PARK_CHECKING = "park_checking"
+    """The rest pose has to be seen before torque goes."""
+    PARK_ENDING = "park_ending"
+    """It was broken off; the arm slows down."""
+
+    LETTING_GO = "letting_go"
+    """Torque is switched off for teaching; every servo has to show it."""
+    TEACHING = "teaching"
+
+    FAULTED = "faulted"
+    FAULT_STOPPING = "fault_stopping"
+    """Whatever moves comes to rest, before the arm sets off for its rest pose."""
+    FAULT_GOING = "fault_going"
+    FAULT_CHECKING = "fault_checking"
 
 
 class Trigger(StrEnum):
-    """What moves the machine."""
+    """What moves the machine: requests first, then what the servos show, then faults."""
 
-    ADOPT_POWERED = "adopt_powered"
     TORQUE_ON = "torque_on"
-    ENERGISED = "energised"
-    ENERGISE_FAILED = "energise_failed"
     RUN = "run"
     JOG = "jog"
-    STOPPED = "stopped"
     PARK = "park"
-    PARKED = "parked"
     RELEASE = "release"
     TEACH = "teach"
     TEACH_END = "teach_end"
-    FAULT = "fault"
     CLEAR_LIMP = "clear_limp"
     CLEAR_POWERED = "clear_powered"
 
+    ADOPT_LIMP = "adopt_limp"
+    ADOPT_POWERED = "adopt_powered"
+    SHAFT_MOVED = "shaft_moved"
+    SETTINGS_SEEN = "settings_seen"
+    TORQUE_SEEN = "torque_seen"
+    RAMPED = "ramped"
+    ENERGISED = "energised"
+    ENERGISE_FAILED = "energise_failed"
+    LIMP_SEEN = "limp_seen"
+    STOPPED = "stopped"
+    SET_OFF = "set_off"
+    ARRIVED = "arrived"
+    PARKED = "parked"
+    GIVE_UP = "give_up"
 
-TRANSITIONS = MappingProxyType(
-    {
-        (Mode.OFF, Trigger.ADOPT_POWERED): Mode.HOLDING,
-        (Mode.OFF, Trigger.TORQUE_ON): Mode.ENERGISING,
-        (Mode.OFF, Trigger.RELEASE): Mode.OFF,
-        (Mode.OFF, Trigger.TEACH): Mode.TEACHING,
-        (Mode.OFF, Trigger.FAULT): Mode.FAULTED,
-        (Mode.ENERGISING, Trigger.ENERGISED): Mode.HOLDING,
-        (Mode.ENERGISING, Trigger.ENERGISE_FAILED): Mode.OFF,
-        (Mode.ENERGISING, Trigger.RELEASE): Mode.OFF,
-        (Mode.ENERGISING, Trigger.FAULT): Mode.FAULTED,
-        (Mode.HOLDING, Trigger.RUN): Mode.MOVING,
-        (Mode.HOLDING, Trigger.RELEASE): Mode.OFF,
-        (Mode.HOLDING, Trigger.TEACH): Mode.TEACHING,
-        (Mode.HOLDING, Trigger.FAULT): Mode.FAULTED,
-        (Mode.MOVING, Trigger.STOPPED): Mode.HOLDING,
-        (Mode.MOVING, Trigger.FAULT): Mode.FAULTED,
-        (Mode.HOLDING, Trigger.JOG): Mode.JOGGING,
-        (Mode.JOGGING, Trigger.STOPPED): Mode.HOLDING,
-        (Mode.JOGGING, Trigger.FAULT): Mode.FAULTED,
-        (Mode.HOLDING, Trigger.PARK): Mode.PARKING,
-        (Mode.PARKING, Trigger.PARKED): Mode.OFF,
-        (Mode.PARKING, Trigger.STOPPED): Mode.HOLDING,
-        (Mode.PARKING, Trigger.FAULT): Mode.FAULTED,
-        (Mode.TEACHING, Trigger.TEACH_END): Mode.OFF,
-        (Mode.TEACHING, Trigger.RELEASE): Mode.OFF,
-        (Mode.TEACHING, Trigger.FAULT): Mode.FAULTED,
-        (Mode.FAULTED, Trigger.RELEASE): Mode.FAULTED,
-        (Mode.FAULTED, Trigger.CLEAR_LIMP): Mode.OFF,
-        (Mode.FAULTED, Trigger.CLEAR_POWERED): Mode.HOLDING,
-    }
-)
+    FAULT = "fault"
+    STRAIN = "strain"
+    """A fault that would soon end in a dropped arm."""
+
+
+P, T = Phase, Trigger
+_FAULT = {T.FAULT: P.FAULTED}
+_STRAIN = _FAULT | {T.STRAIN: P.FAULT_STOPPING}
+"""Only an arm under torque can be on its way to being dropped."""
+_COMING_ON = _FAULT | {T.ENERGISE_FAILED: P.OFF, T.RELEASE: P.OFF}
+_PARKING = _STRAIN | {T.GIVE_UP: P.PARK_ENDING}
+_LATCHED = {T.RELEASE: P.FAULTED}
+_TO_REST = _LATCHED | {T.GIVE_UP: P.FAULTED}
+
+# fmt: off
+TRANSITIONS: Mapping[Phase, Mapping[Trigger, Phase]] = MappingProxyType({
+    P.FOUND:     {T.ADOPT_LIMP: P.OFF, T.ADOPT_POWERED: P.HOLDING,
+                  T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _FAULT,
+    P.OFF:       {T.TORQUE_ON: P.PREPARING, T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _FAULT,
+
+    P.PREPARING:  {T.SETTINGS_SEEN: P.ENABLING, T.SHAFT_MOVED: P.PREPARING} | _COMING_ON,
+    P.ENABLING:   {T.TORQUE_SEEN: P.RAMPING} | _COMING_ON,
+    P.RAMPING:    {T.RAMPED: P.CONFIRMING} | _COMING_ON,
+    P.CONFIRMING: {T.ENERGISED: P.HOLDING} | _COMING_ON,
+
+    P.HOLDING: {T.RUN: P.MOVING, T.JOG: P.JOGGING, T.PARK: P.PARK_STARTING,
+                T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _STRAIN,
+    P.MOVING:  {T.STOPPED: P.HOLDING} | _STRAIN,
+    P.JOGGING: {T.STOPPED: P.HOLDING} | _STRAIN,
+
+    P.PARK_STARTING: {T.SET_OFF: P.PARK_GOING} | _PARKING,
+    P.PARK_GOING:    {T.ARRIVED: P.PARK_CHECKING} | _PARKING,
+    P.PARK_CHECKING: {T.PARKED: P.OFF} | _PARKING,
+    P.PARK_ENDING:   {T.STOPPED: P.HOLDING} | _STRAIN,
+
+    P.LETTING_GO: {T.LIMP_SEEN: P.TEACHING, T.TEACH_END: P.OFF, T.RELEASE: P.OFF} | _FAULT,
+    P.TEACHING:   {T.TEACH_END: P.OFF, T.RELEASE: P.OFF} | _FAULT,
+
+    P.FAULTED:        {T.CLEAR_LIMP: P.OFF, T.CLEAR_POWERED: P.HOLDING} | _LATCHED,
+    P.FAULT_STOPPING: {T.SET_OFF: P.FAULT_GOING} | _TO_REST,
+    P.FAULT_GOING:    {T.ARRIVED: P.FAULT_CHECKING} | _TO_REST,
+    P.FAULT_CHECKING: {T.PARKED: P.FAULTED} | _TO_REST,
+})
+# fmt: on
+
+_SHOWN: dict[Mode, tuple[Phase, ...]] = {
+    Mode.OFF: (P.FOUND, P.OFF),
+    Mode.ENERGISING: (P.PREPARING, P.ENABLING, P.RAMPING, P.CONFIRMING),
+    Mode.HOLDING: (P.HOLDING,),
+    Mode.MOVING: (P.MOVING,),
+    Mode.JOGGING: (P.JOGGING,),
+    Mode.PARKING: (P.PARK_STARTING, P.PARK_GOING, P.PARK_CHECKING, P.PARK_ENDING),
+    Mode.TEACHING: (P.LETTING_GO, P.TEACHING),
+    Mode.FAULTED: (P.FAULTED, P.FAULT_STOPPING, P.FAULT_GOING, P.FAULT_CHECKING),
+}
+MODE: Mapping[Phase, Mode] = {phase: mode for mode, phases in _SHOWN.items() for phase in phases}
+"""What the outside sees of each phase."""
+
+ENERGISING = frozenset(_SHOWN[Mode.ENERGISING])
+POWERED = frozenset(phase for mode in (Mode.HOLDING, Mode.MOVING, Mode.JOGGING, Mode.PARKING) for phase in _SHOWN[mode])
+"""Every servo has torque and is watched for losing it."""
+LATCHED = frozenset(_SHOWN[Mode.FAULTED])
+TO_REST = frozenset(phase for phase, row in TRANSITIONS.items() if T.GIVE_UP in row)
+"""On the way to rest."""
 
 _ADVICE: dict[Mode, str] = {
     Mode.OFF: "the arm is limp; `armctl torque on` first",
@@ -108,7 +173,25 @@ _ADVICE: dict[Mode, str] = {
 }
 
 
-@dataclass(frozen=True)
+def target(phase: Phase, trigger: Trigger) -> Phase:
+    """The phase that `trigger` leads to.
+
+    Raises:
+        IllegalTransition: it has no entry in the row of this phase; says why in the user's words.
+    """
+    found = TRANSITIONS[phase].get(trigger)
+    if found is None:
+        raise IllegalTransition(f"{trigger.value.replace('_', ' ')} is not possible now: {_ADVICE[MODE[phase]]}")
+    return found
+
+
+# ------------------------------------------------------------------------------------------------- memory
+#
+# Not frozen: a step copies what it is given once, works on the copy, and returns it (see step.py). Every field but
+# `State.motion` and `State.jog` is a value that cannot change, so a copy of these three objects is a copy of all.
+
+
+@dataclass
 class Motion:
     """A trajectory under way."""
 
@@ -130,7 +213,7 @@ class Motion:
     ended: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass
 class Jogging:
     """A jog under way."""
 
@@ -149,30 +232,17 @@ class Jogging:
     """Why it is being stopped; empty while it goes on."""
 
 
-class Settle(StrEnum):
-    """How far the way to rest has come."""
-
-    NO = "no"
-    STOP = "stop"
-    """Whatever moves comes to rest first."""
-    MOVE = "move"
-    VERIFY = "verify"
-    """The rest pose has to be seen before torque goes."""
-
-
-@dataclass(frozen=True)
+@dataclass
 class State:
     """Everything the control step remembers from one tick to the next; plain values only."""
 
-    mode: Mode = Mode.OFF
+    phase: Phase = Phase.FOUND
+    ticks: int = 0
+    """Spent in the present phase: for time-outs, and for how far the torque limit has risen."""
     connected: bool = False
     """Whether the servos of the open port have been identified."""
-    adopted: bool = False
-    """Whether the torque found at connection has been taken over."""
     problems: tuple[Problem, ...] = ()
     fault: Fault | None = None
-    phase: int = 0
-    """Ticks spent in the present mode; the sequence counter of `energising` and `teaching`."""
     request_id: int | None = None
     """Whose reply is due when the present sequence ends."""
     hold_request_ids: tuple[int, ...] = ()
@@ -186,29 +256,29 @@ class State:
     goal_ns: int = 0
     """When that was."""
     settings: tuple[int, ...] = ()
-    """Of each servo the registers that only torque-on writes (see tick.py), as they were when torque was taken over."""
+    """Of each servo the registers that only torque-on writes (see ax12a.py), from when torque was taken over."""
     anchor: tuple[int, ...] | None = None
     """Positions [tick] when energising began."""
     motion: Motion | None = None
     jog: Jogging | None = None
-    settle: Settle = Settle.NO
     error_since_ns: tuple[int, ...] = ()
-    """Since when each joint has been farther from its goal than allowed; 0: it is not."""
+    """Since when each joint has been farther from its goal than allowed; 0: it is not; empty: not looked at yet."""
     load_since_ns: tuple[int, ...] = ()
-    """Since when each servo's load has been above what it can bear; 0: it is not."""
+    """Since when each servo's load has been above what it can bear; 0: it is not; empty: not looked at yet."""
     noise: tuple[int, ...] = ()
     """Readings lost to noise in each of the latest ticks."""
     last_ticks: tuple[int, ...] = ()
     """Positions of the previous sample [tick]."""
 
+    @property
+    def mode(self) -> Mode:
+        """What the outside sees of it."""
+        return MODE[self.phase]
 
-def transition(state: State, trigger: Trigger) -> State:
-    """The state after `trigger`.
+    def go(self, trigger: Trigger) -> None:
+        """Change the phase.
 
-    Raises:
-        IllegalTransition: the trigger has no row in this mode; says why in the user's words.
-    """
-    target = TRANSITIONS.get((state.mode, trigger))
-    if target is None:
-        raise IllegalTransition(f"{trigger.value.replace('_', ' ')} is not possible now: {_ADVICE[state.mode]}")
-    return replace(state, mode=target, phase=0)
+        Raises:
+            IllegalTransition: see `target`; nothing has changed.
+        """
+        self.phase, self.ticks = target(self.phase, trigger), 0

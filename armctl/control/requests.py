@@ -1,27 +1,21 @@
-"""What clients ask for, and the loop itself: carried out, or refused with the reason and nothing changed."""
+"""What clients ask for, and the loop itself: carried out, or refused with the reason and nothing changed.
+
+Every request is checked before its first change, so that a refusal has nothing to take back.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 from armctl.config import ArmConfig
 from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
-from armctl.control.machine import Motion, Settle, Trigger, replace
-from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS, abandon_settling
-from armctl.control.tick import (
-    Tick,
-    end_sequence,
-    finish_jog,
-    finish_motion,
-    latch,
-    send_goal,
-    stop_motion,
-    take_over,
-    torque_off,
-    weak_joints,
-)
+from armctl.control.faults import Cause
+from armctl.control.machine import LATCHED, TO_REST, Motion, Phase, Trigger, target
+from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS, give_up_rest
+from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.messages import (
@@ -43,7 +37,6 @@ from armctl.messages import (
     Teach,
     TeachEnd,
     TorqueOn,
-    Write,
 )
 
 START_TOLERANCE_RAD = math.radians(2.0)
@@ -57,111 +50,121 @@ MAX_GRIP_RATIO = 0.5
 
 def carry_out(s: Tick, command: Command) -> None:
     """Carry out one command, or refuse it and change nothing."""
-    before = s.state
-    kept = len(s.writes), len(s.events), len(s.replies), s.goal
     try:
-        match command:
-            case Connected():
-                _connected(s, command)
-            case HostLost():
-                # As if this process had died with it: no goal after the last, which is one tick ahead at most.
-                if s.state.motion is not None:
-                    finish_motion(s, "HOST_LOST", "")
-                if s.state.jog is not None:
-                    finish_jog(s, "HOST_LOST")
-            case Hold(request_id):
-                _hold(s, request_id)
-            case TorqueOn(request_id):
-                _torque_on(s, request_id)
-            case Release(request_id):
-                s.go(Trigger.RELEASE)
-                if s.state.motion is not None:
-                    finish_motion(s, "RELEASED", "")
-                end_sequence(s, "RELEASED")
-                s.state = replace(s.state, settle=Settle.NO, adopted=True)
-                torque_off(s)
-                s.reply(request_id, True)
-            case Teach(request_id):
-                s.go(Trigger.TEACH)
-                torque_off(s)
-                # Whatever torque there was is not to be taken over any more.
-                s.state = replace(s.state, request_id=request_id, adopted=True)
-            case TeachEnd(request_id):
-                s.go(Trigger.TEACH_END)
-                end_sequence(s, "TEACH_ENDED")
-                s.reply(request_id, True)
-            case Run(request_id, trajectory):
-                _run(s, request_id, trajectory)
-            case Pause(request_id):
-                _change_run(s, "pause", paused=True)
-                s.reply(request_id, True)
-            case Resume(request_id):
-                _change_run(s, "resume", paused=False)
-                s.reply(request_id, True)
-            case SetRate(request_id, rate):
-                if not MINIMUM_RATE <= rate <= 1.0:
-                    raise RequestRefused("LIMIT", f"rate {rate:g} lies outside {MINIMUM_RATE:g} to 1")
-                _change_run(s, "rate", wanted_rate=rate)
-                s.reply(request_id, True)
-            case Jog(request_id):
-                (jog.begin if command.begin else jog.heartbeat)(s, command)
-                s.reply(request_id, True)
-            case Park(request_id):
-                s.go(Trigger.PARK)
-                s.state = replace(s.state, request_id=request_id, settle=Settle.STOP)
-            case Clear(request_id):
-                _clear(s, request_id)
+        answer = _carry_out(s, command)
     except RequestRefused as refusal:
-        s.state = before
-        del s.writes[kept[0] :], s.events[kept[1] :], s.replies[kept[2] :]
-        s.goal = kept[3]
         s.reply(getattr(command, "request_id", None), False, refusal.code, str(refusal))
+    else:
+        if answer is not None:
+            s.reply(getattr(command, "request_id", None), True, message=answer)
+
+
+def _carry_out(s: Tick, command: Command) -> str | None:
+    """What there is to say about a command that is done; None: its reply comes later, or nobody waits for one.
+
+    Raises:
+        RequestRefused: it is not to be carried out; nothing has changed.
+    """
+    state = s.state
+    match command:
+        case Connected():
+            _connected(s, command)
+            return None
+        case HostLost():
+            # As if this process had died with it: no goal after the last, which is one tick ahead at most.
+            if state.motion is not None:
+                s.finish_motion("HOST_LOST", "")
+            if state.jog is not None:
+                s.finish_jog("HOST_LOST")
+            return None
+        case Hold(request_id):
+            return _hold(s, request_id)
+        case TorqueOn(request_id):
+            _torque_on(s, request_id)
+            return None
+        case Release():
+            s.go(Trigger.RELEASE)
+            if state.motion is not None:
+                s.finish_motion("RELEASED", "")
+            s.end_sequence("RELEASED")
+            s.torque_off()
+        case Teach(request_id):
+            s.go(Trigger.TEACH)
+            s.torque_off()
+            state.request_id = request_id
+            return None
+        case TeachEnd():
+            s.go(Trigger.TEACH_END)
+            s.end_sequence("TEACH_ENDED")
+        case Run(request_id, trajectory):
+            _run(s, request_id, trajectory)
+            return None
+        case Pause():
+            _under_way(s, "pause").paused = True
+        case Resume():
+            _under_way(s, "resume").paused = False
+        case SetRate(_, rate):
+            if not MINIMUM_RATE <= rate <= 1.0:
+                raise RequestRefused("LIMIT", f"rate {rate:g} lies outside {MINIMUM_RATE:g} to 1")
+            _under_way(s, "rate").wanted_rate = rate
+        case Jog():
+            (jog.begin if command.begin else jog.heartbeat)(s, command)
+        case Park(request_id):
+            s.go(Trigger.PARK)
+            state.request_id = request_id
+            return None
+        case Clear():
+            return _clear(s)
+    return ""
 
 
 def _connected(s: Tick, command: Connected) -> None:
-    text = "every servo answers as the calibration says"
-    if s.state.fault is not None and s.state.fault.code == "PORT_GONE" and not s.state.connected:
+    state = s.state
+    if state.fault is not None and state.fault.code == "PORT_GONE" and not state.connected:
         s.events.append(Event("warning", "PORT_BACK", "the port is back; the fault stays until `armctl clear`"))
     if command.restarted:
         s.events.append(Event("warning", "RESTARTED", "the control process was restarted; the arm is taken as found"))
-    s.state = replace(s.state, connected=True, adopted=s.state.fault is not None, problems=command.problems)
-    if command.problems and s.state.mode is not Mode.FAULTED:
+    state.connected, state.problems = True, command.problems
+    if not command.problems:
+        s.events.append(Event("info", "CONNECTED", "every servo answers as the calibration says"))
+    elif state.phase not in LATCHED:
         first = command.problems[0]
-        text = "; ".join(problem.text for problem in command.problems)
-        latch(s, first.code, text, first.servo_id)
-    elif not command.problems:
-        s.events.append(Event("info", "CONNECTED", text))
+        s.latch(first.code, "; ".join(problem.text for problem in command.problems), first.servo_id)
 
 
-def _hold(s: Tick, request_id: int) -> None:
-    if s.state.settle is not Settle.NO:
-        abandon_settling(s, "STOPPED", "it was stopped")
-    if s.state.motion is not None or s.state.jog is not None:
-        stop_motion(s, "STOPPED")
-        s.state = replace(s.state, hold_request_ids=(*s.state.hold_request_ids, request_id))
-        return
-    limp = s.state.mode in (Mode.OFF, Mode.TEACHING)
-    s.reply(request_id, True, message="the arm is limp; there is nothing to hold" if limp else "")
+def _hold(s: Tick, request_id: int) -> str | None:
+    state = s.state
+    if state.phase in TO_REST:
+        give_up_rest(s, "STOPPED", "it was stopped")
+    if state.motion is not None or state.jog is not None:
+        s.stop_motion("STOPPED")
+        state.hold_request_ids = (*state.hold_request_ids, request_id)
+        return None
+    return "the arm is limp; there is nothing to hold" if state.mode in (Mode.OFF, Mode.TEACHING) else ""
 
 
 def _torque_on(s: Tick, request_id: int) -> None:
-    s.go(Trigger.TORQUE_ON)
-    if not s.state.adopted or not s.fresh or len(s.state.last_ticks) != len(s.joints):
+    state = s.state
+    found = state.phase is Phase.FOUND  # its servos are not taken over yet, because not all of them were heard
+    if not found:
+        target(state.phase, Trigger.TORQUE_ON)
+    if found or not s.fresh or len(state.last_ticks) != len(s.joints):
         raise RequestRefused("NO_REPLY", "not every servo answered just now; see `armctl status`")
     ticks = []
-    for joint, registers, last in zip(s.arm.joints, s.registers, s.state.last_ticks, strict=True):
-        assert registers is not None
-        if abs(registers.position - last) > STILL_TICKS:
+    for joint, servo, last in zip(s.arm.joints, s.servos, state.last_ticks, strict=True):
+        assert servo is not None
+        if abs(servo.position - last) > STILL_TICKS:
             raise RequestRefused("JUMP_REFUSED", f"joint {joint.name} is moving; hold the arm still")
         low, high = joint.limits_tick
-        if not low - EDGE_TICKS <= registers.position <= high + EDGE_TICKS:
-            found = math.degrees(joint.position_rad(registers.position))
+        if not low - EDGE_TICKS <= servo.position <= high + EDGE_TICKS:
+            position_deg = math.degrees(joint.position_rad(servo.position))
             raise RequestRefused(
                 "LIMIT",
-                f"joint {joint.name} is at {found:.1f} deg, outside {joint.limits_deg[0]:g} to "
+                f"joint {joint.name} is at {position_deg:.1f} deg, outside {joint.limits_deg[0]:g} to "
                 f"{joint.limits_deg[1]:g}; move it inside by hand",
             )
-        ticks.append(min(max(registers.position, low), high))
+        ticks.append(min(max(servo.position, low), high))
+    s.go(Trigger.TORQUE_ON)
     for joint, reading in zip(s.arm.joints, s.inputs.sample.servos, strict=True):
         compliance = joint.compliance
         for register, value in (
@@ -173,13 +176,13 @@ def _torque_on(s: Tick, request_id: int) -> None:
             (ax12a.TORQUE_LIMIT, SOFT_TORQUE),
         ):
             if ax12a.register_value(register, reading.registers) != value:
-                s.writes.append(Write(joint.servo_id, register.address, register.size, value))
-    send_goal(s, ticks)
-    s.state = replace(s.state, request_id=request_id, anchor=tuple(ticks))
+                s.write(joint.servo_id, register, value)
+    s.send_goal(ticks)
+    state.request_id, state.anchor = request_id, tuple(ticks)
 
 
 def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
-    s.go(Trigger.RUN)
+    target(s.state.phase, Trigger.RUN)
     _check_trajectory(trajectory, s.arm)
     assert s.state.goal is not None
     for joint, tick, start in zip(s.arm.joints, s.state.goal, trajectory.positions_rad[0], strict=True):
@@ -189,15 +192,21 @@ def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
                 "START_MISMATCH",
                 f"joint {joint.name}: the motion starts {math.degrees(away):.1f} deg from where the arm is (bound 2)",
             )
-    s.state = replace(s.state, motion=Motion(trajectory, request_id))
+    s.go(Trigger.RUN)
+    s.state.motion = Motion(trajectory, request_id)
     s.events.append(Event("info", "RUN_ACCEPTED", f"{trajectory.label} ({trajectory.duration_s:.1f} s)"))
 
 
-def _change_run(s: Tick, what: str, **changes: float | bool) -> None:
+def _under_way(s: Tick, what: str) -> Motion:
+    """The run that a request is to change.
+
+    Raises:
+        IllegalTransition: there is none, or it is being stopped.
+    """
     motion = s.state.motion
-    if s.state.mode is not Mode.MOVING or motion is None or motion.stop_code:
+    if s.state.phase is not Phase.MOVING or motion is None or motion.stop_code:
         raise IllegalTransition(f"{what}: no run is under way")
-    s.state = replace(s.state, motion=replace(motion, **changes))  # type: ignore[arg-type]  # by name, from above
+    return motion
 
 
 def _check_trajectory(trajectory: JointTrajectory, arm: ArmConfig) -> None:
@@ -240,44 +249,84 @@ def _check_trajectory(trajectory: JointTrajectory, arm: ArmConfig) -> None:
             )
 
 
-def _clear(s: Tick, request_id: int) -> None:
-    if s.state.fault is None:
-        s.reply(request_id, True, message="no fault is latched")
-        return
-    if s.state.motion is not None or s.state.settle is not Settle.NO:
+# ------------------------------------------------------------------------------------------- clearing a fault
+
+
+def _clear(s: Tick) -> str:
+    state = s.state
+    if state.fault is None:
+        return "no fault is latched"
+    if state.motion is not None or state.phase in TO_REST:
         raise RequestRefused("NOT_CLEARED", "the arm is still coming to rest; try again")
     causes = persisting_causes(s)
     if causes:
-        raise RequestRefused("NOT_CLEARED", f"the cause of {s.state.fault.code} persists: {'; '.join(causes)}")
-    powered = [registers is not None and registers.torque_enabled for registers in s.registers]
-    s.go(Trigger.CLEAR_POWERED if all(powered) else Trigger.CLEAR_LIMP)
-    s.state = replace(s.state, fault=None, adopted=True)
-    if all(powered):
-        take_over(s)
-    s.reply(request_id, True)
+        raise RequestRefused("NOT_CLEARED", f"the cause of {state.fault.code} persists: {'; '.join(causes)}")
+    powered = all(servo and servo.torque_enabled for servo in s.servos)
+    s.go(Trigger.CLEAR_POWERED if powered else Trigger.CLEAR_LIMP)
+    state.fault = None
+    if powered:
+        s.take_over()
+    return ""
 
 
 def persisting_causes(s: Tick) -> list[str]:
     """Why the latched fault cannot be cleared now, each with what to do about it; empty if it can."""
-    if not s.inputs.sample.port_open or not s.state.connected:
-        return ["the serial port is not open; plug the adapter in"]
-    causes = [problem.text for problem in s.state.problems]
-    named = list(zip(s.arm.joints, s.joints, s.registers, strict=True))
-    # By age: one reply that was lost just now says nothing about a servo that answers.
-    silent = [joint.name for joint, now, _ in named if not now.known or now.age_s > PAUSE_AGE_S]
-    if silent:
-        return [*causes, f"no reply from {', '.join(silent)}; check the cable and the supply"]
-    limit_degC = s.arm.temperature_limit_degC
-    if hot := [joint.name for joint, now, _ in named if now.temperature_degC >= limit_degC]:
-        causes.append(f"{', '.join(hot)} above {limit_degC:g} degC; let it cool")
-    low_V, high_V = s.arm.voltage_V
-    if wrong := [f"{now.voltage_V:.1f} V" for _, now, _ in named if not low_V <= now.voltage_V <= high_V]:
-        causes.append(f"the supply gives {wrong[0]}, outside {low_V:g} to {high_V:g} V; check the power supply")
-    on = [bool(registers and registers.torque_enabled) for _, _, registers in named]
-    limp = [joint.name for joint, _, registers in named if not (registers and registers.torque_limit)]
-    limp = limp or [joint.name for (joint, _, _), torque in zip(named, on, strict=True) if not torque]
-    if any(on) and limp:
-        causes.append(f"{', '.join(limp)} limp while others hold; support the arm and type `armctl release`")
-    elif weak := ", ".join(s.arm.joint_names[i] for i in weak_joints(s)):
-        causes.append(f"{weak} without full torque; support the arm and type `armctl release`")
+    causes = []
+    for cause, look in CAUSES.items():
+        if text := look(s):
+            causes.append(text)
+            if cause in (Cause.PORT, Cause.SILENCE):
+                break  # what the servos said long ago tells nothing about now
     return causes
+
+
+def _port(s: Tick) -> str:
+    there = s.inputs.sample.port_open and s.state.connected
+    return "" if there else "the serial port is not open; plug the adapter in"
+
+
+def _problems(s: Tick) -> str:
+    return "; ".join(problem.text for problem in s.state.problems)
+
+
+def _silence(s: Tick) -> str:
+    # By age: one reply that was lost just now says nothing about a servo that answers.
+    silent = _names(s, [not now.known or now.age_s > PAUSE_AGE_S for now in s.joints])
+    return silent and f"no reply from {silent}; check the cable and the supply"
+
+
+def _heat(s: Tick) -> str:
+    limit_degC = s.arm.temperature_limit_degC
+    hot = _names(s, [now.temperature_degC >= limit_degC for now in s.joints])
+    return hot and f"{hot} above {limit_degC:g} degC; let it cool"
+
+
+def _supply(s: Tick) -> str:
+    low_V, high_V = s.arm.voltage_V
+    wrong = [f"{now.voltage_V:.1f} V" for now in s.joints if not low_V <= now.voltage_V <= high_V]
+    return f"the supply gives {wrong[0]}, outside {low_V:g} to {high_V:g} V; check the power supply" if wrong else ""
+
+
+def _torque(s: Tick) -> str:
+    on = [bool(servo and servo.torque_enabled) for servo in s.servos]
+    limp = _names(s, [not (servo and servo.torque_limit) for servo in s.servos])
+    limp = limp or _names(s, [not torque for torque in on])
+    if any(on) and limp:
+        return f"{limp} limp while others hold; support the arm and type `armctl release`"
+    weak = ", ".join(s.arm.joint_names[i] for i in s.weak_joints())
+    return weak and f"{weak} without full torque; support the arm and type `armctl release`"
+
+
+def _names(s: Tick, which: Sequence[bool]) -> str:
+    return ", ".join(name for name, named in zip(s.arm.joint_names, which, strict=True) if named)
+
+
+CAUSES: dict[Cause, Callable[[Tick], str]] = {
+    Cause.PORT: _port,
+    Cause.PROBLEM: _problems,
+    Cause.SILENCE: _silence,
+    Cause.HEAT: _heat,
+    Cause.SUPPLY: _supply,
+    Cause.TORQUE: _torque,
+}
+"""What is looked at before a fault is cleared, in this order; each says what persists, or nothing."""

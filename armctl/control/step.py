@@ -11,102 +11,130 @@ Rules.
 5. A fault latches. While it is latched nothing advances, save the deceleration of rule 3 and, for a fault that
    would soon end in a dropped arm, the slow way to rest.
 6. What the servos report, not what was written, decides whether a sequence goes on.
+7. The state that is given in is never changed. The step copies it once, works on the copy, and returns that.
 """
 
 from __future__ import annotations
 
 from armctl.config import ArmConfig
 from armctl.control.detect import detect_faults
-from armctl.control.machine import State, replace
+from armctl.control.jog import advance_jog
+from armctl.control.machine import ENERGISING, MODE, TO_REST, Jogging, Motion, Phase, State
+from armctl.control.motion import duration_s, move
 from armctl.control.requests import carry_out
-from armctl.control.sequences import adopt, advance
-from armctl.control.tick import Registers, Tick, decode
-from armctl.dynamixel.ax12a import load_ratio, speed_rad_s
+from armctl.control.sequences import adopt, energise, go_to_rest, verify_limp
+from armctl.control.tick import Tick, WireJoint, wire_joints
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import Status
 from armctl.kinematics.chain import tool_pose
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import quaternion_from_columns
-from armctl.messages import Inputs, JointState, Outputs, ToolPose
+from armctl.messages import Event, Inputs, JointState, Outputs, ToolPose
+
+LATE_NS = 250_000_000
+"""A tick that comes later than this stops the motion: the servos have stood at their last goal meanwhile."""
 
 
 def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: float) -> tuple[State, Outputs]:
     """The next state and everything the arm is to be told.
 
     Args:
-        state: What the last step remembered; `State()` at first.
+        state: What the last step remembered; `State()` at first. It stays as it is.
         inputs: This tick's sample and commands; `sample.servos` in the order of `arm.joints`.
         period_s: Time between ticks.
     """
-    servos = inputs.sample.servos
-    registers = tuple([decode(reading.registers) for reading in servos])
+    readings = inputs.sample.servos
+    servos = ax12a.decode_all([reading.registers for reading in readings])
+    state, wire = _own(state), wire_joints(arm)
     s = Tick(
-        state=replace(state, phase=state.phase + 1),
+        state=state,
         inputs=inputs,
         arm=arm,
+        wire=wire,
         robot=robot,
         period_s=period_s,
-        joints=_joint_states(inputs, registers, arm),
-        registers=registers,
-        fresh=all(reading.fresh for reading in servos),
+        joints=_joint_states(inputs, servos, wire),
+        servos=servos,
+        fresh=all(reading.fresh for reading in readings),
     )
+    state.ticks += 1
     detect_faults(s)
     for command in inputs.commands:
         carry_out(s, command)
-    adopt(s)
-    advance(s)
-    positions = tuple([r.position for r in registers if r is not None])
-    last_ticks = positions if len(positions) == len(arm.joints) else ()
-    if s.goal is None:
-        s.state = replace(s.state, last_ticks=last_ticks)
-    else:
-        s.state = replace(
-            s.state,
-            last_ticks=last_ticks,
-            previous_goal=s.state.goal,
-            goal=s.goal.ticks,
-            ramp=s.ramp,
-            goal_ns=inputs.now_ns,
-        )
-    motion = s.state.motion
-    return s.state, Outputs(
-        mode=s.state.mode,
-        fault=s.state.fault,
+    if state.phase is Phase.FOUND:
+        adopt(s)
+    _advance(s)
+    state.last_ticks = () if None in servos else tuple([servo.position for servo in servos if servo])
+    if s.goal is not None:
+        state.previous_goal, state.goal = state.goal, s.goal.ticks
+        state.ramp, state.goal_ns = s.ramp, inputs.now_ns
+    motion = state.motion
+    return state, Outputs(
+        mode=MODE[state.phase],
+        fault=state.fault,
         joints=s.joints,
         tool=_tool_pose(s.joints, robot),
         writes=tuple(s.writes),
         goal=s.goal,
         replies=tuple(s.replies),
         events=tuple(s.events),
-        progress=None if motion is None else motion.progress_s / max(motion.trajectory.duration_s, 1e-9),
+        progress=None if motion is None else motion.progress_s / max(duration_s(motion.trajectory), 1e-9),
         rate=None if motion is None else 0.0 if motion.paused else motion.wanted_rate,
     )
 
 
-def _joint_states(inputs: Inputs, registers: tuple[Registers | None, ...], arm: ArmConfig) -> tuple[JointState, ...]:
+def _own(state: State) -> State:
+    """A copy that the step may change: of the state and of the two objects in it that can change."""
+    own = State(**vars(state))
+    if own.motion is not None:
+        own.motion = Motion(**vars(own.motion))
+    if own.jog is not None:
+        own.jog = Jogging(**vars(own.jog))
+    return own
+
+
+def _advance(s: Tick) -> None:
+    """Whatever is under way goes on by a tick."""
+    if s.state.phase in ENERGISING:
+        energise(s)
+    elif s.state.phase is Phase.LETTING_GO:
+        verify_limp(s)
+    if s.inputs.late_ns > LATE_NS:
+        s.events.append(Event("warning", "LATE", f"a tick came {s.inputs.late_ns / 1e6:.0f} ms late (bound 250)"))
+        s.stop_motion("LATE")
+    if s.state.phase in TO_REST:
+        go_to_rest(s)
+    if s.state.motion is not None:
+        move(s, s.state.motion)
+    if s.state.jog is not None:
+        advance_jog(s, s.state.jog)
+
+
+def _joint_states(
+    inputs: Inputs, servos: tuple[Status | None, ...], wire: tuple[WireJoint, ...]
+) -> tuple[JointState, ...]:
+    """Every joint in SI: the servo's numbers, turned where the servo is mounted the other way round."""
     now_ns = inputs.now_ns
-    states: list[JointState] = []
-    for reading, r, joint in zip(inputs.sample.servos, registers, arm.joints, strict=True):
-        if r is None:
-            states.append(JointState(False, 0.0, 0.0, 0.0, 0.0, 0.0, False, now_ns / 1e9))
-            continue
-        direction = joint.direction
-        states.append(
-            JointState(
-                True,
-                joint.position_rad(r.position),
-                direction * speed_rad_s(r.speed),
-                direction * load_ratio(r.load),
-                r.voltage / 10.0,
-                float(r.temperature),
-                r.torque_enabled != 0,
-                (now_ns - reading.stamp_ns) / 1e9,
-            )
+    return tuple([
+        JointState(False, 0.0, 0.0, 0.0, 0.0, 0.0, False, now_ns / 1e9)
+        if servo is None
+        else JointState(
+            True,
+            joint.direction * (servo.position - joint.zero_tick) * ax12a.TICK_RAD,
+            joint.direction * servo.speed_rad_s,
+            joint.direction * servo.load_ratio,
+            servo.voltage_V,
+            servo.temperature_degC,
+            servo.torque_enabled != 0,
+            (now_ns - reading.stamp_ns) / 1e9,
         )
-    return tuple(states)
+        for reading, servo, joint in zip(inputs.sample.servos, servos, wire, strict=True)
+    ])  # fmt: skip
 
 
 def _tool_pose(joints: tuple[JointState, ...], robot: Robot) -> ToolPose | None:
     if not all(joint.known for joint in joints):
         return None
-    chain = robot.chain
-    X, Y, Z, P = tool_pose(chain, [joint.position_rad for joint in joints[: chain.n]])
+    q = [joint.position_rad for joint in joints]
+    X, Y, Z, P = tool_pose(robot.chain, q[: robot.chain.n])
     return ToolPose(P, quaternion_from_columns(X, Y, Z))

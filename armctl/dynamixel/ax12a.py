@@ -7,8 +7,11 @@ ticks, percent and degrees stop here.
 from __future__ import annotations
 
 import math
+import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import NamedTuple
 
 MODEL_NUMBER = 12
 TABLE_SIZE = 50
@@ -137,3 +140,62 @@ def load_ratio(raw: int) -> float:
 def moving_speed_units(speed: float) -> int:
     """Moving-speed register for |speed| [rad/s], at least 1 (0 would mean no limit), at most 1023."""
     return max(1, min(1023, math.ceil(abs(speed) / SPEED_UNIT_RAD_S - 1e-9)))
+
+
+def moving_speeds_units(speeds: Iterable[float]) -> list[int]:
+    """The moving-speed register for each of several |speeds| [rad/s]."""
+    return [moving_speed_units(speed) for speed in speeds]
+
+
+class Status(NamedTuple):
+    """What the block 24..49 of a servo says, as far as the control step reads it."""
+
+    torque_enabled: int
+    goal: int
+    """Goal position [tick]."""
+    torque_limit: int
+    position: int
+    """Present position [tick]."""
+    speed_rad_s: float
+    """CCW positive, as is the load."""
+    load_ratio: float
+    voltage_V: float
+    temperature_degC: float
+    settings: int
+    """What only torque-on writes, margins, slopes, punch and torque limit, as one number to compare."""
+
+
+_BLOCK = struct.Struct("<6B6H6BH")
+"""Bytes 24..49 in the order of the control table; 45 has no register."""
+
+
+def _settings(cw_margin: int, ccw_margin: int, cw_slope: int, ccw_slope: int, punch: int, torque_limit: int) -> int:
+    return cw_margin << 50 | ccw_margin << 40 | cw_slope << 30 | ccw_slope << 20 | punch << 10 | torque_limit
+
+
+POWER_ON_SETTINGS = _settings(*(
+    register.default for register in (CW_MARGIN, CCW_MARGIN, CW_SLOPE, CCW_SLOPE, PUNCH, TORQUE_LIMIT)
+))  # fmt: skip
+"""Settings of a servo that has just restarted."""
+
+
+def decode(block: bytes) -> Status | None:
+    """What a servo's status bytes say; None of one that never answered.
+
+    Raises:
+        struct.error: the block is not `STATUS_SIZE` long.
+    """
+    if not block:
+        return None
+    (enabled, _led, cw_margin, ccw_margin, cw_slope, ccw_slope, goal, _moving_speed, limit, position, speed, load,
+     voltage, temperature, _registered, _spare, _moving, _lock, punch) = _BLOCK.unpack(block)  # fmt: skip
+    return Status(
+        enabled, goal, limit, position,
+        speed_rad_s(speed), load_ratio(load), voltage / 10.0, float(temperature),
+        _settings(cw_margin, ccw_margin, cw_slope, ccw_slope, punch, limit),
+    )  # fmt: skip
+
+
+def decode_all(blocks: Iterable[bytes]) -> tuple[Status | None, ...]:
+    """The status of every servo."""
+    return tuple([decode(block) for block in blocks])

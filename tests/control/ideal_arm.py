@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, field
 
 from armctl.config import ArmConfig
@@ -90,7 +91,9 @@ class IdealArm:
             )
         sample = Sample(self.now_ns, tuple(readings), port_open=self.port_open)
         inputs = Inputs(self.tick, self.now_ns + 2_000_000, sample, commands, self.late_ns)
-        self.state, outputs = step(self.state, inputs, self.arm, self.robot, self.period_s)
+        before, given = deepcopy(self.state), self.state
+        self.state, outputs = step(given, inputs, self.arm, self.robot, self.period_s)
+        assert given == before, "the step changed the state that it was given"
         self.tick += 1
         self.outputs = outputs
         self.replies.update({reply.request_id: reply for reply in outputs.replies})

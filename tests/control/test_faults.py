@@ -8,10 +8,14 @@ from pathlib import Path
 import pytest
 
 from armctl.control import faults
-from armctl.messages import Fault, JointState
+from armctl.control.machine import TO_REST
+from armctl.control.requests import CAUSES
+from armctl.dynamixel import ax12a
+from armctl.messages import Connected, Fault, JointState, Mode, Problem, Run
+from tests.control.test_step import holding, line
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-LATCHING = {"latch": 1, "latch_servo": 1, "Problem": 0}
+LATCHING = {"latch": 0, "latch_servo": 0, "Problem": 0}
 """Calls that name a fault, and which of their arguments does."""
 
 
@@ -19,31 +23,56 @@ def joints(*powered: bool) -> list[JointState]:
     return [JointState(True, 0.0, 0.0, 0.0, 12.0, 30.0, torque, 0.0) for torque in powered]
 
 
-def named_codes() -> dict[str, str]:
-    """Every fault code in the source, and where it stands."""
-    found = {}
+def named_codes() -> dict[str, set[str]]:
+    """Every fault code in the source, and the calls that name it."""
+    found: dict[str, set[str]] = {}
     for path in [*(ROOT / "armctl" / "control").glob("*.py"), *(ROOT / "armctl" / "dynamixel").glob("*.py")]:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         constants = {
-            target.id: node.value.value
+            target.id: node.value
             for node in tree.body
-            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
+            if isinstance(node, ast.Assign)
             for target in node.targets
             if isinstance(target, ast.Name)
         }
         for node in ast.walk(tree):
-            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in LATCHING):
-                continue
-            code = node.args[LATCHING[node.func.id]]
-            if isinstance(code, ast.Constant):
-                found[str(code.value)] = f"{path.name}:{node.lineno}"
-            elif isinstance(code, ast.Name) and code.id in constants:
-                found[str(constants[code.id])] = f"{path.name}:{node.lineno}"
+            if isinstance(node, ast.Call) and (call := ast.unparse(node.func).split(".")[-1]) in LATCHING:
+                code: ast.AST = node.args[LATCHING[call]]
+                code = constants.get(code.id, code) if isinstance(code, ast.Name) else code
+                if isinstance(code, ast.Constant):
+                    found.setdefault(str(code.value), set()).add(call)
     return found
 
 
-def test_every_code_in_the_source_has_a_card_and_every_card_a_code() -> None:
-    assert set(named_codes()) == set(faults.CODES)
+def test_every_code_in_the_source_has_a_row_and_every_row_a_code() -> None:
+    assert set(named_codes()) == set(faults.CODES) == set(faults.KINDS)
+    assert len(faults.CODES) == len(faults.FAULTS)
+
+
+@pytest.mark.parametrize(("code", "calls"), named_codes().items())
+def test_a_row_says_whether_one_servo_is_named(code: str, calls: set[str]) -> None:
+    if latched := calls & {"latch", "latch_servo"}:
+        assert latched == {"latch_servo" if faults.KINDS[code].of == "servo" else "latch"}
+
+
+def test_every_cause_that_a_row_waits_for_is_looked_at_in_the_order_of_the_table() -> None:
+    assert {kind.until for kind in faults.FAULTS} == set(faults.Cause)
+    assert [*CAUSES, faults.Cause.NONE] == list(faults.Cause)
+
+
+@pytest.mark.parametrize("kind", faults.FAULTS, ids=lambda kind: kind.code)
+def test_a_fault_does_to_a_run_what_its_row_says(kind: faults.FaultKind) -> None:
+    arm = holding()
+    arm.run_tick(Run(5, line(arm)))
+    arm.run_ticks(5)
+    arm.run_tick(Connected((Problem(kind.code, "found just now"),)))
+    assert arm.state.fault is not None
+    assert (arm.state.fault.code, arm.mode()) == (kind.code, Mode.FAULTED)
+    assert (arm.state.motion is None) == (kind.motion == "ends")
+    assert (arm.state.phase in TO_REST) == kind.to_rest
+    arm.run_ticks(60)
+    assert arm.replies[5].code == kind.code
+    assert all(arm.get(i, ax12a.TORQUE_ENABLE) != kind.to_rest for i in range(6))
 
 
 @pytest.mark.parametrize("code", faults.CODES)

@@ -9,7 +9,7 @@ import pytest
 from armctl.clock import VirtualClock
 from armctl.control.link import Link
 from armctl.control.loop import ControlLoop
-from armctl.control.machine import Jogging, Motion, Settle, State
+from armctl.control.machine import TO_REST, Jogging, Motion, State
 from armctl.control.process import Inbox
 from armctl.messages import Command, Hold, HostLost, JointTrajectory, Park, Reply, Run, SetRate
 from tests.control.test_loop import Rig, holding
@@ -19,7 +19,7 @@ WAY = JointTrajectory(0.1, ((0.0,) * 6, (0.1,) * 6))
 MOVING = (
     State(motion=Motion(WAY, 1)),
     State(jog=Jogging((0.0,) * 6, (0.1,) * 6, (0.1,) * 6, (), heard_ns=1)),
-    *(State(settle=settle) for settle in Settle if settle is not Settle.NO),
+    *(State(phase) for phase in sorted(TO_REST)),
 )
 
 

@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from armctl.control.machine import Phase
+from armctl.control.motion import sample_trajectory
 from armctl.control.requests import START_TOLERANCE_RAD
-from armctl.control.sequences import SOFT_TORQUE, sample_trajectory
+from armctl.control.sequences import SOFT_TORQUE
 from armctl.control.step import step
 from armctl.control.tick import MINIMUM_SPEED_UNITS
 from armctl.dynamixel import ax12a
@@ -108,7 +110,7 @@ def test_torque_comes_on_where_goals_follow_limp_shafts_that_are_not_quite_where
         for index in range(6):
             if not arm.get(index, ax12a.TORQUE_ENABLE):
                 arm.put(index, ax12a.GOAL, arm.get(index, ax12a.PRESENT_POSITION))
-            elif arm.get(index, ax12a.TORQUE_LIMIT) == SOFT_TORQUE and arm.state.phase == 0:
+            elif arm.get(index, ax12a.TORQUE_LIMIT) == SOFT_TORQUE and arm.state.phase is Phase.PREPARING:
                 # What a goal does not energise is limp still, and one tick off by noise.
                 arm.put(index, ax12a.TORQUE_ENABLE, 0)
                 arm.put(index, ax12a.GOAL, arm.get(index, ax12a.PRESENT_POSITION) + 1)
@@ -162,7 +164,7 @@ def about_to_energise_limp_servos() -> IdealArm:
 
     def stay_limp(arm: IdealArm) -> None:
         for index in range(6):
-            if arm.mode() is Mode.ENERGISING and arm.state.phase == 0:
+            if arm.state.phase is Phase.PREPARING:
                 arm.put(index, ax12a.TORQUE_ENABLE, 0)
 
     arm.after_write = stay_limp
