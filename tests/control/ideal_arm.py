@@ -12,7 +12,19 @@ from armctl.control.step import step
 from armctl.dynamixel import ax12a
 from armctl.files import load_arm
 from armctl.kinematics import robots
-from armctl.messages import Command, Connected, Inputs, Mode, Outputs, Reply, Sample, ServoReading
+from armctl.messages import (
+    Command,
+    Connected,
+    Inputs,
+    JointTrajectory,
+    Mode,
+    Outputs,
+    Reply,
+    Run,
+    Sample,
+    ServoReading,
+    TorqueOn,
+)
 
 PERIOD_S = 0.1
 
@@ -125,6 +137,14 @@ class IdealArm:
     def mode(self) -> Mode:
         return self.state.mode
 
+    def code(self) -> str:
+        """Of the latched fault; empty: there is none."""
+        return self.state.fault.code if self.state.fault else ""
+
+    def fault(self) -> tuple[str, int | None] | None:
+        """Code and servo of the latched fault; None: there is none."""
+        return self.state.fault and (self.state.fault.code, self.state.fault.servo_id)
+
     def connect(self) -> IdealArm:
         self.run_tick(Connected())
         return self
@@ -139,3 +159,38 @@ class IdealArm:
         return tuple(
             joint.position_rad(self.get(index, ax12a.PRESENT_POSITION)) for index, joint in enumerate(self.arm.joints)
         )
+
+
+def line(
+    arm: IdealArm, delta_rad: float = -0.4, seconds: float = 2.0, begin_s: float = 0.0, end_s: float = 0.0
+) -> JointTrajectory:
+    """A joint-space line of the elbow-like joint 0 from where the arm is."""
+    start = arm.positions_rad()
+    count = round(seconds / PERIOD_S) + 1
+    points = tuple((start[0] + delta_rad * k / (count - 1), *start[1:]) for k in range(count))
+    return JointTrajectory(PERIOD_S, points, begin_s, end_s, label="line")
+
+
+def energising() -> IdealArm:
+    """Asked for torque in the tick just over."""
+    arm = IdealArm().connect()
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    return arm
+
+
+def holding() -> IdealArm:
+    arm = energising()
+    arm.run_ticks(12)
+    assert arm.mode() is Mode.HOLDING
+    assert arm.replies[1].ok
+    return arm
+
+
+def running(ticks: int = 0) -> IdealArm:
+    """So many ticks after a run has begun, whose request is 5."""
+    arm = holding()
+    arm.run_tick(Run(5, line(arm)))
+    for _ in range(ticks):
+        arm.run_tick()
+    return arm

@@ -1,7 +1,5 @@
 """Every fault that can latch has a card, and every card says what is true and what to type."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 
@@ -11,8 +9,8 @@ from armctl.control import faults
 from armctl.control.machine import TO_REST
 from armctl.control.requests import CAUSES
 from armctl.dynamixel import ax12a
-from armctl.messages import Connected, Fault, JointState, Mode, Problem, Run
-from tests.control.test_step import holding, line
+from armctl.messages import Connected, Fault, JointState, Mode, Problem
+from tests.control.ideal_arm import running
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LATCHING = {"latch": 0, "latch_servo": 0, "Problem": 0}
@@ -62,9 +60,7 @@ def test_every_cause_that_a_row_waits_for_is_looked_at_in_the_order_of_the_table
 
 @pytest.mark.parametrize("kind", faults.FAULTS, ids=lambda kind: kind.code)
 def test_a_fault_does_to_a_run_what_its_row_says(kind: faults.FaultKind) -> None:
-    arm = holding()
-    arm.run_tick(Run(5, line(arm)))
-    arm.run_ticks(5)
+    arm = running(5)
     arm.run_tick(Connected((Problem(kind.code, "found just now"),)))
     assert arm.state.fault is not None
     assert (arm.state.fault.code, arm.mode()) == (kind.code, Mode.FAULTED)

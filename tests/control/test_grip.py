@@ -1,7 +1,5 @@
 """A closing gripper in the control step: what ends its motion, and what goal it is left with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

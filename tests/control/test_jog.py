@@ -1,7 +1,5 @@
 """Jogging: heartbeats, speeds, limits and floor, judged by the goals that go out."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 
@@ -16,8 +14,7 @@ from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import jacobian, tool_position
 from armctl.messages import Clear, Hold, HostLost, Jog, Mode, Park, Release, Run
 from armctl.trajectory.collision import floor_clearance, link_points
-from tests.control.ideal_arm import PERIOD_S, IdealArm
-from tests.control.test_step import holding, line
+from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line
 
 BASE = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
 MOST_TICKS = math.ceil(SPEED_RAD_S * PERIOD_S / ax12a.TICK_RAD) + 1
@@ -78,8 +75,7 @@ def test_a_joint_that_lags_behind_is_waited_for() -> None:
     for tick in range(20):
         arm.run_tick(Jog(100 + tick, (SPEED_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0), (), tick == 0))
         assert abs(arm.get(0, ax12a.GOAL) - there) <= LEAD_TICKS
-    assert arm.state.fault is not None
-    assert arm.state.fault.code == "BLOCKED"
+    assert arm.code() == "BLOCKED"
 
 
 def test_a_heartbeat_that_was_only_late_starts_the_arm_again_from_rest() -> None:

@@ -1,7 +1,5 @@
 """The loop with the real bus and SDK on simulated servos and a virtual clock; and the link between processes."""
 
-from __future__ import annotations
-
 import socket
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Pause, resume and rate: the trajectory's own time slows down and goes on, and never runs faster than planned."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest
@@ -9,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.messages import Command, Hold, Mode, Pause, Resume, Run, SetRate
-from tests.control.ideal_arm import IdealArm
-from tests.control.test_step import holding, line
+from tests.control.ideal_arm import IdealArm, holding, line
 
 
 def running(seconds: float = 4.0) -> IdealArm:

@@ -1,7 +1,5 @@
 """What the control process does with its host's commands between two ticks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

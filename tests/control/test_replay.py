@@ -1,7 +1,5 @@
 """A story with every command, on simulated servos: its log replays bit for bit, and so does each command's JSON."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

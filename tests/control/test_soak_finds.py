@@ -1,16 +1,13 @@
 """What the soak found in the control step, each as its shortest story."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest
 
 from armctl.control.tick import LEAD_TICKS
 from armctl.dynamixel import ax12a
-from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach, TorqueOn
-from tests.control.ideal_arm import IdealArm
-from tests.control.test_step import holding, line
+from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach
+from tests.control.ideal_arm import IdealArm, energising, holding, line
 
 FAST_RAD, FAST_S = -1.9, 2.0
 """54 deg/s, the limit being 60."""
@@ -31,8 +28,7 @@ def test_no_goal_is_farther_ahead_than_the_bound_and_a_servo_that_stays_behind_i
     arm.run_tick(Run(2, line(arm, FAST_RAD, FAST_S)))
     arm.run_ticks(8)
     assert 28 < max(abs(goal[0] - start) for goal in arm.goals[begin:]) <= LEAD_TICKS
-    assert arm.state.fault is not None
-    assert arm.state.fault.code == "BLOCKED"
+    assert arm.code() == "BLOCKED"
 
 
 def test_a_servo_that_catches_up_lets_the_run_go_on_to_its_end() -> None:
@@ -67,8 +63,7 @@ def test_an_arm_on_its_way_to_rest_for_heat_stops_where_another_program_interfer
     arm.run_ticks(30)
     arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
     arm.run_ticks(10)
-    assert arm.state.fault is not None
-    assert arm.state.fault.code == "HOT"
+    assert arm.code() == "HOT"
     count = len(arm.goals)
     arm.run_ticks(3)
     assert len(arm.goals) == count + 3
@@ -92,8 +87,7 @@ def test_a_servo_that_restarted_during_a_late_tick_of_a_run_gets_no_goal(others:
     count = len(arm.goals)
     arm.run_ticks(20)
     assert len(arm.goals) == count
-    assert arm.state.fault is not None
-    assert arm.state.fault.code == "LOST_TORQUE"
+    assert arm.code() == "LOST_TORQUE"
     assert not arm.get(0, ax12a.TORQUE_ENABLE)
 
 
@@ -103,8 +97,7 @@ def test_a_servo_that_restarts_while_a_latched_run_slows_down_gets_no_goal() -> 
     arm.run_ticks(8)
     arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
     arm.run_tick()
-    assert arm.state.fault is not None
-    assert arm.state.fault.code == "VOLTAGE"
+    assert arm.code() == "VOLTAGE"
     arm.put(4, ax12a.TORQUE_ENABLE, 0)
     count = len(arm.goals)
     arm.run_ticks(20)
@@ -117,8 +110,7 @@ def test_an_arm_whose_torque_on_was_interrupted_is_not_taken_for_one_that_holds(
     for index in range(6):
         arm.put(index, ax12a.TORQUE_LIMIT, 307)
     arm.connect()
-    assert arm.state.fault is not None
-    assert (arm.mode(), arm.state.fault.code) == (Mode.FAULTED, "LOST_TORQUE")
+    assert (arm.mode(), arm.code()) == (Mode.FAULTED, "LOST_TORQUE")
     arm.run_tick(Clear(1))
     assert "armctl release" in arm.replies[1].message
     arm.run_tick(Release(2))
@@ -128,9 +120,7 @@ def test_an_arm_whose_torque_on_was_interrupted_is_not_taken_for_one_that_holds(
 
 
 def test_a_servo_that_falls_silent_during_torque_on_leaves_a_fault_that_release_resolves() -> None:
-    arm = IdealArm().connect()
-    arm.run_tick()
-    arm.run_tick(TorqueOn(1))
+    arm = energising()
     arm.run_ticks(4)
     arm.silent = {2}
     arm.run_ticks(8)
@@ -149,6 +139,5 @@ def test_a_servo_that_shut_itself_down_while_nobody_was_in_charge_is_found_tripp
     arm.put(3, ax12a.TORQUE_LIMIT, 0)
     arm.put(3, ax12a.TORQUE_ENABLE, enabled)  # the manuals differ on whether it drops this too
     arm.connect()
-    assert arm.state.fault is not None
-    assert (arm.mode(), arm.state.fault.code, arm.state.fault.servo_id) == (Mode.FAULTED, "TRIPPED", 4)
+    assert arm.fault() == ("TRIPPED", 4)
     assert arm.goals == []

@@ -1,0 +1,204 @@
+"""Faults in the control step: what latches, what happens to the arm, and what clears it."""
+
+import pytest
+
+from armctl.dynamixel import ax12a
+from armctl.files import load_arm
+from armctl.messages import Clear, Connected, Mode, Problem, Release, Run, TorqueOn
+from tests.control.ideal_arm import IdealArm, holding, line, running
+
+
+def test_a_silent_servo_latches_and_the_others_hold() -> None:
+    arm = running(5)
+    arm.silent = {2}
+    arm.run_ticks(9)
+    assert arm.fault() == ("SERVO_SILENT", 3)
+    assert arm.state.motion is None
+    assert not arm.replies[5].ok
+    arm.goals.clear()
+    arm.run_ticks(5)
+    assert not arm.goals
+    arm.run_tick(Clear(7))
+    assert "no reply from elbow" in arm.replies[7].message
+    arm.silent = set()
+    arm.run_tick()
+    arm.silent = {1}  # one reply lost just then is no cause: that servo was heard a tick ago
+    arm.run_tick(Clear(8))
+    assert arm.replies[8].ok
+    assert arm.mode() is Mode.HOLDING
+
+
+def test_a_silent_bus_is_one_fault() -> None:
+    arm = holding()
+    arm.silent = set(range(6))
+    arm.run_ticks(7)
+    assert arm.code() == "BUS_DEAD"
+
+
+def test_a_silent_bus_is_one_fault_also_where_its_servos_fell_silent_one_by_one() -> None:
+    arm = holding()
+    arm.silent = {0, 1}
+    arm.run_tick()
+    arm.silent = set(range(6))
+    arm.run_ticks(6)
+    assert arm.code() == "BUS_DEAD"
+
+
+def test_no_goal_goes_out_while_a_servo_is_unheard_lest_it_wakes_one_that_restarted() -> None:
+    arm = running(5)
+    arm.silent = {2}
+    arm.goals.clear()
+    arm.run_ticks(3)
+    assert not arm.goals
+    arm.silent = set()
+    arm.put(2, ax12a.TORQUE_ENABLE, 0)  # it restarted
+    arm.run_tick()
+    assert arm.code() == "LOST_TORQUE"
+    assert arm.get(2, ax12a.TORQUE_ENABLE) == 0
+
+
+def test_unplugging_latches_at_once_and_clears_only_after_replugging() -> None:
+    arm = running()
+    arm.port_open = False
+    arm.run_tick()
+    assert arm.code() == "PORT_GONE"
+    assert arm.replies[5].code == "PORT_GONE"
+    arm.run_tick(Clear(6))
+    assert "not open" in arm.replies[6].message
+    arm.port_open = True
+    arm.run_tick(Connected())
+    assert "PORT_BACK" in arm.events
+    assert arm.mode() is Mode.FAULTED
+    arm.goals.clear()
+    arm.run_tick(Connected(), Clear(7))
+    assert arm.replies[7].ok
+    assert arm.mode() is Mode.HOLDING
+    assert not arm.goals
+    assert arm.events.count("PORT_BACK") == 1
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "code"),
+    [
+        (ax12a.TORQUE_ENABLE, 0, "LOST_TORQUE"),
+        (ax12a.TORQUE_LIMIT, 0, "TRIPPED"),
+        (ax12a.GOAL, 300, "OTHER_WRITER"),
+    ],
+)
+def test_what_a_servo_reports_against_us_latches_in_one_tick(register: ax12a.Register, value: int, code: str) -> None:
+    arm = holding()
+    arm.put(3, register, value)
+    arm.run_tick()
+    assert arm.fault() == (code, 4)
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "code"),
+    [
+        (ax12a.CW_SLOPE, 128, "OTHER_WRITER"),
+        (ax12a.PUNCH, 100, "OTHER_WRITER"),
+        (ax12a.TORQUE_LIMIT, 700, "OTHER_WRITER"),
+        (ax12a.TORQUE_LIMIT, 1023, "LOST_TORQUE"),
+    ],
+)
+def test_settings_that_change_by_themselves_latch_in_one_tick(register: ax12a.Register, value: int, code: str) -> None:
+    """The last one is a servo that has restarted, and that a goal has energised again before it was read."""
+    soft = load_arm("ax12-line")
+    halved = tuple(joint.model_copy(update={"torque_limit_ratio": 0.5}) for joint in soft.joints)
+    arm = IdealArm(soft.model_copy(update={"joints": halved})).connect()
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    arm.run_ticks(20)
+    assert arm.mode() is Mode.HOLDING
+    arm.put(3, register, value)
+    arm.run_tick()
+    assert arm.fault() == (code, 4)
+    assert not arm.outputs or not arm.outputs.goal
+
+
+def test_a_refused_clear_names_every_cause_and_what_to_do() -> None:
+    arm = holding()
+    arm.put(3, ax12a.TORQUE_LIMIT, 0)
+    arm.run_tick()
+    arm.put(1, ax12a.PRESENT_TEMPERATURE, 70)
+    arm.put(2, ax12a.PRESENT_VOLTAGE, 70)
+    arm.run_ticks(2)
+    arm.run_tick(Clear(1))
+    for text in ("shoulder above 65 degC", "7.0 V", "wrist limp while others hold", "armctl release"):
+        assert text in arm.replies[1].message
+
+
+def test_a_limp_servo_among_powered_ones_must_be_released_before_clearing() -> None:
+    arm = holding()
+    arm.put(3, ax12a.TORQUE_LIMIT, 0)
+    arm.run_tick()
+    arm.run_tick(Clear(1))
+    assert "armctl release" in arm.replies[1].message
+    arm.run_tick(Release(2))
+    assert arm.mode() is Mode.FAULTED
+    arm.run_tick(Clear(3))
+    assert arm.mode() is Mode.OFF
+    arm.run_tick(TorqueOn(4))
+    arm.run_ticks(12)
+    assert arm.replies[4].ok
+
+
+def test_a_blocked_joint_latches_and_its_goal_becomes_its_position_once() -> None:
+    arm = holding()
+    arm.stuck = {0}
+    arm.run_tick(Run(5, line(arm, delta_rad=0.8)))
+    arm.run_ticks(12)
+    assert arm.code() == "BLOCKED"
+    assert arm.goals[-1][0] == arm.get(0, ax12a.PRESENT_POSITION)
+    arm.goals.clear()
+    arm.run_ticks(5)
+    assert not arm.goals
+    arm.run_tick(Clear(7))
+    assert arm.replies[7].ok
+
+
+def test_damaged_replies_above_a_tenth_latch_and_below_do_not() -> None:
+    arm = holding()
+    latched = []
+    for joints in ({0}, {0, 1, 2}):
+        for tick in range(100):
+            arm.noisy = joints if tick % 2 else set()
+            arm.run_tick()
+        latched.append(arm.state.fault and arm.state.fault.code)
+    assert latched == [None, "BUS_NOISE"]
+
+
+def test_problems_found_at_connection_forbid_torque_until_they_are_gone() -> None:
+    arm = IdealArm()
+    problem = Problem("WRONG_MODEL", "servo 2 (shoulder): model 29, not an AX-12A", 2)
+    arm.run_tick(Connected((problem,)))
+    assert arm.code() == "WRONG_MODEL"
+    arm.run_tick(TorqueOn(1))
+    assert not arm.replies[1].ok
+    arm.run_tick(Connected((problem,)), Clear(2))
+    assert "model 29" in arm.replies[2].message
+    arm.run_tick(Connected(), Clear(3))
+    assert arm.mode() is Mode.OFF
+
+
+def test_clear_without_a_fault_says_so() -> None:
+    arm = holding()
+    arm.run_tick(Clear(1))
+    assert "no fault" in arm.replies[1].message
+
+
+def test_a_restart_is_told() -> None:
+    arm = IdealArm().power()
+    arm.run_tick(Connected(restarted=True))
+    assert "RESTARTED" in arm.events
+    assert arm.mode() is Mode.HOLDING
+    assert not arm.goals
+
+
+def test_an_unheard_servo_has_an_age_that_grows_and_no_tool_pose() -> None:
+    arm = IdealArm(silent={1})
+    first = arm.run_tick()
+    second = arm.run_tick()
+    assert first.tool is None
+    assert not first.joints[1].known
+    assert second.joints[1].age_s > first.joints[1].age_s

@@ -1,0 +1,170 @@
+"""The slow way to rest in the control step: for `park`, and for faults that would soon drop the arm."""
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from armctl.dynamixel import ax12a
+from armctl.messages import (
+    Clear,
+    Hold,
+    Mode,
+    Park,
+    Release,
+    Run,
+)
+from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line, running
+
+
+def away() -> IdealArm:
+    """Holding, some way from the rest pose."""
+    arm = holding()
+    arm.run_tick(Run(90, line(arm, delta_rad=0.6)))
+    arm.run_ticks(25)
+    assert arm.replies[90].ok
+    return arm
+
+
+def at_rest(arm: IdealArm) -> bool:
+    ways = zip(arm.positions_rad(), arm.arm.joints, strict=True)
+    return all(abs(position - joint.rest_rad) < math.radians(3.0) for position, joint in ways)
+
+
+def test_park_goes_slowly_to_rest_and_is_limp_there() -> None:
+    arm = away()
+    arm.goals.clear()
+    outputs = arm.run_tick(Park(5))
+    assert outputs.mode is Mode.PARKING
+    arm.run_ticks(60)
+    assert arm.replies[5].ok
+    assert arm.mode() is Mode.OFF
+    assert at_rest(arm)
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
+    fastest = max(abs(b[0] - a[0]) for a, b in pairwise(arm.goals)) * ax12a.TICK_RAD / PERIOD_S
+    assert fastest <= math.radians(20.0) + ax12a.TICK_RAD / PERIOD_S
+
+
+def test_park_can_be_stopped_on_its_way() -> None:
+    arm = away()
+    arm.run_tick(Park(5))
+    arm.run_ticks(10)
+    arm.run_tick(Hold(6))
+    arm.run_ticks(4)
+    assert arm.mode() is Mode.HOLDING
+    assert arm.replies[5].code == "STOPPED"
+    assert arm.replies[6].ok
+    assert not at_rest(arm)
+
+
+def test_an_arm_that_does_not_get_to_rest_keeps_its_torque() -> None:
+    arm = away()
+    arm.run_tick(Park(5))
+    arm.run_ticks(8)
+    rest = round(arm.arm.joints[3].tick(arm.arm.joints[3].rest_rad))
+    arm.after_write = lambda a: a.put(3, ax12a.PRESENT_POSITION, rest - 15)  # hangs 4.4 deg low
+    arm.run_ticks(60)
+    assert arm.replies[5].code == "NOT_AT_REST"
+    assert arm.mode() is Mode.HOLDING
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [1] * 6
+
+
+def test_a_way_to_rest_below_the_floor_is_not_taken() -> None:
+    arm = away()
+    arm.arm = arm.arm.model_copy(update={"floor_m": 1.0})
+    arm.run_tick(Park(5))
+    arm.run_ticks(3)
+    assert arm.replies[5].code == "LIMIT"
+    assert arm.mode() is Mode.HOLDING
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "code", "seconds"),
+    [
+        (ax12a.PRESENT_TEMPERATURE, 66, "HOT", 0.1),
+        (ax12a.PRESENT_VOLTAGE, 85, "VOLTAGE", 0.1),
+        (ax12a.PRESENT_LOAD, 900, "OVERLOAD", 2.2),
+    ],
+)
+def test_strain_sends_the_arm_to_rest_before_a_servo_trips(
+    register: ax12a.Register, value: int, code: str, seconds: float
+) -> None:
+    arm = away()
+    arm.run_tick(Run(5, line(arm, delta_rad=0.3, seconds=4.0)))
+    arm.put(2, register, value)
+    arm.run_ticks(round(seconds / PERIOD_S))
+    assert arm.fault() == (code, 3)
+    arm.run_ticks(70)
+    assert arm.replies[5].code == code
+    assert at_rest(arm)
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
+    assert arm.mode() is Mode.FAULTED
+    arm.run_tick(Clear(7))
+    cleared = code == "OVERLOAD"  # the load went with the torque; heat and voltage are still what they were
+    assert arm.replies[7].ok is cleared
+    arm.put(2, register, 120 if register is ax12a.PRESENT_VOLTAGE else 40)
+    arm.run_tick(Clear(8))
+    assert arm.replies[8].ok
+    assert arm.mode() is Mode.OFF
+
+
+@pytest.mark.parametrize("register", [ax12a.TORQUE_ENABLE, ax12a.TORQUE_LIMIT])
+def test_the_way_to_rest_ends_where_torque_is_lost(register: ax12a.Register) -> None:
+    arm = away()
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(5)
+    arm.after_write = lambda a: a.put(1, register, 0)
+    arm.run_ticks(5)
+    assert arm.state.motion is None
+    assert "LOST_TORQUE" in arm.events
+    arm.goals.clear()
+    arm.run_ticks(30)
+    assert not arm.goals
+
+
+def test_the_way_to_rest_ends_where_a_servo_falls_silent() -> None:
+    arm = away()
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(5)
+    arm.silent = {4}
+    arm.run_ticks(10)
+    assert "SERVO_SILENT" in arm.events
+    assert arm.state.motion is None
+
+
+def test_a_fault_on_the_way_to_rest_ends_it() -> None:
+    arm = away()
+    arm.run_tick(Park(5))
+    arm.run_ticks(5)
+    arm.put(3, ax12a.GOAL, 300)
+    arm.run_tick()
+    assert arm.replies[5].code == "OTHER_WRITER"
+    arm.goals.clear()
+    arm.run_ticks(30)
+    assert not arm.goals
+
+
+def test_release_on_the_way_to_rest_is_limp_at_once() -> None:
+    arm = away()
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(5)
+    arm.run_tick(Release(6))
+    arm.goals.clear()
+    arm.run_ticks(20)
+    assert not arm.goals
+
+
+def test_clear_waits_for_the_arm_to_come_to_rest() -> None:
+    arm = running(5)
+    arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
+    arm.run_tick(Clear(1))
+    assert "coming to rest" in arm.replies[1].message
+
+
+def test_release_while_a_fault_decelerates_ends_the_motion() -> None:
+    arm = running(5)
+    arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
+    arm.run_tick(Release(6))
+    assert arm.state.motion is None
+    assert arm.outputs is not None
+    assert arm.outputs.goal is None

@@ -1,0 +1,257 @@
+"""Torque in the control step: taken over as it is found, coming on carefully, and going."""
+
+import pytest
+
+from armctl.control.machine import Phase
+from armctl.control.sequences import SOFT_TORQUE
+from armctl.dynamixel import ax12a
+from armctl.messages import Clear, Mode, Release, Teach, TeachEnd, TorqueOn
+from tests.control.ideal_arm import IdealArm, energising, holding
+
+
+def test_a_limp_arm_is_adopted_limp_and_nothing_is_written() -> None:
+    arm = IdealArm().connect()
+    outputs = arm.run_ticks(3)
+    assert outputs.mode is Mode.OFF
+    assert not arm.goals
+    assert not outputs.writes
+
+
+def test_a_powered_arm_is_adopted_at_its_goal_and_nothing_is_written() -> None:
+    arm = IdealArm().power().connect()
+    assert arm.mode() is Mode.HOLDING
+    assert arm.state.goal == tuple(arm.get(i, ax12a.GOAL) for i in range(6))
+    assert not arm.goals
+
+
+def test_a_half_powered_arm_is_a_fault_that_names_the_limp_servo() -> None:
+    arm = IdealArm().power()
+    arm.put(3, ax12a.TORQUE_ENABLE, 0)
+    arm.connect()
+    assert arm.fault() == ("LOST_TORQUE", 4)
+
+
+def test_torque_on_softens_and_sets_the_goal_before_it_enables() -> None:
+    arm = IdealArm().connect()
+    arm.run_tick()
+    first = arm.run_tick(TorqueOn(1))
+    assert first.mode is Mode.ENERGISING
+    limits = [w for w in first.writes if w.address == ax12a.TORQUE_LIMIT.address]
+    assert [w.value for w in limits] == [SOFT_TORQUE] * 6
+    assert not [w for w in first.writes if w.address == ax12a.TORQUE_ENABLE.address]
+    assert first.goal is not None
+    assert first.goal.ticks == tuple(arm.get(i, ax12a.PRESENT_POSITION) for i in range(6))
+    assert all(speed > 0 for speed in first.goal.speeds)
+    second = arm.run_tick()
+    assert [w.value for w in second.writes if w.address == ax12a.TORQUE_ENABLE.address] == [1] * 6
+    arm.run_ticks(10)
+    assert arm.mode() is Mode.HOLDING
+    assert [arm.get(i, ax12a.TORQUE_LIMIT) for i in range(6)] == [1023] * 6
+    assert arm.replies[1].ok
+
+
+def test_torque_comes_on_where_goals_follow_limp_shafts_that_are_not_quite_where_they_were() -> None:
+    arm = IdealArm()
+
+    def follow(arm: IdealArm) -> None:
+        for index in range(6):
+            if not arm.get(index, ax12a.TORQUE_ENABLE):
+                arm.put(index, ax12a.GOAL, arm.get(index, ax12a.PRESENT_POSITION))
+            elif arm.get(index, ax12a.TORQUE_LIMIT) == SOFT_TORQUE and arm.state.phase is Phase.PREPARING:
+                # What a goal does not energise is limp still, and one tick off by noise.
+                arm.put(index, ax12a.TORQUE_ENABLE, 0)
+                arm.put(index, ax12a.GOAL, arm.get(index, ax12a.PRESENT_POSITION) + 1)
+
+    arm.after_write = follow
+    arm.connect()
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    assert not arm.get(0, ax12a.TORQUE_ENABLE)
+    arm.run_ticks(12)
+    assert (arm.mode(), arm.replies[1].ok) == (Mode.HOLDING, True)
+
+
+def test_a_servo_that_does_not_take_its_limit_makes_torque_on_back_out() -> None:
+    arm = IdealArm().connect()
+    arm.run_tick()
+    arm.after_write = lambda a: a.put(2, ax12a.TORQUE_LIMIT, 1023)
+    arm.run_tick(TorqueOn(1))
+    arm.run_tick()
+    assert arm.mode() is Mode.OFF
+    assert not arm.replies[1].ok
+    assert "servo 3 (elbow) shows torque limit 1023" in arm.replies[1].message
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "text", "phase"),
+    [
+        (ax12a.GOAL, 700, "shows goal 700", 1),
+        (ax12a.PRESENT_POSITION, 560, "moved while torque came on", 2),
+        (ax12a.TORQUE_ENABLE, 0, "did not take torque", 2),
+    ],
+)
+def test_any_surprise_while_torque_comes_on_backs_out(
+    register: ax12a.Register, value: int, text: str, phase: int
+) -> None:
+    arm = energising()
+    arm.run_ticks(phase - 1)
+    arm.put(0, register, value)
+    arm.run_tick()
+    assert arm.mode() is Mode.OFF
+    assert arm.replies[1].code == "JUMP_REFUSED"
+    assert text in arm.replies[1].message
+
+
+def about_to_energise_limp_servos() -> IdealArm:
+    """An arm whose servos no goal energises, one tick before torque is to come on."""
+    arm = IdealArm().connect()
+
+    def stay_limp(arm: IdealArm) -> None:
+        for index in range(6):
+            if arm.state.phase is Phase.PREPARING:
+                arm.put(index, ax12a.TORQUE_ENABLE, 0)
+
+    arm.after_write = stay_limp
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    return arm
+
+
+def test_a_limp_shaft_that_moves_off_before_torque_comes_on_backs_out() -> None:
+    arm = about_to_energise_limp_servos()
+    arm.put(0, ax12a.PRESENT_POSITION, arm.get(0, ax12a.PRESENT_POSITION) + 4)
+    arm.run_tick()
+    assert arm.mode() is Mode.OFF
+    assert arm.replies[1].code == "JUMP_REFUSED"
+    assert "moved while torque came on" in arm.replies[1].message
+
+
+def test_torque_comes_on_at_the_goal_that_a_limp_shaft_has_not_left_by_more_than_half_a_degree() -> None:
+    arm = about_to_energise_limp_servos()
+    for position in (515, 518):
+        arm.put(0, ax12a.PRESENT_POSITION, position)
+        arm.run_tick()
+        assert not any(arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6))
+        assert arm.get(0, ax12a.GOAL) == position
+    arm.run_tick()
+    assert all(arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6))
+    arm.run_ticks(12)
+    assert (arm.mode(), arm.replies[1].ok) == (Mode.HOLDING, True)
+
+
+def test_torque_on_is_refused_for_a_moving_arm_and_outside_the_limits() -> None:
+    arm = IdealArm().connect()
+    arm.put(0, ax12a.PRESENT_POSITION, 600)
+    arm.run_tick(TorqueOn(1))
+    assert "joint base is moving" in arm.replies[1].message
+    arm.put(1, ax12a.PRESENT_POSITION, 900)
+    arm.run_tick()
+    arm.run_tick(TorqueOn(2))
+    assert arm.replies[2].code == "LIMIT"
+    assert "joint shoulder" in arm.replies[2].message
+    assert not arm.goals
+
+
+def test_a_joint_a_tick_outside_its_limit_is_energised_at_the_limit() -> None:
+    arm = IdealArm().connect()
+    high = arm.arm.joints[1].limits_tick[1]
+    arm.put(1, ax12a.PRESENT_POSITION, high + 1)
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    assert arm.goals[0][1] == high
+
+
+def test_energising_waits_for_a_servo_that_misses_a_tick() -> None:
+    arm = energising()
+    arm.silent = {5}
+    arm.run_ticks(2)
+    assert arm.mode() is Mode.ENERGISING
+    arm.silent = set()
+    arm.run_ticks(12)
+    assert arm.mode() is Mode.HOLDING
+
+
+def test_teaching_is_entered_only_when_every_servo_is_seen_limp() -> None:
+    arm = holding()
+    outputs = arm.run_tick(Teach(3))
+    assert [w.value for w in outputs.writes] == [0] * 6
+    assert 3 not in arm.replies
+    arm.run_tick()
+    assert arm.replies[3].ok
+    arm.goals.clear()
+    outputs = arm.run_ticks(5)
+    assert not arm.goals
+    assert not outputs.writes
+    arm.run_tick(TeachEnd(4))
+    assert arm.mode() is Mode.OFF
+
+
+def test_a_servo_that_stays_stiff_in_teaching_is_a_fault() -> None:
+    arm = holding()
+    arm.after_write = lambda a: a.put(4, ax12a.TORQUE_ENABLE, 1)
+    arm.run_tick(Teach(3))
+    arm.run_ticks(7)
+    assert arm.replies[3].code == "NOT_LIMP"
+    assert arm.mode() is Mode.FAULTED
+
+
+def test_torque_that_appears_while_teaching_is_a_fault() -> None:
+    arm = holding()
+    arm.run_tick(Teach(3))
+    arm.run_tick()
+    arm.put(1, ax12a.TORQUE_ENABLE, 1)
+    arm.run_tick()
+    assert arm.code() == "NOT_LIMP"
+
+
+def test_release_switches_torque_off_and_answers_a_pending_teach() -> None:
+    arm = holding()
+    arm.run_tick(Teach(3), Release(4))
+    assert arm.replies[3].code == "RELEASED"
+    assert arm.replies[4].ok
+    assert arm.mode() is Mode.OFF
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
+
+
+def test_an_adopted_arm_keeps_the_settings_it_is_found_with() -> None:
+    arm = IdealArm().power()
+    arm.put(3, ax12a.PUNCH, 40)
+    arm.put(3, ax12a.CW_SLOPE, 64)
+    arm.connect().run_ticks(5)
+    assert arm.mode() is Mode.HOLDING
+
+
+def test_a_torque_limit_that_missed_the_end_of_the_ramp_is_told_again() -> None:
+    arm = energising()
+    arm.run_ticks(6)
+    arm.put(2, ax12a.TORQUE_LIMIT, 844)
+    arm.run_ticks(1)
+    assert arm.mode() is Mode.ENERGISING
+    arm.run_ticks(2)
+    assert arm.mode() is Mode.HOLDING
+    assert arm.get(2, ax12a.TORQUE_LIMIT) == 1023
+
+
+def test_a_servo_that_never_takes_its_full_torque_limit_makes_torque_on_back_out() -> None:
+    arm = energising()
+    arm.run_ticks(6)
+    arm.after_write = lambda a: a.put(2, ax12a.TORQUE_LIMIT, 844)
+    arm.run_ticks(20)
+    assert arm.mode() is Mode.OFF
+    assert "servo 3 (elbow) shows torque limit 844" in arm.replies[1].message
+
+
+@pytest.mark.parametrize("release", [True, False])
+def test_torque_that_appears_or_stays_on_a_limp_arm_is_a_fault(release: bool) -> None:
+    arm = holding() if release else IdealArm().connect()
+    if release:
+        arm.after_write = lambda a: a.put(1, ax12a.TORQUE_ENABLE, 1)
+        arm.run_tick(Release(5))
+    else:
+        arm.run_ticks(5)
+        arm.put(1, ax12a.TORQUE_ENABLE, 1)
+    arm.run_ticks(4)
+    assert arm.fault() == ("NOT_LIMP", 2)
+    arm.run_tick(Clear(6))
+    assert "armctl release" in arm.replies[6].message
