@@ -1,7 +1,5 @@
 """The fault matrix as far as a sample shows it: the first row that holds latches."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -64,8 +62,6 @@ def _detect_power_faults(s: Tick) -> None:
     """Lost torque, a trip, a second writer, a blocked joint: faults of an arm under torque."""
     state = s.state
     goal, settings, previous = state.goal, state.settings, state.previous_goal or state.goal
-    assert goal is not None
-    assert previous is not None
     errors_rad = [
         abs(servo.position - tick) * ax12a.TICK_RAD if servo else 0.0
         for servo, tick in zip(s.servos, goal, strict=True)

@@ -5,8 +5,6 @@ before `clear` is allowed. When it latches stands in `detect.py` (what a sample 
 waits for in vain) and `dynamixel/` (what is found when connecting).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Literal, NamedTuple

@@ -12,8 +12,6 @@ Rules.
 5. A servo that lags behind is waited for, by the whole arm, from rest.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -41,7 +39,6 @@ def begin(s: Tick, command: Jog) -> None:
     """Begin a jog from where the arm is told to be."""
     target(s.state.phase, Trigger.JOG)
     _check(s.arm, command)
-    assert s.state.goal is not None
     s.go(Trigger.JOG)
     position = tuple(joint.position_rad(tick) for joint, tick in zip(s.arm.joints, s.state.goal, strict=True))
     still = (0.0,) * len(position)

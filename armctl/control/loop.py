@@ -6,8 +6,6 @@ logged and published) and looks for the port again every half second; not before
 gone, for a port may be lost in a tick's last write and be back before the next tick.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from armctl.clock import NS_PER_S, Clock

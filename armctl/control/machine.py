@@ -19,8 +19,6 @@ Torque comes on in four steps, and each of them may fail (`energise_failed`: bac
                               --ramped--> full limit to be shown --energised--> holding
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -247,17 +245,17 @@ class State:
     """Whose reply is due when the present sequence ends."""
     hold_request_ids: tuple[int, ...] = ()
     """Who waits to hear that the arm is still."""
-    goal: tuple[int, ...] | None = None
-    """Last goal sent [tick]."""
-    previous_goal: tuple[int, ...] | None = None
+    goal: tuple[int, ...] = ()
+    """Last goal sent, or taken over [tick]; empty: none yet. It is there whenever the arm is under torque."""
+    previous_goal: tuple[int, ...] = ()
     """The goal before it: what a servo shows that missed the last one."""
-    ramp: tuple[float, ...] | None = None
-    """Where the servos' own speed ramps stood when the last goal was sent [tick]; None: at it."""
+    ramp: tuple[float, ...] = ()
+    """Where the servos' own speed ramps stood when the last goal was sent [tick]; empty: at it."""
     goal_ns: int = 0
     """When that was."""
     settings: tuple[int, ...] = ()
     """Of each servo the registers that only torque-on writes (see ax12a.py), from when torque was taken over."""
-    anchor: tuple[int, ...] | None = None
+    anchor: tuple[int, ...] = ()
     """Positions [tick] when energising began."""
     motion: Motion | None = None
     jog: Jogging | None = None

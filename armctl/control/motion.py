@@ -1,7 +1,5 @@
 """A trajectory under way: its goals one tick ahead, its pauses and stops on the path, and the grip that may end it."""
 
-from __future__ import annotations
-
 import math
 
 from armctl.control.machine import Motion
@@ -81,9 +79,7 @@ def _goal_at(s: Tick, trajectory: JointTrajectory, time_s: float) -> list[int]:
 
 def _resists(s: Tick, grip: Grip) -> bool:
     """Whether the gripper's load stands against its goal."""
-    servo = s.servos[grip.joint]
-    assert s.state.goal is not None
-    assert servo is not None
+    servo = s.status(grip.joint)
     behind = s.wire[grip.joint].direction * (s.state.goal[grip.joint] - servo.position)
     load_ratio = s.joints[grip.joint].load_ratio
     return abs(load_ratio) >= grip.load_ratio and load_ratio * behind > 0.0
@@ -91,9 +87,7 @@ def _resists(s: Tick, grip: Grip) -> bool:
 
 def _hold_gripped(s: Tick, motion: Motion, grip: Grip) -> None:
     """End the motion with the goal so far inside what is gripped that the servo keeps the load asked for."""
-    servo, joint = s.servos[grip.joint], s.joints[grip.joint]
-    assert s.state.goal is not None
-    assert servo is not None
+    servo, joint = s.status(grip.joint), s.joints[grip.joint]
     load_ratio = abs(joint.load_ratio)
     # A servo's load grows with the distance to its goal.
     inside = (s.state.goal[grip.joint] - servo.position) * grip.load_ratio / load_ratio

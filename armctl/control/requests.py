@@ -3,12 +3,11 @@
 Every request is checked before its first change, so that a refusal has nothing to take back.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
+from armctl import messages
 from armctl.config import ArmConfig
 from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
@@ -18,26 +17,7 @@ from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS, give_up_rest
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.messages import (
-    Clear,
-    Command,
-    Connected,
-    Event,
-    Hold,
-    HostLost,
-    Jog,
-    JointTrajectory,
-    Mode,
-    Park,
-    Pause,
-    Release,
-    Resume,
-    Run,
-    SetRate,
-    Teach,
-    TeachEnd,
-    TorqueOn,
-)
+from armctl.messages import Command, Event, JointTrajectory, Mode
 
 START_TOLERANCE_RAD = math.radians(2.0)
 EDGE_TICKS = 2
@@ -67,58 +47,58 @@ def _carry_out(s: Tick, command: Command) -> str | None:
     """
     state = s.state
     match command:
-        case Connected():
+        case messages.Connected():
             _connected(s, command)
             return None
-        case HostLost():
+        case messages.HostLost():
             # As if this process had died with it: no goal after the last, which is one tick ahead at most.
             if state.motion is not None:
                 s.finish_motion("HOST_LOST", "")
             if state.jog is not None:
                 s.finish_jog("HOST_LOST")
             return None
-        case Hold(request_id):
+        case messages.Hold(request_id):
             return _hold(s, request_id)
-        case TorqueOn(request_id):
+        case messages.TorqueOn(request_id):
             _torque_on(s, request_id)
             return None
-        case Release():
+        case messages.Release():
             s.go(Trigger.RELEASE)
             if state.motion is not None:
                 s.finish_motion("RELEASED", "")
             s.end_sequence("RELEASED")
             s.torque_off()
-        case Teach(request_id):
+        case messages.Teach(request_id):
             s.go(Trigger.TEACH)
             s.torque_off()
             state.request_id = request_id
             return None
-        case TeachEnd():
+        case messages.TeachEnd():
             s.go(Trigger.TEACH_END)
             s.end_sequence("TEACH_ENDED")
-        case Run(request_id, trajectory):
+        case messages.Run(request_id, trajectory):
             _run(s, request_id, trajectory)
             return None
-        case Pause():
+        case messages.Pause():
             _under_way(s, "pause").paused = True
-        case Resume():
+        case messages.Resume():
             _under_way(s, "resume").paused = False
-        case SetRate(_, rate):
+        case messages.SetRate(_, rate):
             if not MINIMUM_RATE <= rate <= 1.0:
                 raise RequestRefused("LIMIT", f"rate {rate:g} lies outside {MINIMUM_RATE:g} to 1")
             _under_way(s, "rate").wanted_rate = rate
-        case Jog():
+        case messages.Jog():
             (jog.begin if command.begin else jog.heartbeat)(s, command)
-        case Park(request_id):
+        case messages.Park(request_id):
             s.go(Trigger.PARK)
             state.request_id = request_id
             return None
-        case Clear():
+        case messages.Clear():
             return _clear(s)
     return ""
 
 
-def _connected(s: Tick, command: Connected) -> None:
+def _connected(s: Tick, command: messages.Connected) -> None:
     state = s.state
     if state.fault is not None and state.fault.code == "PORT_GONE" and not state.connected:
         s.events.append(Event("warning", "PORT_BACK", "the port is back; the fault stays until `armctl clear`"))
@@ -151,19 +131,19 @@ def _torque_on(s: Tick, request_id: int) -> None:
     if found or not s.fresh or len(state.last_ticks) != len(s.joints):
         raise RequestRefused("NO_REPLY", "not every servo answered just now; see `armctl status`")
     ticks = []
-    for joint, servo, last in zip(s.arm.joints, s.servos, state.last_ticks, strict=True):
-        assert servo is not None
-        if abs(servo.position - last) > STILL_TICKS:
+    for index, (joint, last) in enumerate(zip(s.arm.joints, state.last_ticks, strict=True)):
+        position = s.status(index).position
+        if abs(position - last) > STILL_TICKS:
             raise RequestRefused("JUMP_REFUSED", f"joint {joint.name} is moving; hold the arm still")
         low, high = joint.limits_tick
-        if not low - EDGE_TICKS <= servo.position <= high + EDGE_TICKS:
-            position_deg = math.degrees(joint.position_rad(servo.position))
+        if not low - EDGE_TICKS <= position <= high + EDGE_TICKS:
+            position_deg = math.degrees(joint.position_rad(position))
             raise RequestRefused(
                 "LIMIT",
                 f"joint {joint.name} is at {position_deg:.1f} deg, outside {joint.limits_deg[0]:g} to "
                 f"{joint.limits_deg[1]:g}; move it inside by hand",
             )
-        ticks.append(min(max(servo.position, low), high))
+        ticks.append(min(max(position, low), high))
     s.go(Trigger.TORQUE_ON)
     for joint, reading in zip(s.arm.joints, s.inputs.sample.servos, strict=True):
         compliance = joint.compliance
@@ -184,7 +164,6 @@ def _torque_on(s: Tick, request_id: int) -> None:
 def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
     target(s.state.phase, Trigger.RUN)
     _check_trajectory(trajectory, s.arm)
-    assert s.state.goal is not None
     for joint, tick, start in zip(s.arm.joints, s.state.goal, trajectory.positions_rad[0], strict=True):
         away = abs(joint.position_rad(tick) - start)
         if away > START_TOLERANCE_RAD:
@@ -258,9 +237,9 @@ def _clear(s: Tick) -> str:
         return "no fault is latched"
     if state.motion is not None or state.phase in TO_REST:
         raise RequestRefused("NOT_CLEARED", "the arm is still coming to rest; try again")
-    causes = persisting_causes(s)
+    causes = "; ".join(text for _, text in persisting_causes(s))
     if causes:
-        raise RequestRefused("NOT_CLEARED", f"the cause of {state.fault.code} persists: {'; '.join(causes)}")
+        raise RequestRefused("NOT_CLEARED", f"the cause of {state.fault.code} persists: {causes}")
     powered = all(servo and servo.torque_enabled for servo in s.servos)
     s.go(Trigger.CLEAR_POWERED if powered else Trigger.CLEAR_LIMP)
     state.fault = None
@@ -269,64 +248,32 @@ def _clear(s: Tick) -> str:
     return ""
 
 
-def persisting_causes(s: Tick) -> list[str]:
-    """Why the latched fault cannot be cleared now, each with what to do about it; empty if it can."""
-    causes = []
-    for cause, look in CAUSES.items():
-        if text := look(s):
-            causes.append(text)
-            if cause in (Cause.PORT, Cause.SILENCE):
-                break  # what the servos said long ago tells nothing about now
-    return causes
-
-
-def _port(s: Tick) -> str:
-    there = s.inputs.sample.port_open and s.state.connected
-    return "" if there else "the serial port is not open; plug the adapter in"
-
-
-def _problems(s: Tick) -> str:
-    return "; ".join(problem.text for problem in s.state.problems)
-
-
-def _silence(s: Tick) -> str:
+def persisting_causes(s: Tick) -> Iterator[tuple[Cause, str]]:
+    """Why no fault can be cleared now, each with what to do about it; in the order of `Cause`."""
+    if not s.inputs.sample.port_open or not s.state.connected:
+        yield Cause.PORT, "the serial port is not open; plug the adapter in"
+        return
+    for problem in s.state.problems:
+        yield Cause.PROBLEM, problem.text
     # By age: one reply that was lost just now says nothing about a servo that answers.
-    silent = _names(s, [not now.known or now.age_s > PAUSE_AGE_S for now in s.joints])
-    return silent and f"no reply from {silent}; check the cable and the supply"
-
-
-def _heat(s: Tick) -> str:
+    if silent := _names(s, [not now.known or now.age_s > PAUSE_AGE_S for now in s.joints]):
+        yield Cause.SILENCE, f"no reply from {silent}; check the cable and the supply"
+        return  # what the servos said long ago tells nothing about now
     limit_degC = s.arm.temperature_limit_degC
-    hot = _names(s, [now.temperature_degC >= limit_degC for now in s.joints])
-    return hot and f"{hot} above {limit_degC:g} degC; let it cool"
-
-
-def _supply(s: Tick) -> str:
+    if hot := _names(s, [now.temperature_degC >= limit_degC for now in s.joints]):
+        yield Cause.HEAT, f"{hot} above {limit_degC:g} degC; let it cool"
     low_V, high_V = s.arm.voltage_V
-    wrong = [f"{now.voltage_V:.1f} V" for now in s.joints if not low_V <= now.voltage_V <= high_V]
-    return f"the supply gives {wrong[0]}, outside {low_V:g} to {high_V:g} V; check the power supply" if wrong else ""
-
-
-def _torque(s: Tick) -> str:
+    if wrong := [f"{now.voltage_V:.1f} V" for now in s.joints if not low_V <= now.voltage_V <= high_V]:
+        text = f"the supply gives {wrong[0]}, outside {low_V:g} to {high_V:g} V; check the power supply"
+        yield Cause.SUPPLY, text
     on = [bool(servo and servo.torque_enabled) for servo in s.servos]
     limp = _names(s, [not (servo and servo.torque_limit) for servo in s.servos])
     limp = limp or _names(s, [not torque for torque in on])
     if any(on) and limp:
-        return f"{limp} limp while others hold; support the arm and type `armctl release`"
-    weak = ", ".join(s.arm.joint_names[i] for i in s.weak_joints())
-    return weak and f"{weak} without full torque; support the arm and type `armctl release`"
+        yield Cause.TORQUE, f"{limp} limp while others hold; support the arm and type `armctl release`"
+    elif weak := ", ".join(s.arm.joint_names[i] for i in s.weak_joints()):
+        yield Cause.TORQUE, f"{weak} without full torque; support the arm and type `armctl release`"
 
 
 def _names(s: Tick, which: Sequence[bool]) -> str:
     return ", ".join(name for name, named in zip(s.arm.joint_names, which, strict=True) if named)
-
-
-CAUSES: dict[Cause, Callable[[Tick], str]] = {
-    Cause.PORT: _port,
-    Cause.PROBLEM: _problems,
-    Cause.SILENCE: _silence,
-    Cause.HEAT: _heat,
-    Cause.SUPPLY: _supply,
-    Cause.TORQUE: _torque,
-}
-"""What is looked at before a fault is cleared, in this order; each says what persists, or nothing."""

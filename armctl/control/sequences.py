@@ -4,8 +4,6 @@ Which step comes next stands in `machine.TRANSITIONS`. Every step is decided by 
 written to them; and none is decided while one of them is unheard.
 """
 
-from __future__ import annotations
-
 import math
 
 from armctl.control.detect import SILENT_AGE_S
@@ -52,7 +50,7 @@ def adopt(s: Tick) -> None:
     elif not all(powered):
         s.latch_servo("LOST_TORQUE", powered.index(False), "found limp while other servos hold")
     elif weak:
-        limit = s.servos[weak[0]].torque_limit  # type: ignore[union-attr]  # it shows torque
+        limit = s.status(weak[0]).torque_limit
         s.latch_servo("LOST_TORQUE", weak[0], f"found with torque limit {limit}: its torque-on was interrupted")
     else:
         s.go(Trigger.ADOPT_POWERED)
@@ -65,7 +63,6 @@ def adopt(s: Tick) -> None:
 def energise(s: Tick) -> None:
     """The careful torque-on: soft limit and goal read back, enable, watch, ramp the limit up."""
     state, anchor = s.state, s.state.anchor
-    assert anchor is not None
     if state.ticks == 0:
         return  # asked for in this very tick: the next sample shows what was written
     if not s.fresh:
@@ -99,22 +96,19 @@ def energise(s: Tick) -> None:
         case Phase.CONFIRMING if _at_full_torque(s):
             s.reply(state.request_id, True)
             s.go(Trigger.ENERGISED)
-            state.request_id = state.anchor = None
+            state.request_id, state.anchor = None, ()
             s.take_over()
 
 
 def _within_limits(s: Tick, index: int) -> int:
     """Where a shaft is [tick], or the limit that it is just beyond."""
-    servo, joint = s.servos[index], s.wire[index]
-    assert servo is not None
-    return min(max(servo.position, joint.low_tick), joint.high_tick)
+    joint = s.wire[index]
+    return min(max(s.status(index).position, joint.low_tick), joint.high_tick)
 
 
 def _drifted(s: Tick, index: int, anchor: int) -> int:
     """How far a limp shaft has come since energising began [tick]; one under torque, soft as it is, only sags."""
-    servo = s.servos[index]
-    assert servo is not None
-    return 0 if servo.torque_enabled else abs(_within_limits(s, index) - anchor)
+    return 0 if s.status(index).torque_enabled else abs(_within_limits(s, index) - anchor)
 
 
 def _at_full_torque(s: Tick) -> bool:
@@ -128,8 +122,7 @@ def _at_full_torque(s: Tick) -> bool:
 
 def _surprise(s: Tick, index: int, anchor: int) -> str:
     """What is not as it should be with one servo while torque comes on; empty if nothing."""
-    joint, servo, full = s.arm.joints[index], s.servos[index], s.wire[index].full_torque
-    assert servo is not None
+    joint, servo, full = s.arm.joints[index], s.status(index), s.wire[index].full_torque
     who = f"servo {joint.servo_id} ({joint.name})"
     preparing = s.state.phase is Phase.PREPARING
     if preparing and _drifted(s, index, anchor) > STILL_TICKS:
@@ -169,7 +162,6 @@ def verify_limp(s: Tick) -> None:
 def go_to_rest(s: Tick) -> None:
     """The slow way to rest: come to a stop, go there, see that it is there, switch torque off."""
     state, joints = s.state, s.arm.joints
-    assert state.goal is not None
     if not s.all_powered():
         return give_up_rest(s, "LOST_TORQUE", "a servo has no torque")
     if any(_overruled(s, i) for i in range(len(joints))):
@@ -204,9 +196,7 @@ def go_to_rest(s: Tick) -> None:
 
 def _overruled(s: Tick, index: int) -> bool:
     """Whether a servo shows a goal or settings that are not from here; a latched arm is not watched for that else."""
-    servo, goal = s.servos[index], s.state.goal
-    assert servo is not None
-    assert goal is not None
+    servo, goal = s.status(index), s.state.goal
     known = (goal[index], (s.state.previous_goal or goal)[index])
     return servo.goal not in known or servo.settings != s.state.settings[index]
 

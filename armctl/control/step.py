@@ -14,8 +14,6 @@ Rules.
 7. The state that is given in is never changed. The step copies it once, works on the copy, and returns that.
 """
 
-from __future__ import annotations
-
 from armctl.config import ArmConfig
 from armctl.control.detect import detect_faults
 from armctl.control.jog import advance_jog

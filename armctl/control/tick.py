@@ -1,7 +1,5 @@
 """What one control step works on, and the few acts that every part of it shares."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -83,7 +81,7 @@ class Tick:
     """Whether every servo was heard in this very sample."""
     writes: list[Write] = field(default_factory=list)
     goal: Goal | None = None
-    ramp: tuple[float, ...] | None = None
+    ramp: tuple[float, ...] = ()
     """Where the servos' own speed ramps are when that goal is sent."""
     replies: list[Reply] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -113,6 +111,12 @@ class Tick:
     def all_powered(self) -> bool:
         """Whether every servo shows torque; a goal would switch it on where it is off, after a restart even fully."""
         return all(servo and servo.torque_enabled and servo.torque_limit for servo in self.servos)
+
+    def status(self, index: int) -> Status:
+        """What a servo says that has been heard: every one has, once the arm is taken over."""
+        status = self.servos[index]
+        assert status is not None
+        return status
 
     def weak_joints(self) -> list[int]:
         """Which joints have torque but too little to hold: whatever switched it on did not come to its end."""
@@ -175,7 +179,7 @@ class Tick:
     def end_sequence(self, code: str, text: str = "") -> None:
         """Tell whoever waits for the present sequence that it will not end well."""
         self.reply(self.state.request_id, False, code, text or "another request came first")
-        self.state.request_id = self.state.anchor = None
+        self.state.request_id, self.state.anchor = None, ()
 
     def torque_off(self) -> None:
         self.goal = None  # a goal after it would switch the torque on again
@@ -187,7 +191,7 @@ class Tick:
         """Take goals and settings of powered servos as they are."""
         known = [servo for servo in self.servos if servo is not None]
         state = self.state
-        state.goal, state.previous_goal, state.ramp = tuple(servo.goal for servo in known), None, None
+        state.goal, state.previous_goal, state.ramp = tuple(servo.goal for servo in known), (), ()
         state.settings = tuple(servo.settings for servo in known)
         state.error_since_ns = ()
 
@@ -212,14 +216,14 @@ class Tick:
             ]),
         )  # fmt: skip
 
-    def _ramps(self) -> tuple[float, ...] | None:
+    def _ramps(self) -> tuple[float, ...]:
         """Where the servos' own speed ramps are by now [tick]: at the last goal, or short of it.
 
         After a late tick the next one comes soon. A goal that then got no more speed than its own way needs would leave
         the ramp behind for the rest of the motion, and an arm whose program dies would go on for so long.
         """
         goal, begin = self.state.goal, self.state.ramp
-        if goal is None or begin is None:
+        if not begin:
             return goal
         elapsed_s = (self.inputs.now_ns - self.state.goal_ns) / NS_PER_S
         share = elapsed_s / self.period_s if elapsed_s < IN_TIME * self.period_s else 1.0
@@ -233,7 +237,6 @@ class Tick:
 
     def share_of_step(self, goal: list[int]) -> float:
         """How much of the way from the last goal to `goal` may be sent now: a servo that lags behind is waited for."""
-        assert self.state.goal is not None
         share = 1.0
         for servo, last, tick in zip(self.servos, self.state.goal, goal, strict=True):
             assert servo is not None

@@ -143,7 +143,7 @@ class IdealArm:
 
     def fault(self) -> tuple[str, int | None] | None:
         """Code and servo of the latched fault; None: there is none."""
-        return self.state.fault and (self.state.fault.code, self.state.fault.servo_id)
+        return (self.state.fault.code, self.state.fault.servo_id) if self.state.fault else None
 
     def connect(self) -> IdealArm:
         self.run_tick(Connected())

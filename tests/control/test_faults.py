@@ -1,16 +1,16 @@
 """Every fault that can latch has a card, and every card says what is true and what to type."""
 
 import ast
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from armctl.control import faults
 from armctl.control.machine import TO_REST
-from armctl.control.requests import CAUSES
 from armctl.dynamixel import ax12a
-from armctl.messages import Connected, Fault, JointState, Mode, Problem
-from tests.control.ideal_arm import running
+from armctl.messages import Clear, Connected, Fault, JointState, Mode, Problem
+from tests.control.ideal_arm import IdealArm, holding, running
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 LATCHING = {"latch": 0, "latch_servo": 0, "Problem": 0}
@@ -53,9 +53,27 @@ def test_a_row_says_whether_one_servo_is_named(code: str, calls: set[str]) -> No
         assert latched == {"latch_servo" if faults.KINDS[code].of == "servo" else "latch"}
 
 
-def test_every_cause_that_a_row_waits_for_is_looked_at_in_the_order_of_the_table() -> None:
-    assert {kind.until for kind in faults.FAULTS} == set(faults.Cause)
-    assert [*CAUSES, faults.Cause.NONE] == list(faults.Cause)
+SPOILT: dict[faults.Cause, Callable[[IdealArm], object]] = {
+    faults.Cause.PORT: lambda arm: setattr(arm, "port_open", False),
+    faults.Cause.PROBLEM: lambda arm: arm.run_tick(Connected((Problem("WRONG_MODEL", "still there"),))),
+    faults.Cause.SILENCE: lambda arm: arm.silent.add(2),
+    faults.Cause.HEAT: lambda arm: arm.put(2, ax12a.PRESENT_TEMPERATURE, 70),
+    faults.Cause.SUPPLY: lambda arm: arm.put(2, ax12a.PRESENT_VOLTAGE, 80),
+    faults.Cause.TORQUE: lambda arm: arm.put(2, ax12a.TORQUE_LIMIT, 0),
+}
+"""What makes each cause persist."""
+
+
+@pytest.mark.parametrize("cause", sorted({kind.until for kind in faults.FAULTS}))
+def test_whatever_a_row_waits_for_keeps_a_fault_from_being_cleared_while_it_lasts(cause: faults.Cause) -> None:
+    arm = holding()
+    arm.run_tick(Connected((Problem("BLOCKED", "found just now"),)))
+    arm.run_tick(Connected())
+    if cause is not faults.Cause.NONE:
+        SPOILT[cause](arm)
+        arm.run_ticks(3)
+    arm.run_tick(Clear(7))
+    assert arm.replies[7].ok == (cause is faults.Cause.NONE)
 
 
 @pytest.mark.parametrize("kind", faults.FAULTS, ids=lambda kind: kind.code)
