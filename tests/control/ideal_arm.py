@@ -127,12 +127,18 @@ class IdealArm:
         self.after_write(self)
         return outputs
 
-    def run_ticks(self, count: int) -> Outputs:
-        """`count` ticks without a command; what the last tick said."""
-        for _ in range(count):
-            self.run_tick()
+    def run_ticks(self, count: int, *commands: Command) -> Outputs:
+        """`count` ticks, the first one with the commands; what the last one said."""
+        for tick in range(count):
+            self.run_tick(*(() if tick else commands))
         assert self.outputs is not None
         return self.outputs
+
+    def goals_in(self, count: int, *commands: Command) -> list[tuple[int, ...]]:
+        """The goals that are sent in `count` ticks."""
+        before = len(self.goals)
+        self.run_ticks(count, *commands)
+        return self.goals[before:]
 
     def mode(self) -> Mode:
         return self.state.mode
@@ -182,15 +188,12 @@ def energising() -> IdealArm:
 def holding() -> IdealArm:
     arm = energising()
     arm.run_ticks(12)
-    assert arm.mode() is Mode.HOLDING
-    assert arm.replies[1].ok
+    assert (arm.mode(), arm.replies[1].ok) == (Mode.HOLDING, True)
     return arm
 
 
 def running(ticks: int = 0) -> IdealArm:
     """So many ticks after a run has begun, whose request is 5."""
     arm = holding()
-    arm.run_tick(Run(5, line(arm)))
-    for _ in range(ticks):
-        arm.run_tick()
+    arm.run_ticks(ticks + 1, Run(5, line(arm)))
     return arm

@@ -52,8 +52,7 @@ def test_a_load_that_lasts_ends_the_motion_well_and_the_goal_goes_back_to_where_
     assert arm.mode() is Mode.MOVING
     stuck, far = arm.get(JOINT, ax12a.PRESENT_POSITION), arm.goals[-1][JOINT]
     arm.run_tick()
-    assert arm.mode() is Mode.HOLDING
-    assert arm.replies[2].ok
+    assert (arm.mode(), arm.replies[2].ok) == (Mode.HOLDING, True)
     assert arm.replies[2].code == "GRIPPED"
     assert "GRIPPED" in arm.events
     felt = round(0.4 * ax12a.LOAD_MAX) / ax12a.LOAD_MAX
@@ -102,8 +101,7 @@ def test_a_grip_out_of_bounds_is_refused_and_nothing_moves(grip: Grip) -> None:
     arm = IdealArm().power().connect()
     before = arm.state.goal
     arm.run_tick(Run(2, closing(arm, grip)))
-    assert arm.replies[2].code == "LIMIT"
-    assert arm.mode() is Mode.HOLDING
+    assert (arm.mode(), arm.replies[2].code) == (Mode.HOLDING, "LIMIT")
     assert arm.state.goal == before
     assert not arm.goals
 

@@ -106,8 +106,7 @@ def test_a_jog_that_has_ended_does_not_go_on_by_itself() -> None:
     arm = holding()
     jog(arm, 5, joints_rad_s=BASE)
     arm.run_tick(Hold(6))
-    assert arm.replies[6].ok
-    assert arm.mode() is Mode.HOLDING
+    assert (arm.mode(), arm.replies[6].ok) == (Mode.HOLDING, True)
     arm.goals.clear()
     arm.run_tick(Jog(7, BASE))
     assert arm.replies[7].code == "ILLEGAL_TRANSITION"
@@ -222,8 +221,7 @@ def test_joint_velocities_give_the_tool_velocity_away_from_singular_poses() -> N
 def test_a_jog_that_means_nothing_is_refused(command: Jog) -> None:
     arm = holding()
     arm.run_tick(command)
-    assert arm.replies[5].code == "LIMIT"
-    assert arm.mode() is Mode.HOLDING
+    assert (arm.mode(), arm.replies[5].code) == (Mode.HOLDING, "LIMIT")
 
 
 def test_nothing_else_begins_while_jogging() -> None:

@@ -12,8 +12,7 @@ from tests.control.ideal_arm import IdealArm, holding, line
 
 def running(seconds: float = 4.0) -> IdealArm:
     arm = holding()
-    arm.run_tick(Run(5, line(arm, delta_rad=-0.8, seconds=seconds)))
-    arm.run_ticks(6)
+    arm.run_ticks(7, Run(5, line(arm, delta_rad=-0.8, seconds=seconds)))
     return arm
 
 
@@ -26,22 +25,17 @@ def test_a_pause_rests_on_the_path_until_it_is_resumed() -> None:
     outputs = arm.run_ticks(100)
     assert set(arm.goals[-100:]) == {rest}
     assert (outputs.mode, outputs.rate) == (Mode.MOVING, 0.0)
-    arm.run_tick(Resume(7))
-    arm.run_ticks(40)
+    arm.run_ticks(41, Resume(7))
     assert arm.replies[7].ok
-    assert arm.replies[5].ok
-    assert arm.mode() is Mode.HOLDING
+    assert (arm.mode(), arm.replies[5].ok) == (Mode.HOLDING, True)
 
 
 def test_a_paused_run_can_be_stopped() -> None:
     arm = running()
-    arm.run_tick(Pause(6))
-    arm.run_ticks(5)
-    arm.run_tick(Hold(7))
-    arm.run_ticks(2)
+    arm.run_ticks(6, Pause(6))
+    arm.run_ticks(3, Hold(7))
     assert arm.replies[7].ok
-    assert arm.replies[5].code == "STOPPED"
-    assert arm.mode() is Mode.HOLDING
+    assert (arm.mode(), arm.replies[5].code) == (Mode.HOLDING, "STOPPED")
 
 
 def test_at_half_rate_a_run_takes_twice_as_long() -> None:
@@ -86,8 +80,7 @@ def test_whatever_is_said_to_a_run_it_stays_on_its_path_within_its_speed(story: 
         arm.run_tick(command)
         arm.run_ticks(ticks)
     arm.run_tick(Resume(10))
-    arm.run_tick(SetRate(11, 1.0))
-    arm.run_ticks(40)
+    arm.run_ticks(41, SetRate(11, 1.0))
     assert arm.replies[5].ok
     base = [goal[0] for goal in arm.goals]
     assert base == sorted(base, reverse=True)

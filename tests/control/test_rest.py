@@ -6,22 +6,14 @@ from itertools import pairwise
 import pytest
 
 from armctl.dynamixel import ax12a
-from armctl.messages import (
-    Clear,
-    Hold,
-    Mode,
-    Park,
-    Release,
-    Run,
-)
+from armctl.messages import Clear, Hold, Mode, Park, Release, Run
 from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line, running
 
 
 def away() -> IdealArm:
     """Holding, some way from the rest pose."""
     arm = holding()
-    arm.run_tick(Run(90, line(arm, delta_rad=0.6)))
-    arm.run_ticks(25)
+    arm.run_ticks(26, Run(90, line(arm, delta_rad=0.6)))
     assert arm.replies[90].ok
     return arm
 
@@ -37,8 +29,7 @@ def test_park_goes_slowly_to_rest_and_is_limp_there() -> None:
     outputs = arm.run_tick(Park(5))
     assert outputs.mode is Mode.PARKING
     arm.run_ticks(60)
-    assert arm.replies[5].ok
-    assert arm.mode() is Mode.OFF
+    assert (arm.mode(), arm.replies[5].ok) == (Mode.OFF, True)
     assert at_rest(arm)
     assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
     fastest = max(abs(b[0] - a[0]) for a, b in pairwise(arm.goals)) * ax12a.TICK_RAD / PERIOD_S
@@ -47,35 +38,28 @@ def test_park_goes_slowly_to_rest_and_is_limp_there() -> None:
 
 def test_park_can_be_stopped_on_its_way() -> None:
     arm = away()
-    arm.run_tick(Park(5))
-    arm.run_ticks(10)
-    arm.run_tick(Hold(6))
-    arm.run_ticks(4)
-    assert arm.mode() is Mode.HOLDING
-    assert arm.replies[5].code == "STOPPED"
+    arm.run_ticks(11, Park(5))
+    arm.run_ticks(5, Hold(6))
+    assert (arm.mode(), arm.replies[5].code) == (Mode.HOLDING, "STOPPED")
     assert arm.replies[6].ok
     assert not at_rest(arm)
 
 
 def test_an_arm_that_does_not_get_to_rest_keeps_its_torque() -> None:
     arm = away()
-    arm.run_tick(Park(5))
-    arm.run_ticks(8)
+    arm.run_ticks(9, Park(5))
     rest = round(arm.arm.joints[3].tick(arm.arm.joints[3].rest_rad))
     arm.after_write = lambda a: a.put(3, ax12a.PRESENT_POSITION, rest - 15)  # hangs 4.4 deg low
     arm.run_ticks(60)
-    assert arm.replies[5].code == "NOT_AT_REST"
-    assert arm.mode() is Mode.HOLDING
+    assert (arm.mode(), arm.replies[5].code) == (Mode.HOLDING, "NOT_AT_REST")
     assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [1] * 6
 
 
 def test_a_way_to_rest_below_the_floor_is_not_taken() -> None:
     arm = away()
     arm.arm = arm.arm.model_copy(update={"floor_m": 1.0})
-    arm.run_tick(Park(5))
-    arm.run_ticks(3)
-    assert arm.replies[5].code == "LIMIT"
-    assert arm.mode() is Mode.HOLDING
+    arm.run_ticks(4, Park(5))
+    assert (arm.mode(), arm.replies[5].code) == (Mode.HOLDING, "LIMIT")
 
 
 @pytest.mark.parametrize(
@@ -104,8 +88,7 @@ def test_strain_sends_the_arm_to_rest_before_a_servo_trips(
     assert arm.replies[7].ok is cleared
     arm.put(2, register, 120 if register is ax12a.PRESENT_VOLTAGE else 40)
     arm.run_tick(Clear(8))
-    assert arm.replies[8].ok
-    assert arm.mode() is Mode.OFF
+    assert (arm.mode(), arm.replies[8].ok) == (Mode.OFF, True)
 
 
 @pytest.mark.parametrize("register", [ax12a.TORQUE_ENABLE, ax12a.TORQUE_LIMIT])
@@ -117,9 +100,7 @@ def test_the_way_to_rest_ends_where_torque_is_lost(register: ax12a.Register) -> 
     arm.run_ticks(5)
     assert arm.state.motion is None
     assert "LOST_TORQUE" in arm.events
-    arm.goals.clear()
-    arm.run_ticks(30)
-    assert not arm.goals
+    assert not arm.goals_in(30)
 
 
 def test_the_way_to_rest_ends_where_a_servo_falls_silent() -> None:
@@ -134,14 +115,11 @@ def test_the_way_to_rest_ends_where_a_servo_falls_silent() -> None:
 
 def test_a_fault_on_the_way_to_rest_ends_it() -> None:
     arm = away()
-    arm.run_tick(Park(5))
-    arm.run_ticks(5)
+    arm.run_ticks(6, Park(5))
     arm.put(3, ax12a.GOAL, 300)
     arm.run_tick()
     assert arm.replies[5].code == "OTHER_WRITER"
-    arm.goals.clear()
-    arm.run_ticks(30)
-    assert not arm.goals
+    assert not arm.goals_in(30)
 
 
 def test_release_on_the_way_to_rest_is_limp_at_once() -> None:
@@ -149,9 +127,7 @@ def test_release_on_the_way_to_rest_is_limp_at_once() -> None:
     arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
     arm.run_ticks(5)
     arm.run_tick(Release(6))
-    arm.goals.clear()
-    arm.run_ticks(20)
-    assert not arm.goals
+    assert not arm.goals_in(20)
 
 
 def test_clear_waits_for_the_arm_to_come_to_rest() -> None:

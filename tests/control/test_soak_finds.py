@@ -15,8 +15,7 @@ FAST_RAD, FAST_S = -1.9, 2.0
 
 def test_a_servo_in_time_gets_a_full_step_each_tick() -> None:
     arm = holding()
-    arm.run_tick(Run(2, line(arm, FAST_RAD, FAST_S)))
-    arm.run_ticks(12)
+    arm.run_ticks(13, Run(2, line(arm, FAST_RAD, FAST_S)))
     assert {abs(b[0] - a[0]) for a, b in pairwise(arm.goals[-12:])} <= {18, 19}
 
 
@@ -25,8 +24,7 @@ def test_no_goal_is_farther_ahead_than_the_bound_and_a_servo_that_stays_behind_i
     start = arm.get(0, ax12a.PRESENT_POSITION)
     arm.stuck = {0}
     begin = len(arm.goals)
-    arm.run_tick(Run(2, line(arm, FAST_RAD, FAST_S)))
-    arm.run_ticks(8)
+    arm.run_ticks(9, Run(2, line(arm, FAST_RAD, FAST_S)))
     assert 28 < max(abs(goal[0] - start) for goal in arm.goals[begin:]) <= LEAD_TICKS
     assert arm.code() == "BLOCKED"
 
@@ -38,8 +36,7 @@ def test_a_servo_that_catches_up_lets_the_run_go_on_to_its_end() -> None:
     arm.run_ticks(2)
     arm.stuck = set()
     arm.run_ticks(30)
-    assert arm.mode() is Mode.HOLDING
-    assert arm.replies[2].ok
+    assert (arm.mode(), arm.replies[2].ok) == (Mode.HOLDING, True)
     assert arm.get(0, ax12a.PRESENT_POSITION) == round(arm.arm.joints[0].tick(arm.arm.joints[0].rest_rad + FAST_RAD))
 
 
@@ -59,19 +56,14 @@ def test_an_arm_on_its_way_to_rest_for_heat_stops_where_another_program_interfer
     register: ax12a.Register, value: int
 ) -> None:
     arm = holding()
-    arm.run_tick(Run(2, line(arm)))
-    arm.run_ticks(30)
+    arm.run_ticks(31, Run(2, line(arm)))
     arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
     arm.run_ticks(10)
     assert arm.code() == "HOT"
-    count = len(arm.goals)
-    arm.run_ticks(3)
-    assert len(arm.goals) == count + 3
+    assert len(arm.goals_in(3)) == 3
     arm.put(4, register, value)
     arm.run_ticks(2)
-    count = len(arm.goals)
-    arm.run_ticks(30)
-    assert len(arm.goals) == count
+    assert not arm.goals_in(30)
     assert "OTHER_WRITER" in arm.events
     assert all(arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
 
@@ -79,29 +71,23 @@ def test_an_arm_on_its_way_to_rest_for_heat_stops_where_another_program_interfer
 @pytest.mark.parametrize("others", [(), (1, 2, 3, 4, 5)])
 def test_a_servo_that_restarted_during_a_late_tick_of_a_run_gets_no_goal(others: tuple[int, ...]) -> None:
     arm = holding()
-    arm.run_tick(Run(2, line(arm)))
-    arm.run_ticks(8)
+    arm.run_ticks(9, Run(2, line(arm)))
     for index in (0, *others):
         arm.put(index, ax12a.TORQUE_ENABLE, 0)
         arm.put(index, ax12a.MOVING_SPEED, 0)
-    count = len(arm.goals)
-    arm.run_ticks(20)
-    assert len(arm.goals) == count
+    assert not arm.goals_in(20)
     assert arm.code() == "LOST_TORQUE"
     assert not arm.get(0, ax12a.TORQUE_ENABLE)
 
 
 def test_a_servo_that_restarts_while_a_latched_run_slows_down_gets_no_goal() -> None:
     arm = holding()
-    arm.run_tick(Run(2, line(arm)))
-    arm.run_ticks(8)
+    arm.run_ticks(9, Run(2, line(arm)))
     arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
     arm.run_tick()
     assert arm.code() == "VOLTAGE"
     arm.put(4, ax12a.TORQUE_ENABLE, 0)
-    count = len(arm.goals)
-    arm.run_ticks(20)
-    assert len(arm.goals) == count
+    assert not arm.goals_in(20)
     assert not arm.get(4, ax12a.TORQUE_ENABLE)
 
 

@@ -1,6 +1,8 @@
 """What holds of the control step whatever happens."""
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 from hypothesis import given, settings
@@ -13,16 +15,21 @@ from armctl.messages import (
     Command,
     Hold,
     Inputs,
+    Jog,
+    JointTrajectory,
     Park,
+    Pause,
     Release,
+    Resume,
     Run,
     Sample,
     ServoReading,
+    SetRate,
     Teach,
     TeachEnd,
     TorqueOn,
 )
-from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line
+from tests.control.ideal_arm import PERIOD_S, IdealArm, energising, holding, line, running
 
 COMMANDS = st.sampled_from(["park", "hold", "release", "torque", "teach", "end", "run", "clear"])
 
@@ -68,3 +75,36 @@ def _readings(arm: IdealArm):  # type: ignore[no-untyped-def]
     return tuple(
         ServoReading(i, bytes(b), arm.now_ns, True) for i, b in zip(arm.arm.servo_ids, arm.blocks, strict=True)
     )
+
+
+REFUSED = {"ILLEGAL_TRANSITION", "NO_REPLY", "LIMIT", "START_MISMATCH", "NOT_CLEARED"}
+UNFIT = JointTrajectory(PERIOD_S, ((0.5,) * 6, (0.6,) * 6))
+"""It begins where the arm is not."""
+
+
+@given(
+    st.sampled_from([holding, running, energising, lambda: IdealArm(), lambda: IdealArm().connect()]),
+    st.sampled_from(["", "teach", "heat", "park", "jog"]),
+    st.integers(0, 8),
+    st.sampled_from([
+        TorqueOn(9), Release(9), Teach(9), TeachEnd(9), Run(9, UNFIT), Pause(9), Resume(9), SetRate(9, 0.5), Park(9),
+        SetRate(9, 2.0), Jog(9, (0.1,)), Jog(9, (0.1,) * 6, begin=True), Jog(9, (), (0.1, 0.0), True), Clear(9),
+    ]),
+)  # fmt: skip
+@settings(deadline=None, max_examples=150)
+def test_a_refused_command_changes_nothing_but_that_it_is_answered(
+    make: Callable[[], IdealArm], happens: str, ticks: int, command: Command
+) -> None:
+    arm = make()
+    if happens == "heat":
+        arm.put(2, ax12a.PRESENT_TEMPERATURE, 70)
+    first: dict[str, Command] = {"teach": Teach(8), "park": Park(8), "jog": Jog(8, (0.1,) * 6, begin=True)}
+    arm.run_ticks(ticks + 1, *(asked for name, asked in first.items() if name == happens))
+    inputs = Inputs(arm.tick, arm.now_ns, Sample(arm.now_ns, _readings(arm)))
+    state, outputs = step(arm.state, inputs, arm.arm, arm.robot, PERIOD_S)
+    after, said = step(arm.state, replace(inputs, commands=(command,)), arm.arm, arm.robot, PERIOD_S)
+    mine = [reply for reply in said.replies if reply.request_id == 9]
+    if mine and not mine[0].ok and mine[0].code in REFUSED and "does not go to rest" not in mine[0].message:
+        assert after == state
+        assert replace(said, replies=()) == replace(outputs, replies=())
+        assert [reply for reply in said.replies if reply.request_id != 9] == list(outputs.replies)
