@@ -1,44 +1,73 @@
-"""Planted bugs: their patches fit, a few are caught, and what is not caught is told."""
+"""Planted bugs: their edits fit, a few are caught, and what is not caught is told."""
 
 from __future__ import annotations
 
+import ast
 import shutil
 from pathlib import Path
 
 import pytest
 
 from proving import mutants
-from proving.mutants import MUTANTS, ROOT, Mutant, StaleMutant
+from proving.mutants import ROOT, Mutant, StaleMutant
+from proving.planted import MUTANTS
+from proving.syntax import Edit
 
 QUICK = ("speed 0 is written", "torque-on without a soft limit")
 
 
+class Renamed(ast.NodeTransformer):
+    """Every name that a function binds becomes another one, in that function."""
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        stored = {n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+        bound = stored | {n.arg for n in ast.walk(node) if isinstance(n, ast.arg)}
+        for inner in ast.walk(node):
+            if isinstance(inner, ast.Name) and inner.id in bound:
+                inner.id += "_renamed"
+            elif isinstance(inner, ast.arg):
+                inner.arg += "_renamed"
+        return node
+
+
+@pytest.fixture(scope="module")
+def renamed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package in one file a room, without its comments and layout, every local name another one."""
+    package = tmp_path_factory.mktemp("renamed")
+    for room in {mutant.room for mutant in MUTANTS}:
+        trees = [Renamed().visit(ast.parse(path.read_text())) for path in sorted((ROOT / room).rglob("*.py"))]
+        (package / room).mkdir()
+        (package / room / "everything.py").write_text("\n".join(ast.unparse(tree) for tree in trees))
+    return package
+
+
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
-def test_every_patch_fits_and_leaves_a_module_that_compiles(mutant: Mutant, tmp_path: Path) -> None:
-    copy = tmp_path / mutant.file
-    copy.parent.mkdir(parents=True)
-    shutil.copy(ROOT / mutant.file, copy)
-    mutants.plant(mutant, tmp_path)
-    text = copy.read_text(encoding="utf-8")
-    assert text != (ROOT / mutant.file).read_text(encoding="utf-8")
-    compile(text, mutant.file, "exec")
+def test_every_edit_fits_one_place_whatever_files_and_local_names_are_called(
+    mutant: Mutant, renamed: Path, tmp_path: Path
+) -> None:
+    for package in (ROOT, renamed):
+        copy = tmp_path / package.name
+        shutil.copytree(package / mutant.room, copy / mutant.room)
+        before = {path: ast.dump(ast.parse(path.read_text())) for path in copy.rglob("*.py")}
+        changed = mutants.plant(mutant, copy)
+        assert {path for path in before if ast.dump(ast.parse(path.read_text())) != before[path]} == changed != set()
 
 
 def test_there_are_enough_with_names_of_their_own_and_none_in_the_simulator() -> None:
-    assert len({mutant.name for mutant in MUTANTS}) == len(MUTANTS) >= 30
-    assert not [mutant for mutant in MUTANTS if mutant.file.startswith(("sim/", "proving/"))]
+    assert len({mutant.name for mutant in MUTANTS}) == len(MUTANTS) >= 43
+    assert not [mutant for mutant in MUTANTS if mutant.room.startswith("sim")]
 
 
-def test_a_patch_that_no_longer_fits_is_an_error_before_anything_runs() -> None:
-    stale = Mutant("stale", "control/tick.py", (("no such text", ""),))
-    with pytest.raises(StaleMutant, match="'no such text' stands 0 times"):
+def test_an_edit_that_no_longer_fits_is_an_error_before_anything_runs() -> None:
+    stale = Mutant("stale", "control", (Edit("no_such_name = 1", ""),))
+    with pytest.raises(StaleMutant, match="'no_such_name = 1' fits 0 places"):
         mutants.prove(mutants=(stale,))
 
 
 def test_bugs_are_caught_and_what_the_soak_cannot_see_survives() -> None:
     chosen = [mutant for mutant in MUTANTS if mutant.name in QUICK]
-    harmless = Mutant("a comment", "control/tick.py", (("clamped = min(", "clamped = 0 + min("),))
+    harmless = Mutant("no bug", "control", (Edit("IN_TIME = 0.9", "IN_TIME = 0.9 + 0.0"),))
     result = mutants.prove(1, episodes=1, mutants=(*chosen, harmless))
-    assert (result["runs"], result["caught"], result["survivors"]) == (3, 2, ["a comment"])
-    assert result["tests"] == {"a comment": "nothing"}
+    assert (result["runs"], result["caught"], result["survivors"]) == (3, 2, ["no bug"])
+    assert result["tests"] == {"no bug": "nothing"}
     assert result["sound"] == ""

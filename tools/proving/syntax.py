@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ast
 import copy
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -64,6 +65,12 @@ def apply(tree: ast.Module, edit: Edit) -> None:
     ast.fix_missing_locations(tree)
 
 
+@functools.cache
+def _expression(old: str) -> ast.expr:
+    return ast.parse(old, mode="eval").body
+
+
+@functools.cache
 def _statements(old: str) -> list[ast.stmt] | None:
     """The statements of a pattern; None where it is one expression."""
     body = ast.parse(old).body
@@ -71,19 +78,23 @@ def _statements(old: str) -> list[ast.stmt] | None:
 
 
 def _places(tree: ast.Module, edit: Edit) -> Iterator[_Place]:
-    wanted = _statements(edit.old)
+    statements = _statements(edit.old)
     for parent in ast.walk(tree):
         for field, value in ast.iter_fields(parent):
-            if wanted is not None:
+            if statements is not None:
                 if isinstance(value, list) and value and isinstance(value[0], ast.stmt):
-                    yield from _runs(parent, field, value, wanted)
-                continue
-            expression = ast.parse(edit.old, mode="eval").body
-            items = list(enumerate(value)) if isinstance(value, list) else [(None, value)]
-            for index, item in items:
-                found: Found = {}
-                if isinstance(item, ast.expr) and _same(expression, item, found):
-                    yield _Place(parent, field, index, 1, found)
+                    yield from _runs(parent, field, value, statements)
+            else:
+                yield from _expressions(parent, field, value, _expression(edit.old))
+
+
+def _expressions(parent: ast.AST, field: str, value: object, wanted: ast.expr) -> Iterator[_Place]:
+    """Every place of a field at which the wanted expression stands."""
+    items = enumerate(value) if isinstance(value, list) else [(None, value)]
+    for index, item in items:
+        found: Found = {}
+        if isinstance(item, ast.expr) and _same(wanted, item, found):
+            yield _Place(parent, field, index, 1, found)
 
 
 def _runs(parent: ast.AST, field: str, body: list[ast.stmt], wanted: list[ast.stmt]) -> Iterator[_Place]:
@@ -111,7 +122,7 @@ def _bound(name: str, value: object, found: Found) -> bool:
 
 
 def _text(value: object) -> str:
-    return ast.dump(value) if isinstance(value, ast.AST) else repr(value)
+    return ast.unparse(value) if isinstance(value, ast.AST) else repr(value)  # whether read or assigned to
 
 
 def _same(want: object, have: object, found: Found) -> bool:
