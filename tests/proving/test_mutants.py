@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import ast
-import shutil
-from pathlib import Path
+import copy
+import functools
 
 import pytest
 
 from proving import mutants
 from proving.mutants import ROOT, Mutant, StaleMutant
 from proving.planted import MUTANTS
-from proving.syntax import Edit
+from proving.syntax import Edit, apply, fits
 
 QUICK = ("speed 0 is written", "torque-on without a soft limit")
 
@@ -30,27 +30,22 @@ class Renamed(ast.NodeTransformer):
         return node
 
 
-@pytest.fixture(scope="module")
-def renamed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package in one file a room, without its comments and layout, every local name another one."""
-    package = tmp_path_factory.mktemp("renamed")
-    for room in {mutant.room for mutant in MUTANTS}:
-        trees = [Renamed().visit(ast.parse(path.read_text())) for path in sorted((ROOT / room).rglob("*.py"))]
-        (package / room).mkdir()
-        (package / room / "everything.py").write_text("\n".join(ast.unparse(tree) for tree in trees))
-    return package
+@functools.cache
+def trees(room: str) -> tuple[tuple[ast.Module, ...], tuple[ast.Module, ...]]:
+    """A room of the package as it is; and as one file, with every local name another one."""
+    texts = [path.read_text() for path in sorted((ROOT / room).rglob("*.py"))]
+    everything = ast.Module([node for text in texts for node in ast.parse(text).body], [])
+    return tuple(map(ast.parse, texts)), (Renamed().visit(everything),)
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
-def test_every_edit_fits_one_place_whatever_files_and_local_names_are_called(
-    mutant: Mutant, renamed: Path, tmp_path: Path
-) -> None:
-    for package in (ROOT, renamed):
-        copy = tmp_path / package.name
-        shutil.copytree(package / mutant.room, copy / mutant.room)
-        before = {path: ast.dump(ast.parse(path.read_text())) for path in copy.rglob("*.py")}
-        changed = mutants.plant(mutant, copy)
-        assert {path for path in before if ast.dump(ast.parse(path.read_text())) != before[path]} == changed != set()
+def test_every_edit_fits_one_place_whatever_files_and_local_names_are_called(mutant: Mutant) -> None:
+    for room in trees(mutant.room):
+        for edit in mutant.edits:
+            [tree] = [tree for tree in room for _ in range(fits(tree, edit))]
+            changed = copy.deepcopy(tree)
+            apply(changed, edit)
+            assert ast.dump(changed) != ast.dump(tree)
 
 
 def test_there_are_enough_with_names_of_their_own_and_none_in_the_simulator() -> None:
