@@ -14,7 +14,8 @@ PACKAGE = ROOT / "armctl"
 # Lower layers first; a package, or a module at the root, may import its own layer and those below it.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "clock", "messages"),
-    ("dynamixel", "config"),
+    ("dynamixel",),
+    ("config",),
     ("kinematics",),
     ("trajectory",),
     ("genetic", "files"),
@@ -33,7 +34,6 @@ PURE = (
     "armctl.config",
     "armctl.dynamixel.packet",
     "armctl.dynamixel.fitness",
-    "armctl.dynamixel.status",
     "armctl.dynamixel.ax12a",
     "armctl.kinematics",
     "armctl.trajectory",

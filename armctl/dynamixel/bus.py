@@ -30,12 +30,10 @@ from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL
 from dynamixel_sdk.robotis_def import INST_READ, INST_WRITE
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS, ErrorBit, Register, Seen, believable, position_tick
 from armctl.dynamixel.fitness import ServoJoint, bus_dead, duplicate_id, servo_silent, slow_adapter, table_problems
-from armctl.dynamixel.handler import PacketHandler
 from armctl.dynamixel.packet import OVERHEAD_BYTES
-from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, QUIET_MS, ServoPort
-from armctl.dynamixel.status import IMPOSSIBLE_BITS, Seen, believable, position_tick
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, QUIET_MS, PacketHandler, ServoPort
 from armctl.errors import PortGone
 from armctl.messages import Goal, Problem, Sample, ServoReading, Write
 

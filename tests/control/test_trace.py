@@ -13,7 +13,7 @@ from tests.control.test_loop import Rig, holding
 
 PACKAGE = Path(armctl.__file__).parent
 FILES = 12
-CHANGES = 67
+CHANGES = 60
 """Between two rooms; a return counts as well. A reading of the clock by the bus is two."""
 
 

@@ -9,9 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from armctl.clock import VirtualClock
-from armctl.dynamixel.handler import PacketHandler
 from armctl.dynamixel.packet import encode_status
-from armctl.dynamixel.port import ServoPort
+from armctl.dynamixel.port import PacketHandler, ServoPort
 
 READ = (0xFF, 0xFF, 1, 4, 2, 24, 26, 0)
 

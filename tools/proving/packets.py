@@ -24,6 +24,7 @@ import numpy as np
 
 from armctl.clock import VirtualClock
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import (
     BROADCAST_ID,
@@ -35,7 +36,6 @@ from armctl.dynamixel.packet import (
     encode_status,
 )
 from armctl.dynamixel.port import ServoPort
-from armctl.dynamixel.status import IMPOSSIBLE_BITS
 
 RUNS = 5_000_000
 SHARD_RUNS = 25_000

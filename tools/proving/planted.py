@@ -118,7 +118,9 @@ MUTANTS: tuple[Mutant, ...] = (
 
     # ------------------------------------------------------------------------------------------------------- bus
     _m("no retry", BUS, ("__retries < SAMPLE_RETRIES", "__retries < 0")),
-    _m("a lost reply looks fresh", BUS, ("__TODO", "__TODO")),
+    _m("a lost reply looks fresh", BUS, (
+        "replace(__track.reading, fresh=False, problem=__problem)",
+        "replace(__track.reading, fresh=True, stamp_ns=__track.reading.stamp_ns + 100_000_000)")),
     _m("goals of the joints beside", BUS, (
         "zip(__bus.servo_ids, __goal.ticks, __goal.speeds, strict=True)",
         "zip(__bus.servo_ids, __goal.ticks[1:] + __goal.ticks[:1], __goal.speeds, strict=True)")),
