@@ -1,7 +1,5 @@
 """The control socket: its methods on virtual time, its server without a program around it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import select
@@ -17,16 +15,9 @@ from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, PortBusy, PortMissing
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.control import (
-    MAX_LINE_BYTES,
-    TRUTH_PERIOD_NS,
-    TRUTH_S,
-    Controls,
-    ControlServer,
-    SimulatorClient,
-    TruthRing,
-    control_path,
-)
+from armctl.sim.control import Controls, ControlServer, SimulatorClient, control_path
+from armctl.sim.control_server import MAX_LINE_BYTES
+from armctl.sim.truth import TRUTH_PERIOD_NS, TRUTH_S, TruthRing
 
 
 class FakePlug:

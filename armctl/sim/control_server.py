@@ -1,0 +1,115 @@
+"""A Unix stream socket that answers lines, served without ever blocking."""
+
+import contextlib
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from armctl.errors import ConfigError, PortBusy
+
+MAX_LINE_BYTES = 65536
+MAX_PATH_BYTES = 107
+
+
+@dataclass
+class _Connection:
+    incoming: bytearray = field(default_factory=bytearray)
+    outgoing: bytearray = field(default_factory=bytearray)
+    answers: list[Iterator[str]] = field(default_factory=list)
+
+    @property
+    def busy(self) -> bool:
+        return bool(self.outgoing or self.answers)
+
+
+class ControlServer:
+    """The listening socket and its clients, served without ever blocking."""
+
+    def __init__(self, path: Path, answer: Callable[[bytes], Iterator[str]]) -> None:
+        """Listen on `path`; a dead simulator's socket there is replaced.
+
+        Raises:
+            ConfigError: the path is too long or cannot be created.
+            PortBusy: another simulator listens there.
+        """
+        if len(str(path).encode()) > MAX_PATH_BYTES:
+            too_long = f"longer than the {MAX_PATH_BYTES} bytes of a socket's name"
+            raise ConfigError(str(path), "", too_long, "shorten --link")
+        self._path, self._answer = path, answer
+        self._connections: dict[socket.socket, _Connection] = {}
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_socket():
+                with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+                    if probe.connect_ex(str(path)) == 0:
+                        raise PortBusy(f"{path}: another simulator runs here; stop it or choose another --link")
+                path.unlink()
+            self._listener.bind(str(path))
+        except OSError as error:
+            self._listener.close()
+            raise ConfigError(str(path), "", f"cannot listen: {error.strerror}") from None
+        except PortBusy:
+            self._listener.close()
+            raise
+        self._listener.listen()
+        self._listener.setblocking(False)
+
+    def readers(self) -> list[socket.socket]:
+        """Sockets to wait on for reading; a client with an answer under way is not heard."""
+        return [self._listener, *(s for s, connection in self._connections.items() if not connection.busy)]
+
+    def writers(self) -> list[socket.socket]:
+        """Sockets to wait on for writing."""
+        return [s for s, connection in self._connections.items() if connection.busy]
+
+    def serve(self, ready: Sequence[socket.socket]) -> None:
+        """Read from and write to the sockets that are ready, a little of each."""
+        for sock in ready:
+            if sock is self._listener:
+                with contextlib.suppress(BlockingIOError):
+                    accepted, _ = self._listener.accept()
+                    accepted.setblocking(False)
+                    self._connections[accepted] = _Connection()
+                continue
+            connection = self._connections[sock]
+            try:
+                if connection.busy:
+                    self._send(sock, connection)
+                else:
+                    self._receive(sock, connection)
+            except BlockingIOError:
+                pass
+            except OSError:
+                self._drop(sock)
+
+    def close(self) -> None:
+        """Drop every client and remove the socket."""
+        for sock in list(self._connections):
+            self._drop(sock)
+        self._listener.close()
+        self._path.unlink(missing_ok=True)
+
+    def _drop(self, sock: socket.socket) -> None:
+        del self._connections[sock]
+        sock.close()
+
+    def _receive(self, sock: socket.socket, connection: _Connection) -> None:
+        data = sock.recv(MAX_LINE_BYTES)
+        connection.incoming += data
+        *lines, rest = connection.incoming.split(b"\n")
+        if not data or len(rest) > MAX_LINE_BYTES:
+            self._drop(sock)
+            return
+        connection.incoming = bytearray(rest)
+        connection.answers += [self._answer(bytes(line)) for line in lines]
+
+    def _send(self, sock: socket.socket, connection: _Connection) -> None:
+        if not connection.outgoing:
+            piece = next(connection.answers[0], None)
+            if piece is None:
+                del connection.answers[0]
+                piece = "\n"
+            connection.outgoing += piece.encode()
+        del connection.outgoing[: sock.send(connection.outgoing)]
