@@ -18,7 +18,6 @@ from armctl.errors import RequestRefused
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory, Run, Teach, TeachEnd, TorqueOn
-from armctl.sim import steps
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
@@ -100,7 +99,6 @@ class VirtualRig:
         Raises:
             RequestRefused: the arm does not take torque.
         """
-        steps.compiled()
         self.simulated = simulated
         self._clock = _ObservingClock(simulated)
         self._virtual = VirtualArm(simulated, period_s, clock=self._clock)

@@ -181,7 +181,7 @@ class SimulatedBus:
                 continue
             servo_delay_ns = servo.return_delay_ns
             status = servo.handle(packet)
-            if to == servo_id and (noise := faults.strike("garbage", servo_id)):
+            if to == servo_id and (noise := faults.happening("garbage", servo_id)):
                 self._quiet_ns = max(time_ns, self._quiet_ns)
                 self._speak(noise.rng.bytes(round(noise.amount)), byte_ns, 0)
             if status is not None:
@@ -212,21 +212,21 @@ class SimulatedBus:
     def _spoil(self, status: bytes, servo_id: int) -> tuple[bytes | None, int]:
         """What the faults leave of a reply, and how much later [ns] it reaches the host."""
         faults = self.faults
-        if faults.strike("lost", servo_id):
+        if faults.happening("lost", servo_id):
             return None, 0
-        if struck := faults.strike("wrong_id", servo_id):
+        if struck := faults.happening("wrong_id", servo_id):
             wrong = (servo_id + 1) % (ax12a.ID.maximum + 1) if struck.fault.value is None else round(struck.amount)
             status = encode_status(wrong, status[4], status[5:-1])
-        if struck := faults.strike("corrupted", servo_id):
+        if struck := faults.happening("corrupted", servo_id):
             at = int(struck.rng.integers(len(status)))
             wrong = status[at] ^ int(struck.rng.integers(1, 256))
             status = status[:at] + bytes((wrong,)) + status[at + 1 :]
-        if struck := faults.strike("truncated", servo_id):
+        if struck := faults.happening("truncated", servo_id):
             keeps = int(struck.rng.integers(1, len(status))) if struck.fault.value is None else round(struck.amount)
             status = status[:keeps]
-        if faults.strike("duplicated", servo_id):
+        if faults.happening("duplicated", servo_id):
             status += status
-        late = faults.strike("late", servo_id)
+        late = faults.happening("late", servo_id)
         return status, round(late.amount * 1e6) if late else 0
 
     def _stranger(self, servo_id: int, servo: SimulatedServo) -> SimulatedServo | None:

@@ -1,7 +1,19 @@
-"""What a servo's registers come to for its motor: where to go, how fast, and how hard to try."""
+"""The position controller of a servo: where to go, how fast, and how hard to try.
+
+A goal is not reached at once: the *reference* goes there at the moving speed, and the controller pulls the shaft to the
+reference. Its output depends on the error, in whole ticks:
+
+    output |          ______ limit
+           |        /           slope: `gain` per tick
+     punch |      /
+           |     |              margin: no output
+         --+-----+-----------> error
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from struct import Struct
 from typing import NamedTuple
 
@@ -28,24 +40,60 @@ class Drive(NamedTuple):
     spin: float | None
     """Output in wheel mode, which knows no goal; None: not in wheel mode."""
 
+    def output(self, error_tick: int) -> float:
+        """Output at an error, which is reference less shaft; both have the same sign."""
+        if error_tick > self.ccw_margin:
+            return min(self.punch + (error_tick - self.ccw_margin) * self.ccw_gain, self.output_limit)
+        if error_tick < -self.cw_margin:
+            return -min(self.punch - (error_tick + self.cw_margin) * self.cw_gain, self.output_limit)
+        return 0.0
 
-def drive_of(
-    cw_limit: int,
-    ccw_limit: int,
-    max_torque: int,
-    enabled: int,
-    cw_margin: int,
-    ccw_margin: int,
-    cw_slope: int,
-    ccw_slope: int,
-    goal: int,
-    moving_speed: int,
-    torque_limit: int,
-    punch: int,
-) -> Drive:
-    """What the registers of `DRIVING` come to."""
+    def ramp(self, reference_tick: float, step_s: float) -> Ramp:
+        """The reference's way from where it is."""
+        goal_tick = float(self.goal_tick)
+        if self.spin is not None:
+            reference_tick = goal_tick
+        elif not self.enabled:
+            goal_tick = reference_tick  # it stays
+        way_tick, step_tick = goal_tick - reference_tick, self.ramp_tick_s * step_s
+        arrival = 0 if way_tick == 0.0 else 1  # at once, unless it has a speed
+        if way_tick != 0.0 and step_tick != 0.0:
+            arrival = math.ceil(abs(way_tick) / step_tick)
+        return Ramp(reference_tick, goal_tick, step_tick if way_tick > 0.0 else -step_tick, arrival)
+
+
+class Ramp(NamedTuple):
+    """The way of the reference to the goal at constant speed; its steps count from 1."""
+
+    begin_tick: float
+    goal_tick: float
+    step_tick: float
+    """Way in one step, with its sign."""
+    arrival: int
+    """The step in which the reference reaches the goal; 0: it is there."""
+
+    def at(self, step: int) -> float:
+        """The reference [tick] after so many steps."""
+        return self.goal_tick if step >= self.arrival else self.begin_tick + self.step_tick * step
+
+    def last_step_at(self, whole_tick: int, step: int, end: int) -> int:
+        """The last step, from `step` to at most `end`, in which the reference still rounds to a tick."""
+        if step >= self.arrival or whole_tick == self.goal_tick:
+            return end
+        if self.step_tick > 0.0:
+            last = math.ceil((whole_tick + 0.5 - self.begin_tick) / self.step_tick) - 1
+        else:
+            last = math.floor((whole_tick - 0.5 - self.begin_tick) / self.step_tick)
+        return min(end, max(step, last))
+
+
+def drive_of(registers: Sequence[int]) -> Drive:
+    """What the registers of `DRIVING` mean."""
+    cw_limit, ccw_limit, max_torque, enabled, *compliance, goal, moving_speed, torque_limit, punch = registers
+    cw_margin, ccw_margin, cw_slope, ccw_slope = compliance
     limit = min(torque_limit, max_torque) / ax12a.LOAD_MAX
-    ramp = 1.0 - punch / ax12a.LOAD_MAX
+    rise = 1.0 - punch / ax12a.LOAD_MAX
+    spin = min(max(ax12a.load_ratio(moving_speed), -limit), limit) + 0.0  # which turns -0.0 into 0.0
     return Drive(
         enabled=bool(enabled),
         goal_tick=goal,
@@ -54,9 +102,9 @@ def drive_of(
         punch=punch / ax12a.LOAD_MAX,
         cw_margin=cw_margin,
         ccw_margin=ccw_margin,
-        cw_gain=ramp / compliance_slope(cw_slope),
-        ccw_gain=ramp / compliance_slope(ccw_slope),
-        spin=min(max(ax12a.load_ratio(moving_speed), -limit), limit) if cw_limit == ccw_limit == 0 else None,
+        cw_gain=rise / compliance_slope(cw_slope),
+        ccw_gain=rise / compliance_slope(ccw_slope),
+        spin=spin if cw_limit == ccw_limit == 0 else None,
     )
 
 

@@ -5,7 +5,7 @@ Rules:
 1. A fault is in force from `begin_s` for `duration_s` (None: until it is ended), in the simulator's own time: seconds
    since the arm began. It changes nothing before and leaves nothing behind, except what a servo itself keeps (a trip,
    a reboot, a goal).
-2. Some kinds are a state, in force without pause. Others strike on occasions (a reply, a packet, a write of the second
+2. Some kinds are a state, in force without pause. Others happen on occasions (a reply, a packet, a write of the second
    writer, a servo at the fault's begin): each with `probability`, and at most `count` times.
 3. Every fault draws from a generator of its own, by the seed and its number, so faults do not disturb each other.
 4. Nobody but the bus, the arm and the port asks about faults, and where none is planned each asks a plain number.
@@ -17,12 +17,10 @@ The file of `armctl sim --faults` holds one list:
       - {kind: late, count: 1, value: 12}
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -48,7 +46,7 @@ class _Value:
 class _Kind:
     what: str
     occasion: str = ""
-    """On what it strikes; empty: a state."""
+    """On what it happens; empty: a state."""
     value: _Value | None = None
     bus_wide: bool = False
     one_servo: bool = False
@@ -103,7 +101,7 @@ class Fault(BaseModel):
     value: float | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Fault:
+    def _check(self) -> Self:
         kind = _KINDS.get(self.kind)
         if kind is None:
             raise ValueError(f"kind {self.kind!r} is unknown; known: {', '.join(KINDS)}")
@@ -183,8 +181,13 @@ class Planned:
         assert value is not None
         return value
 
-    def strikes(self) -> bool:
-        """Whether it strikes on an occasion; counts if so."""
+    def concerns(self, kind: str, servo_id: int | None) -> bool:
+        """Whether it is a fault of this kind, in force for a servo (None: whichever)."""
+        fault = self.fault
+        return self.begun and fault.kind == kind and (servo_id is None or fault.servo_id in (None, servo_id))
+
+    def happens(self) -> bool:
+        """Whether it happens on an occasion; counts if so."""
         fault = self.fault
         if fault.count is not None and self.struck >= fault.count:
             return False
@@ -232,8 +235,7 @@ class Faults:
             raise ValueError(f"fault {id}: there never was one; the numbers so far are 1..{self._last_id}")
         for planned in self._planned:
             if planned.id == id:
-                planned.end_s = -math.inf
-                self.due_s = -math.inf
+                planned.end_s = self.due_s = -math.inf
 
     def advance(self, now_s: float) -> list[Planned]:
         """Begin and end what is due by `now_s`.
@@ -261,23 +263,11 @@ class Faults:
 
     def in_force(self, kind: str, servo_id: int | None = None) -> Planned | None:
         """The newest fault of a kind in force for a servo (None: whichever)."""
-        for planned in reversed(self._planned):
-            fault = planned.fault
-            if planned.begun and fault.kind == kind and (servo_id is None or fault.servo_id in (None, servo_id)):
-                return planned
-        return None
+        return next((p for p in reversed(self._planned) if p.concerns(kind, servo_id)), None)
 
-    def strike(self, kind: str, servo_id: int) -> Planned | None:
-        """The fault of a kind that strikes on this occasion, a servo's."""
-        for planned in self._planned:
-            fault = planned.fault
-            if planned.begun and fault.kind == kind and fault.servo_id in (None, servo_id) and planned.strikes():
-                return planned
-        return None
-
-    def active(self, now_s: float) -> tuple[tuple[int, Fault], ...]:
-        """Number and fault of everything in force at `now_s`, oldest first."""
-        return tuple((p.id, p.fault) for p in self._planned if p.begin_s <= now_s < p.end_s)
+    def happening(self, kind: str, servo_id: int) -> Planned | None:
+        """The oldest fault of a kind that happens on this occasion, a servo's."""
+        return next((p for p in self._planned if p.concerns(kind, servo_id) and p.happens()), None)
 
     def listing(self) -> list[dict[str, Any]]:
         """Everything planned or in force, as plain values; times are absolute, `end_s` None: not before it is ended."""

@@ -7,21 +7,18 @@ posture differs a little, and the speed varies about a minimum-jerk profile. The
 a powered one resists it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
+from armctl.config import ArmConfig
 from armctl.errors import UnreachableTarget
+from armctl.kinematics.chain import SerialChain
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
-
-if TYPE_CHECKING:
-    from armctl.sim.arm import SimulatedArm
 
 CARRY_SPEED_RAD_S = 0.8
 """Fastest joint while the arm is carried to the start."""
@@ -38,6 +35,31 @@ WOBBLE_CYCLES = (0.4, 1.0, 1.7)
 """Waves of wobble along the line, each weaker than the one before."""
 POSTURE_RAD = 0.05
 """Standard deviation of the posture among takes."""
+STIFFNESS_NM_RAD = 60.0
+DAMPING_NM_S = 0.6
+MAX_TORQUE_NM = 2.0
+"""Of the hand at one joint."""
+
+
+def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
+    """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower."""
+    torque = STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s
+    return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
+
+
+class Limb(Protocol):
+    """What a hand has to know of an arm."""
+
+    @property
+    def config(self) -> ArmConfig: ...
+
+    @property
+    def chain(self) -> SerialChain: ...
+
+    @property
+    def time_s(self) -> float: ...
+
+    def true_positions(self) -> FloatArray: ...
 
 
 @dataclass(frozen=True)
@@ -59,7 +81,6 @@ class _Take:
     when: Guided
     from_rad: list[float]
     """Where the arm was taken up."""
-    guess_rad: FloatArray
     line_m: tuple[FloatArray, FloatArray]
     amplitude_m: FloatArray
     """Shape (waves, 3)."""
@@ -72,7 +93,7 @@ class _Take:
 class Hand:
     """A person's hand at a simulated arm; it begins with hands off."""
 
-    def __init__(self, arm: SimulatedArm) -> None:
+    def __init__(self, arm: Limb) -> None:
         self._arm = arm
         self._take: _Take | None = None
         self._aimed_at: tuple[_Take | None, float] = None, 0.0
@@ -120,7 +141,6 @@ class Hand:
             when=Guided(0.0, 0.0, 0.0),
             # A hand that already holds the arm keeps its grip, else the arm would sag for a moment.
             from_rad=self.aim(self._arm.time_s)[0] if self.holding else self._arm.true_positions().tolist(),
-            guess_rad=guess,
             line_m=line,
             amplitude_m=share * peak,
             phase_rad=rng.uniform(0.0, 2.0 * math.pi, size=(waves, 3)),

@@ -1,127 +1,232 @@
-"""One joint of a simulated arm: a mass on a motor with friction, in the servo's own direction (CCW positive).
+"""One joint of a simulated arm: a motor that turns a link, in the servo's own direction (CCW positive).
 
-Integrated at 1 kHz by semi-implicit Euler, in `steps.py`:
+Integrated at 1 kHz by semi-implicit Euler:
 
-    output  = 0 inside the margin, `punch` at its edge, then a ramp over the slope, capped by the torque limits;
-              the error is counted in whole ticks between the reference and the quantised shaft
-    motor   = stall_torque * (output * voltage / 12 V - velocity / no_load_speed)      (nothing at all when limp)
-    inertia * acceleration = motor + gravity + hand - friction
+    output  = that of the position controller (`drive.py`) at the error between reference and sensed shaft
+    motor   = stall_torque * output * voltage / 12 V - stall_torque / no_load_speed * velocity     (nothing when limp)
+    torque  = motor + gravity + hand
+    inertia * acceleration = torque - Coulomb friction; from rest only if the torque exceeds the stiction
 
-The shaft, which the potentiometer sees and the link hangs on, follows the motor through a play: gravity and hand
-push it to one flank; without them it is dragged along. The reference ramps to the goal at the moving speed.
+The shaft, which the position sensor sees and the link hangs on, follows the motor through a play: gravity and hand
+push it to one flank; without them it is dragged along.
 
-Because the error is counted in whole ticks, the output stays until the reference or the shaft has come to another
-tick: it is computed there and nowhere else. A joint that its friction holds is left alone until the reference gets
-to another tick. Both give the same as computing every step.
+Two ideas save most of the time, and both give the same as computing every step:
+
+- The error is counted in whole ticks. So the output stays until the reference or the shaft comes to another tick.
+- Where stiction holds a joint nothing changes until its reference comes to another tick. So the steps up to there
+  are skipped.
 """
 
-from __future__ import annotations
+import math
+from dataclasses import dataclass, field
 
-from armctl.sim import steps
-from armctl.sim.drive import Drive
+from armctl.sim.drive import Drive, Ramp
+from armctl.sim.hand import hand_torque
+from armctl.sim.potentiometer import sensed_range
 from armctl.sim.servo import SimulatedServo
-from armctl.sim.state import Count, Number, Seat
-from armctl.sim.steps import STEP_S
+from armctl.sim.spec import ArmSpec
+
+STEP_S = 1e-3
+RATED_V = 12.0
+"""The supply at which stall torque and no-load speed are stated."""
 
 
-class Joint(Seat):
-    """One joint of the arm's state, and its servo: angles are the servo's, angle = tick * TICK_RAD."""
+@dataclass(slots=True, eq=False)
+class Joint:
+    """One joint and its servo: angles are the servo's, angle = tick * TICK_RAD."""
 
-    shaft, motor, omega = Number(steps.SHAFT), Number(steps.MOTOR), Number(steps.OMEGA)
-    effort = Number(steps.EFFORT)
-    direction, zero_rad = Number(steps.DIRECTION), Number(steps.ZERO)
-    coulomb, stiction, half_play = Number(steps.COULOMB), Number(steps.STICTION), Number(steps.HALF_PLAY)
-    stall, brake = Number(steps.STALL), Number(steps.BRAKE)
-    load, rate = Number(steps.LOAD), Number(steps.RATE)
-    ahead, dead_motor = Count(steps.AHEAD), Count(steps.DEAD)
-    boot_step = Count(steps.BOOT_STEP)
+    servo: SimulatedServo
+    """Knows the shaft: its angle, velocity and all else that a register reports."""
+    spec: ArmSpec
+    direction: float
+    """1.0 or -1.0: the joint position grows with the shaft angle, or falls."""
+    zero_rad: float
+    """Shaft angle at joint position 0, the zero offset included."""
+    rest_rad: float
+    """The joint position in the rest pose."""
+    coulomb_Nm: float
+    stiction_Nm: float
+    half_play_rad: float
+    stops_rad: tuple[float, float]
+    stall_Nm: float
+    """Torque at the rated supply."""
 
-    def __init__(
-        self,
-        servo: SimulatedServo,
-        *,
-        direction: float,
-        zero_rad: float,
-        rest_rad: float,
-        coulomb: float,
-        stiction: float,
-        half_play: float,
-        low: float,
-        high: float,
-        stall: float,
-        brake: float,
-        shaft: float,
-    ) -> None:
-        """The joint in the seat of its servo, standing still.
+    motor_rad: float = field(init=False)
+    """The motor's angle behind its gears; the shaft's differs by the play."""
+    gravity_Nm: float = 0.0
+    step_over_inertia: float = STEP_S
+    """How much velocity a torque gives in a step [rad/s per N m]."""
+    gravity_shaft_rad: float = math.inf
+    """The shaft angle for which gravity and inertia were computed."""
+    effort: float = 0.0
+    """Motor current, as a fraction of the stall current."""
+    step: int = 0
+    """How far it is integrated: steps since the arm's begin."""
+    drive: Drive = field(init=False)
+    writes: int = field(init=False)
+    """The servo's count of writes when its drive was taken over."""
+    ramp: Ramp = field(init=False)
+    ramp_steps: int = 0
+    """Steps since the ramp's begin."""
+    reference_tick: float = math.nan
+    """Where the ramp left the servo's reference. If the servo says otherwise, a new ramp begins."""
+    overload_steps: int = 0
+    """For how long the effort has been too high."""
+    boot_end_step: int = 0
+    """When the firmware will have started."""
+    dead_motor: bool = False
+    blocked_rad: float | None = None
+    """Where something holds the shaft."""
+    aim_rad: float = 0.0
+    """Where a hand wanted the shaft when the chunk began."""
+    aim_rad_s: float = 0.0
 
-        Args:
-            zero_rad: Shaft angle at joint position 0, the zero offset included.
-            rest_rad: The joint position in the rest pose.
-            stall: Torque at the rated supply [N m].
-            brake: What the motor loses by turning [N m s].
-            shaft: Where it is [rad].
-        """
-        super().__init__(servo.state, servo.i)
-        self.servo = servo
-        constants = (direction, zero_rad, rest_rad, coulomb, stiction, half_play, low, high, stall, brake)
-        for place, value in enumerate(constants, self.at + steps.DIRECTION):
-            self.numbers[place] = value
-        self._ends = low, high
-        self.shaft = self.motor = shaft
-        self.rate = STEP_S
-        self.numbers[self.at + steps.WEIGHED_AT] = float("inf")
-        self.writes, self.drive = servo.writes, servo.drive
-        self.drive_by(self.drive)
+    def __post_init__(self) -> None:
+        self.motor_rad = self.servo.shaft_rad
+        self.drive, self.writes = self.servo.drive, self.servo.writes
 
     def position_rad(self) -> float:
-        return self.direction * (self.shaft - self.zero_rad)
+        """Of the link: what the kinematics calls the joint position."""
+        return self.direction * (self.servo.shaft_rad - self.zero_rad)
 
-    @property
-    def held(self) -> bool:
-        """Whether something holds the shaft where it is."""
-        numbers, at = self.numbers, self.at
-        return numbers[at + steps.LOW] == numbers[at + steps.HIGH]
+    def take_aim(self, position_rad: float, velocity_rad_s: float) -> None:
+        """Note where a hand wants the joint, and how fast."""
+        self.aim_rad = self.zero_rad + self.direction * position_rad
+        self.aim_rad_s = self.direction * velocity_rad_s
 
-    def hold(self, at_rad: float | None) -> None:
-        """Let the shaft go no further than an angle both ways; None: its own ends."""
-        low, high = self._ends if at_rad is None else (at_rad, at_rad)
-        self.numbers[self.at + steps.LOW], self.numbers[self.at + steps.HIGH] = low, high
-
-    def pull(self, aim_rad: float, speed_rad_s: float) -> None:
-        """Take note of where a hand wants the joint, and how fast."""
-        numbers, at = self.numbers, self.at
-        direction = numbers[at + steps.DIRECTION]
-        numbers[at + steps.AIM] = numbers[at + steps.ZERO] + direction * aim_rad
-        numbers[at + steps.AIM_SPEED] = direction * speed_rad_s
-
-    def obey(self) -> bool:
-        """Take note of what was written to the servo; whether the arm may go on resting."""
+    def take_drive(self) -> bool:
+        """Take over what was written to the servo; whether nothing has to move for it."""
         servo, drive = self.servo, self.servo.drive
-        self.writes, same = servo.writes, drive is self.drive
+        same = drive == self.drive
         if not same:
-            same, self.drive = drive == self.drive, drive
-            self.drive_by(drive)
+            self.drive, self.reference_tick = drive, math.nan  # its ramp begins where the reference is
+        self.writes = servo.writes
         return same and (not drive.enabled or drive.spin is not None or servo.reference_tick == drive.goal_tick)
 
-    def drive_by(self, drive: Drive) -> None:
-        """Let another drive rule the motor; its ramp begins where the reference is."""
-        numbers, counts, at, of = self.numbers, self.counts, self.at, self.of
-        numbers[at + steps.GOAL] = drive.goal_tick
-        numbers[at + steps.RAMP] = drive.ramp_tick_s * STEP_S
-        numbers[at + steps.LIMIT] = drive.output_limit
-        numbers[at + steps.PUNCH] = drive.punch
-        numbers[at + steps.CW_GAIN] = drive.cw_gain
-        numbers[at + steps.CCW_GAIN] = drive.ccw_gain
-        numbers[at + steps.SPIN] = drive.spin or 0.0
-        counts[of + steps.FRESH] = 1
-        counts[of + steps.ENABLED] = drive.enabled
-        counts[of + steps.SPINS] = drive.spin is not None
-        counts[of + steps.CW_MARGIN] = drive.cw_margin
-        counts[of + steps.CCW_MARGIN] = drive.ccw_margin
+    def advance(self, until_step: int, aim_step: int | None) -> bool:
+        """Let time pass; whether anything about the joint changes.
 
-    def ask(self) -> None:
-        """If the joint asks for it, let the servo shut down."""
-        counts, of = self.counts, self.of
-        if counts[of + steps.ASKS]:
-            counts[of + steps.ASKS] = 0
-            self.servo.protect()
+        Args:
+            until_step: The step to come to.
+            aim_step: The step to which the hand's aim belongs; None: no hand pulls.
+        """
+        count = until_step - self.step
+        if count <= 0:
+            return False
+        servo = self.servo
+        if servo.reference_tick != self.reference_tick:
+            self.ramp, self.ramp_steps = self.drive.ramp(servo.reference_tick, STEP_S), 0
+        ramping, shaft_rad, velocity_rad_s = self.ramp_steps < self.ramp.arrival, servo.shaft_rad, servo.velocity_rad_s
+        self._follow_ramp(count, None if aim_step is None else self.step - aim_step)
+        self.step = until_step
+        waiting = self._check_alarms(count)
+        moved = servo.velocity_rad_s != 0.0 or velocity_rad_s != 0.0 or servo.shaft_rad != shaft_rad
+        return ramping or moved or waiting
+
+    def _follow_ramp(self, count: int, aim_age: int | None) -> None:
+        """Let the reference go on, and integrate from each of its whole ticks to the next."""
+        ramp, step = self.ramp, self.ramp_steps
+        end = step + count
+        while step < end:
+            whole_tick = math.floor(ramp.at(step + 1) + 0.5)
+            last = ramp.last_step_at(whole_tick, step + 1, end)
+            self._integrate(whole_tick, last - step, aim_age)
+            if aim_age is not None:
+                aim_age += last - step
+            step = last
+        self.ramp_steps = end
+        self.reference_tick = self.servo.reference_tick = ramp.at(end)
+
+    def _integrate(self, reference_tick: int, count: int, aim_age: int | None) -> None:
+        """Integrate `count` steps with one reference.
+
+        Args:
+            aim_age: Steps since the hand's aim was taken; None: no hand pulls.
+        """
+        servo, stiction, rate, half_play = self.servo, self.stiction_Nm, self.step_over_inertia, self.half_play_rad
+        shaft, motor, velocity = servo.shaft_rad, self.motor_rad, servo.velocity_rad_s
+        low, high = self.stops_rad if self.blocked_rad is None else (self.blocked_rad, self.blocked_rad)
+        stall, brake = self._motor_constants()
+        external = self.gravity_Nm
+        drift = self._drift_through_play(external)
+        begin, end = math.inf, -math.inf  # of the shaft angles that give the same output; none yet
+        output = motor_torque = 0.0
+        for age in range(aim_age or 0, (aim_age or 0) + count):
+            # The controller, and the torque of its motor.
+            if not begin <= shaft < end:
+                output, begin, end = self._output(reference_tick, shaft)
+                motor_torque = stall * output
+            # What acts from outside.
+            if aim_age is not None:
+                behind = self.aim_rad + self.aim_rad_s * (age * STEP_S) - shaft
+                external = self.gravity_Nm + hand_torque(behind, self.aim_rad_s - velocity)
+                drift = self._drift_through_play(external)
+            # Friction takes its part; stiction holds what stands.
+            torque = motor_torque - brake * velocity + external
+            stuck_at = None
+            if velocity == 0.0 and -stiction <= torque <= stiction:
+                stuck_at = shaft, motor
+            else:
+                velocity = sliding_velocity(velocity, torque, self.coulomb_Nm, rate)
+            motor += velocity * STEP_S
+            # The shaft is anywhere within the play around the motor.
+            shaft += drift
+            if shaft > motor + half_play:
+                shaft = motor + half_play
+            elif shaft < motor - half_play:
+                shaft = motor - half_play
+            # A stop holds shaft and motor back, and takes the velocity towards it.
+            if shaft < low:
+                motor, shaft, velocity = motor + low - shaft, low, max(velocity, 0.0)
+            elif shaft > high:
+                motor, shaft, velocity = motor + high - shaft, high, min(velocity, 0.0)
+            if stuck_at == (shaft, motor) and aim_age is None:
+                break  # every further step would give the same
+        servo.shaft_rad, self.motor_rad, servo.velocity_rad_s, servo.output = shaft, motor, velocity, output
+
+    def _motor_constants(self) -> tuple[float, float]:
+        """Torque at full output [N m], and against the velocity by back EMF [N m s]; a limp or dead motor has none."""
+        if not self.drive.enabled or self.dead_motor:
+            return 0.0, 0.0
+        return self.stall_Nm * (self.servo.voltage_V / RATED_V), self.stall_Nm / self.spec.no_load_speed_rad_s
+
+    def _output(self, reference_tick: int, shaft_rad: float) -> tuple[float, float, float]:
+        """Output of the controller, and the shaft angles between which it stays: from the first to below the second."""
+        drive, frozen_tick = self.drive, self.servo.frozen_tick
+        sensed, begin, end = sensed_range(shaft_rad) if frozen_tick is None else (frozen_tick, -math.inf, math.inf)
+        if not drive.enabled:
+            return 0.0, begin, end
+        return drive.output(reference_tick - sensed) if drive.spin is None else drive.spin, begin, end
+
+    def _drift_through_play(self, external_Nm: float) -> float:
+        """How far a torque pushes the shaft through its play in a step [rad]; friction holds it against less."""
+        friction_Nm = self.spec.shaft_friction_Nm
+        if -friction_Nm <= external_Nm <= friction_Nm:
+            return 0.0
+        slip_rad = self.spec.play_speed_rad_s * STEP_S
+        return slip_rad if external_Nm > 0.0 else -slip_rad
+
+    def _check_alarms(self, count: int) -> bool:
+        """Look for overload, heat, voltage and the end of a start; whether some of it only waits for time to pass."""
+        servo, spec, enabled = self.servo, self.spec, self.drive.enabled
+        # The current follows the voltage that the turning motor does not bring up itself.
+        self.effort = servo.output - servo.velocity_rad_s / spec.no_load_speed_rad_s if servo.output != 0.0 else 0.0
+        straining = enabled and not -spec.overload_output <= self.effort <= spec.overload_output
+        self.overload_steps = self.overload_steps + count if straining else 0
+        if self.overload_steps * STEP_S > spec.overload_s:
+            servo.overloaded = True
+        booting = servo.booting
+        servo.booting = booting and self.step < self.boot_end_step
+        if enabled or booting != servo.booting:
+            servo.protect()
+        return straining or booting
+
+
+def sliding_velocity(velocity: float, torque_Nm: float, coulomb_Nm: float, step_over_inertia: float) -> float:
+    """Velocity [rad/s] a step later of a shaft that slides or breaks away.
+
+    Coulomb friction works against the motion. It may stop the shaft, but never turns it round.
+    """
+    if velocity > 0.0 or (velocity == 0.0 and torque_Nm > 0.0):
+        return max(velocity + (torque_Nm - coulomb_Nm) * step_over_inertia, 0.0)
+    return min(velocity + (torque_Nm + coulomb_Nm) * step_over_inertia, 0.0)

@@ -3,8 +3,6 @@
 docs/simulator.md says of each figure whether it is ROBOTIS', a study's or a guess, and what is not modelled.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 from armctl.dynamixel import ax12a

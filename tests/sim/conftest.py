@@ -1,15 +1,22 @@
-"""The arm every simulator test plays with, and the bytes that move it."""
-
-from __future__ import annotations
+"""The arm every simulator test plays with, on its bus, and the bytes that move it."""
 
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 
+from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instruction
 from armctl.files import load_arm
+from armctl.kinematics.transform import FloatArray
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.faults import Fault, Faults
+from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
+
+WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
 
 
 @pytest.fixture(scope="session")
@@ -17,11 +24,69 @@ def arm() -> ArmConfig:
     return load_arm("ax12-line")
 
 
-def sync_write(arm: ArmConfig, positions_rad: Sequence[float], speeds: Sequence[int]) -> bytes:
-    """SYNC_WRITE of goals (clamped to the limits) and moving speeds [register units]."""
-    data = bytes((ax12a.GOAL.address, 4))
-    for joint, position, speed in zip(arm.joints, positions_rad, speeds, strict=True):
-        low, high = joint.limits_tick
-        tick = min(max(round(joint.tick(position)), low), high)
-        data += bytes((joint.servo_id,)) + tick.to_bytes(2, "little") + speed.to_bytes(2, "little")
-    return encode_instruction(BROADCAST_ID, Instruction.SYNC_WRITE, data)
+class Bench:
+    """A simulated arm on its bus; time begins at 1 s and moves when told to."""
+
+    def __init__(self, arm: ArmConfig, *script: Fault, seed: int = 0, spec: ArmSpec = DEFAULT_SPEC) -> None:
+        self.arm = SimulatedArm(arm, seed=seed, spec=spec)
+        self.bus = SimulatedBus(self.arm, faults=Faults(script, seed=seed), seed=seed)
+        self.now_ns = NS_PER_S
+        self.arm.advance(self.now_ns)
+
+    def wait(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+        self.arm.advance(self.now_ns)
+
+    def goto(self, positions_rad: FloatArray, speed: int | Sequence[int] = 100, wait_s: float = 0.0) -> None:
+        """SYNC_WRITE of goals (clamped to the limits) and moving speeds [register units]."""
+        speeds = [speed] * len(positions_rad) if isinstance(speed, int) else speed
+        data = bytes((ax12a.GOAL.address, 4))
+        for joint, position, units in zip(self.arm.config.joints, positions_rad.tolist(), speeds, strict=True):
+            low, high = joint.limits_tick
+            tick = min(max(round(joint.tick(position)), low), high)
+            data += bytes((joint.servo_id,)) + tick.to_bytes(2, "little") + units.to_bytes(2, "little")
+        self.bus.receive(encode_instruction(BROADCAST_ID, Instruction.SYNC_WRITE, data), self.now_ns)
+        self.wait(wait_s)
+
+    def hold(self) -> None:
+        """The arm in its working pose, at rest."""
+        self.goto(WORKING_RAD, wait_s=6.0)
+
+    def limp(self) -> None:
+        for servo in self.arm.servos:
+            servo.set(ax12a.TORQUE_ENABLE, 0)
+
+    def ask(self, request: bytes) -> list[tuple[int, int]]:
+        """Every byte that comes back within 50 ms, with its time since the request's begin [ns]."""
+        begin_ns = self.now_ns
+        self.bus.receive(request, begin_ns)
+        self.wait(0.05)
+        heard = []
+        while (at := self.bus.next_transmit_ns()) is not None and at <= self.now_ns:
+            heard += [(at - begin_ns, value) for value in self.bus.transmit(at)]
+        return heard
+
+    def hear(self, request: bytes) -> bytes:
+        return bytes(value for _, value in self.ask(request))
+
+    def begin(self, kind: str, servo_id: int | None = None, value: float | None = None) -> int:
+        """Let a fault begin now; its number."""
+        number = self.bus.faults.begin(Fault(kind=kind, servo_id=servo_id, value=value), self.arm.time_s)
+        self.arm.advance(self.now_ns)
+        return number
+
+    def end(self, number: int) -> None:
+        self.bus.faults.end(number)
+        self.wait(0.001)
+
+
+@pytest.fixture
+def bench(arm: ArmConfig) -> Bench:
+    return Bench(arm)
+
+
+@pytest.fixture
+def held(bench: Bench) -> Bench:
+    """A bench whose arm holds its working pose."""
+    bench.hold()
+    return bench

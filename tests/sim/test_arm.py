@@ -1,7 +1,5 @@
 """Laws of the simulated arm's physics, on virtual time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,71 +7,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import Instruction, encode_instruction
 from armctl.kinematics import robots
-from armctl.kinematics.chain import SerialChain, link_frames
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.bus import SimulatedBus
-from armctl.sim.faults import Fault
-from armctl.sim.gravity import GRAVITY_M_S2, gravity_loads, links_of
 from armctl.sim.servo import ServoVariants, SimulatedServo
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
-from tests.sim.conftest import sync_write
+from tests.sim.conftest import WORKING_RAD, Bench
 
-WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
 CHAIN = robots.get("ax12-line").chain
 
 
-class Bench:
-    """An arm on a bus at time 0 s."""
-
-    def __init__(self, arm: ArmConfig, *, seed: int = 0, spec: ArmSpec = ArmSpec()) -> None:  # noqa: B008
-        self.arm = SimulatedArm(arm, seed=seed, spec=spec)
-        self.bus = SimulatedBus(self.arm)
-        self.now_ns = NS_PER_S
-        self.arm.advance(self.now_ns)
-
-    def goto(self, positions_rad: FloatArray, speeds: list[int], wait_s: float) -> None:
-        self.bus.receive(sync_write(self.arm.config, positions_rad.tolist(), speeds), self.now_ns)
-        self.wait(wait_s)
-
-    def wait(self, wait_s: float) -> None:
-        self.now_ns += round(wait_s * 1e9)
-        self.arm.advance(self.now_ns)
-
-
-def mass_points(chain: SerialChain, q: FloatArray) -> FloatArray:
-    """The points `gravity_loads` puts masses on, from the one forward kinematics."""
-    frames = link_frames(chain, q)[:, :3, 3]
-    axes = frames[:-1] if chain.convention == "standard" else frames[1:]
-    return np.vstack([axes, (axes[-1] + frames[-1]) / 2.0, frames[-1]])
-
-
-@pytest.mark.parametrize("convention", ["standard", "modified"])
-@settings(deadline=None, max_examples=30)
-@given(st.lists(st.floats(-2.5, 2.5), min_size=5, max_size=5))
-def test_gravity_is_the_slope_of_potential_energy(convention: str, q: list[float]) -> None:
-    chain = SerialChain(CHAIN.rows, "standard" if convention == "standard" else "modified")
-    kg = (0.07, 0.08, 0.09, 0.1, 0.11, 0.12, 0.13)
-    step = 1e-5
-    for i, (torque, inertia) in enumerate(gravity_loads(links_of(chain), kg, q)):
-        ahead, behind = np.array(q), np.array(q)
-        ahead[i] += step
-        behind[i] -= step
-        slope = (mass_points(chain, ahead) - mass_points(chain, behind)) / (2.0 * step)
-        assert torque == pytest.approx(-GRAVITY_M_S2 * float(slope[:, 2] @ kg), abs=1e-6)
-        assert inertia == pytest.approx(float((slope**2).sum(axis=1) @ kg), abs=1e-8)
-
-
-def test_arm_starts_limp_in_its_rest_pose_and_stays(arm: ArmConfig) -> None:
-    bench = Bench(arm)
+def test_arm_starts_limp_in_its_rest_pose_and_stays(bench: Bench) -> None:
     bench.wait(1e6)  # at rest time costs nothing, or this would take hours
-    rest = [joint.rest_rad for joint in arm.joints]
+    rest = [joint.rest_rad for joint in bench.arm.config.joints]
     assert bench.arm.true_positions() == pytest.approx(rest, abs=1e-9)
     assert not any(servo.torque_enabled for servo in bench.arm.servos)
 
@@ -89,7 +39,7 @@ def test_servos_carry_the_calibrations_ids_and_limits(arm: ArmConfig) -> None:
 def test_result_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
     at_once, in_pieces = Bench(arm, seed=3), Bench(arm, seed=3)
     for bench in (at_once, in_pieces):
-        bench.goto(WORKING_RAD, [100] * 6, 0.0)
+        bench.goto(WORKING_RAD)
         bench.arm.hand.guide(np.array([0.2, 0.0, 0.1]), np.array([0.2, 0.1, 0.1]), seed=1)
     for piece in pieces_ns:
         in_pieces.wait(piece / 1e9)
@@ -100,40 +50,36 @@ def test_result_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: li
 def test_same_seed_same_arm_and_other_seed_other_arm(arm: ArmConfig) -> None:
     benches = [Bench(arm, seed=seed) for seed in (1, 1, 2)]
     for bench in benches:
-        bench.goto(WORKING_RAD, [100] * 6, 4.0)
+        bench.goto(WORKING_RAD, 100, 4.0)
     first, same, other = (bench.arm.true_positions().tolist() for bench in benches)
     assert first == same
     assert first != other
 
 
-def test_an_earlier_instant_changes_nothing(arm: ArmConfig) -> None:
-    bench = Bench(arm)
-    bench.goto(WORKING_RAD, [100] * 6, 0.5)
+def test_an_earlier_instant_changes_nothing(bench: Bench) -> None:
+    bench.goto(WORKING_RAD, 100, 0.5)
     before = bench.arm.true_positions().tolist()
     bench.arm.advance(bench.now_ns - 300_000_000)
     assert bench.arm.true_positions().tolist() == before
 
 
-def test_held_arm_sags_and_comes_to_rest(arm: ArmConfig) -> None:
-    bench = Bench(arm)
-    bench.goto(WORKING_RAD, [100] * 6, 6.0)
-    off_deg = np.degrees(bench.arm.true_positions() - WORKING_RAD)
+def test_held_arm_sags_and_comes_to_rest(held: Bench) -> None:
+    off_deg = np.degrees(held.arm.true_positions() - WORKING_RAD)
     assert -6.0 < off_deg[1] < -2.0
     assert abs(off_deg[0]) < 1.0
-    settled = bench.arm.true_positions().tolist()
-    bench.wait(2e4)
-    assert bench.arm.true_positions().tolist() == settled
-    assert bench.arm.servos[1].output > 0.2
-    assert bench.arm.servos[1].velocity_rad_s == 0.0
+    settled = held.arm.true_positions().tolist()
+    held.wait(2e4)
+    assert held.arm.true_positions().tolist() == settled
+    assert held.arm.servos[1].output > 0.2
+    assert held.arm.servos[1].velocity_rad_s == 0.0
 
 
 def test_limp_arm_falls_to_its_stops_and_not_beyond(arm: ArmConfig) -> None:
     spec = ArmSpec()
     bench = Bench(arm, spec=spec)
-    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    bench.hold()
     height = bench.arm.true_tool_position()[2]
-    for servo in bench.arm.servos:
-        servo.set(ax12a.TORQUE_ENABLE, 0)
+    bench.limp()
     bench.wait(5.0)
     assert bench.arm.true_tool_position()[2] < height - 0.05
     margin = math.radians(spec.stop_deg) + 1e-9
@@ -142,24 +88,22 @@ def test_limp_arm_falls_to_its_stops_and_not_beyond(arm: ArmConfig) -> None:
         assert low - margin <= position <= high + margin
 
 
-def test_moving_speed_bounds_the_speed_of_the_base(arm: ArmConfig) -> None:
-    bench = Bench(arm)
-    bench.goto(WORKING_RAD, [60] * 6, 6.0)
+def test_moving_speed_bounds_the_speed_of_the_base(bench: Bench) -> None:
+    bench.goto(WORKING_RAD, 60, 6.0)
     target = WORKING_RAD.copy()
     target[0] = 1.0
     begin = bench.arm.true_positions()[0]
-    bench.goto(target, [60] * 6, 0.0)
+    bench.goto(target, 60, 0.0)
     bench.wait(1.0)
     travelled = bench.arm.true_positions()[0] - begin
     assert travelled == pytest.approx(60 * ax12a.SPEED_UNIT_RAD_S, rel=0.1)
 
 
-def test_speed_zero_means_as_fast_as_the_motor_can(arm: ArmConfig) -> None:
-    bench = Bench(arm)
-    bench.goto(WORKING_RAD, [60] * 6, 6.0)
+def test_speed_zero_means_as_fast_as_the_motor_can(bench: Bench) -> None:
+    bench.goto(WORKING_RAD, 60, 6.0)
     target = WORKING_RAD.copy()
     target[0] = 1.0
-    bench.goto(target, [0] * 6, 0.5)
+    bench.goto(target, 0, 0.5)
     assert bench.arm.true_positions()[0] > 0.9
 
 
@@ -167,25 +111,24 @@ def test_shaft_never_leaves_its_play(arm: ArmConfig) -> None:
     bench = Bench(arm, seed=4)
     rng = np.random.default_rng(0)
     for _ in range(20):
-        bench.goto(WORKING_RAD + 0.3 * rng.standard_normal(6), [200] * 6, 0.3)
+        bench.goto(WORKING_RAD + 0.3 * rng.standard_normal(6), 200, 0.3)
         for joint in bench.arm._joints:
-            assert abs(joint.shaft - joint.motor) <= joint.half_play + 1e-9
+            assert abs(joint.servo.shaft_rad - joint.motor_rad) <= joint.half_play_rad + 1e-9
 
 
-def test_gravity_decides_the_flank_of_the_play(arm: ArmConfig) -> None:
-    bench = Bench(arm)
+def test_gravity_decides_the_flank_of_the_play(bench: Bench) -> None:
     for approach in (0.3, -0.3):
         start = WORKING_RAD.copy()
         start[1] += approach
-        bench.goto(start, [100] * 6, 5.0)
-        bench.goto(WORKING_RAD, [100] * 6, 3.0)
+        bench.goto(start, 100, 5.0)
+        bench.goto(WORKING_RAD, 100, 3.0)
         shoulder = bench.arm._joints[1]
-        assert shoulder.shaft - shoulder.motor == pytest.approx(-shoulder.half_play)
+        assert shoulder.servo.shaft_rad - shoulder.motor_rad == pytest.approx(-shoulder.half_play_rad)
 
 
 def test_reported_position_hides_the_zero_offset(arm: ArmConfig) -> None:
     bench = Bench(arm, spec=ArmSpec(noise_tick=0.0, zero_offset_tick=5.0))
-    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    bench.hold()
     reported = [
         joint.position_rad(servo.get(ax12a.PRESENT_POSITION))
         for joint, servo in zip(arm.joints, bench.arm.servos, strict=True)
@@ -193,7 +136,7 @@ def test_reported_position_hides_the_zero_offset(arm: ArmConfig) -> None:
     off_tick = np.abs(bench.arm.true_positions() - reported) / ax12a.TICK_RAD
     assert off_tick.max() > 2.0
     exact = Bench(arm, spec=ArmSpec(noise_tick=0.0, zero_offset_tick=0.0))
-    exact.goto(WORKING_RAD, [100] * 6, 6.0)
+    exact.hold()
     for joint, servo, true in zip(arm.joints, exact.arm.servos, exact.arm.true_positions(), strict=True):
         assert joint.position_rad(servo.get(ax12a.PRESENT_POSITION)) == pytest.approx(true, abs=0.51 * ax12a.TICK_RAD)
 
@@ -210,9 +153,9 @@ def test_random_arms_differ_within_their_bounds(arm: ArmConfig) -> None:
     zeros = [joint.zero_tick * ax12a.TICK_RAD for _ in simulated for joint in arm.joints]
     nominal_kg = RANDOM_SPEC.servo_kg + RANDOM_SPEC.bracket_kg
     for values, low, high in (
-        ([joint.stall for joint in joints], 1.2, 1.8),
-        ([joint.coulomb for joint in joints], 0.08, 0.16),
-        ([math.degrees(2.0 * joint.half_play) for joint in joints], 0.25, 0.5),
+        ([joint.stall_Nm for joint in joints], 1.2, 1.8),
+        ([joint.coulomb_Nm for joint in joints], 0.08, 0.16),
+        ([math.degrees(2.0 * joint.half_play_rad) for joint in joints], 0.25, 0.5),
         ([(j.zero_rad - zero) / ax12a.TICK_RAD for j, zero in zip(joints, zeros, strict=True)], -0.5, 0.5),
         ([kg / nominal_kg for one in simulated for kg in one.points_kg[:-1]], 0.85, 1.15),
         ([one.points_kg[-1] for one in simulated], 0.06, 0.1),
@@ -228,14 +171,13 @@ def test_coarse_looks_at_gravity_agree_with_looking_every_millisecond(
 
     def play(seed: int) -> FloatArray:
         bench = Bench(arm, seed=seed, spec=RANDOM_SPEC)
-        bench.goto(WORKING_RAD, [60] * 6, 6.0)
+        bench.goto(WORKING_RAD, 60, 6.0)
         rng, at, positions = np.random.default_rng(seed), WORKING_RAD, []
         for _ in range(20):
             at = at + np.clip(0.05 * rng.standard_normal(6), -0.1, 0.1)
-            bench.goto(at, [60] * 6, 0.1)
+            bench.goto(at, 60, 0.1)
             positions.append(bench.arm.true_positions())
-        for servo in bench.arm.servos:
-            servo.set(ax12a.TORQUE_ENABLE, 0)
+        bench.limp()
         for _ in range(10):
             bench.wait(0.1)
             positions.append(bench.arm.true_positions())
@@ -243,9 +185,9 @@ def test_coarse_looks_at_gravity_agree_with_looking_every_millisecond(
 
     seeds = range(4)
     coarse = [play(seed) for seed in seeds]
-    monkeypatch.setattr("armctl.sim.arm.CHUNK_STEPS", 1)
-    monkeypatch.setattr("armctl.sim.arm.FAST_CHUNK_STEPS", 1)
-    monkeypatch.setattr("armctl.sim.arm.WEIGHED_RAD", 0.0)
+    monkeypatch.setattr("armctl.sim.body.CHUNK_STEPS", 1)
+    monkeypatch.setattr("armctl.sim.body.FAST_CHUNK_STEPS", 1)
+    monkeypatch.setattr("armctl.sim.body.GRAVITY_RAD", 0.0)
     for seed, rough in zip(seeds, coarse, strict=True):
         fine = play(seed)
         off_tick = np.abs(rough - fine)[:20] / ax12a.TICK_RAD
@@ -258,10 +200,10 @@ def test_coarse_looks_at_gravity_agree_with_looking_every_millisecond(
 def test_arm_at_rest_stays_so_whatever_is_written_again(arm: ArmConfig) -> None:
     told, left = Bench(arm, seed=5), Bench(arm, seed=5)
     for bench in (told, left):
-        bench.goto(WORKING_RAD, [60] * 6, 8.0)
+        bench.goto(WORKING_RAD, 60, 8.0)
     settled = left.arm.true_positions().tolist()
     for _ in range(20):
-        told.goto(WORKING_RAD, [60] * 6, 0.1)
+        told.goto(WORKING_RAD, 60, 0.1)
         left.wait(0.1)
         assert told.arm.true_positions().tolist() == settled == left.arm.true_positions().tolist()
     assert [servo.temperature_degC for servo in told.arm.servos] == pytest.approx(
@@ -275,7 +217,7 @@ def test_looking_at_one_joint_only_changes_nothing(arm: ArmConfig) -> None:
     for _ in range(40):
         target = WORKING_RAD + 0.3 * rng.standard_normal(6)
         for bench in (whole, part):
-            bench.goto(target, [100] * 6, 0.0)
+            bench.goto(target)
         for _ in range(6):
             later_ns = int(rng.integers(1, 12_000_000))
             part.now_ns += later_ns
@@ -293,7 +235,7 @@ def test_looking_at_one_joint_only_changes_nothing(arm: ArmConfig) -> None:
 
 def test_too_heavy_a_tool_trips_the_shoulder(arm: ArmConfig) -> None:
     bench = Bench(arm, spec=ArmSpec(tool_kg=(0.6, 0.6)))
-    bench.goto(WORKING_RAD, [100] * 6, 3.0)
+    bench.goto(WORKING_RAD, 100, 3.0)
     shoulder = bench.arm.servos[1]
     watched = (ax12a.TORQUE_ENABLE, ax12a.TORQUE_LIMIT)
     assert [shoulder.get(register) for register in watched] == [1, 1023]
@@ -311,7 +253,7 @@ def test_direction_minus_one_mirrors_the_servo(arm: ArmConfig) -> None:
     spec = ArmSpec(zero_offset_tick=0.0)
     benches = [Bench(arm, spec=spec), Bench(mirrored, spec=spec)]
     for bench in benches:
-        bench.goto(WORKING_RAD, [100] * 6, 6.0)
+        bench.hold()
     plain, mirror = (bench.arm.true_positions() for bench in benches)
     assert mirror == pytest.approx(plain, abs=2.0 * ax12a.TICK_RAD)
 
@@ -326,7 +268,7 @@ def test_uncorrected_streamed_line_misses_by_15_to_25_mm(arm: ArmConfig, seed: i
         q = solve_position(CHAIN, begin + share * (end - begin), q, limits)
         path.append(np.append(q, 0.0))
     bench = Bench(arm, seed=seed)
-    bench.goto(path[0], [60] * 6, 8.0)
+    bench.goto(path[0], 60, 8.0)
     tool = []
     for before, goal in zip([path[0], *path], path, strict=False):
         speeds = [ax12a.moving_speed_units(way / 0.1) for way in goal - before]
@@ -342,7 +284,7 @@ def test_ramp_that_restarts_at_the_position_sags_more_when_streamed(arm: ArmConf
     heights = []
     for continues in (True, False):
         bench = Bench(arm, spec=ArmSpec(variants=ServoVariants(ramp_from_reference=continues)))
-        bench.goto(WORKING_RAD, [60] * 6, 8.0)
+        bench.goto(WORKING_RAD, 60, 8.0)
         target = WORKING_RAD.copy()
         for _ in range(30):
             target = target + np.radians([1.0, 0.3, 0.0, 0.0, 0.0, 0.0])
@@ -351,27 +293,24 @@ def test_ramp_that_restarts_at_the_position_sags_more_when_streamed(arm: ArmConf
     assert heights[1] < heights[0] - math.radians(1.0)
 
 
-def test_voltage_falls_under_load_and_comes_back(arm: ArmConfig) -> None:
-    bench = Bench(arm)
+def test_voltage_falls_under_load_and_comes_back(bench: Bench) -> None:
     assert {servo.get(ax12a.PRESENT_VOLTAGE) for servo in bench.arm.servos} == {120}
-    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    bench.hold()
     held_V = bench.arm.servos[0].voltage_V
     assert 11.8 < held_V < 12.0
-    bench.arm.faults.begin(Fault(kind="blocked_joint", servo_id=1), bench.arm.time_s)
+    bench.begin("blocked_joint", 1)
     target = WORKING_RAD + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    bench.goto(target, [0] * 6, 1.0)
+    bench.goto(target, 0, 1.0)
     stall_V = bench.arm.spec.supply_ohm * bench.arm.spec.stall_current_A
     assert bench.arm.servos[5].voltage_V == pytest.approx(held_V - stall_V, abs=0.02)
-    for servo in bench.arm.servos:
-        servo.set(ax12a.TORQUE_ENABLE, 0)
+    bench.limp()
     bench.wait(5.0)
     assert bench.arm.servos[0].voltage_V == 12.0
 
 
-def test_servo_heats_with_effort_and_cools_without(arm: ArmConfig) -> None:
-    bench = Bench(arm)
+def test_servo_heats_with_effort_and_cools_without(bench: Bench) -> None:
     spec = bench.arm.spec
-    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    bench.hold()
     shoulder = bench.arm.servos[1]
     settled = spec.idle_degC + spec.stall_heating_degC * shoulder.output**2
     begin = shoulder.temperature_degC
@@ -381,8 +320,7 @@ def test_servo_heats_with_effort_and_cools_without(arm: ArmConfig) -> None:
     assert shoulder.temperature_degC == pytest.approx(settled, abs=1e-3)
     assert 40.0 < settled < 70.0
     assert bench.arm.servos[5].temperature_degC == pytest.approx(spec.idle_degC, abs=0.1)
-    for servo in bench.arm.servos:
-        servo.set(ax12a.TORQUE_ENABLE, 0)
+    bench.limp()
     bench.wait(20.0 * spec.heating_s)
     assert shoulder.temperature_degC == pytest.approx(spec.idle_degC, abs=1e-3)
 
@@ -392,7 +330,7 @@ def test_arm_left_holding_too_much_overheats_when_its_time_has_come(arm: ArmConf
     bench = Bench(arm, spec=ArmSpec(stall_heating_degC=600.0))
     shoulder = bench.arm.servos[1]
     shoulder.set(ax12a.SHUTDOWN, ax12a.ErrorBit.OVERHEAT if masked else 0)
-    bench.goto(WORKING_RAD, [100] * 6, 6.0)
+    bench.hold()
     settled = 30.0 + 600.0 * shoulder.output**2
     wait_s = 400.0 * math.log((settled - shoulder.temperature_degC) / (settled - 70.5))
     bench.wait(wait_s - 1.0)
@@ -407,7 +345,7 @@ def test_arm_left_holding_too_much_overheats_when_its_time_has_come(arm: ArmConf
 def test_temperature_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
     at_once, in_pieces = Bench(arm), Bench(arm)
     for bench in (at_once, in_pieces):
-        bench.goto(WORKING_RAD, [100] * 6, 0.0)
+        bench.goto(WORKING_RAD)
     for piece in pieces_ns:
         in_pieces.wait(piece / 1e9)
     at_once.wait(sum(pieces_ns) / 1e9)
@@ -442,8 +380,7 @@ def test_wheel_turns_through_the_dead_zone_where_readings_are_erratic(arm: ArmCo
     assert bench.arm.servos[5].torque_enabled
 
 
-def test_wheel_at_speed_zero_stands_still(arm: ArmConfig) -> None:
-    bench = Bench(arm)
+def test_wheel_at_speed_zero_stands_still(bench: Bench) -> None:
     servo = wheel(bench, 5, 0)
     before = servo.position_tick
     bench.wait(2.0)

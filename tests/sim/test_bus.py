@@ -1,7 +1,5 @@
 """Timing and parsing of the simulated bus, byte by byte on virtual time."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest
@@ -18,6 +16,11 @@ BEGIN_NS = 10**9
 FAR_NS = 10**13
 PING = encode_instruction(1, Instruction.PING)
 READ_STATUS = encode_instruction(2, Instruction.READ, bytes((ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)))
+
+
+@pytest.fixture
+def bus(arm: ArmConfig) -> SimulatedBus:
+    return SimulatedBus(SimulatedArm(arm))
 
 
 def arrivals(bus: SimulatedBus) -> list[tuple[int, int]]:
@@ -47,8 +50,7 @@ def test_reply_comes_after_wire_time_and_return_delay(arm: ArmConfig, baud: int,
     assert times == [first + i * byte_ns for i in range(6 + ax12a.STATUS_SIZE)]
 
 
-def test_replies_never_overlap_on_the_wire(arm: ArmConfig) -> None:
-    bus = SimulatedBus(SimulatedArm(arm))
+def test_replies_never_overlap_on_the_wire(bus: SimulatedBus) -> None:
     for servo in bus.arm.servos:
         servo.set(ax12a.RETURN_DELAY, 0)
     bus.receive(READ_STATUS + PING + READ_STATUS, BEGIN_NS)
@@ -68,8 +70,7 @@ def test_host_bytes_may_be_cut_anywhere(arm: ArmConfig, cuts: list[int]) -> None
 
 
 @pytest.mark.parametrize(("gap_ns", "answered"), [(99_000_000, True), (101_000_000, False)])
-def test_gap_of_100_ms_between_bytes_resets_the_parser(arm: ArmConfig, gap_ns: int, answered: bool) -> None:
-    bus = SimulatedBus(SimulatedArm(arm))
+def test_gap_of_100_ms_between_bytes_resets_the_parser(bus: SimulatedBus, gap_ns: int, answered: bool) -> None:
     bus.receive(PING[:3], BEGIN_NS)
     bus.receive(PING[3:], BEGIN_NS + gap_ns)
     assert bool(replies(bus)) == answered
@@ -105,8 +106,7 @@ def told(bus: SimulatedBus, servo_id: int, instruction: Instruction, parameters:
     return answers[0].code if answers and isinstance(answers[0], Packet) else None
 
 
-def test_who_hears_the_host_changes_with_ids_and_bauds(arm: ArmConfig) -> None:
-    bus = SimulatedBus(SimulatedArm(arm))
+def test_who_hears_the_host_changes_with_ids_and_bauds(bus: SimulatedBus) -> None:
     assert told(bus, 1, Instruction.WRITE, bytes((ax12a.ID.address, 9))) == 0
     assert told(bus, 1, Instruction.PING) is None
     assert told(bus, 9, Instruction.WRITE, bytes((ax12a.BAUD.address, 34))) == 0
@@ -126,15 +126,13 @@ def test_who_hears_the_host_changes_with_ids_and_bauds(arm: ArmConfig) -> None:
     assert told(bus, 200, Instruction.PING) == 0
 
 
-def test_two_servos_with_one_id_corrupt_each_others_reply(arm: ArmConfig) -> None:
-    bus = SimulatedBus(SimulatedArm(arm))
+def test_two_servos_with_one_id_corrupt_each_others_reply(bus: SimulatedBus) -> None:
     bus.arm.servos[2].set(ax12a.ID, 2)
     bus.receive(encode_instruction(2, Instruction.READ, bytes((36, 2))), BEGIN_NS)
     assert [type(reply) for reply in replies(bus)] == [BadChecksum]
 
 
-def test_bad_checksum_is_answered_with_its_error_bit(arm: ArmConfig) -> None:
-    bus = SimulatedBus(SimulatedArm(arm))
+def test_bad_checksum_is_answered_with_its_error_bit(bus: SimulatedBus) -> None:
     bus.receive(PING[:-1] + b"\x00", BEGIN_NS)
     assert replies(bus) == [Packet(1, ax12a.ErrorBit.CHECKSUM)]
 
@@ -149,8 +147,7 @@ def test_same_seed_same_bytes_on_the_wire(arm: ArmConfig) -> None:
     assert wires[0] == wires[1]
 
 
-def test_nothing_received_is_nothing(arm: ArmConfig) -> None:
-    bus = SimulatedBus(SimulatedArm(arm))
+def test_nothing_received_is_nothing(bus: SimulatedBus) -> None:
     bus.receive(b"", BEGIN_NS)
     assert bus.next_transmit_ns() is None
     assert bus.transmit(FAR_NS) == b""

@@ -1,7 +1,5 @@
 """The hand that guides a limp arm."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,10 +10,14 @@ from armctl.config import ArmConfig
 from armctl.errors import UnreachableTarget
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.hand import Guided
-from armctl.sim.steps import MAX_TORQUE_NM, hand_torque
+from armctl.sim.hand import MAX_TORQUE_NM, Guided, hand_torque
 
 FROM_M, TO_M = np.array([0.18, -0.125, 0.10]), np.array([0.18, 0.125, 0.10])
+
+
+@pytest.fixture
+def simulated(arm: ArmConfig) -> SimulatedArm:
+    return SimulatedArm(arm)
 
 
 def take(simulated: SimulatedArm, seed: int, begin_ns: int = NS_PER_S) -> tuple[Guided, FloatArray]:
@@ -60,8 +62,7 @@ def test_takes_differ_by_seed_and_only_by_seed(arm: ArmConfig) -> None:
     assert np.abs(first[:m] - other[:m]).max() > 2e-3
 
 
-def test_arm_is_supported_after_the_take_and_falls_when_let_go(arm: ArmConfig) -> None:
-    simulated = SimulatedArm(arm)
+def test_arm_is_supported_after_the_take_and_falls_when_let_go(simulated: SimulatedArm) -> None:
     guided, tool = take(simulated, 1)
     later_ns = NS_PER_S + round((guided.duration_s + 60.0) * 1e9)
     simulated.advance(later_ns)
@@ -72,22 +73,19 @@ def test_arm_is_supported_after_the_take_and_falls_when_let_go(arm: ArmConfig) -
     assert simulated.true_tool_position()[2] < tool[-1][2] - 0.05
 
 
-def test_next_take_begins_where_the_last_one_ended(arm: ArmConfig) -> None:
-    simulated = SimulatedArm(arm)
+def test_next_take_begins_where_the_last_one_ended(simulated: SimulatedArm) -> None:
     guided, first = take(simulated, 1)
     _, second = take(simulated, 2, NS_PER_S + round(guided.duration_s * 100) * 10_000_000)
     assert np.linalg.norm(second[0] - first[-1]) < 1e-3
 
 
-def test_duration_asked_for_is_kept(arm: ArmConfig) -> None:
-    simulated = SimulatedArm(arm)
+def test_duration_asked_for_is_kept(simulated: SimulatedArm) -> None:
     simulated.advance(NS_PER_S)
     guided = simulated.hand.guide(FROM_M, TO_M, seed=1, duration_s=3.0)
     assert guided.end_s - guided.begin_s == pytest.approx(3.0)
 
 
-def test_line_out_of_reach_is_refused_and_nobody_holds_the_arm(arm: ArmConfig) -> None:
-    simulated = SimulatedArm(arm)
+def test_line_out_of_reach_is_refused_and_nobody_holds_the_arm(simulated: SimulatedArm) -> None:
     with pytest.raises(UnreachableTarget):
         simulated.hand.guide(FROM_M, np.array([0.6, 0.0, 0.1]), seed=1)
     assert not simulated.hand.holding
@@ -99,8 +97,7 @@ def test_impossible_durations_are_refused(arm: ArmConfig, duration_s: float) -> 
         SimulatedArm(arm).hand.guide(FROM_M, TO_M, seed=1, duration_s=duration_s)
 
 
-def test_wobble_that_leaves_the_reach_does_not_stop_the_hand(arm: ArmConfig) -> None:
-    simulated = SimulatedArm(arm)
+def test_wobble_that_leaves_the_reach_does_not_stop_the_hand(simulated: SimulatedArm) -> None:
     simulated.advance(NS_PER_S)
     edge = 0.3795
     begin, end = np.array([edge, 0.0, 0.1]), np.array([edge * math.cos(0.3), edge * math.sin(0.3), 0.1])

@@ -14,7 +14,7 @@ def mjcf(rows: Sequence[DHRow], points_kg: Sequence[float], *, joint: str = "", 
     """A chain in standard DH parameters with a point mass on each axis, midway to the tool point, and there.
 
     Args:
-        points_kg: As `gravity_loads` wants them, shape (n + 2,).
+        points_kg: As `PointMasses` wants them, shape (n + 2,).
         joint: Further attributes of every joint, MJCF.
         wrist: One more joint, about the x axis of the last frame, that turns the tool about itself.
     """

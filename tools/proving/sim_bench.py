@@ -19,7 +19,6 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instruction
 from armctl.files import load_arm
 from armctl.messages import JointTrajectory, Run
-from armctl.sim import steps
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.virtual_arm import VirtualArm
@@ -44,7 +43,6 @@ Play = Callable[[float], None]
 
 def bench(seed: int, seconds: float = SECONDS, rounds: int = ROUNDS) -> dict[str, Any]:
     """Rows and checks; `ratio` is to MuJoCo's figure."""
-    steps.compiled()
     peer = _speed(_mujoco(seed), seconds, rounds)
     arm, loop = _Arm(seed), _Loop(seed)
     figures = {

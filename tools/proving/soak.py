@@ -31,7 +31,6 @@ from armctl.config import Config
 from armctl.messages import Command, Run, SetRate, TickRecord
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter
-from armctl.sim import steps
 from proving.episode import Episode, Outcome, Stage, stage
 from proving.requests import PERIOD_S
 from proving.shafts import Violation
@@ -165,7 +164,6 @@ _tally = Tally()
 def _begin() -> None:
     global _stage
     logging.disable(logging.CRITICAL)
-    steps.compiled()
     _stage = stage()
 
 

@@ -1,0 +1,146 @@
+"""What couples the joints of a simulated arm: gravity, inertia, and the supply; and how warm its motors get.
+
+Within a *chunk* of time every joint is on its own. What couples them is renewed between chunks: of 20 ms, and of 2 ms
+while a joint is fast. That this is often enough is a test, against chunks of one step.
+
+Because joints do not feel each other within a chunk, one of them may be ahead of the others there. A servo that is
+read needs its own joint only; the others follow later, in fewer and longer pieces.
+"""
+
+import math
+from collections.abc import Sequence
+
+from armctl.sim.gravity import PointMasses
+from armctl.sim.joint import STEP_S, Joint
+from armctl.sim.spec import ArmSpec
+
+CHUNK_STEPS = 20
+FAST_CHUNK_STEPS = 2
+"""Steps of a chunk while a joint turns faster than `FAST_RAD_S`, as those of a falling arm do."""
+FAST_RAD_S = 1.0
+GRAVITY_RAD = 0.004
+"""Gravity and inertia stay those of a configuration until a joint is further from it than this, or all stand still."""
+
+
+class Body:
+    """The joints of one arm, and their common time in steps."""
+
+    def __init__(self, joints: Sequence[Joint], masses: PointMasses, spec: ArmSpec) -> None:
+        self.joints, self.masses, self.spec = joints, masses, spec
+        self.step = 0
+        """How far all joints are integrated, at least."""
+        self.chunk_begin = self.chunk_end = 0
+        self.supply_V = spec.supply_V
+        """What the supply gives without load."""
+        self.voltage_V = spec.supply_V
+        """Under the present load."""
+        self.pulled = False
+        """Whether a hand pulls the joints to their aims."""
+        self.resting = False
+        """Nothing but temperatures will change until something from outside does."""
+        self._gravity_is_current = False
+        """Whether gravity and inertia belong to the very configuration of now."""
+        self._changed = False
+        """Whether anything did in this chunk."""
+        self._still = True
+        """Whether nothing did in the chunk before."""
+
+    def advance(self, until_step: int, only: int | None) -> bool:
+        """Let time pass to a step, or to the end of the chunk if that comes first.
+
+        Args:
+            only: Index of the one joint that will be looked at; None: all.
+        Returns:
+            Whether only this joint was brought to `until_step`.
+        """
+        if self.step >= self.chunk_end:
+            self._begin_chunk()
+        if only is not None and until_step < self.chunk_end:
+            self._advance_joint(self.joints[only], until_step)
+            return True
+        self.step = min(until_step, self.chunk_end)
+        for joint in self.joints:
+            self._advance_joint(joint, self.step)
+        if self.step == self.chunk_end:
+            self._end_chunk()
+        return False
+
+    def catch_up(self) -> None:
+        """Bring all joints to where the one is that is ahead."""
+        latest = max(joint.step for joint in self.joints)
+        for joint in self.joints:
+            self._advance_joint(joint, latest)
+
+    def wake(self) -> None:
+        """Something from outside changes the arm: look at everything again."""
+        self.resting = self._gravity_is_current = False
+
+    def rest(self, until_step: int) -> None:
+        """Let time pass at rest."""
+        self.update_temperatures(until_step - self.step)
+        self.step = until_step
+        for joint in self.joints:
+            joint.step = until_step
+
+    def _advance_joint(self, joint: Joint, until_step: int) -> None:
+        if joint.advance(until_step, self.chunk_begin if self.pulled else None):
+            self._changed, self._gravity_is_current = True, False
+
+    def _begin_chunk(self) -> None:
+        fast = any(not -FAST_RAD_S <= joint.servo.velocity_rad_s <= FAST_RAD_S for joint in self.joints)
+        self.chunk_begin, self.chunk_end = self.step, self.step + (FAST_CHUNK_STEPS if fast else CHUNK_STEPS)
+        if not self._gravity_is_current and (self._still or self._has_left_configuration()):
+            self._update_gravity()
+
+    def _end_chunk(self) -> None:
+        if self.update_voltage():
+            self._changed = True
+        self.update_temperatures(self.chunk_end - self.chunk_begin)
+        self._still, self._changed = not self._changed, False
+        self.resting = self._gravity_is_current and self._still and not self.pulled
+
+    def _has_left_configuration(self) -> bool:
+        """Whether a joint is too far from where gravity was computed."""
+        return any(
+            not -GRAVITY_RAD <= joint.servo.shaft_rad - joint.gravity_shaft_rad <= GRAVITY_RAD
+            for joint in self.joints[: self.masses.n]
+        )
+
+    def _update_gravity(self) -> None:
+        """Gravity torque and diagonal inertia of every joint, from the true configuration."""
+        self._gravity_is_current = True
+        support_rad, rotor_kg_m2 = math.radians(self.spec.rest_support_deg), self.spec.rotor_inertia_kg_m2
+        q = [joint.position_rad() for joint in self.joints]
+        supported = all(
+            abs(position - joint.rest_rad) <= support_rad for position, joint in zip(q, self.joints, strict=True)
+        )
+        for joint, (torque_Nm, inertia_kg_m2) in zip(self.joints, self.masses.loads(q), strict=False):
+            joint.gravity_Nm = 0.0 if supported else joint.direction * torque_Nm
+            joint.step_over_inertia = STEP_S / (rotor_kg_m2 + inertia_kg_m2)
+            joint.gravity_shaft_rad = joint.servo.shaft_rad
+        for joint in self.joints[self.masses.n :]:  # they turn no link of the chain
+            joint.step_over_inertia = STEP_S / rotor_kg_m2
+
+    def update_voltage(self) -> bool:
+        """Renew the voltage under the present load; whether it is another than before."""
+        current_A = 0.0
+        for joint in self.joints:
+            current_A += max(0.0, joint.servo.output * joint.effort) * self.spec.stall_current_A
+        voltage_V = max(0.0, self.supply_V - self.spec.supply_ohm * current_A)
+        changed = voltage_V != self.voltage_V
+        self.voltage_V = voltage_V
+        if changed:
+            for joint in self.joints:
+                joint.servo.voltage_V = voltage_V
+        return changed
+
+    def update_temperatures(self, steps: int) -> None:
+        """Bring the temperatures nearer to where the present efforts lead, exponentially."""
+        left = math.exp(-steps * STEP_S / self.spec.heating_s)
+        for joint in self.joints:
+            settled_degC = self.settled_degC(joint)
+            joint.servo.temperature_degC = settled_degC + (joint.servo.temperature_degC - settled_degC) * left
+
+    def settled_degC(self, joint: Joint) -> float:
+        """Where the temperature of a motor leads at its present effort."""
+        return self.spec.idle_degC + self.spec.stall_heating_degC * joint.effort * joint.effort

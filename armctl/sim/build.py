@@ -1,0 +1,79 @@
+"""Draws one arm of a batch: its lengths, masses, motors, friction, play and zero offsets, all by one seed."""
+
+import math
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.kinematics import robots
+from armctl.kinematics.chain import SerialChain
+from armctl.sim.gravity import PointMasses
+from armctl.sim.joint import Joint
+from armctl.sim.servo import SimulatedServo
+from armctl.sim.spec import ArmSpec
+
+
+def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[Joint], PointMasses]:
+    """The true chain, the joints in the rest pose with servos just powered up, and the masses.
+
+    The order of the draws is part of the result: another order makes every seed another arm.
+
+    Raises:
+        ConfigError: no such robot or link length.
+    """
+    rng = np.random.default_rng(seed)
+    robot = robots.get(arm.robot, arm.lengths_m)
+    lengths_m = {
+        name: length + spec.length_error_m * float(rng.standard_normal()) for name, length in robot.lengths_m.items()
+    }
+    chain = robot.with_lengths(lengths_m).chain
+    tool_kg = float(rng.uniform(*spec.tool_kg))
+    servo_rngs = rng.spawn(len(arm.joints))
+    joints = [_joint(arm, i, spec, rng, servo_rng) for i, servo_rng in enumerate(servo_rngs)]
+    for joint in joints:
+        joint.stall_Nm = spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
+    servo_kg = spec.servo_kg + spec.bracket_kg
+    servos_kg = [servo_kg * (1.0 + spec.mass_spread * float(rng.uniform(-1.0, 1.0))) for _ in joints]
+    # Servos beyond the chain sit midway between its last axis and the tool.
+    return chain, joints, PointMasses(chain, (*servos_kg[: chain.n], sum(servos_kg[chain.n :]), tool_kg))
+
+
+def _joint(arm: ArmConfig, i: int, spec: ArmSpec, rng: np.random.Generator, servo_rng: np.random.Generator) -> Joint:
+    config = arm.joints[i]
+    if spec.zero_offset_within_tick is None:
+        zero_offset_tick = spec.zero_offset_tick * float(rng.standard_normal())
+    else:
+        zero_offset_tick = spec.zero_offset_within_tick * float(rng.uniform(-1.0, 1.0))
+    zero_rad = (config.zero_tick + zero_offset_tick) * ax12a.TICK_RAD
+    coulomb_Nm = float(rng.uniform(*spec.friction_Nm))
+    low_rad, high_rad = sorted(zero_rad + config.direction * limit for limit in config.limits_rad)
+    beyond_rad = math.radians(spec.stop_deg)
+    return Joint(
+        servo=_servo(arm, i, spec, servo_rng, zero_rad + config.direction * config.rest_rad),
+        spec=spec,
+        direction=config.direction,
+        zero_rad=zero_rad,
+        rest_rad=config.rest_rad,
+        coulomb_Nm=coulomb_Nm,
+        stiction_Nm=coulomb_Nm * spec.stiction_ratio,
+        half_play_rad=math.radians(float(rng.uniform(*spec.play_deg))) / 2.0,
+        stops_rad=(low_rad - beyond_rad, high_rad + beyond_rad),
+        stall_Nm=spec.stall_torque_Nm,
+    )
+
+
+def _servo(arm: ArmConfig, i: int, spec: ArmSpec, rng: np.random.Generator, shaft_rad: float) -> SimulatedServo:
+    """Its EEPROM is set up as the calibration asks: id and angle limits; the rest is the factory's."""
+    joint = arm.joints[i]
+    servo = SimulatedServo(
+        joint.servo_id,
+        rng,
+        position_tick=shaft_rad / ax12a.TICK_RAD,
+        noise_tick=spec.noise_tick,
+        variants=spec.variants,
+    )
+    servo.shaft_rad, servo.voltage_V, servo.temperature_degC = shaft_rad, spec.supply_V, spec.idle_degC
+    servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
+    servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
+    return servo

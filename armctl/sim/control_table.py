@@ -1,0 +1,55 @@
+"""The rules of writing to a servo's control table; a write counts as a whole or not at all."""
+
+from functools import cache
+
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Register
+
+LOCKED_WRITABLE = range(24, 36)
+"""Addresses that stay writable after LOCK."""
+
+
+def value(table: bytes | bytearray, register: Register) -> int:
+    """Value of a register in a whole table."""
+    at = register.address
+    return table[at] | table[at + 1] << 8 if register.size == 2 else table[at]
+
+
+def is_wheel(table: bytes | bytearray) -> bool:
+    """Whether the servo is in wheel mode: both angle limits are 0."""
+    return value(table, ax12a.CW_LIMIT) == 0 == value(table, ax12a.CCW_LIMIT)
+
+
+@cache
+def touched(begin: int, end: int) -> dict[str, Register]:
+    """Registers that overlap the addresses begin..end-1, by name."""
+    return {r.name: r for r in ax12a.REGISTERS if r.address < end and r.address + r.size > begin}
+
+
+def refusal(table: bytearray, parameters: bytes) -> int:
+    """Error bits of a write that must not happen; 0: it may.
+
+    Args:
+        parameters: The first address, and the bytes from there on.
+    """
+    if len(parameters) < 2:
+        return ErrorBit.INSTRUCTION
+    begin, data = parameters[0], parameters[1:]
+    end = begin + len(data)
+    if end > ax12a.TABLE_SIZE:
+        return ErrorBit.RANGE
+    if table[ax12a.LOCK.address] and not (begin in LOCKED_WRITABLE and end - 1 in LOCKED_WRITABLE):
+        return ErrorBit.RANGE
+    after = bytearray(table)
+    after[begin:end] = data
+    error, wheel, torque = 0, is_wheel(table), table[ax12a.TORQUE_ENABLE.address]
+    low, high = value(table, ax12a.CW_LIMIT), value(table, ax12a.CCW_LIMIT)
+    for register in touched(begin, end).values():
+        wanted = value(after, register)
+        highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not wheel else register.maximum
+        in_range = register.minimum <= wanted <= highest
+        if not (register.writable and in_range) or (register.eeprom and torque):
+            error |= int(ErrorBit.RANGE)
+        elif register is ax12a.GOAL and not (wheel or low <= wanted <= high):
+            error |= int(ErrorBit.ANGLE_LIMIT)
+    return error
