@@ -31,7 +31,8 @@ SECONDS = 10.0
 """Virtual time of a round."""
 PERIOD_S = 0.1
 PERIOD_NS = 100_000_000
-SPEED_BOUND = 200.0
+SPEED_BOUND = 55.0
+"""In plain Python, half holding, half moving: an hour of soak in about a minute."""
 WORKING_RAD = np.radians([20.0, 75.0, -60.0, -45.0, -45.0, 10.0])
 SWING_RAD = np.array([1.0, -0.4, 0.5, 0.4, 0.4, 1.0])
 """There and back in `SWING_S`, a sine: up to 36 deg/s."""
