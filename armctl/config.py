@@ -34,11 +34,13 @@ UserOrGroup = Annotated[str, Field(pattern=r"^@?[A-Za-z_][A-Za-z0-9_.-]{0,31}$")
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
 
 
-class _Frozen(BaseModel):
+class Frozen(BaseModel):
+    """What comes from outside: checked as a whole, nothing converted, nothing unknown, and never changed after."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Compliance(_Frozen):
+class Compliance(Frozen):
     """Position-control registers of one servo, in register units."""
 
     margin: int = Field(1, ge=0, le=254)
@@ -49,7 +51,7 @@ class Compliance(_Frozen):
     """Torque at the edge of the margin, of 1023."""
 
 
-class JointConfig(_Frozen):
+class JointConfig(Frozen):
     """One servo and the joint it turns: position_rad = direction * (tick - zero_tick) * TICK_RAD."""
 
     name: Name
@@ -119,7 +121,7 @@ class JointConfig(_Frozen):
         return math.radians(self.rest_deg)
 
 
-class GripperConfig(_Frozen):
+class GripperConfig(Frozen):
     """The joint that grips. It moves no tool point, and gets from open to closed unless something is in between."""
 
     joint: Name
@@ -132,7 +134,7 @@ class GripperConfig(_Frozen):
     """The load that tells a grip, and that holds it: above friction, below what makes the servo hot."""
 
 
-class ArmConfig(_Frozen):
+class ArmConfig(Frozen):
     """One physical arm: its servos, their calibration and the robot model they form."""
 
     arm_id: Name
@@ -209,7 +211,7 @@ class ArmConfig(_Frozen):
         return hashlib.sha256(told.encode()).hexdigest()[:16]
 
 
-class LogConfig(_Frozen):
+class LogConfig(Frozen):
     """Where logs go and when a file is full."""
 
     rotate_s: float = Field(3600.0, ge=1.0)
@@ -226,7 +228,7 @@ class LogConfig(_Frozen):
     """So much before and after a fault is kept in a file of its own, which no bound deletes."""
 
 
-class Config(_Frozen):
+class Config(Frozen):
     """How the daemon runs."""
 
     port: str = ""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,7 +20,7 @@ from armctl.errors import ConfigError, LogError, NoDaemon, RequestRefused
 
 if TYPE_CHECKING:
     from armctl.client import Client
-    from armctl.trajectory.placement import Objective
+    from armctl.genetic.request import OptimizeRequest
 
 Point = tuple[float, float, float]
 
@@ -314,16 +312,12 @@ def recordings_delete(output: Output, name: str, socket: str | None) -> None:
 def optimize_command(
     output: Output,
     recordings: tuple[str, ...],
-    from_m: Point,
-    to_m: Point,
     via: int,
-    duration_s: float,
-    seed: int,
     profile: Literal["default", "paper"],
-    objective: Objective,
     out: Path | None,
     socket: str | None,
     config_file: str | None,
+    **line: Any,
 ) -> None:
     """Straighten RECORDINGS (names, or files) by a genetic algorithm and choose the intermediate points.
 
@@ -332,13 +326,15 @@ def optimize_command(
     Example: armctl optimize line-1 line-2 line-3 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 2
     """
     from armctl.client import Client
+    from armctl.config import validate
     from armctl.genetic.algorithm import PROFILES
+    from armctl.genetic.request import OptimizeRequest
 
     out = out or Path(f"plan-via{via}.json")
     if out.exists():
         raise LogError(f"{out} exists; choose another name with --out, or delete it")
-    wanted: dict[str, Any] = {"from_m": from_m, "to_m": to_m, "via": [via], "duration_s": duration_s, "seed": seed}
-    wanted |= {"settings": asdict(PROFILES[profile]), "free": profile == "default", "objective": objective}
+    how = {"via": (via,), "settings": PROFILES[profile], "free": profile == "default"}
+    request = validate(OptimizeRequest, {**line, **how}, "optimize")
     output.after_interrupt = "the optimisation has ended, and no plan was written; the arm was not moved"
     with output.progress("optimising", PROFILES[profile].generations) as show:
         try:
@@ -349,11 +345,11 @@ def optimize_command(
                     "optimize",
                     recordings=recordings,
                     on_progress=lambda p: show(p["generation"] + 1, f"{p['best']:.3f} mm"),
-                    **wanted,
+                    **request.model_dump(),
                 )
         except NoDaemon:
             result = _optimize_here(
-                recordings, config_file, wanted, lambda g, best, _mean: show(g + 1, f"{best:.3f} mm")
+                recordings, config_file, request, lambda g, best, _mean: show(g + 1, f"{best:.3f} mm")
             )
     (plan,) = result["plans"]
     try:
@@ -382,28 +378,15 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
 
 
 def _optimize_here(
-    recordings: tuple[str, ...], config_file: str | None, wanted: dict[str, Any], progress: Any
+    recordings: tuple[str, ...], config_file: str | None, request: OptimizeRequest, progress: Any
 ) -> dict[str, Any]:
     from armctl.files import data_dir, load_arm, load_config
-    from armctl.genetic.algorithm import Settings
-    from armctl.host.jobs import OptimizeRequest, optimize_task
+    from armctl.host.jobs import OptimizeJob, optimize_task
 
     config = load_config(config_file)
     folder = data_dir(config) / "recordings"
     paths = tuple(Path(name) if "/" in name else folder / f"{name}.mcap" for name in recordings)
-    request = OptimizeRequest(
-        arm=load_arm(config.arm),
-        recordings=paths,
-        from_m=wanted["from_m"],
-        to_m=wanted["to_m"],
-        via=tuple(wanted["via"]),
-        duration_s=wanted["duration_s"],
-        seed=wanted["seed"],
-        settings=Settings(**wanted["settings"]),
-        objective=wanted["objective"],
-        free=wanted["free"],
-    )
-    return optimize_task(request, progress)
+    return optimize_task(OptimizeJob(load_arm(config.arm), paths, request), progress)
 
 
 @click.command("run")
@@ -425,7 +408,7 @@ def run_command(output: Output, plan: Path, socket: str | None) -> None:
     with Client(socket) as client:
         output.after_interrupt = f"{HOLDS}, and what was recorded is kept"
         output.say("running; Ctrl-C stops the arm")
-        result = client.call("run", plan=json.loads(parsed.model_dump_json()))
+        result = client.call("run", plan=parsed.model_dump())
     if not output.result(result):
         output.say(
             f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "

@@ -36,8 +36,10 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in som
 
 
 @click.command("move")
-@click.option("--joints", type=Numbers(), help="Joint positions in the calibration file's order, radians.")
-@click.option("--xyz", type=POINT, help="Tool point, metres; the pose nearest to the present one is taken.")
+@click.option(
+    "--joints", "joints_rad", type=Numbers(), help="Joint positions in the calibration file's order, radians."
+)
+@click.option("--xyz", "point_m", type=POINT, help="Tool point, metres; the pose nearest to the present one is taken.")
 @click.option("--pose", type=Numbers(6), metavar="x,y,z,r,p,y", help="Tool point, and roll, pitch, yaw in radians.")
 @click.option("--deg", is_flag=True, help="Angles are in degrees.")
 @click.option(
@@ -47,12 +49,9 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in som
 @output_option
 def move_command(
     output: Output,
-    joints: tuple[float, ...] | None,
-    xyz: tuple[float, float, float] | None,
-    pose: tuple[float, ...] | None,
     deg: bool,
-    duration_s: float | None,
     socket: str | None,
+    **asked: Any,
 ) -> None:
     """Go somewhere and hold there: all joints start and arrive at once, slowly unless a duration is given.
 
@@ -61,21 +60,19 @@ def move_command(
     Example: armctl move --xyz 0.18,0,0.15
     """
     from armctl.client import Client
+    from armctl.config import validate
+    from armctl.trajectory.target import MoveRequest
 
-    if sum(target is not None for target in (joints, xyz, pose)) != 1:
+    if sum(asked[target] is not None for target in ("joints_rad", "point_m", "pose")) != 1:
         raise ConfigError("armctl move", "--joints/--xyz/--pose", "one target is wanted", "give just one of them")
-    angle = math.radians if deg else float
-    target: dict[str, Any] = {}
-    if joints is not None:
-        target["joints_rad"] = [angle(position) for position in joints]
-    elif xyz is not None:
-        target["point_m"] = xyz
-    elif pose is not None:
-        target["pose"] = [*pose[:3], *(angle(part) for part in pose[3:])]
+    for name, metres in (("joints_rad", 0), ("pose", 3)):
+        if deg and asked[name] is not None:
+            asked[name] = (*asked[name][:metres], *map(math.radians, asked[name][metres:]))
+    request = validate(MoveRequest, asked, "move")
     with Client(socket) as client:
         output.after_interrupt = HOLDS
         output.say("moving; Ctrl-C stops the arm")
-        result = client.call("move", **target, duration_s=duration_s)
+        result = client.call("move", **request.model_dump(exclude_none=True))
     if not output.result(result):
         place = ", ".join(f"{value * 1000.0:.1f}" for value in result["position_m"])
         output.say(

@@ -12,15 +12,14 @@ from armctl.cli.output import HOLDS, POINT, Output, output_option, socket_option
 from armctl.cli.tables import show_table
 from armctl.errors import ConfigError
 
-Point = tuple[float, float, float]
-
 
 @click.command("reach")
-@click.option("--xyz", type=POINT, required=True, help="Tool point, metres.")
+@click.option("--xyz", "point_m", type=POINT, required=True, help="Tool point, metres.")
 @click.option("--grip", is_flag=True, help="Open, close on what is there until the load tells a grip, and back off.")
 @click.option("--let-go", is_flag=True, help="Open there, and back off.")
 @click.option(
     "--method",
+    "ik",
     type=click.Choice(("closed", "numeric", "ga", "ga-improved")),
     default="closed",
     show_default=True,
@@ -37,14 +36,10 @@ Point = tuple[float, float, float]
 @output_option
 def reach_command(
     output: Output,
-    xyz: Point,
     grip: bool,
     let_go: bool,
-    method: str,
-    seed: int,
-    off_m: float,
-    along: str,
     socket: str | None,
+    **way: Any,
 ) -> int:
     """Bring the tool to a point along a short straight line, correcting for sag; grip, or let go, what is there.
 
@@ -54,21 +49,17 @@ def reach_command(
     Example: armctl reach --xyz 0.20,0.05,0.06 --grip
     """
     from armctl.client import Client
+    from armctl.config import validate
+    from armctl.trajectory.grasp import ReachRequest
 
     if grip and let_go:
         raise ConfigError("armctl reach", "--grip/--let-go", "both are wanted", "give one of them")
+    gripper = "grip" if grip else "let_go" if let_go else "stay"
+    request = validate(ReachRequest, {**way, "gripper": gripper}, "reach")
     with Client(socket) as client:
         output.after_interrupt = HOLDS
         output.say("reaching; Ctrl-C stops the arm")
-        result = client.call(
-            "reach",
-            point_m=xyz,
-            gripper="grip" if grip else "let_go" if let_go else "stay",
-            ik=method,
-            seed=seed,
-            off_m=off_m,
-            along=along,
-        )
+        result = client.call("reach", **request.model_dump())
     if not output.result(result):
         place = ", ".join(f"{value * 1000.0:.1f}" for value in result["position_m"])
         words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
@@ -98,18 +89,12 @@ def reach_command(
 @output_option
 def transfer_command(
     output: Output,
-    pick_m: Point,
-    place_m: Point,
-    height_m: float,
-    lift_s: float,
-    carry_s: float,
-    dwell_s: float,
-    cycles: int,
     out: Path | None,
     virtual: str | None,
     log_path: Path | None,
     seed: int,
     socket: str | None,
+    **stations: Any,
 ) -> None:
     """Pick at one station, carry, place at the other, and go back: the paper's transfer robot at work.
 
@@ -119,12 +104,11 @@ def transfer_command(
 
     Example: armctl transfer --carry 3 --out transfer.html
     """
-    from dataclasses import asdict
-
+    from armctl.config import validate
     from armctl.report import transfer as report
-    from armctl.trajectory.transfer import Cycle
+    from armctl.trajectory.transfer import TransferRequest
 
-    cycle = Cycle(pick_m, place_m, height_m, lift_s, carry_s, dwell_s, cycles)
+    request = validate(TransferRequest, stations, "transfer")
     answer = {}
     if virtual is not None:
         from armctl.files import load_arm
@@ -132,7 +116,7 @@ def transfer_command(
 
         if log_path is None:
             raise ConfigError("armctl transfer", "--log", "--virtual needs a file for its log", "give --log FILE.mcap")
-        record(load_arm(virtual), cycle, log_path, seed=seed)
+        record(load_arm(virtual), request, log_path, seed=seed)
     else:
         from armctl.client import Client
 
@@ -141,7 +125,7 @@ def transfer_command(
         with Client(socket) as client:
             output.after_interrupt = HOLDS
             output.say("transferring; Ctrl-C stops the arm")
-            answer = client.call("transfer", **asdict(cycle))
+            answer = client.call("transfer", **request.model_dump())
             log_path = Path(client.call("recordings_show", name=answer["recording"])["path"])
     done = report.load(log_path)
     if out is not None:
@@ -150,7 +134,7 @@ def transfer_command(
     result = {
         "recording": log_path.stem,
         "log": str(log_path),
-        "cycle": asdict(cycle),
+        "cycle": request.model_dump(),
         "rows": rows,
         "report": None if out is None else str(out),
         **answer,

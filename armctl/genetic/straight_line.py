@@ -17,25 +17,24 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
-from armctl.genetic.algorithm import DEFAULT, GeneticAlgorithm, Settings
+from armctl.genetic.algorithm import GeneticAlgorithm, Settings
 from armctl.genetic.alignment import Candidates, align
 from armctl.genetic.free_path import free_path
 from armctl.genetic.path_cost import PathCost, path_cost
+from armctl.genetic.request import LONGEST_DURATION_S, OptimizeRequest
 from armctl.genetic.shortest_path import shortest_path
 from armctl.genetic.triple_cost import evaluate
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, IntArray
-from armctl.trajectory.interpolate import Interpolation, time_of_progress
-from armctl.trajectory.placement import Objective, place
+from armctl.trajectory.interpolate import time_of_progress
+from armctl.trajectory.placement import place
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import distance_to_line, max_error, mean_error, progress_along_line
 from armctl.trajectory.via_points import choose_via_points, predict_tool_path
 
 STATIONS_PER_S = 10.0
 FEWEST_STATIONS, MOST_STATIONS = 10, 100
-MAX_VIA = 20
-LONGEST_DURATION_S = 600.0
 
 
 @dataclass(frozen=True)
@@ -128,42 +127,27 @@ def optimize(
     recordings: Sequence[FloatArray],
     arm: ArmConfig,
     robot: Robot,
-    A: Sequence[float] | FloatArray,
-    B: Sequence[float] | FloatArray,
-    *,
-    via: Sequence[int],
-    duration_s: float,
-    seed: int,
-    settings: Settings = DEFAULT,
-    interpolation: Interpolation = "cubic",
-    objective: Objective = "mean",
-    free: bool = True,
+    request: OptimizeRequest,
     progress: Callable[[int, float, float], None] | None = None,
 ) -> StraightLineResult:
     """The straightest motions from A to B that the recordings hold.
 
     Args:
         recordings: Joint positions [rad], each of shape (samples, joints), in the arm's joint order.
-        A, B: Ends of the line in the base frame [m].
-        via: Number of via points of each plan wanted.
-        duration_s: Nominal time from A to B.
-        seed: Same seed, same result, bit for bit.
-        objective: What is made small: the mean distance, its root mean square ("mix"), or the 10-norm ("max").
-        free: Whether genes may leave the recordings and via points the path that was found.
         progress: Called after each generation with its number (from 1), the best and the mean cost [mm].
     Raises:
-        RequestRefused: an argument or a recording is unfit; `reasons` names all that were found.
+        RequestRefused: the line or a recording is unfit; `reasons` names all that were found.
     """
-    A, B = np.asarray(A, dtype=np.float64), np.asarray(B, dtype=np.float64)
-    _check_request(arm, A, B, via, duration_s, seed)
+    A, B = (np.asarray(end, dtype=np.float64) for end in (request.from_m, request.to_m))
+    _refuse_below_floor(arm, A, B)
     chain = robot.chain
-    stations = _stations(duration_s, via)
+    stations = _stations(request.duration_s, request.via)
     candidates = align(recordings, arm, chain, A, B, stations)
     moving = arm.joints[: chain.n]
     speed_limits = np.array([joint.speed_limit_rad_s for joint in moving])
     acceleration_limits = np.array([joint.acceleration_limit_rad_s2 for joint in moving])
 
-    def cost_of(some: Candidates, nominal_s: float = duration_s) -> PathCost:
+    def cost_of(some: Candidates, nominal_s: float = request.duration_s) -> PathCost:
         distance, along = distance_to_line(some.tool_m, A, B), progress_along_line(some.tool_m, A, B)
         return path_cost(
             some,
@@ -172,12 +156,12 @@ def optimize(
             speed_limits,
             acceleration_limits,
             along,
-            objective,
+            request.objective,
         )
 
     def kept(nominal_s: float) -> bool:
         # With as many stations as an optimisation for that duration would have.
-        slower = cost_of(align(recordings, arm, chain, A, B, _stations(nominal_s, via)), nominal_s)
+        slower = cost_of(align(recordings, arm, chain, A, B, _stations(nominal_s, request.via)), nominal_s)
         return not evaluate(slower.breaks, shortest_path(slower.table())) > 0.0
 
     costs = cost_of(candidates)
@@ -198,35 +182,36 @@ def optimize(
         )
 
     table = costs.table()
-    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, settings, np.random.default_rng(seed), progress)
+    rng = np.random.default_rng(request.seed)
+    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, request.settings, rng, progress)
     found, exact = path(genes), path(shortest_path(table))
-    freed = _freed(found, candidates, arm, chain, A, B, cost_of) if free else None
+    freed = _freed(found, candidates, arm, chain, A, B, cost_of) if request.free else None
     base = found.positions_rad if freed is None else freed.positions_rad
-    made = [_plan(base, candidates.progress, arm, chain, A, B, count, interpolation, objective, free) for count in via]
+    made = [_plan(base, candidates.progress, arm, chain, request, count) for count in request.via]
     plans = [
         Plan(
             arm_id=arm.arm_id,
             calibration_hash=arm.calibration_hash,
-            from_m=tuple(A.tolist()),
-            to_m=tuple(B.tolist()),
-            duration_s=duration_s,
+            from_m=request.from_m,
+            to_m=request.to_m,
+            duration_s=request.duration_s,
             via=count,
-            interpolation=interpolation,
+            interpolation=request.interpolation,
             waypoints_rad=tuple(map(tuple, waypoints.tolist())),
             waypoint_progress=tuple(knots.tolist()),
             predicted_mean_error_mm=float(mean_error(tool, A, B)) * 1e3,
             predicted_max_error_mm=float(max_error(tool, A, B)) * 1e3,
-            seed=seed,
+            seed=request.seed,
         )
-        for count, (waypoints, knots, tool) in zip(via, made, strict=True)
+        for count, (waypoints, knots, tool) in zip(request.via, made, strict=True)
     ]
     feasible = found.feasible if freed is None else freed.feasible
-    least_s = None if feasible else _least_duration_s(kept, duration_s)
+    least_s = None if feasible else _least_duration_s(kept, request.duration_s)
     alone = costs.distance_m.T * 1e3
     return StraightLineResult(
         candidates=candidates,
         baseline=tuple(LineError(float(row.mean()), float(row.max())) for row in alone),
-        ga=GeneticRun(found, settings.generations, evaluations, best_cost_mm, mean_cost_mm),
+        ga=GeneticRun(found, request.settings.generations, evaluations, best_cost_mm, mean_cost_mm),
         exact=exact,
         # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
         gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
@@ -282,21 +267,18 @@ def _plan(
     progress: FloatArray,
     arm: ArmConfig,
     chain: SerialChain,
-    A: FloatArray,
-    B: FloatArray,
+    request: OptimizeRequest,
     count: int,
-    interpolation: Interpolation,
-    objective: Objective,
-    placed: bool,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Waypoints [rad], shape (count + 2, joints), their progress, and the predicted tool points [m]."""
-    n = chain.n
+    n, interpolation = chain.n, request.interpolation
+    A, B = np.array(request.from_m), np.array(request.to_m)
     kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, A, B), len(path) - 1]
     waypoints, knots = path[kept], progress[kept]
     tool = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
-    if placed and count > 0:
+    if request.free and count > 0:
         limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
-        off_line = place(chain, waypoints[:, :n], knots, interpolation, A, B, limits, objective=objective)
+        off_line = place(chain, waypoints[:, :n], knots, interpolation, A, B, limits, objective=request.objective)
         moved = waypoints.copy()
         moved[1:-1, :n] = off_line.waypoints[1:-1]  # A and B are held exactly
         moved_tool = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
@@ -309,20 +291,12 @@ def _stations(duration_s: float, via: Sequence[int]) -> int:
     return round(min(max(STATIONS_PER_S * duration_s, FEWEST_STATIONS, max(via, default=0) + 2), MOST_STATIONS))
 
 
-def _check_request(
-    arm: ArmConfig, A: FloatArray, B: FloatArray, via: Sequence[int], duration_s: float, seed: int
-) -> None:
-    reasons = []
-    for name, point in (("A", A), ("B", B)):
-        if point.shape != (3,) or not np.isfinite(point).all():
-            reasons.append(f"{name} is {point.tolist()}; give three finite numbers x, y, z in metres")
-        elif point[2] < arm.floor_m:
-            reasons.append(f"{name} lies at height {point[2]:.3f} m, below the floor at {arm.floor_m:.3f} m; raise it")
-    reasons += [f"{count} via points wanted; give 0 to {MAX_VIA}" for count in via if not 0 <= count <= MAX_VIA]
-    if not 0.0 < duration_s <= LONGEST_DURATION_S:
-        reasons.append(f"duration {duration_s} s; give more than 0 s, at most {LONGEST_DURATION_S:.0f} s")
-    if seed < 0:
-        reasons.append(f"seed {seed}; give 0 or more")
+def _refuse_below_floor(arm: ArmConfig, A: FloatArray, B: FloatArray) -> None:
+    reasons = [
+        f"{name} lies at height {point[2]:.3f} m, below the floor at {arm.floor_m:.3f} m; raise it"
+        for name, point in (("A", A), ("B", B))
+        if point[2] < arm.floor_m
+    ]
     if reasons:
         raise RequestRefused("BAD_REQUEST", reasons)
 

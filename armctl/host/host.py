@@ -28,7 +28,6 @@ from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host.exchange import Control, Exchange, restarting
 from armctl.host.lease import Client, Leases
 from armctl.host.motions import (
-    Target,
     Watch,
     line_result,
     move_result,
@@ -59,6 +58,7 @@ from armctl.messages import (
 )
 from armctl.recording.channels import COMMAND
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
+from armctl.trajectory.target import MoveRequest
 
 STUCK_S = 60.0
 """How long a motion may go without any progress, unless somebody paused it, before it is given up."""
@@ -287,7 +287,7 @@ class Host:
         name, [done] = await self.execute(client, "run", [lambda q_now, _: make(q_now)])
         return {"recording": name, **line_result(plan, done.watch, self.robot)}
 
-    async def move(self, client: Client, target: Target, duration_s: float | None = None) -> dict[str, Any]:
+    async def move(self, client: Client, request: MoveRequest) -> dict[str, Any]:
         """Go to a target, all joints arriving at once; recorded, and compared with the target.
 
         Raises:
@@ -296,7 +296,7 @@ class Host:
         """
 
         def make(q_now: Sequence[float]) -> JointTrajectory:
-            return move_trajectory(target, q_now, self.arm, self.robot, self.period_s, duration_s)
+            return move_trajectory(request, q_now, self.arm, self.robot, self.period_s)
 
         name, [done] = await self.execute(client, "move", [lambda q_now, _: make(q_now)])
         return {"recording": name, **move_result(done.watch, done.trajectory, self.robot)}

@@ -19,16 +19,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from armctl.config import ArmConfig
+import numpy as np
+from pydantic import Field
+
+from armctl.config import ArmConfig, Name
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.genetic.algorithm import DEFAULT, Settings
+from armctl.genetic.request import OptimizeRequest, ViaCounts
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics import robots
 from armctl.recording import recordings
-from armctl.trajectory.interpolate import Interpolation
-from armctl.trajectory.placement import Objective
 from armctl.trajectory.plan import plan_to_text
 
 PROGRESS_PERIOD_S = 0.1
@@ -119,22 +120,20 @@ def _work(pipe: Connection, task: Task[A, R], argument: A) -> None:
 # -------------------------------------------------------------------------------------------- optimisation
 
 
+class RecordedRequest(OptimizeRequest):
+    """An optimisation as clients of the daemon ask for it: over recordings of its own, and for at least one plan."""
+
+    recordings: Annotated[tuple[Name, ...], Field(min_length=1, max_length=40, strict=False)]
+    via: Annotated[ViaCounts, Field(min_length=1)]
+
+
 @dataclass(frozen=True, slots=True)
-class OptimizeRequest:
-    """One straight-line optimisation over recorded candidates."""
+class OptimizeJob:
+    """One optimisation with what it needs besides: where the recordings lie, and whose they are."""
 
     arm: ArmConfig
-    recordings: tuple[Path, ...]
-    from_m: tuple[float, float, float]
-    to_m: tuple[float, float, float]
-    via: tuple[int, ...]
-    duration_s: float
-    seed: int
-    settings: Settings = DEFAULT
-    interpolation: Interpolation = "cubic"
-    objective: Objective = "mean"
-    free: bool = True
-    """Whether genes may leave the recordings, and via points the path that was found."""
+    paths: tuple[Path, ...]
+    request: OptimizeRequest
 
 
 def load_takes(arm: ArmConfig, paths: Sequence[Path]) -> list[recordings.Recording]:
@@ -156,7 +155,7 @@ def load_takes(arm: ArmConfig, paths: Sequence[Path]) -> list[recordings.Recordi
     return loaded
 
 
-def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any]:
+def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
     """Load the recordings, optimise, and say the result in JSON's terms.
 
     Raises:
@@ -164,8 +163,8 @@ def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any
         RequestRefused: a recording is another arm's (FOREIGN_LOG), or the optimisation refuses the request, or no path
             keeps the joints' limits in its duration (LIMITS).
     """
-    arm = request.arm
-    loaded = load_takes(arm, request.recordings)
+    arm, request = job.arm, job.request
+    loaded = load_takes(arm, job.paths)
     generations_s: list[float] = []
 
     def timed(generation: int, best: float, mean: float) -> None:
@@ -177,16 +176,8 @@ def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any
         [recording.positions_rad for recording in loaded],
         arm,
         robots.get(arm.robot, arm.lengths_m),
-        request.from_m,
-        request.to_m,
-        via=request.via,
-        duration_s=request.duration_s,
-        seed=request.seed,
-        settings=request.settings,
-        interpolation=request.interpolation,
-        objective=request.objective,
-        free=request.free,
-        progress=timed,
+        request,
+        timed,
     )
     if not result.feasible:
         least_s = result.least_duration_s
@@ -202,38 +193,24 @@ def optimize_task(request: OptimizeRequest, progress: Progress) -> dict[str, Any
             {"name": recording.name, **asdict(error)} for recording, error in zip(loaded, result.baseline, strict=True)
         ],
         "ga": {
-            "mean_error_mm": ga.path.mean_error_mm,
-            "max_error_mm": ga.path.max_error_mm,
-            "generations": ga.generations,
-            "evaluations": ga.evaluations,
+            **_named(ga.path, "mean_error_mm", "max_error_mm"),
+            **_named(ga, "generations", "evaluations"),
             "evaluations_per_s": ga.evaluations / max(generations_s[-1] - started_s, 1e-9),
-            "feasible": ga.path.feasible,
-            "tool_m": ga.path.tool_m.tolist(),
+            **_named(ga.path, "feasible", "tool_m"),
         },
-        "exact": {
-            "mean_error_mm": exact.mean_error_mm,
-            "max_error_mm": exact.max_error_mm,
-            "tool_m": exact.tool_m.tolist(),
-        },
+        "exact": _named(exact, "mean_error_mm", "max_error_mm", "tool_m"),
         "gap_ratio": result.gap_ratio,
-        "free": None
-        if free is None
-        else {
-            "mean_error_mm": free.mean_error_mm,
-            "max_error_mm": free.max_error_mm,
-            "largest_offset_rad": free.largest_offset_rad,
-            "feasible": free.feasible,
-            "tool_m": free.tool_m.tolist(),
-        },
+        "free": free and _named(free, "mean_error_mm", "max_error_mm", "largest_offset_rad", "feasible", "tool_m"),
         "plans": [
-            {
-                "via": plan.via,
-                "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-                "predicted_max_error_mm": plan.predicted_max_error_mm,
-                "duration_s": plan.duration_s,
-                "text": plan_to_text(plan),
-            }
+            _named(plan, "via", "predicted_mean_error_mm", "predicted_max_error_mm", "duration_s")
+            | {"text": plan_to_text(plan)}
             for plan in result.plans
         ],
-        "history": {"best_cost_mm": list(ga.best_cost_mm), "mean_cost_mm": list(ga.mean_cost_mm)},
+        "history": {key: list(getattr(ga, key)) for key in ("best_cost_mm", "mean_cost_mm")},
     }
+
+
+def _named(result: object, *names: str) -> dict[str, Any]:
+    """Attributes of a result as plain values of JSON."""
+    values = ((name, getattr(result, name)) for name in names)
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values}

@@ -6,21 +6,19 @@ import asyncio
 import itertools
 import json
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, field_validator, model_validator
+from pydantic import BaseModel, Field, model_validator
 
-from armctl.config import Name
-from armctl.errors import ArmctlError, ConfigError, RequestRefused
-from armctl.genetic.algorithm import DEFAULT, Settings
+from armctl.config import Frozen, Name
+from armctl.errors import ArmctlError, RequestRefused
 from armctl.host.host import Host
-from armctl.host.jobs import OptimizeRequest, Progress
+from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
-from armctl.host.motions import Target
-from armctl.host.reach import Wanted, reach
+from armctl.host.reach import reach
 from armctl.host.server import Connection, Method
 from armctl.host.transfer import transfer
 from armctl.kinematics.chain import tool_position
@@ -29,45 +27,33 @@ from armctl.recording import recordings
 from armctl.recording.channels import COMMAND
 from armctl.recording.reader import read
 from armctl.recording.recordings import Recording
-from armctl.trajectory import grasp
+from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.dead_time import moving_part
-from armctl.trajectory.interpolate import Interpolation
-from armctl.trajectory.placement import Objective
+from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import max_error, mean_error
-from armctl.trajectory.transfer import Cycle
+from armctl.trajectory.target import MoveRequest
+from armctl.trajectory.transfer import TransferRequest
 
 Handler = Callable[[Connection, Any], Awaitable[dict[str, Any]]]
-RunOptimisation = Callable[[OptimizeRequest, Progress], Awaitable[dict[str, Any]]]
-Point = Annotated[
-    tuple[
-        Annotated[float, Field(ge=-10.0, le=10.0)],
-        Annotated[float, Field(ge=-10.0, le=10.0)],
-        Annotated[float, Field(ge=-10.0, le=10.0)],
-    ],
-    Field(strict=False),
-]
+RunOptimisation = Callable[[OptimizeJob, Progress], Awaitable[dict[str, Any]]]
 
 
-class _Parameters(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class Nothing(_Parameters):
+class Nothing(Frozen):
     """No parameters."""
 
 
-class Confirmed(_Parameters):
+class Confirmed(Frozen):
     """What makes the arm fall has to be meant: `confirm` is true once the arm is supported."""
 
     confirm: Literal[True]
 
 
-class Named(_Parameters):
+class Named(Frozen):
     name: Name
 
 
-class Show(_Parameters):
+class Show(Frozen):
     """A recording, and the line its errors are wanted against; without one, that from its first to its last point."""
 
     name: Name
@@ -81,100 +67,23 @@ class Show(_Parameters):
         return self
 
 
-class Rename(_Parameters):
+class Rename(Frozen):
     name: Name
     to: Name
 
 
-class Optimize(_Parameters):
-    recordings: Annotated[tuple[Name, ...], Field(min_length=1, max_length=40, strict=False)]
-    from_m: Point
-    to_m: Point
-    via: Annotated[tuple[Annotated[int, Field(ge=0, le=20)], ...], Field(min_length=1, max_length=21, strict=False)]
-    duration_s: float = Field(5.0, gt=0.0, le=600.0)
-    seed: int = Field(0, ge=0, lt=2**63)
-    interpolation: Interpolation = "cubic"
-    objective: Objective = "mean"
-    free: bool = True
-    """Whether genes may leave the recordings, and via points the path that was found."""
-    settings: Settings = DEFAULT
-    """Those of the genetic algorithm that differ from its defaults."""
-
-    @field_validator("settings", mode="before")
-    @classmethod
-    def _complete(cls, value: object) -> object:
-        if not isinstance(value, dict):
-            return value
-        known = asdict(DEFAULT)
-        for key in value:
-            if key not in known:
-                raise ValueError(f"{key}: unknown setting; known: {', '.join(known)}")
-        try:
-            return TypeAdapter(Settings).validate_json(json.dumps(known | value), strict=True)
-        except ConfigError as error:
-            raise ValueError(str(error)) from None
-
-
-class RunPlan(_Parameters):
+class RunRequest(Frozen):
     plan: Plan
 
 
-Angle = Annotated[float, Field(ge=-10.0, le=10.0)]
-Metre = Annotated[float, Field(ge=-10.0, le=10.0)]
-Joints = Annotated[tuple[Angle, ...], Field(min_length=1, max_length=32, strict=False)]
-
-
-class Move(_Parameters):
-    """Where to go: just one of `joints_rad`, `point_m` and `pose`."""
-
-    joints_rad: Joints | None = None
-    point_m: Point | None = None
-    pose: Annotated[tuple[Metre, Metre, Metre, Angle, Angle, Angle], Field(strict=False)] | None = None
-    """x, y, z [m], roll, pitch, yaw [rad]."""
-    duration_s: float | None = Field(None, gt=0.0, le=600.0)
-
-    @model_validator(mode="after")
-    def _one_target(self) -> Move:
-        if sum(target is not None for target in (self.joints_rad, self.point_m, self.pose)) != 1:
-            raise ValueError("joints_rad, point_m, pose: give just one of them")
-        return self
-
-    def target(self) -> Target:
-        return Target(self.joints_rad, self.point_m, self.pose)
-
-
-class Reach(_Parameters):
-    """A point to reach for, and what the gripper does there."""
-
-    point_m: Point
-    gripper: Literal["stay", "grip", "let_go"] = "stay"
-    ik: grasp.Method = "closed"
-    seed: int = Field(0, ge=0, lt=2**31)
-    off_m: float = Field(0.05, ge=0.005, le=0.3)
-    """Length of the straight line that leads to the point."""
-    along: grasp.Along = "above"
-
-
-class Transfer(_Parameters):
-    """A pick-and-transfer cycle between two stations."""
-
-    pick_m: Point
-    place_m: Point
-    height_m: float = Field(0.06, ge=0.005, le=0.5)
-    lift_s: float = Field(2.0, gt=0.0, le=60.0)
-    carry_s: float = Field(4.0, gt=0.0, le=60.0)
-    dwell_s: float = Field(0.5, ge=0.0, le=60.0)
-    cycles: int = Field(1, ge=1, le=20)
-
-
-class Rate(_Parameters):
+class Rate(Frozen):
     rate: float = Field(ge=0.1, le=1.0)
 
 
-class JogBeat(_Parameters):
+class JogBeat(Frozen):
     """The velocity wanted until the next heartbeat: of the joints or of the tool."""
 
-    joints_rad_s: Annotated[tuple[Angle, ...], Field(max_length=32, strict=False)] = ()
+    joints_rad_s: Annotated[tuple[Radian, ...], Field(max_length=32, strict=False)] = ()
     tool_m_s: Annotated[tuple[Metre, ...], Field(max_length=3, strict=False)] = ()
     begin: bool = False
 
@@ -207,10 +116,10 @@ class Methods:
             "take_mark": commanded("take_mark", Nothing, lambda client, _: host.teaching.take_mark(client)),
             "take_end": commanded("take_end", Nothing, lambda client, _: host.teaching.take_end(client)),
             "teach_end": commanded("teach_end", Nothing, lambda client, _: host.teach_end(client)),
-            "run": commanded("run", RunPlan, lambda client, p: host.run(client, p.plan)),
-            "move": commanded("move", Move, lambda client, p: host.move(client, p.target(), p.duration_s)),
-            "reach": commanded("reach", Reach, lambda client, p: reach(host, client, Wanted(**dict(p)))),
-            "transfer": commanded("transfer", Transfer, lambda client, p: transfer(host, client, Cycle(**dict(p)))),
+            "run": commanded("run", RunRequest, lambda client, p: host.run(client, p.plan)),
+            "move": commanded("move", MoveRequest, host.move),
+            "reach": commanded("reach", ReachRequest, partial(reach, host)),
+            "transfer": commanded("transfer", TransferRequest, partial(transfer, host)),
             "pause": commanded("pause", Nothing, lambda _, __: host.pause(), always=True),
             "resume": commanded("resume", Nothing, lambda client, _: host.resume(client)),
             "rate": commanded("rate", Rate, lambda client, p: host.rate(client, p.rate)),
@@ -220,7 +129,7 @@ class Methods:
             "recordings_show": Method(Show, self._recordings_show, observes=True),
             "recordings_rename": commanded("recordings_rename", Rename, self._recordings_rename),
             "recordings_delete": commanded("recordings_delete", Named, self._recordings_delete),
-            "optimize": Method(Optimize, self._optimize),
+            "optimize": Method(RecordedRequest, self._optimize),
         }
 
     def client_gone(self, client: Connection) -> None:
@@ -257,28 +166,16 @@ class Methods:
         client.subscribed = True
         return {"subscribed": True, "period_s": self._host.period_s}
 
-    async def _optimize(self, client: Connection, p: Optimize) -> dict[str, Any]:
+    async def _optimize(self, client: Connection, p: RecordedRequest) -> dict[str, Any]:
         if self._job is not None:
             raise RequestRefused("BUSY", f"client {self._job[0].name} is optimising; try again when it is done")
         job = next(self._job_ids)
-        request = OptimizeRequest(
-            arm=self._host.arm,
-            recordings=tuple(map(self._path, p.recordings)),
-            from_m=p.from_m,
-            to_m=p.to_m,
-            via=p.via,
-            duration_s=p.duration_s,
-            seed=p.seed,
-            settings=p.settings,
-            interpolation=p.interpolation,
-            objective=p.objective,
-            free=p.free,
-        )
+        work_on = OptimizeJob(self._host.arm, tuple(map(self._path, p.recordings)), p)
 
         def progress(generation: int, best: float, mean: float) -> None:
             client.notify("progress", {"job": job, "generation": generation, "best": best, "mean": mean})
 
-        work = asyncio.ensure_future(self._run_optimisation(request, progress))
+        work = asyncio.ensure_future(self._run_optimisation(work_on, progress))
         self._job = client, work
         try:
             return {"job": job, **await work}

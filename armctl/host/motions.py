@@ -21,22 +21,12 @@ from armctl.trajectory.collision import judged_pairs, link_clearance, link_point
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.straightness import max_error, mean_error
-from armctl.trajectory.target import joints_at_point, joints_at_pose
+from armctl.trajectory.target import MoveRequest, joints_at_point, joints_at_pose
 
 JOG_LOOK_S = 0.5
 """How far ahead of a jog collisions are looked for: heartbeat, stop and then some."""
 JOG_LOOKS = 11
 SAME_M = 1e-6
-
-
-@dataclass(frozen=True)
-class Target:
-    """Where a move goes: just one of these."""
-
-    joints_rad: tuple[float, ...] | None = None
-    point_m: tuple[float, ...] | None = None
-    pose: tuple[float, ...] | None = None
-    """x, y, z [m], roll, pitch, yaw [rad]."""
 
 
 @dataclass
@@ -56,7 +46,7 @@ class Watch:
 
 
 def move_trajectory(
-    target: Target, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float, duration_s: float | None
+    request: MoveRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
 ) -> JointTrajectory:
     """The way to a target: all joints start and arrive at once, slowly unless a duration is given.
 
@@ -65,17 +55,17 @@ def move_trajectory(
             (PREFLIGHT, every reason; LIMIT where the target itself lies outside the joints' limits).
     """
     try:
-        if target.point_m is not None:
-            goal = joints_at_point(target.point_m, q_now, arm, robot)
-        elif target.pose is not None:
-            goal = joints_at_pose(target.pose, q_now, arm, robot)
+        if request.point_m is not None:
+            goal = joints_at_point(request.point_m, q_now, arm, robot)
+        elif request.pose is not None:
+            goal = joints_at_pose(request.pose, q_now, arm, robot)
         else:
-            goal = list(target.joints_rad or ())
+            goal = list(request.joints_rad or ())
     except UnreachableTarget as error:
         raise RequestRefused("UNREACHABLE", str(error)) from None
     if len(goal) != len(arm.joints):
         raise RequestRefused("LIMIT", f"{len(goal)} joint positions for {len(arm.joints)} joints")
-    trajectory = approach_trajectory(q_now, goal, arm, robot, period_s, "move", duration_s)
+    trajectory = approach_trajectory(q_now, goal, arm, robot, period_s, "move", request.duration_s)
     positions = np.array(trajectory.positions_rad)
     if reasons := preflight_motion(positions, period_s, arm, robot, start_rad=q_now):
         raise RequestRefused("PREFLIGHT" if within_limits(goal, arm) else "LIMIT", reasons)

@@ -17,6 +17,7 @@ import numpy as np
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.genetic.algorithm import PROFILES
+from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
@@ -237,13 +238,15 @@ def genetic(
         takes,
         rig.arm,
         rig.robot,
-        line.A,
-        line.B,
-        via=counts,
-        duration_s=line.duration_s,
-        seed=seed,
-        settings=PROFILES[profile],
-        free=profile == "default",
+        OptimizeRequest(
+            from_m=tuple(line.A.tolist()),
+            to_m=tuple(line.B.tolist()),
+            via=counts,
+            duration_s=line.duration_s,
+            seed=seed,
+            settings=PROFILES[profile],
+            free=profile == "default",
+        ),
     )
     ga, exact = result.ga, result.exact
     return {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 from armctl.config import ArmConfig, Config, LogConfig
@@ -12,13 +11,13 @@ from armctl.recording.channels import COMMAND
 from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
-from armctl.trajectory.transfer import NOTED, Cycle, transfer_trajectory
+from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
 FIRST_TICKS = 5
 TAIL_TICKS = 5
 
 
-def record(arm: ArmConfig, cycle: Cycle, path: Path, *, seed: int = 0, period_s: float = 0.1) -> Path:
+def record(arm: ArmConfig, cycle: TransferRequest, path: Path, *, seed: int = 0, period_s: float = 0.1) -> Path:
     """Run the cycle on a simulated arm and record it at `path`, as the daemon records a run.
 
     Raises:
@@ -32,7 +31,7 @@ def record(arm: ArmConfig, cycle: Cycle, path: Path, *, seed: int = 0, period_s:
     trajectory = transfer_trajectory(cycle, virtual.goals_rad, arm, robot, period_s)
     records += virtual.carry_out(Run(virtual.next_id(), trajectory))
     records += virtual.ticks(TAIL_TICKS)
-    note = json.dumps({"event": NOTED, "cycle": asdict(cycle)})
+    note = json.dumps({"event": NOTED, "cycle": cycle.model_dump()})
     # A bound on free space is the daemon's business: this file is a few hundred kilobytes.
     context = LogContext(arm, robot, Config(log=LogConfig(free_bytes=0)), "loopback", period_s)
     writer = LogWriter(path, context)

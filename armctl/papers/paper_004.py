@@ -39,7 +39,7 @@ PAPER = "004"
 ROBOT = "transfer-6dof"
 SCALE = 0.4
 """Of the arm in calibration/transfer-6dof.yaml."""
-LOGGED = trajectory.Cycle(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
+LOGGED = trajectory.TransferRequest(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
 EXACT = 1e-12
 STEP_RAD = 1e-5
 DIFFERENCE_BOUND = 1e-8

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
@@ -27,7 +27,7 @@ from armctl.report.kinematics import COLOURS
 from armctl.report.page import Page, plotly
 from armctl.trajectory.quintic import Curves, curves
 from armctl.trajectory.smoothing import local_cubics
-from armctl.trajectory.transfer import NOTED, Cycle, motion
+from armctl.trajectory.transfer import NOTED, TransferRequest, motion
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -51,7 +51,7 @@ class Transfer:
 
     log: Path
     robot: Robot
-    cycle: Cycle
+    cycle: TransferRequest
     recorded: Curves
     model: Curves
 
@@ -174,15 +174,15 @@ class _Sampled:
         return self.values
 
 
-def _cycle(log: Path) -> Cycle:
+def _cycle(log: Path) -> TransferRequest:
     """The parameters of the last cycle that a log tells of."""
-    found: Cycle | None = None
+    found: TransferRequest | None = None
     for message in read(log, (channels.COMMAND,)):
         text = message.value["data"]
         try:
             note = json.loads(text)
             if isinstance(note, dict) and note.get("event") == NOTED:
-                found = TypeAdapter(Cycle).validate_python(note["cycle"])
+                found = TransferRequest.model_validate(note["cycle"])
         except (ValueError, RecursionError, KeyError, ValidationError) as error:
             raise LogError(f"{log}: {channels.COMMAND} is not as armctl writes it: {error!r}") from None
     if found is None:

@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
-from armctl.config import ArmConfig, GripperConfig
+from armctl.config import ArmConfig, Frozen, GripperConfig
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics import solution
 from armctl.kinematics.chain import forward_kinematics, link_frames
@@ -29,6 +30,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.bounds import Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, quintic, time_law
 from armctl.trajectory.preflight import peak_rates, preflight_motion
 from armctl.trajectory.target import joints_at_point
@@ -51,6 +53,22 @@ STRAIGHT_TOLERANCE_M = 1e-6
 STRAIGHT_TOLERANCE_RAD = 1e-5
 
 
+class ReachRequest(Frozen):
+    """A point to reach for, and what the gripper does there."""
+
+    point_m: Point
+    """Where the tool point goes, in the base frame."""
+    gripper: Literal["stay", "grip", "let_go"] = "stay"
+    ik: Method = "closed"
+    """Which inverse kinematics chooses the pose."""
+    seed: int = Field(0, ge=0, lt=2**31)
+    """Of the methods that draw lots."""
+    off_m: float = Field(0.05, ge=0.005, le=0.3)
+    """Length of the straight line that leads to the point."""
+    along: Along = "above"
+    """Whether that line comes down from above or along the tool's axis."""
+
+
 @dataclass(frozen=True, eq=False)
 class Grasp:
     """The straight line to a point."""
@@ -60,38 +78,23 @@ class Grasp:
     """Joint positions of the chain [rad], shape (PLACES, n): from off the point to the point."""
 
 
-def plan_grasp(
-    point_m: Sequence[float],
-    q_now: Sequence[float],
-    arm: ArmConfig,
-    robot: Robot,
-    period_s: float,
-    *,
-    method: Method = "closed",
-    seed: int = 0,
-    off_m: float = 0.05,
-    along: Along = "above",
-) -> Grasp:
+def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float) -> Grasp:
     """The way to a point, checked as far as it is known before the arm moves.
 
     Args:
-        point_m: Tool point in the base frame, shape (3,).
         q_now: Where the joints are commanded to be [rad], shape (joints,).
-        seed: Of the methods that draw lots.
-        off_m: Length of the straight line.
-        along: Whether it comes down from above or along the tool's axis.
     Raises:
         UnreachableTarget: no pose within the limits reaches the point; carries the nearest distance.
         RequestRefused: the point can be reached, but the way there must not be gone: code PREFLIGHT, every reason
             against the best solution.
     """
-    point = np.asarray(point_m, dtype=np.float64)
+    point = np.asarray(request.point_m, dtype=np.float64)
     if point[2] < arm.floor_m:
         raise RequestRefused("PREFLIGHT", f"the point is {point[2]:.3f} m high, below the floor at {arm.floor_m:.3f} m")
     refused: RequestRefused | None = None
-    for q in _solutions(point, q_now, arm, robot, method, seed):
+    for q in _solutions(point, q_now, arm, robot, request.ik, request.seed):
         try:
-            path = _straight(q, point, arm, robot, off_m, along)
+            path = _straight(q, point, arm, robot, request.off_m, request.along)
             grasp = Grasp(point, path)
             way = approach(grasp, q_now, arm, robot, period_s)
             straight(grasp.path_rad, way.positions_rad[-1], arm, robot, period_s)

@@ -15,9 +15,9 @@ from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from armctl.config import ArmConfig, Name, validate
+from armctl.config import ArmConfig, Frozen, Name, validate
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
@@ -48,10 +48,8 @@ Point = Annotated[tuple[float, float, float], Field(strict=False)]
 Joints = Annotated[tuple[float, ...], Field(strict=False)]
 
 
-class Plan(BaseModel):
+class Plan(Frozen):
     """A straight-line motion of one arm; frozen and checked."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     arm_id: Name
     calibration_hash: str = Field(max_length=64)

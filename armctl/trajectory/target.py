@@ -10,17 +10,35 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from armctl.config import ArmConfig
+from armctl.config import ArmConfig, Frozen
 from armctl.errors import UnreachableTarget
 from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
+from armctl.trajectory.bounds import Joints, Point, Pose
 
 STARTS = 12
 POSITION_TOLERANCE_M = 1e-6
 ORIENTATION_TOLERANCE_RAD = 1e-5
 LIMIT_TOLERANCE_RAD = 1e-9
+
+
+class MoveRequest(Frozen):
+    """Where to go: just one of `joints_rad`, `point_m` and `pose`."""
+
+    joints_rad: Joints | None = None
+    point_m: Point | None = None
+    pose: Pose | None = None
+    duration_s: float | None = Field(None, gt=0.0, le=600.0)
+    """None: as long as the way takes at a slow speed."""
+
+    @model_validator(mode="after")
+    def _one_target(self) -> MoveRequest:
+        if sum(target is not None for target in (self.joints_rad, self.point_m, self.pose)) != 1:
+            raise ValueError("joints_rad, point_m, pose: give just one of them")
+        return self
 
 
 def joints_at_point(point_m: Sequence[float], q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> list[float]:

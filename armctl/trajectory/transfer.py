@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from pydantic import Field
 
-from armctl.config import ArmConfig
+from armctl.config import ArmConfig, Frozen
 from armctl.errors import RequestRefused
 from armctl.kinematics import solution
 from armctl.kinematics.chain import jacobian
@@ -28,6 +29,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
+from armctl.trajectory.bounds import Point
 from armctl.trajectory.interpolate import quintic as from_rest_to_rest
 from armctl.trajectory.plan import DWELL_S, ROUNDING_S, SETTLE_S
 from armctl.trajectory.preflight import preflight_motion
@@ -40,20 +42,20 @@ JUMP_RAD = math.radians(60.0)
 """No joint turns so far between two places of a lift unless the arm changes into another pose."""
 
 
-@dataclass(frozen=True)
-class Cycle:
-    """The motion's parameters."""
+class TransferRequest(Frozen):
+    """A pick-and-transfer cycle between two stations."""
 
-    pick_m: tuple[float, float, float]
-    place_m: tuple[float, float, float]
-    height_m: float = 0.06
-    lift_s: float = 2.0
+    pick_m: Point
+    place_m: Point
+    height_m: float = Field(0.06, ge=0.005, le=0.5)
+    """Of the lift over each station."""
+    lift_s: float = Field(2.0, gt=0.0, le=60.0)
     """Of each way down and up."""
-    carry_s: float = 4.0
+    carry_s: float = Field(4.0, gt=0.0, le=60.0)
     """Of each way across."""
-    dwell_s: float = 0.5
+    dwell_s: float = Field(0.5, ge=0.0, le=60.0)
     """At each station."""
-    cycles: int = 1
+    cycles: int = Field(1, ge=1, le=20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,7 @@ class Motion:
         return curves[0], curves[1], curves[2]
 
 
-def motion(cycle: Cycle, arm: ArmConfig, robot: Robot) -> Motion:
+def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
     """The whole of the cycle, which begins and ends over the first station.
 
     Raises:
@@ -112,7 +114,7 @@ def motion(cycle: Cycle, arm: ArmConfig, robot: Robot) -> Motion:
 
 
 def transfer_trajectory(
-    cycle: Cycle, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
+    cycle: TransferRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
 ) -> JointTrajectory:
     """Slow approach, dwell, the cycle in [begin_s, end_s], settle; joints beyond the chain stay.
 
@@ -141,7 +143,7 @@ def transfer_trajectory(
     )
 
 
-def _down_and_up(lift: list[Quintic], cycle: Cycle) -> list[Quintic]:
+def _down_and_up(lift: list[Quintic], cycle: TransferRequest) -> list[Quintic]:
     """Down, dwell, and up the same way, backwards in time."""
     bottom = lift[-1].sample(np.array([lift[-1].duration_s]))[0][0]
     dwell = [quintic(bottom, bottom, cycle.dwell_s)] if cycle.dwell_s else []
@@ -154,7 +156,9 @@ def _reversed(piece: Quintic) -> Quintic:
     return Quintic(np.array(powers) @ piece.coefficients, piece.duration_s)
 
 
-def _lift(station_m: FloatArray, near: FloatArray, cycle: Cycle, arm: ArmConfig, robot: Robot) -> list[Quintic]:
+def _lift(
+    station_m: FloatArray, near: FloatArray, cycle: TransferRequest, arm: ArmConfig, robot: Robot
+) -> list[Quintic]:
     """From over a station, as near to `near` as there is, straight down onto it."""
     duration_s = cycle.lift_s / LIFT_PIECES
     top = station_m + np.array([0.0, 0.0, cycle.height_m])

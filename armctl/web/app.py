@@ -21,15 +21,15 @@ import numpy as np
 from fastapi import APIRouter, FastAPI, Path, Query, Request, Response, WebSocket, WebSocketDisconnect
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
-from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
 
 from armctl import __version__
 from armctl.config import NAME_PATTERN, ArmConfig, Config, Name
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
 from armctl.files import data_dir
+from armctl.host.jobs import RecordedRequest
 from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
-from armctl.host.methods import Confirmed, Optimize
+from armctl.host.methods import Confirmed, Named, Nothing
 from armctl.kinematics import robots
 from armctl.kinematics.chain import link_frames, tool_position
 from armctl.recording import reader, recordings
@@ -50,19 +50,7 @@ REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(
 )
 
 
-class _Body(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class Nothing(_Body):
-    """No parameters."""
-
-
-class NamedBody(_Body):
-    name: Name
-
-
-class OptimizeBody(Optimize):
+class OptimizeBody(RecordedRequest):
     """As `optimize` on the socket; the plans are kept as NAME-viaN."""
 
     name: Name
@@ -229,7 +217,7 @@ def _teaching(daemon: Daemon) -> APIRouter:
         return await daemon.call("teach_end")
 
     @router.post("/take/begin")
-    async def take_begin(body: NamedBody) -> dict[str, Any]:
+    async def take_begin(body: Named) -> dict[str, Any]:
         """Record a candidate."""
         return await daemon.call("take_begin", name=body.name)
 

@@ -2,14 +2,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
-from armctl.errors import RequestRefused
+from armctl.config import ArmConfig, validate
+from armctl.errors import ConfigError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT, PAPER, Settings
 from armctl.genetic.free_path import MOST_OFFSET_RAD
 from armctl.genetic.path_cost import POWER
+from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import StraightLineResult, optimize
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray, IntArray
@@ -24,22 +27,19 @@ SMALL = replace(DEFAULT, population=60, generations=40)
 OBJECTIVES: tuple[Objective, ...] = ("mean", "mix", "max")
 
 
-def optimized(
-    recordings: list[FloatArray],
-    settings: Settings = SMALL,
-    via: tuple[int, ...] = (),
-    seed: int = 0,
-    interpolation: Interpolation = "cubic",
-) -> StraightLineResult:
-    return optimize(
-        recordings, ARM, ROBOT, hand.A, hand.B,
-        via=via, duration_s=5.0, seed=seed, settings=settings, interpolation=interpolation,
-    )  # fmt: skip
+def request(**changes: Any) -> OptimizeRequest:
+    """The hand's line, with something else about it."""
+    line = {"from_m": hand.A.tolist(), "to_m": hand.B.tolist(), "via": (), "settings": SMALL}
+    return validate(OptimizeRequest, {**line, **changes}, "optimize")
+
+
+def optimized(recordings: list[FloatArray], arm: ArmConfig = ARM, **changes: Any) -> StraightLineResult:
+    return optimize(recordings, arm, ROBOT, request(**changes))
 
 
 @pytest.fixture(scope="module")
 def five() -> StraightLineResult:
-    return optimized(hand.recordings(5, 0), DEFAULT, (0, 1, 2, 4))
+    return optimized(hand.recordings(5, 0), settings=DEFAULT, via=(0, 1, 2, 4))
 
 
 def test_default_reaches_the_exact_optimum_of_five_recordings(five: StraightLineResult) -> None:
@@ -49,14 +49,14 @@ def test_default_reaches_the_exact_optimum_of_five_recordings(five: StraightLine
 
 @pytest.mark.parametrize("count", [7, 10, 15, 20])
 def test_default_comes_within_1_percent_of_the_optimum(count: int) -> None:
-    result = optimized(hand.recordings(count, count), DEFAULT)
+    result = optimized(hand.recordings(count, count), settings=DEFAULT)
     assert result.feasible
     assert -1e-12 <= result.gap_ratio <= 0.01
     assert result.ga.mean_error_mm < 0.8 * min(line.mean_error_mm for line in result.baseline)
 
 
 def test_evolution_without_a_table_to_search_in_falls_short_of_it() -> None:
-    result = optimized(hand.recordings(15, 15), replace(PAPER, generations=100))
+    result = optimized(hand.recordings(15, 15), settings=replace(PAPER, generations=100))
     assert result.gap_ratio > 0.01
 
 
@@ -70,9 +70,7 @@ def test_free_genes_are_straighter_than_any_recorded_ones_and_keep_the_same_limi
 
 
 def test_the_paper_s_procedure_plans_with_recorded_genes_alone(five: StraightLineResult) -> None:
-    bound = optimize(
-        hand.recordings(5, 0), ARM, ROBOT, hand.A, hand.B, via=(0, 1, 2), duration_s=5.0, seed=0, free=False
-    )
+    bound = optimized(hand.recordings(5, 0), via=(0, 1, 2), settings=DEFAULT, free=False)
     assert bound.free is None
     for plan, free in zip(bound.plans, five.plans, strict=False):
         for waypoint in plan.waypoints_rad:
@@ -84,12 +82,9 @@ def test_the_paper_s_procedure_plans_with_recorded_genes_alone(five: StraightLin
 def test_each_objective_is_best_at_what_it_makes_small() -> None:
     recordings = hand.recordings(8, 11)
     paths = {
-        objective: optimize(
-            recordings, ARM, ROBOT, hand.A, hand.B,
-            via=(), duration_s=5.0, seed=0, objective=objective, free=False,
-        ).exact
+        objective: optimized(recordings, settings=DEFAULT, objective=objective, free=False).exact
         for objective in OBJECTIVES
-    }  # fmt: skip
+    }
     errors = {objective: distance_to_line(path.tool_m, hand.A, hand.B) for objective, path in paths.items()}
     for objective, power in POWER.items():
         norms = {other: float((distance**power).mean()) for other, distance in errors.items()}
@@ -101,10 +96,10 @@ def test_each_objective_is_best_at_what_it_makes_small() -> None:
 
 def test_a_stalled_run_goes_on_from_the_recordings_and_never_loses_its_best() -> None:
     recordings = hand.recordings(6, 3)
-    costs = optimized(recordings, replace(SMALL, generations=120, stall_generations=3)).ga.best_cost_mm
+    costs = optimized(recordings, settings=replace(SMALL, generations=120, stall_generations=3)).ga.best_cost_mm
     assert list(costs) == sorted(costs, reverse=True)
-    means = optimized(recordings, replace(SMALL, generations=120, stall_generations=3)).ga.mean_cost_mm
-    plain = optimized(recordings, replace(SMALL, generations=120, stall_generations=0)).ga.mean_cost_mm
+    means = optimized(recordings, settings=replace(SMALL, generations=120, stall_generations=3)).ga.mean_cost_mm
+    plain = optimized(recordings, settings=replace(SMALL, generations=120, stall_generations=0)).ga.mean_cost_mm
     # A fresh start shows as a rise of the mean; a run that never restarts rises at its three changes of charges only.
     assert sum(after > 1.5 * before for before, after in pairwise(means)) > 3
     assert sum(after > 1.5 * before for before, after in pairwise(plain)) <= 3
@@ -113,7 +108,7 @@ def test_a_stalled_run_goes_on_from_the_recordings_and_never_loses_its_best() ->
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("settings", [SMALL, replace(PAPER, generations=40)])
 def test_the_genetic_algorithm_never_beats_the_exact_search(settings: Settings, seed: int) -> None:
-    result = optimized(hand.recordings(6, seed), settings, seed=seed)
+    result = optimized(hand.recordings(6, seed), settings=settings, seed=seed)
     assert result.gap_ratio >= -1e-12
 
 
@@ -163,7 +158,7 @@ def test_via_points_make_the_motion_several_times_straighter(five: StraightLineR
 @pytest.mark.parametrize("settings", [SMALL, PAPER])
 def test_same_seed_gives_the_same_bits(settings: Settings) -> None:
     recordings = hand.recordings(5, 2)
-    first, second = (optimized(recordings, settings, (1,), seed=9) for _ in range(2))
+    first, second = (optimized(recordings, settings=settings, via=(1,), seed=9) for _ in range(2))
     assert first.ga.best_cost_mm == second.ga.best_cost_mm
     assert first.ga.mean_cost_mm == second.ga.mean_cost_mm
     assert np.array_equal(first.ga.path.genes, second.ga.path.genes)
@@ -173,10 +168,8 @@ def test_same_seed_gives_the_same_bits(settings: Settings) -> None:
 def test_progress_is_told_after_every_generation_and_kept_as_history() -> None:
     told: list[tuple[int, float, float]] = []
     settings = replace(SMALL, generations=10)
-    result = optimize(
-        hand.recordings(3, 5), ARM, ROBOT, hand.A, hand.B,
-        via=(), duration_s=3.0, seed=1, settings=settings, progress=lambda *args: told.append(args),
-    )  # fmt: skip
+    asked = request(duration_s=3.0, seed=1, settings=settings)
+    result = optimize(hand.recordings(3, 5), ARM, ROBOT, asked, lambda *args: told.append(args))
     assert [generation for generation, _, _ in told] == list(range(1, 11))
     assert tuple(best for _, best, _ in told) == result.ga.best_cost_mm
     assert tuple(mean for _, _, mean in told) == result.ga.mean_cost_mm
@@ -203,42 +196,47 @@ def test_recordings_too_different_to_combine_are_not_mixed() -> None:
 
 def test_when_no_path_keeps_the_limits_the_result_says_so() -> None:
     slow = ARM.model_copy(update={"joints": tuple(j.model_copy(update={"speed_limit_deg_s": 5.0}) for j in ARM.joints)})
-    result = optimize(
-        hand.recordings(3, 8), slow, ROBOT, hand.A, hand.B, via=(1,), duration_s=2.0, seed=0, settings=SMALL
-    )
+    result = optimized(hand.recordings(3, 8), slow, via=(1,), duration_s=2.0)
     assert not result.feasible
     assert not result.exact.feasible
     assert result.ga.path.cost_mm > result.ga.mean_error_mm
     assert result.gap_ratio >= -1e-12
     least_s = result.least_duration_s
     assert least_s is not None
-    slower = optimize(
-        hand.recordings(3, 8), slow, ROBOT, hand.A, hand.B, via=(), duration_s=least_s, seed=0, settings=SMALL
-    )
+    slower = optimized(hand.recordings(3, 8), slow, duration_s=least_s)
     assert slower.exact.feasible
 
 
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
-        ({"via": (-1,)}, "-1 via points wanted; give 0 to 20"),
-        ({"via": (1, 21)}, "21 via points"),
-        ({"duration_s": 0.0}, "duration 0.0 s"),
-        ({"duration_s": float("nan")}, "duration nan s"),
-        ({"seed": -1}, "seed -1"),
-        ({"A": (0.1, 0.2)}, "A is .* three finite numbers"),
-        ({"B": (0.1, 0.2, float("nan"))}, "B is .* three finite numbers"),
-        ({"A": (0.18, -0.125, -0.01)}, r"A lies at height -0\.010 m, below the floor"),
+        ({"via": (-1,)}, r"via\.0: .*greater than or equal to 0 \(found '-1'\)"),
+        ({"via": (1, 21)}, r"via\.1: .*less than or equal to 20 \(found '21'\)"),
+        ({"duration_s": 0.0}, r"duration_s: .*greater than 0 \(found '0.0'\)"),
+        ({"duration_s": 601.0}, r"duration_s: .*less than or equal to 600 \(found '601.0'\)"),
+        ({"duration_s": float("nan")}, r"duration_s: .*finite number \(found 'nan'\)"),
+        ({"seed": -1}, r"seed: .*greater than or equal to 0 \(found '-1'\)"),
+        ({"from_m": (0.1, 0.2)}, r"from_m\.2: Field required"),
+        ({"to_m": (0.1, 0.2, float("nan"))}, r"to_m\.2: .*finite number \(found 'nan'\)"),
     ],
 )
-def test_an_unfit_request_is_refused(changes: dict[str, object], match: str) -> None:
-    arguments = {"A": hand.A, "B": hand.B, "via": (1,), "duration_s": 5.0, "seed": 0} | changes
-    A, B = arguments.pop("A"), arguments.pop("B")
-    with pytest.raises(RequestRefused, match=match):
-        optimize(hand.recordings(1, 0), ARM, ROBOT, A, B, **arguments)  # type: ignore[arg-type]
+def test_an_unfit_request_is_refused_with_field_value_and_bound(changes: dict[str, object], match: str) -> None:
+    with pytest.raises(ConfigError, match=match) as caught:
+        request(**changes)
+    assert str(caught.value).startswith("optimize: ")
 
 
 def test_every_fault_of_a_request_is_named_at_once() -> None:
+    with pytest.raises(ConfigError) as caught:
+        request(from_m=(11.0, 0.0, 0.0), via=(-1,), duration_s=-1.0, seed=-1)
+    assert [name in str(caught.value) for name in ("from_m.0", "via.0", "duration_s", "seed")] == [True] * 4
+
+
+def test_each_end_below_the_floor_is_named() -> None:
     with pytest.raises(RequestRefused) as caught:
-        optimize([], ARM, ROBOT, hand.A, hand.B - [0, 0, 1], via=(-1,), duration_s=-1.0, seed=-1)
-    assert len(caught.value.reasons) == 4
+        optimized([], from_m=(0.18, -0.125, -0.01), to_m=(0.18, 0.125, -1.0))
+    assert caught.value.code == "BAD_REQUEST"
+    assert [reason.split(",")[0] for reason in caught.value.reasons] == [
+        "A lies at height -0.010 m",
+        "B lies at height -1.000 m",
+    ]

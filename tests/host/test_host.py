@@ -20,11 +20,11 @@ from armctl.errors import IllegalTransition, LogError, RequestRefused
 from armctl.host import exchange
 from armctl.host import host as host_module
 from armctl.host.host import Host
-from armctl.host.motions import Target
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import rpy_from_matrix
 from armctl.messages import Hold, Mode, Reply, Run, TeachEnd, TickRecord
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.target import MoveRequest
 from tests.control.ideal_arm import PERIOD_S, IdealArm
 from tests.host.doubles import IdealControl, InlineExecutor, MemoryRecorder, NamedClient, small_plan
 
@@ -443,7 +443,7 @@ async def test_a_run_that_does_not_end_is_stopped(bench: Bench) -> None:
 async def test_a_move_to_joints_is_recorded_and_measured(bench: Bench) -> None:
     await bench.holding()
     goal = tuple(q - 0.3 * (i == 1) for i, q in enumerate(bench.arm.positions_rad()))
-    result = await bench.served(bench.host.move(bench.anna, Target(joints_rad=goal)))
+    result = await bench.served(bench.host.move(bench.anna, MoveRequest(joints_rad=goal)))
     assert list(bench.recorder.takes) == [result["recording"]]
     assert result["recording"].startswith("run-move-")
     assert 0.0 <= result["position_error_mm"] < 2.0
@@ -458,7 +458,7 @@ async def test_a_move_to_joints_is_recorded_and_measured(bench: Bench) -> None:
 async def test_a_move_to_a_point_takes_the_tool_there(bench: Bench) -> None:
     await bench.holding()
     point = (0.15, 0.05, 0.2)
-    result = await bench.served(bench.host.move(bench.anna, Target(point_m=point)))
+    result = await bench.served(bench.host.move(bench.anna, MoveRequest(point_m=point)))
     assert result["position_m"] == pytest.approx(point, abs=0.004)
     assert math.dist(result["position_m"], point) == pytest.approx(result["position_error_mm"] / 1e3, abs=1e-5)
 
@@ -466,7 +466,7 @@ async def test_a_move_to_a_point_takes_the_tool_there(bench: Bench) -> None:
 @on_bench
 async def test_a_point_out_of_reach_is_refused_with_the_nearest_distance(bench: Bench) -> None:
     await bench.holding()
-    error = await bench.refused(bench.host.move(bench.anna, Target(point_m=(0.9, 0.0, 0.2))))
+    error = await bench.refused(bench.host.move(bench.anna, MoveRequest(point_m=(0.9, 0.0, 0.2))))
     assert error.code == "UNREACHABLE"
     assert "no nearer than" in str(error)
     assert not bench.recorder.takes
@@ -476,13 +476,13 @@ async def test_a_point_out_of_reach_is_refused_with_the_nearest_distance(bench: 
 async def test_a_move_is_refused_with_every_reason_before_it_starts(bench: Bench) -> None:
     await bench.holding()
     here = bench.arm.positions_rad()
-    fast = Target(joints_rad=(here[0] + 1.0, here[1] - 1.0, *here[2:]))
-    error = await bench.refused(bench.host.move(bench.anna, fast, 0.3))
+    fast = MoveRequest(joints_rad=(here[0] + 1.0, here[1] - 1.0, *here[2:]), duration_s=0.3)
+    error = await bench.refused(bench.host.move(bench.anna, fast))
     assert error.code == "PREFLIGHT"
     assert len(error.reasons) > 2
-    far = await bench.refused(bench.host.move(bench.anna, Target(joints_rad=(2.6, *here[1:]))))
+    far = await bench.refused(bench.host.move(bench.anna, MoveRequest(joints_rad=(2.6, *here[1:]))))
     assert far.code == "LIMIT"
-    assert (await bench.refused(bench.host.move(bench.anna, Target(joints_rad=here[:5])))).code == "LIMIT"
+    assert (await bench.refused(bench.host.move(bench.anna, MoveRequest(joints_rad=here[:5])))).code == "LIMIT"
     assert not any(isinstance(command, Run) for command in bench.control.commands)
 
 
@@ -490,7 +490,7 @@ async def test_a_move_is_refused_with_every_reason_before_it_starts(bench: Bench
 async def test_a_client_that_leaves_during_its_move_stops_the_arm(bench: Bench) -> None:
     await bench.holding()
     goal = tuple(q - 0.3 * (i == 1) for i, q in enumerate(bench.arm.positions_rad()))
-    task = asyncio.ensure_future(bench.host.move(bench.anna, Target(joints_rad=goal)))
+    task = asyncio.ensure_future(bench.host.move(bench.anna, MoveRequest(joints_rad=goal)))
     await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
     bench.host.client_gone(bench.anna)
     assert (await bench.refused(task)).code == "STOPPED"

@@ -13,7 +13,8 @@ import pytest
 
 from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT
-from armctl.host.jobs import OptimizeRequest, Progress, optimize_task, run_job
+from armctl.genetic.request import OptimizeRequest
+from armctl.host.jobs import OptimizeJob, Progress, optimize_task, run_job
 from armctl.trajectory.plan import plan_from_text
 from tests.genetic import hand
 from tests.host.doubles import write_take
@@ -94,25 +95,28 @@ def test_cancelling_ends_the_process() -> None:
 SETTINGS = replace(DEFAULT, population=40, generations=12)
 
 
-def request(folder: Path, count: int = 3) -> OptimizeRequest:
+def job(folder: Path, count: int = 3, duration_s: float = 6.0) -> OptimizeJob:
     paths = []
     for number, samples in enumerate(hand.recordings(count, seed=1)):
         paths.append(folder / f"take-{number}.mcap")
-        write_take(paths[-1], samples, hand.arm())
-    return OptimizeRequest(
-        arm=hand.arm(),
-        recordings=tuple(paths),
-        from_m=tuple(hand.A.tolist()),
-        to_m=tuple(hand.B.tolist()),
-        via=(0, 2),
-        duration_s=6.0,
-        seed=3,
-        settings=SETTINGS,
+        if not paths[-1].exists():
+            write_take(paths[-1], samples, hand.arm())
+    return OptimizeJob(
+        hand.arm(),
+        tuple(paths),
+        OptimizeRequest(
+            from_m=tuple(hand.A.tolist()),
+            to_m=tuple(hand.B.tolist()),
+            via=(0, 2),
+            duration_s=duration_s,
+            seed=3,
+            settings=SETTINGS,
+        ),
     )
 
 
 def test_an_optimisation_says_everything_the_contract_names(tmp_path: Path) -> None:
-    asked = request(tmp_path)
+    asked = job(tmp_path)
     seen: list[tuple[int, float, float]] = []
     result = optimize_task(asked, lambda *values: seen.append(values))
     assert [generation for generation, _, _ in seen] == list(range(1, 13))
@@ -132,7 +136,7 @@ def test_an_optimisation_says_everything_the_contract_names(tmp_path: Path) -> N
 
 
 def test_an_optimisation_repeats_itself_elsewhere(tmp_path: Path) -> None:
-    asked = request(tmp_path)
+    asked = job(tmp_path)
     here = optimize_task(asked, lambda *_: None)
 
     async def main() -> dict[str, Any]:
@@ -145,7 +149,7 @@ def test_an_optimisation_repeats_itself_elsewhere(tmp_path: Path) -> None:
 
 
 def test_recordings_of_another_arm_are_refused_each_by_name(tmp_path: Path) -> None:
-    asked = request(tmp_path, count=2)
+    asked = job(tmp_path, count=2)
     other = replace(asked, arm=asked.arm.model_copy(update={"arm_id": "other"}))
     with pytest.raises(RequestRefused) as caught:
         optimize_task(other, lambda *_: None)
@@ -154,15 +158,15 @@ def test_recordings_of_another_arm_are_refused_each_by_name(tmp_path: Path) -> N
 
 
 def test_a_missing_recording_is_a_log_error(tmp_path: Path) -> None:
-    asked = replace(request(tmp_path, count=1), recordings=(tmp_path / "none.mcap",))
+    asked = replace(job(tmp_path, count=1), paths=(tmp_path / "none.mcap",))
     with pytest.raises(LogError):
         optimize_task(asked, lambda *_: None)
 
 
 def test_limits_that_contradict_the_duration_are_refused_with_one_that_does_not(tmp_path: Path) -> None:
-    asked = replace(request(tmp_path), duration_s=0.6)
+    asked = job(tmp_path, duration_s=0.6)
     with pytest.raises(RequestRefused, match=r"in 0\.6 s; give (\d+\.\d) s or more") as caught:
         optimize_task(asked, lambda *_: None)
     assert caught.value.code == "LIMITS"
     least_s = float(str(caught.value).split("give ")[1].split()[0])
-    assert optimize_task(replace(asked, duration_s=least_s), lambda *_: None)["ga"]["mean_error_mm"] > 0.0
+    assert optimize_task(job(tmp_path, duration_s=least_s), lambda *_: None)["ga"]["mean_error_mm"] > 0.0

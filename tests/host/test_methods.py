@@ -16,7 +16,7 @@ from armctl.config import validate
 from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT
 from armctl.host.host import Host
-from armctl.host.jobs import OptimizeRequest, Progress
+from armctl.host.jobs import OptimizeJob, Progress
 from armctl.host.methods import Methods, describe
 from armctl.host.server import Connection
 from armctl.recording.recordings import Recording, load
@@ -40,14 +40,14 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         host = Host(hand.arm(), hand.robot(), 0.1, MemoryRecorder(), VirtualClock())
-        self.requests: list[OptimizeRequest] = []
+        self.jobs: list[OptimizeJob] = []
         self.gate = asyncio.Event()
         self.methods = Methods(host, folder, self.optimise)
         self.table = self.methods.table()
         self.anna, self.ben = Asker("anna"), Asker("ben")
 
-    async def optimise(self, request: OptimizeRequest, progress: Progress) -> dict[str, Any]:
-        self.requests.append(request)
+    async def optimise(self, job: OptimizeJob, progress: Progress) -> dict[str, Any]:
+        self.jobs.append(job)
         progress(1, 2.0, 3.0)
         await self.gate.wait()
         return {"gap_ratio": 0.0}
@@ -87,8 +87,9 @@ def test_an_optimisation_gets_what_was_asked_for_and_tells_its_progress(folder: 
         settings = {"generations": 50, "selection": "roulette"}
         result = await bench.ask(bench.anna, "optimize", **LINE, seed=7, duration_s=3.0, settings=settings)
         assert result == {"job": 1, "gap_ratio": 0.0}
-        [request] = bench.requests
-        assert request.recordings == (folder / "a.mcap",)
+        [job] = bench.jobs
+        request = job.request
+        assert job.paths == (folder / "a.mcap",)
         assert (request.from_m, request.to_m) == ((0.18, -0.125, 0.1), (0.18, 0.125, 0.1))
         assert (request.via, request.seed, request.duration_s) == ((0,), 7, 3.0)
         assert (request.settings.generations, request.settings.selection) == (50, "roulette")
@@ -101,7 +102,7 @@ def test_an_optimisation_gets_what_was_asked_for_and_tells_its_progress(folder: 
 def test_one_optimisation_at_a_time(folder: Path) -> None:
     async def test(bench: Bench) -> None:
         first = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
-        while not bench.requests:
+        while not bench.jobs:
             await asyncio.sleep(0)
         with pytest.raises(RequestRefused, match="anna") as busy:
             await bench.ask(bench.ben, "optimize", **LINE)
@@ -116,7 +117,7 @@ def test_one_optimisation_at_a_time(folder: Path) -> None:
 def test_an_optimisation_ends_with_its_client_and_with_no_other(folder: Path) -> None:
     async def test(bench: Bench) -> None:
         work = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
-        while not bench.requests:
+        while not bench.jobs:
             await asyncio.sleep(0)
         bench.methods.client_gone(cast("Connection", bench.ben))
         await asyncio.sleep(0)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from armctl.errors import RequestRefused
-from armctl.host.motions import Target
-from armctl.host.reach import Wanted, reach
+from armctl.host.reach import reach
 from armctl.kinematics.chain import tool_position
 from armctl.messages import Mode, TickRecord
-from armctl.trajectory.grasp import Method
+from armctl.trajectory.grasp import Method, ReachRequest
+from armctl.trajectory.target import MoveRequest
 from tests.host.simulated import SimulatedBench, on_arm
 
 POINT = (0.20, 0.05, 0.06)
@@ -34,7 +34,8 @@ def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name: str, 
         rest_deg = [joint.rest_deg for joint in bench.arm.joints]
         assert len(bench.simulated.servos) == len(bench.arm.joints) == len(AWAY_DEG[name])
         for goal_deg in (AWAY_DEG[name], rest_deg):
-            await bench.served(bench.host.move(bench.anna, Target(joints_rad=tuple(np.radians(goal_deg).tolist()))))
+            there = MoveRequest(joints_rad=tuple(np.radians(goal_deg).tolist()))
+            await bench.served(bench.host.move(bench.anna, there))
             assert bench.true_deg() == pytest.approx(goal_deg, abs=SAG_DEG)
         assert await bench.served(bench.host.park(bench.anna)) == {"state": "off"}
         assert bench.true_deg() == pytest.approx(rest_deg, abs=4.0)
@@ -50,7 +51,7 @@ def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name: str, 
 )
 def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tuple[float, float, float]) -> None:
     async def test(bench: SimulatedBench) -> None:
-        result = await bench.served(reach(bench.host, bench.anna, Wanted(point)))
+        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=point)))
         assert result["position_error_mm"] < 5.0
         assert bench.off_mm(point) < 6.0
         n = bench.robot.chain.n
@@ -68,7 +69,7 @@ def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tuple[flo
 @pytest.mark.parametrize("method", ["numeric", "ga", "ga-improved"])
 def test_other_inverse_kinematics_get_there_too(method: Method) -> None:
     async def test(bench: SimulatedBench) -> None:
-        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, ik=method, seed=1)))
+        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, ik=method, seed=1)))
         assert result["method"] == method
         assert bench.off_mm(POINT) < 6.0
 
@@ -78,7 +79,7 @@ def test_other_inverse_kinematics_get_there_too(method: Method) -> None:
 def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_replays(tmp_path: Path) -> None:
     async def test(bench: SimulatedBench) -> None:
         bench.place_object(math.radians(40.0))
-        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip")))
+        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
         assert result["gripped"] is True
         assert result["gripper"]["load_ratio"] == pytest.approx(0.3, abs=0.07)
         assert result["gripper"]["position_rad"] == pytest.approx(math.radians(40.0), abs=math.radians(2.0))
@@ -94,7 +95,7 @@ def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_r
 
 def test_a_gripper_that_closes_on_nothing_says_so() -> None:
     async def test(bench: SimulatedBench) -> None:
-        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip")))
+        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
         assert result["gripped"] is False
         assert result["gripper"]["position_rad"] == pytest.approx(math.radians(90.0), abs=math.radians(3.0))
 
@@ -112,7 +113,7 @@ def test_what_is_lost_on_the_way_up_is_not_gripped() -> None:
                 take_away()
 
         bench.on_tick = lose
-        result = await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip")))
+        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
         assert result["gripped"] is False
 
     on_arm("xiang-6dof", test)
@@ -121,13 +122,15 @@ def test_what_is_lost_on_the_way_up_is_not_gripped() -> None:
 def test_what_was_gripped_is_let_go_elsewhere() -> None:
     async def test(bench: SimulatedBench) -> None:
         take_away = bench.place_object(math.radians(40.0))
-        assert (await bench.served(reach(bench.host, bench.anna, Wanted(POINT, gripper="grip"))))["gripped"]
+        assert (await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip"))))[
+            "gripped"
+        ]
         there = (0.20, -0.05, 0.06)
-        held = await bench.served(reach(bench.host, bench.anna, Wanted(there)))
+        held = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=there)))
         assert held["position_error_mm"] < 5.0
         assert bench.true_deg()[5] == pytest.approx(40.0, abs=2.0)
         take_away()
-        result = await bench.served(reach(bench.host, bench.anna, Wanted(there, gripper="let_go")))
+        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=there, gripper="let_go")))
         assert result["gripped"] is False
         assert bench.true_deg()[5] == pytest.approx(0.0, abs=3.0)
 
@@ -135,18 +138,18 @@ def test_what_was_gripped_is_let_go_elsewhere() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "wanted", "code", "says"),
+    ("name", "asked", "code", "says"),
     [
-        ("ax12-line", Wanted(POINT, gripper="grip"), "NO_GRIPPER", "roll"),
-        ("xiang-6dof", Wanted((0.9, 0.0, 0.1)), "UNREACHABLE", "no nearer than 484.0 mm"),
-        ("xiang-6dof", Wanted((0.2, 0.0, -0.05)), "PREFLIGHT", "below the floor"),
+        ("ax12-line", ReachRequest(point_m=POINT, gripper="grip"), "NO_GRIPPER", "roll"),
+        ("xiang-6dof", ReachRequest(point_m=(0.9, 0.0, 0.1)), "UNREACHABLE", "no nearer than 484.0 mm"),
+        ("xiang-6dof", ReachRequest(point_m=(0.2, 0.0, -0.05)), "PREFLIGHT", "below the floor"),
     ],
 )
-def test_what_cannot_be_done_is_refused_and_nothing_moves(name: str, wanted: Wanted, code: str, says: str) -> None:
+def test_what_cannot_be_done_is_refused_and_nothing_moves(name: str, asked: ReachRequest, code: str, says: str) -> None:
     async def test(bench: SimulatedBench) -> None:
         before = bench.true_deg()
         with pytest.raises(RequestRefused, match=says) as caught:
-            await bench.served(reach(bench.host, bench.anna, wanted))
+            await bench.served(reach(bench.host, bench.anna, asked))
         assert caught.value.code == code
         assert bench.true_deg() == before
         assert not bench.recorder.takes
@@ -156,7 +159,7 @@ def test_what_cannot_be_done_is_refused_and_nothing_moves(name: str, wanted: Wan
 
 def test_a_stop_ends_the_whole_reach_and_not_only_the_leg_under_way() -> None:
     async def test(bench: SimulatedBench) -> None:
-        work = asyncio.ensure_future(bench.served(reach(bench.host, bench.anna, Wanted(POINT))))
+        work = asyncio.ensure_future(bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT))))
         while Mode.MOVING not in bench.modes:
             await asyncio.sleep(0)
         await bench.host.stop()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,9 @@ from armctl.lab.transfer import record
 from armctl.recording import replay, timeline
 from armctl.report import transfer as report
 from armctl.report.transfer import QUANTITIES, Transfer
-from armctl.trajectory.transfer import Cycle, motion
+from armctl.trajectory.transfer import TransferRequest, motion
 
-CYCLE = Cycle((0.176, -0.132, -0.15), (0.176, 0.132, -0.15))
+CYCLE = TransferRequest(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
 ARM = load_arm("transfer-6dof")
 
 
@@ -97,7 +96,7 @@ def test_the_page_names_stations_lengths_and_how_the_curves_were_derived(done: T
 
 def test_changed_lengths_are_the_log_s_own(tmp_path: Path) -> None:
     longer = ARM.model_copy(update={"lengths_m": {**ARM.lengths_m, "a2": 0.19}})
-    path = record(longer, replace(CYCLE, carry_s=5.0, lift_s=1.5), tmp_path / "longer.mcap", seed=1)
+    path = record(longer, CYCLE.model_copy(update={"carry_s": 5.0, "lift_s": 1.5}), tmp_path / "longer.mcap", seed=1)
     loaded = report.load(path)
     assert loaded.robot.lengths_m["a2"] == 0.19
     assert loaded.cycle.carry_s == 5.0
@@ -114,12 +113,12 @@ def test_what_is_no_log_of_a_cycle_is_told(log: Path, tmp_path: Path, spoil: Cal
 
 def test_a_log_that_tells_of_no_cycle_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment, "NOTED", "SOMETHING_ELSE")
-    path = record(ARM, replace(CYCLE, carry_s=3.0, lift_s=1.5), tmp_path / "other.mcap")
+    path = record(ARM, CYCLE.model_copy(update={"carry_s": 3.0, "lift_s": 1.5}), tmp_path / "other.mcap")
     with pytest.raises(LogError, match="tells of no transfer"):
         report.load(path)
 
 
 def test_a_station_nobody_can_reach_is_refused_before_any_log_is_written(tmp_path: Path) -> None:
     with pytest.raises(RequestRefused, match="cannot point down"):
-        record(ARM, replace(CYCLE, pick_m=(0.6, 0.0, 0.0)), tmp_path / "never.mcap")
+        record(ARM, CYCLE.model_copy(update={"pick_m": (0.6, 0.0, 0.0)}), tmp_path / "never.mcap")
     assert not (tmp_path / "never.mcap").exists()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.trajectory import grasp
-from armctl.trajectory.grasp import Method
+from armctl.trajectory.grasp import Method, ReachRequest
 from armctl.trajectory.preflight import peak_rates, peak_tool_speed
 
 POINT = (0.20, 0.05, 0.06)
@@ -30,6 +30,12 @@ def arm_and_robot(name: str = "xiang-6dof") -> tuple[ArmConfig, Robot, list[floa
     return arm, robots.get(arm.robot, arm.lengths_m), [joint.rest_rad for joint in arm.joints]
 
 
+def planned_to(
+    point: tuple[float, float, float], q_now: list[float], arm: ArmConfig, robot: Robot, **how: Any
+) -> grasp.Grasp:
+    return grasp.plan_grasp(ReachRequest(point_m=point, **how), q_now, arm, robot, PERIOD_S)
+
+
 @settings(deadline=None, max_examples=20)
 @given(
     st.sampled_from(["xiang-6dof", "ax12-line"]),
@@ -38,7 +44,7 @@ def arm_and_robot(name: str = "xiang-6dof") -> tuple[ArmConfig, Robot, list[floa
 def test_the_tool_comes_down_a_straight_line_without_turning(name: str, point: tuple[float, float, float]) -> None:
     arm, robot, q_now = arm_and_robot(name)
     try:
-        planned = grasp.plan_grasp(point, q_now, arm, robot, PERIOD_S, off_m=0.04)
+        planned = planned_to(point, q_now, arm, robot, off_m=0.04)
     except RequestRefused:
         reject()
     there = grasp.approach(planned, q_now, arm, robot, PERIOD_S).positions_rad[-1]
@@ -56,7 +62,7 @@ def test_the_tool_comes_down_a_straight_line_without_turning(name: str, point: t
 
 def test_along_the_tool_s_axis_it_comes_from_where_the_tool_points_away_from() -> None:
     arm, robot, q_now = arm_and_robot()
-    planned = grasp.plan_grasp(POINT, q_now, arm, robot, PERIOD_S, off_m=0.03, along="tool")
+    planned = planned_to(POINT, q_now, arm, robot, off_m=0.03, along="tool")
     T = forward_kinematics(robot.chain, planned.path_rad)
     assert T[0, :3, 3] == pytest.approx(T[-1, :3, 3] - 0.03 * T[-1, :3, 2], abs=1e-6)  # the hand is link 5, along z
 
@@ -64,7 +70,7 @@ def test_along_the_tool_s_axis_it_comes_from_where_the_tool_points_away_from() -
 @pytest.mark.parametrize("method", get_args(Method))
 def test_every_method_reaches_the_same_point(method: Method) -> None:
     arm, robot, q_now = arm_and_robot()
-    planned = grasp.plan_grasp(POINT, q_now, arm, robot, PERIOD_S, method=method, seed=3)
+    planned = planned_to(POINT, q_now, arm, robot, ik=method, seed=3)
     assert tool_position(robot.chain, planned.path_rad[-1]) == pytest.approx(POINT, abs=1e-6)
 
 
@@ -72,27 +78,27 @@ def test_every_method_reaches_the_same_point(method: Method) -> None:
 def test_a_point_out_of_reach_is_told_with_its_exact_distance(x: float, away_m: float) -> None:
     arm, robot, q_now = arm_and_robot()  # 0.123 + 0.138 + 0.155 m from a shoulder 0.101 m high
     with pytest.raises(UnreachableTarget) as caught:
-        grasp.plan_grasp((x, 0.0, 0.101), q_now, arm, robot, PERIOD_S)
+        planned_to((x, 0.0, 0.101), q_now, arm, robot)
     assert caught.value.least_error_m == pytest.approx(away_m, abs=1e-9)
 
 
 def test_a_point_below_the_floor_is_refused_before_anything_moves() -> None:
     arm, robot, q_now = arm_and_robot()
     with pytest.raises(RequestRefused, match="below the floor") as caught:
-        grasp.plan_grasp((0.2, 0.0, -0.02), q_now, arm, robot, PERIOD_S)
+        planned_to((0.2, 0.0, -0.02), q_now, arm, robot)
     assert caught.value.code == "PREFLIGHT"
 
 
 def test_a_straight_way_that_leaves_the_reach_is_refused_with_what_is_left() -> None:
     arm, robot, q_now = arm_and_robot()
     with pytest.raises(RequestRefused, match="can back off from the point by") as caught:
-        grasp.plan_grasp((0.0, 0.1, 0.46), q_now, arm, robot, PERIOD_S, off_m=0.3)
+        planned_to((0.0, 0.1, 0.46), q_now, arm, robot, off_m=0.3)
     assert caught.value.code == "PREFLIGHT"
 
 
 def test_goals_move_by_what_the_encoders_lack_and_no_farther_than_a_blocked_joint_may_be() -> None:
     arm, robot, q_now = arm_and_robot()
-    path = grasp.plan_grasp(POINT, q_now, arm, robot, PERIOD_S).path_rad
+    path = planned_to(POINT, q_now, arm, robot).path_rad
     told = [*path[0].tolist(), q_now[5]]
     sagging = np.array(told) - math.radians(1.5)
     goal = grasp.align(path[0], told, sagging.tolist(), arm, robot, PERIOD_S).positions_rad[-1]

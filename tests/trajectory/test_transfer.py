@@ -14,12 +14,12 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.trajectory.transfer import Cycle, motion, transfer_trajectory
+from armctl.trajectory.transfer import TransferRequest, motion, transfer_trajectory
 
 ARM = load_arm("transfer-6dof")
 ROBOT = robots.get(ARM.robot, ARM.lengths_m)
 REST = [joint.rest_rad for joint in ARM.joints]
-CYCLE = Cycle((0.176, -0.132, -0.15), (0.176, 0.132, -0.15))
+CYCLE = TransferRequest(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
 
 
 def test_the_paw_is_at_both_stations_when_it_should_be_and_points_down_there() -> None:
@@ -39,7 +39,8 @@ def test_the_paw_is_at_both_stations_when_it_should_be_and_points_down_there() -
 def test_lifts_are_straight_and_the_motion_has_no_jump_in_acceleration(
     reach_m: float, z: float, height_m: float, lift_s: float
 ) -> None:
-    cycle = Cycle((0.8 * reach_m, -0.6 * reach_m, z), (0.8 * reach_m, 0.6 * reach_m, z), height_m, lift_s)
+    x, y = 0.8 * reach_m, 0.6 * reach_m
+    cycle = TransferRequest(pick_m=(x, -y, z), place_m=(x, y, z), height_m=height_m, lift_s=lift_s)
     try:
         model = motion(cycle, ARM, ROBOT)
     except RequestRefused:
@@ -63,8 +64,8 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position() -> None:
 
 
 def test_what_is_commanded_is_the_model_at_the_ticks() -> None:
-    trajectory = transfer_trajectory(replace(CYCLE, cycles=2), REST, ARM, ROBOT, 0.1)
-    model = motion(replace(CYCLE, cycles=2), ARM, ROBOT)
+    trajectory = transfer_trajectory(CYCLE.model_copy(update={"cycles": 2}), REST, ARM, ROBOT, 0.1)
+    model = motion(CYCLE.model_copy(update={"cycles": 2}), ARM, ROBOT)
     rows = np.array(trajectory.positions_rad)
     assert rows[0] == pytest.approx(REST)
     begin = round(trajectory.begin_s / 0.1)
@@ -83,7 +84,7 @@ def test_other_lengths_give_another_motion_to_the_same_places() -> None:
 
 
 def test_a_station_out_of_reach_is_refused_with_the_distance() -> None:
-    far = replace(CYCLE, place_m=(0.5, 0.0, 0.0))
+    far = CYCLE.model_copy(update={"place_m": (0.5, 0.0, 0.0)})
     with pytest.raises(RequestRefused, match=r"cannot point down at .* mm off") as caught:
         motion(far, ARM, ROBOT)
     assert caught.value.code == "UNREACHABLE"
@@ -91,6 +92,6 @@ def test_a_station_out_of_reach_is_refused_with_the_distance() -> None:
 
 def test_a_cycle_that_is_too_fast_is_refused_with_every_reason() -> None:
     with pytest.raises(RequestRefused, match="deg/s") as caught:
-        transfer_trajectory(replace(CYCLE, carry_s=0.5), REST, ARM, ROBOT, 0.1)
+        transfer_trajectory(CYCLE.model_copy(update={"carry_s": 0.5}), REST, ARM, ROBOT, 0.1)
     assert caught.value.code == "PREFLIGHT"
     assert any("the tool would reach" in reason for reason in caught.value.reasons)

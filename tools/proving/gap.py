@@ -15,7 +15,7 @@ import numpy as np
 
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.files import load_arm
-from armctl.genetic.algorithm import DEFAULT
+from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import calibrate_sag
@@ -48,14 +48,15 @@ def prove(seed: int, tell: Callable[[str], None], sets: int = SETS, sizes: tuple
                 takes[:size],
                 rig.arm,
                 rig.robot,
-                A,
-                B,
-                via=(),
-                duration_s=DURATION_S,
-                seed=arm_seed,
-                settings=DEFAULT,
-                free=False,
-                progress=now,
+                OptimizeRequest(
+                    from_m=tuple(A.tolist()),
+                    to_m=tuple(B.tolist()),
+                    via=(),
+                    duration_s=DURATION_S,
+                    seed=arm_seed,
+                    free=False,
+                ),
+                now,
             )
             compute_s = seconds[-1] - began_s
             found[size].append((result.gap_ratio, compute_s, result.feasible))

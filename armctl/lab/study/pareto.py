@@ -15,6 +15,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import DEFAULT, Settings
+from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
@@ -47,13 +48,15 @@ def work(case: Case) -> list[dict[str, Any]]:
         case.takes,
         case.arm,
         robots.get(case.arm.robot, case.arm.lengths_m),
-        case.from_m,
-        case.to_m,
-        via=case.via,
-        duration_s=case.duration_s,
-        seed=case.seed,
-        settings=case.settings,
-        objective=case.objective,
+        OptimizeRequest(
+            from_m=case.from_m,
+            to_m=case.to_m,
+            via=case.via,
+            duration_s=case.duration_s,
+            seed=case.seed,
+            settings=case.settings,
+            objective=case.objective,
+        ),
     )
     return [
         {

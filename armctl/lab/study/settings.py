@@ -14,6 +14,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import Settings
+from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
@@ -69,13 +70,15 @@ def work(case: Case) -> dict[str, Any]:
         case.takes,
         case.arm,
         robots.get(case.arm.robot, case.arm.lengths_m),
-        case.from_m,
-        case.to_m,
-        via=(),
-        duration_s=case.duration_s,
-        seed=case.seed,
-        settings=case.settings,
-        free=False,
+        OptimizeRequest(
+            from_m=case.from_m,
+            to_m=case.to_m,
+            via=(),
+            duration_s=case.duration_s,
+            seed=case.seed,
+            settings=case.settings,
+            free=False,
+        ),
     )
     best = np.array(result.ga.best_cost_mm)
     return {

@@ -16,6 +16,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import PAPER, Settings
+from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.rig import Measured, VirtualRig
@@ -67,13 +68,15 @@ def work(case: Case) -> Experiment:
         [run.positions_rad for run in runs],
         case.arm,
         rig.robot,
-        case.from_m,
-        case.to_m,
-        via=(),
-        duration_s=case.duration_s,
-        seed=case.seed,
-        settings=case.settings,
-        free=False,
+        OptimizeRequest(
+            from_m=case.from_m,
+            to_m=case.to_m,
+            via=(),
+            duration_s=case.duration_s,
+            seed=case.seed,
+            settings=case.settings,
+            free=False,
+        ),
     )
     mean_mm, max_mm, time_s = PAPER_ROWS[case.via]
     row = {

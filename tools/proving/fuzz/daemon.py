@@ -20,7 +20,7 @@ from armctl.clock import NS_PER_S, VirtualClock
 from armctl.errors import LogError
 from armctl.host.daemon import listen
 from armctl.host.host import Host
-from armctl.host.jobs import OptimizeRequest, Progress
+from armctl.host.jobs import OptimizeJob, Progress
 from armctl.host.methods import Methods
 from armctl.host.server import Method, Server
 from armctl.lab.demo import program
@@ -153,9 +153,9 @@ class _Inline(ThreadPoolExecutor):
         return future
 
 
-async def _optimise(request: OptimizeRequest, progress: Progress) -> dict[str, Any]:
+async def _optimise(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
     progress(1, 2.0, 3.0)
-    return {"plans": [], "via": list(request.via)}
+    return {"plans": [], "via": list(job.request.via)}
 
 
 @dataclass

@@ -1,0 +1,19 @@
+"""Quantities that a request gives, with the bounds that every way in holds them to.
+
+Texts of JSON have lists, Python has tuples: `strict=False` lets both in, and nothing else of a request is converted.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+Metre = Annotated[float, Field(ge=-10.0, le=10.0)]
+Radian = Annotated[float, Field(ge=-10.0, le=10.0)]
+Point = Annotated[tuple[Metre, Metre, Metre], Field(strict=False)]
+"""x, y, z in the base frame [m]."""
+Pose = Annotated[tuple[Metre, Metre, Metre, Radian, Radian, Radian], Field(strict=False)]
+"""x, y, z [m], roll, pitch, yaw [rad] in the base frame, R = Rz(yaw) Ry(pitch) Rx(roll)."""
+Joints = Annotated[tuple[Radian, ...], Field(min_length=1, max_length=32, strict=False)]
+"""One number for each joint, in the calibration file's order."""
