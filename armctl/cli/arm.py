@@ -60,8 +60,6 @@ def watch_command(output: Output, socket: str | None) -> None:
                     print(_line(snapshot), flush=True)
 
 
-TEACHING_SPEED_M_S = 0.25
-"""ISO 10218-1's manual reduced speed; a faster hand is shown in red."""
 WIDEST_NAME = 14
 BAR = 12
 """Characters that show where a joint is between its limits."""
@@ -92,12 +90,13 @@ def picture(snapshot: dict[str, Any]) -> RenderableType:
             f"{joint['age_s']:.2f}" if joint["age_s"] is not None else "never",
         )
     speed_m_s = None if snapshot["tool"] is None else snapshot["tool"]["speed_m_s"]
-    hurried = snapshot["state"] == "teaching" and (speed_m_s or 0.0) > TEACHING_SPEED_M_S
+    limit_m_s = snapshot["tool_speed_limit_m_s"]
+    hurried = snapshot["state"] == "teaching" and (speed_m_s or 0.0) > limit_m_s
     parts: list[RenderableType] = [
         Text(f"{snapshot['arm_id']}: {snapshot['state']}", style="bold red" if snapshot["fault"] else "bold"),
         joints,
         Text(
-            f"tool at {_tool(snapshot)}" + (" (keep it below 250)" if hurried else ""),
+            f"tool at {_tool(snapshot)}" + (f" (keep it below {1000.0 * limit_m_s:.0f})" if hurried else ""),
             style="bold red" if hurried else "",
         ),
     ]

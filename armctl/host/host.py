@@ -97,7 +97,9 @@ class Host:
         self._ticked = asyncio.Event()
         self._leases = Leases()
         self._takes = Takes(recorder)
-        self.teaching = Teaching(self._exchange, self._leases, self._takes, lambda: self._latest, self.note)
+        self.teaching = Teaching(
+            self._exchange, self._leases, self._takes, lambda: self._latest, self.note, arm.tool_speed_limit_m_s
+        )
         self._watch: Watch | None = None
         self._hold: asyncio.Task[Reply] | None = None
         self._held_at = 0, 0
@@ -415,6 +417,7 @@ class Host:
             "commander": None if commander is None else f"{commander.client.name}: {commander.what}",
             "log": self.log(),
             "arm_id": self.arm.arm_id,
+            "tool_speed_limit_m_s": self.arm.tool_speed_limit_m_s,
             "pids": {"daemon": os.getpid(), "control": None if control is None else control.pid},
         }
 

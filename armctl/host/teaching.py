@@ -12,9 +12,6 @@ from armctl.host.exchange import Exchange
 from armctl.host.lease import Client, Leases
 from armctl.messages import Mode, Teach, TeachEnd, TickRecord
 
-FAST_M_S = 0.25
-"""ISO 10218-1's manual reduced speed; a faster hand is warned."""
-
 
 class TakeRecorder(Protocol):
     """The recorder as far as requests need it."""
@@ -59,6 +56,7 @@ class Teaching:
     Args:
         latest: The newest tick record.
         note: Puts a message into the log and the take.
+        speed_limit_m_s: A hand that leads the tool faster is warned: the arm's `tool_speed_limit_m_s`.
     """
 
     def __init__(
@@ -68,9 +66,11 @@ class Teaching:
         takes: Takes,
         latest: Callable[[], TickRecord | None],
         note: Callable[[dict[str, Any]], None],
+        speed_limit_m_s: float,
     ) -> None:
         self._exchange, self._leases, self._takes = exchange, leases, takes
         self._latest, self._note = latest, note
+        self._speed_limit_m_s = speed_limit_m_s
         self._hurried = False
 
     async def begin(self, client: Client) -> None:
@@ -143,8 +143,9 @@ class Teaching:
 
     def mind_the_hand(self, mode: Mode, tool_speed_m_s: float | None) -> None:
         """Tell, once an excursion, that the hand is too fast."""
-        hurried = mode is Mode.TEACHING and (tool_speed_m_s or 0.0) > FAST_M_S
+        speed_m_s, limit_m_s = tool_speed_m_s or 0.0, self._speed_limit_m_s
+        hurried = mode is Mode.TEACHING and speed_m_s > limit_m_s
         if hurried and not self._hurried:
-            text = f"the tool moves at {1e3 * (tool_speed_m_s or 0.0):.0f} mm/s (bound {1e3 * FAST_M_S:.0f})"
+            text = f"the tool moves at {1e3 * speed_m_s:.0f} mm/s (bound {1e3 * limit_m_s:.0f})"
             self._note({"event": "TEACHING_FAST", "text": text})
         self._hurried = hurried

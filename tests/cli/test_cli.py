@@ -327,6 +327,7 @@ def _snapshot(**changes: Any) -> dict[str, Any]:
         "fault": None,
         "joints": [joint, silent],
         "tool": {"position_m": [0.18, 0.0, 0.1], "rpy_rad": [0.0, 0.0, 0.0], "speed_m_s": 0.3},
+        "tool_speed_limit_m_s": 0.25,
         "progress": None,
         "rate": None,
         "recording": None,

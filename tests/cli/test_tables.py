@@ -180,6 +180,7 @@ def snapshot() -> dict[str, Any]:
         "arm_id": LONGEST_NAME, "state": "energising", "progress": 0.5, "rate": 0.5, "recording": LONGEST_NAME,
         "joints": [joint, {**joint, **dict.fromkeys(("position_rad", "age_s"))}],
         "tool": {"position_m": [-0.123, -0.234, -0.345], "speed_m_s": 1.234},
+        "tool_speed_limit_m_s": 0.25,
         "log": {"problem": "no space left on the disk that holds the logs; recording goes on when there is some"},
         "fault": {
             "code": "EEPROM_MISMATCH", "since_s": 123456.0, "text": "servo 253: " + "a sentence of many words " * 5,

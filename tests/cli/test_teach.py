@@ -21,24 +21,25 @@ START: Place = (0.18, -0.12, 0.1)
 class Snapshots:
     """A watcher that has seen the tool at these places; ends like a daemon whose teaching ended."""
 
-    def __init__(self, places: list[Place]) -> None:
+    def __init__(self, places: list[Place], limit_m_s: float) -> None:
         self.left = len(places)
         self._places = places
+        self._same = {"fault": None, "period_s": 0.1, "tool_speed_limit_m_s": limit_m_s}
 
     def subscribe(self) -> Iterator[dict[str, Any]]:
         for before, place in pairwise([self._places[0], *self._places]):
             self.left -= 1
-            yield {"state": "teaching", "fault": None, "period_s": 0.1, "tool": _tool(place, before)}
-        yield {"state": "off", "fault": None, "period_s": 0.1, "tool": None}
+            yield {**self._same, "state": "teaching", "tool": _tool(place, before)}
+        yield {**self._same, "state": "off", "tool": None}
 
 
 def _tool(place: Place, before: Place) -> dict[str, Any]:
     return {"position_m": list(place), "speed_m_s": math.dist(place, before) / 0.1}
 
 
-def follow(places: list[Place], keys: str = "") -> tuple[_Tool, Snapshots]:
+def follow(places: list[Place], keys: str = "", limit_m_s: float = 0.25) -> tuple[_Tool, Snapshots]:
     """A tool at these places; `keys` is what was pressed in each tick, `.` for nothing."""
-    snapshots = Snapshots(places)
+    snapshots = Snapshots(places, limit_m_s)
     pressed = iter(keys.ljust(len(places), "."))
     return _Tool(Output(), cast("Client", snapshots), lambda: next(pressed).strip(".")), snapshots
 
@@ -79,10 +80,20 @@ def test_a_take_ends_when_the_tool_rests_after_it_went_along() -> None:
     assert 3 <= snapshots.left <= 7
 
 
-def test_a_fast_hand_is_warned_once(capsys: pytest.CaptureFixture[str]) -> None:
-    tool, _ = follow(rest(START, 5) + way(START, END, 4) + way(END, START, 4) + way(START, END, 4) + rest(END, 12))
+@pytest.mark.parametrize(("limit_m_s", "said"), [(0.25, "slower than 250"), (0.1, "slower than 100")])
+def test_a_hand_faster_than_the_arm_s_limit_is_warned_once(
+    capsys: pytest.CaptureFixture[str], limit_m_s: float, said: str
+) -> None:
+    there, back = way(START, END, 4), way(END, START, 4)
+    tool, _ = follow(rest(START, 5) + there + back + there + rest(END, 12), limit_m_s=limit_m_s)
     tool.guided(START, lambda: None)
-    assert capsys.readouterr().out.count("slower than 250") == 1
+    assert capsys.readouterr().out.count(said) == 1
+
+
+def test_a_hand_below_the_arm_s_limit_is_not_warned(capsys: pytest.CaptureFixture[str]) -> None:
+    tool, _ = follow(rest(START, 5) + way(START, END, 4) + rest(END, 12), limit_m_s=2.0)
+    tool.guided(START, lambda: None)
+    assert "slower than" not in capsys.readouterr().out
 
 
 MIDDLE: Place = (0.18, 0.0, 0.1)

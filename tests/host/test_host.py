@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Any
 
@@ -32,12 +31,14 @@ from tests.host.doubles import IdealControl, InlineExecutor, MemoryRecorder, Nam
 class Bench:
     """A host over ideal servos; `tick` is one tick, `served` ticks until something is done."""
 
-    def __init__(self) -> None:
+    def __init__(self, **calibration: Any) -> None:
         self.clock = VirtualClock()
         self.recorder = MemoryRecorder()
         self.control = IdealControl(self.clock)
         self.arm = self.control.arm
-        self.host = Host(self.arm.arm, self.arm.robot, PERIOD_S, self.recorder, self.clock)
+        self.host = Host(
+            self.arm.arm.model_copy(update=calibration), self.arm.robot, PERIOD_S, self.recorder, self.clock
+        )
         self.host.attach(self.control)
         self.anna, self.ben = NamedClient("anna"), NamedClient("ben")
 
@@ -94,23 +95,18 @@ class Bench:
 def on_bench(test: Callable[[Bench], Awaitable[None]]) -> Callable[[], None]:
     """Run an async test on a fresh bench."""
 
-    async def run() -> None:
-        async with _bench() as bench:
-            await test(bench)
-
     def wrapper() -> None:
-        asyncio.run(run())
+        asyncio.run(run(test))
 
     wrapper.__name__ = test.__name__
     return wrapper
 
 
-@asynccontextmanager
-async def _bench() -> AsyncIterator[Bench]:
-    bench = Bench()
+async def run(test: Callable[[Bench], Awaitable[None]], **calibration: Any) -> None:
+    bench = Bench(**calibration)
     asyncio.get_running_loop().set_default_executor(InlineExecutor())
     try:
-        yield bench
+        await test(bench)
     finally:
         bench.control.die()
         bench.control.link.close()
@@ -750,23 +746,34 @@ async def test_a_mark_stands_in_the_take_with_where_the_tool_is(bench: Bench) ->
     assert isinstance(await bench.refused(host.teaching.take_mark(bench.ben)), IllegalTransition)
 
 
-@on_bench
-async def test_a_hand_above_250_mm_s_is_shown_and_noted_once_an_excursion(bench: Bench) -> None:
-    bench.tick()
-    await bench.served(bench.host.teach_begin(bench.anna))
-    tick = bench.arm.get(0, ax12a.PRESENT_POSITION)
-    bench.arm.put(1, ax12a.PRESENT_POSITION, 512)  # arm stretched out: the tool is far from the base axis
-    for _ in range(10):
+@pytest.mark.parametrize(
+    ("calibration", "limit_m_s", "noted"),
+    [({}, 0.25, 1), ({"tool_speed_limit_m_s": 0.1}, 0.1, 1), ({"tool_speed_limit_m_s": 2.0}, 2.0, 0)],
+)
+def test_a_hand_faster_than_the_arm_s_tool_speed_limit_is_shown_and_noted_once_an_excursion(
+    calibration: dict[str, float], limit_m_s: float, noted: int
+) -> None:
+    async def test(bench: Bench) -> None:
         bench.tick()
-    bench.recorder.notes.clear()
-    for step in range(1, 11):
-        bench.arm.put(0, ax12a.PRESENT_POSITION, tick + 30 * step)
-        bench.tick()
-    assert bench.host.status()["tool"]["speed_m_s"] > 0.25
-    assert sum("TEACHING_FAST" in note for note in bench.recorder.notes) == 1
-    for _ in range(10):
-        bench.tick()
-    assert bench.host.status()["tool"]["speed_m_s"] == pytest.approx(0.0, abs=1e-9)
+        await bench.served(bench.host.teach_begin(bench.anna))
+        tick = bench.arm.get(0, ax12a.PRESENT_POSITION)
+        bench.arm.put(1, ax12a.PRESENT_POSITION, 512)  # arm stretched out: the tool is far from the base axis
+        for _ in range(10):
+            bench.tick()
+        bench.recorder.notes.clear()
+        for step in range(1, 11):
+            bench.arm.put(0, ax12a.PRESENT_POSITION, tick + 30 * step)
+            bench.tick()
+        assert bench.host.status()["tool_speed_limit_m_s"] == limit_m_s
+        assert bench.host.status()["tool"]["speed_m_s"] > 0.25
+        texts = [json.loads(note)["text"] for note in bench.recorder.notes if "TEACHING_FAST" in note]
+        assert len(texts) == noted
+        assert all(text.endswith(f"(bound {1e3 * limit_m_s:.0f})") for text in texts)
+        for _ in range(10):
+            bench.tick()
+        assert bench.host.status()["tool"]["speed_m_s"] == pytest.approx(0.0, abs=1e-9)
+
+    asyncio.run(run(test, **calibration))
 
 
 # ------------------------------------------------------------------------------------------------- status
