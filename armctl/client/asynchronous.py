@@ -9,34 +9,29 @@ The same connection, errors and methods as `armctl.client.Client`, but calls may
 ended, and `stop` is served meanwhile.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
 from collections.abc import AsyncIterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
-from armctl.client.blocking import Notification, error_of
-from armctl.errors import NoDaemon, RequestRefused
-from armctl.files import socket_path
+from armctl.client.protocol import MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
 
 MAX_LINE_BYTES = 16 * 2**20
-MAX_WAITING_NOTIFICATIONS = 64
 
 
-class AsyncClient:
+class AsyncClient(Protocol):
     """One connection to the daemon; made by `connect`."""
 
-    def __init__(self, path: Path, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.path = path
-        self._reader, self._writer = reader, writer
-        self._last_id = 0
-        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
+    _reader: asyncio.StreamReader
+    _writer: asyncio.StreamWriter
+    _receiving: asyncio.Task[None]
+
+    def __init__(self, path: str | Path | None = None) -> None:
+        super().__init__(path)
+        self._waiting: dict[int, asyncio.Future[Message]] = {}
         self._notifications: asyncio.Queue[Notification | None] = asyncio.Queue(MAX_WAITING_NOTIFICATIONS)
-        self._receiving = asyncio.create_task(self._receive())
 
     @classmethod
     async def connect(cls, path: str | Path | None = None) -> Self:
@@ -47,19 +42,18 @@ class AsyncClient:
         Raises:
             NoDaemon: nobody answers there.
         """
-        chosen = socket_path(None if path is None else str(path))
+        client = cls(path)
         try:
-            reader, writer = await asyncio.open_unix_connection(chosen, limit=MAX_LINE_BYTES)
+            client._reader, client._writer = await asyncio.open_unix_connection(client.path, limit=MAX_LINE_BYTES)
         except OSError as error:
-            raise _no_daemon(chosen, error.strerror or str(error)) from None
-        return cls(chosen, reader, writer)
+            raise client.no_daemon(error) from None
+        client._receiving = asyncio.create_task(client._receive())
+        return client
 
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     @property
@@ -75,7 +69,7 @@ class AsyncClient:
         with contextlib.suppress(OSError):
             await self._writer.wait_closed()
 
-    async def call(self, method: str, **params: Any) -> dict[str, Any]:
+    async def call(self, method: str, **params: Any) -> Message:
         """The result of a method.
 
         Raises:
@@ -83,29 +77,20 @@ class AsyncClient:
             NoDaemon: it is gone.
         """
         if self.closed:
-            raise _no_daemon(self.path, "the connection is closed")
-        self._last_id += 1
-        request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params}
-        try:
-            line = json.dumps(request, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-        except ValueError as error:
-            raise RequestRefused("LIMIT", f"{method}: a parameter is not a finite number ({error})") from None
+            raise self.no_daemon("the connection is closed")
+        line = self.request(method, params)
         request_id, answer = self._last_id, asyncio.get_running_loop().create_future()
         self._waiting[request_id] = answer
         try:
             self._writer.write(line)
             await self._writer.drain()
-            message = await answer
+            return self.result(await answer)
         except OSError as error:
-            raise _no_daemon(self.path, error.strerror or str(error)) from None
+            raise self.no_daemon(error) from None
         finally:
             self._waiting.pop(request_id, None)
-        if "error" in message:
-            raise error_of(message["error"])
-        result: dict[str, Any] = message["result"]
-        return result
 
-    async def subscribe(self) -> AsyncIterator[dict[str, Any]]:
+    async def subscribe(self) -> AsyncIterator[Message]:
         """Snapshots as they come, one a tick; a consumer that lags loses the oldest."""
         await self.call("subscribe")
         async for method, params in self.notifications():
@@ -118,16 +103,16 @@ class AsyncClient:
         Raises:
             NoDaemon: it is gone.
         """
-        while (notification := await self._notifications.get()) is not None:
-            yield notification
-        raise _no_daemon(self.path, "it closed the connection")
+        while (told := await self._notifications.get()) is not None:
+            yield told
+        raise self.no_daemon("it closed the connection")
 
     async def _receive(self) -> None:
         try:
             while line := await self._reader.readline():
-                message: dict[str, Any] = json.loads(line)
-                if "method" in message:
-                    self._put((message["method"], message["params"]))
+                message: Message = json.loads(line)
+                if (told := self.notification(message)) is not None:
+                    self._put(told)
                 elif (answer := self._waiting.get(message["id"])) is not None and not answer.done():
                     answer.set_result(message)
         except (OSError, ValueError):
@@ -135,14 +120,10 @@ class AsyncClient:
         finally:
             for answer in self._waiting.values():
                 if not answer.done():
-                    answer.set_exception(_no_daemon(self.path, "it closed the connection"))
+                    answer.set_exception(self.no_daemon("it closed the connection"))
             self._put(None)
 
-    def _put(self, notification: Notification | None) -> None:
+    def _put(self, told: Notification | None) -> None:
         if self._notifications.full():
             self._notifications.get_nowait()
-        self._notifications.put_nowait(notification)
-
-
-def _no_daemon(path: Path, why: str) -> NoDaemon:
-    return NoDaemon(f"no daemon answers on {path}: {why}; start it with `armctl daemon --port PORT`")
+        self._notifications.put_nowait(told)

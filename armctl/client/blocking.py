@@ -9,26 +9,17 @@ What fails in the daemon is raised here as the same error. One connection is one
 `run` or of teaching, and closing it ends both.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
-from armctl import errors
-from armctl.errors import ArmctlError, NoDaemon, RequestRefused, rebuilt
-from armctl.files import socket_path
-
-MAX_WAITING_NOTIFICATIONS = 64
-
-Notification = tuple[str, dict[str, Any]]
+from armctl.client.protocol import MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
 
 
-class Client:
+class Client(Protocol):
     """One connection to the daemon."""
 
     def __init__(self, path: str | Path | None = None, *, timeout_s: float | None = None) -> None:
@@ -40,33 +31,28 @@ class Client:
         Raises:
             NoDaemon: nobody answers there.
         """
-        self.path = socket_path(None if path is None else str(path))
+        super().__init__(path)
         self._timeout_s = timeout_s
         self._received = bytearray()
         self._notifications: deque[Notification] = deque(maxlen=MAX_WAITING_NOTIFICATIONS)
-        self._last_id = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout_s)
         try:
             self._socket.connect(str(self.path))
         except OSError as error:
             self._socket.close()
-            raise self._no_daemon(error.strerror or str(error)) from None
+            raise self.no_daemon(error) from None
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
         self._socket.close()
 
-    def call(
-        self, method: str, *, on_progress: Callable[[dict[str, Any]], None] | None = None, **params: Any
-    ) -> dict[str, Any]:
+    def call(self, method: str, *, on_progress: Callable[[Message], None] | None = None, **params: Any) -> Message:
         """The result of a method.
 
         Args:
@@ -75,30 +61,23 @@ class Client:
             ArmctlError: whatever the daemon answered.
             NoDaemon: it is gone, or does not answer in time.
         """
-        self._last_id += 1
-        request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params}
-        try:
-            line = json.dumps(request, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-        except ValueError as error:
-            raise RequestRefused("LIMIT", f"{method}: a parameter is not a finite number ({error})") from None
+        line = self.request(method, params)
         try:
             self._socket.sendall(line)
         except OSError as error:
-            raise self._no_daemon(error.strerror or str(error)) from None
+            raise self.no_daemon(error) from None
         while True:
             message = self._receive()
-            if "method" in message:
-                if message["method"] == "progress" and on_progress is not None:
-                    on_progress(message["params"])
-                else:
-                    self._notifications.append((message["method"], message["params"]))
-            elif message["id"] in (self._last_id, None):  # not the late answer to a call that was interrupted
-                if "error" in message:
-                    raise error_of(message["error"])
-                result: dict[str, Any] = message["result"]
-                return result
+            if (told := self.notification(message)) is None:
+                # Another id is the late answer to a call that was interrupted; none is that of the whole connection.
+                if message["id"] in (self._last_id, None):
+                    return self.result(message)
+            elif told[0] == "progress" and on_progress is not None:
+                on_progress(told[1])
+            else:
+                self._notifications.append(told)
 
-    def subscribe(self) -> Iterator[dict[str, Any]]:
+    def subscribe(self) -> Iterator[Message]:
         """Snapshots as they come, one a tick; `gap` counts those lost just before each one."""
         self.call("subscribe")
         return (params for method, params in self.notifications() if method == "snapshot")
@@ -108,35 +87,21 @@ class Client:
         while True:
             while self._notifications:
                 yield self._notifications.popleft()
-            message = self._receive()
-            if "method" in message:
-                yield message["method"], message["params"]
+            if (told := self.notification(self._receive())) is not None:
+                yield told
 
-    def _receive(self) -> dict[str, Any]:
+    def _receive(self) -> Message:
         while (end := self._received.find(b"\n")) < 0:
             try:
                 data = self._socket.recv(1 << 16)
             except TimeoutError:
-                raise self._no_daemon(f"no answer in {self._timeout_s:g} s") from None
+                raise self.no_daemon(f"no answer in {self._timeout_s:g} s") from None
             except OSError as error:
-                raise self._no_daemon(error.strerror or str(error)) from None
+                raise self.no_daemon(error) from None
             if not data:
-                raise self._no_daemon("it closed the connection")
+                raise self.no_daemon("it closed the connection")
             self._received += data
         line = bytes(self._received[:end])
         del self._received[: end + 1]
-        message: dict[str, Any] = json.loads(line)
+        message: Message = json.loads(line)
         return message
-
-    def _no_daemon(self, why: str) -> NoDaemon:
-        return NoDaemon(f"no daemon answers on {self.path}: {why}; start it with `armctl daemon --port PORT`")
-
-
-def error_of(answer: dict[str, Any]) -> ArmctlError:
-    """The error the daemon met, as it was raised there."""
-    data = answer["data"]
-    kind = getattr(errors, data["type"], None)
-    if not (isinstance(kind, type) and issubclass(kind, ArmctlError)):
-        return RequestRefused(data["code"], data["reasons"])
-    fields = {key: tuple(value) if isinstance(value, list) else value for key, value in data["fields"].items()}
-    return rebuilt(kind, answer["message"], fields)

@@ -28,7 +28,7 @@ MAX_WAITING = 4
 Enrich = Callable[[dict[str, Any]], dict[str, Any]]
 
 
-class Daemon:
+class Connections:
     """The daemon as the dashboard sees it."""
 
     def __init__(self, socket: Path, enrich: Enrich) -> None:

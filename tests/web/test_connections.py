@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from armctl.errors import NoDaemon, RequestRefused
-from armctl.web import daemon as module
-from armctl.web.daemon import MAX_WAITING, Daemon
+from armctl.web import connections as module
+from armctl.web.connections import MAX_WAITING, Connections
 
 Answer = Callable[[str], dict[str, Any]]
 
@@ -60,17 +60,17 @@ class Stub:
 
 
 @contextlib.asynccontextmanager
-async def stubbed(path: Path) -> AsyncIterator[tuple[Stub, Daemon]]:
+async def stubbed(path: Path) -> AsyncIterator[tuple[Stub, Connections]]:
     stub = Stub(path)
     server = await asyncio.start_unix_server(stub.serve, path)
-    daemon = Daemon(path, lambda snapshot: {**snapshot, "links_m": []})
+    daemon = Connections(path, lambda snapshot: {**snapshot, "links_m": []})
     async with daemon.running():
         await stub.until(lambda: (0, "subscribe") in stub.asked)
         yield stub, daemon
     server.close()
 
 
-def on_stub(test: Callable[[Stub, Daemon], Awaitable[None]], folder: Path) -> None:
+def on_stub(test: Callable[[Stub, Connections], Awaitable[None]], folder: Path) -> None:
     async def main() -> None:
         async with stubbed(folder / "daemon.sock") as (stub, daemon):
             await test(stub, daemon)
@@ -84,7 +84,7 @@ async def shown(messages: asyncio.Queue[str]) -> dict[str, Any]:
 
 
 def test_every_page_sees_every_snapshot_enriched(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Daemon) -> None:
+    async def test(stub: Stub, daemon: Connections) -> None:
         async with daemon.page() as first, daemon.page() as second:
             for messages in (first, second):
                 assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
@@ -96,7 +96,7 @@ def test_every_page_sees_every_snapshot_enriched(tmp_path: Path) -> None:
 
 
 def test_a_slow_page_loses_the_oldest_and_holds_up_nobody(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Daemon) -> None:
+    async def test(stub: Stub, daemon: Connections) -> None:
         async with daemon.page() as slow, daemon.page() as quick:
             await shown(quick)
             for tick in range(MAX_WAITING + 3):
@@ -109,7 +109,7 @@ def test_a_slow_page_loses_the_oldest_and_holds_up_nobody(tmp_path: Path) -> Non
 
 
 def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Daemon) -> None:
+    async def test(stub: Stub, daemon: Connections) -> None:
         assert await daemon.call("status") == {"state": "holding"}
         running = asyncio.ensure_future(daemon.call("run"))
         await stub.until(lambda: (1, "run") in stub.asked)
@@ -125,7 +125,7 @@ def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_path: Pat
 def test_the_commander_leaves_with_the_last_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LEAVE_S", 0.0)
 
-    async def test(stub: Stub, daemon: Daemon) -> None:
+    async def test(stub: Stub, daemon: Connections) -> None:
         async with daemon.page():
             async with daemon.page():
                 await daemon.call("teach_begin")
@@ -141,7 +141,7 @@ def test_the_commander_leaves_with_the_last_page(tmp_path: Path, monkeypatch: py
 def test_a_page_that_is_back_in_time_keeps_the_commander(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LEAVE_S", 0.0)
 
-    async def test(stub: Stub, daemon: Daemon) -> None:
+    async def test(stub: Stub, daemon: Connections) -> None:
         async with daemon.page():
             await daemon.call("teach_begin")
         async with daemon.page():  # before whoever looks whether it is back had its turn
@@ -154,7 +154,7 @@ def test_a_page_that_is_back_in_time_keeps_the_commander(tmp_path: Path, monkeyp
 
 
 def test_progress_of_an_optimisation_reaches_the_pages(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Daemon) -> None:
+    async def test(stub: Stub, daemon: Connections) -> None:
         async with daemon.page() as messages:
             await shown(messages)
             await daemon.call("status")
@@ -166,7 +166,7 @@ def test_progress_of_an_optimisation_reaches_the_pages(tmp_path: Path) -> None:
 
 def test_without_a_daemon_commands_and_stop_say_so_and_pages_see_nothing(tmp_path: Path) -> None:
     async def test() -> None:
-        daemon = Daemon(tmp_path / "nobody.sock", lambda snapshot: snapshot)
+        daemon = Connections(tmp_path / "nobody.sock", lambda snapshot: snapshot)
         async with daemon.running(), daemon.page() as messages:
             assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
             for work in (daemon.call("status"), daemon.stop()):
