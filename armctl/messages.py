@@ -206,22 +206,9 @@ class HostLost:
     kind: Literal["host_lost"] = "host_lost"
 
 
-Command = (
-    Hold
-    | Release
-    | TorqueOn
-    | Teach
-    | TeachEnd
-    | Run
-    | Pause
-    | Resume
-    | SetRate
-    | Jog
-    | Park
-    | Clear
-    | Connected
-    | HostLost
-)
+Request = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Pause | Resume | SetRate | Jog | Park | Clear
+"""What a client asks for; its `request_id` stands in the reply."""
+Command = Request | Connected | HostLost
 
 
 @dataclass(frozen=True, slots=True)

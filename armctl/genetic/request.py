@@ -1,7 +1,5 @@
 """What an optimisation is asked for: one object from the command line and the socket to the job and to `optimize`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from typing import Annotated

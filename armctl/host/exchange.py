@@ -1,7 +1,5 @@
 """Requests to the control process of the moment, and its answers."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from collections.abc import Callable
@@ -38,6 +36,9 @@ class Exchange:
         """Commands sent so far that may move something: all but `Hold`."""
         self._ids = itertools.count(1)
         self._pending: dict[int, asyncio.Future[Reply]] = {}
+        self._hold: asyncio.Task[Reply] | None = None
+        self._held_at = 0, 0
+        """When it was sent [ns], and how much had been asked by then."""
 
     def lost(self) -> None:
         """The control process is gone: what it still owed an answer fails."""
@@ -80,6 +81,25 @@ class Exchange:
         if reply.code == "ILLEGAL_TRANSITION":
             raise IllegalTransition(reply.message)
         raise RequestRefused(reply.code, reply.message)
+
+    async def hold(self, now_ns: int, shared_ns: int) -> None:
+        """Stop the arm, by the command that is under way where there is one.
+
+        Args:
+            shared_ns: For how long after it was sent an answered command still counts, if nothing else was asked since.
+        Raises:
+            RequestRefused: as `request`.
+        """
+        hold, (since_ns, asked) = self._hold, self._held_at
+        over = hold is not None and hold.done() and (now_ns - since_ns > shared_ns or hold.exception() is not None)
+        if hold is None or self.asked != asked or over:
+            hold = self._hold = asyncio.create_task(self.request(Hold))
+            self._held_at = now_ns, self.asked
+        await asyncio.shield(hold)
+
+    def forget_hold(self) -> None:
+        """The next `hold` is a command of its own."""
+        self._hold = None
 
     def _send(self, command: Command) -> bool:
         if self.control is None:

@@ -9,14 +9,11 @@ Rules.
 3. A client that vanishes during its `run` stops the arm; while teaching it leaves the arm limp and the take kept.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -25,9 +22,11 @@ from armctl.config import ArmConfig
 from armctl.control.jog import joint_velocities
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.host.exchange import Control, Exchange, restarting
+from armctl.host.exchange import ANSWER_S, Control, Exchange, restarting
 from armctl.host.lease import Client, Leases
 from armctl.host.motions import (
+    Done,
+    Leg,
     Watch,
     line_result,
     move_result,
@@ -42,7 +41,6 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (
     Clear,
     Command,
-    Hold,
     Jog,
     JointTrajectory,
     Mode,
@@ -66,20 +64,15 @@ PARK_S = 60.0
 """Longest way to rest: half a turn of every joint at 20 deg/s takes a quarter of it."""
 TAIL_NS = 300_000_000
 """What a run's recording keeps after the motion has ended."""
+COMMANDS: dict[str, Callable[[int], Command]] = {
+    "release": Release,
+    "torque_on": TorqueOn,
+    "park": Park,
+    "clear": Clear,
+}
+"""What a commander asks for in one word; each makes the command of a request id."""
 
 logger = logging.getLogger(__name__)
-
-Leg = Callable[[Sequence[float], Sequence[float]], JointTrajectory]
-"""Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run."""
-
-
-@dataclass(frozen=True)
-class Done:
-    """A leg that was run to its end."""
-
-    trajectory: JointTrajectory
-    watch: Watch
-    reply: Reply
 
 
 class Host:
@@ -101,9 +94,6 @@ class Host:
             self._exchange, self._leases, self._takes, lambda: self._latest, self.note, arm.tool_speed_limit_m_s
         )
         self._watch: Watch | None = None
-        self._hold: asyncio.Task[Reply] | None = None
-        self._held_at = 0, 0
-        """When it was sent [ns], and how much had been asked by then."""
         self._background: set[asyncio.Task[Any]] = set()
 
     # ------------------------------------------------------------------------------------ control process
@@ -187,32 +177,16 @@ class Host:
         """
         if self._leases.current is not None:
             self._leases.current.stopped = True
-        now_ns, asked = self._clock.now_ns(), self._exchange.asked
-        since_ns, asked_before = self._held_at
-        hold = self._hold
-        if (
-            hold is None
-            or asked != asked_before
-            or (hold.done() and (now_ns - since_ns > self._period_ns // 2 or hold.exception() is not None))
-        ):
-            hold = self._hold = asyncio.create_task(self._exchange.request(Hold))
-            self._held_at = now_ns, asked
-        await asyncio.shield(hold)
+        await self._exchange.hold(self._clock.now_ns(), self._period_ns // 2)
         return self._state()
 
-    async def release(self, client: Client) -> dict[str, Any]:
-        return await self._command(client, "release", Release)
+    async def command(self, client: Client, what: str) -> dict[str, Any]:
+        """One of `COMMANDS`; returns when the control process has carried it out, or refused it.
 
-    async def torque_on(self, client: Client) -> dict[str, Any]:
-        return await self._command(client, "torque_on", TorqueOn)
-
-    async def clear(self, client: Client) -> dict[str, Any]:
-        return await self._command(client, "clear", Clear)
-
-    async def park(self, client: Client) -> dict[str, Any]:
-        """Go slowly to rest, limp once there; returns then. A client that leaves meanwhile stops the arm."""
-        with self._leases.commanding(client, "park"):
-            await self._exchange.request(Park, PARK_S)
+        `park` goes slowly to rest, limp once there; a client that leaves meanwhile stops the arm.
+        """
+        with self._leases.commanding(client, what):
+            await self._exchange.request(COMMANDS[what], PARK_S if what == "park" else ANSWER_S)
             return self._state()
 
     async def pause(self) -> dict[str, Any]:
@@ -221,17 +195,15 @@ class Host:
         return self._state()
 
     async def resume(self, client: Client) -> dict[str, Any]:
-        return await self._change_run(client, "resume", Resume)
+        self._leases.refuse_others(client, "resume")
+        await self._exchange.request(Resume)
+        return self._state()
 
     async def rate(self, client: Client, rate: float) -> dict[str, Any]:
         """Run at this many trajectory seconds a second."""
-        result = await self._change_run(client, "rate", partial(SetRate, rate=rate))
-        return {**result, "rate": rate}
-
-    async def _change_run(self, client: Client, what: str, make: Callable[[int], Command]) -> dict[str, Any]:
-        self._leases.refuse_others(client, what)
-        await self._exchange.request(make)
-        return self._state()
+        self._leases.refuse_others(client, "rate")
+        await self._exchange.request(partial(SetRate, rate=rate))
+        return {**self._state(), "rate": rate}
 
     async def jog(
         self, client: Client, joints_rad_s: tuple[float, ...], tool_m_s: tuple[float, ...], begin: bool
@@ -248,7 +220,7 @@ class Host:
                 raise IllegalTransition("the jog has ended; begin another one")
             else:
                 q_now = self._goals(self._latest)
-            self._hold = None  # a stop from now on is a new one
+            self._exchange.forget_hold()  # a stop from now on is a new one
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
                 ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
                 refuse_collision(q_now, ahead, self.arm, self.robot)
@@ -256,11 +228,6 @@ class Host:
         if not lease.lost and self._latest is not None and self._latest.outputs.mode is Mode.JOGGING:
             self._leases.keep(client, "jogging")
         return self._state()
-
-    async def _command(self, client: Client, what: str, make: Callable[[int], Command]) -> dict[str, Any]:
-        with self._leases.commanding(client, what):
-            await self._exchange.request(make)
-            return self._state()
 
     async def teach_begin(self, client: Client) -> dict[str, Any]:
         """Make the arm limp; the client keeps the lease until `teach_end`."""
@@ -280,13 +247,13 @@ class Host:
             LogError: the recording cannot be made.
         """
 
-        def make(q_now: Sequence[float]) -> JointTrajectory:
+        def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
             if reasons := preflight(plan, self.arm, self.robot, q_now):
                 inside = all(within_limits(q, self.arm) for q in plan.waypoints_rad)
                 raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
             return joint_trajectory(plan, self.arm, q_now, self.period_s)
 
-        name, [done] = await self.execute(client, "run", [lambda q_now, _: make(q_now)])
+        name, [done] = await self.execute(client, "run", [make])
         return {"recording": name, **line_result(plan, done.watch, self.robot)}
 
     async def move(self, client: Client, request: MoveRequest) -> dict[str, Any]:
@@ -297,10 +264,10 @@ class Host:
             LogError: the recording cannot be made.
         """
 
-        def make(q_now: Sequence[float]) -> JointTrajectory:
+        def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
             return move_trajectory(request, q_now, self.arm, self.robot, self.period_s)
 
-        name, [done] = await self.execute(client, "move", [lambda q_now, _: make(q_now)])
+        name, [done] = await self.execute(client, "move", [make])
         return {"recording": name, **move_result(done.watch, done.trajectory, self.robot)}
 
     async def execute(
@@ -333,7 +300,7 @@ class Host:
                     if lease.stopped:
                         raise RequestRefused("STOPPED", f"the {what} was stopped before it {when}")
                     self._watch = watch = Watch()
-                    self._hold = None  # a stop from now on is a new one
+                    self._exchange.forget_hold()  # a stop from now on is a new one
                     reply = await self._run_to_its_end(trajectory)
                     done.append(Done(trajectory, watch, reply))
                     end_ns = watch.time_ns[-1] + TAIL_NS
@@ -396,9 +363,8 @@ class Host:
     def log(self) -> dict[str, Any]:
         """Where the log goes, why it does not, and how many ticks the host was too slow for."""
         recorder = self.recorder
-        path = None if recorder.log_path is None else str(recorder.log_path)
         return {
-            "path": path,
+            "path": recorder.log_path and str(recorder.log_path),
             "problem": recorder.problem,
             "dropped": self._statistics.dropped,
             "recorder_dropped": recorder.dropped_records,

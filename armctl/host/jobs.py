@@ -5,8 +5,6 @@ as it is. `run_job` runs it in a spawned process: progress and the outcome come 
 await ends the process, and an armctl error raised there is raised here with all its fields.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -9,8 +9,6 @@ Rules.
    a client needs to raise the same error: `code`, `reasons`, `exit_status`, and `type` and `fields` of the class.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A lease lasts as long as its request; while teaching or jogging, as long as that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -6,16 +6,17 @@ import asyncio
 import itertools
 import json
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from pydantic import Field, model_validator
 
 from armctl.config import Frozen, Name
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.host.host import Host
+from armctl.host.host import COMMANDS, Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
 from armctl.host.reach import reach
@@ -88,6 +89,22 @@ class JogBeat(Frozen):
     begin: bool = False
 
 
+UNNOTED = ("jog", "optimize")
+"""Heartbeats of a jog are logged as commands of the control step; an optimisation moves nothing."""
+
+
+def _observed(look: Callable[[], dict[str, Any]]) -> Method:
+    async def handle(_: Connection, __: Nothing) -> dict[str, Any]:
+        return look()
+
+    return Method(Nothing, handle, observes=True)
+
+
+def _command(host: Host, name: str) -> Method:
+    # What makes the arm fall has to be confirmed.
+    return Method(Confirmed if name == "release" else Nothing, lambda client, _: host.command(client, name))
+
+
 class Methods:
     """The table of methods over one host, and the optimisation under way."""
 
@@ -100,36 +117,36 @@ class Methods:
 
     def table(self) -> dict[str, Method]:
         """Every method by name."""
-        host, commanded = self._host, self._commanded
-        return {
-            "status": Method(Nothing, self._status, observes=True),
-            "log": Method(Nothing, self._log, observes=True),
+        host, teaching = self._host, self._host.teaching
+        methods = {
+            "status": _observed(host.status),
+            "log": _observed(host.log),
             "subscribe": Method(Nothing, self._subscribe, observes=True),
-            "stop": commanded("stop", Nothing, lambda _, __: host.stop(), always=True),
-            "hold": commanded("hold", Nothing, lambda _, __: host.stop(), always=True),
-            "release": commanded("release", Confirmed, lambda client, _: host.release(client)),
-            "torque_on": commanded("torque_on", Nothing, lambda client, _: host.torque_on(client)),
-            "park": commanded("park", Nothing, lambda client, _: host.park(client)),
-            "clear": commanded("clear", Nothing, lambda client, _: host.clear(client)),
-            "teach_begin": commanded("teach_begin", Nothing, lambda client, _: host.teach_begin(client)),
-            "take_begin": commanded("take_begin", Named, lambda client, p: host.teaching.take_begin(client, p.name)),
-            "take_mark": commanded("take_mark", Nothing, lambda client, _: host.teaching.take_mark(client)),
-            "take_end": commanded("take_end", Nothing, lambda client, _: host.teaching.take_end(client)),
-            "teach_end": commanded("teach_end", Nothing, lambda client, _: host.teach_end(client)),
-            "run": commanded("run", RunRequest, lambda client, p: host.run(client, p.plan)),
-            "move": commanded("move", MoveRequest, host.move),
-            "reach": commanded("reach", ReachRequest, partial(reach, host)),
-            "transfer": commanded("transfer", TransferRequest, partial(transfer, host)),
-            "pause": commanded("pause", Nothing, lambda _, __: host.pause(), always=True),
-            "resume": commanded("resume", Nothing, lambda client, _: host.resume(client)),
-            "rate": commanded("rate", Rate, lambda client, p: host.rate(client, p.rate)),
-            # Its heartbeats are logged as commands of the control step; here they would only repeat that.
+            "stop": Method(Nothing, lambda _, __: host.stop(), always=True),
+            "hold": Method(Nothing, lambda _, __: host.stop(), always=True),
+            **{name: _command(host, name) for name in COMMANDS},
+            "teach_begin": Method(Nothing, lambda client, _: host.teach_begin(client)),
+            "take_begin": Method(Named, lambda client, p: teaching.take_begin(client, p.name)),
+            "take_mark": Method(Nothing, lambda client, _: teaching.take_mark(client)),
+            "take_end": Method(Nothing, lambda client, _: teaching.take_end(client)),
+            "teach_end": Method(Nothing, lambda client, _: host.teach_end(client)),
+            "run": Method(RunRequest, lambda client, p: host.run(client, p.plan)),
+            "move": Method(MoveRequest, host.move),
+            "reach": Method(ReachRequest, partial(reach, host)),
+            "transfer": Method(TransferRequest, partial(transfer, host)),
+            "pause": Method(Nothing, lambda _, __: host.pause(), always=True),
+            "resume": Method(Nothing, lambda client, _: host.resume(client)),
+            "rate": Method(Rate, lambda client, p: host.rate(client, p.rate)),
             "jog": Method(JogBeat, lambda client, p: host.jog(client, p.joints_rad_s, p.tool_m_s, p.begin)),
             "recordings_list": Method(Nothing, self._recordings_list, observes=True),
             "recordings_show": Method(Show, self._recordings_show, observes=True),
-            "recordings_rename": commanded("recordings_rename", Rename, self._recordings_rename),
-            "recordings_delete": commanded("recordings_delete", Named, self._recordings_delete),
+            "recordings_rename": Method(Rename, self._recordings_rename),
+            "recordings_delete": Method(Named, self._recordings_delete),
             "optimize": Method(RecordedRequest, self._optimize),
+        }
+        return {
+            name: method if method.observes or name in UNNOTED else replace(method, handle=self._noted(name, method))
+            for name, method in methods.items()
         }
 
     def client_gone(self, client: Connection) -> None:
@@ -138,15 +155,15 @@ class Methods:
         if self._job is not None and self._job[0] is client:
             self._job[1].cancel()
 
-    def _commanded(self, name: str, params: type[BaseModel], handle: Handler, *, always: bool = False) -> Method:
-        """A method whose use and outcome belong into the log."""
+    def _noted(self, name: str, method: Method) -> Handler:
+        """The method's handler, whose use and outcome go into the log."""
 
         async def noted(client: Connection, p: Any) -> dict[str, Any]:
             outcome: dict[str, Any] = {"request": name, "who": client.name}
             if isinstance(p, Named | Rename):
                 outcome["params"] = p.model_dump()
             try:
-                result = await handle(client, p)
+                result = await method.handle(client, p)
             except ArmctlError as error:
                 data = error_data(error)
                 self._host.note({**outcome, "outcome": data["code"], "reasons": data["reasons"]})
@@ -154,13 +171,7 @@ class Methods:
             self._host.note({**outcome, "outcome": "ok"})
             return result
 
-        return Method(params, noted, always)
-
-    async def _status(self, _: Connection, __: Nothing) -> dict[str, Any]:
-        return self._host.status()
-
-    async def _log(self, _: Connection, __: Nothing) -> dict[str, Any]:
-        return self._host.log()
+        return noted
 
     async def _subscribe(self, client: Connection, _: Nothing) -> dict[str, Any]:
         client.subscribed = True

@@ -1,9 +1,7 @@
 """Motions as clients ask for them: where a move goes, what is seen of a motion, and what it is judged by."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -15,7 +13,7 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import JointTrajectory, TickRecord
+from armctl.messages import JointTrajectory, Reply, TickRecord
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.collision import judged_pairs, link_clearance, link_points
 from armctl.trajectory.plan import Plan
@@ -27,6 +25,9 @@ JOG_LOOK_S = 0.5
 """How far ahead of a jog collisions are looked for: heartbeat, stop and then some."""
 JOG_LOOKS = 11
 SAME_M = 1e-6
+
+Leg = Callable[[Sequence[float], Sequence[float]], JointTrajectory]
+"""Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run."""
 
 
 @dataclass
@@ -43,6 +44,15 @@ class Watch:
         for event in record.outputs.events:
             if event.code in ("PLAN_BEGIN", "PLAN_END"):
                 self.marks_ns[event.code] = record.inputs.sample.time_ns
+
+
+@dataclass(frozen=True)
+class Done:
+    """A leg that was run to its end."""
+
+    trajectory: JointTrajectory
+    watch: Watch
+    reply: Reply
 
 
 def move_trajectory(

@@ -7,8 +7,9 @@ import numpy as np
 
 from armctl.clock import NS_PER_S
 from armctl.errors import RequestRefused, UnreachableTarget
-from armctl.host.host import Host, Leg
+from armctl.host.host import Host
 from armctl.host.lease import Client
+from armctl.host.motions import Leg
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory

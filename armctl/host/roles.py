@@ -1,7 +1,5 @@
 """Who may command the arm. Whoever reaches the socket may look, and stop it."""
 
-from __future__ import annotations
-
 import contextlib
 import grp
 import os

@@ -10,8 +10,6 @@ Rules.
 5. End of file means the client is gone. What it began is told so (`on_close`); answers still due are sent.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import socket

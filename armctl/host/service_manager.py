@@ -1,7 +1,5 @@
 """What a process says to the service manager that started it (sd_notify)."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

@@ -3,8 +3,6 @@
 Nothing here looks fresher than it is: ages grow from the last tick on, also when no tick comes any more.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Any
@@ -19,6 +17,9 @@ from armctl.recording.channels import OVERRUN_NS
 STATISTICS_TICKS = 600
 SPEED_S = 0.2
 """Time over which the tool's speed is measured: a tick of a potentiometer is 2 mm at the tool."""
+
+JOINT_KEYS = tuple(name for name in JointState.__slots__ if name != "known")
+"""What is told of a joint; all of them are null until its servo has answered once."""
 
 Point = tuple[float, float, float]
 
@@ -75,7 +76,7 @@ def arm_snapshot(arm: ArmConfig, latest: TickRecord | None, statistics: Statisti
             {"name": joint.name, "servo_id": joint.servo_id, "limits_rad": joint.limits_rad, **_joint(state, age_s)}
             for joint, state in zip(arm.joints, states, strict=True)
         ],
-        "tool": None if tool is None else {**_tool(tool), "speed_m_s": statistics.tool_speed_m_s()},
+        "tool": None if tool is None else _tool(tool, statistics.tool_speed_m_s()),
         "cycle": statistics.cycle(),
         "progress": None if latest is None else latest.outputs.progress,
         "rate": None if latest is None else latest.outputs.rate,
@@ -111,23 +112,13 @@ def fault_snapshot(latest: TickRecord | None, lost_ns: int | None, now_ns: int) 
 
 def _joint(state: JointState | None, tick_age_s: float | None) -> dict[str, Any]:
     if state is None or tick_age_s is None or not state.known:
-        return dict.fromkeys(
-            ("position_rad", "velocity_rad_s", "load_ratio", "voltage_V", "temperature_degC", "torque_enabled", "age_s")
-        )
-    return {
-        "position_rad": state.position_rad,
-        "velocity_rad_s": state.velocity_rad_s,
-        "load_ratio": state.load_ratio,
-        "voltage_V": state.voltage_V,
-        "temperature_degC": state.temperature_degC,
-        "torque_enabled": state.torque_enabled,
-        "age_s": state.age_s + tick_age_s,
-    }
+        return dict.fromkeys(JOINT_KEYS)
+    return {**{key: getattr(state, key) for key in JOINT_KEYS}, "age_s": state.age_s + tick_age_s}
 
 
-def _tool(pose: ToolPose) -> dict[str, Any]:
+def _tool(pose: ToolPose, speed_m_s: float | None) -> dict[str, Any]:
     rpy = rpy_from_matrix(matrix_from_quaternion(pose.quaternion))
-    return {"position_m": list(pose.position_m), "rpy_rad": list(rpy)}
+    return {"position_m": list(pose.position_m), "rpy_rad": list(rpy), "speed_m_s": speed_m_s}
 
 
 def _percentile(values: tuple[int, ...], percent: int) -> int:

@@ -1,7 +1,5 @@
 """Takes, and the hand that guides a limp arm through them."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from pathlib import Path

@@ -3,8 +3,6 @@
 Texts of JSON have lists, Python has tuples: `strict=False` lets both in, and nothing else of a request is converted.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

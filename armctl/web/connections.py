@@ -7,8 +7,6 @@ Rules.
    has left, which ends teaching and lets go of the arm as for any client that leaves.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

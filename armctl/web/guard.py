@@ -10,8 +10,6 @@ Rules.
 5. Every answer forbids scripts, frames and connections from elsewhere, and is not kept unless it says how it may be.
 """
 
-from __future__ import annotations
-
 import hmac
 import json
 from collections.abc import Awaitable, Callable, MutableMapping

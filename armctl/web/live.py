@@ -24,6 +24,7 @@ from armctl.client import Client
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.errors import ArmctlError, ConfigError, NoDaemon
+from armctl.host.snapshot import JOINT_KEYS
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import quaternion_from_matrix
@@ -44,7 +45,6 @@ RETRY_S = 1.0
 STATUS = Topic("/armctl/status", full_name("std_msgs/String"))
 SOURCE = "armctl.live"
 STALE_S = 0.2
-_JOINT_KEYS = tuple(name for name in JointState.__slots__ if name != "known")
 _TOLD = (
     channels.JOINT_STATES,
     channels.TF,
@@ -139,7 +139,7 @@ class Encoder:
 def _joint(joint: dict[str, Any]) -> JointState:
     if joint["position_rad"] is None:
         return JointState(False, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0.0)
-    return JointState(known=True, **{key: joint[key] for key in _JOINT_KEYS})
+    return JointState(known=True, **{key: joint[key] for key in JOINT_KEYS})
 
 
 def _problem(state: JointState) -> str:

@@ -1,7 +1,5 @@
 """Plans that were made in the dashboard: one JSON file each, below one folder, never overwritten."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

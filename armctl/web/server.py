@@ -1,7 +1,5 @@
 """`armctl web`: the dashboard on one port of the loopback interface."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

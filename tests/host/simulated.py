@@ -66,7 +66,7 @@ class SimulatedBench:
     async def holding(self) -> None:
         self.tick()
         self.tick()
-        assert await self.served(self.host.torque_on(self.anna)) == {"state": "holding"}
+        assert await self.served(self.host.command(self.anna, "torque_on")) == {"state": "holding"}
 
     def place_object(self, at_rad: float) -> Callable[[], None]:
         """Something hard in the gripper, so thick that it stops it at `at_rad`; returns how to take it away."""

@@ -1,7 +1,5 @@
 """The client: errors come back as they were raised, lines are put together again, late answers are skipped."""
 
-from __future__ import annotations
-
 import json
 import socket
 import threading

@@ -79,7 +79,7 @@ class Bench:
     async def holding(self) -> Bench:
         self.tick()
         self.tick()
-        assert await self.served(self.host.torque_on(self.anna)) == {"state": "holding"}
+        assert await self.served(self.host.command(self.anna, "torque_on")) == {"state": "holding"}
         return self
 
     def plan(self, **changes: object) -> Plan:
@@ -124,7 +124,7 @@ async def test_torque_on_is_answered_when_the_arm_holds(bench: Bench) -> None:
 @on_bench
 async def test_a_refusal_of_the_control_step_reaches_the_client_as_it_is(bench: Bench) -> None:
     await bench.holding()
-    error = await bench.refused(bench.host.torque_on(bench.anna))
+    error = await bench.refused(bench.host.command(bench.anna, "torque_on"))
     assert isinstance(error, IllegalTransition)
     assert "holding" in str(error)
 
@@ -132,13 +132,13 @@ async def test_a_refusal_of_the_control_step_reaches_the_client_as_it_is(bench: 
 @on_bench
 async def test_release_makes_the_arm_limp(bench: Bench) -> None:
     await bench.holding()
-    assert await bench.served(bench.host.release(bench.anna)) == {"state": "off"}
+    assert await bench.served(bench.host.command(bench.anna, "release")) == {"state": "off"}
 
 
 @on_bench
 async def test_park_is_answered_when_the_arm_is_limp_at_rest(bench: Bench) -> None:
     await bench.holding()
-    assert await bench.served(bench.host.park(bench.anna)) == {"state": "off"}
+    assert await bench.served(bench.host.command(bench.anna, "park")) == {"state": "off"}
 
 
 @on_bench
@@ -146,7 +146,7 @@ async def test_a_client_that_leaves_during_its_park_stops_the_arm(bench: Bench) 
     await bench.holding()
     task = asyncio.ensure_future(bench.host.run(bench.anna, bench.plan()))
     await bench.until(task.done)
-    task = asyncio.ensure_future(bench.host.park(bench.anna))
+    task = asyncio.ensure_future(bench.host.command(bench.anna, "park"))
     await bench.until(lambda: bench.arm.mode() is Mode.PARKING)
     bench.host.client_gone(bench.anna)
     assert (await bench.refused(task)).code == "STOPPED"
@@ -156,7 +156,7 @@ async def test_a_client_that_leaves_during_its_park_stops_the_arm(bench: Bench) 
 @on_bench
 async def test_clear_without_a_fault_is_done(bench: Bench) -> None:
     bench.tick()
-    assert await bench.served(bench.host.clear(bench.anna)) == {"state": "off"}
+    assert await bench.served(bench.host.command(bench.anna, "clear")) == {"state": "off"}
 
 
 @on_bench
@@ -165,7 +165,7 @@ async def test_an_unanswered_request_fails_in_bounded_time(bench: Bench) -> None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(exchange.Exchange.request, "__defaults__", (0.01,))
         with pytest.raises(RequestRefused) as caught:
-            await bench.host.clear(bench.anna)
+            await bench.host.command(bench.anna, "clear")
     assert caught.value.code == "NO_ANSWER"
 
 
@@ -185,14 +185,14 @@ async def test_a_full_link_delays_a_command_and_loses_nothing(bench: Bench) -> N
             return not full and self.inner.send(message)
 
     bench.host.attach(FullOnce(bench.control.link))
-    assert await bench.served(bench.host.clear(bench.anna)) == {"state": "off"}
+    assert await bench.served(bench.host.command(bench.anna, "clear")) == {"state": "off"}
 
 
 @on_bench
 async def test_a_request_to_a_dead_control_process_fails_at_once(bench: Bench) -> None:
     bench.tick()
     bench.host.control_lost()
-    for work in (bench.host.stop(), bench.host.clear(bench.anna), bench.host.run(bench.anna, bench.plan())):
+    for work in (bench.host.stop(), bench.host.command(bench.anna, "clear"), bench.host.run(bench.anna, bench.plan())):
         with pytest.raises(RequestRefused) as caught:
             await work
         assert caught.value.code == "RESTARTED"
@@ -273,7 +273,7 @@ async def test_stops_close_behind_one_another_are_one_command(bench: Bench) -> N
 async def test_a_stop_after_anything_else_was_asked_is_a_command_of_its_own(bench: Bench) -> None:
     await bench.holding()
     await stopped_at_rest(bench)
-    park = asyncio.ensure_future(bench.host.park(bench.anna))
+    park = asyncio.ensure_future(bench.host.command(bench.anna, "park"))
     await asyncio.sleep(0)
     await stopped_at_rest(bench)
     assert len(holds(bench)) == 2
@@ -308,7 +308,7 @@ async def test_a_stop_after_a_run_was_sent_is_a_command_of_its_own(bench: Bench)
     await bench.holding()
     early = asyncio.ensure_future(bench.host.stop())
     await asyncio.sleep(0)
-    bench.host._hold = None  # what sending a run does
+    bench.host._exchange.forget_hold()  # what sending a run does
     late = asyncio.ensure_future(bench.host.stop())
     await bench.until(lambda: early.done() and late.done())
     assert sum(isinstance(command, Hold) for command in bench.control.commands) == 2
@@ -603,17 +603,17 @@ async def test_one_client_commands_and_the_other_is_told_who(bench: Bench) -> No
     task = await bench.running()
     host, ben = bench.host, bench.ben
     for work in (
-        host.release(ben),
-        host.torque_on(ben),
-        host.clear(ben),
+        host.command(ben, "release"),
+        host.command(ben, "torque_on"),
+        host.command(ben, "clear"),
         host.teach_begin(ben),
         host.run(ben, bench.plan()),
         host.run(bench.anna, bench.plan()),
-        host.release(bench.anna),
+        host.command(bench.anna, "release"),
     ):
         error = await bench.refused(work)
         assert error.code == "BUSY"
-    assert "anna" in str(await bench.refused(host.release(ben)))
+    assert "anna" in str(await bench.refused(host.command(ben, "release")))
     assert bench.host.status()["commander"] == "anna: run"
     await bench.served(task)
     assert bench.host.status()["commander"] is None
@@ -635,7 +635,7 @@ async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
     assert await bench.served(host.teaching.take_end(anna)) == first
     assert bench.recorder.takes["first"] >= 5
     assert await bench.served(host.teach_end(anna)) == {"state": "off"}
-    assert await bench.served(host.torque_on(bench.ben)) == {"state": "holding"}
+    assert await bench.served(host.command(bench.ben, "torque_on")) == {"state": "holding"}
 
 
 @on_bench
@@ -650,7 +650,7 @@ async def test_takes_belong_to_whoever_teaches(bench: Bench) -> None:
     assert isinstance(await bench.refused(host.teaching.take_begin(anna, "y")), IllegalTransition)
     for work in (host.teaching.take_begin(ben, "y"), host.teaching.take_end(ben), host.teach_end(ben)):
         assert isinstance(await bench.refused(work), IllegalTransition)
-    for work in (host.torque_on(ben), host.teach_begin(anna), host.run(anna, bench.plan())):
+    for work in (host.command(ben, "torque_on"), host.teach_begin(anna), host.run(anna, bench.plan())):
         assert (await bench.refused(work)).code == "BUSY"
 
 

@@ -1,7 +1,5 @@
 """The wire: strict JSON, the standard's codes, and errors that survive the way."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

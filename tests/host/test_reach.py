@@ -37,7 +37,7 @@ def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name: str, 
             there = MoveRequest(joints_rad=tuple(np.radians(goal_deg).tolist()))
             await bench.served(bench.host.move(bench.anna, there))
             assert bench.true_deg() == pytest.approx(goal_deg, abs=SAG_DEG)
-        assert await bench.served(bench.host.park(bench.anna)) == {"state": "off"}
+        assert await bench.served(bench.host.command(bench.anna, "park")) == {"state": "off"}
         assert bench.true_deg() == pytest.approx(rest_deg, abs=4.0)
         assert not any(servo.torque_enabled for servo in bench.simulated.servos)
         assert Mode.FAULTED not in bench.modes

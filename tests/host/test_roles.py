@@ -1,7 +1,5 @@
 """Who may command, by the names of users and groups."""
 
-from __future__ import annotations
-
 import grp
 import os
 import pwd

@@ -1,7 +1,5 @@
 """The dashboard's connections: what is shown, who commands, and what ends when the last page has left."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

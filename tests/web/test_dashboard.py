@@ -1,7 +1,5 @@
 """The dashboard as a person uses it: a real Chromium, a real daemon, simulated servos."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

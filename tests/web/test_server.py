@@ -1,7 +1,5 @@
 """`armctl web` as a program's caller meets it: its port, its token's file, and a daemon that is not there."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os
