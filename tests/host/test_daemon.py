@@ -6,11 +6,10 @@ import asyncio
 import json
 import os
 import signal
-import socket
 import stat
 import tempfile
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from itertools import pairwise
@@ -26,8 +25,8 @@ from armctl.control.link import StartFailed
 from armctl.control.process import ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, NoDaemon, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.files import load_arm
-from armctl.host import daemon, service_manager
-from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, listen, restart_wait_s, run_daemon
+from armctl.host import daemon
+from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, restart_wait_s, run_daemon
 from armctl.messages import Hold, Mode
 from armctl.recording.writer import LogContext
 from tests.control.ideal_arm import IdealArm
@@ -150,13 +149,6 @@ async def running() -> AsyncIterator[Bench]:
                 found.status = await task
 
 
-def on_loop(test: Callable[[], Awaitable[T]]) -> T:
-    async def main() -> T:
-        return await test()
-
-    return asyncio.run(main())
-
-
 async def holding(b: Bench) -> Client:
     client = await b.client()
     assert await b.call(client, "torque_on") == {"state": "holding"}
@@ -174,240 +166,197 @@ async def moving(b: Bench, client: Client) -> asyncio.Task[dict[str, Any]]:
 # ------------------------------------------------------------------------------------------------- serving
 
 
-def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group() -> None:
-    async def test() -> None:
-        async with running() as b:
-            assert b.lines == [str(b.socket)]
-            assert stat.S_IMODE(b.socket.stat().st_mode) == 0o660
-            assert stat.S_IMODE(b.socket.parent.stat().st_mode) == 0o750
-            with await b.client() as client:
-                status = await b.call(client, "status")
-                assert status["state"] == "off"
-                assert status["pids"] == {"daemon": os.getpid(), "control": 4242}
-                log = await b.call(client, "log")
-                assert log == {"path": "/logs/log.mcap", "problem": "", "dropped": 0, "recorder_dropped": 0}
-
-    on_loop(test)
+async def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group() -> None:
+    async with running() as b:
+        assert b.lines == [str(b.socket)]
+        assert stat.S_IMODE(b.socket.stat().st_mode) == 0o660
+        assert stat.S_IMODE(b.socket.parent.stat().st_mode) == 0o750
+        with await b.client() as client:
+            status = await b.call(client, "status")
+            assert status["state"] == "off"
+            assert status["pids"] == {"daemon": os.getpid(), "control": 4242}
+            log = await b.call(client, "log")
+            assert log == {"path": "/logs/log.mcap", "problem": "", "dropped": 0, "recorder_dropped": 0}
 
 
-def test_a_run_over_the_socket_is_recorded_and_measured() -> None:
-    async def test() -> None:
-        async with running() as b:
-            with await holding(b) as client:
-                plan = small_plan(b.arm).model_dump(mode="json")
-                result = await b.call(client, "run", plan=plan)
-            assert result.keys() == {
-                "recording",
-                "mean_error_mm",
-                "max_error_mm",
-                "duration_s",
-                "predicted_mean_error_mm",
-                "predicted_max_error_mm",
-                "begin_ns",
-                "end_ns",
-            }
-            assert list(b.recorder.takes) == [result["recording"]]
-
-    on_loop(test)
-
-
-def test_commands_and_their_outcome_stand_in_the_log() -> None:
-    async def test() -> None:
-        async with running() as b:
-            with await holding(b) as client:
-                with pytest.raises(RequestRefused):
-                    await b.call(client, "torque_on")
-                with pytest.raises(RequestRefused):
-                    await b.call(client, "take_begin", name="x")
-                await b.call(client, "stop")
-            notes = [json.loads(note) for note in b.recorder.notes]
-            assert [(note["request"], note["outcome"]) for note in notes] == [
-                ("torque_on", "ok"),
-                ("torque_on", "ILLEGAL_TRANSITION"),
-                ("take_begin", "ILLEGAL_TRANSITION"),
-                ("stop", "ok"),
-            ]
-            assert notes[2]["params"] == {"name": "x"}
-            assert f"uid {os.getuid()}" in notes[0]["who"]
-
-    on_loop(test)
-
-
-def test_release_has_to_be_confirmed() -> None:
-    async def test() -> None:
-        async with running() as b:
-            with await holding(b) as client:
-                for params in ({}, {"confirm": False}):
-                    with pytest.raises(ConfigError, match="confirm"):
-                        await b.call(client, "release", **params)
-                assert await b.call(client, "release", confirm=True) == {"state": "off"}
-
-    on_loop(test)
-
-
-def test_a_plan_with_a_fault_is_refused_by_its_key() -> None:
-    async def test() -> None:
-        async with running() as b:
-            with await holding(b) as client:
-                plan = small_plan(b.arm).model_dump(mode="json") | {"duration_s": -1.0}
-                with pytest.raises(ConfigError, match=r"plan\.duration_s"):
-                    await b.call(client, "run", plan=plan)
-
-    on_loop(test)
-
-
-def test_subscribers_see_every_tick() -> None:
-    async def test() -> None:
-        async with running() as b:
-            with await b.client() as client:
-
-                def watch() -> list[dict[str, Any]]:
-                    snapshots = client.subscribe()
-                    return [next(snapshots) for _ in range(50)]
-
-                seen = await b.in_thread(watch)
-            for before, after in pairwise(seen):
-                assert after["tick"] == before["tick"] + 1 + after["gap"]
-
-    on_loop(test)
-
-
-def test_a_second_client_is_told_who_commands_and_may_stop() -> None:
-    async def test() -> None:
-        async with running() as b:
-            with await holding(b) as first, await b.client() as second:
-                run = await moving(b, first)
-                with pytest.raises(RequestRefused, match="commands the arm now") as busy:
-                    await b.call(second, "clear")
-                assert busy.value.code == "BUSY"
-                assert await b.call(second, "stop") == {"state": "holding"}
-                with pytest.raises(RequestRefused) as stopped:
-                    await run
-                assert stopped.value.code == "STOPPED"
-
-    on_loop(test)
-
-
-def test_a_client_killed_during_its_run_stops_the_arm() -> None:
-    async def test() -> None:
-        async with running() as b:
-            client = await holding(b)
-            b.frozen = True
+async def test_a_run_over_the_socket_is_recorded_and_measured() -> None:
+    async with running() as b:
+        with await holding(b) as client:
             plan = small_plan(b.arm).model_dump(mode="json")
-            run = {"jsonrpc": "2.0", "id": 9, "method": "run", "params": {"plan": plan}}
-            client._socket.sendall(json.dumps(run).encode() + b"\n")
-            await b.until(lambda: b.arm.mode() is Mode.MOVING)
-            client.close()
-            await b.until(lambda: b.arm.mode() is Mode.HOLDING)
-            await b.until(lambda: len(b.recorder.takes) == 1)
-            assert any("LEASE_LOST" in note for note in b.recorder.notes)
+            result = await b.call(client, "run", plan=plan)
+        assert result.keys() == {
+            "recording",
+            "mean_error_mm",
+            "max_error_mm",
+            "duration_s",
+            "predicted_mean_error_mm",
+            "predicted_max_error_mm",
+            "begin_ns",
+            "end_ns",
+        }
+        assert list(b.recorder.takes) == [result["recording"]]
 
-    on_loop(test)
+
+async def test_commands_and_their_outcome_stand_in_the_log() -> None:
+    async with running() as b:
+        with await holding(b) as client:
+            with pytest.raises(RequestRefused):
+                await b.call(client, "torque_on")
+            with pytest.raises(RequestRefused):
+                await b.call(client, "take_begin", name="x")
+            await b.call(client, "stop")
+        notes = [json.loads(note) for note in b.recorder.notes]
+        assert [(note["request"], note["outcome"]) for note in notes] == [
+            ("torque_on", "ok"),
+            ("torque_on", "ILLEGAL_TRANSITION"),
+            ("take_begin", "ILLEGAL_TRANSITION"),
+            ("stop", "ok"),
+        ]
+        assert notes[2]["params"] == {"name": "x"}
+        assert f"uid {os.getuid()}" in notes[0]["who"]
+
+
+async def test_release_has_to_be_confirmed() -> None:
+    async with running() as b:
+        with await holding(b) as client:
+            for params in ({}, {"confirm": False}):
+                with pytest.raises(ConfigError, match="confirm"):
+                    await b.call(client, "release", **params)
+            assert await b.call(client, "release", confirm=True) == {"state": "off"}
+
+
+async def test_a_plan_with_a_fault_is_refused_by_its_key() -> None:
+    async with running() as b:
+        with await holding(b) as client:
+            plan = small_plan(b.arm).model_dump(mode="json") | {"duration_s": -1.0}
+            with pytest.raises(ConfigError, match=r"plan\.duration_s"):
+                await b.call(client, "run", plan=plan)
+
+
+async def test_subscribers_see_every_tick() -> None:
+    async with running() as b:
+        with await b.client() as client:
+
+            def watch() -> list[dict[str, Any]]:
+                snapshots = client.subscribe()
+                return [next(snapshots) for _ in range(50)]
+
+            seen = await b.in_thread(watch)
+        for before, after in pairwise(seen):
+            assert after["tick"] == before["tick"] + 1 + after["gap"]
+
+
+async def test_a_second_client_is_told_who_commands_and_may_stop() -> None:
+    async with running() as b:
+        with await holding(b) as first, await b.client() as second:
+            run = await moving(b, first)
+            with pytest.raises(RequestRefused, match="commands the arm now") as busy:
+                await b.call(second, "clear")
+            assert busy.value.code == "BUSY"
+            assert await b.call(second, "stop") == {"state": "holding"}
+            with pytest.raises(RequestRefused) as stopped:
+                await run
+            assert stopped.value.code == "STOPPED"
+
+
+async def test_a_client_killed_during_its_run_stops_the_arm() -> None:
+    async with running() as b:
+        client = await holding(b)
+        b.frozen = True
+        plan = small_plan(b.arm).model_dump(mode="json")
+        run = {"jsonrpc": "2.0", "id": 9, "method": "run", "params": {"plan": plan}}
+        client._socket.sendall(json.dumps(run).encode() + b"\n")
+        await b.until(lambda: b.arm.mode() is Mode.MOVING)
+        client.close()
+        await b.until(lambda: b.arm.mode() is Mode.HOLDING)
+        await b.until(lambda: len(b.recorder.takes) == 1)
+        assert any("LEASE_LOST" in note for note in b.recorder.notes)
 
 
 # ------------------------------------------------------------------------------------------------ lifetime
 
 
-def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on() -> None:
-    async def test() -> Bench:
-        async with running() as b:
-            client = await holding(b)
-            run = await moving(b, client)
-            os.kill(os.getpid(), signal.SIGTERM)
-            with pytest.raises(RequestRefused) as stopped:
-                await run
-            assert stopped.value.code == "STOPPED"
-            client.close()
-        assert b.arm.mode() is Mode.HOLDING
-        assert sum(isinstance(command, Hold) for command in b.controls[0].commands) == 1
-        assert b.recorder.closed
-        assert b.controls[0].terminated
-        assert not b.socket.exists()
-        assert b.status == 0
-        return b
-
-    on_loop(test)
+async def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on() -> None:
+    async with running() as b:
+        client = await holding(b)
+        run = await moving(b, client)
+        os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(RequestRefused) as stopped:
+            await run
+        assert stopped.value.code == "STOPPED"
+        client.close()
+    assert b.arm.mode() is Mode.HOLDING
+    assert sum(isinstance(command, Hold) for command in b.controls[0].commands) == 1
+    assert b.recorder.closed
+    assert b.controls[0].terminated
+    assert not b.socket.exists()
+    assert b.status == 0
 
 
 @pytest.mark.parametrize(
     ("code", "kind"),
     [("PORT_MISSING", PortMissing), ("PORT_BUSY", PortBusy), ("PORT_GONE", PortGone), ("ODD", BusError)],
 )
-def test_a_port_that_cannot_be_had_is_one_clear_error(code: str, kind: type[BusError]) -> None:
-    async def test() -> None:
-        async with bench() as b:
-            b.failing_start = StartFailed(code, "/dev/robot: there is no such port")
-            with pytest.raises(kind, match="no such port") as caught:
-                await b.run()
-            assert caught.value.code == code
-            assert b.recorder.closed
-            assert not b.ready.is_set()
-            assert not b.socket.exists()
-
-    on_loop(test)
+async def test_a_port_that_cannot_be_had_is_one_clear_error(code: str, kind: type[BusError]) -> None:
+    async with bench() as b:
+        b.failing_start = StartFailed(code, "/dev/robot: there is no such port")
+        with pytest.raises(kind, match="no such port") as caught:
+            await b.run()
+        assert caught.value.code == code
+        assert b.recorder.closed
+        assert not b.ready.is_set()
+        assert not b.socket.exists()
 
 
-def test_a_control_process_that_never_ticks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def test() -> None:
-        async with bench() as b:
-            monkeypatch.setattr(daemon, "START_S", 0.05)
-            mute = IdealControl(b.clock)
-            monkeypatch.setattr(b, "start_control", lambda settings: mute)
-            with pytest.raises(RequestRefused, match="did not tick"):
-                await b.run()
-            assert mute.terminated
-            mute.die()
-
-    on_loop(test)
+async def test_a_control_process_that_never_ticks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with bench() as b:
+        monkeypatch.setattr(daemon, "START_S", 0.05)
+        mute = IdealControl(b.clock)
+        monkeypatch.setattr(b, "start_control", lambda settings: mute)
+        with pytest.raises(RequestRefused, match="did not tick"):
+            await b.run()
+        assert mute.terminated
+        mute.die()
 
 
-def test_a_recorder_that_cannot_be_made_ends_the_control_process() -> None:
-    async def test() -> None:
-        async with bench() as b:
+async def test_a_recorder_that_cannot_be_made_ends_the_control_process() -> None:
+    async with bench() as b:
 
-            def broken(context: LogContext, log_dir: Path, recordings_dir: Path) -> MemoryRecorder:
-                raise OSError("no disk")
+        def broken(context: LogContext, log_dir: Path, recordings_dir: Path) -> MemoryRecorder:
+            raise OSError("no disk")
 
-            b.make_recorder = broken  # type: ignore[method-assign]
-            with pytest.raises(OSError, match="no disk"):
-                await b.run()
-            assert b.controls[0].terminated
-
-    on_loop(test)
+        b.make_recorder = broken  # type: ignore[method-assign]
+        with pytest.raises(OSError, match="no disk"):
+            await b.run()
+        assert b.controls[0].terminated
 
 
-def test_a_dead_control_process_fails_the_run_and_another_takes_the_arm_over() -> None:
-    async def test() -> None:
-        async with running() as b:
-            with await holding(b) as client:
-                run = await moving(b, client)
-                b.controls[0].die()
-                with pytest.raises(RequestRefused) as broken:
-                    await run
-                assert broken.value.code == "RESTARTED"
-                await b.until(lambda: len(b.controls) == 2)
-                await b.until(lambda: b.arm.mode() is Mode.HOLDING)
-                assert b.controls[0].terminated
-                assert "RESTARTED" in b.arm.events
-                assert await b.call(client, "stop") == {"state": "holding"}
-                assert any("RESTARTED" in note for note in b.recorder.notes)
-
-    on_loop(test)
-
-
-def test_control_processes_that_fail_to_start_again_are_tried_again() -> None:
-    async def test() -> None:
-        async with running() as b:
-            b.failing_start = StartFailed("PORT_GONE", "unplugged")
+async def test_a_dead_control_process_fails_the_run_and_another_takes_the_arm_over() -> None:
+    async with running() as b:
+        with await holding(b) as client:
+            run = await moving(b, client)
             b.controls[0].die()
-            await b.until(lambda: len(b.controls) == 3)
-            b.failing_start = None
-            with await b.client() as client:
-                async with asyncio.timeout(PATIENCE_S):
-                    while (await b.call(client, "status"))["state"] != "off":
-                        await asyncio.sleep(0)
+            with pytest.raises(RequestRefused) as broken:
+                await run
+            assert broken.value.code == "RESTARTED"
+            await b.until(lambda: len(b.controls) == 2)
+            await b.until(lambda: b.arm.mode() is Mode.HOLDING)
+            assert b.controls[0].terminated
+            assert "RESTARTED" in b.arm.events
+            assert await b.call(client, "stop") == {"state": "holding"}
+            assert any("RESTARTED" in note for note in b.recorder.notes)
 
-    on_loop(test)
+
+async def test_control_processes_that_fail_to_start_again_are_tried_again() -> None:
+    async with running() as b:
+        b.failing_start = StartFailed("PORT_GONE", "unplugged")
+        b.controls[0].die()
+        await b.until(lambda: len(b.controls) == 3)
+        b.failing_start = None
+        with await b.client() as client:
+            async with asyncio.timeout(PATIENCE_S):
+                while (await b.call(client, "status"))["state"] != "off":
+                    await asyncio.sleep(0)
 
 
 def test_restarts_come_at_once_until_they_come_often() -> None:
@@ -416,67 +365,6 @@ def test_restarts_come_at_once_until_they_come_often() -> None:
     assert restart_wait_s(deque(range(0, MAX_DEATHS * second, second))) == 0.0
     assert restart_wait_s(deque(range(0, (MAX_DEATHS + 1) * second, second))) == PATIENT_WAIT_S
     assert restart_wait_s(deque(range(0, (MAX_DEATHS + 1) * 20 * second, 20 * second))) == 0.0
-
-
-# -------------------------------------------------------------------------------------------------- socket
-
-
-def test_a_second_daemon_on_a_socket_is_refused(tmp_path: Path) -> None:
-    with listen(tmp_path / "s"), pytest.raises(RequestRefused, match="another daemon"):
-        listen(tmp_path / "s")
-
-
-def test_a_socket_nobody_serves_is_replaced(tmp_path: Path) -> None:
-    listen(tmp_path / "s").close()
-    assert (tmp_path / "s").is_socket()
-    listen(tmp_path / "s").close()
-
-
-def test_a_file_in_the_socket_s_place_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "s"
-    path.write_text("precious")
-    with pytest.raises(ConfigError, match="in use"):
-        listen(path)
-    assert path.read_text() == "precious"
-
-
-def test_a_path_too_long_for_a_socket_is_a_configuration_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="too long"):
-        listen(tmp_path / ("x" * 120))
-
-
-# ------------------------------------------------------------------------------------------ service manager
-
-
-@pytest.mark.parametrize("abstract", [True, False])
-def test_the_service_manager_is_told(abstract: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    address = f"@armctl-test-{os.getpid()}" if abstract else str(tmp_path / "notify")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-        manager.bind("\0" + address[1:] if abstract else address)
-        manager.settimeout(PATIENCE_S)
-        monkeypatch.setenv("NOTIFY_SOCKET", address)
-        service_manager.notify("READY=1")
-        assert manager.recv(100) == b"READY=1"
-
-
-def test_without_a_service_manager_nothing_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    service_manager.notify("READY=1")
-    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
-    service_manager.notify("READY=1")
-
-
-def test_the_daemon_tells_ready_watchdog_and_stopping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(service_manager, "notify", told.append)
-
-    async def test() -> None:
-        async with running():
-            pass
-
-    on_loop(test)
-    assert set(told) == {"WATCHDOG=1", "READY=1", "STOPPING=1"}
-    assert told.index("READY=1") < told.index("STOPPING=1")
 
 
 # -------------------------------------------------------------------------------------------------- client

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from pathlib import Path
 from typing import Any, cast
 
@@ -57,13 +57,6 @@ class Bench:
         return entry.handle(cast("Connection", client), validate(entry.params, params, method))
 
 
-def on_bench(folder: Path, test: Callable[[Bench], Awaitable[None]]) -> None:
-    async def main() -> None:
-        await test(Bench(folder))
-
-    asyncio.run(main())
-
-
 LINE: dict[str, Any] = {"recordings": ["a"], "from_m": [0.18, -0.125, 0.1], "to_m": [0.18, 0.125, 0.1], "via": [0]}
 
 
@@ -74,6 +67,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def bench(folder: Path) -> Bench:
+    return Bench(folder)
+
+
 def test_looking_changes_nothing_and_everything_else_is_for_commanders(tmp_path: Path) -> None:
     table = Bench(tmp_path).table
     observing = {name for name, method in table.items() if method.observes}
@@ -81,53 +79,45 @@ def test_looking_changes_nothing_and_everything_else_is_for_commanders(tmp_path:
     assert {name for name, method in table.items() if method.always} == {"stop", "hold", "pause"}
 
 
-def test_an_optimisation_gets_what_was_asked_for_and_tells_its_progress(folder: Path) -> None:
-    async def test(bench: Bench) -> None:
-        bench.gate.set()
-        settings = {"generations": 50, "selection": "roulette"}
-        result = await bench.ask(bench.anna, "optimize", **LINE, seed=7, duration_s=3.0, settings=settings)
-        assert result == {"job": 1, "gap_ratio": 0.0}
-        [job] = bench.jobs
-        request = job.request
-        assert job.paths == (folder / "a.mcap",)
-        assert (request.from_m, request.to_m) == ((0.18, -0.125, 0.1), (0.18, 0.125, 0.1))
-        assert (request.via, request.seed, request.duration_s) == ((0,), 7, 3.0)
-        assert (request.settings.generations, request.settings.selection) == (50, "roulette")
-        assert request.settings.population == DEFAULT.population
-        assert bench.anna.notified == [("progress", {"job": 1, "generation": 1, "best": 2.0, "mean": 3.0})]
-
-    on_bench(folder, test)
+async def test_an_optimisation_gets_what_was_asked_for_and_tells_its_progress(folder: Path) -> None:
+    bench = Bench(folder)
+    bench.gate.set()
+    settings = {"generations": 50, "selection": "roulette"}
+    result = await bench.ask(bench.anna, "optimize", **LINE, seed=7, duration_s=3.0, settings=settings)
+    assert result == {"job": 1, "gap_ratio": 0.0}
+    [job] = bench.jobs
+    request = job.request
+    assert job.paths == (folder / "a.mcap",)
+    assert (request.from_m, request.to_m) == ((0.18, -0.125, 0.1), (0.18, 0.125, 0.1))
+    assert (request.via, request.seed, request.duration_s) == ((0,), 7, 3.0)
+    assert (request.settings.generations, request.settings.selection) == (50, "roulette")
+    assert request.settings.population == DEFAULT.population
+    assert bench.anna.notified == [("progress", {"job": 1, "generation": 1, "best": 2.0, "mean": 3.0})]
 
 
-def test_one_optimisation_at_a_time(folder: Path) -> None:
-    async def test(bench: Bench) -> None:
-        first = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
-        while not bench.jobs:
-            await asyncio.sleep(0)
-        with pytest.raises(RequestRefused, match="anna") as busy:
-            await bench.ask(bench.ben, "optimize", **LINE)
-        assert busy.value.code == "BUSY"
-        bench.gate.set()
-        await first
-        assert (await bench.ask(bench.ben, "optimize", **LINE))["job"] == 2
-
-    on_bench(folder, test)
-
-
-def test_an_optimisation_ends_with_its_client_and_with_no_other(folder: Path) -> None:
-    async def test(bench: Bench) -> None:
-        work = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
-        while not bench.jobs:
-            await asyncio.sleep(0)
-        bench.methods.client_gone(cast("Connection", bench.ben))
+async def test_one_optimisation_at_a_time(bench: Bench) -> None:
+    first = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
+    while not bench.jobs:
         await asyncio.sleep(0)
-        assert not work.done()
-        bench.methods.client_gone(cast("Connection", bench.anna))
-        with pytest.raises(RequestRefused) as ended:
-            await work
-        assert ended.value.code == "CANCELLED"
+    with pytest.raises(RequestRefused, match="anna") as busy:
+        await bench.ask(bench.ben, "optimize", **LINE)
+    assert busy.value.code == "BUSY"
+    bench.gate.set()
+    await first
+    assert (await bench.ask(bench.ben, "optimize", **LINE))["job"] == 2
 
-    on_bench(folder, test)
+
+async def test_an_optimisation_ends_with_its_client_and_with_no_other(bench: Bench) -> None:
+    work = asyncio.ensure_future(bench.ask(bench.anna, "optimize", **LINE))
+    while not bench.jobs:
+        await asyncio.sleep(0)
+    bench.methods.client_gone(cast("Connection", bench.ben))
+    await asyncio.sleep(0)
+    assert not work.done()
+    bench.methods.client_gone(cast("Connection", bench.anna))
+    with pytest.raises(RequestRefused) as ended:
+        await work
+    assert ended.value.code == "CANCELLED"
 
 
 @pytest.mark.parametrize(
@@ -151,12 +141,9 @@ def test_an_optimisation_ends_with_its_client_and_with_no_other(folder: Path) ->
         ({"speed": 1}, "speed"),
     ],
 )
-def test_a_wrong_parameter_is_refused_by_name(tmp_path: Path, changes: dict[str, Any], named: str) -> None:
-    async def test(bench: Bench) -> None:
-        with pytest.raises(ConfigError, match=named):
-            await bench.ask(bench.anna, "optimize", **(LINE | changes))
-
-    on_bench(tmp_path, test)
+async def test_a_wrong_parameter_is_refused_by_name(bench: Bench, changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        await bench.ask(bench.anna, "optimize", **(LINE | changes))
 
 
 @pytest.mark.parametrize(
@@ -173,52 +160,44 @@ def test_a_wrong_parameter_is_refused_by_name(tmp_path: Path, changes: dict[str,
         ("jog", {"tool_m_s": [0.0, 0.0, 0.0, 0.0]}, "tool_m_s"),
     ],
 )
-def test_a_motion_s_wrong_parameter_is_refused_by_name(
-    tmp_path: Path, method: str, params: dict[str, Any], named: str
+async def test_a_motion_s_wrong_parameter_is_refused_by_name(
+    bench: Bench, method: str, params: dict[str, Any], named: str
 ) -> None:
-    async def test(bench: Bench) -> None:
-        with pytest.raises(ConfigError, match=named):
+    with pytest.raises(ConfigError, match=named):
+        await bench.ask(bench.anna, method, **params)
+
+
+async def test_an_unknown_recording_is_answered_with_the_known_ones(bench: Bench) -> None:
+    for method, params in (
+        ("optimize", LINE | {"recordings": ["a", "c"]}),
+        ("recordings_show", {"name": "c"}),
+        ("recordings_rename", {"name": "c", "to": "d"}),
+        ("recordings_delete", {"name": "c"}),
+    ):
+        with pytest.raises(LogError, match="a, b"):
             await bench.ask(bench.anna, method, **params)
 
-    on_bench(tmp_path, test)
 
-
-def test_an_unknown_recording_is_answered_with_the_known_ones(folder: Path) -> None:
-    async def test(bench: Bench) -> None:
-        for method, params in (
-            ("optimize", LINE | {"recordings": ["a", "c"]}),
-            ("recordings_show", {"name": "c"}),
-            ("recordings_rename", {"name": "c", "to": "d"}),
-            ("recordings_delete", {"name": "c"}),
-        ):
-            with pytest.raises(LogError, match="a, b"):
-                await bench.ask(bench.anna, method, **params)
-
-    on_bench(folder, test)
-
-
-def test_recordings_are_listed_shown_renamed_and_deleted(folder: Path) -> None:
-    async def test(bench: Bench) -> None:
-        listed = (await bench.ask(bench.anna, "recordings_list"))["recordings"]
-        assert [entry["name"] for entry in listed] == ["a", "b"]
-        for entry in listed:
-            assert entry.keys() >= {"name", "path", "duration_s", "samples", "mean_error_mm", "max_error_mm"}
-            assert 0.0 < entry["mean_error_mm"] < entry["max_error_mm"] < 100.0
-        assert await bench.ask(bench.anna, "recordings_show", name="b") == listed[1] | {"marks": []}
-        ends = {"from_m": LINE["from_m"], "to_m": LINE["to_m"]}
-        against = await bench.ask(bench.anna, "recordings_show", name="b", **ends)
-        assert against["mean_error_mm"] != listed[1]["mean_error_mm"]
-        assert 0.0 < against["mean_error_mm"] < against["max_error_mm"] < 100.0
-        with pytest.raises(ConfigError, match="both ends"):
-            await bench.ask(bench.anna, "recordings_show", name="b", from_m=LINE["from_m"])
-        with pytest.raises(LogError):
-            await bench.ask(bench.anna, "recordings_rename", name="a", to="b")
-        renamed = await bench.ask(bench.anna, "recordings_rename", name="a", to="z")
-        assert renamed == {"name": "z", "path": str(folder / "z.mcap")}
-        await bench.ask(bench.anna, "recordings_delete", name="b")
-        assert [path.name for path in folder.glob("*.mcap")] == ["z.mcap"]
-
-    on_bench(folder, test)
+async def test_recordings_are_listed_shown_renamed_and_deleted(folder: Path) -> None:
+    bench = Bench(folder)
+    listed = (await bench.ask(bench.anna, "recordings_list"))["recordings"]
+    assert [entry["name"] for entry in listed] == ["a", "b"]
+    for entry in listed:
+        assert entry.keys() >= {"name", "path", "duration_s", "samples", "mean_error_mm", "max_error_mm"}
+        assert 0.0 < entry["mean_error_mm"] < entry["max_error_mm"] < 100.0
+    assert await bench.ask(bench.anna, "recordings_show", name="b") == listed[1] | {"marks": []}
+    ends = {"from_m": LINE["from_m"], "to_m": LINE["to_m"]}
+    against = await bench.ask(bench.anna, "recordings_show", name="b", **ends)
+    assert against["mean_error_mm"] != listed[1]["mean_error_mm"]
+    assert 0.0 < against["mean_error_mm"] < against["max_error_mm"] < 100.0
+    with pytest.raises(ConfigError, match="both ends"):
+        await bench.ask(bench.anna, "recordings_show", name="b", from_m=LINE["from_m"])
+    with pytest.raises(LogError):
+        await bench.ask(bench.anna, "recordings_rename", name="a", to="b")
+    renamed = await bench.ask(bench.anna, "recordings_rename", name="a", to="z")
+    assert renamed == {"name": "z", "path": str(folder / "z.mcap")}
+    await bench.ask(bench.anna, "recordings_delete", name="b")
+    assert [path.name for path in folder.glob("*.mcap")] == ["z.mcap"]
 
 
 def test_a_recording_that_never_moved_has_no_error_to_show(tmp_path: Path) -> None:

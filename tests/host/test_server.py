@@ -3,495 +3,289 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
-import socket
-import tempfile
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import BaseModel, ConfigDict, Field
 
-from armctl.clock import Clock, MonotonicClock, VirtualClock
-from armctl.errors import RequestRefused
+from armctl.clock import MonotonicClock, VirtualClock
 from armctl.host import jsonrpc, server
-from armctl.host.server import BURST, MAX_SNAPSHOTS, Connection, Method, Server
-
-PATIENCE_S = 20.0
-
-
-class Nothing(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
+from armctl.host.server import BURST, MAX_SNAPSHOTS
+from tests.host.peers import PATIENCE_S, bench, until
 
 
-class Numbered(Nothing):
-    number: int = Field(ge=0, le=10)
+async def test_requests_are_answered_by_their_id() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send("echo", 7, number=3)
+        assert await peer.receive() == {"jsonrpc": "2.0", "id": 7, "result": {"number": 3}}
 
 
-class Bench:
-    """A server with a few methods, and clients of it."""
-
-    def __init__(self, path: Path, clock: Clock, stall_s: float, may_command: bool) -> None:
-        self.path = path
-        self.gone: list[Connection] = []
-        self.seen: list[Connection] = []
-        self.peers: list[Peer] = []
-        self.gate = asyncio.Event()
-        methods = {
-            "echo": Method(Numbered, self._echo),
-            "wait": Method(Nothing, self._wait),
-            "stop": Method(Nothing, self._stop, always=True),
-            "subscribe": Method(Nothing, self._subscribe),
-            "refuse": Method(Nothing, self._refuse),
-            "break": Method(Nothing, self._break),
-            "large": Method(Nothing, self._large),
-            "look": Method(Nothing, self._stop, observes=True),
-        }
-        self.server = Server(
-            methods, clock, on_close=self.gone.append, stall_s=stall_s, may_command=lambda _uid: may_command
-        )
-
-    async def _echo(self, client: Connection, p: Numbered) -> dict[str, Any]:
-        return {"number": p.number}
-
-    async def _wait(self, client: Connection, p: Nothing) -> dict[str, Any]:
-        await self.gate.wait()
-        return {"waited": True}
-
-    async def _stop(self, client: Connection, p: Nothing) -> dict[str, Any]:
-        return {"state": "holding"}
-
-    async def _subscribe(self, client: Connection, p: Nothing) -> dict[str, Any]:
-        client.subscribed = True
-        self.seen.append(client)
-        return {}
-
-    async def _refuse(self, client: Connection, p: Nothing) -> dict[str, Any]:
-        raise RequestRefused("PREFLIGHT", ["too fast", "too low"])
-
-    async def _break(self, client: Connection, p: Nothing) -> dict[str, Any]:
-        raise KeyError("a defect")
-
-    async def _large(self, client: Connection, p: Nothing) -> dict[str, Any]:
-        return {"text": "x" * 300_000}
-
-    async def connect(self) -> Peer:
-        peer = Peer(*await asyncio.open_unix_connection(str(self.path), limit=1 << 20))
-        self.peers.append(peer)
-        return peer
+async def test_a_long_request_does_not_hold_up_the_next_one() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send("wait", 1)
+        peer.send("stop", 2)
+        assert (await peer.receive())["id"] == 2
+        b.gate.set()
+        assert (await peer.receive())["id"] == 1
 
 
-class Peer:
-    """A client that writes and reads lines."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.reader, self.writer = reader, writer
-
-    def send(self, method: str, request_id: int | None = 1, **params: Any) -> None:
-        request = {"jsonrpc": "2.0", "method": method, "params": params}
-        self.send_raw(json.dumps(request | ({} if request_id is None else {"id": request_id})).encode() + b"\n")
-
-    def send_raw(self, data: bytes) -> None:
-        self.writer.write(data)
-
-    async def receive(self) -> dict[str, Any]:
-        async with asyncio.timeout(PATIENCE_S):
-            line = await self.reader.readline()
-        assert line, "the connection was closed"
-        message: dict[str, Any] = json.loads(line)
-        return message
-
-    async def call(self, method: str, **params: Any) -> dict[str, Any]:
-        self.send(method, **params)
-        return await self.receive()
-
-    async def ended(self) -> bool:
-        """Read until the other side closes."""
-        async with asyncio.timeout(PATIENCE_S):
-            try:
-                while await self.reader.read(1 << 16):
-                    pass
-            except ConnectionError:
-                pass
-        return True
-
-    async def close(self) -> None:
-        self.writer.transport.abort()
-        with suppress(ConnectionError):
-            await self.writer.wait_closed()
+async def test_a_wrong_parameter_is_named_with_value_and_bound() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        for params, words in (
+            ({"number": 11}, ("number", "11", "10")),
+            ({"number": "3"}, ("number", "'3'")),
+            ({"number": True}, ("number", "True")),
+            ({}, ("number",)),
+            ({"number": 3, "colour": 1}, ("colour", "unknown")),
+        ):
+            error = (await peer.call("echo", **params))["error"]
+            assert error["code"] == jsonrpc.INVALID_PARAMS
+            assert error["data"]["exit_status"] == 2
+            assert error["data"]["type"] == "ConfigError"
+            assert all(word in error["message"] for word in words), error["message"]
 
 
-@asynccontextmanager
-async def bench(clock: Clock | None = None, stall_s: float = 5.0, may_command: bool = True) -> AsyncIterator[Bench]:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "s"
-        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        listening.bind(str(path))
-        listening.listen()
-        found = Bench(path, clock or VirtualClock(), stall_s, may_command)
-        await found.server.start(listening)
-        try:
-            yield found
-        finally:
-            for peer in found.peers:
-                await peer.close()
-            await found.server.close()
+async def test_an_unknown_method_is_answered_with_the_known_ones() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        error = (await peer.call("dance"))["error"]
+        assert error["code"] == jsonrpc.METHOD_NOT_FOUND
+        assert "dance" in error["message"]
+        assert "echo" in error["message"]
 
 
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE_S):
-        while not condition():
-            await asyncio.sleep(0)
+async def test_errors_keep_their_reasons_and_a_defect_ends_nothing() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        error = (await peer.call("refuse"))["error"]
+        assert error["code"] == jsonrpc.ARMCTL_ERROR
+        assert error["data"]["reasons"] == ["too fast", "too low"]
+        assert (await peer.call("break"))["error"]["code"] == jsonrpc.INTERNAL_ERROR
+        assert (await peer.call("echo", number=1))["result"] == {"number": 1}
 
 
-def run(test: Callable[[], Awaitable[None]]) -> None:
-    async def main() -> None:
-        await test()
-
-    asyncio.run(main())
-
-
-def test_requests_are_answered_by_their_id() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send("echo", 7, number=3)
-            assert await peer.receive() == {"jsonrpc": "2.0", "id": 7, "result": {"number": 3}}
-
-    run(test)
+async def test_notifications_are_carried_out_and_not_answered() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send("subscribe", None)
+        peer.send("echo", None, number=99)
+        peer.send("echo", 5, number=1)
+        assert (await peer.receive())["id"] == 5
+        assert len(b.seen) == 1
 
 
-def test_a_long_request_does_not_hold_up_the_next_one() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send("wait", 1)
-            peer.send("stop", 2)
-            assert (await peer.receive())["id"] == 2
-            b.gate.set()
-            assert (await peer.receive())["id"] == 1
-
-    run(test)
-
-
-def test_a_wrong_parameter_is_named_with_value_and_bound() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            for params, words in (
-                ({"number": 11}, ("number", "11", "10")),
-                ({"number": "3"}, ("number", "'3'")),
-                ({"number": True}, ("number", "True")),
-                ({}, ("number",)),
-                ({"number": 3, "colour": 1}, ("colour", "unknown")),
-            ):
-                error = (await peer.call("echo", **params))["error"]
-                assert error["code"] == jsonrpc.INVALID_PARAMS
-                assert error["data"]["exit_status"] == 2
-                assert error["data"]["type"] == "ConfigError"
-                assert all(word in error["message"] for word in words), error["message"]
-
-    run(test)
-
-
-def test_an_unknown_method_is_answered_with_the_known_ones() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            error = (await peer.call("dance"))["error"]
-            assert error["code"] == jsonrpc.METHOD_NOT_FOUND
-            assert "dance" in error["message"]
-            assert "echo" in error["message"]
-
-    run(test)
-
-
-def test_errors_keep_their_reasons_and_a_defect_ends_nothing() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            error = (await peer.call("refuse"))["error"]
-            assert error["code"] == jsonrpc.ARMCTL_ERROR
-            assert error["data"]["reasons"] == ["too fast", "too low"]
-            assert (await peer.call("break"))["error"]["code"] == jsonrpc.INTERNAL_ERROR
-            assert (await peer.call("echo", number=1))["result"] == {"number": 1}
-
-    run(test)
-
-
-def test_notifications_are_carried_out_and_not_answered() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send("subscribe", None)
-            peer.send("echo", None, number=99)
-            peer.send("echo", 5, number=1)
-            assert (await peer.receive())["id"] == 5
-            assert len(b.seen) == 1
-
-    run(test)
-
-
-def test_what_is_no_request_is_answered_and_the_next_line_is_served() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send_raw(b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1e999}}\n')
-            assert (await peer.receive())["error"]["code"] == jsonrpc.PARSE_ERROR
-            assert (await peer.call("echo", number=1))["result"] == {"number": 1}
-
-    run(test)
+async def test_what_is_no_request_is_answered_and_the_next_line_is_served() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send_raw(b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1e999}}\n')
+        assert (await peer.receive())["error"]["code"] == jsonrpc.PARSE_ERROR
+        assert (await peer.call("echo", number=1))["result"] == {"number": 1}
 
 
 @pytest.mark.parametrize("ended", [True, False])
-def test_an_overlong_line_is_answered_and_the_connection_closed(ended: bool) -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send_raw(b"x" * (jsonrpc.MAX_LINE_BYTES + 2) + b"\n" * ended)
-            answer = await peer.receive()
-            assert answer["error"]["code"] == jsonrpc.PARSE_ERROR
-            assert "65536" in answer["error"]["message"]
-            assert await peer.ended()
-            await until(lambda: len(b.gone) == 1)
-
-    run(test)
+async def test_an_overlong_line_is_answered_and_the_connection_closed(ended: bool) -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send_raw(b"x" * (jsonrpc.MAX_LINE_BYTES + 2) + b"\n" * ended)
+        answer = await peer.receive()
+        assert answer["error"]["code"] == jsonrpc.PARSE_ERROR
+        assert "65536" in answer["error"]["message"]
+        assert await peer.ended()
+        await until(lambda: len(b.gone) == 1)
 
 
-def test_a_flood_is_refused_and_stop_is_served_to_the_flooder_and_to_others() -> None:
-    async def test() -> None:
-        async with bench() as b:  # on a clock that stands still: the burst and not one more
-            flooder, other = await b.connect(), await b.connect()
-            count = int(BURST) + 200
-            for number in range(count):
-                flooder.send("echo", number, number=1)
-            flooder.send("stop", -1)
-            await until(lambda: len(b.server._connections) == 2)
-            answers = {}
-            for _ in range(count + 1):
-                answer = await flooder.receive()
-                answers[answer["id"]] = answer
-            assert "result" in answers[-1]
-            # Those over the bound of requests under way at once are refused as well.
-            served = sum("result" in answers[number] for number in range(count))
-            assert 0 < served <= BURST
-            assert {answers[n]["error"]["data"]["code"] for n in range(int(BURST), count)} == {"RATE_LIMIT"}
-            assert "result" in await other.call("stop")
-            assert "result" in await other.call("echo", number=1)
-
-    run(test)
+async def test_a_flood_is_refused_and_stop_is_served_to_the_flooder_and_to_others() -> None:
+    async with bench() as b:  # on a clock that stands still: the burst and not one more
+        flooder, other = await b.connect(), await b.connect()
+        count = int(BURST) + 200
+        for number in range(count):
+            flooder.send("echo", number, number=1)
+        flooder.send("stop", -1)
+        await until(lambda: len(b.server._connections) == 2)
+        answers = {}
+        for _ in range(count + 1):
+            answer = await flooder.receive()
+            answers[answer["id"]] = answer
+        assert "result" in answers[-1]
+        # Those over the bound of requests under way at once are refused as well.
+        served = sum("result" in answers[number] for number in range(count))
+        assert 0 < served <= BURST
+        assert {answers[n]["error"]["data"]["code"] for n in range(int(BURST), count)} == {"RATE_LIMIT"}
+        assert "result" in await other.call("stop")
+        assert "result" in await other.call("echo", number=1)
 
 
-def test_the_allowance_comes_back_with_time() -> None:
-    async def test() -> None:
-        clock = VirtualClock()
-        async with bench(clock) as b:
-            peer = await b.connect()
-            for _ in range(int(BURST)):
-                assert "result" in await peer.call("echo", number=1)
-            assert "error" in await peer.call("echo", number=1)
-            clock.advance_ns(1_000_000_000)
+async def test_the_allowance_comes_back_with_time() -> None:
+    clock = VirtualClock()
+    async with bench(clock) as b:
+        peer = await b.connect()
+        for _ in range(int(BURST)):
             assert "result" in await peer.call("echo", number=1)
-
-    run(test)
-
-
-def test_requests_under_way_are_bounded() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            for number in range(server.MAX_REQUESTS + 1):
-                peer.send("wait", number)
-            answer = await peer.receive()
-            assert answer["id"] == server.MAX_REQUESTS
-            assert answer["error"]["data"]["code"] == "RATE_LIMIT"
-            assert "result" in await peer.call("stop")
-            b.gate.set()
-            for _ in range(server.MAX_REQUESTS):
-                assert "result" in await peer.receive()
-
-    run(test)
+        assert "error" in await peer.call("echo", number=1)
+        clock.advance_ns(1_000_000_000)
+        assert "result" in await peer.call("echo", number=1)
 
 
-def test_snapshots_reach_subscribers_only_and_are_made_only_for_them() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer, other = await b.connect(), await b.connect()
-
-            def never() -> dict[str, Any]:
-                raise AssertionError("nobody subscribed")
-
-            b.server.publish(never)
-            await peer.call("subscribe")
-            b.server.publish(lambda: {"tick": 1})
-            assert await peer.receive() == {
-                "jsonrpc": "2.0",
-                "method": "snapshot",
-                "params": {"gap": 0, "tick": 1},
-            }
-            assert (await other.call("echo", number=1))["id"] == 1
-
-    run(test)
+async def test_requests_under_way_are_bounded() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        for number in range(server.MAX_REQUESTS + 1):
+            peer.send("wait", number)
+        answer = await peer.receive()
+        assert answer["id"] == server.MAX_REQUESTS
+        assert answer["error"]["data"]["code"] == "RATE_LIMIT"
+        assert "result" in await peer.call("stop")
+        b.gate.set()
+        for _ in range(server.MAX_REQUESTS):
+            assert "result" in await peer.receive()
 
 
-def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            await peer.call("subscribe")
-            count = MAX_SNAPSHOTS + 36
-            for tick in range(count):  # without a turn for the sender in between
-                b.server.publish(lambda tick=tick: {"tick": tick})  # type: ignore[misc]
-            received = [(await peer.receive())["params"] for _ in range(MAX_SNAPSHOTS)]
-            assert received[0] == {"gap": 36, "tick": 36}
-            assert [snapshot["gap"] for snapshot in received[1:]] == [0] * (MAX_SNAPSHOTS - 1)
-            assert [snapshot["tick"] for snapshot in received] == list(range(36, count))
+async def test_snapshots_reach_subscribers_only_and_are_made_only_for_them() -> None:
+    async with bench() as b:
+        peer, other = await b.connect(), await b.connect()
 
-    run(test)
+        def never() -> dict[str, Any]:
+            raise AssertionError("nobody subscribed")
 
-
-def test_a_subscriber_that_takes_nothing_is_cut() -> None:
-    async def test() -> None:
-        async with bench(stall_s=0.05) as b:
-            peer = await b.connect()
-            await peer.call("subscribe")
-            peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
-            text = "x" * 100_000
-            async with asyncio.timeout(PATIENCE_S):
-                while not b.gone:
-                    b.server.publish(lambda: {"text": text})
-                    await asyncio.sleep(0)
-            assert not b.server._connections
-
-    run(test)
+        b.server.publish(never)
+        await peer.call("subscribe")
+        b.server.publish(lambda: {"tick": 1})
+        assert await peer.receive() == {
+            "jsonrpc": "2.0",
+            "method": "snapshot",
+            "params": {"gap": 0, "tick": 1},
+        }
+        assert (await other.call("echo", number=1))["id"] == 1
 
 
-def test_a_client_that_reads_no_answers_is_cut_before_they_fill_the_memory() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            await peer.call("subscribe")
-            peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
-            for number in range(20):
-                peer.send("large", number)
-            await until(lambda: len(b.gone) == 1)
-
-    run(test)
-
-
-def test_a_client_that_leaves_is_told_of_once_and_its_requests_end() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send("wait", 1)
-            await peer.call("stop")
-            await peer.close()
-            await until(lambda: len(b.gone) == 1)
-            assert len(b.server._connections) == 1, "its request is still under way"
-            b.gate.set()
-            await until(lambda: not b.server._connections)
-            assert len(b.gone) == 1
-
-    run(test)
+async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        await peer.call("subscribe")
+        count = MAX_SNAPSHOTS + 36
+        for tick in range(count):  # without a turn for the sender in between
+            b.server.publish(lambda tick=tick: {"tick": tick})  # type: ignore[misc]
+        received = [(await peer.receive())["params"] for _ in range(MAX_SNAPSHOTS)]
+        assert received[0] == {"gap": 36, "tick": 36}
+        assert [snapshot["gap"] for snapshot in received[1:]] == [0] * (MAX_SNAPSHOTS - 1)
+        assert [snapshot["tick"] for snapshot in received] == list(range(36, count))
 
 
-def test_a_half_closed_client_gets_its_answers() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send("echo", 1, number=1)
-            peer.writer.write_eof()
-            assert (await peer.receive())["id"] == 1
-            assert await peer.ended()
-
-    run(test)
-
-
-def test_too_many_clients_are_refused_in_words() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            for _ in range(server.MAX_CONNECTIONS):
-                await b.connect()
-            await until(lambda: len(b.server._connections) == server.MAX_CONNECTIONS)
-            late = await b.connect()
-            assert (await late.receive())["error"]["data"]["code"] == "BUSY"
-            assert await late.ended()
-
-    run(test)
+async def test_a_subscriber_that_takes_nothing_is_cut() -> None:
+    async with bench(stall_s=0.05) as b:
+        peer = await b.connect()
+        await peer.call("subscribe")
+        peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
+        text = "x" * 100_000
+        async with asyncio.timeout(PATIENCE_S):
+            while not b.gone:
+                b.server.publish(lambda: {"text": text})
+                await asyncio.sleep(0)
+        assert not b.server._connections
 
 
-def test_clients_are_known_by_process_and_user() -> None:
-    async def test() -> None:
-        async with bench() as b:
-            peer = await b.connect()
-            await peer.call("subscribe")
-            assert b.seen[0].name == f"pid {os.getpid()} (uid {os.getuid()})"
-
-    run(test)
-
-
-def test_who_may_not_command_may_look_and_stop() -> None:
-    async def test() -> None:
-        async with bench(may_command=False) as on:
-            peer = await on.connect()
-            error = (await peer.call("echo", number=1))["error"]
-            assert error["data"]["code"] == "NOT_A_COMMANDER"
-            assert f"uid {os.getuid()}" in error["message"]
-            assert "`commanders`" in error["message"]
-            assert (await peer.call("look"))["result"] == {"state": "holding"}
-            assert (await peer.call("stop"))["result"] == {"state": "holding"}
-
-    run(test)
+async def test_a_client_that_reads_no_answers_is_cut_before_they_fill_the_memory() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        await peer.call("subscribe")
+        peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
+        for number in range(20):
+            peer.send("large", number)
+        await until(lambda: len(b.gone) == 1)
 
 
-def test_closing_the_server_cancels_what_does_not_end_without_a_word() -> None:
-    async def test() -> None:
-        complaints: list[dict[str, Any]] = []
-        asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
-        async with bench() as b:
-            peer = await b.connect()
-            peer.send("wait", 1)
-            await peer.call("stop")
-            await b.server.close()
-            assert not b.server._connections
-            assert len(b.gone) == 1
-            assert await peer.ended()
-            assert complaints == []
-
-    run(test)
+async def test_a_client_that_leaves_is_told_of_once_and_its_requests_end() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send("wait", 1)
+        await peer.call("stop")
+        await peer.close()
+        await until(lambda: len(b.gone) == 1)
+        assert len(b.server._connections) == 1, "its request is still under way"
+        b.gate.set()
+        await until(lambda: not b.server._connections)
+        assert len(b.gone) == 1
 
 
-def test_stop_is_served_within_100_ms_under_a_flood() -> None:
-    async def test() -> None:
-        clock = MonotonicClock()
-        async with bench(clock) as b:
-            flooder, other = await b.connect(), await b.connect()
-            line = b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1}}\n' * 100
-            flooding = True
+async def test_a_half_closed_client_gets_its_answers() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send("echo", 1, number=1)
+        peer.writer.write_eof()
+        assert (await peer.receive())["id"] == 1
+        assert await peer.ended()
 
-            async def flood() -> None:
-                while flooding:
-                    flooder.send_raw(line)
-                    await flooder.writer.drain()
 
-            async def drain() -> None:
-                while await flooder.reader.read(1 << 16):
-                    pass
+async def test_too_many_clients_are_refused_in_words() -> None:
+    async with bench() as b:
+        for _ in range(server.MAX_CONNECTIONS):
+            await b.connect()
+        await until(lambda: len(b.server._connections) == server.MAX_CONNECTIONS)
+        late = await b.connect()
+        assert (await late.receive())["error"]["data"]["code"] == "BUSY"
+        assert await late.ended()
 
-            tasks = asyncio.create_task(flood()), asyncio.create_task(drain())
-            await other.call("stop")
-            slowest_ns = 0
-            for _ in range(20):
-                begin_ns = clock.now_ns()
-                assert "result" in await other.call("stop")
-                slowest_ns = max(slowest_ns, clock.now_ns() - begin_ns)
-            flooding = False
-            await tasks[0]
-            await flooder.close()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            assert slowest_ns < 100_000_000
 
-    run(test)
+async def test_clients_are_known_by_process_and_user() -> None:
+    async with bench() as b:
+        peer = await b.connect()
+        await peer.call("subscribe")
+        assert b.seen[0].name == f"pid {os.getpid()} (uid {os.getuid()})"
+
+
+async def test_who_may_not_command_may_look_and_stop() -> None:
+    async with bench(may_command=False) as on:
+        peer = await on.connect()
+        error = (await peer.call("echo", number=1))["error"]
+        assert error["data"]["code"] == "NOT_A_COMMANDER"
+        assert f"uid {os.getuid()}" in error["message"]
+        assert "`commanders`" in error["message"]
+        assert (await peer.call("look"))["result"] == {"state": "holding"}
+        assert (await peer.call("stop"))["result"] == {"state": "holding"}
+
+
+async def test_closing_the_server_cancels_what_does_not_end_without_a_word() -> None:
+    complaints: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
+    async with bench() as b:
+        peer = await b.connect()
+        peer.send("wait", 1)
+        await peer.call("stop")
+        await b.server.close()
+        assert not b.server._connections
+        assert len(b.gone) == 1
+        assert await peer.ended()
+        assert complaints == []
+
+
+async def test_stop_is_served_within_100_ms_under_a_flood() -> None:
+    clock = MonotonicClock()
+    async with bench(clock) as b:
+        flooder, other = await b.connect(), await b.connect()
+        line = b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1}}\n' * 100
+        flooding = True
+
+        async def flood() -> None:
+            while flooding:
+                flooder.send_raw(line)
+                await flooder.writer.drain()
+
+        async def drain() -> None:
+            while await flooder.reader.read(1 << 16):
+                pass
+
+        tasks = asyncio.create_task(flood()), asyncio.create_task(drain())
+        await other.call("stop")
+        slowest_ns = 0
+        for _ in range(20):
+            begin_ns = clock.now_ns()
+            assert "result" in await other.call("stop")
+            slowest_ns = max(slowest_ns, clock.now_ns() - begin_ns)
+        flooding = False
+        await tasks[0]
+        await flooder.close()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        assert slowest_ns < 100_000_000

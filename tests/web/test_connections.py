@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -68,46 +68,32 @@ async def stubbed(path: Path) -> AsyncIterator[tuple[Stub, Connections]]:
     server.close()
 
 
-def on_stub(test: Callable[[Stub, Connections], Awaitable[None]], folder: Path) -> None:
-    async def main() -> None:
-        async with stubbed(folder / "daemon.sock") as (stub, daemon):
-            await test(stub, daemon)
-
-    asyncio.run(main())
-
-
 async def shown(messages: asyncio.Queue[str]) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(await messages.get())
     return found
 
 
-def test_every_page_sees_every_snapshot_enriched(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Connections) -> None:
-        async with daemon.page() as first, daemon.page() as second:
-            for messages in (first, second):
-                assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
-            stub.tell(0, "snapshot", state="holding")
-            for messages in (first, second):
-                assert await shown(messages) == {"kind": "snapshot", "snapshot": {"state": "holding", "links_m": []}}
-
-    on_stub(test, tmp_path)
+async def test_every_page_sees_every_snapshot_enriched(tmp_path: Path) -> None:
+    async with stubbed(tmp_path / "daemon.sock") as (stub, daemon), daemon.page() as first, daemon.page() as second:
+        for messages in (first, second):
+            assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
+        stub.tell(0, "snapshot", state="holding")
+        for messages in (first, second):
+            assert await shown(messages) == {"kind": "snapshot", "snapshot": {"state": "holding", "links_m": []}}
 
 
-def test_a_slow_page_loses_the_oldest_and_holds_up_nobody(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Connections) -> None:
-        async with daemon.page() as slow, daemon.page() as quick:
-            await shown(quick)
-            for tick in range(MAX_WAITING + 3):
-                stub.tell(0, "snapshot", tick=tick)
-                assert (await shown(quick))["snapshot"]["tick"] == tick
-            seen = [(await shown(slow))["snapshot"]["tick"] for _ in range(MAX_WAITING)]
-            assert seen == list(range(3, MAX_WAITING + 3))
-
-    on_stub(test, tmp_path)
+async def test_a_slow_page_loses_the_oldest_and_holds_up_nobody(tmp_path: Path) -> None:
+    async with stubbed(tmp_path / "daemon.sock") as (stub, daemon), daemon.page() as slow, daemon.page() as quick:
+        await shown(quick)
+        for tick in range(MAX_WAITING + 3):
+            stub.tell(0, "snapshot", tick=tick)
+            assert (await shown(quick))["snapshot"]["tick"] == tick
+        seen = [(await shown(slow))["snapshot"]["tick"] for _ in range(MAX_WAITING)]
+        assert seen == list(range(3, MAX_WAITING + 3))
 
 
-def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Connections) -> None:
+async def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_path: Path) -> None:
+    async with stubbed(tmp_path / "daemon.sock") as (stub, daemon):
         assert await daemon.call("status") == {"state": "holding"}
         running = asyncio.ensure_future(daemon.call("run"))
         await stub.until(lambda: (1, "run") in stub.asked)
@@ -117,13 +103,10 @@ def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_path: Pat
         assert stub.asked[1:] == [(1, "status"), (1, "run"), (0, "stop"), (1, "park")]
         running.cancel()
 
-    on_stub(test, tmp_path)
 
-
-def test_the_commander_leaves_with_the_last_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_commander_leaves_with_the_last_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LEAVE_S", 0.0)
-
-    async def test(stub: Stub, daemon: Connections) -> None:
+    async with stubbed(tmp_path / "daemon.sock") as (stub, daemon):
         async with daemon.page():
             async with daemon.page():
                 await daemon.call("teach_begin")
@@ -133,13 +116,10 @@ def test_the_commander_leaves_with_the_last_page(tmp_path: Path, monkeypatch: py
         await daemon.call("status")
         assert stub.asked[-1] == (2, "status")
 
-    on_stub(test, tmp_path)
 
-
-def test_a_page_that_is_back_in_time_keeps_the_commander(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_is_back_in_time_keeps_the_commander(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LEAVE_S", 0.0)
-
-    async def test(stub: Stub, daemon: Connections) -> None:
+    async with stubbed(tmp_path / "daemon.sock") as (stub, daemon):
         async with daemon.page():
             await daemon.call("teach_begin")
         async with daemon.page():  # before whoever looks whether it is back had its turn
@@ -148,27 +128,19 @@ def test_a_page_that_is_back_in_time_keeps_the_commander(tmp_path: Path, monkeyp
             assert stub.left == []
             assert stub.asked[-1] == (1, "status")
 
-    on_stub(test, tmp_path)
+
+async def test_progress_of_an_optimisation_reaches_the_pages(tmp_path: Path) -> None:
+    async with stubbed(tmp_path / "daemon.sock") as (stub, daemon), daemon.page() as messages:
+        await shown(messages)
+        await daemon.call("status")
+        stub.tell(1, "progress", generation=3, best=1.5)
+        assert await shown(messages) == {"kind": "progress", "generation": 3, "best": 1.5}
 
 
-def test_progress_of_an_optimisation_reaches_the_pages(tmp_path: Path) -> None:
-    async def test(stub: Stub, daemon: Connections) -> None:
-        async with daemon.page() as messages:
-            await shown(messages)
-            await daemon.call("status")
-            stub.tell(1, "progress", generation=3, best=1.5)
-            assert await shown(messages) == {"kind": "progress", "generation": 3, "best": 1.5}
-
-    on_stub(test, tmp_path)
-
-
-def test_without_a_daemon_commands_and_stop_say_so_and_pages_see_nothing(tmp_path: Path) -> None:
-    async def test() -> None:
-        daemon = Connections(tmp_path / "nobody.sock", lambda snapshot: snapshot)
-        async with daemon.running(), daemon.page() as messages:
-            assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
-            for work in (daemon.call("status"), daemon.stop()):
-                with pytest.raises(NoDaemon, match="armctl daemon --port"):
-                    await work
-
-    asyncio.run(test())
+async def test_without_a_daemon_commands_and_stop_say_so_and_pages_see_nothing(tmp_path: Path) -> None:
+    daemon = Connections(tmp_path / "nobody.sock", lambda snapshot: snapshot)
+    async with daemon.running(), daemon.page() as messages:
+        assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
+        for work in (daemon.call("status"), daemon.stop()):
+            with pytest.raises(NoDaemon, match="armctl daemon --port"):
+                await work

@@ -1,0 +1,21 @@
+"""What every test shares: an `async def test_...` runs to its end on an event loop of its own."""
+
+import asyncio
+import inspect
+from concurrent.futures import Executor
+
+import pytest
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    given = pyfuncitem.funcargs
+    arguments = {name: given[name] for name in inspect.signature(pyfuncitem.obj).parameters}
+    with asyncio.Runner() as runner:
+        # A fixture of this name does what the test gives to threads, in place of the loop's own pool.
+        if isinstance(executor := given.get("executor"), Executor):
+            runner.get_loop().set_default_executor(executor)
+        runner.run(pyfuncitem.obj(**arguments))
+    return True

@@ -1,0 +1,82 @@
+"""A host over ideal servos behind the real control step, on a virtual clock; nothing happens but by its ticks."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from armctl.clock import VirtualClock
+from armctl.errors import RequestRefused
+from armctl.host.host import Host
+from armctl.messages import Mode, TickRecord
+from armctl.trajectory.plan import Plan
+from tests.control.ideal_arm import PERIOD_S
+from tests.host.doubles import IdealControl, MemoryRecorder, NamedClient, small_plan
+
+
+class Bench:
+    """A host over ideal servos; `tick` is one tick, `served` ticks until something is done."""
+
+    def __init__(self, **calibration: Any) -> None:
+        self.clock = VirtualClock()
+        self.recorder = MemoryRecorder()
+        self.control = IdealControl(self.clock)
+        self.arm = self.control.arm
+        self.host = Host(
+            self.arm.arm.model_copy(update=calibration), self.arm.robot, PERIOD_S, self.recorder, self.clock
+        )
+        self.host.attach(self.control)
+        self.anna, self.ben = NamedClient("anna"), NamedClient("ben")
+
+    def tick(self, **changes: Any) -> TickRecord:
+        record = replace(self.control.tick(), **changes)
+        self.host.receive(record)
+        return record
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        for _ in range(5_000):
+            if condition():
+                return
+            await asyncio.sleep(0)
+            self.tick()
+        raise AssertionError("it never came to pass")
+
+    async def served(self, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
+        task = asyncio.ensure_future(work)
+        await asyncio.sleep(0)
+        await self.until(task.done)
+        return task.result()
+
+    async def beat(self, client: NamedClient, *, begin: bool = False, **velocity: tuple[float, ...]) -> dict[str, Any]:
+        """One heartbeat of a jog and the tick that answers it, and no tick more."""
+        turn, lead = velocity.get("turn", ()), velocity.get("lead", ())
+        task = asyncio.ensure_future(self.host.jog(client, turn, lead, begin))
+        for _ in range(5):
+            await asyncio.sleep(0)
+        if not task.done():
+            self.tick()
+        return await task
+
+    async def refused(self, work: Awaitable[dict[str, Any]]) -> RequestRefused:
+        with pytest.raises(RequestRefused) as caught:
+            await self.served(work)
+        return caught.value
+
+    async def holding(self) -> Bench:
+        self.tick()
+        self.tick()
+        assert await self.served(self.host.command(self.anna, "torque_on")) == {"state": "holding"}
+        return self
+
+    def plan(self, **changes: object) -> Plan:
+        return small_plan(self.arm, **changes)
+
+    async def running(self) -> asyncio.Task[dict[str, Any]]:
+        """Anna's run, under way."""
+        task = asyncio.ensure_future(self.host.run(self.anna, self.plan()))
+        await self.until(lambda: self.arm.mode() is Mode.MOVING)
+        return task

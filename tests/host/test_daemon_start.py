@@ -1,0 +1,70 @@
+"""Where a daemon listens, and what it tells the service manager that started it."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from armctl.errors import ConfigError, RequestRefused
+from armctl.host import service_manager
+from armctl.host.daemon import listen
+from tests.host.test_daemon import PATIENCE_S, running
+
+# -------------------------------------------------------------------------------------------------- socket
+
+
+def test_a_second_daemon_on_a_socket_is_refused(tmp_path: Path) -> None:
+    with listen(tmp_path / "s"), pytest.raises(RequestRefused, match="another daemon"):
+        listen(tmp_path / "s")
+
+
+def test_a_socket_nobody_serves_is_replaced(tmp_path: Path) -> None:
+    listen(tmp_path / "s").close()
+    assert (tmp_path / "s").is_socket()
+    listen(tmp_path / "s").close()
+
+
+def test_a_file_in_the_socket_s_place_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    path.write_text("precious")
+    with pytest.raises(ConfigError, match="in use"):
+        listen(path)
+    assert path.read_text() == "precious"
+
+
+def test_a_path_too_long_for_a_socket_is_a_configuration_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="too long"):
+        listen(tmp_path / ("x" * 120))
+
+
+# ------------------------------------------------------------------------------------------ service manager
+
+
+@pytest.mark.parametrize("abstract", [True, False])
+def test_the_service_manager_is_told(abstract: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    address = f"@armctl-test-{os.getpid()}" if abstract else str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind("\0" + address[1:] if abstract else address)
+        manager.settimeout(PATIENCE_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", address)
+        service_manager.notify("READY=1")
+        assert manager.recv(100) == b"READY=1"
+
+
+def test_without_a_service_manager_nothing_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    service_manager.notify("READY=1")
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+    service_manager.notify("READY=1")
+
+
+async def test_the_daemon_tells_ready_watchdog_and_stopping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(service_manager, "notify", told.append)
+    async with running():
+        pass
+    assert set(told) == {"WATCHDOG=1", "READY=1", "STOPPING=1"}
+    assert told.index("READY=1") < told.index("STOPPING=1")

@@ -1,0 +1,156 @@
+"""Teaching: the lease while it lasts, takes, marks, and a hand that is too fast."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import pytest
+
+from armctl.dynamixel import ax12a
+from armctl.errors import IllegalTransition, LogError
+from armctl.messages import Mode, TeachEnd
+from tests.host.bench import Bench
+
+
+async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
+    await bench.holding()
+    host, anna = bench.host, bench.anna
+    assert await bench.served(host.teach_begin(anna)) == {"state": "teaching"}
+    first = await bench.served(host.teaching.take_begin(anna, "first"))
+    assert first == {"recording": "first", "path": "/recordings/first.mcap"}
+    assert host.status()["recording"] == "first"
+    for _ in range(5):
+        bench.tick()
+    assert await bench.served(host.teaching.take_end(anna)) == first
+    assert bench.recorder.takes["first"] >= 5
+    assert await bench.served(host.teach_end(anna)) == {"state": "off"}
+    assert await bench.served(host.command(bench.ben, "torque_on")) == {"state": "holding"}
+
+
+async def test_takes_belong_to_whoever_teaches(bench: Bench) -> None:
+    bench.tick()
+    host, anna, ben = bench.host, bench.anna, bench.ben
+    for work in (host.teaching.take_begin(anna, "x"), host.teaching.take_end(anna), host.teach_end(anna)):
+        assert isinstance(await bench.refused(work), IllegalTransition)
+    await bench.served(host.teach_begin(anna))
+    assert isinstance(await bench.refused(host.teaching.take_end(anna)), IllegalTransition)
+    await bench.served(host.teaching.take_begin(anna, "x"))
+    assert isinstance(await bench.refused(host.teaching.take_begin(anna, "y")), IllegalTransition)
+    for work in (host.teaching.take_begin(ben, "y"), host.teaching.take_end(ben), host.teach_end(ben)):
+        assert isinstance(await bench.refused(work), IllegalTransition)
+    for work in (host.command(ben, "torque_on"), host.teach_begin(anna), host.run(anna, bench.plan())):
+        assert (await bench.refused(work)).code == "BUSY"
+
+
+async def test_a_refused_take_is_no_take(bench: Bench) -> None:
+    bench.tick()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    bench.recorder.takes["old"] = 1
+    with pytest.raises(LogError):
+        await bench.served(bench.host.teaching.take_begin(bench.anna, "old"))
+    assert bench.host.status()["recording"] is None
+
+
+async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
+    await bench.holding()
+    task = await bench.running()
+    await bench.served(bench.host.stop())
+    assert (await bench.refused(task)).code == "STOPPED"
+    bench.arm.silent = {1}
+    await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
+    assert isinstance(await bench.refused(bench.host.teach_begin(bench.anna)), IllegalTransition)
+    assert bench.host.status()["commander"] is None
+
+
+async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_take(bench: Bench) -> None:
+    await bench.holding()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.teaching.take_begin(bench.anna, "orphan"))
+    for _ in range(3):
+        bench.tick()
+    bench.host.client_gone(bench.anna)
+    await bench.until(lambda: bench.arm.mode() is Mode.OFF)
+    assert bench.recorder.takes["orphan"] >= 3
+    assert any("ORPHAN_TAKE" in note for note in bench.recorder.notes)
+    assert not any(bench.arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
+    assert await bench.served(bench.host.teach_begin(bench.ben)) == {"state": "teaching"}
+
+
+async def test_a_client_that_leaves_while_the_arm_becomes_limp_keeps_no_lease(bench: Bench) -> None:
+    await bench.holding()
+    task = asyncio.ensure_future(bench.host.teach_begin(bench.anna))
+    await asyncio.sleep(0)
+    bench.host.client_gone(bench.anna)
+    await bench.until(task.done)
+    await bench.until(lambda: bench.arm.mode() is Mode.OFF)
+    assert bench.host.status()["commander"] is None
+
+
+async def test_teaching_that_a_fault_has_ended_can_be_ended(bench: Bench) -> None:
+    bench.tick()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.teaching.take_begin(bench.anna, "cut"))
+    bench.arm.silent = {1}
+    await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
+    assert await bench.served(bench.host.teach_end(bench.anna)) == {"state": "faulted"}
+    assert "cut" in bench.recorder.takes
+    assert not any(isinstance(command, TeachEnd) for command in bench.control.commands)
+
+
+async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_kept(bench: Bench) -> None:
+    bench.tick()
+    host, anna = bench.host, bench.anna
+    await bench.served(host.teach_begin(anna))
+    await bench.served(host.teaching.take_begin(anna, "kept"))
+    for _ in range(3):
+        bench.tick()
+    host.control_lost()
+    bench.arm.state = type(bench.arm.state)()  # the next one knows nothing
+    host.attach(bench.control)
+    bench.control.connect_again()
+    bench.tick()
+    assert host.status()["state"] == "off"
+    assert await bench.served(host.teach_end(anna)) == {"state": "off"}
+    assert bench.recorder.takes["kept"] >= 3
+
+
+async def test_a_mark_stands_in_the_take_with_where_the_tool_is(bench: Bench) -> None:
+    bench.tick()
+    host, anna = bench.host, bench.anna
+    await bench.served(host.teach_begin(anna))
+    assert isinstance(await bench.refused(host.teaching.take_mark(anna)), IllegalTransition)
+    await bench.served(host.teaching.take_begin(anna, "x"))
+    marked = await bench.served(host.teaching.take_mark(anna))
+    assert marked["position_m"] == host.status()["tool"]["position_m"]
+    assert marked["joints_rad"] == pytest.approx(bench.arm.positions_rad())
+    assert json.loads(bench.recorder.notes[-1]) == {"event": "VIA_MARK", **marked}
+    assert isinstance(await bench.refused(host.teaching.take_mark(bench.ben)), IllegalTransition)
+
+
+@pytest.mark.parametrize(
+    ("bench", "limit_m_s", "noted"),
+    [({}, 0.25, 1), ({"tool_speed_limit_m_s": 0.1}, 0.1, 1), ({"tool_speed_limit_m_s": 2.0}, 2.0, 0)],
+    indirect=["bench"],
+)
+async def test_a_hand_faster_than_the_arm_s_tool_speed_limit_is_shown_and_noted_once_an_excursion(
+    bench: Bench, limit_m_s: float, noted: int
+) -> None:
+    bench.tick()
+    await bench.served(bench.host.teach_begin(bench.anna))
+    tick = bench.arm.get(0, ax12a.PRESENT_POSITION)
+    bench.arm.put(1, ax12a.PRESENT_POSITION, 512)  # arm stretched out: the tool is far from the base axis
+    for _ in range(10):
+        bench.tick()
+    bench.recorder.notes.clear()
+    for step in range(1, 11):
+        bench.arm.put(0, ax12a.PRESENT_POSITION, tick + 30 * step)
+        bench.tick()
+    assert bench.host.status()["tool_speed_limit_m_s"] == limit_m_s
+    assert bench.host.status()["tool"]["speed_m_s"] > 0.25
+    texts = [json.loads(note)["text"] for note in bench.recorder.notes if "TEACHING_FAST" in note]
+    assert len(texts) == noted
+    assert all(text.endswith(f"(bound {1e3 * limit_m_s:.0f})") for text in texts)
+    for _ in range(10):
+        bench.tick()
+    assert bench.host.status()["tool"]["speed_m_s"] == pytest.approx(0.0, abs=1e-9)
