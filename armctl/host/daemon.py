@@ -16,6 +16,7 @@ import signal
 import socket
 from collections import deque
 from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -31,6 +32,7 @@ from armctl.messages import Reply, TickRecord
 
 if TYPE_CHECKING:
     from armctl.host.host import Host
+    from armctl.host.server import Server
     from armctl.host.teaching import TakeRecorder
     from armctl.recording.writer import LogContext
 
@@ -78,6 +80,16 @@ class StartControl(Protocol):
     def __call__(self, settings: ControlSettings, *, restarted: bool = False) -> ControlHandle: ...
 
 
+@dataclass(frozen=True)
+class Outside:
+    """What the daemon is given of the world; tests give it another one."""
+
+    start_control: StartControl = ControlProcess.start
+    make_recorder: MakeRecorder | None = None
+    """None: a `Recorder`."""
+    clock: Clock = field(default_factory=MonotonicClock)
+
+
 def serve(
     config: Config, arm: ArmConfig, *, port: str, socket: Path, log_dir: Path | None, ready: Callable[[str], None]
 ) -> int:
@@ -93,9 +105,7 @@ async def run_daemon(
     socket: Path,
     log_dir: Path | None,
     ready: Callable[[str], None],
-    start_control: StartControl = ControlProcess.start,
-    make_recorder: MakeRecorder | None = None,
-    clock: Clock | None = None,
+    outside: Outside | None = None,
 ) -> int:
     """Serve one arm until SIGTERM or SIGINT.
 
@@ -104,7 +114,7 @@ async def run_daemon(
         socket: Where clients connect.
         log_dir: Folder of the log; None: `logs` below the data folder.
         ready: Called once, with the socket's path, when clients are served.
-        start_control, make_recorder: What starts a control process and makes the recorder; None: a `Recorder`.
+        outside: None: real processes, files and time.
     Returns:
         Exit status.
     Raises:
@@ -112,7 +122,8 @@ async def run_daemon(
         ConfigError: the socket cannot be made there.
         RequestRefused: another daemon answers on the socket, or the arm never ticked.
     """
-    clock = clock or MonotonicClock()
+    outside = outside or Outside()
+    clock, start_control = outside.clock, outside.start_control
     folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
     listening = listen(socket)
     try:
@@ -124,31 +135,10 @@ async def run_daemon(
         control = start_control(settings)
         try:
             # While the new process does the same and opens its port; what it sends meanwhile waits in the link.
-            from armctl.host.host import Host
-            from armctl.host.jobs import optimize_task, run_job
-            from armctl.host.methods import Methods
-            from armctl.host.roles import may_command
-            from armctl.host.server import Server
-            from armctl.kinematics import robots
-            from armctl.recording.recorder import Recorder
-            from armctl.recording.writer import LogContext
-
-            robot = robots.get(arm.robot, arm.lengths_m)
-            for folder in folders:
-                await asyncio.to_thread(_recover, folder)
-            context = LogContext(arm=arm, robot=robot, config=config, port=port, period_s=config.period_s)
-            recorder = (make_recorder or Recorder)(context, *folders)
+            host, server, recorder = await _parts(config, arm, port, folders, outside)
         except BaseException:
             control.terminate(LEAVE_S)
             raise
-        host = Host(arm, robot, config.period_s, recorder, clock)
-        methods = Methods(host, folders[1], partial(run_job, optimize_task))
-        server = Server(
-            methods.table(),
-            clock,
-            on_close=methods.client_gone,
-            may_command=partial(may_command, commanders=config.commanders),
-        )
 
         def tick(record: TickRecord) -> None:
             host.receive(record)
@@ -174,6 +164,35 @@ async def run_daemon(
         listening.close()
         socket.unlink(missing_ok=True)
     return 0
+
+
+async def _parts(
+    config: Config, arm: ArmConfig, port: str, folders: tuple[Path, Path], outside: Outside
+) -> tuple[Host, Server, DaemonRecorder]:
+    """Import and make what serves clients, once what a crash left in the folders is whole again."""
+    from armctl.host.host import Host
+    from armctl.host.jobs import optimize_task, run_job
+    from armctl.host.methods import Methods
+    from armctl.host.roles import may_command
+    from armctl.host.server import Server
+    from armctl.kinematics import robots
+    from armctl.recording.recorder import Recorder
+    from armctl.recording.writer import LogContext
+
+    robot = robots.get(arm.robot, arm.lengths_m)
+    for folder in folders:
+        await asyncio.to_thread(_recover, folder)
+    context = LogContext(arm=arm, robot=robot, config=config, port=port, period_s=config.period_s)
+    recorder = (outside.make_recorder or Recorder)(context, *folders)
+    host = Host(arm, robot, config.period_s, recorder, outside.clock)
+    methods = Methods(host, folders[1], partial(run_job, optimize_task))
+    server = Server(
+        methods.table(),
+        outside.clock,
+        on_close=methods.client_gone,
+        may_command=partial(may_command, commanders=config.commanders),
+    )
+    return host, server, recorder
 
 
 class Supervisor:

@@ -26,7 +26,7 @@ from armctl.control.process import ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, NoDaemon, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.files import load_arm
 from armctl.host import daemon
-from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, restart_wait_s, run_daemon
+from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, Outside, restart_wait_s, run_daemon
 from armctl.messages import Hold, Mode
 from armctl.recording.writer import LogContext
 from tests.control.ideal_arm import IdealArm
@@ -83,9 +83,7 @@ class Bench:
             socket=self.socket,
             log_dir=None,
             ready=self.say_ready,
-            start_control=self.start_control,
-            make_recorder=self.make_recorder,
-            clock=self.clock,
+            outside=Outside(self.start_control, self.make_recorder, self.clock),
         )
 
     async def tick(self) -> None:
