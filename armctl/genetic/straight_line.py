@@ -187,24 +187,7 @@ def optimize(
     found, exact = path(genes), path(shortest_path(table))
     freed = _freed(found, candidates, arm, chain, A, B, cost_of) if request.free else None
     base = found.positions_rad if freed is None else freed.positions_rad
-    made = [_plan(base, candidates.progress, arm, chain, request, count) for count in request.via]
-    plans = [
-        Plan(
-            arm_id=arm.arm_id,
-            calibration_hash=arm.calibration_hash,
-            from_m=request.from_m,
-            to_m=request.to_m,
-            duration_s=request.duration_s,
-            via=count,
-            interpolation=request.interpolation,
-            waypoints_rad=tuple(map(tuple, waypoints.tolist())),
-            waypoint_progress=tuple(knots.tolist()),
-            predicted_mean_error_mm=float(mean_error(tool, A, B)) * 1e3,
-            predicted_max_error_mm=float(max_error(tool, A, B)) * 1e3,
-            seed=request.seed,
-        )
-        for count, (waypoints, knots, tool) in zip(request.via, made, strict=True)
-    ]
+    plans = [_plan(base, candidates.progress, arm, chain, request, count) for count in request.via]
     feasible = found.feasible if freed is None else freed.feasible
     least_s = None if feasible else _least_duration_s(kept, request.duration_s)
     alone = costs.distance_m.T * 1e3
@@ -215,8 +198,8 @@ def optimize(
         exact=exact,
         # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
         gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
-        plans=tuple(plans),
-        plan_tool_m=tuple(tool for _, _, tool in made),
+        plans=tuple(plan for plan, _ in plans),
+        plan_tool_m=tuple(tool for _, tool in plans),
         free=freed,
         least_duration_s=least_s,
     )
@@ -263,6 +246,29 @@ def _freed(
 
 
 def _plan(
+    path: FloatArray, progress: FloatArray, arm: ArmConfig, chain: SerialChain, request: OptimizeRequest, count: int
+) -> tuple[Plan, FloatArray]:
+    """The plan with so many via points, and the tool points [m] predicted for it, shape (samples, 3)."""
+    waypoints, knots, tool_m = _waypoints(path, progress, arm, chain, request, count)
+    line = np.array(request.from_m), np.array(request.to_m)
+    plan = Plan(
+        arm_id=arm.arm_id,
+        calibration_hash=arm.calibration_hash,
+        from_m=request.from_m,
+        to_m=request.to_m,
+        duration_s=request.duration_s,
+        via=count,
+        interpolation=request.interpolation,
+        waypoints_rad=tuple(map(tuple, waypoints.tolist())),
+        waypoint_progress=tuple(knots.tolist()),
+        predicted_mean_error_mm=float(mean_error(tool_m, *line)) * 1e3,
+        predicted_max_error_mm=float(max_error(tool_m, *line)) * 1e3,
+        seed=request.seed,
+    )
+    return plan, tool_m
+
+
+def _waypoints(
     path: FloatArray,
     progress: FloatArray,
     arm: ArmConfig,
