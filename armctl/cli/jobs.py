@@ -198,10 +198,12 @@ def _list(output: Output, socket: str | None) -> None:
         found = client.call("recordings_list")
     if output.result(found):
         return
-    if not found["recordings"]:
+    if found["recordings"]:
+        show_recordings(output, found["recordings"])
+    elif not found["unreadable"]:
         output.say("no recordings; make some with `armctl teach NAME`")
-        return
-    show_recordings(output, found["recordings"])
+    for entry in found["unreadable"]:
+        output.say(f"not shown: {entry['problem']}")
 
 
 def show_recordings(output: Output, recordings: Sequence[dict[str, Any]]) -> None:

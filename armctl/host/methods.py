@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import json
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from armctl.config import Frozen, Name
@@ -22,17 +20,11 @@ from armctl.host.jsonrpc import error_data
 from armctl.host.reach import reach
 from armctl.host.server import Connection, Method
 from armctl.host.transfer import transfer
-from armctl.kinematics.chain import tool_position
-from armctl.kinematics.robots.robot import Robot
 from armctl.recording import recordings
-from armctl.recording.channels import COMMAND
-from armctl.recording.reader import read
-from armctl.recording.recordings import Recording
+from armctl.recording.listing import describe, listing
 from armctl.trajectory.bounds import Metre, Point, Radian
-from armctl.trajectory.dead_time import moving_part
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan
-from armctl.trajectory.straightness import max_error, mean_error
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.transfer import TransferRequest
 
@@ -199,11 +191,7 @@ class Methods:
         return recordings.find(self._recordings_dir, name)
 
     async def _recordings_list(self, _: Connection, __: Nothing) -> dict[str, Any]:
-        robot = self._host.robot
-        found = await asyncio.to_thread(
-            lambda: [describe(recording, robot) for recording in recordings.list_recordings(self._recordings_dir)]
-        )
-        return {"recordings": found}
+        return await asyncio.to_thread(listing, self._recordings_dir, self._host.robot)
 
     async def _recordings_show(self, _: Connection, p: Show) -> dict[str, Any]:
         robot = self._host.robot
@@ -219,48 +207,3 @@ class Methods:
     async def _recordings_delete(self, _: Connection, p: Named) -> dict[str, Any]:
         path = await asyncio.to_thread(recordings.delete, self._recordings_dir, p.name)
         return {"name": p.name, "path": str(path)}
-
-
-def describe(
-    recording: Recording,
-    robot: Robot,
-    line: tuple[Sequence[float], Sequence[float]] | None = None,
-    *,
-    with_marks: bool = False,
-) -> dict[str, Any]:
-    """A recording as lists show it. Of a run only the plan proper counts, of a take not its dead time at both ends.
-
-    Args:
-        line: What its errors are measured against [m]; None: from its first to its last tool point. They are null
-            where these make no line.
-        with_marks: Whether to look for marked via points as well, which reads the file once more.
-    """
-    positions = recording.plan_positions_rad
-    moving = moving_part(positions) if recording.plan_s is None else slice(0, len(positions))
-    points = tool_position(robot.chain, positions[moving, : robot.chain.n])
-    marks = via_marks(recording.path) if with_marks else None
-    A, B = (np.asarray(end) for end in line or (points[0], points[-1]))
-    errors = None if np.array_equal(A, B) else (float(mean_error(points, A, B)), float(max_error(points, A, B)))
-    return {
-        "name": recording.name,
-        "path": str(recording.path),
-        "duration_s": recording.duration_s,
-        "samples": recording.samples,
-        "mean_error_mm": None if errors is None else 1e3 * errors[0],
-        "max_error_mm": None if errors is None else 1e3 * errors[1],
-        "arm_id": recording.arm_id,
-        "calibration_hash": recording.calibration_hash,
-        "complete": recording.complete,
-        "dead_samples": [moving.start, len(positions) - moving.stop],
-        **({} if marks is None else {"marks": marks}),
-    }
-
-
-def via_marks(path: Path) -> list[dict[str, Any]]:
-    """The via points that were marked while a take was recorded."""
-    notes = (json.loads(message.value["data"]) for message in read(path, (COMMAND,)))
-    return [
-        {key: note[key] for key in ("tick", "position_m", "joints_rad")}
-        for note in notes
-        if note.get("event") == "VIA_MARK"
-    ]

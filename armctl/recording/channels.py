@@ -251,13 +251,19 @@ def log_line(event: Event, epoch_ns: int, source: str) -> Value:
     }
 
 
-def parse_record(text: str) -> tuple[int, str, Any] | None:
-    """(tick, "command" or "reply", its JSON) of a line on /armctl/command; None for the notes of others."""
+def parse_note(text: str) -> dict[str, Any]:
+    """The JSON object in a line on /armctl/command; empty where it is none."""
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
-        return None
-    if isinstance(data, dict) and list(data) in (["tick", "command"], ["tick", "reply"]):
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
+def parse_record(text: str) -> tuple[int, str, Any] | None:
+    """(tick, "command" or "reply", its JSON) of a line on /armctl/command; None for the notes of others."""
+    data = parse_note(text)
+    if list(data) in (["tick", "command"], ["tick", "reply"]):
         _, kind = data
         return data["tick"], kind, data[kind]
     return None

@@ -6,7 +6,6 @@ plain (config.NAME_PATTERN), links are not followed, and nothing is ever overwri
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ from armctl.recording.recover import owned, recover
 from armctl.recording.writer import PART, publish, writing
 
 SUFFIX = ".mcap"
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ def load(path: Path) -> Recording:
         if ROSOUT in found:
             for time_ns, data in zip(found[ROSOUT].log_time_ns, found[ROSOUT].data, strict=True):
                 line = log.codec(ROSOUT).decode(data)
-                if line.get("name") == CONTROL and line["function"] in ("PLAN_BEGIN", "PLAN_END"):
+                if line.get("name") == CONTROL and line.get("function") in ("PLAN_BEGIN", "PLAN_END"):
                     marks[line["function"]] = time_ns
         window = None
         if len(marks) == 2:
@@ -87,7 +85,7 @@ def load(path: Path) -> Recording:
             window = (begin_s, end_s) if begin_s <= end_s else None
         facts = log.facts
         return Recording(
-            name=_name(path),
+            name=take_name(path),
             path=path,
             arm_id=facts.get("arm_id", ""),
             calibration_hash=facts.get("calibration_hash", ""),
@@ -100,11 +98,6 @@ def load(path: Path) -> Recording:
         )
 
 
-def list_recordings(folder: Path) -> tuple[Recording, ...]:
-    """Every readable take of a folder by name; a finished one hides a part of the same name."""
-    return tuple(recording for path in _files(folder) if (recording := _readable(path)) is not None)
-
-
 def find(folder: Path, name: str) -> Path:
     """The file of a take.
 
@@ -115,7 +108,7 @@ def find(folder: Path, name: str) -> Path:
     for candidate in (path, path.with_name(path.name + PART)):
         if candidate.is_file() and not candidate.is_symlink():
             return candidate
-    known = ", ".join(_name(found) for found in _files(folder))
+    known = ", ".join(take_name(found) for found in take_files(folder))
     raise LogError(f"recording {name}: none of that name in {folder}; known: {known or 'none'}")
 
 
@@ -160,11 +153,17 @@ def delete(folder: Path, name: str) -> Path:
     return path
 
 
-def _name(path: Path) -> str:
+def take_name(path: Path) -> str:
+    """Name of the take in a file."""
     return path.name.removesuffix(PART).removesuffix(SUFFIX)
 
 
-def _files(folder: Path) -> Iterator[Path]:
+def take_files(folder: Path) -> Iterator[Path]:
+    """The file of every take of a folder by name; a finished one hides a part of the same name.
+
+    Raises:
+        LogError: the folder cannot be read.
+    """
     try:
         whole, parts = [*folder.glob(f"*{SUFFIX}")], [*folder.glob(f"*{SUFFIX}{PART}")]
     except OSError as error:  # the folder vanished meanwhile
@@ -173,11 +172,3 @@ def _files(folder: Path) -> Iterator[Path]:
     for path in sorted((*whole, *parts)):
         if path.is_file() and not path.is_symlink() and (not path.name.endswith(PART) or path.stem not in finished):
             yield path
-
-
-def _readable(path: Path) -> Recording | None:
-    try:
-        return load(path)
-    except LogError as error:
-        _log.warning("not listed: %s", error)
-        return None

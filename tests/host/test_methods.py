@@ -17,8 +17,9 @@ from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress
-from armctl.host.methods import Methods, describe
+from armctl.host.methods import Methods
 from armctl.host.server import Connection
+from armctl.recording.listing import describe
 from armctl.recording.recordings import Recording, load
 from tests.genetic import hand
 from tests.host.doubles import MemoryRecorder, write_take

@@ -9,8 +9,9 @@ import pytest
 
 from armctl.errors import LogError
 from armctl.recording import recordings
+from armctl.recording.listing import listing
 from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records
 
 RECORDS = make_records(70)
 
@@ -58,10 +59,10 @@ def test_a_part_is_listed_and_loads_without_its_end(tmp_path: Path) -> None:
     part = write(tmp_path, "crashed", finish=False)
     take = recordings.load(tmp_path / "crashed.mcap")
     assert (take.name, take.path, take.samples, take.complete) == ("crashed", part, 70, False)
-    assert [found.name for found in recordings.list_recordings(tmp_path)] == ["crashed"]
+    assert [found.name for found in recordings.take_files(tmp_path)] == ["crashed.mcap.part"]
 
 
-def test_the_list_is_sorted_and_leaves_out_what_is_no_take(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_list_is_sorted_and_says_what_cannot_be_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     write(tmp_path, "b")
     path = write(tmp_path, "a")
     write(tmp_path, "c.mcap")
@@ -69,9 +70,13 @@ def test_the_list_is_sorted_and_leaves_out_what_is_no_take(tmp_path: Path, caplo
     (tmp_path / "link.mcap").symlink_to(path)
     (tmp_path / "broken.mcap").write_bytes(b"no log")
     (tmp_path / "folder.mcap").mkdir()
-    assert [found.name for found in recordings.list_recordings(tmp_path)] == ["a", "b", "c.mcap"]
+    found = listing(tmp_path, ROBOT)
+    assert [entry["name"] for entry in found["recordings"]] == ["a", "b", "c.mcap"]
+    assert [(entry["name"], "is no MCAP file" in entry["problem"]) for entry in found["unreadable"]] == [
+        ("broken", True)
+    ]
     assert "broken.mcap" in caplog.text
-    assert recordings.list_recordings(tmp_path / "nowhere") == ()
+    assert listing(tmp_path / "nowhere", ROBOT) == {"recordings": [], "unreadable": []}
 
 
 def test_renaming_never_overwrites(tmp_path: Path) -> None:
