@@ -33,7 +33,7 @@ def live_command(
     Example: armctl live --layout armctl.json; armctl live
     """
     from armctl.files import load_arm, load_config
-    from armctl.recording.edit import new_file
+    from armctl.recording.disk import new_file
     from armctl.web import live
 
     if layout is not None:

@@ -10,8 +10,6 @@ A type is compiled once into a list of steps. Neighbouring primitives, across ne
 precompiled `struct` for each of the eight positions its first byte can have.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ from functools import lru_cache
 from typing import Any
 
 from armctl.errors import LogError
-from armctl.recording.schemas import MESSAGES, PRIMITIVES, fields, parse_schema, short_name
+from armctl.recording.schemas import MESSAGES, PRIMITIVES, Field, fields, parse_schema, short_name
 
 HEADER = b"\x00\x01\x00\x00"
 MAX_DEPTH = 16
@@ -31,6 +29,38 @@ Value = dict[str, Any]
 _Place = tuple[int, str]  # which of the message's (flattened) dicts, and the key in it
 _Encode = Callable[[bytearray, list[Value]], None]
 _Decode = Callable[[bytes, int, list[Value]], int]
+_Put = Callable[[bytearray, Any], None]  # the same for one value alone
+_Get = Callable[[bytes, int], tuple[Any, int]]
+
+
+@dataclass
+class _Layout:
+    """A compiled type: the dicts its nested messages live in, and the steps over them."""
+
+    keys: frozenset[str]
+    nested: list[tuple[_Place, frozenset[str]]] = field(default_factory=list)
+    encoders: list[_Encode] = field(default_factory=list)
+    decoders: list[_Decode] = field(default_factory=list)
+
+    def encode(self, out: bytearray, value: Value) -> None:
+        _check(value, self.keys)
+        dicts = [value]
+        for (owner, key), keys in self.nested:
+            child = dicts[owner][key]
+            _check(child, keys)
+            dicts.append(child)
+        for step in self.encoders:
+            step(out, dicts)
+
+    def decode(self, data: bytes, at: int) -> tuple[Value, int]:
+        dicts: list[Value] = [{}]
+        for (owner, key), _ in self.nested:
+            child: Value = {}
+            dicts[owner][key] = child
+            dicts.append(child)
+        for step in self.decoders:
+            at = step(data, at, dicts)
+        return dicts[0], at
 
 
 @dataclass(frozen=True)
@@ -83,36 +113,6 @@ def schema_codec(name: str, text: str) -> Codec:
     return Codec(short_name(name), _compile(short_name(name), parse_schema(name, text), 0, {}))
 
 
-@dataclass
-class _Layout:
-    """A compiled type: the dicts its nested messages live in, and the steps over them."""
-
-    keys: frozenset[str]
-    nested: list[tuple[_Place, frozenset[str]]] = field(default_factory=list)
-    encoders: list[_Encode] = field(default_factory=list)
-    decoders: list[_Decode] = field(default_factory=list)
-
-    def encode(self, out: bytearray, value: Value) -> None:
-        _check(value, self.keys)
-        dicts = [value]
-        for (owner, key), keys in self.nested:
-            child = dicts[owner][key]
-            _check(child, keys)
-            dicts.append(child)
-        for step in self.encoders:
-            step(out, dicts)
-
-    def decode(self, data: bytes, at: int) -> tuple[Value, int]:
-        dicts: list[Value] = [{}]
-        for (owner, key), _ in self.nested:
-            child: Value = {}
-            dicts[owner][key] = child
-            dicts.append(child)
-        for step in self.decoders:
-            at = step(data, at, dicts)
-        return dicts[0], at
-
-
 def _check(value: Value, keys: frozenset[str]) -> None:
     if value.keys() != keys:
         wrong = sorted(keys ^ value.keys())
@@ -151,16 +151,17 @@ def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str
                 visit(item.type, len(layout.nested), level + 1)
             else:
                 flush()
-                if not item.is_array:
-                    add(_string(place))
-                elif item.type == "string":
-                    add(_strings(place))
-                elif item.type in ("byte", "uint8"):
-                    add(_blob(place))
-                elif item.type in PRIMITIVES:
-                    add(_array(place, PRIMITIVES[item.type]))
-                else:
-                    add(_sequence(place, _compile(item.type, messages, level + 1, known)))
+                add(_field(place, *value_of(item, level)))
+
+    def value_of(item: Field, level: int) -> tuple[_Put, _Get]:
+        if item.type == "string":
+            return _list(_put_string, _get_string) if item.is_array else (_put_string, _get_string)
+        if item.type in ("byte", "uint8"):
+            return _put_blob, _get_blob
+        if item.type in PRIMITIVES:
+            return _numbers(PRIMITIVES[item.type])
+        layout = _compile(item.type, messages, level + 1, known)
+        return _list(layout.encode, layout.decode)
 
     visit(name, 0, depth)
     flush()
@@ -204,6 +205,29 @@ def _run(run: tuple[tuple[_Place, str], ...]) -> tuple[_Encode, _Decode]:
     return encode, decode
 
 
+def _field(place: _Place, put: _Put, get: _Get) -> tuple[_Encode, _Decode]:
+    """The step of a field that is no plain number."""
+    index, key = place
+
+    def encode(out: bytearray, dicts: list[Value]) -> None:
+        put(out, dicts[index][key])
+
+    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
+        dicts[index][key], at = get(data, at)
+        return at
+
+    return encode, decode
+
+
+def _put_count(out: bytearray, count: int) -> None:
+    out += _COUNT[len(out) & 7].pack(count)
+
+
+def _get_count(data: bytes, at: int) -> tuple[int, int]:
+    packer = _COUNT[at & 7]
+    return packer.unpack_from(data, at)[0], at + packer.size
+
+
 def _put_string(out: bytearray, text: str) -> None:
     # Names and frame ids come again in every message, texts do not.
     out += _known_string(text, len(out) & 7) if len(text) < 32 else _string_bytes(text, len(out) & 7)
@@ -217,112 +241,63 @@ def _string_bytes(text: str, position: int) -> bytes:
 _known_string = lru_cache(1024)(_string_bytes)
 
 
-def _count(data: bytes, at: int) -> tuple[int, int]:
-    packer = _COUNT[at & 7]
-    return packer.unpack_from(data, at)[0], at + packer.size
-
-
 def _get_string(data: bytes, at: int) -> tuple[str, int]:
-    length, at = _count(data, at)
+    length, at = _get_count(data, at)
     end = at + length
     if end > len(data):
         raise IndexError(f"a string of {length} bytes ends beyond the message")
     return str(data[at : max(at, end - 1)], "utf-8"), end
 
 
-def _string(place: _Place) -> tuple[_Encode, _Decode]:
-    index, key = place
-
-    def encode(out: bytearray, dicts: list[Value]) -> None:
-        _put_string(out, dicts[index][key])
-
-    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
-        dicts[index][key], at = _get_string(data, at)
-        return at
-
-    return encode, decode
+def _put_blob(out: bytearray, value: Any) -> None:
+    blob = bytes(memoryview(value))
+    _put_count(out, len(blob))
+    out += blob
 
 
-def _strings(place: _Place) -> tuple[_Encode, _Decode]:
-    index, key = place
-
-    def encode(out: bytearray, dicts: list[Value]) -> None:
-        texts = dicts[index][key]
-        out += _COUNT[len(out) & 7].pack(len(texts))
-        for text in texts:
-            _put_string(out, text)
-
-    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
-        count, at = _count(data, at)
-        texts = []
-        for _ in range(count):
-            text, at = _get_string(data, at)
-            texts.append(text)
-        dicts[index][key] = texts
-        return at
-
-    return encode, decode
+def _get_blob(data: bytes, at: int) -> tuple[bytes, int]:
+    count, at = _get_count(data, at)
+    if at + count > len(data):
+        raise IndexError(f"{count} bytes end beyond the message")
+    return bytes(data[at : at + count]), at + count
 
 
-def _blob(place: _Place) -> tuple[_Encode, _Decode]:
-    index, key = place
-
-    def encode(out: bytearray, dicts: list[Value]) -> None:
-        blob = bytes(memoryview(dicts[index][key]))
-        out += _COUNT[len(out) & 7].pack(len(blob))
-        out += blob
-
-    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
-        count, at = _count(data, at)
-        if at + count > len(data):
-            raise IndexError(f"{count} bytes end beyond the message")
-        dicts[index][key] = bytes(data[at : at + count])
-        return at + count
-
-    return encode, decode
-
-
-def _array(place: _Place, character: str) -> tuple[_Encode, _Decode]:
-    index, key = place
+def _numbers(character: str) -> tuple[_Put, _Get]:
+    """A sequence of numbers of one format."""
     size = struct.calcsize(character)
 
-    def encode(out: bytearray, dicts: list[Value]) -> None:
-        values = dicts[index][key]
-        out += _COUNT[len(out) & 7].pack(len(values))
+    def put(out: bytearray, values: Any) -> None:
+        _put_count(out, len(values))
         if values:
             out += bytes(-(len(out) - 4) % size)
             out += struct.pack(f"<{len(values)}{character}", *values)
 
-    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
-        count, at = _count(data, at)
-        if count:
-            at += -(at - 4) % size
-            if at + count * size > len(data):
-                raise IndexError(f"{count} values end beyond the message")
-            dicts[index][key] = list(struct.unpack_from(f"<{count}{character}", data, at))
-        else:
-            dicts[index][key] = []
-        return at + count * size
+    def get(data: bytes, at: int) -> tuple[list[Any], int]:
+        count, at = _get_count(data, at)
+        if not count:
+            return [], at
+        at += -(at - 4) % size
+        if at + count * size > len(data):
+            raise IndexError(f"{count} values end beyond the message")
+        return list(struct.unpack_from(f"<{count}{character}", data, at)), at + count * size
 
-    return encode, decode
+    return put, get
 
 
-def _sequence(place: _Place, layout: _Layout) -> tuple[_Encode, _Decode]:
-    index, key = place
+def _list(put: _Put, get: _Get) -> tuple[_Put, _Get]:
+    """A sequence of strings or messages."""
 
-    def encode(out: bytearray, dicts: list[Value]) -> None:
-        values = dicts[index][key]
-        out += _COUNT[len(out) & 7].pack(len(values))
+    def put_all(out: bytearray, values: Any) -> None:
+        _put_count(out, len(values))
         for value in values:
-            layout.encode(out, value)
+            put(out, value)
 
-    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
-        count, at = _count(data, at)
+    def get_all(data: bytes, at: int) -> tuple[list[Any], int]:
+        count, at = _get_count(data, at)
         values = []
         for _ in range(count):
-            value, at = layout.decode(data, at)
+            value, at = get(data, at)
             values.append(value)
-        dicts[index][key] = values
-        return at
+        return values, at
 
-    return encode, decode
+    return put_all, get_all

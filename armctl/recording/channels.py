@@ -9,12 +9,10 @@ Rules.
 4. What is not known is left out: a joint whose servo never answered is not in `/joint_states`.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -106,7 +104,7 @@ class Anchor:
     monotonic_ns: int
 
     @classmethod
-    def now(cls) -> Anchor:
+    def now(cls) -> Self:
         return cls(time.time_ns(), time.monotonic_ns())
 
     def epoch_ns(self, time_ns: int) -> int:

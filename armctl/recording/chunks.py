@@ -8,8 +8,6 @@ Rules.
 The rare records are put into bytes by the mcap package; messages, being thousands a second, are not.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Mapping
@@ -17,23 +15,9 @@ from typing import BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from armctl.errors import LogError
 
@@ -47,6 +31,15 @@ CHUNK = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of the
 MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing enumeration members costs more than all the rest
 _ZSTD = b"zstd"
+_SUMMARY = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+"""The groups of records that a file ends with, in their order."""
 
 
 class ChunkWriter:
@@ -66,58 +59,42 @@ class ChunkWriter:
         self._compress = zstandard.ZstdCompressor(level=level).compress
         self.offset = 0
         """Bytes written so far."""
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: list[MetadataIndex] = []
+        self._summary: dict[Opcode, list[records.McapRecord]] = {opcode: [] for opcode in _SUMMARY}
         self._counts: dict[int, int] = {}
         self._body = bytearray()
         self._entries: dict[int, list[int]] = {}
         self._begin_ns, self._end_ns = 2**64 - 1, 0
-        self._write(MAGIC + _bytes(Header(profile, library)))
+        self._write(MAGIC + _bytes(records.Header(profile, library)))
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Number of a new schema."""
-        schema = Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
-        self._schemas.append(schema)
-        self._body += _bytes(schema)
-        return schema.id
+        schemas = self._summary[Opcode.SCHEMA]
+        schemas.append(records.Schema(id=len(schemas) + 1, data=data, encoding=encoding, name=name))
+        self._body += _bytes(schemas[-1])
+        return len(schemas)
 
     def add_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str]) -> int:
         """Number of a new channel."""
-        channel = Channel(
-            id=len(self._channels) + 1,
-            topic=topic,
-            message_encoding=encoding,
-            metadata=dict(metadata),
-            schema_id=schema_id,
-        )
-        self._channels.append(channel)
-        self._entries[channel.id] = []
-        self._body += _bytes(channel)
-        return channel.id
+        channels = self._summary[Opcode.CHANNEL]
+        number = len(channels) + 1
+        channels.append(records.Channel(number, topic, encoding, dict(metadata), schema_id))
+        self._entries[number] = []
+        self._body += _bytes(channels[-1])
+        return number
 
-    def add_attachment(self, time_ns: int, name: str, media_type: str, data: bytes) -> None:
+    def add_attachment(self, attachment: records.Attachment) -> None:
         """Attach a file; it stands before the chunk in progress."""
-        record = _bytes(Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data))
-        self._attachments.append(
-            AttachmentIndex(
-                offset=self.offset,
-                length=len(record),
-                create_time=time_ns,
-                log_time=time_ns,
-                data_size=len(data),
-                name=name,
-                media_type=media_type,
-            )
+        a, record = attachment, _bytes(attachment)
+        index = records.AttachmentIndex(
+            self.offset, len(record), a.log_time, a.create_time, len(a.data), a.name, a.media_type
         )
+        self._summary[Opcode.ATTACHMENT_INDEX].append(index)
         self._write(record)
 
     def add_metadata(self, name: str, facts: Mapping[str, str]) -> None:
         """Add a metadata record; it stands before the chunk in progress."""
-        record = _bytes(Metadata(name, dict(facts)))
-        self._metadata.append(MetadataIndex(offset=self.offset, length=len(record), name=name))
+        record = _bytes(records.Metadata(name, dict(facts)))
+        self._summary[Opcode.METADATA_INDEX].append(records.MetadataIndex(self.offset, len(record), name))
         self._write(record)
 
     def add_message(self, channel_id: int, time_ns: int, sequence: int, data: bytes) -> None:
@@ -131,7 +108,7 @@ class ChunkWriter:
 
     def end_chunk(self) -> None:
         """Write the chunk in progress, if a message is in it."""
-        entries = {number: list_ for number, list_ in self._entries.items() if list_}
+        entries = {number: entry for number, entry in self._entries.items() if entry}
         if not entries:
             return
         data = self._body
@@ -143,16 +120,14 @@ class ChunkWriter:
         chunk = RECORD.pack(Opcode.CHUNK, len(head) + len(packed)) + head + packed
         places, indexes, at = {}, [], self.offset + len(chunk)
         for number, entry in entries.items():
-            index = struct.pack(
-                f"<BQHI{len(entry)}Q", Opcode.MESSAGE_INDEX, 6 + 8 * len(entry), number, 8 * len(entry), *entry
-            )
+            size = 8 * len(entry)
             places[number] = at
-            indexes.append(index)
-            at += len(index)
+            indexes.append(struct.pack(f"<BQHI{len(entry)}Q", Opcode.MESSAGE_INDEX, 6 + size, number, size, *entry))
+            at += len(indexes[-1])
             self._counts[number] = self._counts.get(number, 0) + len(entry) // 2
             self._entries[number] = []
-        self._chunks.append(
-            ChunkIndex(
+        self._summary[Opcode.CHUNK_INDEX].append(
+            records.ChunkIndex(
                 chunk_length=len(chunk),
                 chunk_start_offset=self.offset,
                 compression="zstd",
@@ -171,36 +146,28 @@ class ChunkWriter:
     def finish(self) -> None:
         """End the file: the summary that lets others seek in it."""
         self.end_chunk()
-        self._write(_bytes(DataEnd(0)))
-        statistics = Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
+        self._write(_bytes(records.DataEnd(0)))
+        counts = {opcode: len(group) for opcode, group in self._summary.items()}
+        statistics = records.Statistics(
+            attachment_count=counts[Opcode.ATTACHMENT_INDEX],
+            channel_count=counts[Opcode.CHANNEL],
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
+            chunk_count=counts[Opcode.CHUNK_INDEX],
             message_count=sum(self._counts.values()),
             message_end_time=self._end_ns,
-            message_start_time=self._begin_ns if self._chunks else 0,
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
+            message_start_time=self._begin_ns if self._counts else 0,
+            metadata_count=counts[Opcode.METADATA_INDEX],
+            schema_count=counts[Opcode.SCHEMA],
         )
-        groups: tuple[tuple[Opcode, list[McapRecord]], ...] = (
-            (Opcode.SCHEMA, [*self._schemas]),
-            (Opcode.CHANNEL, [*self._channels]),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, [*self._chunks]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachments]),
-            (Opcode.METADATA_INDEX, [*self._metadata]),
-        )
+        self._summary[Opcode.STATISTICS].append(statistics)
         begin, summary, offsets = self.offset, b"", b""
-        for opcode, records in groups:
-            group = b"".join(map(_bytes, records))
-            if group:
-                offsets += _bytes(
-                    SummaryOffset(group_opcode=opcode, group_start=begin + len(summary), group_length=len(group))
-                )
-            summary += group
-        footer = _bytes(Footer(summary_start=begin, summary_offset_start=begin + len(summary), summary_crc=0))[:-4]
-        summary += offsets + footer
+        for opcode, group in self._summary.items():
+            data = b"".join(map(_bytes, group))
+            if data:
+                offsets += _bytes(records.SummaryOffset(opcode, begin + len(summary), len(data)))
+            summary += data
+        footer = _bytes(records.Footer(begin, begin + len(summary), summary_crc=0))
+        summary += offsets + footer[:-4]
         self._write(summary + struct.pack("<I", zlib.crc32(summary)) + MAGIC)
 
     def _write(self, data: bytes) -> None:
@@ -208,7 +175,7 @@ class ChunkWriter:
         self.offset += len(data)
 
 
-def _bytes(record: McapRecord) -> bytes:
+def _bytes(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

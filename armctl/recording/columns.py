@@ -9,11 +9,9 @@ Rules.
 4. What does not fit its schema is a LogError, as it is for the codec (cdr.py), which these columns agree with.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -106,9 +104,14 @@ class Table:
 class Payloads:
     """Encoded messages of one topic in file order."""
 
-    log_time_ns: list[int]
-    sequence: list[int]
-    data: list[bytes]
+    log_time_ns: list[int] = field(default_factory=list)
+    sequence: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+    def add(self, time_ns: int, sequence: int, data: bytes) -> None:
+        self.log_time_ns.append(time_ns)
+        self.sequence.append(sequence)
+        self.data.append(data)
 
 
 class _Differ(Exception):

@@ -6,8 +6,6 @@ Rules.
 2. It runs in a process of its own that takes what time nobody else wants: `python -m armctl.recording.compact FOLDER`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import logging
@@ -18,11 +16,11 @@ from pathlib import Path
 
 from armctl.errors import LogError
 from armctl.recording.chunks import ChunkWriter
-from armctl.recording.disk import DISK, Disk
+from armctl.recording.disk import DISK, Disk, new_file, owned
+from armctl.recording.log_file import LogFile
 from armctl.recording.quota import stored_logs
-from armctl.recording.reader import LogFile
-from armctl.recording.recover import copy, owned
-from armctl.recording.writer import LIBRARY, PROFILE, writing
+from armctl.recording.rewrite import Rewrite
+from armctl.recording.writer import LIBRARY, PROFILE
 
 COMPACTED = "compacted"
 """Metadata record of a file that needs no more compacting."""
@@ -40,23 +38,17 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
     Raises:
         LogError: the log cannot be read, is damaged, or the new file cannot be written; the old one is as it was.
     """
-    unfinished = path.with_name(path.name + _UNFINISHED)
-    with owned(path), LogFile(path) as log, writing(unfinished):
+    with owned(path), LogFile(path) as log:
         if COMPACTED in log.metadata:
             return False
-        if unfinished.exists():
-            disk.remove(unfinished)  # left behind by a compaction that was killed
-        with disk.create(unfinished) as stream:
+        with new_file(path, disk, suffix=_UNFINISHED, replacing=True) as stream:
             writer = ChunkWriter(stream, PROFILE, LIBRARY, level=LEVEL, chunk_bytes=CHUNK_BYTES)
             writer.add_metadata(COMPACTED, {"from_bytes": str(path.stat().st_size)})
-            copy(log, writer)
+            Rewrite(log, writer).add_all()
             writer.finish()
-            disk.sync(stream)
-        if not log.complete or _digest(unfinished) != _digest(path):
-            disk.remove(unfinished)
-            raise LogError(f"{path}: is damaged; it stays as it is. Mend it: armctl log recover {path}")
-        disk.replace(unfinished, path)
-        disk.sync_folder(path.parent)
+            stream.flush()
+            if not log.complete or _digest(path.with_name(path.name + _UNFINISHED)) != _digest(path):
+                raise LogError(f"{path}: is damaged; it stays as it is. Mend it: armctl log recover {path}")
     return True
 
 

@@ -1,20 +1,31 @@
 """What the files of a log need of the operating system, in one place that a proof can replace.
 
+`Disk` does what changes the disk. The functions below it are made of it: they lock, name and finish files.
+
 Rules.
 1. A new file never takes the name of another; only `replace` puts one in the place of another, in one step.
 2. A name is on the disk after `sync_folder`, data are after `sync`; before that either may be lost in a power cut,
    in any order. Whoever removes a name syncs the folder that holds the new one first.
-3. Errors are OSErrors; the caller knows what it was about to do.
+3. Errors of `Disk` are OSErrors; `writing` and `owned` turn them into LogErrors that say which file it was.
 """
-
-from __future__ import annotations
 
 import errno
 import fcntl
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from io import BufferedWriter
 from pathlib import Path
+
+from armctl.errors import LogError
+
+PART = ".part"
+"""Ends the name of a log that is being written, or was when its writer died."""
+
+
+class PartInUse(LogError):
+    """Another process is writing the part."""
 
 
 class Disk:
@@ -86,3 +97,82 @@ class Disk:
 
 
 DISK = Disk()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn the operating system's errors into one that says what could not be written.
+
+    Raises:
+        LogError: with the OSError as its cause.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def owned(path: Path) -> Iterator[None]:
+    """Hold the lock that a writer would hold.
+
+    Raises:
+        PartInUse: a writer has it.
+        LogError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise PartInUse(f"{path}: is being written; end the recording first") from None
+            yield
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def publish(part: Path, path: Path, disk: Disk = DISK) -> None:
+    """Give a finished file its name, unless the name is taken; the folder entry is on the disk afterwards.
+
+    Raises:
+        LogError: the name is taken; the part stays.
+        OSError: the folder cannot be written.
+    """
+    try:
+        disk.name(part, path)
+    except FileExistsError:
+        raise LogError(f"{path}: appeared meanwhile; nothing is overwritten, the data are in {part.name}") from None
+
+
+@contextmanager
+def new_file(
+    path: Path, disk: Disk = DISK, *, suffix: str = ".unfinished", replacing: bool = False
+) -> Iterator[BufferedWriter]:
+    """A stream that becomes `path` when the block is left without an error, and nothing otherwise.
+
+    Args:
+        suffix: Added to the name while the file is not finished.
+        replacing: Whether it takes the place of the file that has the name.
+    Raises:
+        LogError: the name is taken, or it cannot be written.
+    """
+    if path.exists() and not replacing:
+        raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")
+    unfinished = path.with_name(path.name + suffix)
+    with writing(path):
+        if unfinished.exists():
+            disk.remove(unfinished)  # left behind by one that was killed
+        try:
+            with disk.create(unfinished) as stream:
+                yield stream
+                disk.sync(stream)
+            if replacing:
+                disk.replace(unfinished, path)
+                disk.sync_folder(path.parent)
+            else:
+                publish(unfinished, path, disk)
+        finally:
+            # Where it got its name there is nothing left to remove.
+            with suppress(OSError):
+                if unfinished.exists():
+                    disk.remove(unfinished)

@@ -9,10 +9,7 @@ Rules.
 4. Sources are only read. The new file gets its name when it is complete and on the disk, and replaces nothing.
 """
 
-from __future__ import annotations
-
 import logging
-import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,6 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
+from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
 from armctl.clock import NS_PER_S
@@ -31,11 +29,13 @@ from armctl.messages import to_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.chunks import CHUNK_BYTES
+from armctl.recording.disk import PART, new_file
+from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.replay import MERGED, LogSetup, Rerun, log_setup
-from armctl.recording.writer import CHUNK_BYTES, LIBRARY, PART, PROFILE, publish, writing
+from armctl.recording.rewrite import Rewrite
+from armctl.recording.writer import LIBRARY, PROFILE
 
-UNFINISHED = ".unfinished"
 TRIMMED = "trimmed"
 MAX_WARMUP_MESSAGES = 40_000
 """Kept since the last keyframe, to compute the state at a cut; several times what stands between two keyframes."""
@@ -59,28 +59,6 @@ class EditResult:
 
 
 Progress = Callable[[float], None]
-
-
-@contextmanager
-def new_file(path: Path) -> Iterator[BinaryIO]:
-    """A stream that becomes `path` when the block is left without an error, and nothing otherwise.
-
-    Raises:
-        LogError: the name is taken, or it cannot be written.
-    """
-    if path.exists():
-        raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")
-    unfinished = path.with_name(path.name + UNFINISHED)
-    with writing(path):
-        unfinished.unlink(missing_ok=True)  # left behind by one that was killed
-        try:
-            with open(unfinished, "xb") as stream:
-                yield stream
-                stream.flush()
-                os.fdatasync(stream.fileno())
-            publish(unfinished, path)
-        finally:
-            unfinished.unlink(missing_ok=True)
 
 
 def first_ns(path: Path) -> int:
@@ -111,9 +89,9 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
     zero_ns = first_ns(path)
     # Further than any file goes is as good as for ever.
     begin_ns, end_ns = (zero_ns + round(max(-1e9, min(bound, 1e9)) * NS_PER_S) for bound in (begin_s, end_s))
-    with LogFile(path) as log, new_file(out) as stream:
-        facts = {"from": path.name, "begin_s": repr(begin_s), "end_s": repr(end_s)}
-        copy, before = _Copy(stream, log, TRIMMED, facts), _Before(log)
+    facts = {"from": path.name, "begin_s": repr(begin_s), "end_s": repr(end_s)}
+    with LogFile(path) as log, _rewriting(out, log, TRIMMED, facts) as copy:
+        before = _Before(log)
         taken, has_state = 0, False
         has_ticks = channels.SERVOS in log.topics
         for count, message in enumerate(log.messages()):
@@ -129,8 +107,7 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
                 taken += 1
         if taken == 0:
             raise RequestRefused("EMPTY", f"{path}: holds nothing {begin_s:g} s to {end_s:g} s after its beginning")
-        copy.finish()
-        return EditResult(out, copy.messages, copy.duration_s, log.damaged, has_state)
+    return EditResult(out, copy.messages, copy.duration_s, log.damaged, has_state)
 
 
 def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) -> EditResult:
@@ -150,20 +127,19 @@ def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) ->
     if len(paths) < 2:
         raise LogError(f"{paths[0] if paths else out}: one file makes no merger; name two or more")
     ordered = sorted(paths, key=first_ns)
-    with new_file(out) as stream, LogFile(ordered[0]) as first:
+    with LogFile(ordered[0]) as first:
         setups = [_checked(first, path) for path in ordered]
         anchors = dict.fromkeys(anchor for setup in setups for anchor in (setup.anchor, *setup.later_anchors))
         later = " ".join(f"{a.wall_ns}/{a.monotonic_ns}" for a in anchors if a != setups[0].anchor)
         names = " ".join(path.name for path in ordered)
-        copy = _Copy(stream, first, MERGED, {"from": names, "anchors": later})
-        merger = _Merger(copy)
-        merger.take(first, None, partial(_share, progress, 0, len(ordered)))
-        for number, (before, path) in enumerate(pairwise(ordered), 1):
-            with LogFile(path) as log:
-                copy.follow(log)
-                merger.take(log, before, partial(_share, progress, number, len(ordered)))
-        copy.finish()
-        return EditResult(out, copy.messages, copy.duration_s)
+        with _rewriting(out, first, MERGED, {"from": names, "anchors": later}) as copy:
+            merger = _Merger(copy)
+            merger.take(first, None, partial(_share, progress, 0, len(ordered)))
+            for number, (before, path) in enumerate(pairwise(ordered), 1):
+                with LogFile(path) as log:
+                    copy.follow(log)
+                    merger.take(log, before, partial(_share, progress, number, len(ordered)))
+    return EditResult(out, copy.messages, copy.duration_s)
 
 
 def _share(progress: Progress | None, number: int, files: int, fraction: float) -> None:
@@ -192,7 +168,7 @@ def _checked(first: LogFile, path: Path) -> LogSetup:
 class _Merger:
     """Ticks of one file after the other; knows which one was the last."""
 
-    def __init__(self, copy: _Copy) -> None:
+    def __init__(self, copy: Rewrite) -> None:
         self._copy = copy
         self._tick: int | None = None
         self._tick_ns = 0
@@ -221,7 +197,7 @@ class _Merger:
     def _end_tick(self, log: LogFile, tick: list[LogMessage], before: Path | None, begun: bool) -> bool:
         """Take over what ends with a cycle; whether the file's own ticks have begun."""
         message = tick[-1]
-        cycle = log.codec(message.topic).decode(message.data)
+        cycle = log.decode(message)
         if not {"tick", "inputs_only"} <= cycle.keys():
             raise LogError(f"{log.path}: {message.topic} is not as armctl writes it")
         number = cycle["tick"]
@@ -268,10 +244,10 @@ class _Before:
         else:
             self._since.clear()  # a way that is not whole leads nowhere
 
-    def write(self, copy: _Copy, first: LogMessage) -> bool:
+    def write(self, copy: Rewrite, first: LogMessage) -> bool:
         """Say it again just before the first message behind the cut; whether a replay can begin there."""
         for topic, message in self._standing.items():
-            value = self._log.codec(topic).decode(message.data)
+            value = self._log.decode(message)
             copy.say(topic, _stamped(value, first.log_time_ns), first)
         state = self._state() if self._since else None
         if state is not None:
@@ -289,77 +265,32 @@ class _Before:
         return None if rerun.mismatches else rerun.state
 
 
-class _Copy:
-    """Messages of one log, or several alike, into a new file.
+class _Writer:
+    """The mcap package's writer, called as ours is (see chunks.py): an edited file need not be flushed every second."""
 
-    Args:
-        name, facts: A metadata record that says what was done.
-    """
-
-    def __init__(self, stream: BinaryIO, log: LogFile, name: str, facts: dict[str, str]) -> None:
-        self.messages = 0
-        self._begin_ns = self._end_ns = 0
-        self._log = log
+    def __init__(self, stream: BinaryIO) -> None:
         self._writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
-        self._ids: dict[str, int] = {}
-        self._schemas: dict[int, int] = {}
-        self._kept: set[str] = {name}
         self._writer.start(PROFILE, LIBRARY)
-        self._register()
-        self._keep()
-        self._writer.add_metadata(name, facts)
+        self.add_schema, self.add_channel = self._writer.register_schema, self._writer.register_channel
+        self.add_metadata, self.finish = self._writer.add_metadata, self._writer.finish
 
-    def follow(self, log: LogFile) -> None:
-        """Go on with the messages of another log."""
-        self._log, self._schemas = log, {}
+    def add_attachment(self, attachment: Attachment) -> None:
+        a = attachment
+        self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
 
-    def add(self, message: LogMessage) -> None:
-        """A message of the log, as it is."""
-        if message.topic not in self._ids:
-            self._register()
-        self._add(message.topic, message.data, message)
+    def add_message(self, channel_id: int, time_ns: int, sequence: int, data: bytes) -> None:
+        self._writer.add_message(channel_id, time_ns, data, time_ns, sequence)
 
-    def say(self, topic: str, value: Value, at: LogMessage) -> None:
-        """A message of this file's own, at the time of another."""
-        self._add(topic, self._log.codec(topic).encode(value), at)
 
-    def finish(self) -> None:
-        """End the file; what was attached to the end of the log comes along."""
-        self._keep()
-        self._writer.finish()  # type: ignore[no-untyped-call]
-
-    @property
-    def duration_s(self) -> float:
-        return (self._end_ns - self._begin_ns) / NS_PER_S
-
-    def _add(self, topic: str, data: bytes, at: LogMessage) -> None:
-        self._writer.add_message(self._ids[topic], at.log_time_ns, data, at.log_time_ns, at.sequence)
-        self._begin_ns = min(self._begin_ns, at.log_time_ns) if self.messages else at.log_time_ns
-        self._end_ns = max(self._end_ns, at.log_time_ns)
-        self.messages += 1
-
-    def _keep(self) -> None:
-        """Attachments and metadata that the log has shown and the file does not have."""
-        for entry in self._log.attachments.values():
-            if entry.name not in self._kept:
-                self._writer.add_attachment(entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data)
-        for name, facts in self._log.metadata.items():
-            if name not in self._kept:
-                self._writer.add_metadata(name, facts)
-        self._kept |= {*self._log.attachments, *self._log.metadata}
-
-    def _register(self) -> None:
-        """Channels of the log that the file does not have yet, in their order, so that they keep their numbers."""
-        for channel in self._log.channels.values():
-            if channel.topic in self._ids:
-                continue
-            schema = self._log.schemas.get(channel.schema_id)
-            if schema is not None and schema.id not in self._schemas:
-                self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-            schema_id = self._schemas.get(channel.schema_id, 0)
-            self._ids[channel.topic] = self._writer.register_channel(
-                channel.topic, channel.message_encoding, schema_id, channel.metadata
-            )
+@contextmanager
+def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str]) -> Iterator[Rewrite]:
+    """A new file that begins with the head of `log`; it ends with what else the last log has shown by then."""
+    with new_file(out) as stream:
+        writer = _Writer(stream)
+        rewrite = Rewrite(log, writer, name, facts)
+        yield rewrite
+        rewrite.keep()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _stamped(value: Value, epoch_ns: int) -> Value:

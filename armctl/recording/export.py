@@ -10,26 +10,24 @@ Rules.
 5. A file gets its name when it is complete, and replaces nothing.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 import math
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Protocol
+from typing import Any, BinaryIO, Literal, Self
 
 from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError, LogError
 from armctl.recording import channels
-from armctl.recording.edit import Progress, first_ns, new_file
+from armctl.recording.disk import new_file, writing
+from armctl.recording.edit import Progress, first_ns
 from armctl.recording.reader import LogFile
 from armctl.recording.timeline import Frame, Frames
-from armctl.recording.writer import writing
 
 Format = Literal["csv", "xlsx", "parquet"]
 Cell = bool | int | float | str | None
@@ -79,72 +77,86 @@ def export(
         LogError: the log cannot be read or holds nothing of a topic, `out` exists or cannot be written.
         ArmctlError: a package is missing; the message names the extra that brings it.
     """
-    tables = topics or ((TICKS, ANGLES) if kind == "xlsx" else (TICKS,))
-    folder = len(tables) > 1 and kind != "xlsx"
-    rows: dict[str, int] = {}
-    paths = [out / f"{table.strip('/').replace('/', '-')}.{kind}" for table in tables] if folder else [out]
-    complete = True
-
-    def fill(sink: Sink, table: str) -> None:
-        nonlocal complete
-        begun = len(rows)
-
-        def show(fraction: float) -> None:
-            if progress is not None:
-                progress((begun + fraction) / len(tables))
-
-        rows[table], whole = _fill(path, table, sink, show)
-        complete = complete and whole
-
-    if folder:
+    names = tuple(topics) or ((TICKS, ANGLES) if kind == "xlsx" else (TICKS,))
+    if len(names) == 1 or kind == "xlsx":
+        files = {out: names}
+    else:
+        files = {out / f"{name.strip('/').replace('/', '-')}.{kind}": (name,) for name in names}
         if out.exists():
             raise LogError(f"{out}: exists already; choose another name, nothing is overwritten")
         with writing(out):
             out.mkdir(parents=True)
-        for table, file in zip(tables, paths, strict=True):
-            with new_file(file) as stream, _sink(stream, kind, excel_rows) as sink:
-                fill(sink, table)
-    else:
-        with new_file(out) as stream, _sink(stream, kind, excel_rows) as sink:
-            for table in tables:
-                fill(sink, table)
-    return ExportResult(tuple(paths), rows, complete)
+    done: list[_Table] = []
+
+    def show(fraction: float) -> None:
+        if progress is not None:
+            progress((len(done) - 1 + fraction) / len(names))
+
+    def tables(wanted: Sequence[str]) -> Iterator[_Table]:
+        for name in wanted:
+            done.append(_Table(path, name, show))
+            done[-1].look()
+            yield done[-1]
+
+    for file, wanted in files.items():
+        with new_file(file) as stream:
+            if kind == "xlsx":
+                _write_excel(stream, tables(wanted), excel_rows)
+            else:
+                (_write_csv if kind == "csv" else _write_parquet)(stream, tables(wanted))
+    rows = {table.name: table.count for table in done}
+    return ExportResult(tuple(files), rows, all(table.complete for table in done))
 
 
-def _fill(path: Path, table: str, sink: Sink, progress: Progress) -> tuple[int, bool]:
-    """Write one table; its rows, and whether the log is complete."""
-    columns = _columns(path, table, lambda fraction: progress(fraction / 2.0))
-    with LogFile(path) as log:
-        sink.begin(table, columns, {"source": path.name, **log.facts})
-        count = 0
-        for row in _rows(log, table, first_ns(path)):
-            sink.add([row.get(name) for name in columns])
-            count += 1
-            if count % PROGRESS_ROWS == 0:
-                progress((1.0 + log.progress) / 2.0)
-        sink.end()
-        return count, log.complete
+class _Table:
+    """One table of a log, which is read twice: `look` finds the columns, then `rows` gives the cells.
 
-
-def _columns(path: Path, table: str, progress: Progress) -> dict[str, type]:
-    """Every column that comes up, in the order in which they do, and the type that holds all its cells.
-
-    Raises:
-        LogError: there are no rows.
+    Args:
+        show: Called with the fraction done.
     """
-    found: dict[str, type | None] = {}
-    count = 0
-    with LogFile(path) as log:
-        for row in _rows(log, table, first_ns(path)):
-            count += 1
-            if count % PROGRESS_ROWS == 0:
-                progress(log.progress)
+
+    def __init__(self, path: Path, name: str, show: Progress) -> None:
+        self.name = name
+        self.count = 0
+        """Rows given so far."""
+        self.complete = False
+        """Whether the log is; known when the rows are exhausted."""
+        self.columns: dict[str, type] = {}
+        """Every column that comes up, in the order in which they do, and the type that holds all its cells."""
+        self.facts: dict[str, str] = {}
+        self._path, self._show = path, show
+
+    def look(self) -> None:
+        """Find the columns.
+
+        Raises:
+            LogError: there are no rows.
+        """
+        found: dict[str, type | None] = {}
+        for row in self._read(0.0):
             for name, cell in row.items():
                 found[name] = _common(found.get(name), cell)
-        if not count:
-            known = ", ".join(sorted(log.topics)) or "none"
-            raise LogError(f"{path}: holds nothing for a table of {table}; topics: {known}")
-    return {name: kind or float for name, kind in found.items()}
+        self.columns = {name: kind or float for name, kind in found.items()}
+
+    def rows(self) -> Iterator[list[Cell]]:
+        """The cells of every row, one for each column."""
+        for row in self._read(0.5):
+            self.count += 1
+            yield [row.get(name) for name in self.columns]
+
+    def _read(self, begun: float) -> Iterator[Row]:
+        """The log's rows; `begun`: fraction done before the first one."""
+        count = 0
+        with LogFile(self._path) as log:
+            self.facts = {"source": self._path.name, **log.facts}
+            for count, row in enumerate(_rows(log, self.name, first_ns(self._path)), 1):  # used below
+                yield row
+                if count % PROGRESS_ROWS == 0:
+                    self._show(begun + log.progress / 2.0)
+            if not count:
+                known = ", ".join(sorted(log.topics)) or "none"
+                raise LogError(f"{self._path}: holds nothing for a table of {self.name}; topics: {known}")
+            self.complete = log.complete
 
 
 def _common(kind: type | None, cell: Cell) -> type | None:
@@ -184,7 +196,7 @@ class Seconds(float):
 
     time_ns: int
 
-    def __new__(cls, time_ns: int) -> Seconds:
+    def __new__(cls, time_ns: int) -> Self:
         made = super().__new__(cls, time_ns / NS_PER_S)
         made.time_ns = time_ns
         return made
@@ -258,132 +270,73 @@ def _cell(value: Any) -> Cell:
 # ------------------------------------------------------------------------------------------------------ files
 
 
-class Sink(Protocol):
-    """A file that takes tables."""
-
-    def begin(self, table: str, columns: dict[str, type], facts: dict[str, str]) -> None:
-        """Begin a table; `facts` say what it is of."""
-        ...
-
-    def add(self, cells: list[Cell]) -> None: ...
-
-    def end(self) -> None:
-        """End the table."""
-        ...
+def _write_csv(stream: BinaryIO, tables: Iterator[_Table]) -> None:
+    text = io.TextIOWrapper(stream, encoding="utf-8", newline="", write_through=True)
+    rows = csv.writer(text)
+    for table in tables:
+        rows.writerow(table.columns)
+        rows.writerows([str(cell) if isinstance(cell, Seconds) else cell for cell in row] for row in table.rows())
+    text.detach()
 
 
-class _Csv:
-    def __init__(self, stream: BinaryIO) -> None:
-        self._text = io.TextIOWrapper(stream, encoding="utf-8", newline="", write_through=True)
-        self._rows = csv.writer(self._text)
-
-    def begin(self, table: str, columns: dict[str, type], facts: dict[str, str]) -> None:
-        self._rows.writerow(columns)
-
-    def add(self, cells: list[Cell]) -> None:
-        self._rows.writerow([str(cell) if isinstance(cell, Seconds) else cell for cell in cells])
-
-    def end(self) -> None:
-        self._text.flush()
-        self._text.detach()
-
-
-class _Excel:
-    def __init__(self, stream: BinaryIO, most_rows: int) -> None:
-        try:
-            import openpyxl
-        except ImportError:
-            raise missing_extra("Excel files", "openpyxl") from None
-        self._book, self._stream, self._most_rows = openpyxl.Workbook(write_only=True), stream, most_rows
-        self._sheet: Any = None
-        self._count = self._sheets = 0
-
-    def begin(self, table: str, columns: dict[str, type], facts: dict[str, str]) -> None:
-        self._table, self._columns, self._sheets = table, list(columns), 0
-        self._new_sheet()
-
-    def add(self, cells: list[Cell]) -> None:
-        if self._count == self._most_rows:
-            self._new_sheet()
-        self._sheet.append([self._excel_cell(cell) for cell in cells])
-        self._count += 1
-
-    def end(self) -> None:
-        pass
-
-    def save(self) -> None:
-        self._book.save(self._stream)
-
-    def _new_sheet(self) -> None:
-        self._sheets += 1
-        # Excel allows 31 characters, and none of []:*?/\
-        name = re.sub(r"[\[\]:*?/\\]", "-", self._table.strip("/"))[:24]
-        self._sheet = self._book.create_sheet(name if self._sheets == 1 else f"{name} {self._sheets}")
-        self._sheet.freeze_panes = "C2"
-        self._sheet.append(self._columns)
-        self._count = 1
-
-    def _excel_cell(self, cell: Cell) -> Any:
-        if isinstance(cell, str):
-            from openpyxl.cell import WriteOnlyCell
-            from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
-
-            text = WriteOnlyCell(self._sheet, ILLEGAL_CHARACTERS_RE.sub("\N{REPLACEMENT CHARACTER}", cell)[:EXCEL_TEXT])
-            text.data_type = "s"  # never a formula, whatever it begins with
-            return text
-        if isinstance(cell, float):
-            return float(cell) if math.isfinite(cell) else None
-        return cell
+def _write_excel(stream: BinaryIO, tables: Iterator[_Table], most_rows: int) -> None:
+    try:
+        import openpyxl
+    except ImportError:
+        raise missing_extra("Excel files", "openpyxl") from None
+    book = openpyxl.Workbook(write_only=True)
+    sheet: Any = None
+    try:
+        for table in tables:
+            # Excel allows 31 characters, and none of []:*?/\
+            name = re.sub(r"[\[\]:*?/\\]", "-", table.name.strip("/"))[:24]
+            for index, row in enumerate(table.rows()):
+                sheets, place = divmod(index, most_rows - 1)
+                if place == 0:
+                    sheet = book.create_sheet(f"{name} {sheets + 1}" if sheets else name)
+                    sheet.freeze_panes = "C2"
+                    sheet.append(list(table.columns))
+                sheet.append([_excel_cell(sheet, cell) for cell in row])
+    finally:
+        book.save(stream)  # also what will be thrown away: sheets that are begun have to be ended
 
 
-class _Parquet:
-    def __init__(self, stream: BinaryIO) -> None:
-        try:
-            import pyarrow
-            import pyarrow.parquet
-        except ImportError:
-            raise missing_extra("Parquet files", "pyarrow") from None
-        self._arrow, self._stream = pyarrow, stream
-        self._waiting: list[list[Cell]] = []
+def _excel_cell(sheet: Any, cell: Cell) -> Any:
+    if isinstance(cell, str):
+        from openpyxl.cell import WriteOnlyCell
+        from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
 
-    def begin(self, table: str, columns: dict[str, type], facts: dict[str, str]) -> None:
-        arrow = self._arrow
-        kinds = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64(), str: arrow.string()}
-        self._texts = [kind is str for kind in columns.values()]
-        schema = arrow.schema([(name, kinds[kind]) for name, kind in columns.items()], metadata=facts)
-        self._schema, self._file = schema, arrow.parquet.ParquetWriter(self._stream, schema, compression="zstd")
+        text = WriteOnlyCell(sheet, ILLEGAL_CHARACTERS_RE.sub("\N{REPLACEMENT CHARACTER}", cell)[:EXCEL_TEXT])
+        text.data_type = "s"  # never a formula, whatever it begins with
+        return text
+    if isinstance(cell, float):
+        return float(cell) if math.isfinite(cell) else None
+    return cell
 
-    def add(self, cells: list[Cell]) -> None:
-        self._waiting.append(
-            [str(cell) if text and cell is not None else cell for cell, text in zip(cells, self._texts, strict=True)]
-        )
-        if len(self._waiting) == BATCH_ROWS:
-            self._pack()
 
-    def end(self) -> None:
-        if self._waiting:
-            self._pack()
-        self._file.close()
+def _write_parquet(stream: BinaryIO, tables: Iterator[_Table]) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise missing_extra("Parquet files", "pyarrow") from None
+    types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
+    for table in tables:
+        schema = pyarrow.schema([(name, types[kind]) for name, kind in table.columns.items()], metadata=table.facts)
+        rows = table.rows()
+        with pyarrow.parquet.ParquetWriter(stream, schema, compression="zstd") as file:
+            while batch := list(islice(rows, BATCH_ROWS)):
+                columns = zip(table.columns.values(), zip(*batch, strict=True), strict=True)
+                arrays = [
+                    pyarrow.array(_texts(cells) if kind is str else cells, types[kind]) for kind, cells in columns
+                ]
+                file.write_batch(pyarrow.record_batch(arrays, schema=schema))
 
-    def _pack(self) -> None:
-        fields = zip(zip(*self._waiting, strict=True), self._schema, strict=True)
-        arrays = [self._arrow.array(column, field.type) for column, field in fields]
-        self._file.write_batch(self._arrow.record_batch(arrays, schema=self._schema))
-        self._waiting.clear()
+
+def _texts(cells: Sequence[Cell]) -> list[str | None]:
+    return [None if cell is None else str(cell) for cell in cells]
 
 
 def missing_extra(what: str, package: str) -> ArmctlError:
     """The error that tells how to get a package."""
     return ArmctlError(f"{what} need {package}; install it with: pip install 'armctl[export]'")
-
-
-@contextmanager
-def _sink(stream: BinaryIO, kind: Format, excel_rows: int) -> Iterator[Sink]:
-    if kind == "xlsx":
-        book = _Excel(stream, excel_rows)
-        try:
-            yield book
-        finally:
-            book.save()  # also what will be thrown away: sheets that are begun have to be ended
-    else:
-        yield _Csv(stream) if kind == "csv" else _Parquet(stream)

@@ -4,8 +4,6 @@ A file replays alone if it begins with a keyframe and the inputs of every tick s
 ticks before the fault as well. So the history reaches back to the newest keyframe that is older than `keep_s`.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

@@ -9,16 +9,15 @@ Rules.
    more than `FREE_BYTES` and `MAX_RATIO` times its size is refused. Every failure is a LogError.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import mmap
 import struct
 import zlib
 from collections.abc import Collection, Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -27,7 +26,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
 from armctl.recording import columns
-from armctl.recording.cdr import Codec, schema_codec
+from armctl.recording.cdr import Codec, Value, schema_codec
 from armctl.recording.chunks import CHUNK, MAGIC, MAX_CHUNK_BYTES, MESSAGE, MESSAGE_OPCODE, RECORD, inflate
 from armctl.recording.columns import Payloads, Table
 from armctl.recording.schemas import parse_schema, short_name
@@ -41,6 +40,14 @@ MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**16
 MAX_CHUNK_NS = 3600 * NS_PER_S
 _CHUNK, _MESSAGE_INDEX, _DATA_END = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX), int(Opcode.DATA_END)
 _PRIVATE = 0x80
+_KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
+    Opcode.HEADER: Header,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+}
+"""Records that are taken note of."""
 _INDEX_LENGTH = struct.Struct("<I")
 _Entry = tuple[str, int, int, int, int]  # topic, log time, sequence, where the data begin and end in the chunk
 
@@ -63,7 +70,6 @@ class LogFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.library = ""
         self.attachments: dict[str, Attachment] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}
@@ -85,8 +91,9 @@ class LogFile:
         if self._data[:8] != MAGIC:
             raise LogError(f"{path}: is no MCAP file")
         self._at = 8
-        self._records = self._scan()
-        self._first = next(self._records, None)
+        self._scanning = self._scan()
+        # Everything before the first chunk is known from here on: attachments, facts, channels.
+        self._first = next(self._scanning, None)
 
     @property
     def progress(self) -> float:
@@ -134,24 +141,17 @@ class LogFile:
         Raises:
             LogError: the file claims to inflate beyond all measure.
         """
-        chunk = self._first
-        while chunk is not None:
+        for chunk in self._chunks():
             for topic, time_ns, sequence, begin, end in self._split(chunk, topics):
                 yield LogMessage(topic, time_ns, sequence, chunk[begin:end])
-            chunk = next(self._records, None)
 
     def payloads(self, topics: Collection[str] | None = None) -> dict[str, Payloads]:
         """The same messages by topic, as lists of bytes."""
         found: dict[str, Payloads] = {}
-        chunk = self._first
-        while chunk is not None:
+        for chunk in self._chunks():
             at = self._sort(chunk, topics, found)
             for topic, time_ns, sequence, begin, end in self._split(chunk, topics, at):
-                payloads = found.setdefault(topic, Payloads([], [], []))
-                payloads.log_time_ns.append(time_ns)
-                payloads.sequence.append(sequence)
-                payloads.data.append(chunk[begin:end])
-            chunk = next(self._records, None)
+                found.setdefault(topic, Payloads()).add(time_ns, sequence, chunk[begin:end])
         return found
 
     def tables(self, topic: str, payloads: Payloads) -> tuple[Table, ...]:
@@ -160,13 +160,8 @@ class LogFile:
         Raises:
             LogError: they do not fit the topic's schema, or it is none armctl reads.
         """
-        schema = self._schema(topic)
-        name = short_name(schema.name)
-        try:
-            bodies = parse_schema(schema.name, schema.data.decode())
-            return columns.tables(name, bodies, payloads)
-        except (UnicodeDecodeError, RecursionError) as error:
-            raise LogError(f"{self.path}: schema {schema.name} is damaged: {error}") from None
+        with self._schema(topic) as (name, text):
+            return columns.tables(short_name(name), parse_schema(name, text), payloads)
 
     def codec(self, topic: str) -> Codec:
         """The codec of a topic as this file declares it.
@@ -175,37 +170,56 @@ class LogFile:
             LogError: no such topic, or its encoding is not CDR with a ros2msg schema.
         """
         if topic not in self._codecs:
-            schema = self._schema(topic)
-            try:
-                self._codecs[topic] = schema_codec(schema.name, schema.data.decode())
-            except (UnicodeDecodeError, RecursionError) as error:
-                raise LogError(f"{self.path}: schema {schema.name} is damaged: {error}") from None
+            with self._schema(topic) as (name, text):
+                self._codecs[topic] = schema_codec(name, text)
         return self._codecs[topic]
 
-    def _schema(self, topic: str) -> Schema:
-        for channel in self.channels.values():
-            if channel.topic == topic:
-                schema = self.schemas.get(channel.schema_id)
-                if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
-                    raise LogError(f"{self.path}: topic {topic} is not CDR with a ros2msg schema")
-                return schema
-        raise LogError(f"{self.path}: no topic {topic}; known: {', '.join(sorted(self.topics)) or 'none'}")
+    def decode(self, message: LogMessage) -> Value:
+        """What a message says.
+
+        Raises:
+            LogError: as `codec`, or it does not fit its schema.
+        """
+        return self.codec(message.topic).decode(message.data)
+
+    def misfit(self, message: LogMessage, error: Exception) -> LogError:
+        """The error for a message of one of armctl's topics with something else in it."""
+        return LogError(f"{self.path}: {message.topic} is not as armctl writes it: {error!r}")
+
+    @contextmanager
+    def _schema(self, topic: str) -> Iterator[tuple[str, str]]:
+        """Full name and text of a topic's schema; what goes wrong with them becomes a LogError."""
+        channel = next((channel for channel in self.channels.values() if channel.topic == topic), None)
+        if channel is None:
+            raise LogError(f"{self.path}: no topic {topic}; known: {', '.join(sorted(self.topics)) or 'none'}")
+        schema = self.schemas.get(channel.schema_id)
+        if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
+            raise LogError(f"{self.path}: topic {topic} is not CDR with a ros2msg schema")
+        try:
+            yield schema.name, schema.data.decode()
+        except (UnicodeDecodeError, RecursionError) as error:
+            raise LogError(f"{self.path}: schema {schema.name} is damaged: {error}") from None
 
     @property
     def topics(self) -> frozenset[str]:
         return frozenset(channel.topic for channel in self.channels.values())
 
     def close(self) -> None:
-        self._records.close()
+        self._scanning.close()
         self._data.close()
 
-    def __enter__(self) -> LogFile:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     # ------------------------------------------------------------------------------------------- records
+
+    def _chunks(self) -> Iterator[bytes]:
+        if self._first is not None:
+            yield self._first
+        yield from self._scanning
 
     def _scan(self) -> Generator[bytes, None, None]:
         """Inflated chunks with a good checksum; everything else is taken note of on the way."""
@@ -258,34 +272,32 @@ class LogFile:
             raise LogError("a message outside a chunk has no checksum")
         if opcode == _MESSAGE_INDEX:
             raise LogError("an index of another length")
-        if opcode not in (Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL):
-            return None
-        self._kept += len(body)
-        if self._kept > MAX_CHUNK_BYTES:  # an attachment of gigabytes is none of ours
-            return None
+        if opcode in _KINDS:
+            self._kept += len(body)
+            # An attachment of gigabytes is none of ours.
+            if self._kept <= MAX_CHUNK_BYTES:
+                self._take(opcode, body)
+        return None
+
+    def _take(self, opcode: int, body: bytes, *, in_chunk: bool = False) -> None:
+        """Take note of a record that is no message. A chunk's checksum vouches for what is in it."""
         stream = ReadDataStream(io.BytesIO(body))
-        if opcode == Opcode.HEADER:
-            self.library = Header.read(stream).library
-        elif opcode == Opcode.ATTACHMENT:
+        record = _KINDS[opcode].read(stream)
+        if isinstance(record, Attachment):
             (crc,) = struct.unpack_from("<I", body, len(body) - 4)
             if crc not in (0, zlib.crc32(body[:-4])):
                 raise LogError("the attachment's checksum does not hold")
-            attachment = Attachment.read(stream)
-            self.attachments[attachment.name] = attachment
-            if attachment.name == SEED:
+            self.attachments[record.name] = record
+            if record.name == SEED:
                 self._take_seed()
-        elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(stream)
-            self.metadata[metadata.name] = metadata.metadata
-        elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            self.schemas.setdefault(schema.id, schema)
-        else:
-            channel = Channel.read(stream)
-            self.channels.setdefault(channel.id, channel)
-        if stream.count != len(body):
+        elif isinstance(record, Metadata):
+            self.metadata[record.name] = record.metadata
+        elif isinstance(record, Schema) and (in_chunk or record.id not in self.schemas):
+            self.schemas[record.id] = record
+        elif isinstance(record, Channel) and (in_chunk or record.id not in self.channels):
+            self.channels[record.id] = record
+        if stream.count != len(body) and not in_chunk:
             raise LogError("a record of another length")
-        return None
 
     def _take_seed(self) -> None:
         seed = self.seed()
@@ -334,11 +346,14 @@ class LogFile:
         return fits and (following == 0 or self._is_record(behind, following - 1))
 
     def _sort(self, chunk: bytes, topics: Collection[str] | None, found: dict[str, Payloads]) -> int:
-        """Sort messages by topic as long as there is nothing but messages; where that ends."""
+        """Sort messages by topic as long as there is nothing but messages; where that ends.
+
+        `_split` does the same for every chunk, but takes twice the time: here no message becomes a tuple.
+        """
         lists: dict[int, Payloads | None] = {}
         for number, name in self._names().items():
             wanted = topics is None or name in topics
-            lists[number] = found.setdefault(name, Payloads([], [], [])) if wanted else None
+            lists[number] = found.setdefault(name, Payloads()) if wanted else None
         unpack, last, at = MESSAGE.unpack_from, len(chunk) - MESSAGE.size, 0
         while at <= last:
             opcode, length, number, sequence, time_ns, _ = unpack(chunk, at)
@@ -353,6 +368,7 @@ class LogFile:
         return at
 
     def _split(self, chunk: bytes, topics: Collection[str] | None, at: int = 0) -> list[_Entry]:
+        """The messages of a chunk from `at` on; what else stands in it is taken note of."""
         size = len(chunk)
         padded = chunk + bytes(MESSAGE.size) if at < size else b""  # so that a short last record unpacks, too
         unpack, head = MESSAGE.unpack_from, MESSAGE.size
@@ -387,16 +403,10 @@ class LogFile:
 
     def _chunk_record(self, opcode: int, body: bytes) -> bool:
         """Take note of a record inside a chunk that is no message; False if it belongs there no more than noise."""
-        stream = ReadDataStream(io.BytesIO(body))
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            return opcode >= _PRIVATE
         try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self.schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(stream)
-                self.channels[channel.id] = channel
-            else:
-                return opcode >= _PRIVATE
+            self._take(opcode, body, in_chunk=True)
         except Exception:  # as in _scan
             return False
         return True

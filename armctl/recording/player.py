@@ -6,8 +6,6 @@ Rules.
 3. Seeking and pausing change where time is, never how fast it runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol

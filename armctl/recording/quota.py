@@ -6,8 +6,6 @@ Rules.
 3. Age is counted from the newest log's own name, not from the clock: a clock that jumps ahead must not delete all.
 """
 
-from __future__ import annotations
-
 import calendar
 import logging
 import re

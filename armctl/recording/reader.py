@@ -7,8 +7,6 @@
 Every failure is a LogError.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,8 +78,7 @@ def read(path: Path, topics: Collection[str] | None = None) -> Iterator[DecodedM
     """
     with LogFile(path) as log:
         for message in log.messages(topics):
-            value = log.codec(message.topic).decode(message.data)
-            yield DecodedMessage(message.topic, message.log_time_ns, message.sequence, value)
+            yield DecodedMessage(message.topic, message.log_time_ns, message.sequence, log.decode(message))
 
 
 def read_columns(path: Path, topics: Iterable[str] | None = None) -> dict[str, tuple[Table, ...]]:
@@ -103,7 +100,7 @@ def read_topic(path: Path, topic: str) -> tuple[Table, ...]:
     """
     with LogFile(path) as log:
         found = log.payloads((topic,))
-        return log.tables(topic, found.get(topic, Payloads([], [], [])))
+        return log.tables(topic, found.get(topic, Payloads()))
 
 
 def info(path: Path) -> LogInfo:

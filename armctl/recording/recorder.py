@@ -12,8 +12,6 @@ Rules.
 5. Around a fault a snapshot is kept beside the log, which no bound on the logs deletes (quota.py).
 """
 
-from __future__ import annotations
-
 import errno
 import logging
 import threading
@@ -30,10 +28,10 @@ from armctl.messages import Connected, Event, TickRecord
 from armctl.recording import quota
 from armctl.recording.channels import Anchor
 from armctl.recording.compact import Compaction
-from armctl.recording.disk import DISK, Disk
+from armctl.recording.disk import DISK, PART, Disk
 from armctl.recording.history import History
 from armctl.recording.recordings import take_path
-from armctl.recording.writer import PART, LogContext, LogWriter
+from armctl.recording.writer import LogContext, LogWriter
 
 QUEUE_RECORDS = 3000
 FLUSH_NS = 9 * NS_PER_S // 10

@@ -4,8 +4,6 @@ A take is NAME.mcap in the recordings folder, NAME.mcap.part while it is recorde
 plain (config.NAME_PATTERN), links are not followed, and nothing is ever overwritten.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,9 +14,9 @@ from armctl.config import NAME_PATTERN
 from armctl.errors import LogError
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.channels import CONTROL, JOINT_STATES, ROSOUT
+from armctl.recording.disk import PART, owned, publish, writing
 from armctl.recording.reader import LogFile, joint_track
-from armctl.recording.recover import owned, recover
-from armctl.recording.writer import PART, publish, writing
+from armctl.recording.recover import recover
 
 SUFFIX = ".mcap"
 

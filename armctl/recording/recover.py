@@ -7,21 +7,18 @@ Rules.
 3. Messages, attachments and metadata are taken over byte for byte.
 """
 
-from __future__ import annotations
-
-import fcntl
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
 from armctl.recording.chunks import ChunkWriter
-from armctl.recording.disk import DISK, Disk
-from armctl.recording.reader import LogFile
-from armctl.recording.writer import LIBRARY, PART, PROFILE, publish, writing
+from armctl.recording.disk import DISK, PART, Disk, PartInUse, new_file, owned, writing
+from armctl.recording.log_file import LogFile
+from armctl.recording.rewrite import Rewrite
+from armctl.recording.writer import LIBRARY, PROFILE
 
 BROKEN = ".broken"
 RECOVERED = "recovered"
@@ -52,28 +49,18 @@ def recover(path: Path, target: Path | None = None, *, disk: Disk = DISK) -> Rec
     Raises:
         LogError: nothing can be recovered, the file is being written, or the new one cannot be.
     """
-    if target is None:
-        target = _free_name(path)
-    elif target.exists():
-        raise LogError(f"{target}: exists already; nothing is overwritten")
+    target = target or _free_name(path)
     with owned(path), LogFile(path) as log:
-        unfinished = target.with_name(target.name + _UNFINISHED)
-        with writing(unfinished):
-            if unfinished.exists():
-                disk.remove(unfinished)  # left behind by a recovery that was killed
-            with disk.create(unfinished) as stream:
-                writer = ChunkWriter(stream, PROFILE, LIBRARY)
-                messages = copy(log, writer)
-                lost_s = log.lost_ns / NS_PER_S
-                facts = {"from": path.name, "messages": str(messages), "lost_s": f"{lost_s:.9f}"}
-                writer.add_metadata(RECOVERED, facts)
-                writer.finish()
-                disk.sync(stream)
+        with new_file(target, disk, suffix=_UNFINISHED) as stream:
+            writer = ChunkWriter(stream, PROFILE, LIBRARY)
+            messages = Rewrite(log, writer).add_all()
             if messages == 0:
-                disk.remove(unfinished)
                 raise LogError(f"{path}: holds no intact message; nothing to recover")
-            publish(unfinished, target, disk)
-            if path.name.endswith(PART):
+            lost_s = log.lost_ns / NS_PER_S
+            writer.add_metadata(RECOVERED, {"from": path.name, "messages": str(messages), "lost_s": f"{lost_s:.9f}"})
+            writer.finish()
+        if path.name.endswith(PART):
+            with writing(path):
                 disk.remove(path)
         return RecoverResult(messages, lost_s, target)
 
@@ -105,67 +92,10 @@ def recover_folder(folder: Path, *, disk: Disk = DISK) -> tuple[RecoverResult, .
     return tuple(results)
 
 
-class PartInUse(LogError):
-    """Another process is writing the part."""
-
-
-def copy(log: LogFile, writer: ChunkWriter) -> int:
-    """Everything intact in `log` to `writer`, byte for byte and in order; the number of messages."""
-    for attachment in log.attachments.values():
-        writer.add_attachment(attachment.log_time, attachment.name, attachment.media_type, attachment.data)
-    for name, facts in log.metadata.items():
-        # A metadata record has no checksum of its own; the seed, which says the same of our files, has.
-        writer.add_metadata(name, log.facts if name == "armctl" else facts)
-    schemas: dict[int, int] = {}
-    channels: dict[str, int] = {}
-
-    def register() -> None:
-        for channel in log.channels.values():
-            if channel.topic in channels:
-                continue
-            schema = log.schemas.get(channel.schema_id)
-            if schema is not None and schema.id not in schemas:
-                schemas[schema.id] = writer.add_schema(schema.name, schema.encoding, schema.data)
-            schema_id = schemas.get(channel.schema_id, 0)
-            channels[channel.topic] = writer.add_channel(
-                channel.topic, channel.message_encoding, schema_id, channel.metadata
-            )
-
-    register()
-    count = 0
-    for message in log.messages():
-        if message.topic not in channels:
-            register()
-        writer.add_message(channels[message.topic], message.log_time_ns, message.sequence, message.data)
-        count += 1
-    return count
-
-
 def _free_name(path: Path) -> Path:
+    """The log's own name for a part, if it is free; else a name that says what it is, with a number if need be."""
     plain = path.name.removesuffix(PART)
     stem = plain.removesuffix(".mcap")
-    candidate = path.with_name(plain if path.name.endswith(PART) else f"{stem}-recovered.mcap")
-    number = 1
-    while candidate.exists():
-        number += 1
-        candidate = path.with_name(f"{stem}-recovered{'' if number == 2 else f'-{number - 1}'}.mcap")
-    return candidate
-
-
-@contextmanager
-def owned(path: Path) -> Iterator[None]:
-    """Hold the lock a writer would hold.
-
-    Raises:
-        PartInUse: a writer has it.
-        LogError: the file cannot be read.
-    """
-    try:
-        with path.open("rb") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise PartInUse(f"{path}: is being written; end the recording first") from None
-            yield
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from None
+    first = plain if path.name.endswith(PART) else f"{stem}-recovered.mcap"
+    names = chain((first, f"{stem}-recovered.mcap"), (f"{stem}-recovered-{number}.mcap" for number in count(2)))
+    return next(free for name in names if not (free := path.with_name(name)).exists())

@@ -9,8 +9,6 @@ Rules.
 5. Files that were merged keep each its own clock: a tick goes by the anchor that its log time is of.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable
@@ -183,32 +181,29 @@ class Rerun:
         try:
             self._take(message)
         except (TypeError, ValueError, AttributeError, LookupError) as error:
-            raise LogError(f"{self._log.path}: {message.topic} is not as armctl writes it: {error!r}") from None
+            raise self._log.misfit(message, error) from None
 
     def _take(self, message: LogMessage) -> None:
         topic, data = message.topic, message.data
         if topic == channels.STATE:
-            self._keyframe(self._decode(message)["data"])
+            self._keyframe(self._log.decode(message)["data"])
         elif topic == channels.SERVOS:
             # Servos come first: whatever was collected without a cycle belonged to a tick that was cut.
-            self._tick = _Tick(servos=self._decode(message))
+            self._tick = _Tick(servos=self._log.decode(message))
         elif topic == channels.COMMAND:
-            record = channels.parse_record(self._decode(message)["data"])
+            record = channels.parse_record(self._log.decode(message)["data"])
             if record is not None:
                 self._tick.records.append(record)
                 if record[1] == "reply":
                     self._tick.logged.setdefault(topic, []).append(data)
         elif topic == channels.CYCLE:
             tick, self._tick = self._tick, _Tick()
-            self._finish(tick, self._decode(message), message.log_time_ns)
+            self._finish(tick, self._log.decode(message), message.log_time_ns)
         elif topic == channels.ROSOUT:
-            if self._decode(message)["name"] == channels.CONTROL:
+            if self._log.decode(message)["name"] == channels.CONTROL:
                 self._tick.logged.setdefault(topic, []).append(data)
         elif topic in _COMPARED:
             self._tick.logged.setdefault(topic, []).append(data)
-
-    def _decode(self, message: LogMessage) -> Value:
-        return self._log.codec(message.topic).decode(message.data)
 
     def _keyframe(self, text: str) -> None:
         self.keyframes += 1

@@ -5,8 +5,6 @@ derive both the schema text stored in the file (`ros2msg`: the body, then every 
 writes and reads the bytes (see cdr.py), so that the two cannot disagree.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

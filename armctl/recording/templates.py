@@ -8,8 +8,6 @@ Rules.
 3. A tick of another shape (a servo with a problem, a joint that is not known) has another template.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Hashable, Sequence
 from operator import itemgetter

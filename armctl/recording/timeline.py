@@ -9,9 +9,6 @@ Rules.
 5. Time 0 is the first frame.
 """
 
-from __future__ import annotations
-
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -115,12 +112,12 @@ class Frames:
 
     def __iter__(self) -> Iterator[Frame]:
         for message in self._log.messages(_TOPICS):
-            value = self._log.codec(message.topic).decode(message.data)
+            value = self._log.decode(message)
             try:
                 frame = self._take(message, value)
             except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
                 # A file from elsewhere may bear our topics with anything in them.
-                raise LogError(f"{self._log.path}: {message.topic} is not as armctl writes it: {error!r}") from None
+                raise self._log.misfit(message, error) from None
             if frame is not None:
                 yield frame
 
@@ -209,11 +206,8 @@ class Frames:
 
 def _request(text: str) -> tuple[str, str] | None:
     """(code, text) of what a client asked for, as the host notes it; None for other notes."""
-    try:
-        note = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    if not isinstance(note, dict) or "request" not in note:
+    note = channels.parse_note(text)
+    if "request" not in note:
         return None
     reasons = "; ".join(map(str, note.get("reasons", ())))
     outcome = str(note.get("outcome", "")) + (f": {reasons}" if reasons else "")

@@ -9,17 +9,16 @@ Rules.
 5. The part is locked while it is written, so that nobody recovers it under its writer.
 """
 
-from __future__ import annotations
-
 import json
 import platform
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from mcap.records import Attachment
 
 from armctl import __version__
 from armctl.clock import NS_PER_S
@@ -30,13 +29,11 @@ from armctl.kinematics.urdf import urdf
 from armctl.messages import Event, TickRecord
 from armctl.recording import channels
 from armctl.recording.channels import TOPICS, Anchor, Message
-from armctl.recording.chunks import CHUNK_BYTES as CHUNK_BYTES
 from armctl.recording.chunks import ChunkWriter
-from armctl.recording.disk import DISK, Disk
+from armctl.recording.disk import DISK, PART, Disk, publish, writing
 from armctl.recording.schemas import schema_text, short_name
 from armctl.recording.templates import Encoded, TickEncoder
 
-PART = ".part"
 LIBRARY = f"armctl {__version__}"
 PROFILE = "ros2"
 SEED = "armctl.json"
@@ -96,11 +93,11 @@ class LogWriter:
         self._diagnosed: tuple[object, ...] = ()
         if path.exists():
             raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")
-        with self._errors():
+        with writing(self.part):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = disk.create(self.part)
         try:
-            with self._errors():
+            with writing(self.part):
                 self._writer = ChunkWriter(self._stream, PROFILE, LIBRARY)
                 self._channels = self._head(previous)
                 self._stream.flush()
@@ -125,7 +122,7 @@ class LogWriter:
         """Every message of one tick."""
         encoder, anchor = self._encoder, self.anchor
         time_ns = record.inputs.sample.time_ns
-        with self._errors():
+        with writing(self.part):
             self._begin(time_ns)
             self._write(record, encoder.inputs(record, anchor))
             self._write(record, encoder.outputs(record, anchor))
@@ -148,20 +145,20 @@ class LogWriter:
         """
         if topic not in TOPICS or short_name(TOPICS[topic].type) != "std_msgs/String":
             raise ValueError(f"topic {topic}: notes go to {channels.COMMAND}")
-        with self._errors():
+        with writing(self.part):
             self._begin(time_ns)
             self._add(channels.string_message(topic, text), self.anchor.epoch_ns(time_ns))
 
     def write_event(self, event: Event, time_ns: int) -> None:
         """A line of the recorder's own on /rosout, at a monotonic time."""
-        with self._errors():
+        with writing(self.part):
             self._begin(time_ns)
             epoch_ns = self.anchor.epoch_ns(time_ns)
             self._add((channels.ROSOUT, channels.log_line(event, epoch_ns, channels.RECORDING)), epoch_ns)
 
     def flush(self) -> None:
         """End the chunk, and return when its data are on the disk."""
-        with self._errors():
+        with writing(self.part):
             self._writer.end_chunk()
             self._sync()
 
@@ -173,7 +170,7 @@ class LogWriter:
         """
         if self._stream.closed:
             return
-        with self._errors():
+        with writing(self.part):
             self._begin(self.begin_ns)
             self._writer.finish()
             self._sync()
@@ -234,7 +231,7 @@ class LogWriter:
             ("config.yaml", "application/yaml", _yaml(context.config.model_dump(mode="json"))),
             ("calibration.yaml", "application/yaml", _yaml(context.arm.model_dump(mode="json"))),
         ):
-            writer.add_attachment(now_ns, name, media_type, text.encode())
+            writer.add_attachment(Attachment(now_ns, now_ns, name, media_type, text.encode()))
         writer.add_metadata("armctl", facts)
         self._description = description
         return ids
@@ -269,37 +266,6 @@ class LogWriter:
         topic, value = message
         data = TOPICS[topic].codec.encode(value)
         self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
-
-    @contextmanager
-    def _errors(self) -> Iterator[None]:
-        with writing(self.part):
-            yield
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Turn the operating system's errors into one that says what could not be written.
-
-    Raises:
-        LogError: with the OSError as its cause.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def publish(part: Path, path: Path, disk: Disk = DISK) -> None:
-    """Give a finished file its name, unless the name is taken; the folder entry is on the disk afterwards.
-
-    Raises:
-        LogError: the name is taken; the part stays.
-        OSError: the folder cannot be written.
-    """
-    try:
-        disk.name(part, path)
-    except FileExistsError:
-        raise LogError(f"{path}: appeared meanwhile; nothing is overwritten, the data are in {part.name}") from None
 
 
 def _yaml(data: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ from armctl.clock import NS_PER_S
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.recording.edit import new_file
+from armctl.recording.disk import new_file
 from armctl.recording.timeline import Happening, Motion, Timeline
 from armctl.report.page import Page, plotly
 from armctl.trajectory.straightness import distance_to_line

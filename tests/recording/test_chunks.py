@@ -12,6 +12,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
 from mcap.reader import make_reader
+from mcap.records import Attachment
 
 from armctl.errors import LogError
 from armctl.recording import chunks
@@ -26,7 +27,7 @@ def test_the_mcap_package_reads_what_was_written_and_seeks_in_it(tmp_path: Path)
         writer = ChunkWriter(stream, "ros2", "tests")
         schema = writer.add_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
         numbers = [writer.add_channel(f"/c{i}", "cdr", schema, {"key": str(i)}) for i in range(3)]
-        writer.add_attachment(7, "a.txt", "text/plain", b"attached")
+        writer.add_attachment(Attachment(7, 7, "a.txt", "text/plain", b"attached"))
         writer.add_metadata("facts", {"a": "b"})
         for index in range(4000):
             number, data = rng.choice(numbers), rng.randbytes(rng.randrange(1200))

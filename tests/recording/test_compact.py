@@ -17,9 +17,8 @@ from armctl.errors import LogError
 from armctl.messages import TickRecord
 from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
-from armctl.recording.disk import Disk
+from armctl.recording.disk import Disk, PartInUse, owned
 from armctl.recording.reader import LogFile, LogMessage
-from armctl.recording.recover import PartInUse, owned
 from armctl.recording.replay import check
 from armctl.recording.writer import LogWriter
 from proving.damage import UnsyncedDisk, chunk_places

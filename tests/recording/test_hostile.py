@@ -47,7 +47,12 @@ def test_all_of_them_together_take_less_than_256_mib(tmp_path: Path) -> None:
         paths.append(tmp_path / f"{index}.mcap")
         paths[-1].write_bytes(data)
     result = subprocess.run(
-        [sys.executable, "-c", _PEAK, *map(str, paths)], capture_output=True, text=True, timeout=100, check=False
+        [sys.executable, "-c", _PEAK, *map(str, paths)],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+        cwd=Path(hostile.__file__).parents[1],
     )
     assert result.returncode == 0, result.stderr
     assert int(result.stdout) * 1024 < 256 * MIB

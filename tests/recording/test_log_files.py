@@ -28,11 +28,12 @@ from armctl.errors import LogError
 from armctl.messages import Event, Hold, Inputs, Outputs, Release, Teach, TeachEnd, TickRecord
 from armctl.recording import reader, recordings, replay
 from armctl.recording.chunks import MAGIC, ChunkWriter
+from armctl.recording.disk import PartInUse, publish
 from armctl.recording.reader import LogFile, LogMessage
-from armctl.recording.recover import PartInUse, recover, recover_folder
+from armctl.recording.recover import recover, recover_folder
 from armctl.recording.replay import check, log_setup
 from armctl.recording.schemas import schema_text
-from armctl.recording.writer import LogWriter, publish
+from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S, ROBOT, RUN_SCRIPT, make_records, with_dropped
 
 RECORDS = make_records(100, keyframe_ticks=40)

@@ -15,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import zstandard
+from mcap.records import Attachment
 
 from armctl.errors import LogError
 from armctl.recording import reader, recordings
@@ -102,7 +103,7 @@ def _file(records: bytes) -> bytes:
 def _seeded(seed: bytes) -> bytes:
     stream = io.BytesIO()
     writer = ChunkWriter(stream, "ros2", "hostile")
-    writer.add_attachment(0, SEED, "application/json", seed)
+    writer.add_attachment(Attachment(0, 0, SEED, "application/json", seed))
     writer.finish()
     return stream.getvalue()
 

@@ -20,7 +20,7 @@ from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.rig import Measured, VirtualRig
-from armctl.recording.edit import new_file
+from armctl.recording.disk import new_file
 from armctl.recording.export import missing_extra
 from armctl.report.line import PAPER_ROWS
 from armctl.sim.arm import SimulatedArm
