@@ -40,8 +40,9 @@ from armctl.recording.channels import CYCLE, JOINT_COMMANDS, JOINT_STATES, SERVO
 from armctl.recording.compact import compact_folder
 from armctl.recording.disk import Disk
 from armctl.recording.reader import LogFile, LogMessage
-from armctl.recording.recorder import RETRY_NS, Recorder
+from armctl.recording.recorder import Recorder
 from armctl.recording.recover import recover_folder
+from armctl.recording.rotation import RETRY_NS
 from proving import damage
 from proving.cut_disk import ERRORS, CutDisk, Operation, failing_once, leave
 from proving.log_rig import log_context, simulated_records
@@ -274,7 +275,7 @@ def _take(recorder: Recorder, tick: int, root: Path, story: Story, disk: CutDisk
 
 def _settle(recorder: Recorder) -> None:
     done = threading.Event()
-    recorder._put(done.set)
+    recorder._do(done.set)
     while not done.wait(0.5):
         if not recorder._thread.is_alive():
             raise RuntimeError("the recorder's thread is gone")

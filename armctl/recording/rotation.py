@@ -1,0 +1,281 @@
+"""The files that a daemon writes: its log, rotated and kept within bounds, a take, and the snapshot of a fault.
+
+Rules.
+1. A log is rotated when it is old or large enough (`LogConfig`): the next record begins another one, and the
+   finished one is compacted (compact.py). The oldest logs are deleted when all of them take too much (quota.py).
+2. A file that fails is let go of and the others go on. A log is tried again every `RETRY_NS`.
+3. Every file can be replayed alone: the newest ticks back to a keyframe (history.py) are handed to each one.
+4. Around a fault a snapshot is kept beside the log; no bound on the logs deletes it.
+
+Everything here runs in the recorder's thread (recorder.py), but for what its docstring says is for others.
+"""
+
+import errno
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import chain, count
+from pathlib import Path
+from typing import Protocol
+
+from armctl.clock import NS_PER_S, Clock
+from armctl.errors import LogError
+from armctl.messages import Connected, Event, TickRecord
+from armctl.recording import quota
+from armctl.recording.channels import Anchor
+from armctl.recording.disk import PART, Disk
+from armctl.recording.history import History
+from armctl.recording.writer import LogContext, LogWriter
+
+RETRY_NS = 5 * NS_PER_S
+MAX_SNAPSHOT = 10
+"""A snapshot lasts no longer than so many times its ordinary length, however many faults follow each other."""
+CLOCK_STEP_NS = NS_PER_S // 2
+LOG, TAKE, SNAPSHOT = "log", "take", "snapshot"
+_log = logging.getLogger(__name__)
+
+
+class Compactor(Protocol):
+    """Compacts the finished logs of a folder, some time."""
+
+    def start(self, folder: Path) -> None: ...
+
+
+class Files:
+    """The log, and a take and a snapshot while there is one.
+
+    Args:
+        wall_ns: Epoch time [ns].
+        compactor: Told of the folder when a log was rotated.
+    """
+
+    def __init__(
+        self,
+        context: LogContext,
+        folder: Path,
+        *,
+        clock: Clock,
+        wall_ns: Callable[[], int],
+        disk: Disk,
+        compactor: Compactor,
+    ) -> None:
+        self.log_problem = self.take_problem = ""
+        """Why there is no log, or no take any more; for others too."""
+        self.written = False
+        """Whether something was written since the last flush."""
+        self._context, self._folder = context, folder
+        self._clock, self._wall_ns = clock, wall_ns
+        self._disk, self._compactor = disk, compactor
+        self._open: dict[str, LogWriter] = {}
+        self._history = History(context.config.log.snapshot_s, context.period_s)
+        self._last: TickRecord | None = None
+        self._previous = ""
+        self._snapshot_end_ns = self._retry_ns = 0
+        self._clock_offset_ns: int | None = None
+
+    @property
+    def log(self) -> LogWriter | None:
+        """The log being written; for others its path and anchor alone."""
+        return self._open.get(LOG)
+
+    def new_take(self, path: Path) -> LogWriter:
+        """A file for a take, with the log's clock anchor; for others. `begin_take` puts it to use.
+
+        Raises:
+            LogError: it cannot be written.
+        """
+        anchor = Anchor(self._wall_ns(), self._clock.now_ns()) if self.log is None else self.log.anchor
+        return LogWriter(path, self._context, anchor=anchor, disk=self._disk)
+
+    def begin_take(self, take: LogWriter) -> None:
+        """Record into the take as well from now on."""
+        beginning = self._history.beginning()
+        take.begin(beginning.keyframe, beginning.inputs_only)
+        self._open[TAKE] = take
+
+    def note(self, topic: str, text: str, time_ns: int) -> None:
+        """Record a text (JSON) on a std_msgs/String topic at a monotonic time."""
+        self._ensure_log()
+        self._write(lambda writer: writer.write_note(topic, text, time_ns))
+
+    def record(self, record: TickRecord) -> bool:
+        """Record a tick; whether it has to be on the disk at once."""
+        for command in record.inputs.commands:
+            if isinstance(command, Connected) and command.firmware:
+                self._context = replace(self._context, firmware=command.firmware)
+        self._rotate(record)
+        self._ensure_log()
+        self._write(lambda writer: writer.write_tick(record))
+        self._history.add(record)
+        before = None if self._last is None else self._last.outputs.fault
+        self._last = record
+        fault, time_ns = record.outputs.fault, record.inputs.sample.time_ns
+        if fault is not None and fault != before:
+            self._keep_snapshot(fault.code, time_ns)
+            return True
+        if SNAPSHOT in self._open and time_ns >= self._snapshot_end_ns:
+            self.close(SNAPSHOT)
+        return False
+
+    def flush(self) -> None:
+        """Return when everything written is on the disk."""
+        self._watch_wall_clock()
+        self._write(LogWriter.flush)
+        self.written = False
+
+    def check_space(self) -> None:
+        """Delete what may be deleted; close all files if the disk is too full all the same."""
+        if problem := self._space_problem():
+            self._fail(problem)
+            self.close(LOG, TAKE, SNAPSHOT)
+            self._retry_ns = self._clock.now_ns() + RETRY_NS
+
+    def close(self, *kinds: str) -> None:
+        """Finish the open files of these kinds."""
+        for kind in kinds:
+            if kind in self._open:
+                try:
+                    self._open[kind].close()
+                except (LogError, ValueError) as error:
+                    self._let_go(kind, error)
+                else:
+                    del self._open[kind]
+
+    # ------------------------------------------------------------------------------------------ rotation
+
+    def _rotate(self, record: TickRecord) -> None:
+        """End the log if it is old or large enough; the next `_ensure_log` begins another one."""
+        log, limits = self.log, self._context.config.log
+        if log is None:
+            return
+        age_s = (record.inputs.sample.time_ns - log.begin_ns) / NS_PER_S
+        if age_s >= limits.rotate_s or log.size_bytes >= limits.rotate_bytes:
+            self.close(LOG)
+            try:
+                self._compactor.start(self._folder)
+            except OSError as error:
+                _log.warning("%s: not compacted: %s", log.path, error)
+
+    def _ensure_log(self) -> None:
+        """Open a log where there is none, unless the last attempt failed a moment ago."""
+        now_ns = self._clock.now_ns()
+        if self.log is not None or now_ns < self._retry_ns:
+            return
+        self._retry_ns = now_ns + RETRY_NS
+        anchor = Anchor(self._wall_ns(), now_ns)
+        try:
+            if problem := self._space_problem():
+                self._fail(problem)
+                return
+            self._begin(LOG, f"{quota.LOG}-{_stamp(anchor.wall_ns)}", self._previous, anchor)
+        except (LogError, OSError) as error:
+            self._fail(_problem(error))
+            return
+        log = self._open[LOG]
+        self._previous = log.path.name
+        self._retry_ns = 0
+        self._clock_offset_ns = anchor.wall_ns - anchor.monotonic_ns
+        if self.log_problem:
+            _log.info("recording again, to %s", log.path)
+        self.log_problem = ""
+
+    def _keep_snapshot(self, code: str, time_ns: int) -> None:
+        """Keep the ticks before and after a fault; one that follows soon only makes it longer."""
+        span_ns = round(self._context.config.log.snapshot_s * NS_PER_S)
+        self._snapshot_end_ns = time_ns + span_ns
+        if (snapshot := self._open.get(SNAPSHOT)) is not None:
+            self._snapshot_end_ns = min(self._snapshot_end_ns, snapshot.begin_ns + MAX_SNAPSHOT * span_ns)
+            return
+        if (log := self.log) is None:
+            return  # no space, or no folder: the log's problem says so
+        stem = f"{quota.FAULT}-{_stamp(log.anchor.epoch_ns(time_ns))}-{code}"
+        try:
+            for record in self._begin(SNAPSHOT, stem, log.path.name, log.anchor, time_ns - span_ns):
+                self._open[SNAPSHOT].write_tick(record)
+        except (LogError, ValueError) as error:
+            _log.error("no snapshot of %s: %s", code, error)
+            if SNAPSHOT in self._open:
+                self._let_go(SNAPSHOT, error)
+
+    def _begin(
+        self, kind: str, stem: str, previous: str, anchor: Anchor, begin_ns: int | None = None
+    ) -> tuple[TickRecord, ...]:
+        """Open a file beside the logs; returns the ticks since `begin_ns`, which are to be written to it."""
+        names = chain((f"{stem}.mcap",), (f"{stem}-{number}.mcap" for number in count(2)))
+        paths = (self._folder / name for name in names)
+        path = next(path for path in paths if not path.exists() and not path.with_name(path.name + PART).exists())
+        beginning = self._history.beginning(begin_ns)
+        self._open[kind] = LogWriter(
+            path,
+            self._context,
+            keyframe=beginning.keyframe,
+            previous=previous,
+            anchor=anchor,
+            inputs_only=beginning.inputs_only,
+            disk=self._disk,
+        )
+        return beginning.records
+
+    # ------------------------------------------------------------------------------------------ failures
+
+    def _write(self, action: Callable[[LogWriter], None]) -> None:
+        """Do something to every open file; whichever fails is let go of, the others go on."""
+        for kind in (LOG, TAKE, SNAPSHOT):
+            if kind in self._open:
+                self.written = True
+                try:
+                    action(self._open[kind])
+                except (LogError, ValueError) as error:
+                    self._let_go(kind, error)
+
+    def _let_go(self, kind: str, error: Exception) -> None:
+        """Abandon a file that failed; it stays as a part, to be recovered."""
+        self._open.pop(kind).abandon()
+        if kind == TAKE:
+            self.take_problem = _problem(error)
+            _log.error("%s", self.take_problem)
+        elif kind == SNAPSHOT:
+            _log.error("the snapshot of a fault ends here: %s", error)
+        else:
+            self._fail(_problem(error))
+            self._retry_ns = self._clock.now_ns() + RETRY_NS
+
+    def _fail(self, problem: str) -> None:
+        if problem != self.log_problem:
+            _log.error("%s", problem)
+        self.log_problem = problem
+
+    def _space_problem(self) -> str:
+        """Why nothing may be written, after deleting what may be deleted."""
+        limits, folder = self._context.config.log, self._folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            quota.enforce(folder, limits, disk=self._disk)
+            free = self._disk.free_bytes(folder)
+        except OSError as error:
+            return _problem(error)
+        if free >= limits.free_bytes:
+            return ""
+        need = limits.free_bytes / 2**20
+        return f"NO_SPACE: {free / 2**20:.0f} MiB free in {folder}, {need:.0f} needed; delete old logs"
+
+    def _watch_wall_clock(self) -> None:
+        """Note in the files when the wall clock steps; their own times go by their anchors and do not change."""
+        now_ns = self._clock.now_ns()
+        offset_ns = self._wall_ns() - now_ns
+        if self._clock_offset_ns is not None and abs(offset_ns - self._clock_offset_ns) > CLOCK_STEP_NS:
+            text = f"the wall clock was set by {(offset_ns - self._clock_offset_ns) / NS_PER_S:+.3f} s"
+            self._write(lambda writer: writer.write_event(Event("warning", "CLOCK_STEP", text), now_ns))
+            self._clock_offset_ns = offset_ns
+
+
+def _stamp(epoch_ns: int) -> str:
+    return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(epoch_ns // NS_PER_S))
+
+
+def _problem(error: Exception) -> str:
+    cause = error if isinstance(error, OSError) else error.__cause__
+    number = cause.errno if isinstance(cause, OSError) else None
+    code = "NO_SPACE" if number in (errno.ENOSPC, errno.EDQUOT) else "LOG_ERROR"
+    return f"{code}: {error}"
