@@ -200,9 +200,9 @@ def _list(output: Output, socket: str | None) -> None:
         return
     if found["recordings"]:
         show_recordings(output, found["recordings"])
-    elif not found["unreadable"]:
+    elif "unreadable" not in found:
         output.say("no recordings; make some with `armctl teach NAME`")
-    for entry in found["unreadable"]:
+    for entry in found.get("unreadable", ()):
         output.say(f"not shown: {entry['problem']}")
 
 

@@ -11,6 +11,7 @@ Rules.
 
 import json
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -121,7 +122,9 @@ def input_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
 def command_messages(record: TickRecord) -> list[Message]:
     """What clients asked of this tick."""
     inputs = record.inputs
-    return [(COMMAND, _string(f'{{"tick":{inputs.tick},"command":{to_json(command)}}}')) for command in inputs.commands]
+    return [
+        string_message(COMMAND, f'{{"tick":{inputs.tick},"command":{to_json(command)}}}') for command in inputs.commands
+    ]
 
 
 def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
@@ -149,7 +152,9 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
         for command in inputs.commands
         if isinstance(command, Run)
     ]
-    messages += [(COMMAND, _string(f'{{"tick":{inputs.tick},"reply":{to_json(reply)}}}')) for reply in outputs.replies]
+    messages += [
+        string_message(COMMAND, f'{{"tick":{inputs.tick},"reply":{to_json(reply)}}}') for reply in outputs.replies
+    ]
     messages += [(ROSOUT, log_line(event, epoch_ns, CONTROL)) for event in outputs.events]
     return messages
 
@@ -196,7 +201,7 @@ def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:
 
 def string_message(topic: str, text: str) -> Message:
     """Free text (a robot description, JSON) on a std_msgs/String topic."""
-    return topic, _string(text)
+    return topic, {"data": text}
 
 
 def diagnostics(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Message:
@@ -275,10 +280,6 @@ def _header(epoch_ns: int, frame_id: str) -> Value:
     return {"stamp": _stamp(epoch_ns), "frame_id": frame_id}
 
 
-def _string(text: str) -> Value:
-    return {"data": text}
-
-
 def _joint_states(header: Value, outputs: Outputs, arm: ArmConfig) -> Value:
     known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
     return {
@@ -300,31 +301,21 @@ def _joint_commands(header: Value, goal: Goal, arm: ArmConfig) -> Value:
     }
 
 
-def _vector(values: FloatArray) -> Value:
-    x, y, z = values.tolist()
-    return {"x": x, "y": y, "z": z}
-
-
-def _quaternion(values: tuple[float, float, float, float]) -> Value:
-    x, y, z, w = values
-    return {"x": x, "y": y, "z": z, "w": w}
+def _axes(values: Iterable[float]) -> Value:
+    """A vector or a quaternion."""
+    return dict(zip("xyzw", values, strict=False))
 
 
 def _transform(header: Value, child: str, T: FloatArray) -> Value:
     return {
         "header": header,
         "child_frame_id": child,
-        "transform": {
-            "translation": _vector(T[:3, 3]),
-            "rotation": _quaternion(quaternion_from_matrix(T[:3, :3])),
-        },
+        "transform": {"translation": _axes(T[:3, 3].tolist()), "rotation": _axes(quaternion_from_matrix(T[:3, :3]))},
     }
 
 
 def _pose(header: Value, tool: ToolPose) -> Value:
-    x, y, z = tool.position_m
-    pose = {"position": {"x": x, "y": y, "z": z}, "orientation": _quaternion(tool.quaternion)}
-    return {"header": header, "pose": pose}
+    return {"header": header, "pose": {"position": _axes(tool.position_m), "orientation": _axes(tool.quaternion)}}
 
 
 def _servos(header: Value, sample: Sample, arm: ArmConfig) -> Value:

@@ -188,11 +188,11 @@ class _Walk:
                 at = self._primitive(place, PRIMITIVES[item.type], at, count if item.is_array else None)
                 continue
             for index in range(count):
-                one = f"{place}[{index}]" if item.is_array else place
+                path_here = f"{place}[{index}]" if item.is_array else place
                 if item.type == "string":
-                    at = self._text(one, at)
+                    at = self._text(path_here, at)
                 else:
-                    at = self._message(item.type, f"{one}.", at, depth + 1)
+                    at = self._message(item.type, f"{path_here}.", at, depth + 1)
         return at
 
     def _primitive(self, path: str, character: str, at: _At, count: int | None) -> _At:

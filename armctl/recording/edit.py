@@ -196,7 +196,7 @@ class _Merger:
 
     def _end_tick(self, log: LogFile, tick: list[LogMessage], before: Path | None, begun: bool) -> bool:
         """Take over what ends with a cycle; whether the file's own ticks have begun."""
-        message = tick[-1]
+        message, time_ns = tick[-1], tick[-1].log_time_ns
         cycle = log.decode(message)
         if not {"tick", "inputs_only"} <= cycle.keys():
             raise LogError(f"{log.path}: {message.topic} is not as armctl writes it")
@@ -206,10 +206,10 @@ class _Merger:
             if cycle["inputs_only"] and not goes_on:
                 return False
             self._follows(log, before, message, goes_on)
-            tick = [one for one in tick if one.topic != channels.STATE]
-        for one in tick:
-            self._copy.add(one)
-        self._tick, self._tick_ns = number, message.log_time_ns
+            tick = [message for message in tick if message.topic != channels.STATE]
+        for message in tick:
+            self._copy.add(message)
+        self._tick, self._tick_ns = number, time_ns
         return begun or not cycle["inputs_only"]
 
     def _follows(self, log: LogFile, before: Path, message: LogMessage, goes_on: bool) -> None:
@@ -299,6 +299,8 @@ def _stamped(value: Value, epoch_ns: int) -> Value:
     if "header" in value:
         return value | {"header": value["header"] | {"stamp": stamp}}
     return {
-        key: [_stamped(one, epoch_ns) for one in part] if isinstance(part, list) and key == "transforms" else part
+        key: [_stamped(transform, epoch_ns) for transform in part]
+        if isinstance(part, list) and key == "transforms"
+        else part
         for key, part in value.items()
     }

@@ -163,7 +163,7 @@ def _common(kind: type | None, cell: Cell) -> type | None:
     """What holds the cells so far and one more."""
     if cell is None:
         return kind
-    new = next(one for one in (bool, int, float, str) if isinstance(cell, one))
+    new = next(candidate for candidate in (bool, int, float, str) if isinstance(cell, candidate))
     if isinstance(cell, int) and not -(2**63) <= cell < 2**63:
         new = str
     if kind is None or kind is new:
@@ -251,7 +251,7 @@ def _by_name(parts: list[Any]) -> dict[str, Any]:
     """The members of a list by the name each of them bears; nothing if they bear none, or the same one twice."""
     for key in ("child_frame_id", "name", "key"):
         if all(isinstance(part, dict) and part.get(key) for part in parts):
-            named = {str(part[key]): {name: one for name, one in part.items() if name != key} for part in parts}
+            named = {str(part[key]): {name: value for name, value in part.items() if name != key} for part in parts}
             if len(named) == len(parts):
                 # A name with a single value needs no third word.
                 return {name: part.get("value", part) for name, part in named.items()}

@@ -36,7 +36,7 @@ class History:
         if not record.keyframe:
             return
         begin_ns = record.inputs.sample.time_ns - self._keep_ns
-        older = [i for i, one in enumerate(self._records) if one.keyframe and one.inputs.sample.time_ns <= begin_ns]
+        older = [i for i, old in enumerate(self._records) if old.keyframe and old.inputs.sample.time_ns <= begin_ns]
         for _ in range(older[-1] if older else 0):
             self._records.popleft()
 

@@ -23,7 +23,7 @@ from armctl.trajectory.dead_time import moving_part
 from armctl.trajectory.straightness import max_error, mean_error
 
 MIN_LINE_M = 1e-6
-"""Ends closer than this make no line: their distance is rounding, not motion (one servo tick moves the tool 0.1 mm)."""
+"""Ends closer than this make no line: their distance is rounding, not motion (a servo tick moves the tool far more)."""
 Line = tuple[Sequence[float], Sequence[float]]
 _log = logging.getLogger(__name__)
 
@@ -32,17 +32,19 @@ def listing(folder: Path, robot: Robot) -> dict[str, list[dict[str, Any]]]:
     """Every take of a folder by name.
 
     Returns:
-        `recordings`: the readable takes (see `describe`); `unreadable`: `name`, `path` and `problem` of the others.
+        `recordings`: the readable takes (see `describe`). `unreadable`, only where there are some: `name`, `path` and
+        `problem` of the others.
     Raises:
         LogError: the folder cannot be read.
     """
-    found: dict[str, list[dict[str, Any]]] = {"recordings": [], "unreadable": []}
+    found: dict[str, list[dict[str, Any]]] = {"recordings": []}
     for path in take_files(folder):
         try:
             found["recordings"].append(describe(load(path), robot))
         except LogError as error:
             _log.warning("recording cannot be read: %s", error)
-            found["unreadable"].append({"name": take_name(path), "path": str(path), "problem": str(error)})
+            entry = {"name": take_name(path), "path": str(path), "problem": str(error)}
+            found.setdefault("unreadable", []).append(entry)
     return found
 
 

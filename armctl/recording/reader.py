@@ -7,6 +7,7 @@
 Every failure is a LogError.
 """
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,8 +100,7 @@ def read_topic(path: Path, topic: str) -> tuple[Table, ...]:
         LogError: the file is no log, has no such topic, or it is not what its schema says.
     """
     with LogFile(path) as log:
-        found = log.payloads((topic,))
-        return log.tables(topic, found.get(topic, Payloads()))
+        return log.tables(topic, log.payloads((topic,)).get(topic, Payloads()))
 
 
 def info(path: Path) -> LogInfo:
@@ -109,16 +109,15 @@ def info(path: Path) -> LogInfo:
     Raises:
         LogError: the file is no log.
     """
-    topics: dict[str, int] = {}
+    topics: Counter[str] = Counter()
     begin_ns, end_ns = 2**64, 0
     with LogFile(path) as log:
         for message in log.messages():
-            topics[message.topic] = topics.get(message.topic, 0) + 1
+            topics[message.topic] += 1
             begin_ns, end_ns = min(begin_ns, message.log_time_ns), max(end_ns, message.log_time_ns)
-        if not topics:
-            begin_ns = end_ns = 0
+        begin_ns = min(begin_ns, end_ns)  # of a file without messages: 0
         return LogInfo(
-            messages=sum(topics.values()),
+            messages=topics.total(),
             start_s=begin_ns / NS_PER_S,
             duration_s=(end_ns - begin_ns) / NS_PER_S,
             topics=dict(sorted(topics.items())),
@@ -144,10 +143,10 @@ def joint_track(log: LogFile, payloads: Payloads | None) -> JointTrack:
         LogError: there are none.
     """
     found = [] if payloads is None else [_named(table) for table in log.tables(JOINT_STATES, payloads)]
-    kinds = [one for one in found if one is not None]
-    if not kinds:
+    named = [kind for kind in found if kind is not None]
+    if not named:
         raise LogError(f"{log.path}: holds no joint states")
-    names, table = max(kinds, key=lambda kind: len(kind[0]))
+    names, table = max(named, key=lambda kind: len(kind[0]))
     time_ns = table.log_time_ns.astype(np.int64)
     return JointTrack(
         names=names,

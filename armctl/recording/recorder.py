@@ -114,7 +114,7 @@ class Recorder:
     def note(self, topic: str, text: str, time_ns: int) -> None:
         """Record a text (JSON) on a std_msgs/String topic at a monotonic time. Never blocks."""
         if len(self._queue) < self._queue_records:
-            self._do(partial(self._files.note, topic, text, time_ns))
+            self._put(partial(self._files.note, topic, text, time_ns))
 
     def begin_take(self, name: str) -> Path:
         """Record into a take as well from now on.
@@ -131,7 +131,7 @@ class Recorder:
             raise LogError(f"take {name}: cannot be recorded now: {self._files.log_problem}")
         take = self._files.new_take(path)
         self._files.take_problem = ""
-        self._do(partial(self._files.begin_take, take))
+        self._put(partial(self._files.begin_take, take))
         self._take_path = path
         return path
 
@@ -145,8 +145,8 @@ class Recorder:
         if path is None:
             return None
         done = threading.Event()
-        self._do(partial(self._files.close, TAKE))
-        self._do(done.set)
+        self._put(partial(self._files.close, TAKE))
+        self._put(done.set)
         completed = done.wait(TAKE_END_S) and path.exists()
         problem, self._files.take_problem = self.problem or "the disk does not answer", ""
         if not completed:
@@ -162,7 +162,7 @@ class Recorder:
         if self._thread.is_alive():
             _log.error("the disk did not take the log within %g s; it stays as a part and is recovered later", CLOSE_S)
 
-    def _do(self, action: Callable[[], None]) -> None:
+    def _put(self, action: Callable[[], None]) -> None:
         """Have the thread do something after what is in the queue, full or not."""
         with self._condition:
             self._queue.append(action)

@@ -24,23 +24,17 @@ from armctl.control.step import step as control_step
 from armctl.errors import ConfigError, LogError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import (
-    Inputs,
-    Outputs,
-    Sample,
-    ServoReading,
-    TickRecord,
-    command_from_json,
-    from_json,
-)
+from armctl.messages import Inputs, Outputs, Sample, ServoReading, TickRecord, command_from_json, from_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage
 
 PROGRESS_TICKS = 500
 MERGED = "merged"
 """Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic."""
+_READING = ("registers", "stamp_ns", "fresh", "error", "problem")
+"""Fields that the message of a servo and its `ServoReading` have in common."""
 _COMPARED = (
     channels.JOINT_STATES,
     channels.JOINT_COMMANDS,
@@ -123,12 +117,7 @@ class _Tick:
     logged: dict[str, list[bytes]] = field(default_factory=dict)
 
 
-def check(
-    path: Path,
-    progress: Callable[[float], None] | None = None,
-    *,
-    step: Step = control_step,
-) -> ReplayResult:
+def check(path: Path, progress: Callable[[float], None] | None = None, *, step: Step = control_step) -> ReplayResult:
     """Run a log's inputs through the control step and compare with what is logged.
 
     Args:
@@ -147,16 +136,10 @@ def check(
         version = log.facts.get("version", "")
     if not replay.keyframes:
         raise LogError(f"{path}: holds no keyframe; there is no state to begin at")
+    counts = {key: getattr(replay, key) for key in ("ticks", "messages", "mismatches", "first_mismatch")}
     seconds = time.perf_counter() - begun_s
-    return ReplayResult(
-        ticks=replay.ticks,
-        messages=replay.messages,
-        mismatches=replay.mismatches,
-        seconds=seconds,
-        realtime_ratio=replay.duration_ns / NS_PER_S / max(seconds, 1e-9),
-        first_mismatch=replay.first_mismatch,
-        version=version,
-    )
+    ratio = replay.duration_ns / NS_PER_S / max(seconds, 1e-9)
+    return ReplayResult(seconds=seconds, realtime_ratio=ratio, version=version, **counts)
 
 
 class Rerun:
@@ -184,7 +167,8 @@ class Rerun:
             raise self._log.misfit(message, error) from None
 
     def _take(self, message: LogMessage) -> None:
-        topic, data = message.topic, message.data
+        topic = message.topic
+        compared = topic in _COMPARED
         if topic == channels.STATE:
             self._keyframe(self._log.decode(message)["data"])
         elif topic == channels.SERVOS:
@@ -194,16 +178,14 @@ class Rerun:
             record = channels.parse_record(self._log.decode(message)["data"])
             if record is not None:
                 self._tick.records.append(record)
-                if record[1] == "reply":
-                    self._tick.logged.setdefault(topic, []).append(data)
+            compared = record is not None and record[1] == "reply"
         elif topic == channels.CYCLE:
             tick, self._tick = self._tick, _Tick()
             self._finish(tick, self._log.decode(message), message.log_time_ns)
         elif topic == channels.ROSOUT:
-            if self._log.decode(message)["name"] == channels.CONTROL:
-                self._tick.logged.setdefault(topic, []).append(data)
-        elif topic in _COMPARED:
-            self._tick.logged.setdefault(topic, []).append(data)
+            compared = self._log.decode(message)["name"] == channels.CONTROL
+        if compared:
+            self._tick.logged.setdefault(topic, []).append(message.data)
 
     def _keyframe(self, text: str) -> None:
         self.keyframes += 1
@@ -242,23 +224,10 @@ class Rerun:
         ids = tuple(servo["id"] for servo in servos["servos"])
         if ids != self._setup.arm.servo_ids:
             raise LogError(f"{self._log.path}: servos {ids} in a log of an arm with {self._setup.arm.servo_ids}")
-        sample = Sample(
-            time_ns=cycle["time_ns"],
-            servos=tuple(
-                ServoReading(
-                    servo_id=servo["id"],
-                    registers=servo["registers"],
-                    stamp_ns=servo["stamp_ns"],
-                    fresh=servo["fresh"],
-                    error=servo["error"],
-                    problem=servo["problem"],
-                )
-                for servo in servos["servos"]
-            ),
-            bus_us=cycle["bus_us"],
-            retries=cycle["retries"],
-            port_open=cycle["port_open"],
+        readings = tuple(
+            ServoReading(servo["id"], **{key: servo[key] for key in _READING}) for servo in servos["servos"]
         )
+        sample = Sample(cycle["time_ns"], readings, **{key: cycle[key] for key in ("bus_us", "retries", "port_open")})
         commands = tuple(
             self._parsed(command_from_json, json.dumps(data))
             for tick, kind, data in records

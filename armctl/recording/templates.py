@@ -81,8 +81,8 @@ class Template:
             if item.type in ("byte", "uint8"):
                 self._number(f"{len(content)}s", 1, len(content), None)
                 continue
-            for one in content:
-                self._single(item.type, one, None)
+            for element in content:
+                self._single(item.type, element, None)
 
     def _single(self, kind: str, content: Any, slot: int | None) -> None:
         if kind == "string":

@@ -11,7 +11,8 @@ Rules.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import CONTROL
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.replay import log_setup
 
 BLOCK_FRAMES = 500
@@ -260,18 +261,9 @@ class Timeline:
         return next(name for begin, name in reversed(self.faults) if begin <= frame)
 
 
-_ARRAYS: dict[str, type] = {
-    "time_ns": np.int64,
-    "tick": np.int64,
-    "position_rad": np.float64,
-    "velocity_rad_s": np.float64,
-    "load_ratio": np.float64,
-    "goal_rad": np.float64,
-    "voltage_V": np.float64,
-    "temperature_degC": np.float64,
-    "torque_enabled": np.bool_,
-    "tool": np.float64,
-}
+_TYPES = {"time_ns": np.int64, "tick": np.int64, "torque_enabled": np.bool_}
+_ARRAYS = {f.name: _TYPES.get(f.name, np.float64) for f in fields(Frame) if f.name not in ("state", "fault")}
+"""What of a frame becomes an array, and its type."""
 
 
 def load(path: Path, progress: Callable[[float], None] | None = None) -> Timeline:
@@ -283,31 +275,25 @@ def load(path: Path, progress: Callable[[float], None] | None = None) -> Timelin
         LogError: the file is no log of armctl's, or holds no whole tick.
     """
     blocks: dict[str, list[Any]] = {name: [] for name in _ARRAYS}
-    waiting: list[Frame] = []
-    changes: tuple[list[tuple[int, str]], list[tuple[int, str]]] = [], []
+    states: list[tuple[int, str]] = []
+    faults: list[tuple[int, str]] = []
     count = 0
-
-    def pack() -> None:
-        for name, kind in _ARRAYS.items():
-            blocks[name].append(np.array([getattr(frame, name) for frame in waiting], dtype=kind))
-        waiting.clear()
-
     with LogFile(path) as log:
         frames = Frames(log)
-        for frame in frames:
-            for seen, now in zip(changes, (frame.state, frame.fault), strict=True):
-                if not seen or seen[-1][1] != now:
-                    seen.append((count, now))
-            waiting.append(frame)
-            count += 1
-            if len(waiting) == BLOCK_FRAMES:
-                pack()
-                if progress is not None:
-                    progress(log.progress)
+        found = iter(frames)
+        # In blocks: the frames of a whole log as objects would take ten times the memory of its arrays.
+        while block := list(islice(found, BLOCK_FRAMES)):
+            for name, parts in blocks.items():
+                parts.append(np.array([getattr(frame, name) for frame in block], _ARRAYS[name]))
+            for frame in block:
+                for seen, now in ((states, frame.state), (faults, frame.fault)):
+                    if not seen or seen[-1][1] != now:
+                        seen.append((count, now))
+                count += 1
+            if progress is not None and len(block) == BLOCK_FRAMES:
+                progress(log.progress)
         if not count:
             raise LogError(f"{path}: holds no whole tick; there is nothing to show")
-        if waiting:
-            pack()
         arrays = {name: np.concatenate(parts) for name, parts in blocks.items()}
         time_ns = arrays.pop("time_ns")
         return Timeline(
@@ -316,8 +302,8 @@ def load(path: Path, progress: Callable[[float], None] | None = None) -> Timelin
             start_ns=int(time_ns[0]),
             time_s=(time_ns - time_ns[0]) / NS_PER_S,
             **arrays,
-            states=tuple(changes[0]),
-            faults=tuple(changes[1]),
+            states=tuple(states),
+            faults=tuple(faults),
             happenings=tuple(frames.happenings),
             motions=tuple(frames.motions),
             complete=log.complete,

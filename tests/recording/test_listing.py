@@ -64,7 +64,7 @@ def test_every_take_is_listed_with_its_figures_or_with_what_is_wrong(
         assert "no joint states" in entry["problem"]
         return
     (entry,) = found["recordings"]
-    assert found["unreadable"] == []
+    assert "unreadable" not in found
     assert (entry["name"], entry["path"], entry["samples"]) == ("a", str(path), len(rows))
     assert entry["duration_s"] == pytest.approx((len(rows) - 1) / 10.0)
     figures = entry["mean_error_mm"], entry["max_error_mm"]
@@ -81,10 +81,10 @@ def test_a_take_that_was_cut_at_any_byte_disturbs_no_other(tmp_path: Path) -> No
     for place in [*range(12), *(rng.randrange(len(data)) for _ in range(60)), len(data) - 1]:
         cut.write_bytes(data[:place])
         found = listing(tmp_path, ROBOT)
-        names = [entry["name"] for entry in (*found["recordings"], *found["unreadable"])]
+        names = [entry["name"] for entry in (*found["recordings"], *found.get("unreadable", ()))]
         assert sorted(names) == ["cut", "whole"]
         assert found["recordings"][-1:] == expected
-        assert all(entry["problem"] for entry in found["unreadable"])
+        assert all(entry["problem"] for entry in found.get("unreadable", ()))
 
 
 def test_a_take_of_an_arm_with_fewer_joints_has_no_errors_to_show(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ class Rig:
     def settle(self) -> None:
         """Return when the thread has done everything queued before."""
         done = threading.Event()
-        self.recorder._do(done.set)
+        self.recorder._put(done.set)
         assert done.wait(10.0)
 
     def put(self, records: list[TickRecord]) -> None:
@@ -105,7 +105,7 @@ def held(recorder: Recorder) -> Iterator[None]:
         entered.set()
         leave.wait(10.0)
 
-    recorder._do(wait)
+    recorder._put(wait)
     assert entered.wait(10.0)
     yield
     leave.set()

@@ -76,7 +76,7 @@ def test_the_list_is_sorted_and_says_what_cannot_be_read(tmp_path: Path, caplog:
         ("broken", True)
     ]
     assert "broken.mcap" in caplog.text
-    assert listing(tmp_path / "nowhere", ROBOT) == {"recordings": [], "unreadable": []}
+    assert listing(tmp_path / "nowhere", ROBOT) == {"recordings": []}
 
 
 def test_renaming_never_overwrites(tmp_path: Path) -> None:

@@ -275,7 +275,7 @@ def _take(recorder: Recorder, tick: int, root: Path, story: Story, disk: CutDisk
 
 def _settle(recorder: Recorder) -> None:
     done = threading.Event()
-    recorder._do(done.set)
+    recorder._put(done.set)
     while not done.wait(0.5):
         if not recorder._thread.is_alive():
             raise RuntimeError("the recorder's thread is gone")
