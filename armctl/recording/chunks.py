@@ -8,6 +8,7 @@ Rules.
 The rare records are put into bytes by the mcap package; messages, being thousands a second, are not.
 """
 
+import mmap
 import struct
 import zlib
 from collections.abc import Mapping
@@ -211,3 +212,29 @@ def inflate(body: memoryview) -> bytes:
     if len(data) != size or crc not in (0, zlib.crc32(data)):
         raise LogError("a chunk's checksum does not hold")
     return data
+
+
+def next_chunk(data: mmap.mmap, after: int) -> int:
+    """Where the next chunk of ours seems to begin, behind the record at `after`; where the data end if none does."""
+    # A zstd chunk's header has the name of its compression in its middle, and two lengths that fit each other.
+    name = struct.pack("<I", len(_ZSTD)) + _ZSTD
+    at = after
+    while (found := data.find(name, at + RECORD.size + CHUNK.size - 3)) >= 0:
+        at = found + 4 - CHUNK.size - RECORD.size
+        length_at = found + len(name)
+        if length_at + 8 <= len(data) and at > after:
+            opcode, length = RECORD.unpack_from(data, at)
+            (inner,) = struct.unpack_from("<Q", data, length_at)
+            if opcode == Opcode.CHUNK and length == CHUNK.size + 4 + 8 + inner:
+                return at
+    return len(data)
+
+
+def is_record(data: mmap.mmap, at: int, following: int) -> bool:
+    """Whether a record may stand there, and so many more behind it."""
+    if at + RECORD.size > len(data):
+        return False
+    opcode, length = RECORD.unpack_from(data, at)
+    behind = at + RECORD.size + length
+    fits = 0 < opcode <= Opcode.DATA_END and behind <= len(data)
+    return fits and (following == 0 or is_record(data, behind, following - 1))

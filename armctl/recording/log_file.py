@@ -25,9 +25,9 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
-from armctl.recording import columns
+from armctl.recording import chunks, columns
 from armctl.recording.cdr import Codec, Value, schema_codec
-from armctl.recording.chunks import CHUNK, MAGIC, MAX_CHUNK_BYTES, MESSAGE, MESSAGE_OPCODE, RECORD, inflate
+from armctl.recording.chunks import CHUNK, MAGIC, MAX_CHUNK_BYTES, MESSAGE, MESSAGE_OPCODE, RECORD
 from armctl.recording.columns import Payloads, Table
 from armctl.recording.schemas import parse_schema, short_name
 from armctl.recording.writer import SEED
@@ -267,7 +267,7 @@ class LogFile:
     def _record(self, opcode: int, body: bytes) -> bytes | None:
         """Take note of one record; the inflated data if it is a chunk."""
         if opcode == _CHUNK:
-            return inflate(memoryview(body))
+            return chunks.inflate(memoryview(body))
         if opcode == Opcode.MESSAGE:
             raise LogError("a message outside a chunk has no checksum")
         if opcode == _MESSAGE_INDEX:
@@ -313,37 +313,14 @@ class LogFile:
         """Go on behind an attachment if records follow it, else at the next place that looks like a chunk."""
         self.damaged += 1
         data = self._data
-        if opcode == Opcode.ATTACHMENT and self._is_record(begin + length, 2):
+        if opcode == Opcode.ATTACHMENT and chunks.is_record(data, begin + length, 2):
             self._at = begin + length
             return
         if opcode == _CHUNK and begin + CHUNK.size <= len(data):
             begin_ns, end_ns, _, _, _ = CHUNK.unpack_from(data, begin)
             begin_ns = self._end_ns or begin_ns
             self._tail_ns = end_ns - begin_ns if 0 < end_ns - begin_ns < MAX_CHUNK_NS else 0
-        at = self._at
-        name = b"\x04\x00\x00\x00zstd"  # what stands in the middle of the header of every chunk of ours
-        while True:
-            found = data.find(name, at + RECORD.size + CHUNK.size - 3)
-            if found < 0:
-                self._at = len(data)
-                return
-            at = found + 4 - CHUNK.size - RECORD.size
-            length_at = found + len(name)
-            if length_at + 8 <= len(data) and at > self._at:
-                opcode, length = RECORD.unpack_from(data, at)
-                (inner,) = struct.unpack_from("<Q", data, length_at)
-                if opcode == _CHUNK and length == CHUNK.size + 4 + 8 + inner:
-                    self._at = at
-                    return
-
-    def _is_record(self, at: int, following: int) -> bool:
-        """Whether a record may stand there, and so many more behind it."""
-        if at + RECORD.size > len(self._data):
-            return False
-        opcode, length = RECORD.unpack_from(self._data, at)
-        behind = at + RECORD.size + length
-        fits = 0 < opcode <= _DATA_END and behind <= len(self._data)
-        return fits and (following == 0 or self._is_record(behind, following - 1))
+        self._at = chunks.next_chunk(data, self._at)
 
     def _sort(self, chunk: bytes, topics: Collection[str] | None, found: dict[str, Payloads]) -> int:
         """Sort messages by topic as long as there is nothing but messages; where that ends.

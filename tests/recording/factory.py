@@ -1,7 +1,5 @@
 """Tick records for tests: the real control step in front of servos that obey at once."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

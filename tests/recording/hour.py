@@ -1,7 +1,5 @@
 """An hour of log for tests that need one, written once."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

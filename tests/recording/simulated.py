@@ -1,7 +1,5 @@
 """A log of a simulated arm: the real control loop and bus in virtual time, written by the real writer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

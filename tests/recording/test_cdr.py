@@ -1,7 +1,5 @@
 """The codec against mcap-ros2-support and rosbags, for every type."""
 
-from __future__ import annotations
-
 import math
 import struct
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """What stands in the log of a tick."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

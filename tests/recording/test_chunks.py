@@ -1,7 +1,5 @@
 """The container: what is written is what the mcap package reads, and no chunk is inflated beyond its claim."""
 
-from __future__ import annotations
-
 import io
 import random
 import struct

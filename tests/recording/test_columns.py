@@ -1,7 +1,5 @@
 """Columns hold what the codec decodes, for every type and every shape."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from pathlib import Path
@@ -18,8 +16,8 @@ from armctl.recording.cdr import HEADER, Value, codec
 from armctl.recording.columns import Payloads, Table, Texts
 from armctl.recording.reader import read, read_columns, read_topic
 from armctl.recording.schemas import MESSAGES, fields
-from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, CONTEXT, make_records
+from tests.recording.factory import make_records
+from tests.recording.logs import write
 from tests.recording.test_cdr import NAMES, values
 
 
@@ -124,13 +122,10 @@ def test_too_many_shapes_columns_and_levels_are_a_log_error() -> None:
 
 
 def test_a_whole_log_as_columns_is_the_log_message_by_message(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
-    for record in make_records(120):
-        writer.write_tick(record)
-    writer.close()
-    tables = read_columns(writer.path)
+    path = write(tmp_path / "a.mcap", make_records(120))
+    tables = read_columns(path)
     expected: dict[str, list[Value]] = {}
-    for one in read(writer.path):
+    for one in read(path):
         expected.setdefault(one.topic, []).append(one.value)
     assert tables.keys() == expected.keys()
     for topic, found in tables.items():
@@ -138,10 +133,10 @@ def test_a_whole_log_as_columns_is_the_log_message_by_message(tmp_path: Path) ->
     (states,) = tables["/joint_states"]
     assert states.numbers("position").tolist() == [value["position"] for value in expected["/joint_states"]]
     assert states.columns["name[0]"].tolist() == [value["name"][0] for value in expected["/joint_states"]]
-    (alone,) = read_topic(writer.path, "/joint_states")
+    (alone,) = read_topic(path, "/joint_states")
     np.testing.assert_array_equal(alone.numbers("effort"), states.numbers("effort"))
     with pytest.raises(LogError, match="no topic /none"):
-        read_topic(writer.path, "/none")
+        read_topic(path, "/none")
 
 
 def test_a_text_that_is_no_utf8_is_a_log_error_when_it_is_asked_for() -> None:

@@ -1,12 +1,9 @@
 """Compaction: smaller, the same bit for bit, and never a loss."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,28 +11,17 @@ import pytest
 from mcap.reader import make_reader
 
 from armctl.errors import LogError
-from armctl.messages import TickRecord
 from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
 from armctl.recording.disk import Disk, PartInUse, owned
 from armctl.recording.reader import LogFile, LogMessage
 from armctl.recording.replay import check
-from armctl.recording.writer import LogWriter
-from proving.damage import UnsyncedDisk, chunk_places
+from proving.damage import chunk_places
 from proving.log_rig import repeated
-from tests.recording.factory import ANCHOR, CONTEXT, make_records
+from tests.recording.factory import make_records
+from tests.recording.logs import write
 
 RECORDS = make_records(400, keyframe_ticks=150)
-
-
-def write(path: Path, records: Iterable[TickRecord] = RECORDS) -> Path:
-    writer = LogWriter(path, CONTEXT, anchor=ANCHOR, disk=UnsyncedDisk())
-    for record in records:
-        writer.write_tick(record)
-        if record.inputs.tick % 9 == 0:
-            writer.flush()
-    writer.close()
-    return path
 
 
 def held(path: Path) -> tuple[list[LogMessage], dict[str, bytes], dict[str, str]]:
@@ -47,7 +33,7 @@ def held(path: Path) -> tuple[list[LogMessage], dict[str, bytes], dict[str, str]
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    return write(tmp_path / "armctl-20250615T150645Z.mcap")
+    return write(tmp_path / "armctl-20250615T150645Z.mcap", RECORDS, flush_ticks=9)
 
 
 def test_a_compacted_log_is_smaller_and_holds_the_same_and_replays_bit_for_bit(log: Path) -> None:
@@ -60,7 +46,7 @@ def test_a_compacted_log_is_smaller_and_holds_the_same_and_replays_bit_for_bit(l
 
 
 def test_a_compacted_log_has_large_chunks_that_every_reader_still_inflates(tmp_path: Path) -> None:
-    log = write(tmp_path / "armctl-20250615T150645Z.mcap", repeated(RECORDS, 700))
+    log = write(tmp_path / "armctl-20250615T150645Z.mcap", repeated(RECORDS, 700), flush_ticks=9)
     assert len(chunk_places(log.read_bytes())) > 70
     assert compact(log)
     with log.open("rb") as stream:
@@ -120,7 +106,10 @@ def test_a_log_somebody_holds_is_left_alone(log: Path) -> None:
 
 
 def test_the_process_compacts_the_logs_of_a_folder_and_nothing_else(log: Path) -> None:
-    take, fault = write(log.with_name("take.mcap")), write(log.with_name("fault-20250615T150645Z-HOT.mcap"))
+    take, fault = (
+        write(log.with_name("take.mcap"), RECORDS),
+        write(log.with_name("fault-20250615T150645Z-HOT.mcap"), RECORDS),
+    )
     others = take.read_bytes(), fault.read_bytes()
     size = log.stat().st_size
     subprocess.run([sys.executable, "-m", "armctl.recording.compact", log.parent], check=True, timeout=100)

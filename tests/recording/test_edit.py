@@ -1,10 +1,9 @@
 """Trimming and merging: nothing added, nothing lost, and every piece replays alone."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -24,25 +23,20 @@ from armctl.recording.reader import LogFile, LogMessage
 from armctl.recording.schemas import schema_text
 from armctl.recording.writer import LogContext, LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
-from tests.recording.simulated import write_log
+from tests.recording.logs import messages, write
 
 RECORDS = make_records(90, keyframe_ticks=25)
 LATCHED = {"/robot_description", "/tf_static"}
 
 
-def raw(path: Path) -> list[LogMessage]:
-    with LogFile(path) as file:
-        return list(file.messages())
-
-
 def own(path: Path) -> list[LogMessage]:
     """Messages that a trimmed file takes over, and does not say anew."""
-    return [message for message in raw(path) if message.topic not in {*LATCHED, "/diagnostics", "/armctl/state"}]
+    return [message for message in messages(path) if message.topic not in {*LATCHED, "/diagnostics", "/armctl/state"}]
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 # ------------------------------------------------------------------------------------------------------- trim
@@ -59,7 +53,7 @@ def test_a_trimmed_file_holds_its_stretch_byte_for_byte_and_replays_from_its_fir
 ) -> None:
     out = tmp_path_factory.mktemp("trim") / "b.mcap"
     result = trim(log, out, begin / 10.0 - 0.05, (begin + length) / 10.0 - 0.05)
-    zero_ns = raw(log)[0].log_time_ns
+    zero_ns = messages(log)[0].log_time_ns
     begin_ns, end_ns = (zero_ns + round((tick / 10.0 - 0.05) * NS_PER_S) for tick in (begin, begin + length))
     assert own(out) == between(log, begin_ns, end_ns)
     checked = replay.check(out)
@@ -74,17 +68,17 @@ def test_a_trimmed_file_holds_its_stretch_byte_for_byte_and_replays_from_its_fir
 def test_a_trimmed_file_opens_alone_everywhere(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "b.mcap"
     result = trim(log, out, 3.0, 6.0)
-    messages = list(reader.read(out))
-    begin_ns = messages[-1].log_time_ns - round(2.9 * NS_PER_S)
-    assert [message.topic for message in messages[:2]] == ["/robot_description", "/tf_static"]
-    assert {"/diagnostics", "/armctl/state"} == {message.topic for message in messages[2:4]}
-    for message in messages[:4]:
+    found = list(reader.read(out))
+    begin_ns = found[-1].log_time_ns - round(2.9 * NS_PER_S)
+    assert [message.topic for message in found[:2]] == ["/robot_description", "/tf_static"]
+    assert {"/diagnostics", "/armctl/state"} == {message.topic for message in found[2:4]}
+    for message in found[:4]:
         assert message.log_time_ns == begin_ns
         stamp = message.value.get("header", {}).get(
             "stamp", {"sec": begin_ns // NS_PER_S, "nanosec": begin_ns % NS_PER_S}
         )
         assert stamp["sec"] * NS_PER_S + stamp["nanosec"] == begin_ns
-    for transform in messages[1].value["transforms"]:
+    for transform in found[1].value["transforms"]:
         assert transform["header"]["stamp"]["nanosec"] == begin_ns % NS_PER_S
     with LogFile(log) as old, LogFile(out) as new:
         assert {name: a.data for name, a in new.attachments.items()} == {n: a.data for n, a in old.attachments.items()}
@@ -101,12 +95,12 @@ def test_a_trimmed_file_can_be_trimmed_again(log: Path, tmp_path: Path) -> None:
     trim(log, tmp_path / "b.mcap", 1.0, 7.0)
     trim(tmp_path / "b.mcap", tmp_path / "c.mcap", 2.0, 4.0)
     trim(log, tmp_path / "d.mcap", 3.0, 5.0)
-    assert raw(tmp_path / "c.mcap") == raw(tmp_path / "d.mcap")
+    assert messages(tmp_path / "c.mcap") == messages(tmp_path / "d.mcap")
 
 
 def test_trimming_to_everything_keeps_everything(log: Path, tmp_path: Path) -> None:
     result = trim(log, tmp_path / "b.mcap", 0.0, float("inf"))
-    assert raw(tmp_path / "b.mcap") == raw(log)
+    assert messages(tmp_path / "b.mcap") == messages(log)
     assert result.begins_with_state is False  # as the log itself: its first keyframe is after its first tick
     assert replay.check(tmp_path / "b.mcap").mismatches == 0
 
@@ -114,7 +108,7 @@ def test_trimming_to_everything_keeps_everything(log: Path, tmp_path: Path) -> N
 def test_where_the_log_does_not_replay_no_state_is_made_up(tmp_path: Path) -> None:
     outputs = replace(RECORDS[5].outputs, mode=RECORDS[40].outputs.mode, joints=RECORDS[40].outputs.joints)
     wrong = [*RECORDS[:5], replace(RECORDS[5], outputs=outputs), *RECORDS[6:]]
-    log = write_log(tmp_path / "a.mcap", wrong)
+    log = write(tmp_path / "a.mcap", wrong)
     result = trim(log, tmp_path / "b.mcap", 1.0, 4.0)
     assert result.begins_with_state is False
     checked = replay.check(tmp_path / "b.mcap")  # from the keyframe of tick 25 on
@@ -122,11 +116,7 @@ def test_where_the_log_does_not_replay_no_state_is_made_up(tmp_path: Path) -> No
 
 
 def test_the_ticks_before_a_rotated_file_lead_to_its_state(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    writer = LogWriter(path, CONTEXT, keyframe=RECORDS[25].keyframe, anchor=ANCHOR, inputs_only=RECORDS[26:40])
-    for record in RECORDS[40:]:
-        writer.write_tick(record)
-    writer.close()
+    path = write(tmp_path / "a.mcap", RECORDS[40:], keyframe=RECORDS[25].keyframe, inputs_only=RECORDS[26:40])
     assert trim(path, tmp_path / "b.mcap", 0.0, 1.0).begins_with_state
     info, checked = reader.info(tmp_path / "b.mcap"), replay.check(tmp_path / "b.mcap")
     assert info.duration_s == pytest.approx(0.9)
@@ -194,18 +184,14 @@ def rotated(folder: Path, cut: int = 50, *, anchor: Anchor = ANCHOR, context: Lo
     ]
     paths = []
     for name, (keyframe, before, records, previous, own_anchor) in zip(("a.mcap", "b.mcap"), begins, strict=True):
-        writer = LogWriter(
-            folder / name,
-            context if previous else CONTEXT,
-            keyframe=keyframe,
-            previous=previous,
-            anchor=own_anchor,
-            inputs_only=before,
-        )
-        for record in records:
-            writer.write_tick(record)
-        writer.close()
-        paths.append(writer.path)
+        options: dict[str, Any] = {
+            "keyframe": keyframe,
+            "previous": previous,
+            "anchor": own_anchor,
+            "inputs_only": before,
+        }
+        own_context = context if previous else CONTEXT
+        paths.append(write(folder / name, records, context=own_context, **options))
     return paths
 
 
@@ -217,7 +203,7 @@ DRIFTED = Anchor(ANCHOR.wall_ns + 123_456, ANCHOR.monotonic_ns)
 def test_files_around_a_rotation_become_the_log_they_would_have_been(tmp_path: Path, cut: int, anchor: Anchor) -> None:
     paths = rotated(tmp_path, cut, anchor=anchor)
     result = merge(list(reversed(paths)), tmp_path / "c.mcap")
-    merged = raw(tmp_path / "c.mcap")
+    merged = messages(tmp_path / "c.mcap")
     topics = Counter(message.topic for message in merged)
     assert topics["/armctl/cycle"] == topics["/joint_states"] == 90
     assert topics["/tf_static"] == topics["/robot_description"] == 1
@@ -227,7 +213,7 @@ def test_files_around_a_rotation_become_the_log_they_would_have_been(tmp_path: P
     assert (checked.ticks, checked.mismatches) == (89, 0)
     assert result.messages == len(merged) == reader.info(tmp_path / "c.mcap").messages
     a, b = (own(path) for path in paths)
-    assert merged[: len(raw(paths[0]))] == raw(paths[0])
+    assert merged[: len(messages(paths[0]))] == messages(paths[0])
     assert own(tmp_path / "c.mcap") == a + b[len(b) - (len(own(tmp_path / "c.mcap")) - len(a)) :]
 
 

@@ -1,7 +1,5 @@
 """Tables: what they hold is what others read from the log, and what Excel and Parquet give back."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -22,7 +20,8 @@ from armctl.recording.channels import TOPICS
 from armctl.recording.export import Format, Seconds, export
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT
-from tests.recording.simulated import simulated_records, write_log
+from tests.recording.logs import write
+from tests.recording.simulated import simulated_records
 
 RECORDS = simulated_records()
 FORMATS: tuple[Format, ...] = ("csv", "xlsx", "parquet")
@@ -30,7 +29,7 @@ FORMATS: tuple[Format, ...] = ("csv", "xlsx", "parquet")
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 def table(path: Path) -> tuple[list[str], list[list[Any]]]:
@@ -205,7 +204,7 @@ def test_parquet_has_types_and_says_where_it_is_from(log: Path, tmp_path: Path) 
 def test_what_is_not_known_is_empty(tmp_path: Path, kind: Format) -> None:
     joints = (replace(RECORDS[0].outputs.joints[0], known=False), *RECORDS[0].outputs.joints[1:])
     first = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, joints=joints, tool=None))
-    export(write_log(tmp_path / "a.mcap", [first, *RECORDS[1:3]]), tmp_path / f"t.{kind}", kind)
+    export(write(tmp_path / "a.mcap", [first, *RECORDS[1:3]]), tmp_path / f"t.{kind}", kind)
     header, rows = table(tmp_path / f"t.{kind}")
     column, tool = header.index("base.position_rad"), header.index("tool.x_m")
     assert [number(row[column]) is None for row in rows] == [True, False, False]
@@ -233,12 +232,7 @@ def test_nothing_is_overwritten_and_a_failure_leaves_nothing(log: Path, tmp_path
 
 
 def test_a_cut_log_is_exported_as_far_as_it_goes_and_that_is_told(log: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "a.mcap.part"
-    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
-    for record in RECORDS[:30]:
-        writer.write_tick(record)
-    writer.flush()
-    writer.abandon()
+    cut = write(tmp_path / "a.mcap", RECORDS[:30], finish=False)
     result = export(cut, tmp_path / "t.csv", "csv")
     assert (result.rows, result.complete) == ({"ticks": 30}, False)
 

@@ -1,12 +1,12 @@
 """Files that mean harm are refused, cheaply."""
 
-from __future__ import annotations
-
+import struct
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import zstandard
 
 from armctl.errors import LogError
 from armctl.recording import reader
@@ -63,3 +63,22 @@ def test_a_file_that_inflates_beyond_all_measure_is_refused_as_a_whole(tmp_path:
     path.write_bytes(FILES["many chunks of 16 MiB"])
     with pytest.raises(LogError, match="such a file is not read"):
         reader.info(path)
+
+
+@pytest.mark.parametrize("claimed", [2**30, 1000])
+def test_a_chunk_is_never_inflated_beyond_its_bound(tmp_path: Path, claimed: int) -> None:
+    bomb = zstandard.compress(bytes(2**27))
+    body = struct.pack("<QQQII", 0, 1, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(bomb)) + bomb
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(body)) + body)
+    info = reader.info(path)
+    assert (info.messages, info.complete) == (0, False)
+
+
+@pytest.mark.parametrize("body", [b"\x05" + bytes(8), b"\x04" + struct.pack("<Q", 2) + b"ab", b"\x0e" + bytes(8)])
+def test_nonsense_inside_a_chunk_is_damage(tmp_path: Path, body: bytes) -> None:
+    chunk = struct.pack("<QQQII", 0, 1, len(body), 0, 0) + struct.pack("<Q", len(body)) + body
+    end = struct.pack("<BQI", 15, 4, 0) + MAGIC
+    path = tmp_path / "a.mcap"
+    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(chunk)) + chunk + end)
+    assert (reader.info(path).messages, reader.info(path).complete) == (0, False)

@@ -1,12 +1,9 @@
 """Files: written, cut, damaged, read, recovered, replayed."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
 import random
-import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -25,39 +21,24 @@ from rosbags.highlevel import AnyReader
 from armctl.config import ArmConfig, Config, parse_yaml, validate
 from armctl.control.step import step
 from armctl.errors import LogError
-from armctl.messages import Event, Hold, Inputs, Outputs, Release, Teach, TeachEnd, TickRecord
-from armctl.recording import reader, recordings, replay
-from armctl.recording.chunks import MAGIC, ChunkWriter
+from armctl.messages import Event, Inputs, Outputs
+from armctl.recording import reader, recordings
+from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PartInUse, publish
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.reader import LogFile
 from armctl.recording.recover import recover, recover_folder
 from armctl.recording.replay import check, log_setup
 from armctl.recording.schemas import schema_text
 from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S, ROBOT, RUN_SCRIPT, make_records, with_dropped
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S, ROBOT, make_records
+from tests.recording.logs import messages, write
 
 RECORDS = make_records(100, keyframe_ticks=40)
-
-
-def write(path: Path, records: list[TickRecord], **options: Any) -> Path:
-    """A finished file, flushed once a second."""
-    writer = LogWriter(path, CONTEXT, anchor=ANCHOR, **options)
-    for record in records:
-        writer.write_tick(record)
-        if record.inputs.tick % 10 == 9:
-            writer.flush()
-    writer.close()
-    return path
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
-
-
-def raw(path: Path) -> list[LogMessage]:
-    with LogFile(path) as file:
-        return list(file.messages())
 
 
 # ------------------------------------------------------------------------------------------------ whole files
@@ -85,7 +66,7 @@ def test_mcap_reads_every_message_with_checksums(log: Path) -> None:
         decoded = sum(1 for _ in stock.iter_decoded_messages())
         assert [a.name for a in stock.iter_attachments()][1:] == ["robot.urdf", "config.yaml", "calibration.yaml"]
         assert [m.name for m in stock.iter_metadata()] == ["armctl"]
-    assert found == [tuple(message) for message in raw(log)]
+    assert found == [tuple(message) for message in messages(log)]
     assert decoded == len(found)
 
 
@@ -124,7 +105,7 @@ def test_the_file_says_what_it_is_a_log_of(log: Path) -> None:
 
 
 def test_static_topics_come_once_and_first(log: Path) -> None:
-    topics = [message.topic for message in raw(log)]
+    topics = [message.topic for message in messages(log)]
     assert topics[:2] == ["/robot_description", "/tf_static"]
     assert topics.count("/robot_description") == topics.count("/tf_static") == 1
 
@@ -265,29 +246,22 @@ def test_a_head_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypatc
 # ------------------------------------------------------------------------------------------------ cut, damaged
 
 
-def flushed(path: Path, records: list[TickRecord]) -> tuple[bytes, list[tuple[int, int]]]:
-    """A part's bytes, and after each flush (bytes on the disk, ticks in them)."""
-    writer, marks = LogWriter(path, CONTEXT, anchor=ANCHOR), []
-    for record in records:
+def test_a_cut_anywhere_yields_only_true_values_and_everything_flushed(tmp_path: Path, log: Path) -> None:
+    writer, marks = LogWriter(tmp_path / "b.mcap", CONTEXT, anchor=ANCHOR), []
+    for record in RECORDS:
         writer.write_tick(record)
         if record.inputs.tick % 10 == 9:
             writer.flush()
-            marks.append((writer.part.stat().st_size, record.inputs.tick + 1))
+            marks.append((writer.part.stat().st_size, record.inputs.tick + 1))  # bytes on the disk, ticks in them
     data = writer.part.read_bytes()
     writer.abandon()
-    writer.part.unlink()
-    return data, marks
-
-
-def test_a_cut_anywhere_yields_only_true_values_and_everything_flushed(tmp_path: Path, log: Path) -> None:
-    data, marks = flushed(tmp_path / "b.mcap", RECORDS)
-    whole = raw(log)
+    whole = messages(log)
     rng = random.Random(1)
     cuts = [rng.randrange(9, len(data)) for _ in range(120)] + [mark for mark, _ in marks]
     for cut in cuts:
         path = tmp_path / "cut.mcap.part"
         path.write_bytes(data[:cut])
-        found = raw(path)
+        found = messages(path)
         assert found == whole[: len(found)]
         ticks = sum(message.topic == "/armctl/cycle" for message in found)
         assert ticks >= max((n for size, n in marks if size <= cut), default=0)
@@ -296,14 +270,14 @@ def test_a_cut_anywhere_yields_only_true_values_and_everything_flushed(tmp_path:
 
 def test_a_flipped_bit_anywhere_yields_only_true_values(tmp_path: Path, log: Path) -> None:
     data = log.read_bytes()
-    whole = set(raw(log))
+    whole = set(messages(log))
     rng = random.Random(2)
     path = tmp_path / "flipped.mcap"
     worst = len(whole)
     for _ in range(250):
         at = rng.randrange(8, len(data))
         path.write_bytes(data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)]) + data[at + 1 :])
-        found = raw(path)
+        found = messages(path)
         assert set(found) <= whole
         assert len(found) == len(set(found))
         worst = min(worst, len(found))
@@ -389,52 +363,7 @@ def test_messages_outside_chunks_are_not_trusted(tmp_path: Path) -> None:
     assert (info.messages, info.complete) == (0, False)
 
 
-@pytest.mark.parametrize("claimed", [2**30, 1000])
-def test_a_chunk_is_never_inflated_beyond_its_bound(tmp_path: Path, claimed: int) -> None:
-    bomb = zstandard.compress(bytes(2**27))
-    body = struct.pack("<QQQII", 0, 1, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(bomb)) + bomb
-    path = tmp_path / "bomb.mcap"
-    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(body)) + body)
-    info = reader.info(path)
-    assert (info.messages, info.complete) == (0, False)
-
-
 # ---------------------------------------------------------------------------------------------------- recovery
-
-
-def test_recovery_keeps_every_intact_chunk_and_removes_the_part(tmp_path: Path, log: Path) -> None:
-    part = tmp_path / "b.mcap.part"
-    part.write_bytes(log.read_bytes()[: int(log.stat().st_size * 0.7)])
-    found = raw(part)
-    (tmp_path / "b.mcap.recovering").write_bytes(b"killed while recovering")
-    result = recover(part)
-    assert result.path == tmp_path / "b.mcap"
-    assert result.recovered_messages == len(found)
-    assert 0.0 <= result.lost_s <= 1.0
-    assert raw(result.path) == found
-    assert reader.info(result.path).complete
-    assert [p.name for p in tmp_path.iterdir()] == ["b.mcap"]
-    assert check(result.path).mismatches == 0
-    with LogFile(result.path) as file:
-        assert log_setup(file).anchor == ANCHOR
-        assert file.metadata["recovered"]["messages"] == str(len(found))
-    with result.path.open("rb") as stream:
-        assert make_reader(stream, validate_crcs=True).get_summary() is not None
-
-
-def test_a_damaged_finished_file_is_kept_beside_the_recovered_one(tmp_path: Path, log: Path) -> None:
-    data = bytearray(log.read_bytes())
-    data[len(data) // 3] ^= 8
-    path = tmp_path / "c.mcap"
-    path.write_bytes(data)
-    names = [recover(path).path.name for _ in range(3)]
-    assert names == ["c-recovered.mcap", "c-recovered-2.mcap", "c-recovered-3.mcap"]
-    assert path.read_bytes() == data
-    result = recover(path, tmp_path / "d.mcap")
-    assert len(raw(log)) * 0.85 < result.recovered_messages < len(raw(log))
-    assert 0.0 < result.lost_s <= 1.1
-    with pytest.raises(LogError, match="exists already"):
-        recover(path, tmp_path / "d.mcap")
 
 
 def test_the_start_recovers_every_part_but_those_being_written(tmp_path: Path, log: Path) -> None:
@@ -457,108 +386,3 @@ def test_the_start_recovers_every_part_but_those_being_written(tmp_path: Path, l
     ]
     live.close()
     assert recover_folder(tmp_path / "nowhere") == ()
-
-
-def test_a_finished_file_that_still_has_its_old_name_loses_it(tmp_path: Path, log: Path) -> None:
-    (tmp_path / "a.mcap.part").write_bytes(log.read_bytes())
-    os.link(tmp_path / "a.mcap.part", tmp_path / "a.mcap")
-    assert recover_folder(tmp_path) == ()
-    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
-
-
-@pytest.mark.parametrize("body", [b"\x05" + bytes(8), b"\x04" + struct.pack("<Q", 2) + b"ab", b"\x0e" + bytes(8)])
-def test_nonsense_inside_a_chunk_is_damage(tmp_path: Path, body: bytes) -> None:
-    chunk = struct.pack("<QQQII", 0, 1, len(body), 0, 0) + struct.pack("<Q", len(body)) + body
-    end = struct.pack("<BQI", 15, 4, 0) + MAGIC
-    path = tmp_path / "a.mcap"
-    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(chunk)) + chunk + end)
-    assert (reader.info(path).messages, reader.info(path).complete) == (0, False)
-
-
-def test_a_part_without_an_intact_message_is_not_recovered(tmp_path: Path, log: Path) -> None:
-    part = tmp_path / "b.mcap.part"
-    part.write_bytes(log.read_bytes()[:20_000])
-    with pytest.raises(LogError, match="no intact message"):
-        recover(part)
-    assert [p.name for p in tmp_path.iterdir()] == ["b.mcap.part"]
-
-
-# ------------------------------------------------------------------------------------------------------ replay
-
-
-def test_replay_gives_the_logged_bytes(log: Path) -> None:
-    fractions: list[float] = []
-    result = check(log, fractions.append)
-    assert (result.ticks, result.mismatches, result.first_mismatch) == (99, 0, "")
-    assert result.messages > 3 * 99
-    assert result.realtime_ratio > 1.0
-    assert fractions
-    assert all(0.0 < fraction <= 1.0 for fraction in fractions)
-
-
-def test_replay_covers_teaching_stops_and_refusals(tmp_path: Path) -> None:
-    script = {**RUN_SCRIPT, 30: (Hold(3),), 45: (Teach(4), Release(5)), 60: (TeachEnd(6),)}
-    records = make_records(80, script, keyframe_ticks=25)
-    result = check(write(tmp_path / "a.mcap", records))
-    assert (result.ticks, result.mismatches) == (79, 0)
-
-
-def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
-
-    def other(state: Any, inputs: Inputs, arm: ArmConfig, robot: Any, period_s: float) -> tuple[Any, Outputs]:
-        state, outputs = step(state, inputs, arm, robot, period_s)
-        if inputs.tick == 50:
-            first = outputs.joints[0]
-            joints = (replace(first, load_ratio=first.load_ratio + 1e-15), *outputs.joints[1:])
-            outputs = replace(outputs, joints=joints)
-        return state, outputs
-
-    result = check(log, step=other)
-    assert result.mismatches == 1
-    assert "tick 50, /joint_states" in result.first_mismatch
-
-
-def test_replay_goes_on_at_the_next_keyframe_after_a_gap(tmp_path: Path) -> None:
-    gap = write(tmp_path / "gap.mcap", [*RECORDS[:30], *RECORDS[33:]])
-    assert (check(gap).ticks, check(gap).mismatches) == (29 + 59, 0)
-    dropped = write(tmp_path / "dropped.mcap", [*RECORDS[:30], with_dropped(RECORDS[30], 3), *RECORDS[31:]])
-    assert (check(dropped).ticks, check(dropped).mismatches) == (29 + 59, 0)
-    lines = [m.value for m in reader.read(dropped, ["/rosout"]) if m.value["name"] == "armctl.recording"]
-    assert [line["function"] for line in lines] == ["DROPPED"]
-
-
-def test_a_file_that_begins_between_keyframes_replays_from_its_beginning(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", RECORDS[55:], keyframe=RECORDS[40].keyframe, inputs_only=RECORDS[41:55])
-    result = check(path)
-    assert (result.ticks, result.mismatches) == (45, 0)
-    assert reader.ticks(path).position_rad.shape == (45, 6)
-    assert recordings.load(path).duration_s == pytest.approx(4.4)
-
-
-def test_a_file_that_begins_right_after_a_keyframe_replays_whole(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", RECORDS[41:], keyframe=RECORDS[40].keyframe)
-    assert (check(path).ticks, check(path).mismatches) == (59, 0)
-
-
-def test_a_step_that_cannot_take_the_log_is_a_log_error(log: Path) -> None:
-    def broken(*_: object) -> tuple[Any, Outputs]:
-        raise IndexError("no")
-
-    with pytest.raises(LogError, match="tick 1: the control step cannot take it"):
-        check(log, step=broken)
-
-
-def test_a_log_of_other_servos_or_states_is_a_log_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write(tmp_path / "a.mcap", RECORDS[41:50], keyframe='{"phase":"asleep"}')
-    with pytest.raises(LogError, match="cannot be understood"):
-        check(path)
-    servos = tuple(replace(reading, servo_id=reading.servo_id + 1) for reading in RECORDS[41].inputs.sample.servos)
-    odd = replace(
-        RECORDS[41], inputs=replace(RECORDS[41].inputs, sample=replace(RECORDS[41].inputs.sample, servos=servos))
-    )
-    path = write(tmp_path / "b.mcap", [odd], keyframe=RECORDS[40].keyframe)
-    with pytest.raises(LogError, match="servos"):
-        check(path)
-    monkeypatch.setattr(replay, "validate", lambda *_: (_ for _ in ()).throw(ValueError("no")))
-    with pytest.raises(LogError, match="not written by armctl"):
-        check(path)

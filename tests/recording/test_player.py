@@ -1,7 +1,5 @@
 """Timed replay: laws of the player, and the loop on a clock that only the keys move."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

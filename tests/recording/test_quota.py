@@ -1,7 +1,5 @@
 """What may be deleted, and what never is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hypothesis import given, settings

@@ -1,30 +1,28 @@
 """Cut anywhere, with bits flipped anywhere: nothing but true values, and nothing lost that is intact."""
 
-from __future__ import annotations
-
+import os
 import random
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from armctl.clock import NS_PER_S
+from armctl.errors import LogError
 from armctl.recording.chunks import CHUNK, RECORD
 from armctl.recording.compact import compact
-from armctl.recording.reader import LogFile, LogMessage, info
-from armctl.recording.recover import RECOVERED, recover
+from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.reader import info
+from armctl.recording.recover import RECOVERED, recover, recover_folder
+from armctl.recording.replay import check, log_setup
 from armctl.recording.writer import LogWriter
 from proving import damage
-from proving.damage import UnsyncedDisk, chunk_places
+from proving.damage import chunk_places
 from tests.recording.factory import ANCHOR, CONTEXT, make_records
+from tests.recording.logs import DISK, messages, write
 
 RECORDS = make_records(300, keyframe_ticks=100)
-DISK = UnsyncedDisk()
 FLUSH_TICKS = 9
-
-
-def messages(path: Path) -> list[LogMessage]:
-    with LogFile(path) as log:
-        return list(log.messages())
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +43,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory, part: bytes) -> list[LogMess
     path = tmp_path_factory.mktemp("whole") / "a.mcap.part"
     path.write_bytes(part)
     return messages(path)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("log") / "a.mcap", make_records(100, keyframe_ticks=40))
 
 
 def test_a_cut_loses_the_chunk_it_hits_and_nothing_else(tmp_path: Path, part: bytes) -> None:
@@ -147,3 +150,53 @@ def test_recovered_files_compact_and_stay_what_they_are(tmp_path: Path, part: by
     before = messages(result.path)
     assert compact(result.path, disk=DISK)
     assert messages(result.path) == before
+
+
+def test_recovery_keeps_every_intact_chunk_and_removes_the_part(tmp_path: Path, log: Path) -> None:
+    part = tmp_path / "b.mcap.part"
+    part.write_bytes(log.read_bytes()[: int(log.stat().st_size * 0.7)])
+    found = messages(part)
+    (tmp_path / "b.mcap.recovering").write_bytes(b"killed while recovering")
+    result = recover(part)
+    assert result.path == tmp_path / "b.mcap"
+    assert result.recovered_messages == len(found)
+    assert 0.0 <= result.lost_s <= 1.0
+    assert messages(result.path) == found
+    assert info(result.path).complete
+    assert [p.name for p in tmp_path.iterdir()] == ["b.mcap"]
+    assert check(result.path).mismatches == 0
+    with LogFile(result.path) as file:
+        assert log_setup(file).anchor == ANCHOR
+        assert file.metadata["recovered"]["messages"] == str(len(found))
+    with result.path.open("rb") as stream:
+        assert make_reader(stream, validate_crcs=True).get_summary() is not None
+
+
+def test_a_damaged_finished_file_is_kept_beside_the_recovered_one(tmp_path: Path, log: Path) -> None:
+    data = bytearray(log.read_bytes())
+    data[len(data) // 3] ^= 8
+    path = tmp_path / "c.mcap"
+    path.write_bytes(data)
+    names = [recover(path).path.name for _ in range(3)]
+    assert names == ["c-recovered.mcap", "c-recovered-2.mcap", "c-recovered-3.mcap"]
+    assert path.read_bytes() == data
+    result = recover(path, tmp_path / "d.mcap")
+    assert len(messages(log)) * 0.85 < result.recovered_messages < len(messages(log))
+    assert 0.0 < result.lost_s <= 1.1
+    with pytest.raises(LogError, match="exists already"):
+        recover(path, tmp_path / "d.mcap")
+
+
+def test_a_finished_file_that_still_has_its_old_name_loses_it(tmp_path: Path, log: Path) -> None:
+    (tmp_path / "a.mcap.part").write_bytes(log.read_bytes())
+    os.link(tmp_path / "a.mcap.part", tmp_path / "a.mcap")
+    assert recover_folder(tmp_path) == ()
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_part_without_an_intact_message_is_not_recovered(tmp_path: Path, log: Path) -> None:
+    part = tmp_path / "b.mcap.part"
+    part.write_bytes(log.read_bytes()[:20_000])
+    with pytest.raises(LogError, match="no intact message"):
+        recover(part)
+    assert [p.name for p in tmp_path.iterdir()] == ["b.mcap.part"]

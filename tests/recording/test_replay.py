@@ -1,20 +1,28 @@
 """What replay knows beyond one file: clocks of merged files, and a comparison that goes on message by message."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from armctl.config import ArmConfig
+from armctl.control.step import step
 from armctl.errors import LogError
-from armctl.recording import replay
+from armctl.messages import Hold, Inputs, Outputs, Release, Teach, TeachEnd
+from armctl.recording import reader, recordings, replay
 from armctl.recording.channels import Anchor
 from armctl.recording.reader import LogFile
-from armctl.recording.replay import LogSetup, Rerun, log_setup
-from tests.recording.factory import ANCHOR, ARM, PERIOD_S, ROBOT, make_records
-from tests.recording.simulated import write_log
+from armctl.recording.replay import LogSetup, Rerun, check, log_setup
+from tests.recording.factory import ANCHOR, ARM, PERIOD_S, ROBOT, RUN_SCRIPT, make_records, with_dropped
+from tests.recording.logs import recorder_lines, write
 
-RECORDS = make_records(40, keyframe_ticks=15)
+RECORDS = make_records(100, keyframe_ticks=40)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 def test_a_tick_goes_by_the_anchor_its_log_time_is_of() -> None:
@@ -27,7 +35,7 @@ def test_a_tick_goes_by_the_anchor_its_log_time_is_of() -> None:
 
 
 def test_the_state_is_known_after_every_tick_from_the_first_keyframe_on(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.mcap", RECORDS)
+    path = write(tmp_path / "a.mcap", RECORDS)
     known = []
     with LogFile(path) as log:
         rerun = Rerun(log, log_setup(log))
@@ -35,13 +43,90 @@ def test_the_state_is_known_after_every_tick_from_the_first_keyframe_on(tmp_path
             rerun.take(message)
             if message.topic == "/armctl/cycle":
                 known.append(rerun.state is not None)
-    assert known == [False] + [True] * 39
-    assert (rerun.ticks, rerun.mismatches, rerun.keyframes) == (39, 0, 3)
+    assert known == [False] + [True] * 99
+    assert (rerun.ticks, rerun.mismatches, rerun.keyframes) == (99, 0, 3)
 
 
 def test_anchors_that_cannot_be_read_are_an_error_of_the_log(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.mcap", RECORDS)
+    path = write(tmp_path / "a.mcap", RECORDS)
     with LogFile(path) as log:
         log.metadata[replay.MERGED] = {"anchors": "1/2/3 x"}
         with pytest.raises(LogError):
             log_setup(log)
+
+
+def test_replay_gives_the_logged_bytes(log: Path) -> None:
+    fractions: list[float] = []
+    result = check(log, fractions.append)
+    assert (result.ticks, result.mismatches, result.first_mismatch) == (99, 0, "")
+    assert result.messages > 3 * 99
+    assert result.realtime_ratio > 1.0
+    assert fractions
+    assert all(0.0 < fraction <= 1.0 for fraction in fractions)
+
+
+def test_replay_covers_teaching_stops_and_refusals(tmp_path: Path) -> None:
+    script = {**RUN_SCRIPT, 30: (Hold(3),), 45: (Teach(4), Release(5)), 60: (TeachEnd(6),)}
+    records = make_records(80, script, keyframe_ticks=25)
+    result = check(write(tmp_path / "a.mcap", records))
+    assert (result.ticks, result.mismatches) == (79, 0)
+
+
+def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
+
+    def other(state: Any, inputs: Inputs, arm: ArmConfig, robot: Any, period_s: float) -> tuple[Any, Outputs]:
+        state, outputs = step(state, inputs, arm, robot, period_s)
+        if inputs.tick == 50:
+            first = outputs.joints[0]
+            joints = (replace(first, load_ratio=first.load_ratio + 1e-15), *outputs.joints[1:])
+            outputs = replace(outputs, joints=joints)
+        return state, outputs
+
+    result = check(log, step=other)
+    assert result.mismatches == 1
+    assert "tick 50, /joint_states" in result.first_mismatch
+
+
+def test_replay_goes_on_at_the_next_keyframe_after_a_gap(tmp_path: Path) -> None:
+    gap = write(tmp_path / "gap.mcap", [*RECORDS[:30], *RECORDS[33:]])
+    assert (check(gap).ticks, check(gap).mismatches) == (29 + 59, 0)
+    dropped = write(tmp_path / "dropped.mcap", [*RECORDS[:30], with_dropped(RECORDS[30], 3), *RECORDS[31:]])
+    assert (check(dropped).ticks, check(dropped).mismatches) == (29 + 59, 0)
+    assert [line["function"] for line in recorder_lines(dropped)] == ["DROPPED"]
+
+
+def test_a_file_that_begins_between_keyframes_replays_from_its_beginning(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", RECORDS[55:], keyframe=RECORDS[40].keyframe, inputs_only=RECORDS[41:55])
+    result = check(path)
+    assert (result.ticks, result.mismatches) == (45, 0)
+    assert reader.ticks(path).position_rad.shape == (45, 6)
+    assert recordings.load(path).duration_s == pytest.approx(4.4)
+
+
+def test_a_file_that_begins_right_after_a_keyframe_replays_whole(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", RECORDS[41:], keyframe=RECORDS[40].keyframe)
+    assert (check(path).ticks, check(path).mismatches) == (59, 0)
+
+
+def test_a_step_that_cannot_take_the_log_is_a_log_error(log: Path) -> None:
+    def broken(*_: object) -> tuple[Any, Outputs]:
+        raise IndexError("no")
+
+    with pytest.raises(LogError, match="tick 1: the control step cannot take it"):
+        check(log, step=broken)
+
+
+def test_a_log_of_other_servos_or_states_is_a_log_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "a.mcap", RECORDS[41:50], keyframe='{"mode":"asleep"}')
+    with pytest.raises(LogError, match="cannot be understood"):
+        check(path)
+    servos = tuple(replace(reading, servo_id=reading.servo_id + 1) for reading in RECORDS[41].inputs.sample.servos)
+    odd = replace(
+        RECORDS[41], inputs=replace(RECORDS[41].inputs, sample=replace(RECORDS[41].inputs.sample, servos=servos))
+    )
+    path = write(tmp_path / "b.mcap", [odd], keyframe=RECORDS[40].keyframe)
+    with pytest.raises(LogError, match="servos"):
+        check(path)
+    monkeypatch.setattr(replay, "validate", lambda *_: (_ for _ in ()).throw(ValueError("no")))
+    with pytest.raises(LogError, match="not written by armctl"):
+        check(path)

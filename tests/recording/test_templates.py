@@ -1,7 +1,5 @@
 """Templates give the codec's bytes, for every type and for every tick."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

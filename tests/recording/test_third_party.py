@@ -1,7 +1,5 @@
 """Others read an hour of log completely: their counts and values are those of armctl's own reader."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A log as arrays: every value is that of the tick record it was written from."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -21,14 +19,15 @@ from armctl.recording.reader import LogFile
 from armctl.recording.replay import check
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
-from tests.recording.simulated import simulated_records, write_log
+from tests.recording.logs import write
+from tests.recording.simulated import simulated_records
 
 RECORDS = simulated_records()
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 def test_every_array_is_what_the_ticks_said(log: Path) -> None:
@@ -70,7 +69,7 @@ def test_a_fault_is_known_from_its_first_tick_on(tmp_path: Path) -> None:
         replace(r.outputs, mode=Mode.FAULTED, fault=fault) if r.inputs.tick >= 7 else r.outputs for r in RECORDS[:20]
     ]
     records = [replace(record, outputs=output) for record, output in zip(RECORDS[:20], outputs, strict=True)]
-    found = timeline.load(write_log(tmp_path / "a.mcap", records))
+    found = timeline.load(write(tmp_path / "a.mcap", records))
     assert found.faults == ((0, ""), (7, "HOT: servo 3 (elbow): 66 degC (bound 65)"))
     assert (found.state(6), found.state(7)) == ("energising", "faulted")
 
@@ -102,7 +101,7 @@ def test_requests_and_events_are_told_in_order(tmp_path: Path) -> None:
 def test_a_joint_that_never_answered_is_not_a_number(tmp_path: Path) -> None:
     joints = (replace(RECORDS[0].outputs.joints[0], known=False), *RECORDS[0].outputs.joints[1:])
     first = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, joints=joints, tool=None))
-    found = timeline.load(write_log(tmp_path / "a.mcap", [first, *RECORDS[1:3]]))
+    found = timeline.load(write(tmp_path / "a.mcap", [first, *RECORDS[1:3]]))
     assert np.isnan(found.position_rad[0, 0])
     assert np.isnan(found.tool[0]).all()
     assert np.isfinite(found.position_rad[0, 1:]).all()
@@ -111,13 +110,8 @@ def test_a_joint_that_never_answered_is_not_a_number(tmp_path: Path) -> None:
 
 def test_ticks_kept_for_replay_alone_are_no_frames(tmp_path: Path) -> None:
     records = make_records(30)
-    writer = LogWriter(
-        tmp_path / "a.mcap", CONTEXT, keyframe=records[0].keyframe, anchor=ANCHOR, inputs_only=records[1:10]
-    )
-    for record in records[10:]:
-        writer.write_tick(record)
-    writer.close()
-    found = timeline.load(writer.path)
+    path = write(tmp_path / "a.mcap", records[10:], keyframe=records[0].keyframe, inputs_only=records[1:10])
+    found = timeline.load(path)
     np.testing.assert_array_equal(found.tick, np.arange(10, 30))
     assert found.start_ns == ANCHOR.epoch_ns(records[10].inputs.sample.time_ns)
 
@@ -140,7 +134,7 @@ def test_frames_can_be_read_one_by_one(log: Path) -> None:
 
 def test_a_log_without_ticks_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no whole tick"):
-        timeline.load(write_log(tmp_path / "a.mcap", []))
+        timeline.load(write(tmp_path / "a.mcap", []))
 
 
 def test_our_topics_with_something_else_in_them_are_an_error_of_the_log(log: Path, tmp_path: Path) -> None:

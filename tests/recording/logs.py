@@ -1,0 +1,54 @@
+"""Log files for tests: written from tick records, and read back as they are."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from armctl.messages import TickRecord
+from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.reader import read
+from armctl.recording.writer import LogContext, LogWriter
+from proving.damage import UnsyncedDisk
+from tests.recording.factory import ANCHOR, CONTEXT
+
+DISK = UnsyncedDisk()
+
+
+def write(
+    path: Path,
+    records: Iterable[TickRecord] = (),
+    *,
+    flush_ticks: int = 10,
+    finish: bool = True,
+    context: LogContext = CONTEXT,
+    **options: Any,
+) -> Path:
+    """A file of these records, flushed every so many ticks; the part that is left where it is not finished."""
+    arguments: dict[str, Any] = {"anchor": ANCHOR, "disk": DISK} | options
+    writer = LogWriter(path, context, **arguments)
+    for record in records:
+        writer.write_tick(record)
+        if record.inputs.tick % flush_ticks == flush_ticks - 1:
+            writer.flush()
+    if finish:
+        writer.close()
+        return writer.path
+    writer.flush()
+    writer.abandon()
+    return writer.part
+
+
+def messages(path: Path) -> list[LogMessage]:
+    """Every message of a file, still encoded."""
+    with LogFile(path) as log:
+        return list(log.messages())
+
+
+def ticks(path: Path) -> list[int]:
+    """Numbers of the ticks that are a file's own."""
+    return [m.value["tick"] for m in read(path, ["/armctl/cycle"]) if not m.value["inputs_only"]]
+
+
+def recorder_lines(path: Path) -> list[dict[str, Any]]:
+    """What the recorder itself says on /rosout."""
+    return [m.value for m in read(path, ["/rosout"]) if m.value["name"] == "armctl.recording"]

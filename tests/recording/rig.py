@@ -1,0 +1,68 @@
+"""A recorder on a clock of the test's own."""
+
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.config import Config, LogConfig
+from armctl.messages import TickRecord
+from armctl.recording.recorder import Recorder
+from tests.recording.factory import CONTEXT
+
+WALL_NS = 1_750_000_000 * NS_PER_S
+
+
+class Compactor:
+    """Notes what it is asked to do."""
+
+    def __init__(self) -> None:
+        self.folders: list[Path] = []
+
+    def start(self, folder: Path) -> None:
+        self.folders.append(folder)
+
+
+class Rig:
+    """A recorder on a clock of the test's own, in step with its thread through `settle`."""
+
+    def __init__(self, folder: Path, **log: Any) -> None:
+        self.logs, self.takes = folder / "logs", folder / "recordings"
+        self.clock = VirtualClock(5 * NS_PER_S)
+        self.wall_offset_ns = WALL_NS
+        self.compactor = Compactor()
+        self.recorder = Recorder(
+            replace(CONTEXT, config=Config(log=LogConfig(free_bytes=log.pop("free_bytes", 0), **log))),
+            self.logs,
+            self.takes,
+            clock=self.clock,
+            wall_ns=lambda: self.clock.now_ns() + self.wall_offset_ns,
+            compactor=self.compactor,
+        )
+
+    def settle(self) -> None:
+        """Return when the thread has done everything queued before."""
+        done = threading.Event()
+        self.recorder._put(done.set)
+        assert done.wait(10.0)
+
+    def put(self, records: list[TickRecord]) -> None:
+        """Records at their own times."""
+        for record in records:
+            self.clock.sleep_until_ns(record.inputs.now_ns)
+            self.recorder.put(record)
+            self.settle()
+
+    def close(self) -> list[Path]:
+        self.recorder.close()
+        return sorted(self.logs.glob("*"))
+
+
+def failing(number: int) -> Callable[..., None]:
+    def fail(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return fail

@@ -1,0 +1,166 @@
+"""Rotation: one log follows another, old ones make room, and the seconds around a fault are kept."""
+
+import errno
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from armctl.messages import Fault, TickRecord
+from armctl.recording.disk import Disk
+from armctl.recording.reader import info, read
+from armctl.recording.replay import check
+from tests.recording.factory import make_records
+from tests.recording.logs import ticks
+from tests.recording.rig import Compactor, Rig, failing
+
+RECORDS = make_records(100, keyframe_ticks=40)
+
+
+class Usage(NamedTuple):
+    total: int
+    used: int
+    free: int
+
+
+@pytest.mark.parametrize("limit", [{"rotate_s": 2.0}, {"rotate_bytes": 2**16}])
+def test_a_full_file_is_followed_by_one_that_replays_alone(tmp_path: Path, limit: dict[str, Any]) -> None:
+    rig = Rig(tmp_path, **limit)
+    rig.put(make_records(400, keyframe_ticks=70))
+    paths = rig.close()
+    assert 2 <= len(paths) <= 20
+    assert [tick for path in paths for tick in ticks(path)] == list(range(400))
+    assert sum(check(path).ticks for path in paths) == 399
+    assert all(check(path).mismatches == 0 for path in paths)
+    assert [info(path).facts["previous"] for path in paths] == ["", *(path.name for path in paths[:-1])]
+
+
+def test_files_of_the_same_second_get_a_number(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    first = Rig(tmp_path)
+    rig.put(RECORDS[:1])
+    first.put(RECORDS[:1])
+    first.close()
+    assert [path.name for path in rig.close()] == ["armctl-20250615T150645Z-2.mcap", "armctl-20250615T150645Z.mcap"]
+
+
+def faulty(records: list[TickRecord], first: int, last: int, code: str = "TRIPPED") -> list[TickRecord]:
+    """The records with a fault from one tick to another."""
+    fault = Fault(code, "it did", first, 2)
+    return [
+        replace(record, outputs=replace(record.outputs, fault=fault)) if first <= record.inputs.tick <= last else record
+        for record in records
+    ]
+
+
+def test_the_seconds_around_a_fault_are_kept_in_a_file_of_its_own(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, snapshot_s=2.0)
+    rig.put(faulty(make_records(150, keyframe_ticks=30), 80, 90))
+    snapshot, log = sorted(rig.close(), reverse=True)
+    assert snapshot.name == "fault-20250615T150653Z-TRIPPED.mcap"
+    assert ticks(snapshot) == list(range(60, 101))
+    assert info(snapshot).complete
+    assert info(snapshot).facts["previous"] == log.name
+    assert ticks(log) == list(range(150))
+    whole = {(m.topic, m.sequence): m.value for m in read(log, ["/joint_states", "/armctl/servos"])}
+    for message in read(snapshot, ["/joint_states", "/armctl/servos"]):
+        assert whole[message.topic, message.sequence] == message.value
+    # The control step knows nothing of a fault that was made up here; up to it the snapshot replays.
+    assert check(snapshot).ticks == 41
+
+
+def test_faults_that_follow_each_other_make_one_snapshot_and_it_has_a_longest_length(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, snapshot_s=1.0)
+    records = make_records(400, keyframe_ticks=30)
+    for number, first in enumerate(range(50, 400, 8)):
+        records = faulty(records, first, first + 5, f"FAULT_{number}")
+    rig.put(records)
+    snapshots = [path for path in rig.close() if path.name.startswith("fault-")]
+    assert len(snapshots) == 4
+    assert all(len(ticks(path)) <= 112 for path in snapshots)
+    assert sorted({tick for path in snapshots for tick in ticks(path)}) == list(range(40, 400))
+
+
+def test_a_snapshot_that_cannot_be_written_disturbs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    create = Disk.create
+
+    def refuse(disk: Disk, path: Path) -> Any:
+        if path.name.startswith("fault-"):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return create(disk, path)
+
+    monkeypatch.setattr(Disk, "create", refuse)
+    rig = Rig(tmp_path)
+    rig.put(faulty(RECORDS, 30, 40))
+    (log,) = rig.close()
+    assert ticks(log) == list(range(100))
+    assert rig.recorder.problem == ""
+
+
+def test_a_rotated_log_is_handed_to_the_compactor(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, rotate_s=2.0)
+    rig.put(make_records(50))
+    assert rig.compactor.folders == [rig.logs] * 2
+    rig.close()
+
+
+def test_a_compactor_that_cannot_start_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Compactor, "start", failing(errno.EAGAIN))
+    rig = Rig(tmp_path, rotate_s=2.0)
+    rig.put(make_records(50))
+    assert [tick for path in rig.close() for tick in ticks(path)] == list(range(50))
+    assert rig.recorder.problem == ""
+
+
+def test_old_logs_make_room_and_snapshots_and_takes_stay(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for day in range(4):
+        (logs / f"armctl-2025010{day + 1}T000000Z.mcap").write_bytes(bytes(2**20))
+    (logs / "fault-20250101T000000Z-HOT.mcap").write_bytes(bytes(2**20))
+    rig = Rig(tmp_path, quota_bytes=2**20)
+    rig.put(RECORDS[:20])
+    names = [path.name for path in rig.close()]
+    assert names == [
+        "armctl-20250103T000000Z.mcap",
+        "armctl-20250104T000000Z.mcap",
+        "armctl-20250615T150645Z.mcap",
+        "fault-20250101T000000Z-HOT.mcap",
+    ]
+
+
+def test_recording_ends_before_the_disk_is_full_and_begins_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [2**30]
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(2**40, 0, free[0]))
+    rig = Rig(tmp_path, free_bytes=2**28)
+    take = rig.recorder.begin_take("first")
+    rig.put(RECORDS[:20])
+    free[0] = 2**27
+    rig.put(RECORDS[20:40])
+    assert rig.recorder.problem.startswith("NO_SPACE: 128 MiB free")
+    assert rig.recorder.end_take() == take
+    free[0] = 2**30
+    rig.put(RECORDS[40:])
+    assert rig.recorder.problem == ""
+    paths = rig.close()
+    assert all(info(path).complete for path in [*paths, take])
+    assert ticks(paths[0]) == ticks(take) == list(range(ticks(take)[-1] + 1))
+    assert ticks(paths[1])[-1] == 99
+    assert all(check(path).mismatches == 0 for path in paths)
+
+
+def test_a_file_that_cannot_be_begun_is_tried_again(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armctl.recording.disk.fcntl.flock", failing(errno.ENOSPC))
+    rig.put(RECORDS[:3])
+    assert rig.recorder.problem.startswith("NO_SPACE: ")
+    monkeypatch.undo()
+    rig.put(RECORDS[3:])
+    assert rig.recorder.problem == ""
+    (path,) = rig.close()
+    assert ticks(path)[-1] == 99
+    assert check(path).mismatches == 0
