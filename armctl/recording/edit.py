@@ -242,7 +242,7 @@ class _Before:
         if message.topic == channels.STATE or (self._since and len(self._since) < MAX_WARMUP_MESSAGES):
             self._since.append(message)
         else:
-            self._since.clear()  # a way that is not whole leads nowhere
+            self._since.clear()  # with a tick missing, the state cannot be computed
 
     def write(self, copy: Rewrite, first: LogMessage) -> bool:
         """Say it again just before the first message behind the cut; whether a replay can begin there."""

@@ -248,7 +248,7 @@ def _flatten(row: Row, prefix: str, value: Any, topic: str) -> None:
 
 
 def _by_name(parts: list[Any]) -> dict[str, Any]:
-    """The members of a list by the name each of them bears; nothing if they bear none, or the same one twice."""
+    """The members of a list by their names; nothing if one has no name, or two have the same."""
     for key in ("child_frame_id", "name", "key"):
         if all(isinstance(part, dict) and part.get(key) for part in parts):
             named = {str(part[key]): {name: value for name, value in part.items() if name != key} for part in parts}

@@ -2,7 +2,7 @@
 
 Rules.
 1. One pass over the records in file order; no index is needed, so a file without an end reads as well.
-2. Only what a checksum vouches for is used: a chunk whose CRC does not hold is skipped, and so is whatever cannot
+2. Only what a checksum confirms is used: a chunk whose CRC does not hold is skipped, and so is whatever cannot
    be parsed; the search goes on at the next chunk, and `complete` tells.
 3. The channels come from the seed attachment if there is one, so that a damaged first chunk costs only itself.
 4. A chunk is never inflated beyond `MAX_CHUNK_BYTES`, whatever it claims, and a file whose chunks together claim
@@ -107,7 +107,7 @@ class LogFile:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What armctl says of its own file, preferably where a checksum vouches for it; empty for others' files."""
+        """What armctl says of its own file, preferably where a checksum confirms it; empty for others' files."""
         facts = self.seed().get("armctl", self.metadata.get("armctl"))
         return {str(key): str(value) for key, value in facts.items()} if isinstance(facts, dict) else {}
 
@@ -139,7 +139,7 @@ class LogFile:
         """Messages in file order, of some topics or all; once.
 
         Raises:
-            LogError: the file claims to inflate beyond all measure.
+            LogError: the file claims to inflate to more than is ever read (rule 4).
         """
         for chunk in self._chunks():
             for topic, time_ns, sequence, begin, end in self._split(chunk, topics):
@@ -274,13 +274,13 @@ class LogFile:
             raise LogError("an index of another length")
         if opcode in _KINDS:
             self._kept += len(body)
-            # An attachment of gigabytes is none of ours.
+            # Attachments of gigabytes are not armctl's, and would fill the memory.
             if self._kept <= MAX_CHUNK_BYTES:
                 self._take(opcode, body)
         return None
 
     def _take(self, opcode: int, body: bytes, *, in_chunk: bool = False) -> None:
-        """Take note of a record that is no message. A chunk's checksum vouches for what is in it."""
+        """Take note of a record that is no message. A chunk's checksum confirms what is in it."""
         stream = ReadDataStream(io.BytesIO(body))
         record = _KINDS[opcode].read(stream)
         if isinstance(record, Attachment):
@@ -360,7 +360,7 @@ class LogFile:
             if opcode != MESSAGE_OPCODE or end < at + head:
                 if not self._chunk_record(opcode, chunk[at + RECORD.size : end]):
                     self.damaged += 1
-                    break  # what follows nonsense cannot be told from more of it
+                    break  # where the next record begins is not known any more
                 names = self._names()
             elif (name := names.get(number)) is None:
                 self.damaged += 1
@@ -379,7 +379,7 @@ class LogFile:
         return {channel.id: channel.topic for channel in self.channels.values()}
 
     def _chunk_record(self, opcode: int, body: bytes) -> bool:
-        """Take note of a record inside a chunk that is no message; False if it belongs there no more than noise."""
+        """Take note of a record inside a chunk that is no message; False if it does not belong there."""
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
             return opcode >= _PRIVATE
         try:

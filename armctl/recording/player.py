@@ -1,7 +1,7 @@
 """Timed replay: where in a log the reader is, at any rate, forwards and back.
 
 Rules.
-1. `Player` knows no clock and no screen: it is told how much time passed and what key was pressed.
+1. `Player` knows no clock and no screen: its caller says how much time passed and what key was pressed.
 2. Time never runs beyond the log: it stops at the end, or begins again where it loops.
 3. Seeking and pausing change where time is, never how fast it runs.
 """

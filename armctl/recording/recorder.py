@@ -42,7 +42,7 @@ class Recorder:
     """The daemon's log, and one named take at a time.
 
     Args:
-        clock: What flushing and retrying go by.
+        clock: Says when to flush and when to try again.
         wall_ns: Epoch time [ns].
         queue_records: Bound of the queue.
         disk: Where the files go.

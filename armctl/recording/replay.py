@@ -6,7 +6,7 @@ Rules.
    the next keyframe; where a keyframe comes along the way, the state must equal it.
 3. The messages are made by the very function that made them for the log (channels.py).
 4. A tick whose cycle is missing was cut off and is not judged.
-5. Files that were merged keep each its own clock: a tick goes by the anchor that its log time is of.
+5. Each file of a merged one keeps its own clock anchor: a tick uses the anchor that gives its log time.
 """
 
 import json

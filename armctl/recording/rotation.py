@@ -3,7 +3,7 @@
 Rules.
 1. A log is rotated when it is old or large enough (`LogConfig`): the next record begins another one, and the
    finished one is compacted (compact.py). The oldest logs are deleted when all of them take too much (quota.py).
-2. A file that fails is let go of and the others go on. A log is tried again every `RETRY_NS`.
+2. A file that fails is abandoned and the others go on. A log is tried again every `RETRY_NS`.
 3. Every file can be replayed alone: the newest ticks back to a keyframe (history.py) are handed to each one.
 4. Around a fault a snapshot is kept beside the log; no bound on the logs deletes it.
 
@@ -138,7 +138,7 @@ class Files:
                 try:
                     self._open[kind].close()
                 except (LogError, ValueError) as error:
-                    self._let_go(kind, error)
+                    self._abandon(kind, error)
                 else:
                     del self._open[kind]
 
@@ -196,7 +196,7 @@ class Files:
         except (LogError, ValueError) as error:
             _log.error("no snapshot of %s: %s", code, error)
             if SNAPSHOT in self._open:
-                self._let_go(SNAPSHOT, error)
+                self._abandon(SNAPSHOT, error)
 
     def _begin(
         self, kind: str, stem: str, previous: str, anchor: Anchor, begin_ns: int | None = None
@@ -220,16 +220,16 @@ class Files:
     # ------------------------------------------------------------------------------------------ failures
 
     def _write(self, action: Callable[[LogWriter], None]) -> None:
-        """Do something to every open file; whichever fails is let go of, the others go on."""
+        """Do something to every open file; one that fails is abandoned, the others go on."""
         for kind in (LOG, TAKE, SNAPSHOT):
             if kind in self._open:
                 self.written = True
                 try:
                     action(self._open[kind])
                 except (LogError, ValueError) as error:
-                    self._let_go(kind, error)
+                    self._abandon(kind, error)
 
-    def _let_go(self, kind: str, error: Exception) -> None:
+    def _abandon(self, kind: str, error: Exception) -> None:
         """Abandon a file that failed; it stays as a part, to be recovered."""
         self._open.pop(kind).abandon()
         if kind == TAKE:
@@ -261,7 +261,7 @@ class Files:
         return f"NO_SPACE: {free / 2**20:.0f} MiB free in {folder}, {need:.0f} needed; delete old logs"
 
     def _watch_wall_clock(self) -> None:
-        """Note in the files when the wall clock steps; their own times go by their anchors and do not change."""
+        """Note in the files when the wall clock steps; their own times come from their anchors and do not change."""
         now_ns = self._clock.now_ns()
         offset_ns = self._wall_ns() - now_ns
         if self._clock_offset_ns is not None and abs(offset_ns - self._clock_offset_ns) > CLOCK_STEP_NS:

@@ -2,7 +2,7 @@
 
 Rules.
 1. channels.py says what the messages are; here they are only made faster. The bytes are the same: the tests compare
-   them, and so does every replay, which goes by channels.py.
+   them, and so does every replay, which uses channels.py.
 2. A message whose texts and counts are known is one `struct`: only its numbers change. A `Template` is made from
    one example, by the declarations the codec is made from.
 3. A tick of another shape (a servo with a problem, a joint that is not known) has another template.

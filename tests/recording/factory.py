@@ -1,4 +1,4 @@
-"""Tick records for tests: the real control step in front of servos that obey at once."""
+"""Tick records for tests: the real control step in front of servos that are at their goal at once."""
 
 import random
 from collections.abc import Mapping, Sequence
@@ -62,7 +62,7 @@ class Servos:
             readings.append(ServoReading(joint.servo_id, bytes(block), stamp_ns, True))
         return Sample(time_ns, tuple(readings), bus_us=4600 + self._rng.randrange(300), retries=0)
 
-    def obey(self, record: TickRecord) -> None:
+    def follow(self, record: TickRecord) -> None:
         for write in record.outputs.writes:
             block = self._blocks[ARM.servo_ids.index(write.servo_id)]
             self._set(block, write.address, write.size, write.value)
@@ -100,7 +100,7 @@ def make_records(
         state, outputs = step(state, inputs, ARM, ROBOT, PERIOD_S)
         keyframe = to_json(state) if tick % keyframe_ticks == 0 else ""
         record = TickRecord(inputs, outputs, lateness_us=30, write_us=210, keyframe=keyframe)
-        servos.obey(record)
+        servos.follow(record)
         records.append(record)
     return records
 

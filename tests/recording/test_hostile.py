@@ -1,4 +1,4 @@
-"""Files that mean harm are refused, cheaply."""
+"""Files made to do harm are refused, and quickly."""
 
 import struct
 import subprocess

@@ -46,7 +46,7 @@ def held(recorder: Recorder) -> Iterator[None]:
     leave.set()
 
 
-def test_closing_drains_the_queue_into_one_finished_log(rig: Rig) -> None:
+def test_closing_writes_the_queue_into_one_finished_log(rig: Rig) -> None:
     with held(rig.recorder):
         for record in RECORDS:
             rig.recorder.put(record)

@@ -132,7 +132,7 @@ def test_two_damaged_places_and_what_lies_between_them(tmp_path: Path, part: byt
     assert set(messages(result.path)) < set(whole)
 
 
-def test_metadata_that_was_damaged_is_taken_from_where_a_checksum_vouches_for_it(tmp_path: Path, part: bytes) -> None:
+def test_metadata_that_was_damaged_is_taken_from_where_a_checksum_confirms_it(tmp_path: Path, part: bytes) -> None:
     data = bytearray(part)
     at = part.index(b"/dev/ttyUSB0", part.index(b"calibration.yaml"))
     data[at + 5] ^= 1
