@@ -114,7 +114,7 @@ class Anchor:
 
 
 def input_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
-    """What the control step saw in this tick: servos, then commands in their order. Times and counts are in the cycle."""
+    """What the control step saw in this tick: servos, then commands in their order. Its times are in the cycle."""
     header = _header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE)
     return [(SERVOS, _servos(header, record.inputs.sample, arm)), *command_messages(record)]
 
@@ -185,7 +185,7 @@ def cycle_numbers(record: TickRecord, *, inputs_only: bool = False) -> Value:
 
 
 def tick_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
-    """Every message of one tick in file order; state and diagnostics, which do not come every tick, are not among them."""
+    """Every message of one tick in file order, without state and diagnostics, which do not come every tick."""
     return [
         *input_messages(record, anchor, arm),
         *output_messages(record, anchor, arm, robot),
