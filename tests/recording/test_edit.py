@@ -21,7 +21,8 @@ from armctl.recording.channels import Anchor
 from armctl.recording.edit import merge, trim
 from armctl.recording.reader import LogFile, LogMessage
 from armctl.recording.schemas import schema_text
-from armctl.recording.writer import LogContext, LogWriter
+from armctl.recording.writer import LogContext
+from proving.damage import chunk_places
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
 from tests.recording.logs import messages, write
 
@@ -157,18 +158,12 @@ def test_what_a_killed_trim_left_behind_does_not_block_the_next(log: Path, tmp_p
 
 
 def test_a_damaged_chunk_is_left_out_and_told(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
-    marks = []
-    for record in RECORDS:
-        writer.write_tick(record)
-        if record.inputs.tick % 10 == 9:
-            writer.flush()
-            marks.append(writer.part.stat().st_size)
-    writer.close()
-    data = bytearray(writer.path.read_bytes())
-    data[(marks[4] + marks[5]) // 2] ^= 0xFF
-    writer.path.write_bytes(data)
-    result = trim(writer.path, tmp_path / "b.mcap", 4.0, 7.0)
+    path = write(tmp_path / "a.mcap", RECORDS)
+    data = bytearray(path.read_bytes())
+    begin, end = chunk_places(bytes(data))[6]  # the first one is the head
+    data[(begin + end) // 2] ^= 0xFF
+    path.write_bytes(data)
+    result = trim(path, tmp_path / "b.mcap", 4.0, 7.0)
     assert result.damaged == 1
     assert replay.check(tmp_path / "b.mcap").mismatches == 0
 
@@ -236,22 +231,9 @@ def test_a_merged_file_can_be_trimmed_and_merged_again(tmp_path: Path) -> None:
 
 
 def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
-    for record in RECORDS[:40]:
-        writer.write_tick(record)
-    writer.close()
-    later = LogWriter(
-        tmp_path / "b.mcap",
-        CONTEXT,
-        keyframe=RECORDS[50].keyframe,
-        previous="a.mcap",
-        anchor=ANCHOR,
-        inputs_only=RECORDS[51:55],
-    )
-    for record in RECORDS[55:]:
-        later.write_tick(record)
-    later.close()
-    merge([writer.path, later.path], tmp_path / "c.mcap")
+    first = write(tmp_path / "a.mcap", RECORDS[:40])
+    follows: dict[str, Any] = {"keyframe": RECORDS[50].keyframe, "previous": "a.mcap", "inputs_only": RECORDS[51:55]}
+    merge([first, write(tmp_path / "b.mcap", RECORDS[55:], **follows)], tmp_path / "c.mcap")
     ticks = [m.value["tick"] for m in reader.read(tmp_path / "c.mcap", ["/armctl/cycle"])]
     assert ticks == [*range(40), *range(55, 90)]
     checked = replay.check(tmp_path / "c.mcap")  # up to the gap, and from the keyframe of tick 75 on

@@ -15,27 +15,18 @@ from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.reader import info
 from armctl.recording.recover import RECOVERED, recover, recover_folder
 from armctl.recording.replay import check, log_setup
-from armctl.recording.writer import LogWriter
 from proving import damage
 from proving.damage import chunk_places
-from tests.recording.factory import ANCHOR, CONTEXT, make_records
+from tests.recording.factory import ANCHOR, make_records
 from tests.recording.logs import DISK, messages, write
 
-RECORDS = make_records(300, keyframe_ticks=100)
-FLUSH_TICKS = 9
+RECORDS = make_records(297, keyframe_ticks=100)
 
 
 @pytest.fixture(scope="module")
 def part(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Half a minute, flushed as the recorder does, and then cut off by a power cut."""
-    writer = LogWriter(tmp_path_factory.mktemp("part") / "a.mcap", CONTEXT, anchor=ANCHOR, disk=DISK)
-    for record in RECORDS:
-        writer.write_tick(record)
-        if record.inputs.tick % FLUSH_TICKS == FLUSH_TICKS - 1:
-            writer.flush()
-    data = writer.part.read_bytes()
-    writer.abandon()
-    return data
+    return write(tmp_path_factory.mktemp("part") / "a.mcap", RECORDS, flush_ticks=9, finish=False).read_bytes()
 
 
 @pytest.fixture(scope="module")
