@@ -201,6 +201,17 @@ async def test_recordings_are_listed_shown_renamed_and_deleted(folder: Path) -> 
     assert [path.name for path in folder.glob("*.mcap")] == ["z.mcap"]
 
 
+def test_a_take_that_cannot_be_read_stands_in_the_list_with_its_problem(folder: Path) -> None:
+    async def test(bench: Bench) -> None:
+        (folder / "broken.mcap").write_bytes(b"no log")
+        found = await bench.ask(bench.anna, "recordings_list")
+        assert [entry["name"] for entry in found["recordings"]] == ["a", "b"]
+        (entry,) = found["unreadable"]
+        assert (entry["name"], "is no MCAP file" in entry["problem"]) == ("broken", True)
+
+    on_bench(folder, test)
+
+
 def test_a_recording_that_never_moved_has_no_error_to_show(tmp_path: Path) -> None:
     samples = np.repeat(hand.recordings(1, seed=1)[0][:1], 5, axis=0)
     write_take(tmp_path / "still.mcap", samples, hand.arm())
