@@ -201,15 +201,13 @@ async def test_recordings_are_listed_shown_renamed_and_deleted(folder: Path) -> 
     assert [path.name for path in folder.glob("*.mcap")] == ["z.mcap"]
 
 
-def test_a_take_that_cannot_be_read_stands_in_the_list_with_its_problem(folder: Path) -> None:
-    async def test(bench: Bench) -> None:
-        (folder / "broken.mcap").write_bytes(b"no log")
-        found = await bench.ask(bench.anna, "recordings_list")
-        assert [entry["name"] for entry in found["recordings"]] == ["a", "b"]
-        (entry,) = found["unreadable"]
-        assert (entry["name"], "is no MCAP file" in entry["problem"]) == ("broken", True)
-
-    on_bench(folder, test)
+async def test_a_take_that_cannot_be_read_stands_in_the_list_with_its_problem(folder: Path) -> None:
+    bench = Bench(folder)
+    (folder / "broken.mcap").write_bytes(b"no log")
+    found = await bench.ask(bench.anna, "recordings_list")
+    assert [entry["name"] for entry in found["recordings"]] == ["a", "b"]
+    (entry,) = found["unreadable"]
+    assert (entry["name"], "is no MCAP file" in entry["problem"]) == ("broken", True)
 
 
 def test_a_recording_that_never_moved_has_no_error_to_show(tmp_path: Path) -> None:

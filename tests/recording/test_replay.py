@@ -117,7 +117,7 @@ def test_a_step_that_cannot_take_the_log_is_a_log_error(log: Path) -> None:
 
 
 def test_a_log_of_other_servos_or_states_is_a_log_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write(tmp_path / "a.mcap", RECORDS[41:50], keyframe='{"mode":"asleep"}')
+    path = write(tmp_path / "a.mcap", RECORDS[41:50], keyframe='{"phase":"asleep"}')
     with pytest.raises(LogError, match="cannot be understood"):
         check(path)
     servos = tuple(replace(reading, servo_id=reading.servo_id + 1) for reading in RECORDS[41].inputs.sample.servos)
