@@ -15,55 +15,31 @@ from armctl import __version__
 from armctl.cli.output import Output
 from armctl.errors import ArmctlError
 
-_COMMANDS = {
-    "calibrate": "calibrate",
-    "clear": "arm",
-    "completion": "completion",
-    "daemon": "processes",
-    "demo": "demo",
-    "doctor": "setup",
-    "experiment": "experiment",
-    "fault": "processes",
-    "fk": "kinematics",
-    "hand": "processes",
-    "help": "help",
-    "hold": "arm",
-    "ik": "kinematics",
-    "install": "install",
-    "jacobian": "kinematics",
-    "jog": "motion",
-    "live": "live",
-    "log": "logs",
-    "move": "motion",
-    "optimize": "jobs",
-    "park": "arm",
-    "pause": "motion",
-    "rate": "motion",
-    "reach": "reach",
-    "recordings": "jobs",
-    "release": "arm",
-    "replay": "logs",
-    "report": "report",
-    "reproduce": "reproduce",
-    "resume": "motion",
-    "robots": "kinematics",
-    "run": "jobs",
-    "scan": "setup",
-    "servo": "servo",
-    "sim": "processes",
-    "status": "arm",
-    "stop": "arm",
-    "study": "study",
-    "teach": "jobs",
-    "torque": "arm",
-    "trajectory": "kinematics",
-    "transfer": "reach",
-    "uninstall": "install",
-    "watch": "arm",
-    "web": "web",
-    "workspace": "kinematics",
+_MODULES = {
+    "arm": ("clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
+    "calibrate": ("calibrate",),
+    "completion": ("completion",),
+    "demo": ("demo",),
+    "experiment": ("experiment",),
+    "help": ("help",),
+    "install": ("install", "uninstall"),
+    "jobs": ("optimize", "recordings", "run"),
+    "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),
+    "live": ("live",),
+    "logs": ("log", "replay"),
+    "motion": ("jog", "move"),
+    "processes": ("daemon", "fault", "hand", "sim"),
+    "reach": ("reach", "transfer"),
+    "report": ("report",),
+    "reproduce": ("reproduce",),
+    "servo": ("servo",),
+    "setup": ("doctor", "scan"),
+    "study": ("study",),
+    "teach": ("teach",),
+    "web": ("web",),
 }
-"""Command -> the module of this package that defines it (as `NAME_command`)."""
+"""Module of this package -> the commands that it defines, each as `NAME_command`."""
+_COMMANDS = {command: module for module, commands in _MODULES.items() for command in commands}
 
 
 PURPOSES: dict[str, tuple[str, ...]] = {
@@ -106,7 +82,10 @@ class _Commands(click.Group):
                 formatter.write_dl(rows)
 
 
-@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
+
+
+@click.group(cls=_Commands, context_settings=_SETTINGS)
 @click.version_option(__version__, prog_name="armctl")
 def cli() -> None:
     """A daemon that can be trusted with a Dynamixel AX-12A arm.

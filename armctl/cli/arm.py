@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Group, RenderableType
@@ -14,42 +13,36 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from armctl.cli.output import HOLDS, Output, output_option, socket_option
+from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
+
+if TYPE_CHECKING:
+    from armctl.client import Client
 
 
-@click.command("status")
-@socket_option
-@output_option
-def status_command(output: Output, socket: str | None) -> None:
-    """One snapshot: state, fault, joints, tool.
+@command("status", SOCKET)
+def status_command(output: Output) -> None:
+    """Show one snapshot: state, fault, joints, tool.
 
     Example: armctl status
     """
-    from armctl.client import Client
-
-    with Client(socket) as client:
+    with output.client() as client:
         snapshot = client.call("status")
-    if not output.result(snapshot):
-        output.console.print(picture(snapshot))
+    output.answer(snapshot, lambda: output.console.print(picture(snapshot)))
 
 
-@click.command("watch")
-@socket_option
-@output_option
-def watch_command(output: Output, socket: str | None) -> None:
-    """The snapshot live, until Ctrl-C; looking never moves the arm.
+@command("watch", SOCKET)
+def watch_command(output: Output) -> None:
+    """Show the snapshot live, until Ctrl-C. This never moves the arm.
 
     Without a terminal, as in a pipe, one line a second.
 
     Example: armctl watch
     """
-    from armctl.client import Client
-
-    with Client(socket) as client, suppress(KeyboardInterrupt):
+    with output.client() as client, suppress(KeyboardInterrupt):
         snapshots = client.subscribe()
         if output.json:
             for snapshot in snapshots:
-                print(json.dumps(snapshot, allow_nan=False), flush=True)
+                output.result(snapshot)
         elif output.console.is_terminal:
             with Live(console=output.console, auto_refresh=False) as live:
                 for snapshot in snapshots:
@@ -106,7 +99,7 @@ def picture(snapshot: dict[str, Any]) -> RenderableType:
     if snapshot["recording"]:
         parts.append(Text(f"recording {snapshot['recording']}"))
     if snapshot["log"]["problem"]:
-        parts.append(Text(f"logging stands still: {snapshot['log']['problem']}", style="red"))
+        parts.append(Text(f"logging has stopped: {snapshot['log']['problem']}", style="red"))
     if fault := snapshot["fault"]:
         card = f"{fault['code']} since {fault['since_s']:.0f} s: {fault['text']}\n  the arm: {fault['arm']}"
         parts.append(Text(f"{card}\n  next: {fault['next']}", style="red"))
@@ -128,7 +121,7 @@ def _tool(snapshot: dict[str, Any]) -> str:
     tool = snapshot["tool"]
     if tool is None:
         return "unknown"
-    place = ", ".join(f"{value * 1000.0:.1f}" for value in tool["position_m"]) + " mm"
+    place = millimetres(tool["position_m"])
     return place if tool["speed_m_s"] is None else f"{place}, {tool['speed_m_s'] * 1000.0:.0f} mm/s"
 
 
@@ -152,93 +145,34 @@ def _line(snapshot: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
-def request(output: Output, socket: str | None, method: str, **params: Any) -> None:
-    from armctl.client import Client
+# ------------------------------------------------------------------------------------ one request, one new state
 
-    with Client(socket) as client:
+
+def request(output: Output, method: str, **params: Any) -> None:
+    """Ask the daemon for something that it answers with the arm's new state."""
+    with output.client() as client:
         state = client.call(method, **params)
-    if not output.result(state):
-        output.say(str(state["state"]))
+    following = "; go on with `armctl torque on`" if (method, state["state"]) == ("clear", "off") else ""
+    output.answer(state, str(state["state"]) + following)
 
 
-@click.command("stop")
-@socket_option
-@output_option
-def stop_command(output: Output, socket: str | None) -> None:
-    """Stop now: decelerate on the path and hold. Open to everyone, always.
+def state_command(
+    name: str, text: str, *, method: str = "", group: click.Group | None = None, after_interrupt: str = ""
+) -> click.Command:
+    """A command that is one request without parameters.
 
-    Example: armctl stop
+    Args:
+        text: Its help.
+        method: What the daemon calls it, where that is not the command's name.
+        after_interrupt: What a Ctrl-C leaves behind.
     """
-    request(output, socket, "stop")
 
+    def ask(output: Output) -> None:
+        output.after_interrupt = after_interrupt
+        request(output, method or name)
 
-@click.command("hold")
-@socket_option
-@output_option
-def hold_command(output: Output, socket: str | None) -> None:
-    """The same as stop.
-
-    Example: armctl hold
-    """
-    request(output, socket, "hold")
-
-
-@click.command("clear")
-@socket_option
-@output_option
-def clear_command(output: Output, socket: str | None) -> None:
-    """Acknowledge a latched fault; refused while its cause persists, with what to do about it.
-
-    Example: armctl clear
-    """
-    from armctl.client import Client
-
-    with Client(socket) as client:
-        state = client.call("clear")
-    if not output.result(state):
-        output.say(str(state["state"]) + ("; go on with `armctl torque on`" if state["state"] == "off" else ""))
-
-
-@click.command("park")
-@socket_option
-@output_option
-def park_command(output: Output, socket: str | None) -> None:
-    """Go slowly to the rest pose, and go limp there. `armctl stop`, or Ctrl-C, keeps the arm where it is.
-
-    Example: armctl park
-    """
-    output.after_interrupt = HOLDS
-    request(output, socket, "park")
-
-
-COUNTDOWN = click.option(
-    "--countdown", type=click.IntRange(0, 60), default=3, show_default=True, help="Seconds to take hold of the arm."
-)
-
-
-def count_down(output: Output, seconds: int) -> None:
-    """Give the person time to support the arm before it goes limp."""
-    for left in range(seconds, 0, -1):
-        output.say(f"support the arm: it goes limp in {left} s (Ctrl-C to keep it)")
-        time.sleep(1.0)
-
-
-@click.command("release")
-@COUNTDOWN
-@socket_option
-@output_option
-def release_command(output: Output, socket: str | None, countdown: int) -> None:
-    """Switch torque off after a countdown. The arm drops: support it.
-
-    Example: armctl release --countdown 5
-    """
-    from armctl.client import Client
-
-    with Client(socket) as client:
-        if any(joint["torque_enabled"] for joint in client.call("status")["joints"]):
-            output.after_interrupt = "torque stays on"
-            count_down(output, countdown)
-    request(output, socket, "release", confirm=True)
+    path = f"armctl {group.name} {name}" if group else f"armctl {name}"
+    return command(name, SOCKET, group=group, help=f"{text}\n\nExample: {path}")(ask)
 
 
 @click.group("torque")
@@ -249,12 +183,65 @@ def torque_command() -> None:
     """
 
 
-@torque_command.command("on")
-@socket_option
-@output_option
-def torque_on(output: Output, socket: str | None) -> None:
-    """Carefully energise the arm where it is.
+stop_command = state_command("stop", "Stop now: decelerate on the path and hold. Everyone may do this, always.")
+hold_command = state_command("hold", "The same as stop.")
+clear_command = state_command(
+    "clear", "Acknowledge a latched fault; refused while its cause lasts, with what to do about it."
+)
+park_command = state_command(
+    "park",
+    "Go slowly to the rest pose, and go limp there. `armctl stop`, or Ctrl-C, keeps the arm where it is.",
+    after_interrupt=HOLDS,
+)
+pause_command = state_command(
+    "pause", "Pause the run: the arm comes to rest on its path. Everyone may do this; `armctl resume` goes on."
+)
+resume_command = state_command("resume", "Go on with a paused run.")
+torque_on = state_command(
+    "on", "Switch torque on, softly, at the position the arm has.", method="torque_on", group=torque_command
+)
 
-    Example: armctl torque on
+
+@command("rate", SOCKET)
+@click.argument("rate", type=click.FloatRange(0.1, 1.0))
+def rate_command(output: Output, rate: float) -> None:
+    """Continue the run at RATE (0.1 to 1) of its planned speed.
+
+    Example: armctl rate 0.5
     """
-    request(output, socket, "torque_on")
+    request(output, "rate", rate=rate)
+
+
+# ------------------------------------------------------------------------------------------------- an arm goes limp
+
+COUNTDOWN = click.option("--countdown", type=click.IntRange(0, 60), default=3, help="Seconds to take hold of the arm.")
+
+
+def warn_of_limpness(output: Output, client: Client, countdown_s: int, question: str = "") -> None:
+    """Give the person time to support an arm that is about to go limp; nothing where it is limp already.
+
+    Args:
+        question: Asked before the countdown, where there is one.
+    Raises:
+        click.Abort: the answer was no.
+    """
+    if not any(joint["torque_enabled"] for joint in client.call("status")["joints"]):
+        return
+    output.after_interrupt = "torque stays on"
+    if question:
+        click.confirm(question, abort=True, err=output.json)
+    for left in range(countdown_s, 0, -1):
+        output.say(f"support the arm: it goes limp in {left} s (Ctrl-C to keep it)")
+        time.sleep(1.0)
+
+
+@command("release", SOCKET)
+@COUNTDOWN
+def release_command(output: Output, countdown: int) -> None:
+    """Switch torque off after a countdown. The arm drops: support it.
+
+    Example: armctl release --countdown 5
+    """
+    with output.client() as client:
+        warn_of_limpness(output, client, countdown)
+    request(output, "release", confirm=True)

@@ -14,28 +14,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import Output, output_option, socket_option
-from armctl.cli.setup import FILE, arm_option, make_bus, opened, port_options
+from armctl.cli.keys import attended
+from armctl.cli.output import ARM, BAUD, CONFIG, FILE, PORT, SOCKET, Output, command
+from armctl.cli.setup import opened
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
     from armctl.commissioning.calibration import Fit, Readings
-    from armctl.config import ArmConfig, Config
+    from armctl.config import ArmConfig
     from armctl.dynamixel.bus import ServoBus
 
 
-@click.command("calibrate")
+@command("calibrate", ARM, PORT, BAUD, CONFIG, SOCKET)
 @click.option("--points", type=FILE, help="Points to touch: lines x,y,z in metres, in the base frame.")
-@click.option("--touches", default=2, show_default=True, type=click.IntRange(1, 20), help="Postures for each point.")
+@click.option("--touches", default=2, type=click.IntRange(1, 20), help="Postures for each point.")
 @click.option("--readings", type=FILE, help="Use these recorded readings; no arm is needed.")
 @click.option("--save-readings", type=FILE, help="Keep the readings in a new file.")
-@click.option("--sag", is_flag=True, help="Lines that show how the arm sags; the daemon moves it, torque is on.")
-@click.option("--zero-at", type=click.Choice(["rest", "zero"]), help="Only zeros: the arm is held in this pose.")
+@click.option("--sag", is_flag=True, help="Learn how the arm sags: the daemon moves it along lines, with torque on.")
+@click.option("--zero-at", type=click.Choice(["rest", "zero"]), help="Find only the zeros: hold the arm in this pose.")
 @click.option("--out", type=FILE, help="The new calibration file.  [default: beside the old one, with the date]")
-@arm_option
-@port_options
-@socket_option
-@output_option
 def calibrate_command(
     output: Output,
     points: Path | None,
@@ -45,19 +42,15 @@ def calibrate_command(
     sag: bool,
     zero_at: str | None,
     out: Path | None,
-    arm: str | None,
-    port: str | None,
-    baud: int | None,
-    socket: str | None,
-    config_file: str | None,
 ) -> None:
-    """Zero ticks and link lengths from points touched with the limp arm's tool tip.
+    """Find zero ticks and link lengths: touch known points with the limp arm's tool tip.
 
     Fix a sheet with known points to the table, its x axis ahead of the base, and touch every point in different
-    postures: elbow high and low, tool steep and flat. What the points do not show is named and left alone. Torque
-    stays off and nothing is written to the servos; the result is a new file beside the old one.
+    postures: elbow high and low, tool steep and flat. A value that the points do not show
+    is left alone, and named. Torque stays off and nothing is written to the servos; the result is a new file beside the
+    old one.
 
-    --sag is another matter: a running daemon moves the arm along eight lines, and what gravity and friction do to each
+    --sag does something else: a running daemon moves the arm along eight lines. What gravity and friction do to each
     joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
 
     Example: armctl calibrate --points sheet.csv
@@ -65,22 +58,21 @@ def calibrate_command(
     from armctl.commissioning import calibration
     from armctl.commissioning.eeprom import write_new
     from armctl.errors import RequestRefused
-    from armctl.files import find_arm_file, load_arm, load_config
+    from armctl.files import find_arm_file
 
     if sum(choice is not None for choice in (points, readings, zero_at, sag or None)) != 1:
         raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero and --sag")
-    config = load_config(config_file)
     if sag:
-        _calibrate_sag(output, config, socket)
+        _calibrate_sag(output)
         return
-    name = arm or config.arm
-    before = load_arm(name)
-    path = out or _dated(find_arm_file(name), date.today())
+    before = output.arm
+    old = find_arm_file(output.arm_name or output.config.arm)
+    path = out or _dated(old, date.today())
     if path.exists():
         raise RequestRefused("FILE_EXISTS", f"{path}: exists and is not overwritten; choose another --out")
     fit: Fit | None = None
     if zero_at is not None:
-        with opened(make_bus(config, port, baud, before.servo_ids)) as bus:
+        with opened(output, before.servo_ids) as bus:
             _wait_for_enter(output, f"hold the limp arm still in its {zero_at} pose, then press Enter")
             ticks = calibration.read_ticks(bus, before, bus.port.clock)
         pose = [joint.rest_rad if zero_at == "rest" else 0.0 for joint in before.joints]
@@ -91,14 +83,14 @@ def calibrate_command(
             session = calibration.load_readings(readings, before)
         else:
             assert points is not None
-            with opened(make_bus(config, port, baud, before.servo_ids)) as bus:
+            with opened(output, before.servo_ids) as bus:
                 session = _touch_all(output, bus, before, calibration.read_points(points), touches)
         if save_readings is not None:
             write_new(save_readings, calibration.readings_text(session))
         fit = calibration.fit(before, session.touches)
         after = fit.arm
         remark = f"{len(session.touches)} touches, {fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
-    remarks = [f"Calibrated {date.today().isoformat()} from {find_arm_file(name).name}: {remark}."]
+    remarks = [f"Calibrated {date.today().isoformat()} from {old.name}: {remark}."]
     write_new(path, calibration.calibration_text(after, remarks))
     result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
     if fit is not None:
@@ -155,26 +147,25 @@ def _touch_all(
 def _wait_for_enter(output: Output, text: str) -> None:
     from armctl.errors import ConfigError
 
-    if output.json or not sys.stdin.isatty():
+    if output.json or not attended(sys.stdin):
         raise ConfigError("armctl calibrate", "", "needs a terminal and no --json", "or give --readings FILE")
     output.say(text)
     if not sys.stdin.readline():
         raise click.Abort
 
 
-def _calibrate_sag(output: Output, config: Config, socket: str | None) -> None:
+def _calibrate_sag(output: Output) -> None:
     """Run the calibration lines on the daemon's arm and keep the sag model."""
     import numpy as np
 
-    from armctl.client import Client
     from armctl.files import load_arm
     from armctl.lab import calibrate_sag, stored
     from armctl.lab.run import DaemonRig
 
-    with Client(socket) as client, output.progress("calibration lines", calibrate_sag.LINES) as show:
-        rig = DaemonRig(client, load_arm(config.arm))
-        model = calibrate_sag.identify(rig, np.random.default_rng(0), show=lambda done: show(done, ""))
-    path = stored.save(config, model)
+    with output.client() as client, output.progress("calibration lines", calibrate_sag.LINES) as show:
+        rig = DaemonRig(client, load_arm(output.config.arm))
+        model = calibrate_sag.identify(rig, np.random.default_rng(0), show=show)
+    path = stored.save(output.config, model)
     residual = dict(zip(rig.arm.joint_names, model.residual_tick, strict=False))
     if not output.result({"path": str(path), "lines": model.lines, "residual_tick": residual}):
         output.say(f"{path}: sag and friction of {len(residual)} joints from {model.lines} lines")
@@ -203,16 +194,10 @@ def show_fit(output: Output, fit: Fit) -> None:
     output.say(f"worst point: touch {worst + 1}, {fit.residuals_mm[worst]:.2f} mm")
     rows = []
     for parameter in fit.parameters:
-        factor = 1000.0 if parameter.unit == "m" else 1.0
-        rows.append(
-            (
-                parameter.name,
-                f"{parameter.before * factor:.2f}",
-                f"{parameter.after * factor:.2f}",
-                "-" if parameter.standard_error is None else f"{parameter.standard_error * factor:.2f}",
-                "mm" if parameter.unit == "m" else "tick",
-            )
-        )
+        factor, unit = (1000.0, "mm") if parameter.unit == "m" else (1.0, "tick")
+        values = (parameter.before, parameter.after, parameter.standard_error)
+        shown = ("-" if value is None else f"{value * factor:.2f}" for value in values)
+        rows.append((parameter.name, *shown, unit))
     columns = ("parameter", "before", "after", "+-", "unit")
     show_table(output.console, "", columns, rows, words=("parameter", "unit"))
     for parameter in fit.parameters:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import Output, output_option
+from armctl.cli.output import Output, command
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -34,20 +34,17 @@ TOPICS = {
 }
 
 
-@click.command("help")
+@command("help")
 @click.argument("topic", required=False)
-@output_option
 def help_command(output: Output, topic: str | None) -> None:
     """Explain TOPIC; without one, list the topics.
 
     Example: armctl help start
     """
     if topic is None:
-        if not output.result({"topics": TOPICS}):
-            output.say("armctl help TOPIC:")
-            for name, text in TOPICS.items():
-                output.say(f"  {name:<14}{text}")
-            output.say("armctl COMMAND --help explains a command.")
+        topics = "\n".join(f"  {name:<14}{text}" for name, text in TOPICS.items())
+        said = f"armctl help TOPIC:\n{topics}\narmctl COMMAND --help explains a command."
+        output.answer({"topics": TOPICS}, said)
         return
     text = page(topic)
     if not output.result({"topic": topic, "text": text}):

@@ -9,40 +9,28 @@ from typing import TYPE_CHECKING
 
 import click
 
-from armctl.cli.output import F, Output, output_option
+from armctl.cli.output import FOLDER, Output, command
 
 if TYPE_CHECKING:
     from armctl.commissioning.installation import Act
 
 
-def acting_options(function: F) -> F:
-    """Adds `--dry-run` and `--root`."""
-    function = click.option(
-        "--root",
-        type=click.Path(path_type=Path, file_okay=False),
-        default=Path("/"),
-        help="Write below this folder and run no command: for packages.",
-    )(function)
-    return click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")(function)
+DRY_RUN = click.Option(["--dry-run"], is_flag=True, help="Say what would be done, and do nothing.")
+ROOT = click.Option(
+    ["--root"],
+    type=FOLDER,
+    default=Path("/"),
+    help="Write below this folder and run no command: for packages.",
+)
 
 
-@click.command("install")
-@click.option("--arm", default="ax12-line", show_default=True, metavar="NAME|FILE", help="Which arm to serve.")
-@click.option(
-    "--port", default="", metavar="PATH", help="Serial port of the arm, to limit the udev rule to its adapter."
-)
-@click.option(
-    "--user", default=lambda: os.environ.get("SUDO_USER", ""), help="Who may command the arm.  [default: you]"
-)
-@click.option(
-    "--prefix",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Environment whose bin/armctl the service starts.  [default: this one]",
-)
-@acting_options
-@output_option
+@command("install", DRY_RUN, ROOT)
+@click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to serve.")
+@click.option("--port", metavar="PATH", help="Serial port of the arm, to limit the udev rule to its adapter.")
+@click.option("--user", help="Who may command the arm.  [default: you]")
+@click.option("--prefix", type=FOLDER, help="Environment whose bin/armctl the service starts.  [default: this one]")
 def install_command(
-    output: Output, arm: str, port: str, user: str, prefix: Path | None, dry_run: bool, root: Path
+    output: Output, arm: str, port: str | None, user: str | None, prefix: Path | None, dry_run: bool, root: Path
 ) -> int:
     """Make the daemon a service that starts with the system.
 
@@ -55,7 +43,8 @@ def install_command(
     from armctl.commissioning.installation import SYSTEM, installation, missing_commands
     from armctl.errors import ConfigError
 
-    acts = installation(arm=arm, port=port, user=user, prefix=prefix)
+    user = os.environ.get("SUDO_USER", "") if user is None else user
+    acts = installation(arm=arm, port=port or "", user=user, prefix=prefix)
     missing = missing_commands(acts) if root == SYSTEM and not dry_run else []
     if missing:
         raise ConfigError(
@@ -65,11 +54,9 @@ def install_command(
     return _carry_out(output, acts, root, dry_run, done)
 
 
-@click.command("uninstall")
-@acting_options
-@output_option
+@command("uninstall", DRY_RUN, ROOT)
 def uninstall_command(output: Output, dry_run: bool, root: Path) -> int:
-    """Take the service away; configuration, calibrations, logs and recordings stay.
+    """Remove the service; configuration, calibrations, logs and recordings stay.
 
     The arm comes to rest and keeps its torque: type `armctl park` first to have it limp at its rest pose.
 

@@ -1,4 +1,8 @@
-"""Single keys of a terminal, without waiting for Enter."""
+"""Single keys of a terminal, without waiting for Enter, and whether there is a person who can be asked.
+
+A shell with job control stops a process in the background that reads the terminal or sets its mode. So both happen in
+the foreground only, and this is asked anew each time: the process may be suspended, or change places, at any time.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,21 @@ import time
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
 _ESCAPES = {b"\x1b[D": "left", b"\x1b[C": "right", b"\x1bOD": "left", b"\x1bOC": "right"}
+
+
+def attended(stream: TextIO) -> bool:
+    """Whether a person can be asked at `stream`: it is a terminal, and this process is in its foreground."""
+    return stream.isatty() and _in_foreground(stream.fileno())
+
+
+def _in_foreground(fd: int) -> bool:
+    try:
+        return os.tcgetpgrp(fd) == os.getpgrp()
+    except OSError:  # not the terminal that controls this process: there is no job control, and keys may be read
+        return True
 
 
 class TerminalKeys:
@@ -20,14 +36,34 @@ class TerminalKeys:
     def __init__(self, fd: int) -> None:
         self._fd = fd
         self._pressed = b""
+        self._before: list[Any] | None = None
+        """The terminal's mode before this process set it; None: it has not."""
 
     def wait(self, timeout_s: float) -> str:
-        """The next key, `left` and `right` by name; nothing once the time is over."""
+        """The next key, `left` and `right` by name; nothing once the time is over, and nothing in the background."""
+        if not _in_foreground(self._fd):
+            time.sleep(timeout_s)
+            return ""
+        self._one_by_one()
         if not self._pressed and select.select([self._fd], [], [], timeout_s)[0]:
+            if not _in_foreground(self._fd):  # it was sent to the background while it waited
+                return ""
             self._pressed = os.read(self._fd, 64) or b"q"  # a terminal that is gone wants no more
         known = next((sequence for sequence in _ESCAPES if self._pressed.startswith(sequence)), b"")
         key, self._pressed = self._pressed[: len(known) or 1], self._pressed[len(known) or 1 :]
         return _ESCAPES.get(key) or key.decode("ascii", "replace")
+
+    def _one_by_one(self) -> None:
+        """Let keys come without Enter. A shell puts its own mode back whenever it suspends this process."""
+        mode = termios.tcgetattr(self._fd)
+        if mode[3] & termios.ICANON:
+            self._before = mode
+            tty.setcbreak(self._fd, termios.TCSANOW)  # keeps what was pressed meanwhile
+
+    def put_back(self) -> None:
+        """Restore the terminal's mode; in the background it is the shell's."""
+        if self._before is not None and _in_foreground(self._fd):
+            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
 
 
 class NoKeys:
@@ -41,14 +77,14 @@ class NoKeys:
 
 @contextmanager
 def keys(stream: TextIO) -> Iterator[TerminalKeys | NoKeys]:
-    """The keys of `stream` if it is a terminal; its settings are put back afterwards."""
+    """The keys of `stream` if it is a terminal; its mode is put back afterwards."""
     if not stream.isatty():
         yield NoKeys()
         return
-    fd = stream.fileno()
-    before = termios.tcgetattr(fd)
+    pressed = TerminalKeys(stream.fileno())
+    if attended(stream):
+        termios.tcflush(stream, termios.TCIFLUSH)  # what was typed before was not meant for this
     try:
-        tty.setcbreak(fd)
-        yield TerminalKeys(fd)
+        yield pressed
     finally:
-        termios.tcsetattr(fd, termios.TCSADRAIN, before)
+        pressed.put_back()

@@ -2,40 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import POINT, Output, output_option
+from armctl.cli.output import FILE, POINT, F, Numbers, Output, command
 from armctl.cli.tables import show_table
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from armctl.kinematics.robots.robot import Robot
-    from armctl.kinematics.solution import Answer, Target
-
-F = TypeVar("F", bound=Callable[..., Any])
-OUT = click.Path(path_type=Path, dir_okay=False)
-
-
-class NumbersType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
-    """Numbers parted by commas or blanks."""
-
-    name = "a,b,..."
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            numbers = tuple(float(part) for part in str(value).replace(",", " ").split())
-        except ValueError:
-            self.fail(f"{value!r} is not a list of numbers such as 0.1,-0.2,0.3", param, ctx)
-        if not numbers or not all(math.isfinite(number) for number in numbers):
-            self.fail(f"{value!r}: the numbers must be finite", param, ctx)
-        return numbers
+    from armctl.kinematics.solution import Answer, Solution, Target
 
 
 class LengthType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
@@ -53,22 +35,28 @@ class LengthType(click.ParamType):  # type: ignore[type-arg]  # generic only in 
             self.fail(f"{value!r} is not a length such as a2=0.5", param, ctx)
 
 
-NUMBERS = NumbersType()
+NUMBERS = Numbers()
+NumbersType = Numbers
 
 
-def robot_options(function: F) -> F:
-    """Adds `--robot` and `--set`; the command receives `robot_name` and `lengths`."""
-    set_option = click.option("--set", "lengths", type=LengthType(), multiple=True, help="Another length, metres.")
-    return click.option("--robot", "robot_name", required=True, metavar="R", help="See `armctl robots`.")(
-        set_option(function)
-    )
+def robot_option(function: F) -> F:
+    """Adds `--robot` and `--set`; the command receives the `Robot` as its second argument."""
+
+    @functools.wraps(function)
+    def on_robot(output: Output, robot_name: str, lengths: tuple[tuple[str, float], ...], **given: Any) -> object:
+        from armctl.kinematics import robots
+
+        return function(output, robots.get(robot_name, dict(lengths)), **given)
+
+    named = click.option("--robot", "robot_name", required=True, metavar="R", help="See `armctl robots`.")
+    changed = click.option("--set", "lengths", type=LengthType(), multiple=True, help="Another length, metres.")
+    return named(changed(on_robot))  # type: ignore[return-value]  # what click calls has other parameters
 
 
 deg_option = click.option("--deg", is_flag=True, help="Angles are given and told in degrees (JSON: always radians).")
 
 
-@click.command("robots")
-@output_option
+@command("robots")
 def robots_command(output: Output) -> None:
     """The robot models armctl knows.
 
@@ -78,20 +66,17 @@ def robots_command(output: Output) -> None:
 
     known = [robots.get(name) for name in robots.names()]
     rows = [{"name": r.name, "joints": r.chain.n, "convention": r.chain.convention, "source": r.source} for r in known]
-    if not output.result({"robots": rows}):
-        shown = [(str(row["name"]), str(row["joints"]), f"{row['convention']} DH", str(row["source"])) for row in rows]
-        columns = ("robot", "joints", "convention", "source")
-        show_table(output.console, "", columns, shown, words=("robot", "convention", "source"))
+    shown = [(r.name, str(r.chain.n), f"{r.chain.convention} DH", r.source) for r in known]
+    words = ("robot", "convention", "source")
+    columns = ("robot", "joints", "convention", "source")
+    output.answer({"robots": rows}, lambda: show_table(output.console, "", columns, shown, words=words))
 
 
-@click.command("fk")
-@robot_options
+@command("fk")
+@robot_option
 @click.option("--q", required=True, type=NUMBERS, help="Joint positions.")
 @deg_option
-@output_option
-def fk_command(
-    output: Output, robot_name: str, lengths: tuple[tuple[str, float], ...], q: tuple[float, ...], deg: bool
-) -> None:
+def fk_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) -> None:
     """Forward kinematics: the tool's pose for joint positions.
 
     Example: armctl fk --robot puma560 --q 0,45,-30,0,20,0 --deg
@@ -101,43 +86,30 @@ def fk_command(
     from armctl.kinematics.chain import forward_kinematics
     from armctl.kinematics.transform import rpy_from_matrix
 
-    robot = _robot(robot_name, lengths)
     T = forward_kinematics(robot.chain, np.array(_configuration(robot, "--q", q, deg)))
-    rpy = rpy_from_matrix(T[:3, :3])
-    if output.result({"T": T.tolist(), "position_m": T[:3, 3].tolist(), "rpy_rad": list(rpy)}):
-        return
-    _say_matrix(output, T.tolist())
-    output.say(f"position  {_numbers(T[:3, 3].tolist())} m")
-    output.say(f"rpy       {_angles(rpy, deg)}")
+    position_m, rpy_rad = T[:3, 3].tolist(), list(rpy_from_matrix(T[:3, :3]))
+    output.answer(
+        {"T": T.tolist(), "position_m": position_m, "rpy_rad": rpy_rad},
+        f"{_matrix(T.tolist())}\nposition  {_numbers(position_m)} m\nrpy       {_angles(rpy_rad, deg)}",
+    )
 
 
-@click.command("ik")
-@robot_options
+METHODS = click.Choice(("closed", "numeric", "ga", "ga-improved"))
+
+
+@command("ik")
+@robot_option
 @click.option("--xyz", type=POINT, help="A point for the tool, metres.")
 @click.option("--pose", type=NUMBERS, help="x,y,z,roll,pitch,yaw; R = Rz(yaw) Ry(pitch) Rx(roll).")
 @click.option("--T", "matrix", type=NUMBERS, help="A pose as 16 numbers, row by row.")
-@click.option(
-    "--method", type=click.Choice(("closed", "numeric", "ga", "ga-improved")), default="closed", show_default=True
-)
-@click.option("--polish/--no-polish", default=True, show_default=True, help="Bring solutions onto the target.")
+@click.option("--method", type=METHODS, default="closed")
+@click.option("--polish/--no-polish", default=True, help="Bring solutions onto the target.")
 @click.option("--all", "every", is_flag=True, help="Every solution, not only the best.")
 @click.option("--near", type=NUMBERS, help="Present joint positions: solutions near them come first.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Repeats a random search.")
+@click.option("--seed", default=0, type=click.IntRange(0), help="Repeats a random search.")
 @deg_option
-@output_option
 def ik_command(
-    output: Output,
-    robot_name: str,
-    lengths: tuple[tuple[str, float], ...],
-    xyz: tuple[float, float, float] | None,
-    pose: tuple[float, ...] | None,
-    matrix: tuple[float, ...] | None,
-    method: str,
-    polish: bool,
-    every: bool,
-    near: tuple[float, ...] | None,
-    seed: int,
-    deg: bool,
+    output: Output, robot: Robot, every: bool, near: tuple[float, ...] | None, deg: bool, **asked: Any
 ) -> None:
     """Inverse kinematics: joint positions for a point or a pose of the tool, or the nearest there are.
 
@@ -146,27 +118,19 @@ def ik_command(
 
     Example: armctl ik --robot puma560 --pose 0.0968,-0.7558,0.0972,-2.7913,2.1047,-1.6016 --all
     """
-    robot = _robot(robot_name, lengths)
-    target = _target(xyz, pose, matrix, deg)
+    target = _target(asked.pop("xyz"), asked.pop("pose"), asked.pop("matrix"), deg)
     present = None if near is None else _configuration(robot, "--near", near, deg)
-    found = METHODS[method](robot, target, present, polish, seed)
+    found = _solve(robot, target, present, **asked)
     solutions = found.solutions if every else found.solutions[:1]
-    if output.result(
-        {
-            "reachable": found.reachable,
-            "least_position_error_m": found.least_position_error_m,
-            "solutions": [
-                {
-                    "q_rad": list(one.q_rad),
-                    "position_error_m": one.position_error_m,
-                    "orientation_error_rad": one.orientation_error_rad,
-                    "within_limits": one.within_limits,
-                }
-                for one in solutions
-            ],
-        }
-    ):
-        return
+    answer = {
+        "reachable": found.reachable,
+        "least_position_error_m": found.least_position_error_m,
+        "solutions": [asdict(solution) for solution in solutions],
+    }
+    output.answer(answer, lambda: show_solutions(output, found, solutions, deg))
+
+
+def show_solutions(output: Output, found: Answer, solutions: Sequence[Solution], deg: bool) -> None:
     if not found.reachable:
         gap = found.least_position_error_m
         output.say(
@@ -174,20 +138,17 @@ def ik_command(
             if gap > 0.0
             else "the position is in reach, this rotation is not; the nearest:"
         )
-    for one in solutions:
-        missed = f"{one.position_error_m * 1000.0:.3g} mm, {one.orientation_error_rad:.3g} rad off"
-        output.say(_angles(one.q_rad, deg))
-        output.say(f"  {missed}{'' if one.within_limits else ', outside the joint ranges'}")
+    for solution in solutions:
+        missed = f"{solution.position_error_m * 1000.0:.3g} mm, {solution.orientation_error_rad:.3g} rad off"
+        output.say(_angles(solution.q_rad, deg))
+        output.say(f"  {missed}{'' if solution.within_limits else ', outside the joint ranges'}")
 
 
-@click.command("jacobian")
-@robot_options
+@command("jacobian")
+@robot_option
 @click.option("--q", required=True, type=NUMBERS, help="Joint positions.")
 @deg_option
-@output_option
-def jacobian_command(
-    output: Output, robot_name: str, lengths: tuple[tuple[str, float], ...], q: tuple[float, ...], deg: bool
-) -> None:
+def jacobian_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) -> None:
     """The geometric Jacobian in the base frame, its rank and the manipulability.
 
     Example: armctl jacobian --robot transfer-6dof --q 0,-60,20,0,30,0 --deg
@@ -197,7 +158,6 @@ def jacobian_command(
     from armctl.kinematics.chain import jacobian
     from armctl.kinematics.differential import dexterity
 
-    robot = _robot(robot_name, lengths)
     J = jacobian(robot.chain, np.array(_configuration(robot, "--q", q, deg)))
     found = dexterity(J)
     result = {
@@ -206,29 +166,18 @@ def jacobian_command(
         "manipulability": found.manipulability,
         "singular_values": found.singular_values.tolist(),
     }
-    if output.result(result):
-        return
-    _say_matrix(output, J.tolist())
     singular = "" if found.rank == min(J.shape) else "   singular"
-    output.say(f"rank {found.rank}, manipulability {found.manipulability:.6g}{singular}")
+    told = f"rank {found.rank}, manipulability {found.manipulability:.6g}{singular}"
+    output.answer(result, f"{_matrix(J.tolist())}\n{told}")
 
 
-@click.command("workspace")
-@robot_options
-@click.option("--samples", default=20000, show_default=True, type=click.IntRange(1, 2_000_000), help="Random samples.")
+@command("workspace")
+@robot_option
+@click.option("--samples", default=20000, type=click.IntRange(1, 2_000_000), help="Random samples.")
 @click.option("--grid", default=0, type=click.IntRange(0, 60), help="Map a grid of N points an axis too.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Repeats a run.")
-@click.option("--out", type=OUT, help="An HTML page with the workspace in 3D and three projections.")
-@output_option
-def workspace_command(
-    output: Output,
-    robot_name: str,
-    lengths: tuple[tuple[str, float], ...],
-    samples: int,
-    grid: int,
-    seed: int,
-    out: Path | None,
-) -> None:
+@click.option("--seed", default=0, type=click.IntRange(0), help="Repeats a run.")
+@click.option("--out", type=FILE, help="An HTML page with the workspace in 3D and three projections.")
+def workspace_command(output: Output, robot: Robot, samples: int, grid: int, seed: int, out: Path | None) -> None:
     """Where the tool can be within the joint ranges: exact extents, and those of a random cloud.
 
     Example: armctl workspace --robot lanzhou-4dof --out workspace.html
@@ -237,7 +186,6 @@ def workspace_command(
 
     from armctl.kinematics import workspace
 
-    robot = _robot(robot_name, lengths)
     rng = np.random.default_rng(seed)
     extent = workspace.extents(robot.chain, robot.limits_rad, rng)
     points = workspace.cloud(robot.chain, robot.limits_rad, samples, rng)
@@ -246,25 +194,28 @@ def workspace_command(
         from armctl.report import kinematics as report
 
         report.write_workspace(robot, extent, points, reach, out)
-    result: dict[str, Any] = {
-        "extent_m": _box(extent.tolist()),
-        "monte_carlo_extent_m": _box(workspace.cloud_extents(points).tolist()),
-    }
+    boxes = {"extent_m": extent.tolist(), "monte_carlo_extent_m": workspace.cloud_extents(points).tolist()}
+    result: dict[str, Any] = {key: dict(zip("xyz", box, strict=True)) for key, box in boxes.items()}
+    told = [
+        f"{axis}: {low:9.6f} .. {high:9.6f} m   random: {cloud_low:9.6f} .. {cloud_high:9.6f} m"
+        for axis, (low, high), (cloud_low, cloud_high) in zip("xyz", *boxes.values(), strict=True)
+    ]
     if reach is not None:
         result["reachable_share"] = float(reach.reachable.mean())
-    if output.result(result):
-        return
-    for axis in "xyz":
-        exact, cloud = result["extent_m"][axis], result["monte_carlo_extent_m"][axis]
-        output.say(f"{axis}: {exact[0]:9.6f} .. {exact[1]:9.6f} m   random: {cloud[0]:9.6f} .. {cloud[1]:9.6f} m")
-    if reach is not None:
-        output.say(f"{100.0 * result['reachable_share']:.1f} % of the grid's points are in reach")
+        told.append(f"{100.0 * result['reachable_share']:.1f} % of the grid's points are in reach")
     if out is not None:
-        output.say(f"drawn: {out}")
+        told.append(f"drawn: {out}")
+    output.answer(result, "\n".join(told))
 
 
-@click.command("trajectory")
-@robot_options
+CURVES = (
+    *("time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2"),
+    *("tool_position_m", "tool_velocity_m_s", "tool_acceleration_m_s2"),
+)
+
+
+@command("trajectory")
+@robot_option
 @click.option("--q0", required=True, type=NUMBERS, help="Joint positions at the start.")
 @click.option("--q1", required=True, type=NUMBERS, help="Joint positions at the end.")
 @click.option("--duration", required=True, type=float, help="Seconds.")
@@ -272,24 +223,11 @@ def workspace_command(
 @click.option("--v1", type=NUMBERS, help="Joint velocities at the end.")
 @click.option("--a0", type=NUMBERS, help="Joint accelerations at the start, per second squared.")
 @click.option("--a1", type=NUMBERS, help="Joint accelerations at the end.")
-@click.option("--samples", default=101, show_default=True, type=click.IntRange(2, 100_000), help="Times evaluated.")
-@click.option("--out", type=OUT, help="An HTML page with the curves of joints and tool.")
+@click.option("--samples", default=101, type=click.IntRange(2, 100_000), help="Times evaluated.")
+@click.option("--out", type=FILE, help="An HTML page with the curves of joints and tool.")
 @deg_option
-@output_option
 def trajectory_command(
-    output: Output,
-    robot_name: str,
-    lengths: tuple[tuple[str, float], ...],
-    q0: tuple[float, ...],
-    q1: tuple[float, ...],
-    duration: float,
-    v0: tuple[float, ...] | None,
-    v1: tuple[float, ...] | None,
-    a0: tuple[float, ...] | None,
-    a1: tuple[float, ...] | None,
-    samples: int,
-    out: Path | None,
-    deg: bool,
+    output: Output, robot: Robot, duration: float, samples: int, out: Path | None, deg: bool, **ends: Any
 ) -> None:
     """A fifth-order joint trajectory: curves of the joints and the tool's path.
 
@@ -299,91 +237,50 @@ def trajectory_command(
 
     from armctl.trajectory import quintic
 
-    robot = _robot(robot_name, lengths)
-
-    def boundary(name: str, values: tuple[float, ...] | None) -> Any:
-        return 0.0 if values is None else np.array(_configuration(robot, name, values, deg))
-
-    motion = quintic.quintic(
-        boundary("--q0", q0),
-        boundary("--q1", q1),
-        duration,
-        v0=boundary("--v0", v0),
-        v1=boundary("--v1", v1),
-        a0=boundary("--a0", a0),
-        a1=boundary("--a1", a1),
-    )
+    known: dict[str, Any] = {
+        end: np.array(_configuration(robot, f"--{end}", values, deg))
+        for end, values in ends.items()
+        if values is not None
+    }
+    motion = quintic.quintic(known.pop("q0"), known.pop("q1"), duration, **known)
     curves = quintic.curves(robot.chain, motion, np.linspace(0.0, duration, samples))
     if out is not None:
         from armctl.report import kinematics as report
 
         report.write_trajectory(robot, curves, out)
-    result = {
-        "time_s": curves.time_s.tolist(),
-        "position_rad": curves.position_rad.tolist(),
-        "velocity_rad_s": curves.velocity_rad_s.tolist(),
-        "acceleration_rad_s2": curves.acceleration_rad_s2.tolist(),
-        "tool_position_m": curves.tool_position_m.tolist(),
-        "tool_velocity_m_s": curves.tool_velocity_m_s.tolist(),
-        "tool_acceleration_m_s2": curves.tool_acceleration_m_s2.tolist(),
-    }
-    if output.result(result):
-        return
-    peak, push = np.abs(curves.velocity_rad_s).max(axis=0), np.abs(curves.acceleration_rad_s2).max(axis=0)
-    unit = "deg" if deg else "rad"
-    shown = [
-        (str(joint + 1), *(f"{math.degrees(value) if deg else value:.6f}" for value in values))
-        for joint, values in enumerate(zip(peak.tolist(), push.tolist(), strict=True))
+    result = {key: getattr(curves, key).tolist() for key in CURVES}
+    output.answer(result, lambda: show_curves(output, result, deg, out))
+
+
+def show_curves(output: Output, result: dict[str, Any], deg: bool, out: Path | None) -> None:
+    peaks = [
+        [max(map(abs, joint)) * (180.0 / math.pi if deg else 1.0) for joint in zip(*result[key], strict=True)]
+        for key in ("velocity_rad_s", "acceleration_rad_s2")
     ]
+    shown = [
+        (str(joint), *(f"{value:.6f}" for value in values))
+        for joint, values in enumerate(zip(*peaks, strict=True), start=1)
+    ]
+    unit = "deg" if deg else "rad"
     show_table(output.console, "", ("joint", f"peak velocity, {unit}/s", f"peak acceleration, {unit}/s^2"), shown)
-    output.say(f"tool from {_numbers(result['tool_position_m'][0])} to {_numbers(result['tool_position_m'][-1])} m")
+    tool_m = result["tool_position_m"]
+    output.say(f"tool from {_numbers(tool_m[0])} to {_numbers(tool_m[-1])} m")
     if out is not None:
         output.say(f"drawn: {out}")
 
 
-def _closed(robot: Robot, target: Target, present: list[float] | None, polish: bool, seed: int) -> Answer:
-    return _solve("closed", robot, target, present, polish, seed)
-
-
-def _numeric(robot: Robot, target: Target, present: list[float] | None, polish: bool, seed: int) -> Answer:
-    return _solve("numeric", robot, target, present, polish, seed)
-
-
-def _genetic(robot: Robot, target: Target, present: list[float] | None, polish: bool, seed: int) -> Answer:
-    return _evolve("ga", robot, target, present, polish, seed)
-
-
-def _improved(robot: Robot, target: Target, present: list[float] | None, polish: bool, seed: int) -> Answer:
-    return _evolve("ga-improved", robot, target, present, polish, seed)
-
-
-def _evolve(method: Any, robot: Robot, target: Target, present: list[float] | None, polish: bool, seed: int) -> Answer:
+def _solve(
+    robot: Robot, target: Target, present_rad: list[float] | None, *, method: Any, polish: bool, seed: int
+) -> Answer:
+    """Inverse kinematics by any of the methods."""
     import numpy as np
 
-    from armctl.kinematics.genetic.solve import solve
+    from armctl.kinematics import solution
+    from armctl.kinematics.genetic import solve as genetic
 
-    near = None if present is None else np.array(present)
+    solve = genetic.solve if method.startswith("ga") else solution.solve
+    near = None if present_rad is None else np.array(present_rad)
     return solve(robot, target, method=method, present=near, polish=polish, seed=seed)
-
-
-def _solve(method: Any, robot: Robot, target: Target, present: list[float] | None, polish: bool, seed: int) -> Answer:
-    import numpy as np
-
-    from armctl.kinematics.solution import solve
-
-    near = None if present is None else np.array(present)
-    return solve(robot, target, method=method, present=near, polish=polish, seed=seed)
-
-
-Method = Callable[["Robot", "Target", "list[float] | None", bool, int], "Answer"]
-METHODS: dict[str, Method] = {"closed": _closed, "numeric": _numeric, "ga": _genetic, "ga-improved": _improved}
-"""Name of each method -> (robot, target, present [rad] or None, polish, seed) -> answer."""
-
-
-def _robot(name: str, lengths: tuple[tuple[str, float], ...]) -> Robot:
-    from armctl.kinematics import robots
-
-    return robots.get(name, dict(lengths))
 
 
 def _target(
@@ -424,14 +321,9 @@ def _configuration(robot: Robot, option: str, values: tuple[float, ...], deg: bo
     return [math.radians(value) if deg else value for value in values]
 
 
-def _box(extent: list[list[float]]) -> dict[str, list[float]]:
-    return dict(zip("xyz", extent, strict=True))
-
-
-def _say_matrix(output: Output, rows: list[list[float]]) -> None:
+def _matrix(rows: list[list[float]]) -> str:
     """A matrix of up to six columns within 80 characters."""
-    for row in rows:
-        output.say("  ".join(f"{value:11.8f}" for value in row))
+    return "\n".join("  ".join(f"{value:11.8f}" for value in row) for row in rows)
 
 
 def _numbers(values: list[float], digits: int = 6) -> str:

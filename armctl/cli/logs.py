@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from armctl import __version__
-from armctl.cli.output import Output, output_option
+from armctl.cli.output import FILE, Output, command, kept_option
 from armctl.cli.tables import show_table
 from armctl.errors import ArmctlError
 
@@ -26,37 +27,29 @@ if TYPE_CHECKING:
     from armctl.recording.replay import ReplayResult
     from armctl.recording.timeline import Timeline
 
-LOG = click.Path(path_type=Path, dir_okay=False)
 EVENTS_SHOWN = 6
 LINE_S = 1.0
 """Between two lines where there is no terminal."""
 KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: rate   l: loop   q: leave"
 
 
-@click.command("replay")
-@click.argument("log", type=LOG)
+PLAYED = kept_option(
+    "arm_name", "--arm", metavar="NAME|FILE", help="Which arm --onto-sim plays; the configured one if left out."
+)
+
+
+@command("replay", PLAYED)
+@click.argument("log", type=FILE)
 @click.option("--check", is_flag=True, help="Re-run every tick and compare bit for bit.")
-@click.option("--rate", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Times real time.")
+@click.option("--rate", type=click.FloatRange(0.01, 1000.0), default=1.0, help="Times real time.")
 @click.option("--start", "start_s", type=click.FloatRange(0.0), default=0.0, metavar="S", help="Begin here.")
 @click.option("--loop", is_flag=True, help="Begin again at the end.")
-@click.option("--report", type=LOG, metavar="HTML", help="Write a page about LOG instead.")
+@click.option("--report", type=FILE, metavar="HTML", help="Write a page about LOG instead.")
 @click.option("--onto-sim", is_flag=True, help="Let a simulated arm repeat the motion instead, and compare.")
-@click.option("--arm", metavar="NAME|FILE", help="Which arm --onto-sim plays; the configured one if left out.")
 @click.option("--foreign", is_flag=True, help="Take a LOG of another arm with --onto-sim.")
-@click.option("--seed", default=0, show_default=True, help="Draws what the simulated arm is like.")
-@output_option
+@click.option("--seed", default=0, help="Draws what the simulated arm is like.")
 def replay_command(
-    output: Output,
-    log: Path,
-    check: bool,
-    rate: float,
-    start_s: float,
-    loop: bool,
-    report: Path | None,
-    onto_sim: bool,
-    arm: str | None,
-    foreign: bool,
-    seed: int,
+    output: Output, log: Path, check: bool, report: Path | None, onto_sim: bool, foreign: bool, seed: int, **shown: Any
 ) -> int:
     """Watch LOG in the terminal, or re-run what the daemon did and compare it bit for bit (--check).
 
@@ -66,7 +59,7 @@ def replay_command(
     Example: armctl replay ~/.local/share/armctl/recordings/demo-1.mcap --rate 4
     """
     if onto_sim:
-        return _onto_sim(output, log, arm, foreign, seed)
+        return _onto_sim(output, log, foreign, seed)
     answer: dict[str, Any] = {}
     same = True
     if check or output.json:
@@ -81,7 +74,7 @@ def replay_command(
 
         timeline = _loaded(output, log)
         with keys(sys.stdin) as pressed:
-            _watch(output, timeline, rate, start_s, loop, pressed, MonotonicClock())
+            _watch(output, timeline, pressed, MonotonicClock(), **shown)
     return 0 if same else 1
 
 
@@ -89,7 +82,7 @@ def _checked(output: Output, log: Path) -> ReplayResult:
     from armctl.recording import replay
 
     with output.progress("re-running", 1.0) as show:
-        result = replay.check(log, progress=lambda fraction: show(fraction, ""))
+        result = replay.check(log, progress=show)
     verdict = "bit for bit the same"
     if result.ticks == 0:
         verdict = "nothing to replay: the log holds no complete tick after a keyframe"
@@ -109,7 +102,7 @@ def _loaded(output: Output, log: Path) -> Timeline:
     from armctl.recording import timeline
 
     with output.progress("reading", 1.0) as show:
-        return timeline.load(log, progress=lambda fraction: show(fraction, ""))
+        return timeline.load(log, progress=show)
 
 
 def _report(output: Output, log: Path, report: Path, answer: dict[str, Any]) -> None:
@@ -121,28 +114,22 @@ def _report(output: Output, log: Path, report: Path, answer: dict[str, Any]) -> 
         output.say(f"report: {report}")
 
 
-def _onto_sim(output: Output, log: Path, arm: str | None, foreign: bool, seed: int) -> int:
-    from dataclasses import asdict
-
-    from armctl.files import load_arm, load_config
+def _onto_sim(output: Output, log: Path, foreign: bool, seed: int) -> int:
     from armctl.lab import rehearsal
 
-    timeline = _loaded(output, log)
-    played = load_arm(arm or load_config().arm)
+    timeline, played = _loaded(output, log), output.arm
     with output.progress("on the simulated arm", 1.0) as show:
-        result = rehearsal.rehearse(
-            timeline, played, foreign=foreign, seed=seed, progress=lambda fraction: show(fraction, "")
-        )
-    if not output.result(asdict(result)):
-        output.say(
-            f"{result.duration_s:.1f} s on a simulated {played.arm_id}: joints within "
-            f"{math.degrees(result.joint_max_rad):.2f} deg of the log (rms {math.degrees(result.joint_rms_rad):.2f}), "
-            f"tool within {1e3 * result.tool_max_m:.1f} mm (mean {1e3 * result.tool_mean_m:.1f})"
-        )
-        if result.stretched_s > 0.05:
-            output.say(f"slowed down by {result.stretched_s:.1f} s, where the log is faster than this arm may be")
-        if result.clipped_rad > 0.01:
-            output.say(f"kept inside the limits, up to {math.degrees(result.clipped_rad):.1f} deg from the log")
+        result = rehearsal.rehearse(timeline, played, foreign=foreign, seed=seed, progress=show)
+    told = (
+        f"{result.duration_s:.1f} s on a simulated {played.arm_id}: joints within "
+        f"{math.degrees(result.joint_max_rad):.2f} deg of the log (rms {math.degrees(result.joint_rms_rad):.2f}), "
+        f"tool within {1e3 * result.tool_max_m:.1f} mm (mean {1e3 * result.tool_mean_m:.1f})"
+    )
+    if result.stretched_s > 0.05:
+        told += f"\nslowed down by {result.stretched_s:.1f} s, where the log is faster than this arm may be"
+    if result.clipped_rad > 0.01:
+        told += f"\nkept inside the limits, up to {math.degrees(result.clipped_rad):.1f} deg from the log"
+    output.answer(asdict(result), told)
     return 0
 
 
@@ -150,7 +137,7 @@ def _onto_sim(output: Output, log: Path, arm: str | None, foreign: bool, seed: i
 
 
 def _watch(
-    output: Output, timeline: Timeline, rate: float, start_s: float, loop: bool, keys: Keys, clock: Clock
+    output: Output, timeline: Timeline, keys: Keys, clock: Clock, *, rate: float, start_s: float, loop: bool
 ) -> None:
     from armctl.recording.player import FRAME_S, Player, play
 
@@ -184,14 +171,14 @@ def picture(timeline: Timeline, player: Player) -> RenderableType:
         )
     fault = timeline.fault(i)
     now_ns = timeline.start_ns + round(player.at_s * 1e9)
-    happened = [one for one in timeline.happenings if one.time_ns <= now_ns][-EVENTS_SHOWN:]
+    happened = [event for event in timeline.happenings if event.time_ns <= now_ns][-EVENTS_SHOWN:]
     mode = "paused" if player.paused else f"{player.rate:g} x"
     return Group(
         Text(f"{timeline.arm.arm_id}: {timeline.state(i)}", style="bold red" if fault else "bold"),
         joints,
         Text(f"tool at {_tool(timeline, i)}"),
         *([Text(fault, style="red")] if fault else []),
-        *(Text(f"{(one.time_ns - timeline.start_ns) / 1e9:8.1f} s  {one.text}", style="dim") for one in happened),
+        *(Text(f"{(event.time_ns - timeline.start_ns) / 1e9:8.1f} s  {event.text}", style="dim") for event in happened),
         ProgressBar(total=max(timeline.duration_s, 1e-9), completed=player.at_s, width=60),
         Text(f"{player.at_s:.1f} of {timeline.duration_s:.1f} s   {mode}{'   loop' if player.loop else ''}"),
         Text(KEYS_HELP, style="dim"),
@@ -207,8 +194,7 @@ def line(timeline: Timeline, at_s: float) -> str:
 
 
 def _tool(timeline: Timeline, i: int) -> str:
-    x, y, z = (_number(value * 1000.0, 1) for value in timeline.tool[i, :3].tolist())
-    return f"{x}, {y}, {z} mm"
+    return ", ".join(_number(value * 1000.0, 1) for value in timeline.tool[i, :3].tolist()) + " mm"
 
 
 def _number(value: float, digits: int) -> str:
@@ -220,37 +206,32 @@ def _number(value: float, digits: int) -> str:
 
 @click.group("log")
 def log_command() -> None:
-    """Look into, cut, join, convert and mend MCAP logs.
+    """Read, cut, join, convert and repair MCAP logs.
 
     Example: armctl log info armctl-20250615T120000Z.mcap
     """
 
 
-@log_command.command("info")
-@click.argument("log", type=LOG)
-@output_option
+INFO = ("messages", "start_s", "duration_s", "topics", "complete")
+"""What `log info` tells."""
+
+
+@command("info", group=log_command)
+@click.argument("log", type=FILE)
 def info(output: Output, log: Path) -> None:
-    """What LOG holds: messages, duration, topics, whether it was closed properly.
+    """Tell what LOG holds: messages, duration, topics, whether it was closed properly.
 
     Example: armctl log info armctl-20250615T120000Z.mcap
     """
     from armctl.recording import reader
 
     found = reader.info(log)
-    if output.result(
-        {
-            "messages": found.messages,
-            "start_s": found.start_s,
-            "duration_s": found.duration_s,
-            "topics": found.topics,
-            "complete": found.complete,
-        }
-    ):
+    if output.result({key: getattr(found, key) for key in INFO}):
         return
     output.say(f"{found.messages} messages in {found.duration_s:.1f} s")
     show_topics(output, found.topics)
     if not found.complete:
-        output.say(f"The file was not closed properly; its intact part is shown. Mend it: armctl log recover {log}")
+        output.say(f"The file was not closed properly; its intact part is shown. Repair it: armctl log recover {log}")
 
 
 def show_topics(output: Output, topics: Mapping[str, int]) -> None:
@@ -258,9 +239,8 @@ def show_topics(output: Output, topics: Mapping[str, int]) -> None:
     show_table(output.console, "", ("topic", "messages"), rows, words=("topic",))
 
 
-@log_command.command("recover")
-@click.argument("log", type=LOG)
-@output_option
+@command("recover", group=log_command)
+@click.argument("log", type=FILE)
 def recover(output: Output, log: Path) -> None:
     """Write every intact message of a truncated LOG into a finished file beside it.
 
@@ -269,21 +249,20 @@ def recover(output: Output, log: Path) -> None:
     from armctl.recording import recover as recovery
 
     result = recovery.recover(log)
-    if not output.result(
-        {"recovered_messages": result.recovered_messages, "lost_s": result.lost_s, "path": str(result.path)}
-    ):
-        output.say(f"{result.recovered_messages} messages recovered into {result.path}")
-        output.say(f"lost: {result.lost_s:.1f} s, and what was not yet written (at most 1 s)")
+    output.answer(
+        {"recovered_messages": result.recovered_messages, "lost_s": result.lost_s, "path": str(result.path)},
+        f"{result.recovered_messages} messages recovered into {result.path}\n"
+        f"lost: {result.lost_s:.1f} s, and what was not yet written (at most 1 s)",
+    )
 
 
-@log_command.command("export")
-@click.argument("log", type=LOG)
+@command("export", group=log_command)
+@click.argument("log", type=FILE)
 @click.option("--format", "kind", type=click.Choice(["csv", "xlsx", "parquet"]), required=True)
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="PATH", help="The new file.")
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only the messages of TOPIC; repeatable.")
-@output_option
 def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, ...]) -> None:
-    """Write LOG as a table: a row a tick, units in the column names.
+    """Write LOG as a table: one row for each tick, units in the column names.
 
     Without --topic there is a column for everything about every joint, and for the tool. An Excel file also has the
     joint angles in degrees on a sheet of their own. With several --topic, csv and parquet make a folder PATH.
@@ -293,40 +272,43 @@ def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, .
     from armctl.recording import export as exporting
 
     with output.progress("exporting", 1.0) as show:
-        result = exporting.export(log, out, kind, topics, lambda fraction: show(fraction, ""))
+        result = exporting.export(log, out, kind, topics, show)
     answer = {"paths": [str(path) for path in result.paths], "rows": result.rows, "complete": result.complete}
-    if not output.result(answer):
-        for table, rows in result.rows.items():
-            output.say(f"{table}: {rows} rows")
-        output.say(f"written: {', '.join(map(str, result.paths))}")
+    told = [f"{table}: {rows} rows" for table, rows in result.rows.items()]
+    output.answer(answer, "\n".join([*told, f"written: {', '.join(map(str, result.paths))}"]))
     if not result.complete:
         output.warn(f"{log} was not closed properly, or is damaged; its intact part was exported")
 
 
-@log_command.command("trim")
-@click.argument("log", type=LOG)
-@click.option("--from", "begin_s", type=float, default=0.0, show_default=True, help="Seconds since the beginning.")
-@click.option("--to", "end_s", type=float, default=math.inf, help="Seconds since the beginning; the end if left out.")
-@click.option("--out", type=LOG, required=True, metavar="PATH", help="The new file.")
-@output_option
+@command("trim", group=log_command)
+@click.argument("log", type=FILE)
+@click.option("--from", "begin_s", type=float, default=0.0, help="Seconds since the beginning.")
+@click.option(
+    "--to",
+    "end_s",
+    type=float,
+    default=math.inf,
+    show_default=False,
+    help="Seconds since the beginning; the end if left out.",
+)
+@click.option("--out", type=FILE, required=True, metavar="PATH", help="The new file.")
 def trim(output: Output, log: Path, begin_s: float, end_s: float, out: Path) -> None:
-    """Write a part of LOG to a file that opens, and replays, alone.
+    """Write a part of LOG as a log of its own, which opens and replays alone.
 
     Example: armctl log trim armctl-20250615T120000Z.mcap --from 60 --to 75 --out lift.mcap
     """
     from armctl.recording import edit
 
     with output.progress("trimming", 1.0) as show:
-        result = edit.trim(log, out, begin_s, end_s, lambda fraction: show(fraction, ""))
+        result = edit.trim(log, out, begin_s, end_s, show)
     _edited(output, result)
     if result.begins_with_state is False:
         output.warn("no state is known where it begins; a replay starts at the first keyframe in it")
 
 
-@log_command.command("merge")
-@click.argument("logs", type=LOG, nargs=-1, required=True)
-@click.option("--out", type=LOG, required=True, metavar="PATH", help="The new file.")
-@output_option
+@command("merge", group=log_command)
+@click.argument("logs", type=FILE, nargs=-1, required=True)
+@click.option("--out", type=FILE, required=True, metavar="PATH", help="The new file.")
 def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
     """Write consecutive LOGS of one daemon as one file; the order in which they are named does not matter.
 
@@ -335,14 +317,13 @@ def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
     from armctl.recording import edit
 
     with output.progress("merging", 1.0) as show:
-        result = edit.merge(logs, out, lambda fraction: show(fraction, ""))
+        result = edit.merge(logs, out, show)
     _edited(output, result)
 
 
 def _edited(output: Output, result: Any) -> None:
     answer = {"path": str(result.path), "messages": result.messages, "duration_s": result.duration_s}
     answer |= {"damaged": result.damaged, "begins_with_state": result.begins_with_state}
-    if not output.result(answer):
-        output.say(f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
+    output.answer(answer, f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
     if result.damaged:
         output.warn(f"{result.damaged} damaged places were left out")

@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TypeVar
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from rich.console import Console
@@ -28,6 +29,11 @@ from armctl.errors import (
     UnreachableTarget,
 )
 
+if TYPE_CHECKING:
+    from armctl.client import Client
+    from armctl.config import ArmConfig, Config
+
+Point = tuple[float, float, float]
 HOLDS = "the arm slows down on its path and holds there; `armctl status` shows it"
 """What a Ctrl-C leaves behind during a motion: its client is gone, and the daemon stops the arm."""
 
@@ -35,7 +41,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Output:
-    """Where a command's answer goes."""
+    """Where a command's answer goes, and what the options that many commands share were given."""
 
     def __init__(self) -> None:
         self.json = False
@@ -45,12 +51,51 @@ class Output:
         """What a Ctrl-C leaves behind, said when it comes."""
         self.socket: str | None = None
         """The daemon that was named; None: the usual one."""
+        self.config_file: str | None = None
+        self.arm_name: str | None = None
+        self.port: str | None = None
+        self.baud: int | None = None
+        self.link: Path | None = None
+
+    def client(self, **options: Any) -> Client:
+        """A connection to the daemon that was named."""
+        from armctl.client import Client
+
+        return Client(self.socket, **options)
+
+    @cached_property
+    def config(self) -> Config:
+        """The configuration that was named, or the usual one."""
+        from armctl.files import load_config
+
+        return load_config(self.config_file)
+
+    @property
+    def arm(self) -> ArmConfig:
+        """The arm that was named, or the configured one."""
+        from armctl.files import load_arm
+
+        return load_arm(self.arm_name or self.config.arm)
 
     def result(self, data: dict[str, Any]) -> bool:
         """Print `data` if JSON was asked for; whether it was."""
         if self.json:
             print(json.dumps(data, allow_nan=False), flush=True)
         return self.json
+
+    def answer(self, data: dict[str, Any], shown: str | Callable[[], object]) -> None:
+        """Print `data` if JSON was asked for, else say a text, or call what shows the answer."""
+        if self.result(data):
+            return
+        if callable(shown):
+            shown()
+        elif shown:
+            self.say(shown)
+
+    def ready(self, key: str, value: object) -> None:
+        """Tell programs that wait for it that a server has begun."""
+        if not self.result({key: value}):
+            click.echo(f"ready {value}")
 
     def say(self, text: str) -> None:
         """A message for a person; never on stdout when JSON was asked for."""
@@ -81,10 +126,10 @@ class Output:
         self.result({"error": {"code": "INTERRUPTED", "message": text, "reasons": [text], "next": "armctl status"}})
 
     @contextmanager
-    def progress(self, label: str, total: float) -> Iterator[Callable[[float, str], None]]:
+    def progress(self, label: str, total: float) -> Iterator[Callable[..., None]]:
         """A progress bar with the time left, on stderr, or a line where stderr is no terminal.
 
-        Yields a function of (done, text).
+        Yields a function of (done, text); the text may be left out.
         """
         if not self.messages.is_terminal:
             self.warn(f"{label} ...")
@@ -97,10 +142,15 @@ class Output:
         with Progress(*columns, console=self.messages, disable=not self.messages.is_terminal) as bars:
             bar = bars.add_task(label, total=total, note="")
 
-            def show(done: float, note: str) -> None:
+            def show(done: float, note: str = "") -> None:
                 bars.update(bar, completed=done, note=note)
 
             yield show
+
+
+def millimetres(point_m: Iterable[float]) -> str:
+    """A place as people read it."""
+    return ", ".join(f"{value * 1000.0:.1f}" for value in point_m) + " mm"
 
 
 NEXT = {
@@ -109,6 +159,7 @@ NEXT = {
     "BAD_RECORDINGS": "armctl recordings",
     "RECORDS_LOST": "armctl recordings",
     "EXISTS": "another name, or armctl recordings",
+    "NOT_CONFIRMED": "armctl teach --help",
 }
 """Code of a refusal -> what to type next; where none stands here, `armctl status`."""
 
@@ -156,6 +207,47 @@ def _workspace_command(socket: str | None) -> str:
     return "armctl robots"
 
 
+# ------------------------------------------------------------------------------------- commands and their options
+
+
+def command(
+    name: str, *shared: click.Option, group: click.Group | None = None, **about: Any
+) -> Callable[[Callable[..., Any]], click.Command]:
+    """Makes a function a command with `--json`; it receives the `Output` as its first argument.
+
+    Args:
+        shared: Options whose values are kept in the `Output`; the help lists them after the command's own.
+        group: What it is a command of; None: of `armctl`.
+        about: More for click.
+    """
+
+    def made(function: Callable[..., Any]) -> click.Command:
+        new: click.Command = (group or click).command(name, **about)(click.pass_obj(function))
+        new.params += [*shared, JSON]
+        return new
+
+    return made
+
+
+def kept_option(attribute: str, *names: str, **about: Any) -> click.Option:
+    """An option whose value stands in the `Output`, under the name of an attribute."""
+
+    def keep(ctx: click.Context, _parameter: click.Parameter, value: Any) -> None:
+        if value is not None and value is not False:  # what a group was given stays for its commands
+            setattr(ctx.ensure_object(Output), attribute, value)
+
+    return click.Option([*names], expose_value=False, callback=keep, **about)
+
+
+JSON = kept_option("json", "--json", is_flag=True, is_eager=True, help="One JSON object on stdout.")
+SOCKET = kept_option("socket", "--socket", metavar="PATH", help="The daemon's socket (ARMCTL_SOCKET).")
+CONFIG = kept_option("config_file", "--config", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")
+ARM = kept_option("arm_name", "--arm", metavar="NAME|FILE", help="Which calibration file describes the arm.")
+LINK = kept_option("link", "--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")
+BAUD = kept_option("baud", "--baud", type=int, help="Rate of the bus, bit/s.  [default: the configuration's]")
+PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")
+
+
 def output_option(function: F) -> F:
     """Adds `--json`; the command receives the `Output` as its first argument."""
 
@@ -184,29 +276,40 @@ def config_option(function: F) -> F:
     return click.option("--config", "config_file", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")(function)
 
 
-class PointType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
-    """`x,y,z` in metres."""
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 
-    name = "x,y,z"
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float, float]:
+class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
+    """Numbers with commas or blanks between them.
+
+    Args:
+        count: How many; None: any.
+        what: Said where the text is something else.
+        metres: Whether each is a coordinate, at most 10 m from the base.
+    """
+
+    def __init__(
+        self, count: int | None = None, what: str = "a list of numbers such as 0.1,-0.2,0.3", *, metres: bool = False
+    ) -> None:
+        self.name = "x,y,z" if metres else "a,b,..."
+        self._count, self._what, self._metres = count, what, metres
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         if isinstance(value, tuple):
             return value
+        fail = partial(self.fail, param=param, ctx=ctx)
         try:
-            x, y, z = (float(part) for part in str(value).split(","))
+            numbers = tuple(float(part) for part in str(value).replace(",", " ").split())
         except ValueError:
-            self.fail(f"{value!r} is not three numbers x,y,z in metres, such as 0.18,-0.125,0.10", param, ctx)
-        if not all(math.isfinite(part) and abs(part) <= 10.0 for part in (x, y, z)):
-            self.fail(f"{value!r}: each coordinate must be finite and within 10 m (the unit is metres)", param, ctx)
-        return x, y, z
+            fail(f"{value!r} is not {self._what}")
+        if self._metres and not all(math.isfinite(number) and abs(number) <= 10.0 for number in numbers):
+            fail(f"{value!r}: each coordinate must be finite and within 10 m (the unit is metres)")
+        if not numbers or not all(map(math.isfinite, numbers)):
+            fail(f"{value!r}: the numbers must be finite")
+        if self._count is not None and len(numbers) != self._count:
+            fail(f"{value!r} is not {self._what}: it has {len(numbers)} numbers, not {self._count}")
+        return numbers
 
 
-POINT = PointType()
-
-
-def exit_failed() -> int:
-    """Exit status of a command whose check did not hold."""
-    sys.stdout.flush()
-    return 1
+POINT = Numbers(3, "three numbers x,y,z in metres, such as 0.18,-0.125,0.10", metres=True)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import POINT, F, Output, config_option, output_option, socket_option
+from armctl.cli.output import ARM, CONFIG, FOLDER, LINK, POINT, PORT, SOCKET, Output, Point, command
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,23 +25,10 @@ def default_link() -> Path:
     return Path(os.environ.get("XDG_RUNTIME_DIR") or "/tmp") / DEFAULT_LINK
 
 
-def simulator_option(function: F) -> F:
-    """Adds `--link`."""
-    text = "The simulator's port, as it printed it."
-    return click.option("--link", type=click.Path(path_type=Path), help=text)(function)
-
-
-@click.command("daemon")
-@click.option("--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")
-@click.option("--arm", metavar="NAME|FILE", help="Which calibration file describes the arm.")
-@click.option("--log-dir", type=click.Path(file_okay=False, path_type=Path), help="Folder of the MCAP logs.")
-@socket_option
-@config_option
-@output_option
-def daemon_command(
-    output: Output, port: str | None, arm: str | None, log_dir: Path | None, socket: str | None, config_file: str | None
-) -> int:
-    """Own the arm in the foreground until Ctrl-C.
+@command("daemon", PORT, ARM, SOCKET, CONFIG)
+@click.option("--log-dir", type=FOLDER, help="Folder of the MCAP logs.")
+def daemon_command(output: Output, log_dir: Path | None) -> int:
+    """Control the arm, in the foreground, until Ctrl-C.
 
     Prints `ready SOCKET` once the servos answer. Ctrl-C brings a motion to rest and closes the log; torque stays as
     it is. This is no safety device: keep the power switch within reach.
@@ -49,48 +37,37 @@ def daemon_command(
     """
     import logging
 
-    from armctl.files import load_arm, load_config, socket_path
+    from armctl.files import socket_path
     from armctl.host.daemon import serve
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    config = load_config(config_file)
-    chosen = port or config.port
-    if not chosen:
+    port = output.port or output.config.port
+    if not port:
         raise ConfigError("armctl daemon", "--port", "no serial port named", "give --port PATH, or start `armctl sim`")
-
-    def ready(path: str) -> None:
-        if not output.result({"socket": path}):
-            click.echo(f"ready {path}")
-
-    return serve(
-        config, load_arm(arm or config.arm), port=chosen, socket=socket_path(socket), log_dir=log_dir, ready=ready
-    )
+    ready = partial(output.ready, "socket")
+    return serve(output.config, output.arm, port=port, socket=socket_path(output.socket), log_dir=log_dir, ready=ready)
 
 
-@click.command("sim")
-@click.option("--arm", default="ax12-line", show_default=True, metavar="NAME|FILE", help="Which arm to play.")
+@command("sim")
+@click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to simulate.")
 @click.option("--link", type=click.Path(path_type=Path), help="Stable name of the port.")
-@click.option("--seed", default=0, show_default=True, help="Draws masses, friction, play, offsets and noise.")
+@click.option("--seed", default=0, help="Draws masses, friction, play, offsets and noise.")
 @click.option("--return-delay-us", type=click.IntRange(0, 508), help="Return delay of every servo.")
-@click.option("--latency-ms", type=click.FloatRange(0.0, 100.0), default=0.0, help="Latency timer of the adapter.")
-@click.option("--echo", is_flag=True, help="The adapter hears what the host says.")
+@click.option(
+    "--latency-ms",
+    type=click.FloatRange(0.0, 100.0),
+    default=0.0,
+    help="Latency timer of the adapter.",
+)
+@click.option("--echo", is_flag=True, help="The adapter also receives what the host sends.")
 @click.option(
     "--faults", "faults_file", type=click.Path(path_type=Path), metavar="FILE", help="What goes wrong and when (YAML)."
 )
 @click.option("--lockstep", is_flag=True, help="The arm's time advances with the bus master's ticks, not the clock's.")
-@output_option
 def sim_command(
-    output: Output,
-    arm: str,
-    link: Path | None,
-    seed: int,
-    return_delay_us: int | None,
-    latency_ms: float,
-    echo: bool,
-    faults_file: Path | None,
-    lockstep: bool,
+    output: Output, arm: str, link: Path | None, echo: bool, faults_file: Path | None, **servos: Any
 ) -> int:
-    """Play an arm: simulated servos that answer real protocol bytes on a pseudo terminal.
+    """Simulate an arm: servos that answer the real protocol bytes on a pseudo terminal.
 
     Prints `ready PATH`; any program that drives AX-12A servos can open PATH. What can go wrong, and how FILE says so:
     armctl/docs/simulator.md and `armctl fault begin --help`.
@@ -105,54 +82,32 @@ def sim_command(
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
         faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
-
-    def ready(path: str) -> None:
-        if not output.result({"port": path}):
-            click.echo(f"ready {path}")
-
     pty.run(
-        played,
-        link=(link or default_link()).absolute(),
-        seed=seed,
-        latency_ms=latency_ms,
-        return_delay_us=return_delay_us,
-        lockstep=lockstep,
-        faults=faults,
-        ready=ready,
+        played, link=(link or default_link()).absolute(), faults=faults, ready=partial(output.ready, "port"), **servos
     )
     return 0
 
 
-@click.command("hand")
-@simulator_option
-@click.option("--from", "from_m", type=POINT, default="0.18,-0.125,0.10", show_default=True, help="Start, metres.")
-@click.option("--to", "to_m", type=POINT, default="0.18,0.125,0.10", show_default=True, help="End, metres.")
-@click.option("--seed", default=0, show_default=True, help="A different wobble for each number.")
+@command("hand", LINK)
+@click.option("--from", "from_m", type=POINT, default="0.18,-0.125,0.10", help="Start, metres.")
+@click.option("--to", "to_m", type=POINT, default="0.18,0.125,0.10", help="End, metres.")
+@click.option("--seed", default=0, help="A different wobble for each number.")
 @click.option("--let-go", is_flag=True, help="Only let go of the arm.")
-@output_option
-def hand_command(
-    output: Output,
-    link: Path | None,
-    from_m: tuple[float, float, float],
-    to_m: tuple[float, float, float],
-    seed: int,
-    let_go: bool,
-) -> None:
+def hand_command(output: Output, from_m: Point, to_m: Point, seed: int, let_go: bool) -> None:
     """Let the simulator's hand guide the limp arm along a line, wobbling as hands do.
 
-    Example: armctl teach demo --takes 5 & armctl hand --seed 1
+    Example: armctl teach demo --takes 5 --yes & armctl hand --seed 1
     """
-    with _simulator(link) as simulator:
+    with _simulator(output) as simulator:
         if let_go:
             simulator.let_go()
             output.result({"holding": False})
             return
         plan = simulator.guide(from_m, to_m, seed=seed)
-        duration_s = plan.duration_s
-        with output.progress("guiding the arm", duration_s) as show:
+        with output.progress("guiding the arm", plan.duration_s) as show:
             begin_s = time.monotonic()
-            while (passed_s := time.monotonic() - begin_s) < duration_s:
-                show(passed_s, "")
+            while (passed_s := time.monotonic() - begin_s) < plan.duration_s:
+                show(passed_s)
                 time.sleep(0.1)
         output.result(asdict(plan))
 
@@ -175,60 +130,42 @@ class _ExplainedKinds(click.Command):
             formatter.write_dl(list(DESCRIPTIONS.items()))
 
 
-@fault_command.command("begin", cls=_ExplainedKinds)
+@command("begin", LINK, group=fault_command, cls=_ExplainedKinds)
 @click.argument("kind")
-@click.option("--servo", "servo_id", type=int, help="Which servo; every one when left out.")
-@click.option("--probability", default=1.0, show_default=True, help="On each occasion.")
+@click.option("--servo", "servo_id", type=int, help="Which servo; left out: every one.")
+@click.option("--probability", default=1.0, help="Of the fault, each time that it could happen.")
 @click.option("--count", type=int, help="At most so many times.")
-@click.option("--for", "duration_s", type=float, metavar="SECONDS", help="Until it is ended when left out.")
-@click.option("--value", type=float, help="What it means depends on the kind.")
-@simulator_option
-@output_option
-def fault_begin_command(
-    output: Output,
-    kind: str,
-    servo_id: int | None,
-    probability: float,
-    count: int | None,
-    duration_s: float | None,
-    value: float | None,
-    link: Path | None,
-) -> None:
+@click.option("--for", "duration_s", type=float, metavar="SECONDS", help="How long; left out: until it is ended.")
+@click.option("--value", type=float, help="Its meaning depends on the kind.")
+def fault_begin_command(output: Output, kind: str, **fault: Any) -> None:
     """Begin a fault; prints the number to end it by.
 
     Example: armctl fault begin late --servo 2 --value 12 --probability 0.1
     """
-    with _simulator(link) as simulator:
-        number = simulator.fault_begin(
-            kind, servo_id=servo_id, probability=probability, count=count, duration_s=duration_s, value=value
-        )
-    if not output.result({"id": number}):
-        click.echo(number)
+    with _simulator(output) as simulator:
+        number = simulator.fault_begin(kind, **fault)
+    output.answer({"id": number}, lambda: click.echo(number))
 
 
-@fault_command.command("end")
+@command("end", LINK, group=fault_command)
 @click.argument("number", type=int)
-@simulator_option
-@output_option
-def fault_end_command(output: Output, number: int, link: Path | None) -> None:
+def fault_end_command(output: Output, number: int) -> None:
     """End a fault by its number.
 
     Example: armctl fault end 1
     """
-    with _simulator(link) as simulator:
+    with _simulator(output) as simulator:
         simulator.fault_end(number)
     output.result({"id": number})
 
 
-@fault_command.command("list")
-@simulator_option
-@output_option
-def fault_list_command(output: Output, link: Path | None) -> None:
+@command("list", LINK, group=fault_command)
+def fault_list_command(output: Output) -> None:
     """Show what goes wrong now, and what is planned.
 
     Example: armctl fault list
     """
-    with _simulator(link) as simulator:
+    with _simulator(output) as simulator:
         faults = simulator.faults()
     if output.result({"faults": faults}):
         return
@@ -239,7 +176,7 @@ def fault_list_command(output: Output, link: Path | None) -> None:
         click.echo(f"{fault['id']:3d} {fault['kind']}{servo}: {state}, from {fault['begin_s']:.1f} s {until}")
 
 
-def _simulator(link: Path | None) -> SimulatorClient:
+def _simulator(output: Output) -> SimulatorClient:
     from armctl.sim.control import SimulatorClient, control_path
 
-    return SimulatorClient(control_path((link or default_link()).absolute()))
+    return SimulatorClient(control_path((output.link or default_link()).absolute()))

@@ -8,47 +8,33 @@ from typing import Any
 
 import click
 
-from armctl.cli.output import HOLDS, POINT, Output, output_option, socket_option
+from armctl.cli.output import FILE, HOLDS, POINT, SOCKET, Output, command, millimetres
 from armctl.cli.tables import show_table
 from armctl.errors import ConfigError
 
 
-@click.command("reach")
+@command("reach", SOCKET)
 @click.option("--xyz", "point_m", type=POINT, required=True, help="Tool point, metres.")
-@click.option("--grip", is_flag=True, help="Open, close on what is there until the load tells a grip, and back off.")
+@click.option("--grip", is_flag=True, help="Open, close until the load shows a grip, and back off.")
 @click.option("--let-go", is_flag=True, help="Open there, and back off.")
 @click.option(
     "--method",
     "ik",
     type=click.Choice(("closed", "numeric", "ga", "ga-improved")),
     default="closed",
-    show_default=True,
     help="Inverse kinematics: closed form, numeric, or a genetic algorithm.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Of a genetic algorithm.")
-@click.option(
-    "--off", "off_m", type=click.FloatRange(0.005, 0.3), default=0.05, show_default=True, help="Straight way, metres."
-)
-@click.option(
-    "--along", type=click.Choice(("above", "tool")), default="above", show_default=True, help="From where it comes."
-)
-@socket_option
-@output_option
-def reach_command(
-    output: Output,
-    grip: bool,
-    let_go: bool,
-    socket: str | None,
-    **way: Any,
-) -> int:
-    """Bring the tool to a point along a short straight line, correcting for sag; grip, or let go, what is there.
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, help="Of a genetic algorithm.")
+@click.option("--off", "off_m", type=click.FloatRange(0.005, 0.3), default=0.05, help="Length of the approach, metres.")
+@click.option("--along", type=click.Choice(("above", "tool")), default="above", help="Direction of the approach.")
+def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
+    """Bring the tool to a point along a short straight line, correcting for sag; grip what is there, or let it go.
 
     Without --grip and --let-go the tool stays at the point and the gripper as it is. Ctrl-C stops the arm. Exit status
     1 if a grip was wanted and the gripper found nothing.
 
     Example: armctl reach --xyz 0.20,0.05,0.06 --grip
     """
-    from armctl.client import Client
     from armctl.config import validate
     from armctl.trajectory.grasp import ReachRequest
 
@@ -56,45 +42,33 @@ def reach_command(
         raise ConfigError("armctl reach", "--grip/--let-go", "both are wanted", "give one of them")
     gripper = "grip" if grip else "let_go" if let_go else "stay"
     request = validate(ReachRequest, {**way, "gripper": gripper}, "reach")
-    with Client(socket) as client:
+    with output.client() as client:
         output.after_interrupt = HOLDS
         output.say("reaching; Ctrl-C stops the arm")
         result = client.call("reach", **request.model_dump())
-    if not output.result(result):
-        place = ", ".join(f"{value * 1000.0:.1f}" for value in result["position_m"])
-        words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
-        output.say(
-            f"{result['recording']}: at {place} mm, {result['position_error_mm']:.1f} mm off (by the encoders){words}"
-        )
+    words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
+    output.answer(
+        result,
+        f"{result['recording']}: at {millimetres(result['position_m'])}, {result['position_error_mm']:.1f} mm off "
+        f"(by the encoders){words}",
+    )
     return 1 if grip and not result["gripped"] else 0
 
 
-@click.command("transfer")
-@click.option("--pick", "pick_m", type=POINT, default="0.176,-0.132,-0.15", show_default=True, help="First station.")
-@click.option("--place", "place_m", type=POINT, default="0.176,0.132,-0.15", show_default=True, help="Second station.")
-@click.option(
-    "--height", "height_m", type=click.FloatRange(0.005, 0.5), default=0.06, show_default=True, help="Metres."
-)
-@click.option("--lift", "lift_s", type=click.FloatRange(0.1, 60.0), default=2.0, show_default=True, help="Seconds.")
-@click.option("--carry", "carry_s", type=click.FloatRange(0.1, 60.0), default=4.0, show_default=True, help="Seconds.")
-@click.option("--dwell", "dwell_s", type=click.FloatRange(0.0, 60.0), default=0.5, show_default=True, help="Seconds.")
-@click.option("--cycles", type=click.IntRange(1, 20), default=1, show_default=True, help="How often.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Page with the curves (HTML).")
+@command("transfer", SOCKET)
+@click.option("--pick", "pick_m", type=POINT, default="0.176,-0.132,-0.15", help="First station.")
+@click.option("--place", "place_m", type=POINT, default="0.176,0.132,-0.15", help="Second station.")
+@click.option("--height", "height_m", type=click.FloatRange(0.005, 0.5), default=0.06, help="Metres.")
+@click.option("--lift", "lift_s", type=click.FloatRange(0.1, 60.0), default=2.0, help="Seconds.")
+@click.option("--carry", "carry_s", type=click.FloatRange(0.1, 60.0), default=4.0, help="Seconds.")
+@click.option("--dwell", "dwell_s", type=click.FloatRange(0.0, 60.0), default=0.5, help="Seconds.")
+@click.option("--cycles", type=click.IntRange(1, 20), default=1, help="How often.")
+@click.option("--out", type=FILE, help="Page with the curves (HTML).")
 @click.option("--virtual", metavar="NAME|FILE", help="On simulated servos of this arm in virtual time; no daemon.")
-@click.option(
-    "--log", "log_path", type=click.Path(dir_okay=False, path_type=Path), help="Where --virtual writes its log."
-)
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of --virtual's arm.")
-@socket_option
-@output_option
+@click.option("--log", "log_path", type=FILE, help="Where --virtual writes its log.")
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Of --virtual's arm.")
 def transfer_command(
-    output: Output,
-    out: Path | None,
-    virtual: str | None,
-    log_path: Path | None,
-    seed: int,
-    socket: str | None,
-    **stations: Any,
+    output: Output, out: Path | None, virtual: str | None, log_path: Path | None, seed: int, **stations: Any
 ) -> None:
     """Pick at one station, carry, place at the other, and go back: the paper's transfer robot at work.
 
@@ -118,11 +92,9 @@ def transfer_command(
             raise ConfigError("armctl transfer", "--log", "--virtual needs a file for its log", "give --log FILE.mcap")
         record(load_arm(virtual), request, log_path, seed=seed)
     else:
-        from armctl.client import Client
-
         if log_path is not None:
             raise ConfigError("armctl transfer", "--log", "the daemon keeps its own recordings", "leave it out")
-        with Client(socket) as client:
+        with output.client() as client:
             output.after_interrupt = HOLDS
             output.say("transferring; Ctrl-C stops the arm")
             answer = client.call("transfer", **request.model_dump())
@@ -139,10 +111,9 @@ def transfer_command(
         "report": None if out is None else str(out),
         **answer,
     }
-    if output.result(result):
-        return
-    show_curves(output, rows)
-    output.say(f"recorded: {log_path}" + ("" if out is None else f"; drawn: {out}"))
+    if not output.result(result):
+        show_curves(output, rows)
+        output.say(f"recorded: {log_path}" + ("" if out is None else f"; drawn: {out}"))
 
 
 def show_curves(output: Output, rows: Sequence[dict[str, Any]]) -> None:

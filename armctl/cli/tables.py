@@ -77,4 +77,4 @@ def _spread(least: Sequence[int], wanted: Sequence[int], left: int) -> list[int]
     """What is left of the line goes to the columns that want more, each in its proportion."""
     more = [max(0, want - need) for want, need in zip(wanted, least, strict=True)]
     share = min(1.0, left / max(1, sum(more)))
-    return [need + int(share * one) for need, one in zip(least, more, strict=True)]
+    return [need + int(share * extra) for need, extra in zip(least, more, strict=True)]

@@ -7,15 +7,12 @@ from pathlib import Path
 
 import click
 
-from armctl.cli.output import Output, config_option, output_option, socket_option
+from armctl.cli.output import CONFIG, SOCKET, Output, command
 
 
-@click.command("web")
-@click.option("--port", type=click.IntRange(1, 65535), default=8080, show_default=True, help="TCP port on 127.0.0.1.")
-@socket_option
-@config_option
-@output_option
-def web_command(output: Output, port: int, socket: str | None, config_file: str | None) -> None:
+@command("web", SOCKET, CONFIG)
+@click.option("--port", type=click.IntRange(1, 65535), default=8080, help="TCP port on 127.0.0.1.")
+def web_command(output: Output, port: int) -> None:
     """Serve the dashboard on this computer, until Ctrl-C.
 
     Prints `ready ADDRESS`; the address holds the token that opens the page. Nobody else can reach it: for another
@@ -23,22 +20,20 @@ def web_command(output: Output, port: int, socket: str | None, config_file: str 
 
     Example: armctl web
     """
-    from armctl.files import load_arm, load_config, socket_path
+    from armctl.files import socket_path
     from armctl.host.service_manager import notify
     from armctl.web.server import serve
 
-    config = load_config(config_file)
     runtime = os.environ.get("RUNTIME_DIRECTORY")
 
     def ready(address: str) -> None:
         notify("READY=1")
-        if not output.result({"address": address}):
-            click.echo(f"ready {address}")
+        output.ready("address", address)
 
     serve(
-        load_arm(config.arm),
-        config,
-        socket=socket_path(socket),
+        output.arm,
+        output.config,
+        socket=socket_path(output.socket),
         port=port,
         token_file=Path(runtime) / "address" if runtime else None,
         ready=ready,

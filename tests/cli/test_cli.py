@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import shlex
@@ -16,41 +15,14 @@ import pytest
 from armctl.cli import PURPOSES, cli, main
 from armctl.cli.output import HOLDS, POINT, Output, next_command
 from armctl.client import Client
-from armctl.errors import (
-    ArmctlError,
-    BusError,
-    ConfigError,
-    LogError,
-    NoDaemon,
-    RequestRefused,
-    UnreachableTarget,
-)
+from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import find_arm_file
+from tests.cli.conftest import Answer, Typed
 
 COMMANDS = cli.list_commands(click.Context(cli))
 
 
-@pytest.fixture(autouse=True)
-def _own_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR"):
-        monkeypatch.setenv(name, str(tmp_path / name.lower()))
-    monkeypatch.setenv("ARMCTL_SOCKET", str(tmp_path / "nobody.sock"))
-
-
-def _commands() -> Iterator[tuple[list[str], click.Command]]:
-    for name in COMMANDS:
-        command = cli.get_command(click.Context(cli), name)
-        assert command is not None
-        yield [name], command
-        if isinstance(command, click.Group):
-            for sub in command.commands.values():
-                yield [name, str(sub.name)], sub
-
-
-def _examples() -> Iterator[tuple[list[str], click.Command, str]]:
-    for path, command in _every([], cli):
-        said = " ".join(str(command.help).split())
-        yield path, command, said.partition("Example: ")[2]
+pytestmark = pytest.mark.usefixtures("own_folders")
 
 
 def _every(path: list[str], group: click.Group) -> Iterator[tuple[list[str], click.Command]]:
@@ -65,7 +37,8 @@ def _every(path: list[str], group: click.Group) -> Iterator[tuple[list[str], cli
 
 def test_every_command_has_an_example_and_the_example_is_right() -> None:
     seen = 0
-    for path, command, said in _examples():
+    for path, command in _every([], cli):
+        said = " ".join(str(command.help).split()).partition("Example: ")[2]
         start = " ".join(("armctl", *path))
         assert start in said, f"{start}: no example"
         example = re.split(r"[;&|>]", said[said.index(start) :])[0]
@@ -176,12 +149,10 @@ def test_an_interrupt_is_130_and_says_what_it_leaves_behind(
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_prints_a_script_for_the_shell(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["completion", shell, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert main(["completion", shell]) == 0
-    assert capsys.readouterr().out == answer["script"] + "\n"
-    assert "_ARMCTL_COMPLETE" in answer["script"]
+def test_completion_prints_a_script_for_the_shell(shell: str, typed: Typed, answer: Answer) -> None:
+    script = answer("completion", shell)["script"]
+    assert typed("completion", shell).out == script + "\n"
+    assert "_ARMCTL_COMPLETE" in script
 
 
 def test_the_shell_is_told_how_a_word_may_end(
@@ -195,98 +166,94 @@ def test_the_shell_is_told_how_a_word_may_end(
     assert capsys.readouterr().out == "plain,recordings\n"
 
 
-def test_every_command_explains_itself_and_can_answer_in_json(capsys: pytest.CaptureFixture[str]) -> None:
-    for path, command in _commands():
-        assert main([*path, "--help"]) == 0
-        text = capsys.readouterr().out
+def test_every_command_explains_itself_and_can_answer_in_json(typed: Typed) -> None:
+    for path, command in _every([], cli):
+        said = typed(*path, "--help")
+        assert said.status == 0
         assert command.help, path
         if not isinstance(command, click.Group):
-            assert "--json" in text, path
+            assert "--json" in said.out, path
 
 
 @pytest.mark.parametrize(
     "command",
     ["status", "stop", "hold", "clear", "torque on", "recordings list", "watch", "pause", "resume", "rate 0.5"],
 )
-def test_without_a_daemon_the_status_is_3_and_the_remedy_is_named(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(command.split()) == 3
-    captured = capsys.readouterr()
-    assert "armctl daemon --port" in captured.err
-    assert captured.out == ""
+def test_without_a_daemon_the_status_is_3_and_the_remedy_is_named(command: str, typed: Typed) -> None:
+    said = typed(*command.split())
+    assert (said.status, said.out) == (3, "")
+    assert "armctl daemon --port" in said.err
 
 
-def test_a_failure_in_json_is_one_object_too(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["status", "--json"]) == 3
-    captured = capsys.readouterr()
-    assert json.loads(captured.out)["error"]["code"] == "NoDaemon"
-    assert captured.err.startswith("armctl: ")
+def test_a_failure_in_json_is_one_object_too(typed: Typed, answer: Answer) -> None:
+    assert answer("status", status=3)["error"]["code"] == "NoDaemon"
+    assert typed("status", "--json").err.startswith("armctl: ")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "text"),
+    ("line", "text"),
     [
-        (["nonsense"], "No such command"),
-        (["teach"], "Missing argument"),
-        (["optimize", "a", "--from", "1,2", "--to", "1,2,3"], "not three numbers"),
-        (["optimize", "a", "--from", "nan,0,0", "--to", "1,2,3"], "finite"),
-        (["optimize", "a", "--from", "180,0,0", "--to", "1,2,3"], "the unit is metres"),
-        (["optimize", "a", "--from", "0.1,0,0", "--to", "0.2,0,0", "--via", "99"], "range"),
-        (["sim", "--latency-ms", "-1"], "range"),
-        (["demo", "--seed", "x"], "not a valid integer"),
-        (["move", "--joints", "1,x"], "is not numbers"),
-        (["move", "--joints", "1,nan"], "must be finite"),
-        (["move", "--pose", "1,2,3"], "has 3 numbers, not 6"),
-        (["move", "--xyz", "0.1,0,0.2", "--duration", "0"], "range"),
-        (["jog", "--axis", "w", "--speed", "1"], "'w' is not one of"),
-        (["jog", "--axis", "x"], "Missing option '--speed'"),
-        (["rate", "1.5"], "range"),
+        ("nonsense", "No such command"),
+        ("teach", "Missing argument"),
+        ("optimize a --from 1,2 --to 1,2,3", "not three numbers"),
+        ("optimize a --from nan,0,0 --to 1,2,3", "finite"),
+        ("optimize a --from 180,0,0 --to 1,2,3", "the unit is metres"),
+        ("optimize a --from 0.1,0,0 --to 0.2,0,0 --via 99", "range"),
+        ("sim --latency-ms -1", "range"),
+        ("demo --seed x", "not a valid integer"),
+        ("move --joints 1,x", "not a list of numbers"),
+        ("move --joints 1,nan", "must be finite"),
+        ("move --pose 1,2,3", "it has 3 numbers, not 6"),
+        ("move --xyz 0.1,0,0.2 --duration 0", "range"),
+        ("jog --axis w --speed 1", "'w' is not one of"),
+        ("jog --axis x", "Missing option '--speed'"),
+        ("rate 1.5", "range"),
+        ("daemon", "no serial port named"),
+        ("daemon --port /dev/null --arm nobodys", "known: ax12-line"),
+        ("daemon --port /dev/null --config /nonexistent.yaml", "cannot read the configuration"),
+        ("sim --arm nobodys", "known: ax12-line"),
+        ("run /nonexistent.json", "cannot read the plan"),
+        ("teach x --from 0.18,-0.1,0.1", "one end of the line is missing"),
+        ("move", "give just one of them"),
+        ("move --xyz 0.1,0,0.2 --joints 0,0", "give just one of them"),
+        ("jog --speed 1", "one thing to jog is wanted"),
+        ("jog --axis x --speed inf", "is no speed"),
     ],
 )
-def test_wrong_usage_is_2(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(arguments) == 2
-    assert text in capsys.readouterr().err
+def test_wrong_usage_is_2_and_one_clear_sentence(line: str, text: str, typed: Typed) -> None:
+    said = typed(*line.split())
+    assert said.status == 2
+    assert text in said.err
+    assert "Traceback" not in said.err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "text"),
+    ("line", "text"),
     [
-        (["daemon"], 2, "no serial port named"),
-        (["daemon", "--port", "/dev/null", "--arm", "nobodys"], 2, "known: ax12-line"),
-        (["daemon", "--port", "/dev/null", "--config", "/nonexistent.yaml"], 2, "cannot read the configuration"),
-        (["sim", "--arm", "nobodys"], 2, "known: ax12-line"),
-        (["hand", "--link", "/nonexistent/link"], 1, "start one with `armctl sim"),
-        (["replay", "/nonexistent.mcap", "--check"], 1, "cannot be read"),
-        (["log", "info", "/nonexistent.mcap"], 1, "cannot be read"),
-        (["run", "/nonexistent.json"], 2, "cannot read the plan"),
-        (["optimize", "none", "--from", "0.18,-0.1,0.1", "--to", "0.18,0.1,0.1"], 1, "none"),
-        (["teach", "x", "--from", "0.18,-0.1,0.1"], 2, "one end of the line is missing"),
-        (["move"], 2, "give just one of them"),
-        (["move", "--xyz", "0.1,0,0.2", "--joints", "0,0"], 2, "give just one of them"),
-        (["jog", "--speed", "1"], 2, "one thing to jog is wanted"),
-        (["jog", "--axis", "x", "--speed", "inf"], 2, "is no speed"),
+        ("hand --link /nonexistent/link", "start one with `armctl sim"),
+        ("replay /nonexistent.mcap --check", "cannot be read"),
+        ("log info /nonexistent.mcap", "cannot be read"),
+        ("optimize none --from 0.18,-0.1,0.1 --to 0.18,0.1,0.1", "none"),
+        ("teach x", "type `armctl teach x --yes`"),
     ],
 )
-def test_bad_input_is_one_clear_sentence(
-    arguments: list[str], status: int, text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == status
-    captured = capsys.readouterr()
-    assert text in captured.err
-    assert "Traceback" not in captured.err
+def test_what_cannot_be_done_is_1_and_one_clear_sentence(line: str, text: str, typed: Typed) -> None:
+    said = typed(*line.split())
+    assert said.status == 1
+    assert text in said.err
+    assert "Traceback" not in said.err
 
 
-def test_a_file_that_is_no_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_is_no_log_is_refused(tmp_path: Path, typed: Typed) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(b"not an mcap file at all")
-    assert main(["replay", str(path), "--check"]) == 1
-    assert str(path) in capsys.readouterr().err
+    said = typed("replay", path, "--check")
+    assert said.status == 1
+    assert str(path) in said.err
 
 
-def test_robots_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["robots", "--json"]) == 0
-    assert "ax12-line" in [robot["name"] for robot in json.loads(capsys.readouterr().out)["robots"]]
+def test_robots_are_listed(answer: Answer) -> None:
+    assert "ax12-line" in [robot["name"] for robot in answer("robots")["robots"]]
 
 
 def test_points_may_be_negative() -> None:
@@ -303,96 +270,3 @@ def test_messages_stay_off_stdout_when_json_was_asked_for(capsys: pytest.Capture
     captured = capsys.readouterr()
     assert json.loads(captured.out) == {"x": 1}
     assert "for people" in captured.err
-
-
-def _snapshot(**changes: Any) -> dict[str, Any]:
-    joint = {
-        "name": "base",
-        "servo_id": 1,
-        "limits_rad": (-1.5, 1.5),
-        "position_rad": 0.5,
-        "velocity_rad_s": 0.0,
-        "load_ratio": -0.2,
-        "voltage_V": 12.0,
-        "temperature_degC": 31.0,
-        "torque_enabled": True,
-        "age_s": 0.04,
-    }
-    silent = dict.fromkeys(joint) | {"name": "shoulder", "servo_id": 2, "limits_rad": (-1.5, 1.5)}
-    return {
-        "arm_id": "arm",
-        "tick": 7,
-        "period_s": 0.1,
-        "state": "holding",
-        "fault": None,
-        "joints": [joint, silent],
-        "tool": {"position_m": [0.18, 0.0, 0.1], "rpy_rad": [0.0, 0.0, 0.0], "speed_m_s": 0.3},
-        "tool_speed_limit_m_s": 0.25,
-        "progress": None,
-        "rate": None,
-        "recording": None,
-        "log": {"path": "x", "problem": "", "dropped": 0},
-        **changes,
-    }
-
-
-def _text(snapshot: dict[str, Any]) -> str:
-    from rich.console import Console
-
-    from armctl.cli.arm import picture
-
-    console = Console(width=80, record=True, file=io.StringIO())
-    console.print(picture(snapshot))
-    return console.export_text()
-
-
-def test_the_picture_shows_the_tool_s_speed_and_warns_a_teaching_hand_only() -> None:
-    assert "180.0, 0.0, 100.0 mm, 300 mm/s" in _text(_snapshot())
-    assert "below 250" not in _text(_snapshot())
-    assert "below 250" in _text(_snapshot(state="teaching"))
-
-
-def test_the_picture_shows_how_far_a_run_is_and_whether_it_is_paused() -> None:
-    assert "40% of the way, rate 0.5" in _text(_snapshot(progress=0.4, rate=0.5))
-    assert "40% of the way, paused" in _text(_snapshot(progress=0.4, rate=0.0))
-
-
-def test_the_picture_of_a_snapshot_fits_80_columns_and_shows_the_fault_card() -> None:
-    fault = {"code": "BLOCKED", "servo_id": 1, "since_s": 3.2, "arm": "still", "next": "free it", "text": "stuck"}
-    text = _text(_snapshot(fault=fault, recording="line-1", tool=None))
-    assert max(map(len, text.splitlines())) <= 80
-    for expected in ("28.6", "never", "BLOCKED", "next: free it", "recording line-1", "unknown"):
-        assert expected in text
-
-
-def test_a_joint_is_shown_between_its_limits_and_red_near_them() -> None:
-    from armctl.cli.arm import BAR, _place
-
-    def place(position_rad: float) -> tuple[int, bool]:
-        shown = _place({"position_rad": position_rad, "limits_rad": (-1.0, 1.0)})
-        assert len(shown.plain) == BAR
-        return shown.plain.index("●"), bool(shown.spans)
-
-    assert place(-1.2) == place(-1.0) == (0, True)
-    assert place(0.0) == (BAR // 2, False)
-    assert place(1.0) == place(1.2) == (BAR - 1, True)
-
-
-def test_the_longest_picture_fits_80_columns() -> None:
-    [joint, _] = _snapshot()["joints"]
-    wide = {**joint, "name": "x" * 64, "servo_id": 253, "position_rad": -2.6, "velocity_rad_s": -6.1, "age_s": 12.34}
-    text = _text(_snapshot(joints=[wide] * 6, progress=1.0, rate=0.5))
-    assert max(map(len, text.splitlines())) <= 80
-    assert text.count("-149.0") == 6
-    assert "●╌" in text
-
-
-def test_a_snapshot_in_one_line_tells_state_place_heat_and_fault() -> None:
-    from armctl.cli.arm import _line
-
-    fault = {"code": "BLOCKED", "servo_id": 1, "since_s": 3.2, "arm": "still", "next": "free it", "text": "stuck"}
-    line = _line(_snapshot(fault=fault, progress=0.4, rate=0.0))
-    for expected in ("tick 7; holding", "180.0, 0.0, 100.0 mm", "31 degC (base)", "12.0 V", "40%", "next: free it"):
-        assert expected in line
-    nothing = dict.fromkeys(_snapshot()["joints"][0])
-    assert _line(_snapshot(joints=[nothing], tool=None)) == "tick 7; holding; tool unknown"

@@ -1,32 +1,30 @@
 from __future__ import annotations
 
-import json
-
 import pytest
 from pydantic import BaseModel
 
-from armctl.cli import _COMMANDS, cli, main
+from armctl.cli import _COMMANDS, cli
 from armctl.cli.help import TOPICS, attribute_docstrings
 from armctl.config import ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig
+from tests.cli.conftest import Answer, Typed
 
 
-def test_help_lists_its_topics(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["help"]) == 0
-    told = capsys.readouterr().out
-    assert all(f"  {topic} " in told for topic in TOPICS)
+def test_help_lists_its_topics(typed: Typed) -> None:
+    said = typed("help")
+    assert said.status == 0
+    assert all(f"  {topic} " in said.out for topic in TOPICS)
 
 
 @pytest.mark.parametrize("topic", TOPICS)
-def test_every_topic_is_explained(topic: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["help", topic, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["text"].startswith("# ")
-    assert main(["help", topic]) == 0
-    assert len(capsys.readouterr().out) > 300
+def test_every_topic_is_explained(topic: str, typed: Typed, answer: Answer) -> None:
+    assert answer("help", topic)["text"].startswith("# ")
+    assert len(typed("help", topic).out) > 300
 
 
-def test_an_unknown_topic_is_wrong_usage_and_names_the_topics(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["help", "nothing"]) == 2
-    assert "topics: start" in capsys.readouterr().err
+def test_an_unknown_topic_is_wrong_usage_and_names_the_topics(typed: Typed) -> None:
+    said = typed("help", "nothing")
+    assert said.status == 2
+    assert "topics: start" in said.err
 
 
 @pytest.mark.parametrize("command", _COMMANDS)

@@ -2,81 +2,73 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from armctl.cli import main
 from armctl.kinematics import robots
+from tests.cli.conftest import Answer, Typed
 
 POSE = "0.0968,-0.7558,0.0972,-2.7913,2.1047,-1.6016"
 
 
-def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    assert main([*arguments, "--json"]) == 0
-    result: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return result
-
-
-def test_robots_lists_the_five(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = asked(capsys, "robots")["robots"]
+def test_robots_lists_the_five(answer: Answer) -> None:
+    rows = answer("robots")["robots"]
     assert [row["name"] for row in rows] == list(robots.names())
     assert all(row.keys() == {"name", "joints", "convention", "source"} for row in rows)
 
 
-def test_fk_gives_the_pose_of_degrees_and_of_changed_lengths(capsys: pytest.CaptureFixture[str]) -> None:
-    found = asked(capsys, "fk", "--robot", "lanzhou-4dof", "--q", "0,0,-90,90", "--deg")
+def test_fk_gives_the_pose_of_degrees_and_of_changed_lengths(answer: Answer) -> None:
+    found = answer("fk", "--robot", "lanzhou-4dof", "--q", "0,0,-90,90", "--deg")
     assert found.keys() == {"T", "position_m", "rpy_rad"}
     np.testing.assert_allclose(found["position_m"], [0.219, 0.042, 0.097], atol=1e-12)
     assert np.array(found["T"]).shape == (4, 4)
-    longer = asked(capsys, "fk", "--robot", "lanzhou-4dof", "--q", "0,0,-90,90", "--deg", "--set", "a5=0.2")
+    longer = answer("fk", "--robot", "lanzhou-4dof", "--q", "0,0,-90,90", "--deg", "--set", "a5=0.2")
     assert longer["position_m"][0] == pytest.approx(0.286, abs=1e-12)
 
 
 @pytest.mark.parametrize("method", ["closed", "numeric"])
-def test_ik_answers_a_pose(method: str, capsys: pytest.CaptureFixture[str]) -> None:
-    found = asked(capsys, "ik", "--robot", "puma560", "--pose", POSE, "--all", "--method", method)
+def test_ik_answers_a_pose(method: str, answer: Answer) -> None:
+    found = answer("ik", "--robot", "puma560", "--pose", POSE, "--all", "--method", method)
     assert found.keys() == {"reachable", "least_position_error_m", "solutions"}
     assert found["reachable"] is True
     assert len(found["solutions"]) == (8 if method == "closed" else 1)
     for one in found["solutions"]:
         assert one.keys() == {"q_rad", "position_error_m", "orientation_error_rad", "within_limits"}
         assert one["position_error_m"] < 1e-12
-        back = asked(capsys, "fk", "--robot", "puma560", "--q", ",".join(map(repr, one["q_rad"])))
+        back = answer("fk", "--robot", "puma560", "--q", ",".join(map(repr, one["q_rad"])))
         np.testing.assert_allclose(back["position_m"], [0.0968, -0.7558, 0.0972], atol=1e-12)
 
 
-def test_ik_takes_a_matrix_as_it_takes_a_pose(capsys: pytest.CaptureFixture[str]) -> None:
-    T = asked(capsys, "fk", "--robot", "transfer-6dof", "--q", "0.1,-1,0.4,0.2,0.7,0.3")["T"]
+def test_ik_takes_a_matrix_as_it_takes_a_pose(answer: Answer) -> None:
+    T = answer("fk", "--robot", "transfer-6dof", "--q", "0.1,-1,0.4,0.2,0.7,0.3")["T"]
     numbers = ",".join(repr(value) for row in T for value in row)
     near = "0.1,-1,0.4,0.2,0.7,0.3"
-    found = asked(capsys, "ik", "--robot", "transfer-6dof", "--T", numbers, "--near", near)
+    found = answer("ik", "--robot", "transfer-6dof", "--T", numbers, "--near", near)
     np.testing.assert_allclose(found["solutions"][0]["q_rad"], [0.1, -1.0, 0.4, 0.2, 0.7, 0.3], atol=1e-12)
 
 
-def test_ik_of_a_point_out_of_reach_says_so_with_the_distance(capsys: pytest.CaptureFixture[str]) -> None:
-    found = asked(capsys, "ik", "--robot", "xiang-6dof", "--xyz", "0.30,0.30,0.10")
+def test_ik_of_a_point_out_of_reach_says_so_with_the_distance(answer: Answer, typed: Typed) -> None:
+    far = ("ik", "--robot", "xiang-6dof", "--xyz", "0.30,0.30,0.10")
+    found = answer(*far)
     assert found["reachable"] is False
     assert found["least_position_error_m"] == pytest.approx(math.hypot(0.3, 0.3, 0.001) - 0.416, abs=1e-12)
     assert found["solutions"][0]["position_error_m"] == pytest.approx(found["least_position_error_m"], abs=1e-9)
-    assert main(["ik", "--robot", "xiang-6dof", "--xyz", "0.30,0.30,0.10"]) == 0
-    assert "out of reach by 8.26525 mm" in capsys.readouterr().out
+    assert "out of reach by 8.26525 mm" in typed(*far).out
 
 
-def test_jacobian_gives_rank_and_manipulability(capsys: pytest.CaptureFixture[str]) -> None:
-    found = asked(capsys, "jacobian", "--robot", "transfer-6dof", "--q", "0,-60,20,0,0,0", "--deg")
+def test_jacobian_gives_rank_and_manipulability(answer: Answer) -> None:
+    found = answer("jacobian", "--robot", "transfer-6dof", "--q", "0,-60,20,0,0,0", "--deg")
     assert found["rank"] == 5
     assert found["manipulability"] < 1e-12
     assert np.array(found["J"]).shape == (6, 6)
 
 
-def test_workspace_and_trajectory_answer_and_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_workspace_and_trajectory_answer_and_draw(tmp_path: Path, answer: Answer) -> None:
     page = tmp_path / "page.html"
-    found = asked(capsys, "workspace", "--robot", "lanzhou-4dof", "--samples", "500", "--grid", "5", "--out", str(page))
+    found = answer("workspace", "--robot", "lanzhou-4dof", "--samples", "500", "--grid", "5", "--out", page)
     assert found["extent_m"].keys() == found["monte_carlo_extent_m"].keys() == {"x", "y", "z"}
     for axis in "xyz":
         (low, high), (inner_low, inner_high) = found["extent_m"][axis], found["monte_carlo_extent_m"][axis]
@@ -84,7 +76,7 @@ def test_workspace_and_trajectory_answer_and_draw(tmp_path: Path, capsys: pytest
     text = page.read_text(encoding="utf-8")
     assert all(title in text for title in ("Workspace in 3D", "Projection on xy", "Projection on yz", "Reachability"))
     ends = ("--q0", "0,60,-30,0", "--q1", "60,45,-60,60", "--duration", "2", "--deg")
-    found = asked(capsys, "trajectory", "--robot", "lanzhou-4dof", *ends, "--samples", "11", "--out", str(page))
+    found = answer("trajectory", "--robot", "lanzhou-4dof", *ends, "--samples", "11", "--out", page)
     for key in ("time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2", "tool_position_m"):
         assert len(found[key]) == 11
     np.testing.assert_allclose(np.degrees(found["position_rad"][-1]), [60, 45, -60, 60], atol=1e-9)
@@ -93,31 +85,28 @@ def test_workspace_and_trajectory_answer_and_draw(tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("line", "message"),
     [
-        (["fk", "--robot", "hal", "--q", "0"], "known: xiang-6dof, puma560, ax12-line, lanzhou-4dof, transfer-6dof"),
-        (["fk", "--robot", "puma560", "--q", "0,0"], "this robot has 6 joints"),
-        (["fk", "--robot", "puma560", "--q", "nan,0,0,0,0,0"], "must be finite"),
-        (["fk", "--robot", "puma560", "--q", "a"], "not a list of numbers"),
-        (["fk", "--robot", "puma560", "--q", "0,0,0,0,0,0", "--set", "a9=1"], "no such length; known: a2"),
-        (["fk", "--robot", "puma560", "--q", "0,0,0,0,0,0", "--set", "a2"], "not a length"),
-        (["ik", "--robot", "puma560"], "give one of --xyz, --pose and --T"),
-        (["ik", "--robot", "puma560", "--xyz", "1,2,3", "--pose", POSE], "give one of"),
-        (["ik", "--robot", "puma560", "--pose", "1,2,3"], "x,y,z,roll,pitch,yaw"),
-        (["ik", "--robot", "puma560", "--T", "1,2,3"], "give 16"),
-        (["ik", "--robot", "puma560", "--T", "1,0,0,0,0,1,0,0,0,0,2,0,0,0,0,1"], "not a rotation"),
-        (["ik", "--robot", "puma560", "--T", ",".join(["nan"] * 16)], "must be finite"),
-        (["ik", "--robot", "puma560", "--xyz", "nan,0,0"], "finite"),
-        (["ik", "--robot", "ax12-line", "--set", "a2=-0.1", "--xyz", "0.1,0,0"], "longer than 0 m"),
-        (["jacobian", "--robot", "puma560", "--q", "0"], "this robot has 6 joints"),
-        (["trajectory", "--robot", "lanzhou-4dof", "--q0", "0,0,0,0", "--q1", "0,0", "--duration", "1"], "4 joints"),
-        (["trajectory", "--robot", "lanzhou-4dof", "--q0", "0,0,0,0", "--q1", "0,0,0,1", "--duration", "0"], "above 0"),
+        ("fk --robot hal --q 0", "known: xiang-6dof, puma560, ax12-line, lanzhou-4dof, transfer-6dof"),
+        ("fk --robot puma560 --q 0,0", "this robot has 6 joints"),
+        ("fk --robot puma560 --q nan,0,0,0,0,0", "must be finite"),
+        ("fk --robot puma560 --q a", "not a list of numbers"),
+        ("fk --robot puma560 --q 0,0,0,0,0,0 --set a9=1", "no such length; known: a2"),
+        ("fk --robot puma560 --q 0,0,0,0,0,0 --set a2", "not a length"),
+        ("ik --robot puma560", "give one of --xyz, --pose and --T"),
+        (f"ik --robot puma560 --xyz 1,2,3 --pose {POSE}", "give one of"),
+        ("ik --robot puma560 --pose 1,2,3", "x,y,z,roll,pitch,yaw"),
+        ("ik --robot puma560 --T 1,2,3", "give 16"),
+        ("ik --robot puma560 --T 1,0,0,0,0,1,0,0,0,0,2,0,0,0,0,1", "not a rotation"),
+        ("ik --robot puma560 --T " + ",".join(["nan"] * 16), "must be finite"),
+        ("ik --robot puma560 --xyz nan,0,0", "finite"),
+        ("ik --robot ax12-line --set a2=-0.1 --xyz 0.1,0,0", "longer than 0 m"),
+        ("jacobian --robot puma560 --q 0", "this robot has 6 joints"),
+        ("trajectory --robot lanzhou-4dof --q0 0,0,0,0 --q1 0,0 --duration 1", "4 joints"),
+        ("trajectory --robot lanzhou-4dof --q0 0,0,0,0 --q1 0,0,0,1 --duration 0", "above 0"),
     ],
 )
-def test_wrong_input_is_2_and_says_what_is_wrong(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == 2
-    captured = capsys.readouterr()
-    assert message in captured.err
-    assert captured.out == ""
+def test_wrong_input_is_2_and_says_what_is_wrong(line: str, message: str, typed: Typed) -> None:
+    said = typed(*line.split())
+    assert (said.status, said.out) == (2, "")
+    assert message in said.err

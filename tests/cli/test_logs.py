@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import pty
 import re
@@ -11,19 +10,19 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from rich.console import Console
 
 from armctl import __version__
-from armctl.cli import logs, main
+from armctl.cli import logs
 from armctl.cli.keys import NoKeys, keys
 from armctl.cli.output import Output
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.recording import reader, timeline
 from armctl.recording.player import Player
 from armctl.recording.writer import LogWriter
+from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import ANCHOR, CONTEXT
 from tests.recording.simulated import simulated_records, write_log
 
@@ -37,48 +36,43 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
-def answer(capsys: pytest.CaptureFixture[str], *arguments: str | Path, status: int = 0) -> dict[str, Any]:
-    """The one JSON object a command prints."""
-    assert main([*map(str, arguments), "--json"]) == status
-    (line,) = capsys.readouterr().out.splitlines()
-    found: dict[str, Any] = json.loads(line)
-    return found
-
-
 # ----------------------------------------------------------------------------------------------------- replay
 
 
 @pytest.mark.parametrize("check", [(), ("--check",)])
-def test_replay_in_json_compares_bit_for_bit(
-    log: Path, check: Sequence[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    found = answer(capsys, "replay", log, *check)
+def test_replay_in_json_compares_bit_for_bit(log: Path, check: Sequence[str], answer: Answer) -> None:
+    found = answer("replay", log, *check)
     assert found.keys() >= REPLAY_KEYS
     assert (found["ticks"], found["mismatches"]) == (59, 0)
 
 
-def test_a_log_that_does_not_repeat_fails_the_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    wrong = replace(RECORDS[30], outputs=RECORDS[31].outputs)
-    found = answer(capsys, "replay", write_log(tmp_path / "a.mcap", [*RECORDS[:30], wrong, *RECORDS[31:]]), status=1)
+@pytest.fixture
+def wrong(tmp_path: Path) -> Path:
+    """A log whose tick 30 is not what the daemon would have done."""
+    changed = replace(RECORDS[30], outputs=RECORDS[31].outputs)
+    return write_log(tmp_path / "a.mcap", [*RECORDS[:30], changed, *RECORDS[31:]])
+
+
+def test_a_log_that_does_not_repeat_fails_the_check(wrong: Path, answer: Answer) -> None:
+    found = answer("replay", wrong, status=1)
     assert found["mismatches"] > 0
     assert found["first_mismatch"].startswith("tick 30, ")
 
 
 def test_a_log_of_another_version_that_does_not_repeat_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    wrong: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wrong = replace(RECORDS[30], outputs=RECORDS[31].outputs)
-    log = write_log(tmp_path / "a.mcap", [*RECORDS[:30], wrong, *RECORDS[31:]])
     monkeypatch.setattr(logs, "__version__", "99.0")
-    assert main(["replay", str(log), "--check"]) == 1
-    assert f"made by armctl {__version__}, this is 99.0" in " ".join(capsys.readouterr().out.split())
+    said = typed("replay", wrong, "--check")
+    assert said.status == 1
+    assert f"made by armctl {__version__}, this is 99.0" in " ".join(said.out.split())
 
 
-def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = answer(capsys, "replay", log, "--report", tmp_path / "r.html")
-    assert found["report"] == str(tmp_path / "r.html")
-    assert "0 mismatches" in (tmp_path / "r.html").read_text()
-    assert main(["replay", str(log), "--report", str(log)]) == 1  # never over the log
+def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, answer: Answer) -> None:
+    page = tmp_path / "r.html"
+    assert answer("replay", log, "--report", page)["report"] == str(page)
+    assert "0 mismatches" in page.read_text()
+    answer("replay", log, "--report", log, status=1)  # never over the log
     assert reader.info(log).complete
 
 
@@ -95,11 +89,11 @@ class Waits:
 
 def watched(log: Path, *, terminal: bool, rate: float = 1.0, start_s: float = 0.0) -> str:
     output = Output()
-    output.console = Console(file=io.StringIO(), force_terminal=terminal, width=120, height=40)
+    screen = io.StringIO()
+    output.console = Console(file=screen, force_terminal=terminal, width=120, height=40)
     clock = VirtualClock()
-    logs._watch(output, timeline.load(log), rate, start_s, False, Waits(clock), clock)
-    assert isinstance(output.console.file, io.StringIO)
-    return output.console.file.getvalue()
+    logs._watch(output, timeline.load(log), Waits(clock), clock, rate=rate, start_s=start_s, loop=False)
+    return screen.getvalue()
 
 
 def test_without_a_terminal_there_is_a_line_a_second(log: Path) -> None:
@@ -118,10 +112,9 @@ def test_in_a_terminal_every_joint_and_the_events_are_shown(log: Path) -> None:
 
 def test_what_is_shown_is_what_the_log_says(log: Path) -> None:
     found = timeline.load(log)
-    console = Console(file=io.StringIO(), width=120)
+    console = Console(record=True, file=io.StringIO(), width=120)
     console.print(logs.picture(found, Player(found.duration_s, at_s=2.5)))
-    assert isinstance(console.file, io.StringIO)
-    text = console.file.getvalue()
+    text = console.export_text()
     frame = found.index(2.5)
     assert found.state(frame) in text
     for value in found.position_rad[frame].tolist():
@@ -129,9 +122,10 @@ def test_what_is_shown_is_what_the_log_says(log: Path) -> None:
     assert f"{found.tool[frame, 0] * 1000.0:.1f}" in text
 
 
-def test_beginning_beyond_the_end_is_one_clear_sentence(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", str(log), "--start", "100"]) == 1
-    assert "lasts 5.9 s" in capsys.readouterr().err
+def test_beginning_beyond_the_end_is_one_clear_sentence(log: Path, typed: Typed) -> None:
+    said = typed("replay", log, "--start", "100")
+    assert said.status == 1
+    assert "lasts 5.9 s" in said.err
 
 
 def test_keys_of_a_terminal_come_one_by_one_and_by_name() -> None:
@@ -156,69 +150,66 @@ def test_where_there_is_no_terminal_there_are_no_keys(tmp_path: Path) -> None:
         assert pressed.wait(0.0) == ""
 
 
-def test_a_simulated_arm_repeats_the_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = answer(capsys, "replay", log, "--onto-sim", "--arm", "ax12-line", "--seed", "3")
+def test_a_simulated_arm_repeats_the_log(log: Path, answer: Answer) -> None:
+    found = answer("replay", log, "--onto-sim", "--arm", "ax12-line", "--seed", "3")
     assert found["joint_rms_rad"] < 0.01
     assert found["ticks"] == 59
 
 
-def test_the_log_of_another_arm_is_refused_on_the_simulator(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_log_of_another_arm_is_refused_on_the_simulator(log: Path, tmp_path: Path, answer: Answer) -> None:
     other = tmp_path / "other.yaml"
     text = Path(__file__).parents[2].joinpath("calibration", "ax12-line.yaml").read_text()
     other.write_text(re.sub(r"^arm_id: .*$", "arm_id: other", text, flags=re.MULTILINE))
-    refused = answer(capsys, "replay", log, "--onto-sim", "--arm", other, status=1)
+    refused = answer("replay", log, "--onto-sim", "--arm", other, status=1)
     assert refused["error"]["code"] == "FOREIGN_LOG"
-    assert answer(capsys, "replay", log, "--onto-sim", "--arm", other, "--foreign")["ticks"] > 0
+    assert answer("replay", log, "--onto-sim", "--arm", other, "--foreign")["ticks"] > 0
 
 
 # ------------------------------------------------------------------------------------------------------ files
 
 
-def test_info_tells_what_the_contract_names(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = answer(capsys, "log", "info", log)
+def test_info_tells_what_the_contract_names(log: Path, answer: Answer) -> None:
+    found = answer("log", "info", log)
     assert found.keys() >= {"messages", "start_s", "duration_s", "topics", "complete"}
     assert found["topics"]["/joint_states"] == 60
 
 
 @pytest.mark.parametrize("kind", ["csv", "xlsx", "parquet"])
-def test_export_writes_a_file_and_tells_its_rows(
-    log: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_writes_a_file_and_tells_its_rows(log: Path, tmp_path: Path, kind: str, answer: Answer) -> None:
     out = tmp_path / f"t.{kind}"
-    found = answer(capsys, "log", "export", log, "--format", kind, "--out", out)
+    found = answer("log", "export", log, "--format", kind, "--out", out)
     assert found["paths"] == [str(out)]
     assert found["rows"]["ticks"] == 60
     assert out.stat().st_size > 1000
-    again = answer(capsys, "log", "export", log, "--format", kind, "--out", out, status=1)
+    again = answer("log", "export", log, "--format", kind, "--out", out, status=1)
     assert "exists already" in again["error"]["message"]
 
 
-def test_an_unknown_format_is_wrong_usage(log: Path, tmp_path: Path) -> None:
-    assert main(["log", "export", str(log), "--format", "ods", "--out", str(tmp_path / "t")]) == 2
+def test_an_unknown_format_is_wrong_usage(log: Path, tmp_path: Path, typed: Typed) -> None:
+    assert typed("log", "export", log, "--format", "ods", "--out", tmp_path / "t").status == 2
 
 
-def test_trim_and_merge_tell_what_they_wrote(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trim_and_merge_tell_what_they_wrote(log: Path, tmp_path: Path, answer: Answer) -> None:
     parts = [tmp_path / "1.mcap", tmp_path / "2.mcap"]
-    first = answer(capsys, "log", "trim", log, "--from", "0", "--to", "2.55", "--out", parts[0])
-    answer(capsys, "log", "trim", log, "--from", "2.55", "--out", parts[1])
+    first = answer("log", "trim", log, "--from", "0", "--to", "2.55", "--out", parts[0])
+    answer("log", "trim", log, "--from", "2.55", "--out", parts[1])
     assert first["path"] == str(parts[0])
     assert first["duration_s"] == pytest.approx(2.5, abs=0.06)
-    merged = answer(capsys, "log", "merge", *parts, "--out", tmp_path / "3.mcap")
+    merged = answer("log", "merge", *parts, "--out", tmp_path / "3.mcap")
     assert merged["messages"] == reader.info(tmp_path / "3.mcap").messages
-    assert answer(capsys, "replay", tmp_path / "3.mcap", "--check")["mismatches"] == 0
-    assert main(["log", "merge", *map(str, parts), "--out", str(tmp_path / "3.mcap")]) == 1
+    assert answer("replay", tmp_path / "3.mcap", "--check")["mismatches"] == 0
+    answer("log", "merge", *parts, "--out", tmp_path / "3.mcap", status=1)
 
 
-def test_damage_is_told_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damage_is_told_on_stderr(tmp_path: Path, typed: Typed) -> None:
     writer = LogWriter(tmp_path / "a[bold].mcap", CONTEXT, anchor=ANCHOR)  # a name is no markup
     for record in RECORDS[:30]:
         writer.write_tick(record)
     writer.flush()
     writer.abandon()
-    assert main(["log", "export", str(writer.part), "--format", "csv", "--out", str(tmp_path / "t.csv")]) == 0
-    assert "a[bold].mcap.part was not closed properly" in capsys.readouterr().err
+    said = typed("log", "export", writer.part, "--format", "csv", "--out", tmp_path / "t.csv")
+    assert said.status == 0
+    assert "a[bold].mcap.part was not closed properly" in said.err
 
 
 # ------------------------------------------------------------------------------------------------------- docs
@@ -232,7 +223,7 @@ def examples() -> list[list[str]]:
 
 
 def test_the_commands_of_the_documentation_work(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: Typed
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
@@ -244,5 +235,6 @@ def test_the_commands_of_the_documentation_work(
         if words[0] == "live" and "--layout" not in words:
             continue
         fast = ["--rate", "1000"] if words[0] == "replay" and len(words) == 2 else []
-        assert main([*words, *fast]) == 0, words
-    assert "Traceback" not in capsys.readouterr().err
+        said = typed(*words, *fast)
+        assert said.status == 0, words
+        assert "Traceback" not in said.err

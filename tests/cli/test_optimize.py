@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from armctl.cli import main
 from armctl.genetic.algorithm import DEFAULT, PAPER
+from tests.cli.conftest import Answer
 from tests.genetic import hand
 from tests.host.doubles import write_take
 
@@ -25,20 +23,11 @@ def takes(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [str(path) for path in paths]
 
 
-def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any]]:
-    status = main(["optimize", *arguments, "--json"])
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 1
-    return status, json.loads(lines[0])
-
-
 def test_the_default_profile_sets_genes_free_and_the_paper_s_does_not(
-    takes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    takes: list[str], tmp_path: Path, answer: Answer
 ) -> None:
-    status, ours = answer(capsys, *takes, *LINE, "--out", str(tmp_path / "ours.json"))
-    assert status == 0
-    status, paper = answer(capsys, *takes, *LINE, "--profile", "paper", "--out", str(tmp_path / "paper.json"))
-    assert status == 0
+    ours = answer("optimize", *takes, *LINE, "--out", tmp_path / "ours.json")
+    paper = answer("optimize", *takes, *LINE, "--profile", "paper", "--out", tmp_path / "paper.json")
     assert (ours["ga"]["generations"], paper["ga"]["generations"]) == (DEFAULT.generations, PAPER.generations)
     assert paper["free"] is None
     assert ours["free"]["mean_error_mm"] < 0.1 * ours["ga"]["mean_error_mm"]
@@ -47,13 +36,8 @@ def test_the_default_profile_sets_genes_free_and_the_paper_s_does_not(
 
 
 @pytest.mark.parametrize("objective", ["mean", "mix", "max"])
-def test_every_objective_makes_a_plan(
-    objective: str, takes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, found = answer(
-        capsys, *takes, *LINE, "--objective", objective, "--via", "1", "--out", str(tmp_path / "plan.json")
-    )
-    assert status == 0
+def test_every_objective_makes_a_plan(objective: str, takes: list[str], tmp_path: Path, answer: Answer) -> None:
+    found = answer("optimize", *takes, *LINE, "--objective", objective, "--via", "1", "--out", tmp_path / "plan.json")
     assert found["plan"]["via"] == 1
 
 
@@ -68,15 +52,9 @@ def test_every_objective_makes_a_plan(
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_nearest_that_can(
-    changes: list[str],
-    code: str,
-    match: str,
-    takes: list[str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    changes: list[str], code: str, match: str, takes: list[str], tmp_path: Path, answer: Answer
 ) -> None:
-    status, found = answer(capsys, *takes, *LINE, *changes, "--out", str(tmp_path / "plan.json"))
-    assert status == 1
+    found = answer("optimize", *takes, *LINE, *changes, "--out", tmp_path / "plan.json", status=1)
     assert found["error"]["code"] == code
     assert match in found["error"]["message"]
     assert not (tmp_path / "plan.json").exists()

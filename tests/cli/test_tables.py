@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from armctl.cli import arm, calibrate, demo, experiment, jobs, kinematics, logs, main, reach, reproduce, servo, setup
+from armctl.cli import calibrate, demo, experiment, jobs, logs, main, reach, reproduce, servo, setup
 from armctl.cli.output import Output
 from armctl.cli.study.arms import show_arms
 from armctl.cli.study.ga import show_settings
@@ -28,6 +27,7 @@ from armctl.commissioning.doctor import Check
 from armctl.commissioning.eeprom import Difference
 from armctl.commissioning.scan import FoundServo
 from armctl.files import load_arm
+from armctl.kinematics import robots
 from armctl.kinematics.errata import Erratum
 from armctl.lab.study.limits import WITHOUT
 from armctl.papers.page import PaperReport, Row
@@ -49,11 +49,10 @@ class Tables(Output):
 
 def printed(show: Callable[[Output], object], width: int = COLUMNS) -> str:
     """The tables that a person sees on a terminal of so many columns."""
-    output = Tables()
-    output.console = Console(file=io.StringIO(), width=width, color_system=None)
+    output, screen = Tables(), io.StringIO()
+    output.console = Console(file=screen, width=width, color_system=None)
     show(output)
-    assert isinstance(output.console.file, io.StringIO)
-    return output.console.file.getvalue()
+    return screen.getvalue()
 
 
 def assert_whole(show: Callable[[Output], object]) -> str:
@@ -155,7 +154,7 @@ TABLES: dict[str, Callable[[Output], object]] = {
     "study paper": lambda out: show_paper(out, [PAPER]),
     "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
     "recordings": lambda out: jobs.show_recordings(out, [RECORDING, {**RECORDING, "mean_error_mm": None}]),
-    "optimize": lambda out: jobs.show_optimum(out, OPTIMUM, {"via": 20, **PREDICTED}),
+    "optimize": lambda out: jobs.show_optimum(out, OPTIMUM, {"via": 20, "path": "plan.json", **PREDICTED}),
     "transfer": lambda out: reach.show_curves(out, [CURVE]),
     "scan": lambda out: setup.show_servos(out, SERVOS),
     "doctor": lambda out: setup.show_checks(out, CHECKS),
@@ -170,30 +169,6 @@ def test_a_table_fits_80_columns_with_every_figure_whole(name: str) -> None:
     assert assert_whole(TABLES[name])
 
 
-def snapshot() -> dict[str, Any]:
-    joint = {
-        "name": LONGEST_NAME, "servo_id": 253, "position_rad": -2.6, "velocity_rad_s": -11.9, "load_ratio": -1.0,
-        "voltage_V": 12.1, "temperature_degC": 100.0, "torque_enabled": True, "age_s": 1234.56,
-        "limits_rad": (-math.pi, math.pi),
-    }  # fmt: skip
-    return {
-        "arm_id": LONGEST_NAME, "state": "energising", "progress": 0.5, "rate": 0.5, "recording": LONGEST_NAME,
-        "joints": [joint, {**joint, **dict.fromkeys(("position_rad", "age_s"))}],
-        "tool": {"position_m": [-0.123, -0.234, -0.345], "speed_m_s": 1.234},
-        "tool_speed_limit_m_s": 0.25,
-        "log": {"problem": "no space left on the disk that holds the logs; recording goes on when there is some"},
-        "fault": {
-            "code": "EEPROM_MISMATCH", "since_s": 123456.0, "text": "servo 253: " + "a sentence of many words " * 5,
-            "arm": "holds", "next": "armctl servo eeprom diff; then armctl clear",
-        },
-    }  # fmt: skip
-
-
-def test_the_picture_of_status_and_watch_fits() -> None:
-    text = assert_whole(lambda output: output.console.print(arm.picture(snapshot())))
-    assert "EEPROM_MISMATCH" in text
-
-
 def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:
     log = timeline.load(write_log(tmp_path / "a.mcap", simulated_records()))
     assert_whole(lambda output: output.console.print(logs.picture(log, Player(log.duration_s, at_s=0.5))))
@@ -201,7 +176,7 @@ def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("robot", ["puma560", "transfer-6dof", "ax12-line", "xiang-6dof", "lanzhou-4dof"])
 def test_the_kinematics_of_every_robot_fit(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
-    joints = kinematics._robot(robot, ()).chain.n
+    joints = robots.get(robot).chain.n
     q = ",".join(["-123.4567891"] * joints)
     one = ("--robot", robot)
     for arguments in (

@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import pytest
 
-from armctl.cli.jobs import _Tool
 from armctl.cli.output import Output
+from armctl.cli.teach import Tool
 from armctl.client import Client
 from armctl.errors import RequestRefused
 
@@ -37,11 +37,11 @@ def _tool(place: Place, before: Place) -> dict[str, Any]:
     return {"position_m": list(place), "speed_m_s": math.dist(place, before) / 0.1}
 
 
-def follow(places: list[Place], keys: str = "", limit_m_s: float = 0.25) -> tuple[_Tool, Snapshots]:
+def follow(places: list[Place], keys: str = "", limit_m_s: float = 0.25) -> tuple[Tool, Snapshots]:
     """A tool at these places; `keys` is what was pressed in each tick, `.` for nothing."""
     snapshots = Snapshots(places, limit_m_s)
     pressed = iter(keys.ljust(len(places), "."))
-    return _Tool(Output(), cast("Client", snapshots), lambda: next(pressed).strip(".")), snapshots
+    return Tool(Output(), cast("Client", snapshots), lambda: next(pressed).strip(".")), snapshots
 
 
 def rest(place: Place, ticks: int) -> list[Place]:

@@ -5,15 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import pty
 import re
-import select
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -21,11 +17,10 @@ import pytest
 from armctl.client import Client
 from armctl.lab.demo import program
 from proving.rig import hold
+from tests.terminal import CTRL_C, CTRL_Z, PATIENCE_S, Shell, Terminal, shell, terminal
 
 pytestmark = pytest.mark.pty
-PATIENCE_S = 30.0
 COLOUR = re.compile(r"\x1b\[[0-9;]*3[0-7]")
-CTRL_C = b"\x03"
 
 
 @pytest.fixture(scope="module")
@@ -48,68 +43,14 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder / "daemon.sock"
 
 
-@dataclass
-class Terminal:
-    """A command in a terminal of 80 columns, and everything it said."""
-
-    process: subprocess.Popen[bytes]
-    fd: int
-    said: str = field(default="")
-
-    def until(self, words: str, since: int = 0) -> None:
-        """Read until the words have come."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while words not in self.said[since:]:
-            assert time.monotonic() < deadline_s, self.said
-            if not self._read():
-                assert words in self.said[since:], self.said
-
-    def press(self, keys: bytes) -> None:
-        os.write(self.fd, keys)
-
-    def status(self) -> int:
-        """Exit status, once it has ended."""
-        while self._read():
-            pass
-        return self.process.wait(PATIENCE_S)
-
-    def _read(self) -> bool:
-        if select.select([self.fd], [], [], PATIENCE_S)[0]:
-            with contextlib.suppress(OSError):  # the terminal's other end is closed
-                if data := os.read(self.fd, 1 << 16):
-                    self.said += data.decode(errors="replace")
-                    return True
-        return False
-
-
 @contextlib.contextmanager
-def terminal(*arguments: str) -> Iterator[Terminal]:
-    master, slave = pty.openpty()
-    os.set_blocking(slave, True)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "armctl", *arguments], stdin=slave, stdout=slave, stderr=slave, start_new_session=True,
-        preexec_fn=_own_terminal,
-    )  # fmt: skip
-    os.close(slave)
-    try:
-        yield Terminal(process, master)
-    finally:
-        process.kill()
-        process.wait()
-        os.close(master)
-
-
-def _own_terminal() -> None:
-    """Make standard input the controlling terminal, whose Ctrl-C is a signal."""
-    import fcntl
-    import termios
-
-    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-    fcntl.ioctl(0, termios.TIOCSWINSZ, b"\x1e\x00\x50\x00\x00\x00\x00\x00")
+def armctl(*arguments: str) -> Iterator[Terminal]:
+    with terminal(sys.executable, "-m", "armctl", *arguments) as running:
+        yield running
 
 
 def test_watch_is_a_live_picture_that_ctrl_c_ends_well(daemon: Path) -> None:
-    with terminal("watch") as watching:
+    with armctl("watch") as watching:
         watching.until("wrist")
         first = len(watching.said)
         watching.until("ax12-line:", since=first)
@@ -135,12 +76,12 @@ def test_watch_in_a_pipe_is_plain_lines(daemon: Path) -> None:
 
 def test_colour_is_for_terminals_that_want_it(daemon: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fault = ("demo", "--out", "/proc/nowhere")
-    with terminal("status") as coloured:
+    with armctl("status") as coloured:
         assert coloured.status() == 0
         assert "\x1b[1m" in coloured.said
     monkeypatch.setenv("NO_COLOR", "1")
     for arguments in (("status",), fault):
-        with terminal(*arguments) as plain:
+        with armctl(*arguments) as plain:
             plain.status()
             assert not COLOUR.search(plain.said)
     piped = subprocess.run([sys.executable, "-m", "armctl", "status"], capture_output=True, text=True, check=True)
@@ -153,7 +94,7 @@ def test_ctrl_c_during_a_move_stops_the_arm_and_says_so(daemon: Path) -> None:
         hold(client, PATIENCE_S)
         start = [joint["position_rad"] for joint in client.call("status")["joints"]]
         target = ",".join(f"{position + 0.6 * (index == 0):.4f}" for index, position in enumerate(start))
-        with terminal("move", "--joints", target, "--duration", "20") as moving:
+        with armctl("move", "--joints", target, "--duration", "20") as moving:
             snapshots = client.subscribe()
             next(one for one in snapshots if one["state"] == "moving" and (one["progress"] or 0.0) > 0.05)
             moving.press(CTRL_C)
@@ -165,9 +106,19 @@ def test_ctrl_c_during_a_move_stops_the_arm_and_says_so(daemon: Path) -> None:
         assert abs(held["joints"][0]["position_rad"] - start[0]) < 0.5
 
 
-def test_ctrl_c_while_teaching_leaves_a_limp_arm_and_the_keys_as_they_were(daemon: Path) -> None:
-    with terminal("teach", "interrupted", "--countdown", "0") as teaching:
-        teaching.until("rest it there")
+def test_teaching_asks_before_an_arm_goes_limp_and_ctrl_c_leaves_it_so(daemon: Path) -> None:
+    with Client(daemon) as client:
+        hold(client, PATIENCE_S)
+        with armctl("teach", "interrupted", "--countdown", "0") as teaching:
+            teaching.until("Go on? [y/N]")
+            teaching.press(b"n\n")
+            assert teaching.status() == 130
+            assert "torque stays on" in teaching.said
+        assert client.call("status")["state"] == "holding"
+    with armctl("teach", "interrupted", "--countdown", "1") as teaching:
+        teaching.until("Go on? [y/N]")
+        teaching.press(b"y\n")
+        teaching.until("rest it there", teaching.until("it goes limp in 1 s"))
         teaching.press(CTRL_C)
         assert teaching.status() == 130
         assert "the arm stays limp" in teaching.said
@@ -180,7 +131,7 @@ def test_ctrl_c_while_teaching_leaves_a_limp_arm_and_the_keys_as_they_were(daemo
 def test_ctrl_c_in_json_is_one_object(daemon: Path) -> None:
     with Client(daemon) as client:
         hold(client, PATIENCE_S)
-    with terminal("release", "--countdown", "60", "--json") as releasing:
+    with armctl("release", "--countdown", "60", "--json") as releasing:
         releasing.until("support the arm")
         releasing.press(CTRL_C)
         assert releasing.status() == 130
@@ -188,3 +139,60 @@ def test_ctrl_c_in_json_is_one_object(daemon: Path) -> None:
         assert json.loads(line)["error"]["message"] == "interrupted: torque stays on"
     with Client(daemon) as client:
         assert client.call("status")["state"] == "holding"
+
+
+# ------------------------------------------------------------------------------------------------- job control
+
+
+@pytest.fixture
+def bash(daemon: Path, tmp_path: Path) -> Iterator[Shell]:
+    """A shell beside the daemon, whose arm is limp; `armctl` is the one that is tested."""
+    with Client(daemon) as client:
+        client.call("release", confirm=True)
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    with shell(tmp_path, PATH=path) as running:
+        yield running
+
+
+def test_teaching_goes_on_in_the_background_and_leaves_the_terminal_alone(bash: Shell) -> None:
+    since = bash.start("armctl teach behind --yes &")
+    bash.until("rest it there", since)
+    assert bash.line_by_line
+    assert "Running" in bash.type("jobs")
+    bash.start("fg")
+    bash.press(b"\n")  # a key of its own, once it is in front
+    bash.until("behind: recording", since)
+    bash.press(b"\n")
+    bash.until("]$ ", bash.until("samples", since))
+    assert bash.line_by_line
+    assert "Stopped" not in bash.said
+
+
+def test_teaching_can_be_suspended_and_change_between_background_and_foreground(bash: Shell) -> None:
+    since = bash.start("armctl teach suspended --takes 2")
+    bash.until("rest it there", since)
+    bash.press(b"\n")  # is read at once: teaching has the terminal
+    bash.until("suspended-1: recording", since)
+    bash.press(CTRL_Z)
+    bash.until("]$ ", bash.until("Stopped", since))
+    assert bash.line_by_line
+    assert "Running" in bash.type("bg; jobs")
+    before = bash.start("fg")
+    bash.until("armctl teach suspended", before)
+    bash.press(b"\n")
+    bash.until("suspended-2: carry", before)
+    bash.press(CTRL_Z)
+    bash.until("]$ ", bash.until("Stopped", before))
+    ended = bash.type("bg; kill -INT %1; wait %1; echo status $?")
+    assert "status 130" in ended
+    assert "Stopped" not in ended  # it left the terminal's mode to the shell
+    assert bash.line_by_line
+
+
+def test_teaching_that_nobody_can_be_asked_about_is_refused(bash: Shell) -> None:
+    """The last words of a shell's line are its exit statuses: refused behind, and refused without a terminal."""
+    for line in ("armctl teach refused & wait $!; echo status $?", "armctl teach refused < /dev/null; echo status $?"):
+        said = bash.type(line)
+        assert "--yes" in said
+        assert "status 1" in said
+        assert "Stopped" not in said

@@ -28,6 +28,7 @@ from armctl.cli.processes import DEFAULT_LINK
 from armctl.control.faults import CODES, NEXT, WHAT
 from armctl.files import load_arm
 from armctl.lab.demo import program
+from tests.terminal import CTRL_C, shell
 
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 RUN_PAGES = ("start", "arm", "api", "new-arm")
@@ -170,11 +171,27 @@ def test_what_readme_says_to_type_is_right() -> None:
         command.make_context(name, words)  # raises for an option or an argument that there is not
 
 
-def test_the_five_minutes_of_readme_are_those_that_are_run() -> None:
-    start = (DOCS / "start.md").read_text().splitlines()
-    first, last = (readme_commands().index(one) for one in ("armctl sim", "armctl run line.json"))
-    for command in readme_commands()[first : last + 1]:
-        assert command in start, command
+@pytest.mark.pty
+@pytest.mark.timeout(240)
+def test_the_five_minutes_of_readme_work_in_three_terminals_as_they_are_typed(stand: Stand) -> None:
+    section = (
+        (DOCS.parent.parent / "README.md").read_text().split("## Five minutes without an arm")[1].split("\n## ")[0]
+    )
+    typed = re.findall(r"^    (\S.*)$", section, re.MULTILINE)
+    [servos, daemon], rest = typed[2:4], typed[4:]  # the first two install the package that is tested
+    assert [line.split("#")[0].split()[:2] for line in (servos, daemon)] == [["armctl", "sim"], ["armctl", "daemon"]]
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    with ExitStack() as terminals:
+        first, second, third = (terminals.enter_context(shell(stand.folder, PATH=path)) for _ in range(3))
+        first.until("ready ", first.start(servos))
+        second.until("ready ", second.start(daemon.replace("PORT", str(stand.port))))
+        said = "".join(third.type(line) for line in rest)
+        assert "Stopped" not in said
+        assert said.count("Done") == 2, said  # both times teaching in the background
+        assert "by the encoders" in said
+        for running in (second, first):
+            running.press(CTRL_C)
+            running.until("]$ ", len(running.said))
 
 
 def test_every_page_is_a_topic_and_every_topic_a_page() -> None:

@@ -192,7 +192,7 @@ def on_an_arm() -> dict[str, Any]:
 
 def play(session: Session) -> None:
     """Everything that the daemon is asked."""
-    with started(f"teach take --takes 1 {LINE} --countdown 0") as taught:
+    with started(f"teach take --takes 1 {LINE} --yes") as taught:
         session.until("teaching")
         session.ask(f"hand {LINE} --link port")
         session.note("teach", 0, taught())

@@ -1,0 +1,166 @@
+"""`armctl teach`: an arm guided by hand, and its tool followed from take to take."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from armctl.cli.arm import COUNTDOWN, warn_of_limpness
+from armctl.cli.jobs import in_words
+from armctl.cli.keys import attended, keys
+from armctl.cli.output import POINT, SOCKET, Output, Point, command
+from armctl.errors import ConfigError, LogError, RequestRefused
+
+if TYPE_CHECKING:
+    from armctl.client import Client
+
+TEACHING_SPEED_M_S = 0.25
+"""ISO 10218-1's manual reduced speed; faster hands are warned."""
+AT_START_M = 0.04
+"""How near its start a take begins."""
+MOVED_M = 0.03
+"""How far the tool goes before a rest can end a take."""
+STILL_M = 0.004
+"""Largest change of the tool's place that still counts as rest."""
+SETTLE_S = 0.5
+REST_S = 1.0
+ENTER = frozenset("\r\n")
+
+
+@command("teach", SOCKET)
+@click.argument("name")
+@click.option("--takes", type=click.IntRange(1, 100), default=1, help="How many to record.")
+@click.option("--from", "from_m", type=POINT, help="Start of the wanted line, metres: shows each take's error.")
+@click.option("--to", "to_m", type=POINT, help="End of the wanted line, metres.")
+@COUNTDOWN
+@click.option("--yes", is_flag=True, help="The arm may go limp at once: no question, no countdown.")
+def teach_command(
+    output: Output, name: str, takes: int, from_m: Point | None, to_m: Point | None, countdown: int, yes: bool
+) -> None:
+    """Make the arm limp, and record while you guide it by hand. Ctrl-C ends it; the arm stays limp.
+
+    Carry the tool to the start and rest it there for half a second (or press Enter): the take begins. Guide it along
+    the line; it ends when the tool rests for a second (or on Enter). Rest it for half a second on the way, or press any
+    other key, to mark a via point. Every further take begins where the first did. Takes are named NAME, or NAME-1,
+    NAME-2, ... and never overwrite one another.
+
+    If torque is on, it asks first and counts down. Where nobody can be asked (no terminal, or in the background) it is
+    refused without --yes.
+
+    Example: armctl teach line --takes 5 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10
+    """
+    if (from_m is None) != (to_m is None):
+        raise ConfigError("armctl teach", "--from/--to", "one end of the line is missing", "give both or neither")
+    if not yes and not attended(sys.stdin):
+        why = "teach makes the arm limp, and nobody can be asked: there is no terminal, or it runs in the background"
+        raise RequestRefused("NOT_CONFIRMED", f"{why}; support the arm, then type `armctl teach {name} --yes`")
+    names = [name] if takes == 1 else [f"{name}-{take}" for take in range(1, takes + 1)]
+    line: dict[str, Any] = {} if from_m is None else {"from_m": from_m, "to_m": to_m}
+    made = []
+    with output.client() as commander, output.client() as watcher:
+        taken = {recording["name"] for recording in commander.call("recordings_list")["recordings"]} & set(names)
+        if taken:
+            raise LogError(f"recording {sorted(taken)[0]} exists; choose another name, or delete it")
+        if not yes:
+            warn_of_limpness(output, commander, countdown, "the arm will go limp. Go on?")
+        output.after_interrupt = "the arm stays limp, so support it; takes that were begun are kept; `armctl torque on`"
+        commander.call("teach_begin")
+        output.say("the arm is limp; support it")
+        start = from_m
+        try:
+            with keys(sys.stdin) as pressed:
+                tool = Tool(output, watcher, partial(pressed.wait, 0.0))
+                for take in names:
+                    place = "start" if start is None else "start at " + ", ".join(f"{x:.3f}" for x in start)
+                    output.say(f"{take}: carry the tool to the {place} and rest it there (or press Enter)")
+                    start = tool.settle(start)
+                    made.append(_record(output, commander, tool, take, start, line))
+        finally:
+            commander.call("teach_end")
+    output.result({"recordings": made})
+
+
+def _record(
+    output: Output, commander: Client, tool: Tool, take: str, start: Point, line: dict[str, Any]
+) -> dict[str, Any]:
+    """Record one take from its start on; what the daemon says of it, with its via points."""
+    commander.call("take_begin", name=take)
+    output.say(f"{take}: recording; guide it along the line and rest it at the end (or press Enter)")
+    marks: list[dict[str, Any]] = []
+    end = tool.guided(start, lambda: marks.append(commander.call("take_mark")))
+    commander.call("take_end")
+    shown = commander.call("recordings_show", name=take, **line)
+    # The tool rests at the end of a take, so a mark there is no via point.
+    shown["marks"] = [mark for mark in marks if math.dist(mark["position_m"], end) > AT_START_M]
+    output.say(in_words(shown))
+    return shown
+
+
+class Tool:
+    """The tool's place as the daemon sees it, followed tick by tick.
+
+    Args:
+        key: What was pressed since it was last asked, one character; empty: nothing.
+    """
+
+    def __init__(self, output: Output, watcher: Client, key: Callable[[], str]) -> None:
+        self._output, self._key = output, key
+        self._snapshots = watcher.subscribe()
+        self._recent: deque[Point] = deque(maxlen=100)
+        self._warned = False
+
+    def settle(self, start: Point | None) -> Point:
+        """Wait until the tool rests near `start` (anywhere if None), or for Enter; returns where it is."""
+        moved = start is not None
+        self._recent.clear()
+        while True:
+            place, period_s, key = self._next()
+            moved = moved or math.dist(place, self._recent[0]) > MOVED_M
+            near = start is None or math.dist(place, start) <= AT_START_M
+            if key in ENTER or (moved and near and self._rests(SETTLE_S, period_s)):
+                return place
+
+    def guided(self, start: Point, mark: Callable[[], None]) -> Point:
+        """Wait until the tool has gone along and rests again, or for Enter; returns where it is.
+
+        Args:
+            mark: Called where the tool dwells on its way, or a key other than Enter is pressed.
+        """
+        moved = False
+        last = start
+        self._recent.clear()
+        while True:
+            place, period_s, key = self._next()
+            moved = moved or math.dist(place, start) > AT_START_M + MOVED_M
+            if key in ENTER or (moved and self._rests(REST_S, period_s)):
+                return place
+            dwells = math.dist(place, last) > AT_START_M and self._rests(SETTLE_S, period_s)
+            if key or dwells:
+                last = place
+                mark()
+
+    def _rests(self, seconds: float, period_s: float) -> bool:
+        count = round(seconds / period_s)
+        recent = list(self._recent)[-count:]
+        return len(recent) == count and all(math.dist(place, recent[-1]) < STILL_M for place in recent)
+
+    def _next(self) -> tuple[Point, float, str]:
+        """The tool's place after the next tick, the tick's length, and the key that was pressed."""
+        snapshot = next(self._snapshots)
+        if snapshot["state"] != "teaching":
+            fault = snapshot["fault"]
+            why = f"{fault['code']}: {fault['text']}" if fault else f"the arm is {snapshot['state']}"
+            raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")
+        x, y, z = snapshot["tool"]["position_m"]
+        speed_m_s = snapshot["tool"]["speed_m_s"] or 0.0
+        if speed_m_s > TEACHING_SPEED_M_S and not self._warned:
+            self._warned = True
+            self._output.say(f"the tool moves at {speed_m_s * 1000.0:.0f} mm/s; slower than 250 is safer and smoother")
+        self._recent.append((x, y, z))
+        return (x, y, z), float(snapshot["period_s"]), self._key()
