@@ -20,8 +20,6 @@ from armctl.errors import ConfigError, LogError, RequestRefused
 if TYPE_CHECKING:
     from armctl.client import Client
 
-TEACHING_SPEED_M_S = 0.25
-"""ISO 10218-1's manual reduced speed; faster hands are warned."""
 AT_START_M = 0.04
 """How near its start a take begins."""
 MOVED_M = 0.03
@@ -159,8 +157,10 @@ class Tool:
             raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")
         x, y, z = snapshot["tool"]["position_m"]
         speed_m_s = snapshot["tool"]["speed_m_s"] or 0.0
-        if speed_m_s > TEACHING_SPEED_M_S and not self._warned:
+        limit_m_s = snapshot["tool_speed_limit_m_s"]
+        if speed_m_s > limit_m_s and not self._warned:
             self._warned = True
-            self._output.say(f"the tool moves at {speed_m_s * 1000.0:.0f} mm/s; slower than 250 is safer and smoother")
+            speed, limit = (f"{1000.0 * value:.0f}" for value in (speed_m_s, limit_m_s))
+            self._output.say(f"the tool moves at {speed} mm/s; slower than {limit} is safer and smoother")
         self._recent.append((x, y, z))
         return (x, y, z), float(snapshot["period_s"]), self._key()
