@@ -17,8 +17,6 @@ genes of a survivor is re-chosen at once, all others held. A window is a small p
 so this improves what evolution has found and cannot find it by itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,6 +25,7 @@ import numpy as np
 from armctl.errors import ConfigError
 from armctl.genetic import operators
 from armctl.genetic.shortest_path import window_search
+from armctl.kinematics.genetic.chromosomes import check_settings
 from armctl.kinematics.transform import FloatArray, IntArray
 
 
@@ -58,20 +57,18 @@ class Settings:
     """Most of the population that may be elite (roulette only)."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("population", 2, 100_000),
-            ("generations", 1, 1_000_000),
-            ("crossover_probability", 0, 1),
-            ("mutation_probability", 0, 1),
-            ("searches", 0, 100_000),
-            ("window_genes", 1, 12),
-            ("stall_generations", 0, 1_000_000),
-            ("elite_threshold", 0, 1),
-            ("elite_fraction", 0, 1),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ConfigError("genetic algorithm", name, f"{value} is outside {low} to {high}")
+        check_settings(
+            self,
+            population=(2, 100_000),
+            generations=(1, 1_000_000),
+            crossover_probability=(0, 1),
+            mutation_probability=(0, 1),
+            searches=(0, 100_000),
+            window_genes=(1, 12),
+            stall_generations=(0, 1_000_000),
+            elite_threshold=(0, 1),
+            elite_fraction=(0, 1),
+        )
         shares = self.charge_shares
         if not 1 <= len(shares) <= self.generations or shares[-1] != 1.0 or not all(share >= 0.0 for share in shares):
             raise ConfigError(

@@ -9,8 +9,6 @@ out. Products are written out elementwise (no BLAS) and summed in a fixed order,
 same input gives the same bits for one pose and for a batch, here and on another machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,6 +50,11 @@ class SerialChain:
     def n(self) -> int:
         return len(self.rows)
 
+    @property
+    def _first_axis(self) -> int:
+        """The frame whose z is the first joint's axis: of joint i it is frame i - 1 (standard) or i (modified)."""
+        return 0 if self.convention == "standard" else 1
+
     @cached_property
     def _alpha_trig(self) -> tuple[tuple[float, float], ...]:
         # The alphas of real arms are multiples of 90 deg, as near as a float comes to them: keep their sines and
@@ -76,6 +79,12 @@ class SerialChain:
         return tuple((row.offset, row.a, row.d, *trig) for row, trig in zip(self.rows, self._alpha_trig, strict=True))
 
 
+def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
+    """Slices that take `count` rows, `size` at a time."""
+    for begin in range(0, count, size):
+        yield slice(begin, begin + size)
+
+
 def link_frames(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Pose of the base (index 0), of every link frame and of the tool in the base frame.
 
@@ -91,8 +100,7 @@ def link_frames(chain: SerialChain, q: FloatArray) -> FloatArray:
     T = np.zeros((len(flat), count, 4, 4))
     T[:, :, 3, 3] = 1.0
     T[:, 0, :, :] = np.eye(4)
-    for begin in range(0, len(flat), BLOCK):
-        block = slice(begin, begin + BLOCK)
+    for block in blocks(len(flat)):
         for i, columns in enumerate(_frames(chain, flat[block])):
             _write(T[block, i + 1], columns)
     return T.reshape(*np.shape(q)[:-1], count, 4, 4)
@@ -113,8 +121,7 @@ def forward_kinematics(chain: SerialChain, q: FloatArray) -> FloatArray:
     flat = _flat(chain, q)
     T = np.empty((len(flat), 4, 4))
     T[:, 3, :] = (0.0, 0.0, 0.0, 1.0)
-    for begin in range(0, len(flat), BLOCK):
-        block = slice(begin, begin + BLOCK)
+    for block in blocks(len(flat)):
         *_, tool = _frames(chain, flat[block])
         _write(T[block], tool)
     return T.reshape(*np.shape(q)[:-1], 4, 4)
@@ -135,9 +142,9 @@ def tool_position(chain: SerialChain, q: FloatArray) -> FloatArray:
     if len(flat) == 1:
         return np.array(_frames_of_one(chain, flat[0].tolist())[-1][3]).reshape(*np.shape(q)[:-1], 3)
     points = np.empty((len(flat), 3))
-    for begin in range(0, len(flat), BLOCK):
-        *_, (_, _, _, P) = _frames(chain, flat[begin : begin + BLOCK])
-        points[begin : begin + BLOCK] = P.T
+    for block in blocks(len(flat)):
+        *_, (_, _, _, P) = _frames(chain, flat[block])
+        points[block] = P.T
     return points.reshape(*np.shape(q)[:-1], 3)
 
 
@@ -155,8 +162,7 @@ def jacobian(chain: SerialChain, q: FloatArray) -> FloatArray:
     if len(flat) == 1:
         return np.array(_jacobian_of_one(chain, flat[0].tolist())).reshape(*np.shape(q)[:-1], 6, chain.n)
     J = np.empty((len(flat), 6, chain.n))
-    for begin in range(0, len(flat), BLOCK):
-        block = slice(begin, begin + BLOCK)
+    for block in blocks(len(flat)):
         axes, tool = joint_axes(chain, flat[block])
         for i, (z, origin) in enumerate(axes):
             J[block, :3, i] = cross(z, tool - origin).T
@@ -173,9 +179,7 @@ def joint_axes(chain: SerialChain, q: FloatArray) -> tuple[list[tuple[FloatArray
         n pairs (direction, origin [m]) and the tool point [m], each of shape (3, m) or, where all are equal, (3, 1).
     """
     frames = [_BASE, *_frames(chain, q)]
-    # Joint i turns about z of frame i - 1 (standard) or of its own frame i (modified).
-    first = 0 if chain.convention == "standard" else 1
-    return [(Z, P) for _, _, Z, P in frames[first : first + chain.n]], frames[-1][3]
+    return [(Z, P) for _, _, Z, P in frames[chain._first_axis : chain._first_axis + chain.n]], frames[-1][3]
 
 
 def cross(u: FloatArray, v: FloatArray) -> FloatArray:
@@ -236,56 +240,39 @@ def _twist(Y: FloatArray, Z: FloatArray, ca: float, sa: float) -> tuple[FloatArr
 
 
 def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, Axis, Axis, Axis]]:
-    """The frames of one configuration q, n joint positions, in plain floats.
+    """The base and the frames of one configuration q, n joint positions, in plain floats.
 
-    For one pose of five joints most of numpy's time is its own, and the control step asks for it every tick. Same
-    products in the same order as `_frames`, hence the same bits, but for the sign of a zero.
+    The control step asks for one pose every tick. For one pose numpy's calls take most of the time; this takes about
+    a tenth of it. Same products in the same order as `_frames`, hence the same bits, but for the sign of a zero.
     """
-    x0, x1, x2, y0, y1, y2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    p0 = p1 = p2 = 0.0
+    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2) = frame = _BASE_OF_ONE
+    frames = [frame]
     standard = chain.convention == "standard"
-    frames = []
     for (offset, a, d, ca, sa), angle in zip(chain._table, q, strict=True):
         c, s = cos_sin(angle + offset)
-        if standard:
+        twisted = sa != 0.0 or ca < 0.0
+        if standard and a != 0.0:
+            ac, as_ = a * c, a * s
+            l0, l1, l2 = x0 * ac + y0 * as_, x1 * ac + y1 * as_, x2 * ac + y2 * as_
+            if d != 0.0:
+                l0, l1, l2 = l0 + z0 * d, l1 + z1 * d, l2 + z2 * d
+            p0, p1, p2 = l0 + p0, l1 + p1, l2 + p2
+        else:
             if a != 0.0:
-                ac, as_ = a * c, a * s
-                l0, l1, l2 = x0 * ac + y0 * as_, x1 * ac + y1 * as_, x2 * ac + y2 * as_
-                if d != 0.0:
-                    l0, l1, l2 = l0 + z0 * d, l1 + z1 * d, l2 + z2 * d
-                p0, p1, p2 = l0 + p0, l1 + p1, l2 + p2
-            elif d != 0.0:
-                p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
-            x0, x1, x2, y0, y1, y2 = (
-                x0 * c + y0 * s,
-                x1 * c + y1 * s,
-                x2 * c + y2 * s,
-                y0 * c - x0 * s,
-                y1 * c - x1 * s,
-                y2 * c - x2 * s,
-            )
-        elif a != 0.0:
-            p0, p1, p2 = x0 * a + p0, x1 * a + p1, x2 * a + p2
-        if sa != 0.0 or ca < 0.0:
-            y0, y1, y2, z0, z1, z2 = (
-                ca * y0 + sa * z0,
-                ca * y1 + sa * z1,
-                ca * y2 + sa * z2,
-                ca * z0 - sa * y0,
-                ca * z1 - sa * y1,
-                ca * z2 - sa * y2,
-            )
-        if not standard:
+                p0, p1, p2 = x0 * a + p0, x1 * a + p1, x2 * a + p2
+            if twisted and not standard:
+                y0, z0 = ca * y0 + sa * z0, ca * z0 - sa * y0
+                y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
+                y2, z2 = ca * y2 + sa * z2, ca * z2 - sa * y2
             if d != 0.0:
                 p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
-            x0, x1, x2, y0, y1, y2 = (
-                x0 * c + y0 * s,
-                x1 * c + y1 * s,
-                x2 * c + y2 * s,
-                y0 * c - x0 * s,
-                y1 * c - x1 * s,
-                y2 * c - x2 * s,
-            )
+        x0, y0 = x0 * c + y0 * s, y0 * c - x0 * s
+        x1, y1 = x1 * c + y1 * s, y1 * c - x1 * s
+        x2, y2 = x2 * c + y2 * s, y2 * c - x2 * s
+        if twisted and standard:
+            y0, z0 = ca * y0 + sa * z0, ca * z0 - sa * y0
+            y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
+            y2, z2 = ca * y2 + sa * z2, ca * z2 - sa * y2
         frames.append(((x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2)))
     if chain.tool_m != 0.0:
         m = chain.tool_m
@@ -295,11 +282,10 @@ def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, A
 
 def _jacobian_of_one(chain: SerialChain, q: Sequence[float]) -> list[list[float]]:
     """Rows of the Jacobian at q, n joint positions; see `joint_axes` for the axes."""
-    frames = [_BASE_OF_ONE, *_frames_of_one(chain, q)]
-    first = 0 if chain.convention == "standard" else 1
+    frames = _frames_of_one(chain, q)
     t0, t1, t2 = frames[-1][3]
     columns = []
-    for _, _, (z0, z1, z2), (p0, p1, p2) in frames[first : first + chain.n]:
+    for _, _, (z0, z1, z2), (p0, p1, p2) in frames[chain._first_axis : chain._first_axis + chain.n]:
         v0, v1, v2 = t0 - p0, t1 - p1, t2 - p2
         columns.append((z1 * v2 - z2 * v1, z2 * v0 - z0 * v2, z0 * v1 - z1 * v0, z0, z1, z2))
     return [list(row) for row in zip(*columns, strict=True)]

@@ -7,8 +7,6 @@ omega_{i-1}, and every origin moving with them:
     d(z_i x (p - o_i))/dt = (omega_{i-1} x z_i) x (p - o_i) + z_i x (v_tool - v_{o_i})
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,13 +5,14 @@ product, a distance, a count) and return how far print is off and how far the co
 quantity's own unit: print must be off by more than `PRINT_OFF`, the correction by less than `TRUE_OFF`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 PRINT_OFF = 1e-3
 TRUE_OFF = 1e-9
+
+Residuals = Callable[[], tuple[float, float]]
+"""How far print and the correction are from what is computed."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,7 @@ class Erratum:
     true: str
     how: str
     """What is computed to prove it."""
-    residuals: Callable[[], tuple[float, float]]
-    """How far print and the correction are from what is computed."""
+    residuals: Residuals
 
     @property
     def proven(self) -> bool:
@@ -39,3 +39,13 @@ class Erratum:
         """The computation and its outcome, in words."""
         printed, true = self.residuals()
         return f"{self.how}: print is off by {printed:.4g}, the correction by {true:.1e}"
+
+
+def errata(paper: str, *rows: tuple[str, str, str, str, Residuals]) -> tuple[Erratum, ...]:
+    """What one paper prints wrong; each row is where, printed, true, how and residuals of an `Erratum`."""
+    return tuple(Erratum(paper, *row) for row in rows)
+
+
+def off(computed: float, printed: float, corrected: float) -> tuple[float, float]:
+    """The residuals where all three are one number."""
+    return abs(printed - computed), abs(corrected - computed)

@@ -4,8 +4,6 @@ Levenberg-Marquardt: the damping falls while steps help and rises when one does 
 reach is tried from others. Position errors count in units of the arm's length, so that a turn does not outweigh them.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -16,6 +14,10 @@ from armctl.kinematics.transform import FloatArray, rotation_error
 
 TURN_RAD = 2.0 * np.pi - 1e-9
 """A joint whose range is at least this wide has no ends."""
+MOST_STARTS = 40
+"""From so many starts a pose is tried."""
+SOLVED = 1e-9
+"""A pose is tried from no further start once its errors [m, rad] are no larger."""
 
 
 def solve_position(
@@ -155,9 +157,6 @@ def solve_poses(
     *,
     q_start: FloatArray | None = None,
     turned: bool = True,
-    restarts: int = 40,
-    tolerance_m: float = 1e-9,
-    tolerance_rad: float = 1e-9,
 ) -> FloatArray:
     """Joint configurations for poses of any chain: the first start as given, then random ones within the limits.
 
@@ -166,14 +165,13 @@ def solve_poses(
         limits: Lowest and highest position [rad], shape (n, 2).
         q_start: First starts [rad], shape (m, n); random if not given.
         turned: Whether the rotation counts; without it the position alone does.
-        restarts: Starts tried at most for each pose.
     Returns:
         q, shape (m, n): the best found; `pose_errors` tells how good it is.
     """
     best = np.empty((len(T), chain.n))
     best_cost = np.full(len(T), np.inf)
     open_poses = np.arange(len(T))
-    for attempt in range(restarts):
+    for attempt in range(MOST_STARTS):
         if attempt == 0 and q_start is not None:
             starts = np.asarray(q_start, dtype=np.float64)
         else:
@@ -184,7 +182,7 @@ def solve_poses(
         cost = np.hypot(position, turn)
         better = cost < best_cost[open_poses]
         best[open_poses[better]], best_cost[open_poses[better]] = q[better], cost[better]
-        open_poses = open_poses[(position > tolerance_m) | (turn > tolerance_rad)]
+        open_poses = open_poses[(position > SOLVED) | (turn > SOLVED)]
         if not len(open_poses):
             break
     return best

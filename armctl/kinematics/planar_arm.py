@@ -13,16 +13,13 @@ A tool point alone leaves the pitch free too: each wanted pitch is moved into wh
 ends are again a triangle's. A hand that turns about its own axis (`roll`) points along its z axis and adds the turn.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from armctl.errors import ConfigError
-from armctl.kinematics.reach import ROUNDING, PlaneReach, annulus
+from armctl.kinematics.annulus import ROUNDING, PlaneReach, annulus
 from armctl.kinematics.transform import FloatArray, finite
 
 BENDS = np.radians(np.arange(-120.0, 121.0, 15.0))
@@ -94,10 +91,6 @@ class PlanarArm:
             roll = np.arctan2(across, along)[:, :, None, None]
             q = np.concatenate((q, np.broadcast_to(roll, (*q.shape[:3], 1))), axis=-1)
         return self._with_waist(c1, s1, q)
-
-    def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
-        """Every joint configuration [rad] of one pose, as `poses`."""
-        return [tuple(q) for q in finite(self.poses(np.asarray(T, dtype=np.float64)[None])).tolist()]
 
     def pose_families(self, T: FloatArray) -> FloatArray:
         """Joint configurations [rad] of one pose, shape (branches, k, n): with four links, over k bends."""

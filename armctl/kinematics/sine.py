@@ -8,8 +8,6 @@ The angle is brought into -pi/4..pi/4 by whole quarter turns, pi/2 being kept in
 in two; there the Taylor series does with nine and ten terms. Both are within 1.2e-16 of the truth.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any

@@ -6,8 +6,6 @@ solution says whether it is within them. Solutions are sorted: within the ranges
 from the present configuration (Bao, Liu & Zhao eq. 10).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
@@ -177,8 +175,7 @@ def answer(
     q = within_a_turn(q, limits)
     if polish:
         q = _polished(robot, target, q)
-    position_m, turn_rad = _errors(robot, target, q)
-    reached = (position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)
+    position_m, turn_rad, reached = _errors(robot, target, q)
     keep = np.flatnonzero(reached) if reached.any() else np.arange(len(q))
     inside = within_limits(q[keep], limits)
     misses = np.zeros(len(keep)) if reached.any() else np.round(position_m + turn_rad, 9)[keep]
@@ -186,14 +183,8 @@ def answer(
     solutions: list[Solution] = []
     for i in order:
         if not any(np.abs(q[i] - other.q_rad).max() < 1e-9 for other in solutions):
-            solutions.append(
-                Solution(
-                    tuple(q[i].tolist()),
-                    float(position_m[i]),
-                    float(turn_rad[i]),
-                    bool(within_limits(q[i], limits)),
-                )
-            )
+            within = bool(within_limits(q[i], limits))
+            solutions.append(Solution(tuple(q[i].tolist()), float(position_m[i]), float(turn_rad[i]), within))
     return Answer(bool(reached.any()), least, tuple(solutions))
 
 
@@ -202,14 +193,15 @@ def _closed(
 ) -> tuple[FloatArray, float]:
     families = form.positions(target.position_m[None])[0] if target.T is None else form.pose_families(target.T)
     q = np.array([_best(finite(family), present, limits) for family in families if np.isfinite(family).any()])
-    if len(q):
-        position_m, turn_rad = _errors(robot, target, q)
-        if ((position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)).any():
-            return q, 0.0
-    if target.T is not None:
-        return form.nearest_pose(target.T)
-    q, least = form.nearest_position(target.position_m)
-    return _numeric(robot, target, present, limits, 0) if least == 0.0 else (q, least)
+    if len(q) and _errors(robot, target, q)[2].any():
+        return q, 0.0
+    q, least = _nearest(form, target)
+    return _numeric(robot, target, present, limits, 0) if target.T is None and least == 0.0 else (q, least)
+
+
+def _nearest(form: ClosedForm, target: Target) -> tuple[FloatArray, float]:
+    """Configurations [rad] near a target that is out of reach, and the least distance [m]."""
+    return form.nearest_position(target.position_m) if target.T is None else form.nearest_pose(target.T)
 
 
 def _best(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
@@ -224,32 +216,33 @@ def _numeric(
 ) -> tuple[FloatArray, float]:
     """The best configuration of several starts: within limits if there is one, else without them, else the nearest."""
     rng = np.random.default_rng(seed)
-    free = np.tile([-np.pi, np.pi], (robot.chain.n, 1))
-    q = present[None]
-    for ranges in (limits, free):
+    for ranges in (limits, _whole_turns(robot)):
         q = solve_poses(robot.chain, target.pose[None], ranges, rng, q_start=present[None], turned=target.T is not None)
-        position_m, turn_rad = _errors(robot, target, q)
-        if position_m[0] <= REACHED_M and turn_rad[0] <= REACHED_RAD:
+        position_m, _, reached = _errors(robot, target, q)
+        if reached[0]:
             return q, 0.0
-    form = robot.closed_form
-    if form is None:
-        return q, float(position_m[0])
-    return form.nearest_position(target.position_m) if target.T is None else form.nearest_pose(target.T)
+    return (q, float(position_m[0])) if robot.closed_form is None else _nearest(robot.closed_form, target)
 
 
-def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Distance [m], turn [rad] and whether the target counts as reached, for configurations of shape (k, n)."""
     if target.T is not None:
-        return pose_errors(robot.chain, q, np.broadcast_to(target.T, (len(q), 4, 4)))
-    gap = tool_position(robot.chain, q) - target.position_m
-    return np.linalg.norm(gap, axis=-1), np.zeros(len(q))
+        position_m, turn_rad = pose_errors(robot.chain, q, np.broadcast_to(target.T, (len(q), 4, 4)))
+    else:
+        position_m = np.linalg.norm(tool_position(robot.chain, q) - target.position_m, axis=-1)
+        turn_rad = np.zeros(len(q))
+    return position_m, turn_rad, (position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)
+
+
+def _whole_turns(robot: Robot) -> FloatArray:
+    """Joint ranges of a whole turn each [rad], shape (n, 2)."""
+    return np.tile([-np.pi, np.pi], (robot.chain.n, 1))
 
 
 def _polished(robot: Robot, target: Target, q: FloatArray) -> FloatArray:
     """The configurations brought onto the target, each near where it was; as they are where that does not succeed."""
-    free = np.tile([-np.pi, np.pi], (robot.chain.n, 1))
     T = np.broadcast_to(target.pose, (len(q), 4, 4))
-    refined = refine_poses(robot.chain, T, q, free, turned=target.T is not None)
-    position_m, turn_rad = _errors(robot, target, refined)
-    reached = (position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)
+    refined = refine_poses(robot.chain, T, q, _whole_turns(robot), turned=target.T is not None)
+    reached = _errors(robot, target, refined)[2]
     near = q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi
     return np.where(reached[:, None], near, q)

@@ -1,7 +1,5 @@
 """Homogeneous transforms, rotations and quaternions, vectorised over leading axes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -9,8 +9,6 @@ Rules.
 4. Shapes are primitive: what matters is where the frames are.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from xml.sax.saxutils import quoteattr

@@ -6,15 +6,13 @@ joint improves it; from many random starts at once the best end is the extent. T
 until nothing moves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.errors import ConfigError
-from armctl.kinematics.chain import SerialChain, cross, joint_axes, tool_position
+from armctl.kinematics.chain import SerialChain, blocks, cross, joint_axes, tool_position
 from armctl.kinematics.inverse import TURN_RAD, within_a_turn
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import within_limits
@@ -72,10 +70,10 @@ def reachability(robot: Robot, points: FloatArray, limits: FloatArray | None = N
     if form is None:
         raise ConfigError(robot.name, "", "no closed form to map its reach with")
     share = np.empty(len(points))
-    for begin in range(0, len(points), GRID_BLOCK):
-        q = form.positions(points[begin : begin + GRID_BLOCK])
+    for block in blocks(len(points), GRID_BLOCK):
+        q = form.positions(points[block])
         q = q.reshape(len(q), -1, q.shape[-1])
-        share[begin : begin + GRID_BLOCK] = within_limits(within_a_turn(q, limits), limits).mean(axis=1)
+        share[block] = within_limits(within_a_turn(q, limits), limits).mean(axis=1)
     return ReachabilityMap(np.asarray(points, dtype=np.float64), share)
 
 

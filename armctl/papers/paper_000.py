@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armctl.kinematics import robots
+from armctl.kinematics.annulus import PlaneReach
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.genetic import plain
 from armctl.kinematics.genetic.problem import Evolution, Problem, behind_the_waist, points_problem
 from armctl.kinematics.inverse import refine_poses
-from armctl.kinematics.reach import PlaneReach
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.papers.page import PaperReport, Picture, Row, Table

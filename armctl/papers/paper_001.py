@@ -16,7 +16,7 @@ from armctl.kinematics.genetic.solve import POSITION_WEIGHT
 from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
+from armctl.kinematics.transform import FloatArray, finite, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
 from armctl.papers.page import PaperReport, Picture, Row, Table
 from armctl.papers.verdict import Effort, Stage, claim, error
 from armctl.report import kinematics as drawn
@@ -198,7 +198,7 @@ def _comparison_rows(found: Errors, standard: Errors) -> list[Row]:
 def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
     T = wanted_pose()
     assert robot.closed_form is not None
-    branches = np.array(robot.closed_form.pose(T.tolist()))
+    branches = finite(robot.closed_form.poses(T[None]))
     exact = errors(robot, branches, np.repeat(T[None], len(branches), axis=0))
     share = float(((solved.position_m <= SOLVED) & (solved.turn_rad <= SOLVED)).mean())
     distinct = len(np.unique(np.round(branches, 6), axis=0))
@@ -214,7 +214,7 @@ def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
 def _wanted_arm(robot: Robot, near: FloatArray) -> FloatArray:
     """The exact configuration on the branch nearest to one found."""
     assert robot.closed_form is not None
-    branches = np.array(robot.closed_form.pose(wanted_pose().tolist()))
+    branches = finite(robot.closed_form.poses(wanted_pose()[None]))
     turn = (branches - near + np.pi) % (2.0 * np.pi) - np.pi
     return np.asarray(branches[np.abs(turn).sum(axis=1).argmin()])
 

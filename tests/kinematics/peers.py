@@ -1,7 +1,5 @@
 """The robots as roboticstoolbox and pinocchio build them, from the Denavit-Hartenberg tables alone."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from typing import Any

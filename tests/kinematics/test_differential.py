@@ -1,7 +1,5 @@
 """Velocity and acceleration of the tool against differences, and behaviour at singularities."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every erratum is proven: what is computed differs from print and equals the correction."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.kinematics import robots

@@ -1,7 +1,5 @@
 """The published and the improved algorithm: laws, and the figures in short form."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

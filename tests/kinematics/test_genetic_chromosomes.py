@@ -1,7 +1,5 @@
 """Binary chromosomes: what the bits mean, and the laws of the operators on them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -91,7 +89,7 @@ def test_mutation_flips_exactly_the_bits_drawn(coding: Coding, seed: int) -> Non
     for run in range(2):
         np.add.at(expected[run], drawn[run], 1)
     np.testing.assert_array_equal(flipped, expected % 2)
-    assert chromosomes.flips(coding, 4, 0.01) == round(0.04 * coding.length)
+    assert chromosomes.draws(coding, 4, 0.01) == 4 + 2 * 2 + round(0.04 * coding.length)
 
 
 def test_roulette_draws_in_proportion_and_never_what_has_no_fitness() -> None:

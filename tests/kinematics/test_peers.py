@@ -1,7 +1,5 @@
 """Forward kinematics and Jacobian beside two third-party libraries."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Cosine and sine against exact ones, and the same for one angle as for many."""
 
-from __future__ import annotations
-
 import math
 from decimal import Decimal, localcontext
 

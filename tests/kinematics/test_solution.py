@@ -1,7 +1,5 @@
 """Targets, every solution, the best of them, and what is out of reach."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Literal

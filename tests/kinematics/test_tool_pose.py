@@ -1,7 +1,5 @@
 """The tool pose in plain floats has the bits of the one in arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

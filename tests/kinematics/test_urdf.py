@@ -1,7 +1,5 @@
 """The URDF and the frames in it against the chain it is made from."""
 
-from __future__ import annotations
-
 import math
 from xml.etree import ElementTree
 

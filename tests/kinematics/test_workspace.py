@@ -1,7 +1,5 @@
 """Exact extents against what is known and against random configurations; the map of a grid."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

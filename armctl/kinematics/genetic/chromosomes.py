@@ -6,8 +6,6 @@ ones. A population is an array (runs, individuals, joints); every run draws its 
 own, so that a run gives the same bits alone and among others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +20,17 @@ Words = NDArray[np.uint32]
 MOST_BITS = 32
 
 
+def check_settings(settings: object, **bounds: tuple[float, float]) -> None:
+    """
+    Raises:
+        ConfigError: a setting is outside its bounds.
+    """
+    for name, (low, high) in bounds.items():
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            raise ConfigError("genetic algorithm", name, f"{value} is outside {low} to {high}")
+
+
 @dataclass(frozen=True, eq=False)
 class Coding:
     """What the bits mean."""
@@ -34,8 +43,7 @@ class Coding:
     """Neighbouring angles differ in one bit (reflected Gray code); else the plain binary number."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.bits <= MOST_BITS:
-            raise ConfigError("genetic algorithm", "bits", f"{self.bits} is outside 1 to {MOST_BITS}")
+        check_settings(self, bits=(1, MOST_BITS))
 
     @property
     def joints(self) -> int:
@@ -126,9 +134,25 @@ def cross(coding: Coding, words: Words, crossing: FloatArray, cut: FloatArray, p
     return children
 
 
-def flips(coding: Coding, individuals: int, probability: float) -> int:
-    """How many bits of a population change in one generation: `probability` of all."""
-    return round(probability * individuals * coding.length)
+def draws(coding: Coding, individuals: int, mutation_probability: float) -> int:
+    """How many random numbers `offspring` takes: one an individual, two a pair, one a bit that flips."""
+    return individuals + 2 * (individuals // 2) + round(mutation_probability * individuals * coding.length)
+
+
+def offspring(
+    coding: Coding, words: Words, fitness: FloatArray, chance: FloatArray, crossover_probability: float
+) -> Words:
+    """The next generation: roulette, crossover of neighbours, flipped bits.
+
+    Args:
+        words: Shape (runs, individuals, joints).
+        fitness: Shape (runs, individuals); see `roulette`.
+        chance: Random numbers, shape (runs, draws).
+    """
+    size, pairs = words.shape[1], words.shape[1] // 2
+    drawn, crossing, cut, place = np.split(chance, np.cumsum([size, pairs, pairs]), axis=1)
+    chosen = words[np.arange(len(words))[:, None], roulette(fitness, drawn)]
+    return mutate(coding, cross(coding, chosen, crossing, cut, crossover_probability), place)
 
 
 def mutate(coding: Coding, words: Words, place: FloatArray) -> Words:

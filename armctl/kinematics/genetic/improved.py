@@ -14,18 +14,15 @@ read as fitness_i - (h_max - h_i) / a with h_i the distance to the head, h_max t
 a = bits of a chromosome / `sharing`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.errors import ConfigError
 from armctl.kinematics.genetic import chromosomes
-from armctl.kinematics.genetic.chromosomes import Coding, Streams, Words
+from armctl.kinematics.genetic.chromosomes import Coding, Streams, Words, check_settings
 from armctl.kinematics.genetic.plain import fitness
-from armctl.kinematics.genetic.problem import Evolution, Problem
+from armctl.kinematics.genetic.problem import Course, Evolution, Problem
 from armctl.kinematics.transform import FloatArray, IntArray
 
 
@@ -53,21 +50,20 @@ class Settings:
     """Share by which the least error must fall to count as progress."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("populations", 1, 1000),
-            ("individuals", 2, 100_000),
-            ("generations", 1, 1_000_000),
-            ("niches", 1, self.individuals),
-            ("migration_generations", 1, 1_000_000),
-            ("catastrophe_generations", 1, 1_000_000),
-            ("crossover_probability", 0, 1),
-            ("mutation_probability", 0, 1),
-            ("niche_radius", 0, 1),
-            ("sharing", 0, 1000),
-            ("progress", 0, 1),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError("genetic algorithm", name, f"{getattr(self, name)} is outside {low} to {high}")
+        check_settings(
+            self,
+            populations=(1, 1000),
+            individuals=(2, 100_000),
+            generations=(1, 1_000_000),
+            niches=(1, self.individuals),
+            migration_generations=(1, 1_000_000),
+            catastrophe_generations=(1, 1_000_000),
+            crossover_probability=(0, 1),
+            mutation_probability=(0, 1),
+            niche_radius=(0, 1),
+            sharing=(0, 1000),
+            progress=(0, 1),
+        )
 
 
 DEFAULT = Settings()
@@ -91,52 +87,38 @@ def evolve(problem: Problem, settings: Settings, seeds: Sequence[int | Sequence[
     Raises:
         ValueError: other than one seed a target.
     """
-    if len(seeds) != len(problem.T):
-        raise ValueError(f"{len(seeds)} seeds for {len(problem.T)} targets")
     coding = Coding(problem.limits_rad[list(problem.free)], settings.bits, gray=True)
-    streams, runs = Streams(seeds), len(seeds)
+    streams, runs, course = Streams(seeds), len(seeds), Course(problem, coding, len(seeds))
     own, size, joints = settings.populations, settings.individuals, coding.joints
-    rows, every = np.arange(runs), np.arange(runs * own)
     words = chromosomes.random_words(coding, streams.uniform(own, size, joints)).reshape(-1, size, joints)
-    best, best_cost = words[::own, 0], np.full(runs, np.inf)
-    record, stalled = np.full(len(every), np.inf), np.zeros(len(every), dtype=np.int64)
-    best_curve, mean_curve = np.empty((2, settings.generations, runs))
-    for generation in range(settings.generations):
-        q = problem.configurations(coding.angles(words.reshape(runs, -1, joints)))
-        cost = problem.cost(q).reshape(-1, size)
-        first = cost.argmin(axis=1)
-        least = cost[every, first]
-        leader = rows * own + least.reshape(runs, own).argmin(axis=1)
-        best = np.where((least[leader] < best_cost)[:, None], words[leader, first[leader]], best)
-        best_cost = np.minimum(least[leader], best_cost)
-        best_curve[generation], mean_curve[generation] = best_cost, cost.reshape(runs, -1).mean(axis=1)
+    record, stalled = np.full(runs * own, np.inf), np.zeros(runs * own, dtype=np.int64)
+    for generation in range(1, settings.generations + 1):
+        cost = course.judged(words.reshape(runs, -1, joints)).reshape(-1, size)
+        least = cost.min(axis=1)
         stalled = np.where(least < record * (1.0 - settings.progress), 0, stalled + 1)
         record = np.minimum(least, record)
         words = _next(coding, words, cost, settings, streams)
-        if (generation + 1) % settings.migration_generations == 0:
+        if generation % settings.migration_generations == 0:
             words = migrated(words, own)
         dead = stalled >= settings.catastrophe_generations
         if dead.any():
-            struck = np.flatnonzero(dead.reshape(runs, own).any(axis=1))
+            # Only runs with a dead population draw, so that a run gives the same bits alone and among others.
+            hit = np.flatnonzero(dead.reshape(runs, own).any(axis=1))
             fresh = np.zeros((runs, own, size, joints), dtype=words.dtype)
-            fresh[struck] = chromosomes.random_words(coding, streams.uniform(own, size, joints, runs=struck))
+            fresh[hit] = chromosomes.random_words(coding, streams.uniform(own, size, joints, runs=hit))
             words[dead, 1:] = fresh.reshape(words.shape)[dead, 1:]
             record[dead], stalled[dead] = np.inf, 0
-    q = problem.configurations(coding.angles(best[:, None]))[:, 0]
-    return Evolution(q, best_cost, best_curve, mean_curve, own * size * settings.generations)
+    return course.evolution()
 
 
 def _next(coding: Coding, words: Words, cost: FloatArray, settings: Settings, streams: Streams) -> Words:
     """The next generation of every population; the niches' heads come first, the best of all before them."""
-    size, every = words.shape[1], np.arange(len(words))[:, None]
-    pairs, flips = size // 2, chromosomes.flips(coding, size, settings.mutation_probability)
     parted = part(coding, words, cost, settings)
-    chance = streams.uniform(settings.populations, size + 2 * pairs + flips).reshape(len(words), -1)
-    drawn, crossing, cut, place = np.split(chance, np.cumsum([size, pairs, pairs]), axis=1)
-    heads = words[every, parted.heads]
-    words = words[every, chromosomes.roulette(shared_fitness(coding, cost, parted, settings), drawn)]
-    words = chromosomes.cross(coding, words, crossing, cut, settings.crossover_probability)
-    words = chromosomes.mutate(coding, words, place)
+    heads = words[np.arange(len(words))[:, None], parted.heads]
+    draws = chromosomes.draws(coding, words.shape[1], settings.mutation_probability)
+    chance = streams.uniform(settings.populations, draws).reshape(len(words), -1)
+    shared = shared_fitness(coding, cost, parted, settings)
+    words = chromosomes.offspring(coding, words, shared, chance, settings.crossover_probability)
     words[:, : settings.niches] = heads
     return words
 
@@ -147,13 +129,13 @@ def part(coding: Coding, words: Words, cost: FloatArray, settings: Settings) -> 
     heads = np.zeros((len(words), settings.niches), dtype=np.int64)
     niche, distance = np.full(cost.shape, -1), np.zeros(cost.shape, dtype=np.int64)
     left = cost.copy()
-    for one in range(settings.niches):
+    for index in range(settings.niches):
         # Where nobody is left the best of all heads this niche too, and nobody follows.
         head = np.where(np.isfinite(left).any(axis=1), left.argmin(axis=1), heads[:, 0])
-        heads[:, one] = head
+        heads[:, index] = head
         away = chromosomes.hamming(words, words[every, head][:, None])  # (eq. 8)
         mine = (away <= settings.niche_radius * coding.length) & (niche < 0)
-        niche[mine], distance[mine], left[mine] = one, away[mine], np.inf
+        niche[mine], distance[mine], left[mine] = index, away[mine], np.inf
     return Niches(heads, niche, distance)
 
 
@@ -161,8 +143,8 @@ def shared_fitness(coding: Coding, cost: FloatArray, parted: Niches, settings: S
     """Fitness after sharing, shape (populations, individuals); that of the heads stays as it was."""
     plain = fitness(cost)  # (eq. 9), up to the sum that the roulette divides by
     shared = plain.copy()
-    for one in range(settings.niches):
-        mine = parted.niche == one
+    for index in range(settings.niches):
+        mine = parted.niche == index
         furthest = np.where(mine, parted.distance, 0).max(axis=1, keepdims=True)
         given_up = settings.sharing * (furthest - parted.distance) / coding.length
         shared = np.where(mine, np.maximum(plain - given_up, 0.0), shared)  # (eq. 10)

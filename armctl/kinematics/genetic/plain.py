@@ -7,17 +7,14 @@ makes a roulette of an error to be minimised and knows no unit. Of four mappings
 the greatest error - own error, ranks) it came nearest to the targets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.errors import ConfigError
 from armctl.kinematics.genetic import chromosomes
-from armctl.kinematics.genetic.chromosomes import Coding, Streams
-from armctl.kinematics.genetic.problem import Evolution, Problem
+from armctl.kinematics.genetic.chromosomes import Coding, Streams, check_settings
+from armctl.kinematics.genetic.problem import Course, Evolution, Problem
 from armctl.kinematics.transform import FloatArray
 
 
@@ -33,14 +30,13 @@ class Settings:
     bits: int = 16
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("population", 2, 100_000),
-            ("generations", 1, 1_000_000),
-            ("crossover_probability", 0, 1),
-            ("mutation_probability", 0, 1),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ConfigError("genetic algorithm", name, f"{getattr(self, name)} is outside {low} to {high}")
+        check_settings(
+            self,
+            population=(2, 100_000),
+            generations=(1, 1_000_000),
+            crossover_probability=(0, 1),
+            mutation_probability=(0, 1),
+        )
 
 
 PAPER = Settings()
@@ -52,28 +48,15 @@ def evolve(problem: Problem, settings: Settings, seeds: Sequence[int | Sequence[
     Raises:
         ValueError: other than one seed a target.
     """
-    if len(seeds) != len(problem.T):
-        raise ValueError(f"{len(seeds)} seeds for {len(problem.T)} targets")
     coding = Coding(problem.limits_rad[list(problem.free)], settings.bits)
-    streams, runs, size = Streams(seeds), np.arange(len(seeds)), settings.population
-    pairs, flips = size // 2, chromosomes.flips(coding, size, settings.mutation_probability)
+    size, streams, course = settings.population, Streams(seeds), Course(problem, coding, len(seeds))
     words = chromosomes.random_words(coding, streams.uniform(size, coding.joints))
-    best, best_cost = words[:, 0], np.full(len(runs), np.inf)
-    best_curve, mean_curve = np.empty((2, settings.generations, len(runs)))
-    for generation in range(settings.generations):
-        cost = problem.cost(problem.configurations(coding.angles(words)))
-        first = cost.argmin(axis=1)
-        least = cost[runs, first]
-        best = np.where((least < best_cost)[:, None], words[runs, first], best)
-        best_cost = np.minimum(least, best_cost)
-        best_curve[generation], mean_curve[generation] = best_cost, cost.mean(axis=1)
-        chance = streams.uniform(size + 2 * pairs + flips)
-        drawn, crossing, cut, place = np.split(chance, np.cumsum([size, pairs, pairs]), axis=1)
-        words = words[runs[:, None], chromosomes.roulette(fitness(cost), drawn)]
-        words = chromosomes.cross(coding, words, crossing, cut, settings.crossover_probability)
-        words = chromosomes.mutate(coding, words, place)
-    q = problem.configurations(coding.angles(best[:, None]))[:, 0]
-    return Evolution(q, best_cost, best_curve, mean_curve, size * settings.generations)
+    draws = chromosomes.draws(coding, size, settings.mutation_probability)
+    for _ in range(settings.generations):
+        cost = course.judged(words)
+        chance = streams.uniform(draws)
+        words = chromosomes.offspring(coding, words, fitness(cost), chance, settings.crossover_probability)
+    return course.evolution()
 
 
 def fitness(cost: FloatArray) -> FloatArray:

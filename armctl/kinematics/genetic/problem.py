@@ -5,13 +5,12 @@ those of p; that of a point is the squared distance alone, what eq. (18) of Xian
 the height only).
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian, tool_position
+from armctl.kinematics.genetic.chromosomes import Coding, Words
 from armctl.kinematics.inverse import within_a_turn
 from armctl.kinematics.transform import FloatArray
 
@@ -68,6 +67,41 @@ class Evolution:
     """Of one run."""
 
 
+class Course:
+    """What the generations of every run find, the best kept."""
+
+    def __init__(self, problem: Problem, coding: Coding, runs: int) -> None:
+        """
+        Raises:
+            ValueError: other than one run a target.
+        """
+        if runs != len(problem.T):
+            raise ValueError(f"{runs} seeds for {len(problem.T)} targets")
+        self._problem, self._coding = problem, coding
+        self._best: Words = np.zeros((runs, coding.joints), dtype=np.uint32)
+        self._cost: FloatArray = np.full(runs, np.inf)
+        self._best_cost: list[FloatArray] = []
+        self._mean_cost: list[FloatArray] = []
+        self._evaluations = 0
+
+    def judged(self, words: Words) -> FloatArray:
+        """Errors of the next generation, shape (runs, individuals, joints) -> (runs, individuals)."""
+        cost = self._problem.cost(self._problem.configurations(self._coding.angles(words)))
+        every, first = np.arange(len(cost)), cost.argmin(axis=1)
+        least = cost[every, first]
+        self._best = np.where((least < self._cost)[:, None], words[every, first], self._best)
+        self._cost = np.minimum(least, self._cost)
+        self._best_cost.append(self._cost)
+        self._mean_cost.append(cost.mean(axis=1))
+        self._evaluations += cost.shape[1]
+        return cost
+
+    def evolution(self) -> Evolution:
+        """What came out of the generations judged so far."""
+        q = self._problem.configurations(self._coding.angles(self._best[:, None]))[:, 0]
+        return Evolution(q, self._cost, np.array(self._best_cost), np.array(self._mean_cost), self._evaluations)
+
+
 def points_problem(
     chain: SerialChain, points_m: FloatArray, limits_rad: FloatArray, present_rad: FloatArray | None = None
 ) -> Problem:
@@ -97,7 +131,7 @@ def behind_the_waist(problem: Problem) -> Problem:
     base[:, 0] = np.arctan2(problem.T[:, 1, 3], problem.T[:, 0, 3])  # (eq. 12)
     base = within_a_turn(base, problem.limits_rad)
     free = tuple(joint for joint in problem.free if joint != 0)
-    return Problem(problem.chain, problem.T, problem.turned, problem.limits_rad, base, free, problem.position_weight)
+    return replace(problem, base_rad=base, free=free)
 
 
 def moving(chain: SerialChain) -> tuple[int, ...]:

@@ -1,7 +1,5 @@
 """One target answered by a genetic algorithm, as the closed form and the numeric method answer it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

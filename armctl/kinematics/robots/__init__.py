@@ -1,7 +1,5 @@
 """Robots by name. One file a robot: its table, its source, what is wrong in print."""
 
-from __future__ import annotations
-
 from armctl.errors import ConfigError
 from armctl.kinematics.robots import ax12_line, lanzhou_4dof, puma560, transfer_6dof, xiang_6dof
 from armctl.kinematics.robots.robot import Robot

@@ -8,14 +8,12 @@ The paper prints no lengths. Chosen here: d1 0.10, a2 0.105, a3 0.105, a4 0.07, 
 from the shoulder. No joint ranges either: those of an AX-12A about its middle.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, tool_position
-from armctl.kinematics.errata import Erratum
+from armctl.kinematics.errata import errata, off
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.robots.robot import Robot
 
@@ -49,24 +47,19 @@ def _position_equations() -> tuple[tuple[float, float], tuple[float, float]]:
     along, across = a4 * math.cos(0.3) + a56 * math.cos(0.5), a4 * math.sin(0.3) + a56 * math.sin(0.5)
     p_x = C1 * (a2 * C2 + a3 * C23) + C1 * C23 * along  # (eq. 10)
     p_y = S1 * (a2 * C2 - a3 * C23) + S1 * C23 * along - S1 * S23 * across  # (eq. 14)
-    return (
-        (abs(p_x - x), abs(p_x - C1 * S23 * across - x)),
-        (abs(p_y - y), abs(p_y + 2.0 * S1 * a3 * C23 - y)),
-    )
+    return off(x, p_x, p_x - C1 * S23 * across), off(y, p_y, p_y + 2.0 * S1 * a3 * C23)
 
 
-_PAPER = "002"
-ERRATA = (
-    Erratum(
-        _PAPER,
+ERRATA = errata(
+    "002",
+    (
         "eq. (10), P_x",
         "C1 (a2 C2 + a3 C23) + C1 C23 (a4 C4 + (a5 + a6) C45)",
         "... - C1 S23 (a4 S4 + (a5 + a6) S45)",
         "eqs. (1) to (5) multiplied out at one configuration [m]",
         lambda: _position_equations()[0],
     ),
-    Erratum(
-        _PAPER,
+    (
         "eq. (14), P_y",
         "S1 (a2 C2 - a3 C23) + ...",
         "S1 (a2 C2 + a3 C23) + ...",

@@ -6,17 +6,14 @@ of the shoulder. With alpha_1 = -90 deg a positive pitch turns the arm down, so 
 below its shoulder.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
-from armctl.kinematics.errata import Erratum
+from armctl.kinematics.errata import errata, off
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.robots.robot import CheckPose, Robot
-from armctl.kinematics.transform import FloatArray
 
 
 def _chain(lengths: dict[str, float]) -> SerialChain:
@@ -33,13 +30,8 @@ def _chain(lengths: dict[str, float]) -> SerialChain:
 
 
 def _closed_form(lengths: dict[str, float]) -> PlanarArm:
-    return PlanarArm(
-        (lengths["a3"], lengths["a4"], lengths["a5"]),
-        height=lengths["d1"],
-        a1=lengths["a2"],
-        shoulder=lengths["d2"],
-        up=-1.0,
-    )
+    links_m = (lengths["a3"], lengths["a4"], lengths["a5"])
+    return PlanarArm(links_m, height=lengths["d1"], a1=lengths["a2"], shoulder=lengths["d2"], up=-1.0)
 
 
 LENGTHS_M = {"d1": 0.0, "a2": 0.009, "d2": 0.042, "a3": 0.077, "a4": 0.097, "a5": 0.133}
@@ -48,6 +40,9 @@ FIG_5_DEG = (0.0, 0.0, -90.0, 90.0)
 QZ_DEG = (60.0, 45.0, -90.0, 90.0)
 SOME_Q = np.radians([20.0, 60.0, 70.0, 40.0])
 """In range, with a tool that points backwards (cos theta_234 < 0)."""
+_T = forward_kinematics(_chain(LENGTHS_M), SOME_Q)
+_FIG_5_M = tool_position(_chain(LENGTHS_M), np.radians(FIG_5_DEG)).tolist()
+_THETA_1, _THETA_234 = float(SOME_Q[0]), float(SOME_Q[1:].sum())
 
 
 def _eq_1_order() -> tuple[float, float]:
@@ -55,14 +50,8 @@ def _eq_1_order() -> tuple[float, float]:
     row = DHRow(a=0.009, alpha=-math.pi / 2.0, d=0.042)
     q = np.array([0.5])
     ct, st, ca, sa = math.cos(0.5), math.sin(0.5), 0.0, -1.0
-    matrix = np.array(
-        [
-            [ct, -st, 0.0, row.a],
-            [st * ca, ct * ca, -sa, -sa * row.d],
-            [st * sa, ct * sa, ca, ca * row.d],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    second, third = [st * ca, ct * ca, -sa, -sa * row.d], [st * sa, ct * sa, ca, ca * row.d]
+    matrix = np.array([[ct, -st, 0.0, row.a], second, third, [0.0, 0.0, 0.0, 1.0]])
     printed = forward_kinematics(SerialChain((row,), "standard"), q)
     true = forward_kinematics(SerialChain((row,), "modified"), q)
     return float(np.abs(printed - matrix).max()), float(np.abs(true - matrix).max())
@@ -77,11 +66,7 @@ def _subscripts() -> tuple[float, float]:
     def eq_2(a: tuple[float, float, float, float]) -> float:
         return (a[0] + a[1] * c[0] + a[2] * c[1] + a[3] * c[2]) * c1 - 0.042 * s1
 
-    return abs(eq_2((0.077, 0.097, 0.133, 0.0)) - x), abs(eq_2((0.009, 0.077, 0.097, 0.133)) - x)
-
-
-def _pose() -> FloatArray:
-    return forward_kinematics(_chain(LENGTHS_M), SOME_Q)
+    return off(x, eq_2((0.077, 0.097, 0.133, 0.0)), eq_2((0.009, 0.077, 0.097, 0.133)))
 
 
 def _turn(angle: float) -> float:
@@ -89,23 +74,10 @@ def _turn(angle: float) -> float:
     return abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
 
 
-def _theta_1() -> tuple[float, float]:
-    T = _pose()
-    return (
-        _turn(math.atan2(T[1, 0], T[0, 0]) - SOME_Q[0]),
-        _turn(math.atan2(-T[0, 2], T[1, 2]) - SOME_Q[0]),
-    )
-
-
-def _theta_234() -> tuple[float, float]:
-    T, true = _pose(), float(SOME_Q[1:].sum())
-    return _turn(math.atan2(T[2, 0], T[2, 1]) - true), _turn(math.atan2(-T[2, 0], -T[2, 1]) - true)
-
-
 def _solutions() -> tuple[float, float]:
     """Joint positions of one pose, counted: theta1 and theta234 are fixed by the rotation, the elbow has two."""
-    T, chain = _pose(), _chain(LENGTHS_M)
-    q1, total = SOME_Q[0], float(SOME_Q[1:].sum())
+    T, chain = _T, _chain(LENGTHS_M)
+    q1, total = _THETA_1, _THETA_234
     c1, s1 = math.cos(q1), math.sin(q1)
     u = c1 * T[0, 3] + s1 * T[1, 3] - 0.009 - 0.133 * math.cos(total)
     v = -T[2, 3] - 0.133 * math.sin(total)
@@ -117,7 +89,7 @@ def _solutions() -> tuple[float, float]:
                 q2 = math.atan2(v, u) - math.atan2(0.097 * math.sin(q3), 0.077 + 0.097 * math.cos(q3))
                 q = np.array([waist, q2, q3, pitch - q2 - q3])
                 found += bool(np.abs(forward_kinematics(chain, q) - T).max() < 1e-9)
-    return abs(4.0 - found), abs(2.0 - found)
+    return off(found, 4.0, 2.0)
 
 
 def _standard_link() -> tuple[float, float]:
@@ -125,25 +97,12 @@ def _standard_link() -> tuple[float, float]:
     q, rows = np.radians(FIG_5_DEG), _chain(LENGTHS_M).rows
     standard = SerialChain((*rows, DHRow(a=0.133)), "standard")
     x = float(tool_position(standard, np.append(q, 0.0))[0])
-    return abs(x - 0.219), abs(float(tool_position(_chain(LENGTHS_M), q)[0]) - 0.219)
-
-
-def _height() -> tuple[float, float]:
-    z = float(tool_position(_chain(LENGTHS_M), np.radians(FIG_5_DEG))[2])
-    return abs(z - 0.139), abs(z - 0.097)
+    return off(0.219, x, _FIG_5_M[0])
 
 
 def _out_of_range(q_deg: tuple[float, ...]) -> float:
     """The largest amount by which a joint lies outside Table 1 [deg]."""
     return max(max(low - q, q - high, 0.0) for q, (low, high) in zip(q_deg, RANGES_DEG, strict=True))
-
-
-def _fig_5_range() -> tuple[float, float]:
-    return _out_of_range(FIG_5_DEG), _out_of_range((0.0, 7.0, -90.0, 82.0))
-
-
-def _qz_range() -> tuple[float, float]:
-    return _out_of_range(QZ_DEG), _out_of_range((*QZ_DEG[:3], 82.0))
 
 
 def _eq_11() -> tuple[float, float]:
@@ -153,82 +112,75 @@ def _eq_11() -> tuple[float, float]:
     return _out_of_range(spans), _out_of_range(highs)
 
 
-_PAPER = "003"
-ERRATA = (
-    Erratum(
-        _PAPER,
+ERRATA = errata(
+    "003",
+    (
         "eq. (1), left",
         "Trans_z(d_i) Rot_z(theta_i) Trans_x(a_{i-1}) Rot_x(alpha_{i-1})",
         "Rot_x(alpha_{i-1}) Trans_x(a_{i-1}) Rot_z(theta_i) Trans_z(d_i)",
         "both products beside the matrix printed to their right",
         _eq_1_order,
     ),
-    Erratum(
-        _PAPER,
+    (
         "Table 1 and eq. (2)",
         "a_{i-1}: a_1 = 9, a_2 = 77, a_3 = 97, a_4 = 133 mm",
         "eq. (2) calls them a_2, a_3, a_4, a_5",
         "p_x of eq. (2) beside forward kinematics [m]",
         _subscripts,
     ),
-    Erratum(
-        _PAPER,
+    (
         "eq. (3)",
         "theta1 = atan2(n_y, n_x)",
         "theta1 = atan2(-a_x, a_y); print is off by pi where cos(theta234) < 0",
         "theta1 of the pose of (20, 60, 70, 40) deg [rad]",
-        _theta_1,
+        lambda: (_turn(math.atan2(_T[1, 0], _T[0, 0]) - _THETA_1), _turn(math.atan2(-_T[0, 2], _T[1, 2]) - _THETA_1)),
     ),
-    Erratum(
-        _PAPER,
+    (
         "eqs. (8), (9)",
         "theta2 + theta3 + theta4 = atan2(n_z, o_z)",
         "atan2(-n_z, -o_z); print is off by pi",
         "theta234 of the pose of (20, 60, 70, 40) deg [rad]",
-        _theta_234,
+        lambda: (
+            _turn(math.atan2(_T[2, 0], _T[2, 1]) - _THETA_234),
+            _turn(math.atan2(-_T[2, 0], -_T[2, 1]) - _THETA_234),
+        ),
     ),
-    Erratum(
-        _PAPER,
+    (
         "section 2.3.1, before eq. (10)",
         "a pose may have 4 solutions",
         "2: n, o, a fix theta1 and theta234",
         "all sign combinations put through forward kinematics, hits counted",
         _solutions,
     ),
-    Erratum(
-        _PAPER,
+    (
         "section 4.1",
         "link(..., 'standard') with Table 1",
         "'modified'",
         "x of Fig. 5 by both conventions, against 219 mm [m]",
         _standard_link,
     ),
-    Erratum(
-        _PAPER,
+    (
         "section 4.1, Fig. 5",
         "z = d2 + a4 = 139 mm at (0, 0, -90, 90) deg",
         "z = a4 = 97 mm; d2 = 42 mm is y",
         "forward kinematics by eq. (2) [m]",
-        _height,
+        lambda: off(_FIG_5_M[2], 0.139, 0.097),
     ),
-    Erratum(
-        _PAPER,
+    (
         "section 4.1, Fig. 5",
         "test pose (0, 0, -90, 90) deg",
         "theta2 is at least 7, theta4 at most 82 deg by Table 1",
         "distance from the ranges [deg]",
-        _fig_5_range,
+        lambda: (_out_of_range(FIG_5_DEG), _out_of_range((0.0, 7.0, -90.0, 82.0))),
     ),
-    Erratum(
-        _PAPER,
+    (
         "section 4.1",
         "qz = (60, 45, -90, 90) deg",
         "theta4 is at most 82 deg by Table 1",
         "distance from the ranges [deg]",
-        _qz_range,
+        lambda: (_out_of_range(QZ_DEG), _out_of_range((*QZ_DEG[:3], 82.0))),
     ),
-    Erratum(
-        _PAPER,
+    (
         "eq. (11)",
         "joint angle = (max - min) rand",
         "min + (max - min) rand, eq. (12)",

@@ -7,8 +7,6 @@ have it in row 3: the axes of joints 2 and 3 are parallel, so the tool is in the
 No joint ranges are printed: a whole turn each.
 """
 
-from __future__ import annotations
-
 import math
 
 from armctl.kinematics.chain import DHRow, SerialChain

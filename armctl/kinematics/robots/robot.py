@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -21,10 +21,6 @@ class ClosedForm(Protocol):
 
     def poses(self, T: FloatArray) -> FloatArray:
         """Every configuration [rad] of poses (m, 4, 4), shape (m, branches, n); NaN where a branch does not exist."""
-        ...
-
-    def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
-        """Every configuration [rad] of one pose."""
         ...
 
     def pose_families(self, T: FloatArray) -> FloatArray:

@@ -4,14 +4,13 @@ Source: Y. Lu, D. Liu, "Kinematics Analysis and Simulation on Transfer Robot wit
 (modified DH). No joint ranges are printed: a whole turn each.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
-from armctl.kinematics.errata import Erratum
+from armctl.kinematics.errata import errata, off
 from armctl.kinematics.robots.robot import CheckPose, Robot
 from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import FloatArray
@@ -34,15 +33,8 @@ def _chain(lengths: dict[str, float]) -> SerialChain:
 
 
 def _closed_form(lengths: dict[str, float]) -> SphericalWrist:
-    return SphericalWrist(
-        a1=lengths["a1"],
-        a2=lengths["a2"],
-        a3=0.0,
-        shoulder=0.0,
-        d4=lengths["d4"],
-        d6=lengths["d6"],
-        mirrored=True,
-    )
+    a1, a2, d4, d6 = (lengths[name] for name in ("a1", "a2", "d4", "d6"))
+    return SphericalWrist(a1, a2, a3=0.0, shoulder=0.0, d4=d4, d6=d6, mirrored=True)
 
 
 LENGTHS_M = {"a1": 0.100, "a2": 0.450, "d4": 0.160, "d6": 0.100}
@@ -51,40 +43,31 @@ PRINTED_INITIAL = ((0.0, 0.0, 0.0, 0.660), (0.0, -1.0, 0.0, 0.0), (1.0, 0.0, 0.0
 FIG_3_START_M = (-0.500, 0.610, 1.300)
 
 
-def _initial() -> FloatArray:
-    return forward_kinematics(_chain(LENGTHS_M), np.radians(INITIAL_DEG))
+_INITIAL = forward_kinematics(_chain(LENGTHS_M), np.radians(INITIAL_DEG))
+_PRINTED = np.array(PRINTED_INITIAL)
 
 
 def _sign_of_d() -> tuple[float, float]:
     q, alpha, a, d = 0.4, 0.7, 0.1, 0.2
     A = forward_kinematics(SerialChain((DHRow(a, alpha, d),), "modified"), np.array([q]))
     turned = np.array([0.0, -d * math.sin(alpha), d * math.cos(alpha)])  # Rx(alpha) (0, 0, d)
-    return abs(A[1, 3] - d * math.sin(alpha)), abs(A[1, 3] - turned[1])
+    return off(A[1, 3], d * math.sin(alpha), turned[1])
 
 
-def _no_rotation() -> tuple[float, float]:
-    R, true = np.array(PRINTED_INITIAL)[:3, :3], _initial()[:3, :3]
-    return float(np.abs(R @ R.T - np.eye(3)).max()), float(np.abs(true @ true.T - np.eye(3)).max())
+def _off_rotation(T: FloatArray) -> float:
+    """How far R R^T is from 1."""
+    R = T[:3, :3]
+    return float(np.abs(R @ R.T - np.eye(3)).max())
 
 
-def _initial_position() -> tuple[float, float]:
-    computed = _initial()[:3, 3]
-    printed = np.array(PRINTED_INITIAL)[:3, 3]
-    return float(np.linalg.norm(computed - printed)), float(np.linalg.norm(computed - [0.0, -0.160, 0.450]))
+def _from_initial(point: Sequence[float] | FloatArray) -> float:
+    return float(np.linalg.norm(_INITIAL[:3, 3] - point))
 
 
 def _beyond_reach(target: FloatArray) -> float:
     """How far the target is outside the sphere about the shoulder's nearest place that holds every tool position."""
     distance = math.hypot(math.hypot(target[0], target[1]) - LENGTHS_M["a1"], target[2])
     return distance - (LENGTHS_M["a2"] + LENGTHS_M["d4"] + LENGTHS_M["d6"])
-
-
-def _initial_reach() -> tuple[float, float]:
-    return _beyond_reach(np.array(PRINTED_INITIAL)[:3, 3]), max(0.0, _beyond_reach(_initial()[:3, 3]))
-
-
-def _fig_3_start() -> tuple[float, float]:
-    return _beyond_reach(np.array(FIG_3_START_M)), max(0.0, _beyond_reach(_initial()[:3, 3]))
 
 
 def _branches_of_theta2() -> tuple[float, float]:
@@ -96,53 +79,47 @@ def _branches_of_theta2() -> tuple[float, float]:
     others = np.repeat(q[None], len(turns), axis=0)
     others[:, 1] = turns
     hits = np.linalg.norm(tool_position(chain, others) - wrist, axis=1) < 1e-6
-    return abs(2.0 - float(hits.sum())), abs(1.0 - float(hits.sum()))
+    return off(float(hits.sum()), 2.0, 1.0)
 
 
-_PAPER = "004"
-ERRATA = (
-    Erratum(
-        _PAPER,
+ERRATA = errata(
+    "004",
+    (
         "eq. (1), row 2, column 4",
         "d_i s(alpha_{i-1})",
         "-d_i s(alpha_{i-1})",
         "the second element of Rx(alpha) (a, 0, d)",
         _sign_of_d,
     ),
-    Erratum(
-        _PAPER,
+    (
         "0T6 of the initial position, rotation",
         "rows (0 0 0), (0 -1 0), (1 0 0)",
         "rows (0 -1 0), (0 0 -1), (1 0 0)",
         "R R^T - 1 of the matrix",
-        _no_rotation,
+        lambda: (_off_rotation(_PRINTED), _off_rotation(_INITIAL)),
     ),
-    Erratum(
-        _PAPER,
+    (
         "0T6 of the initial position, position",
         "(660, 0, 640) mm",
         "(0, -160, 450) mm",
         "forward kinematics of (90, -90, 0, 0, 0, 0) deg by Table 1 [m]",
-        _initial_position,
+        lambda: (_from_initial(_PRINTED[:3, 3]), _from_initial((0.0, -0.160, 0.450))),
     ),
-    Erratum(
-        _PAPER,
+    (
         "0T6 of the initial position: reachable",
         "(660, 0, 640) mm is a position of the tool",
         "it lies 140 mm beyond the longest reach",
         "distance beyond a2 + d4 + d6 from the shoulder's circle [m]",
-        _initial_reach,
+        lambda: (_beyond_reach(_PRINTED[:3, 3]), max(0.0, _beyond_reach(_INITIAL[:3, 3]))),
     ),
-    Erratum(
-        _PAPER,
+    (
         "section 3.1, Fig. 3 at t = 0",
         "(-500, 610, 1300) mm, the same as the calculation result",
         "neither that result nor within reach",
         "distance beyond a2 + d4 + d6 from the shoulder's circle [m]",
-        _fig_3_start,
+        lambda: (_beyond_reach(np.array(FIG_3_START_M)), max(0.0, _beyond_reach(_INITIAL[:3, 3]))),
     ),
-    Erratum(
-        _PAPER,
+    (
         "section 2.2, after eq. (5)",
         "two possibilities for theta2",
         "one for each theta1 and theta3, eight solutions in all",

@@ -7,8 +7,6 @@ The nearest point of the workspace to one outside lies on a circle of the annulu
 rho < |offset|, on that cylinder. Joint ranges do not count here.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

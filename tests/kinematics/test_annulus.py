@@ -1,7 +1,5 @@
 """The swept annulus: in it or how far from it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.kinematics.reach import PlaneReach, annulus
+from armctl.kinematics.annulus import PlaneReach, annulus
 from armctl.kinematics.transform import FloatArray
 
 offset = st.floats(-0.3, 0.3)
