@@ -6,8 +6,6 @@ Rules.
    text. Logs hold joint angles, requests and the arm's calibration, which is what they are wanted for.
 """
 
-from __future__ import annotations
-
 import getpass
 import json
 import platform

@@ -22,8 +22,6 @@ What can be told apart, and what cannot:
   starts anew. The others then make up for what is wrong with it: right near these postures, less so elsewhere.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -156,9 +154,8 @@ def load_readings(path: Path, arm: ArmConfig) -> Readings:
         raise ConfigError(str(path), "arm_id", f"readings of {readings.arm_id!r}, the calibration is {arm.arm_id!r}")
     for i, touch in enumerate(readings.touches):
         if len(touch.ticks) != len(arm.joints):
-            raise ConfigError(
-                str(path), f"touches.{i}.ticks", f"{len(touch.ticks)} values for {len(arm.joints)} servos"
-            )
+            found = f"{len(touch.ticks)} values for {len(arm.joints)} servos"
+            raise ConfigError(str(path), f"touches.{i}.ticks", found)
     return readings
 
 
@@ -236,7 +233,7 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
     labels = [f"{joint.name}.zero_tick" for joint in arm.joints[:n]] + [f"lengths_m.{name}" for name in names]
     before, J = model(start)
     x, J = _solve(model, start, held)
-    while (weak := _weakest(J, held, labels)) is not None:
+    while weak := _weakest(J, held, labels):
         held[weak[0]] = weak[1]
         x, J = _solve(model, start, held)
     residual, _ = model(x)
@@ -253,17 +250,10 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
     absorbed *= np.array([HELD_ERROR_TICK if i < n else HELD_ERROR_MM for i in left_alone])
     errors[free] = np.sqrt(variance * np.diag(np.linalg.inv(J[:, free].T @ J[:, free])) + np.sum(absorbed**2, axis=1))
     scale = np.array([1.0] * n + [1.0 / MM] * len(names))
-    parameters = [
-        Parameter(
-            labels[i],
-            "tick" if i < n else "m",
-            float(start[i] * scale[i]),
-            float(x[i] * scale[i]),
-            None if i in held else float(errors[i] * scale[i]),
-            held.get(i, ""),
-        )
-        for i in range(x.size)
-    ]
+    parameters = []
+    for i, (label, begin, end, error) in enumerate(zip(labels, start * scale, x * scale, errors * scale, strict=True)):
+        known = None if i in held else float(error)
+        parameters.append(Parameter(label, "tick" if i < n else "m", float(begin), float(end), known, held.get(i, "")))
     parameters += [
         Parameter(f"{joint.name}.zero_tick", "tick", joint.zero_tick, joint.zero_tick, None, BEYOND_CHAIN)
         for joint in arm.joints[n:]
@@ -281,11 +271,12 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
 
 def _length_sensitivity(robot: Robot, name: str, q: FloatArray) -> FloatArray:
     """d(tool position) / d(length), shape (m, 3)."""
-    ends = [
-        tool_position(robot.with_lengths({name: robot.lengths_m[name] + step}).chain, q)
-        for step in (-LENGTH_STEP_M, LENGTH_STEP_M)
-    ]
-    return (ends[1] - ends[0]) / (2.0 * LENGTH_STEP_M)
+    length_m = robot.lengths_m[name]
+    shorter, longer = (
+        tool_position(robot.with_lengths({name: length_m + step_m}).chain, q)
+        for step_m in (-LENGTH_STEP_M, LENGTH_STEP_M)
+    )
+    return (longer - shorter) / (2.0 * LENGTH_STEP_M)
 
 
 def _solve(model: Model, start: FloatArray, held: dict[int, str]) -> tuple[FloatArray, FloatArray]:

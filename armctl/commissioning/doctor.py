@@ -7,11 +7,10 @@ Rules:
 3. Every check that is not ok carries one remedy: a command to type where there is one.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,9 +88,7 @@ def check_host(surroundings: Surroundings) -> list[Check]:
     disk_fix = f"delete old logs in {folder}" if writable else f"sudo chown $USER {folder}"
     return [
         _check("armctl", True, f"{__version__} on Python {version}"),
-        _check(
-            "python", tuple(map(int, version.split(".")[:2])) >= MIN_PYTHON, version, "install Python 3.11 or newer"
-        ),
+        _check("python", sys.version_info >= MIN_PYTHON, version, "install Python 3.11 or newer"),
         _check("disk", writable and free >= surroundings.free_bytes, disk, disk_fix),
         _check("daemon", True, f"runs: {surroundings.daemon}" if surroundings.daemon else "does not run"),
     ]
@@ -111,8 +108,8 @@ def check_port(bus: ServoBus, surroundings: Surroundings) -> list[Check]:
         if path.exists() and not os.access(path, os.R_OK | os.W_OK):
             return [_check("port", True, str(path)), Check("permission", False, value, fix)]
         return [Check("port", False, value, fix)]
-    checks = [_check("port", True, _port_name(path)), _check("permission", True, "readable and writable")]
-    checks.append(_check("owner", True, "nobody else"))
+    facts = (("port", _port_name(path)), ("permission", "readable and writable"), ("owner", "nobody else"))
+    checks = [Check(name, True, value) for name, value in facts]
     timer = surroundings.sysfs / "class" / "tty" / path.resolve().name / "device" / "latency_timer"
     set_timer = f"echo {MAX_LATENCY_TIMER_MS} | sudo tee {timer}"
     if bus.port.low_latency is not None:
@@ -201,23 +198,20 @@ def _presence(
 ) -> list[Check]:
     """One line for each servo of the calibration and each stranger; strangers are taken for the missing, in order."""
     mute = [joint.servo_id for joint in missing if joint.servo_id not in elsewhere]
-    pairs = dict(zip(mute, strays, strict=False))
+    stand_ins, wanted = dict(zip(mute, strays, strict=False)), dict(zip(strays, mute, strict=False))
     checks = []
     for joint in arm.joints:
-        servo_id = joint.servo_id
-        if joint not in missing:
-            checks.append(Check("present", True, "answers", "", servo_id))
-        elif servo_id in elsewhere:
+        servo_id, value, fix = joint.servo_id, "answers", ""
+        if servo_id in elsewhere:
             value = f"{joint.name} answers at {elsewhere[servo_id].baud} baud"
             fix = _set_baud(elsewhere[servo_id], baud, options)
-            checks.append(Check("present", False, value, fix, servo_id))
-        elif servo_id in pairs:
-            value = f"{joint.name} does not answer; servo {pairs[servo_id]}, which nobody expects, does"
-            checks.append(Check("present", False, value, _set_id(pairs[servo_id], servo_id, options), servo_id))
-        else:
+        elif servo_id in stand_ins:
+            value = f"{joint.name} does not answer; servo {stand_ins[servo_id]}, which nobody expects, does"
+            fix = _set_id(stand_ins[servo_id], servo_id, options)
+        elif joint in missing:
+            value = f"{joint.name} does not answer"
             fix = f"check the cable and the supply of {joint.name}, then `armctl scan --baud all{options}`"
-            checks.append(Check("present", False, f"{joint.name} does not answer", fix, servo_id))
-    wanted = {stray: servo_id for servo_id, stray in pairs.items()}
+        checks.append(Check("present", not fix, value, fix, servo_id))
     for stray in strays:
         fix = "take it off the bus, or give the calibration a joint for it"
         if stray in wanted:
@@ -235,24 +229,19 @@ def _servo_checks(
 ) -> list[Check]:
     """Registers of one servo that answers; adds what the adapter costs its replies to `round_trips_ns`."""
     servo_id = joint.servo_id
-    checks: list[Check] = []
-
-    def check(name: str, ok: bool, value: str, fix: str) -> None:
-        checks.append(_check(name, ok, value, fix, servo_id))
 
     def set_to(register: Register, value: int) -> str:
         return f"armctl servo set {servo_id} {register.name} {value}{options}"
 
     if servo.clash:
         fix = f"take all but one off the bus, then `armctl servo set-id {servo_id} NEW{options}`"
-        check("id_clash", False, f"two servos answer to id {servo_id}", fix)
-        return checks
+        return [Check("id_clash", False, f"two servos answer to id {servo_id}", fix, servo_id)]
     table = bus.read_block(servo_id, 0, ax12a.EEPROM_END)
     status = bus.read_block(servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
     if table.problem or status.problem:
         value = f"answers a PING but no READ ({table.problem or status.problem})"
-        check("return_level", False, value, set_to(ax12a.RETURN_LEVEL, ax12a.RETURN_LEVEL.default))
-        return checks
+        fix = set_to(ax12a.RETURN_LEVEL, ax12a.RETURN_LEVEL.default)
+        return [Check("return_level", False, value, fix, servo_id)]
 
     def stored(register: Register) -> int:
         return ax12a.register_value(register, table.data, 0)
@@ -263,40 +252,37 @@ def _servo_checks(
     delay_us = 2 * stored(ax12a.RETURN_DELAY)
     wire_ns = (2 * OVERHEAD_BYTES + 2 + ax12a.EEPROM_END) * bus.port.byte_ns
     round_trips_ns.append(table.elapsed_ns - wire_ns - 1000 * delay_us)
-    model, level = stored(ax12a.MODEL), stored(ax12a.RETURN_LEVEL)
-    check("model", model == ax12a.MODEL_NUMBER, str(model), f"use an AX-12A (model {ax12a.MODEL_NUMBER})")
-    check("firmware", True, str(stored(ax12a.FIRMWARE)), "")
-    check("round_trip", True, f"{table.elapsed_ns // 1000} us for {ax12a.EEPROM_END} bytes", "")
-    check("return_delay", delay_us <= MAX_RETURN_DELAY_US, f"{delay_us} us (register {delay_us // 2})", delay_fix)
-    check("return_level", level == ax12a.RETURN_LEVEL.default, str(level), set_to(ax12a.RETURN_LEVEL, 2))
-    low, high = joint.limits_tick
-    cw, ccw = stored(ax12a.CW_LIMIT), stored(ax12a.CCW_LIMIT)
-    limits = f"{cw}..{ccw}, the calibration asks for {low}..{high}"
-    wrong = (ax12a.CCW_LIMIT, high) if ccw < high else (ax12a.CW_LIMIT, low)
-    check("angle_limits", cw <= low and ccw >= high, limits, set_to(*wrong))
-    mask = stored(ax12a.SHUTDOWN)
+    model, level, mask = (stored(register) for register in (ax12a.MODEL, ax12a.RETURN_LEVEL, ax12a.SHUTDOWN))
     safe = mask | NEEDED_SHUTDOWN
-    check("shutdown", mask == safe, _bits(mask), set_to(ax12a.SHUTDOWN, safe))
-    volts = now(ax12a.PRESENT_VOLTAGE) / 10.0
-    inside = VOLTAGE_V[0] <= volts <= VOLTAGE_V[1]
-    check("voltage", inside, f"{volts:.1f} V", f"give the servos {VOLTAGE_V[0]:.0f} to {VOLTAGE_V[1]:.1f} V")
-    heat = now(ax12a.PRESENT_TEMPERATURE)
-    check("temperature", heat < HOT_DEGC, f"{heat} degC", "support the arm, `armctl release`, and let it cool down")
-    error = status.error | table.error
-    first = next((bit for bit in ErrorBit if error & bit), None)
-    check("error_bits", not error, _bits(error), ERROR_REMEDIES[first] if first else "")
-    tripped = now(ax12a.TORQUE_LIMIT) == 0
+    (low, high), cw, ccw = joint.limits_tick, stored(ax12a.CW_LIMIT), stored(ax12a.CCW_LIMIT)
+    limit_fix = set_to(ax12a.CCW_LIMIT, high) if ccw < high else set_to(ax12a.CW_LIMIT, low)
+    volts, heat = now(ax12a.PRESENT_VOLTAGE) / 10.0, now(ax12a.PRESENT_TEMPERATURE)
+    error, tripped = status.error | table.error, now(ax12a.TORQUE_LIMIT) == 0
+    error_fix = next((remedy for bit, remedy in ERROR_REMEDIES.items() if error & bit), "")
     torque = "torque limit 0: it has shut itself down" if tripped else "on" if now(ax12a.TORQUE_ENABLE) else "off"
-    check("torque", not tripped, torque, "support the arm, relieve the joint, then switch its power off and on")
-    return checks
+    volts_fix = f"give the servos {VOLTAGE_V[0]:.0f} to {VOLTAGE_V[1]:.1f} V"
+    heat_fix = "support the arm, `armctl release`, and let it cool down"
+    rows = [
+        ("model", model == ax12a.MODEL_NUMBER, str(model), f"use an AX-12A (model {ax12a.MODEL_NUMBER})"),
+        ("firmware", True, str(stored(ax12a.FIRMWARE)), ""),
+        ("round_trip", True, f"{table.elapsed_ns // 1000} us for {ax12a.EEPROM_END} bytes", ""),
+        ("return_delay", delay_us <= MAX_RETURN_DELAY_US, f"{delay_us} us (register {delay_us // 2})", delay_fix),
+        ("return_level", level == ax12a.RETURN_LEVEL.default, str(level), set_to(ax12a.RETURN_LEVEL, 2)),
+        ("angle_limits", cw <= low and ccw >= high, f"{cw}..{ccw}, the calibration asks for {low}..{high}", limit_fix),
+        ("shutdown", mask == safe, _bits(mask), set_to(ax12a.SHUTDOWN, safe)),
+        ("voltage", VOLTAGE_V[0] <= volts <= VOLTAGE_V[1], f"{volts:.1f} V", volts_fix),
+        ("temperature", heat < HOT_DEGC, f"{heat} degC", heat_fix),
+        ("error_bits", not error, _bits(error), error_fix),
+        ("torque", not tripped, torque, "support the arm, relieve the joint, then switch its power off and on"),
+    ]
+    return [_check(*row, servo_id) for row in rows]
 
 
 def _cycle_check(bus: ServoBus, period_s: float) -> Check:
     """The slowest of some cycles against the period."""
     cycle_s = max(bus.read_sample().bus_us for _ in range(CYCLES)) / 1e6
-    value = (
-        f"{cycle_s * 1000.0:.1f} ms a cycle of {period_s * 1000.0:.0f} ms, {1.0 / max(cycle_s, 1e-6):.0f} Hz at best"
-    )
+    at_best = f"{1.0 / max(cycle_s, 1e-6):.0f} Hz at best"
+    value = f"{cycle_s * 1000.0:.1f} ms a cycle of {period_s * 1000.0:.0f} ms, {at_best}"
     fix = "mend adapter_latency and return_delay first, or raise period_s in the configuration"
     return _check("cycle_rate", cycle_s <= CYCLE_SHARE * period_s, value, fix)
 

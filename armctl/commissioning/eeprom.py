@@ -29,6 +29,7 @@ from armctl.files import read_text
 from armctl.messages import Write
 
 EEPROM_REGISTERS = tuple(register for register in ax12a.REGISTERS if register.eeprom)
+BY_NAME = {register.name: register for register in EEPROM_REGISTERS}
 SETTABLE = tuple(r for r in EEPROM_REGISTERS if r.writable and r not in (ax12a.ID, ax12a.BAUD))
 """What `write_register` and `restore` write; id and baud have functions of their own."""
 BAUD_UNIT = 2_000_000
@@ -47,11 +48,10 @@ class ServoEeprom(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> ServoEeprom:
-        known = {register.name: register for register in EEPROM_REGISTERS}
         for name, value in self.registers.items():
-            if name not in known:
-                raise ValueError(f"no EEPROM register {name!r}; known: {', '.join(known)}")
-            register = known[name]
+            register = BY_NAME.get(name)
+            if register is None:
+                raise ValueError(f"no EEPROM register {name!r}; known: {', '.join(BY_NAME)}")
             if not register.minimum <= value <= register.maximum:
                 raise ValueError(f"{name} {value} is outside {register.minimum}..{register.maximum}")
         if self.registers.get(ax12a.ID.name, self.servo_id) != self.servo_id:
@@ -69,9 +69,8 @@ class Snapshot(BaseModel):
     @model_validator(mode="after")
     def _check(self) -> Snapshot:
         ids = [servo.servo_id for servo in self.servos]
-        for servo_id in ids:
-            if ids.count(servo_id) > 1:
-                raise ValueError(f"servo_id {servo_id} stands here twice")
+        if twice := [servo_id for servo_id in ids if ids.count(servo_id) > 1]:
+            raise ValueError(f"servo_id {twice[0]} stands here twice")
         return self
 
 
@@ -218,10 +217,9 @@ def restore(bus: ServoBus, snapshot: Snapshot, servo_ids: Sequence[int] = ()) ->
     if refusals:
         raise RequestRefused("NOT_RESTORED", refusals)
     subset = Snapshot(servos=tuple(held[servo_id] for servo_id in chosen))
-    settable = {register.name: register for register in SETTABLE}
-    changed = [difference for difference in differences(bus, subset) if difference.register in settable]
+    changed = [difference for difference in differences(bus, subset) if BY_NAME[difference.register] in SETTABLE]
     for difference in changed:
-        _write(bus, difference.servo_id, settable[difference.register], difference.wanted)
+        _write(bus, difference.servo_id, BY_NAME[difference.register], difference.wanted)
     return changed
 
 

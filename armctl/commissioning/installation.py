@@ -10,8 +10,6 @@ Rules.
    system user may read it.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -27,6 +25,10 @@ from armctl.files import find_arm_file
 SYSTEM = Path("/")
 UNITS = ("armctl.service", "armctl-web.service")
 ETC = Path("etc/armctl")
+RULES = Path("etc/udev/rules.d/60-armctl.rules")
+SYSTEMD = Path("etc/systemd/system")
+CONFIGURED = {"sysusers": ("systemd-sysusers",), "tmpfiles": ("systemd-tmpfiles", "--create")}
+"""Kinds of systemd's configuration files, etc/KIND.d/armctl.conf, and what reads each."""
 TEMPLATE_PREFIX = "/opt/armctl"
 U2D2 = {"idVendor": "0403", "idProduct": "6014"}
 """ROBOTIS' present adapter; what the rule is limited to while none is plugged in."""
@@ -124,36 +126,27 @@ def installation(
     if not program.is_file():
         raise ConfigError(str(program), "", "no such program", "install armctl into the environment that runs this")
     if any(prefix.is_relative_to(private) for private in ("/home", "/root", "/run/user")):
-        raise ConfigError(
-            str(prefix),
-            "",
-            "a system service cannot read a program in a home folder",
-            "python3 -m venv /opt/armctl && /opt/armctl/bin/pip install CHECKOUT_OR_WHEEL, then "
-            "/opt/armctl/bin/armctl install",
-        )
+        install = "/opt/armctl/bin/pip install CHECKOUT_OR_WHEEL, then /opt/armctl/bin/armctl install"
+        remedy = f"python3 -m venv /opt/armctl && {install}"
+        raise ConfigError(str(prefix), "", "a system service cannot read a program in a home folder", remedy)
     adapter = usb_adapter(Path(port), sysfs) if port else U2D2
     calibration = find_arm_file(arm)
     name = calibration.stem
     config = f"port: /dev/armctl\narm: {name}\n"
     acts: list[Act] = [
-        WriteFile(Path("etc/sysusers.d/armctl.conf"), template("sysusers.conf")),
-        WriteFile(Path("etc/tmpfiles.d/armctl.conf"), template("tmpfiles.conf")),
-        Run(("systemd-sysusers", "/etc/sysusers.d/armctl.conf")),
-        Run(("systemd-tmpfiles", "--create", "/etc/tmpfiles.d/armctl.conf")),
+        *(WriteFile(_configuration(kind), template(f"{kind}.conf")) for kind in CONFIGURED),
+        *(Run((*command, f"/{_configuration(kind)}")) for kind, command in CONFIGURED.items()),
         WriteFile(ETC / "armctl.yaml", config, keep=True),
         WriteFile(ETC / "calibration" / f"{name}.yaml", calibration.read_text(encoding="utf-8"), keep=True),
-        WriteFile(Path("etc/udev/rules.d/60-armctl.rules"), udev_rules(adapter)),
+        WriteFile(RULES, udev_rules(adapter)),
         Run(("udevadm", "control", "--reload")),
         Run(("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial")),
     ]
-    if user:
-        acts.append(Run(("usermod", "--append", "--groups", "armctl", user)))
-    acts += [
-        WriteFile(Path("etc/systemd/system") / unit, template(unit).replace(TEMPLATE_PREFIX, str(prefix)))
-        for unit in UNITS
-    ]
+    joining = [Run(("usermod", "--append", "--groups", "armctl", user))] if user else []
     return [
         *acts,
+        *joining,
+        *(WriteFile(SYSTEMD / unit, template(unit).replace(TEMPLATE_PREFIX, str(prefix))) for unit in UNITS),
         Run(("systemctl", "daemon-reload")),
         Run(("systemctl", "enable", "armctl.service")),
         Run(("systemctl", "restart", "armctl.service")),
@@ -164,13 +157,16 @@ def removal() -> list[Act]:
     """What takes the service away; configuration, calibrations, logs and recordings stay."""
     return [
         *(Run(("systemctl", "disable", "--now", unit), may_fail=True) for unit in UNITS),
-        *(RemoveFile(Path("etc/systemd/system") / unit) for unit in UNITS),
-        RemoveFile(Path("etc/udev/rules.d/60-armctl.rules")),
-        RemoveFile(Path("etc/tmpfiles.d/armctl.conf")),
-        RemoveFile(Path("etc/sysusers.d/armctl.conf")),
+        *(RemoveFile(SYSTEMD / unit) for unit in UNITS),
+        RemoveFile(RULES),
+        *(RemoveFile(_configuration(kind)) for kind in reversed(CONFIGURED)),
         Run(("systemctl", "daemon-reload")),
         Run(("udevadm", "control", "--reload")),
     ]
+
+
+def _configuration(kind: str) -> Path:
+    return Path("etc") / f"{kind}.d" / "armctl.conf"
 
 
 def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None]) -> None:
@@ -187,10 +183,9 @@ def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None]
         if due:
             try:
                 act.do(root)
-            except PermissionError as error:
-                raise InstallationFailed(f"{act}: {error.strerror}; run it with sudo") from None
             except OSError as error:
-                raise InstallationFailed(f"{act}: {error.strerror}") from None
+                remedy = "; run it with sudo" if isinstance(error, PermissionError) else ""
+                raise InstallationFailed(f"{act}: {error.strerror}{remedy}") from None
 
 
 def missing_commands(acts: Iterable[Act]) -> list[str]:
@@ -222,9 +217,8 @@ def usb_adapter(port: Path, sysfs: Path) -> dict[str, str]:
             return {key: value for key, value in values.items() if re.fullmatch(r"[A-Za-z0-9._-]+", value)}
         if folder == sysfs:
             break
-    raise ConfigError(
-        str(port), "", "no USB adapter", "write a udev rule of your own for it, and install without --port"
-    )
+    remedy = "write a udev rule of your own for it, and install without --port"
+    raise ConfigError(str(port), "", "no USB adapter", remedy)
 
 
 def template(name: str) -> str:

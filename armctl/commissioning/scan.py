@@ -11,8 +11,6 @@ Rules:
    from which only noise comes counts if every read of it is noise, too: several servos talk at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal

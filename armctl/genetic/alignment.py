@@ -13,8 +13,6 @@ is the way from A to B. So time is thrown away:
 5. Joint positions are interpolated linearly at stations of equal progress.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,15 +23,12 @@ from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.line_path import onto
+from armctl.trajectory.line_path import REACHED_M, near_point, point_text
 from armctl.trajectory.straightness import progress_along_line
 
 REACH_M = 0.04
 """How near A and B a recording must come; a quarter of the line's length where that is less."""
 SHORTEST_LINE_M = 0.01
-POSTURES = 150
-"""From how many drawn postures an end that no recording reaches is looked for."""
-REACHED_M = 1e-6
 MAX_RECORDINGS = 40
 """Tables of the search grow with the third power: 40 recordings take 50 MB."""
 
@@ -111,7 +106,7 @@ def _along_line(
             raise ValueError(
                 f"on its way from A to B it comes no nearer to {name} than {nearest * 1e3:.0f} mm, "
                 f"at most {reach * 1e3:.0f} mm; record from A to B, or ask for the line it leads along, "
-                f"from {_text(tool[0])} to {_text(tool[-1])}"
+                f"from {point_text(tool[0])} to {point_text(tool[-1])}"
             )
 
     way = slice(at_A, at_B + 1)
@@ -129,18 +124,13 @@ def _along_line(
 def _out_of_reach(arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray) -> list[str]:
     """What to say of an end that no posture within the joint limits reaches, with the nearest point that one does."""
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
-    drawn = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (POSTURES, chain.n))
     reasons = []
     for name, end in (("A", A), ("B", B)):
-        q, missed = onto(chain, np.broadcast_to(end, (POSTURES, 3)), drawn, limits, 60)
+        q, missed = near_point(chain, end, limits, np.random.default_rng(0))
         if missed.min() > REACHED_M:
-            x, y, z = tool_position(chain, q[missed.argmin()])
+            nearest = point_text(tool_position(chain, q[missed.argmin()]), arm.floor_m)
             reasons.append(
-                f"{name} {_text(end)} is {missed.min() * 1e3:.0f} mm out of reach; the nearest point within the joint "
-                f"limits is {_text(np.array([x, y, max(z, arm.floor_m)]))}"
+                f"{name} {point_text(end)} is {missed.min() * 1e3:.0f} mm out of reach; the nearest point within the "
+                f"joint limits is {nearest}"
             )
     return reasons
-
-
-def _text(point: FloatArray) -> str:
-    return ",".join(f"{value:.3f}" for value in point)

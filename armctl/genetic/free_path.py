@@ -6,21 +6,19 @@ is decided by the same limits that the recorded path was held to: a share of the
 straighter than before and breaks no more limits.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
 import numpy as np
 
-from armctl.kinematics.chain import SerialChain, jacobian, tool_position
+from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.line_path import step_towards
 from armctl.trajectory.straightness import mean_error
 
 MOST_OFFSET_RAD = math.radians(3.0)
 STEPS = 8
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.1)
-_DAMPING_M2 = 1e-6
 
 
 def free_path(
@@ -46,10 +44,7 @@ def free_path(
     on_line = A + progress[:, None] * (B - A)
     q, error, broken = path, float(mean_error(tool_position(chain, path), A, B)), breaks(path)
     for _ in range(STEPS):
-        J = jacobian(chain, q)[:, :3]
-        gram = J @ J.swapaxes(1, 2) + _DAMPING_M2 * np.eye(3)
-        wanted = np.linalg.solve(gram, (on_line - tool_position(chain, q))[..., None])
-        step = (J.swapaxes(1, 2) @ wanted)[..., 0]
+        step = step_towards(chain, on_line, q)
         for share in SHARES:
             moved = np.clip(q + share * step, low, high)
             moved_error = float(mean_error(tool_position(chain, moved), A, B))

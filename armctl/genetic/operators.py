@@ -3,8 +3,6 @@
 A gene is a whole number below `choices`. Crossover and mutation return a new population of the same shape.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.genetic.triple_cost import triples

@@ -12,19 +12,13 @@ none keeps them, the fewest and smallest breaks win. With that charge the cost s
 neighbouring genes (`triple_cost.py`), which the genetic algorithm and the exact search (`shortest_path.py`) share.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from armctl.genetic.alignment import Candidates
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.placement import Objective
-
-POWER: dict[Objective, float] = {"mean": 1.0, "mix": 2.0, "max": 10.0}
-"""The p-norm of the distances that is made small. A sum over stations is what tables can hold; the 10-norm stands for
-the maximum, which is none."""
+from armctl.trajectory.placement import POWER, Objective
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +35,7 @@ class PathCost:
     charge_m: float
     """W above."""
     power: float
-    """p of the p-norm."""
+    """p of the p-norm. Tables can hold a sum over stations; the maximum is none, the 10-norm stands for it."""
     scale_m: float
     """Largest distance of any gene: distances count as scale_m * (distance / scale_m)^power."""
 

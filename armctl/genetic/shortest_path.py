@@ -5,8 +5,6 @@ everything about the past: m - 2 steps over R^3 triples find the true minimum of
 same number of choices, so the same search re-chooses a few genes while their neighbours stay (`window_search`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

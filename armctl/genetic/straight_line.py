@@ -28,7 +28,7 @@ from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.trajectory.interpolate import time_of_progress
-from armctl.trajectory.placement import place
+from armctl.trajectory.placement import StraightMotion, place
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import distance_to_line, max_error, mean_error, progress_along_line
 from armctl.trajectory.via_points import choose_via_points, predict_tool_path
@@ -110,9 +110,6 @@ class StraightLineResult:
     """The genetic algorithm's path, its genes off the recordings; what the plans are made of, where it was wanted."""
     plans: tuple[Plan, ...]
     """One for each entry of `via`."""
-    plan_tool_m: tuple[FloatArray, ...]
-    """Predicted tool points of each plan, shape (samples, 3)."""
-
     least_duration_s: float | None
     """Where no path keeps the limits: the duration from which on one over recorded genes does; None: there is none
     within `LONGEST_DURATION_S`, or none is needed."""
@@ -198,8 +195,7 @@ def optimize(
         exact=exact,
         # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
         gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
-        plans=tuple(plan for plan, _ in plans),
-        plan_tool_m=tuple(tool for _, tool in plans),
+        plans=tuple(plans),
         free=freed,
         least_duration_s=least_s,
     )
@@ -247,11 +243,11 @@ def _freed(
 
 def _plan(
     path: FloatArray, progress: FloatArray, arm: ArmConfig, chain: SerialChain, request: OptimizeRequest, count: int
-) -> tuple[Plan, FloatArray]:
-    """The plan with so many via points, and the tool points [m] predicted for it, shape (samples, 3)."""
+) -> Plan:
+    """The plan with so many via points."""
     waypoints, knots, tool_m = _waypoints(path, progress, arm, chain, request, count)
     line = np.array(request.from_m), np.array(request.to_m)
-    plan = Plan(
+    return Plan(
         arm_id=arm.arm_id,
         calibration_hash=arm.calibration_hash,
         from_m=request.from_m,
@@ -265,7 +261,6 @@ def _plan(
         predicted_max_error_mm=float(max_error(tool_m, *line)) * 1e3,
         seed=request.seed,
     )
-    return plan, tool_m
 
 
 def _waypoints(
@@ -284,7 +279,8 @@ def _waypoints(
     tool = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
     if request.free and count > 0:
         limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
-        off_line = place(chain, waypoints[:, :n], knots, interpolation, A, B, limits, objective=request.objective)
+        motion = StraightMotion(chain, interpolation, A, B, limits, objective=request.objective)
+        off_line = place(motion, waypoints[:, :n], knots)
         moved = waypoints.copy()
         moved[1:-1, :n] = off_line.waypoints[1:-1]  # A and B are held exactly
         moved_tool = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)

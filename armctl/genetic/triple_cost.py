@@ -4,8 +4,6 @@ Entry (k, i, j, l) of a table, shape (m - 2, R, R, R), is what genes i, j, l at 
 enough for anything that depends on a gene, its speed and its acceleration.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray, IntArray

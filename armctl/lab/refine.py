@@ -39,7 +39,7 @@ from armctl.lab.rig import Measured, Rig
 from armctl.lab.sag_model import SagModel
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.line_path import sensitivity_m
-from armctl.trajectory.placement import Objective, place
+from armctl.trajectory.placement import Objective, StraightMotion, place
 from armctl.trajectory.plan import LEAD_RAD, LEAD_SHARE, Plan, joint_trajectory, plan_positions
 from armctl.trajectory.straightness import distance_to_line, max_error, mean_error
 
@@ -210,20 +210,9 @@ def _model_lag(rig: Rig, model: SagModel | None, q: FloatArray) -> FloatArray:
 
 def _placed(rig: Rig, course: Course, *, move_knots: bool = False, held: FloatArray | None = None) -> Course:
     line, chain = course.line, rig.robot.chain
-    placement = place(
-        chain,
-        course.waypoints,
-        course.knots,
-        course.kind,
-        line.A,
-        line.B,
-        _waypoint_limits(rig.arm, chain.n),
-        course.lag_rad,
-        offset_m=course.offset_m,
-        held=held,
-        objective="mix" if course.stream else line.objective,
-        move_knots=move_knots,
-    )
+    limits, objective = _waypoint_limits(rig.arm, chain.n), "mix" if course.stream else line.objective
+    motion = StraightMotion(chain, course.kind, line.A, line.B, limits, course.lag_rad, course.offset_m, objective)
+    placement = place(motion, course.waypoints, course.knots, held=held, move_knots=move_knots)
     return replace(course, waypoints=placement.waypoints, knots=placement.knots)
 
 

@@ -4,8 +4,6 @@ How long a quintic takes that keeps every joint's speed and acceleration and the
 follows from its peaks; a solver of time-optimal laws (toppra, ruckig) has nothing to add to a motion meant to be slow.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -12,8 +12,6 @@ Rules.
 Nothing here knows cables, grippers, or what else stands on the table.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

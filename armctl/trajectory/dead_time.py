@@ -1,7 +1,5 @@
 """Dead time: what a recording holds before the arm first moves and after it last does."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.dynamixel.ax12a import TICK_RAD

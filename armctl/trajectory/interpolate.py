@@ -6,8 +6,6 @@ speed rises over the first fifth by a quintic step, stays constant, falls over t
 what lets via points cost no time.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -9,8 +9,6 @@ Rules.
 3. A line that has no way is refused with what is wrong, and with the nearest line that has one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -37,6 +35,7 @@ SMOOTH_RAD = 0.02
 TURN_RAD = 0.03
 """A joint that goes back by this much turns around for good; by less, in proportion."""
 REACHED_M = 1e-6
+DAMPING_M2 = 1e-6
 FLOOR_MARGIN_M = 0.003
 
 
@@ -90,10 +89,8 @@ def line_paths(
     load = (speeds / (SPEED_SHARE * speed_limits)).max(axis=1)
     load = np.maximum(load, np.linalg.norm(B - A) * PEAK_SPEED / duration_s / arm.tool_speed_limit_m_s)
     if load.min() > 1.0:
-        raise RequestRefused(
-            "LINE",
-            f"no way along the line is slow enough in {duration_s:g} s; give {duration_s * load.min():.1f} s or more",
-        )
+        enough = f"give {duration_s * load.min():.1f} s or more"
+        raise RequestRefused("LINE", f"no way along the line is slow enough in {duration_s:g} s; {enough}")
     ways = ways[load <= 1.0]
     return np.asarray(ways[np.argsort(sensitivity_m(chain, ways, A, B), kind="stable")[:most]])
 
@@ -148,17 +145,28 @@ def onto(
         q, shape (..., n), within limits, and the distances left [m], shape (...).
     """
     for _ in range(iterations):
-        J = jacobian(chain, q)[..., :3, :]
-        gram = J @ np.swapaxes(J, -1, -2) + 1e-6 * np.eye(3)
-        wanted = np.linalg.solve(gram, (points - tool_position(chain, q))[..., None])
-        step = (np.swapaxes(J, -1, -2) @ wanted)[..., 0]
-        q = np.clip(q + np.clip(step, -0.3, 0.3), limits[:, 0], limits[:, 1])
+        q = np.clip(q + np.clip(step_towards(chain, points, q), -0.3, 0.3), limits[:, 0], limits[:, 1])
     return q, np.linalg.norm(points - tool_position(chain, q), axis=-1)
 
 
-def _postures(chain: SerialChain, point: FloatArray, limits: FloatArray, rng: np.random.Generator) -> FloatArray:
+def step_towards(chain: SerialChain, points: FloatArray, q: FloatArray) -> FloatArray:
+    """The damped least squares step of the joints [rad], shape (..., n), that brings the tool towards `points`."""
+    J = jacobian(chain, q)[..., :3, :]
+    gram = J @ np.swapaxes(J, -1, -2) + DAMPING_M2 * np.eye(3)
+    wanted = np.linalg.solve(gram, (points - tool_position(chain, q))[..., None])
+    return np.asarray((np.swapaxes(J, -1, -2) @ wanted)[..., 0])
+
+
+def near_point(
+    chain: SerialChain, point: FloatArray, limits: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """`POSTURES` random postures brought as near to a point as they go [rad], and the distances left [m]."""
     q = rng.uniform(limits[:, 0], limits[:, 1], (POSTURES, chain.n))
-    q, missed = onto(chain, np.broadcast_to(point, (POSTURES, 3)), q, limits, 60)
+    return onto(chain, np.broadcast_to(point, (POSTURES, 3)), q, limits, 60)
+
+
+def _postures(chain: SerialChain, point: FloatArray, limits: FloatArray, rng: np.random.Generator) -> FloatArray:
+    q, missed = near_point(chain, point, limits, rng)
     return q[missed < REACHED_M]
 
 
@@ -168,13 +176,12 @@ def _out_of_reach(
     """Why there is no way, and the nearest line that can be reached."""
     reasons = []
     for name, X in (("A", A), ("B", B)):
-        q = rng.uniform(limits[:, 0], limits[:, 1], (POSTURES, chain.n))
-        q, missed = onto(chain, np.broadcast_to(X, (POSTURES, 3)), q, limits, 60)
+        q, missed = near_point(chain, X, limits, rng)
         if missed.min() >= REACHED_M:
-            x, y, z = tool_position(chain, q[missed.argmin()]).tolist()
+            nearest = point_text(tool_position(chain, q[missed.argmin()]), floor_m)
             reasons.append(
-                f"{name} ({_text(X)}) m is {missed.min() * 1e3:.0f} mm out of reach; the nearest point within the "
-                f"joint limits is {x:.3f},{y:.3f},{max(z, floor_m):.3f}"
+                f"{name} ({point_text(X)}) m is {missed.min() * 1e3:.0f} mm out of reach; the nearest point within the "
+                f"joint limits is {nearest}"
             )
     if reasons:
         return reasons
@@ -182,7 +189,7 @@ def _out_of_reach(
     for share in np.arange(0.95, 0.05, -0.05):
         a, b = middle + share * (A - middle), middle + share * (B - middle)
         if _followed(chain, limits, a, b, rng):
-            nearest = f"the line from {_text(a)} to {_text(b)} can be followed"
+            nearest = f"the line from {point_text(a)} to {point_text(b)} can be followed"
             return [f"both ends can be reached, but not every point between them in one go; {nearest}"]
     return ["both ends can be reached, but not every point between them in one go; move the line away from the base"]
 
@@ -197,5 +204,7 @@ def _followed(chain: SerialChain, limits: FloatArray, a: FloatArray, b: FloatArr
     return bool(alive.any())
 
 
-def _text(point: FloatArray) -> str:
-    return ",".join(f"{x:.3f}" for x in point)
+def point_text(point: FloatArray, floor_m: float = -math.inf) -> str:
+    """x,y,z [m] as somebody would type it, not below the floor."""
+    x, y, z = point.tolist()
+    return f"{x:.3f},{y:.3f},{max(z, floor_m):.3f}"

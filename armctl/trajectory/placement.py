@@ -7,8 +7,6 @@ a few steps. Deviations across the line count in full, at the ends and along the
 redundancy is left stays where it was.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,8 +18,8 @@ from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.straightness import distance_to_line
 
 Objective = Literal["mean", "mix", "max"]
-_POWER: dict[Objective, float] = {"mean": 1.0, "mix": 2.0, "max": 10.0}
-"""The p-norm of the distances that is made small."""
+POWER: dict[Objective, float] = {"mean": 1.0, "mix": 2.0, "max": 10.0}
+"""The p-norm of the distances that is made small; the 10-norm stands for the maximum."""
 ALONG = 0.05
 """Weight of being early or late on the line, against being off it."""
 END = 1.0
@@ -38,6 +36,24 @@ CLOSEST_KNOTS = 0.06
 
 
 @dataclass(frozen=True, eq=False)
+class StraightMotion:
+    """A motion that shall be straight, and what keeps it from being so."""
+
+    chain: SerialChain
+    kind: Interpolation
+    A: FloatArray
+    B: FloatArray
+    """Ends of the line [m], shape (3,)."""
+    limits: FloatArray
+    """Of the joints [rad], shape (n, 2)."""
+    lag: FloatArray | None = None
+    """By how much each joint stays behind its goal [rad] at even times, shape (m, n); None: not at all."""
+    offset_m: FloatArray | None = None
+    """Where the tool is, less where the joints would have it [m], shape (m, 3); None: the same place."""
+    objective: Objective = "mix"
+
+
+@dataclass(frozen=True, eq=False)
 class Placement:
     """Waypoints [rad], shape (k, n), at progress `knots` (k,), and the distances [m] predicted for them, shape (m,)."""
 
@@ -47,131 +63,126 @@ class Placement:
 
 
 def place(
-    chain: SerialChain,
+    motion: StraightMotion,
     waypoints: FloatArray,
     knots: FloatArray,
-    kind: Interpolation,
-    A: FloatArray,
-    B: FloatArray,
-    limits: FloatArray,
-    lag: FloatArray | None = None,
     *,
-    offset_m: FloatArray | None = None,
     held: FloatArray | None = None,
-    objective: Objective = "mix",
     move_knots: bool = True,
-    stay_m_rad: float = STAY_M_RAD,
 ) -> Placement:
     """Waypoints near the given ones whose motion, less the lag, is straightest.
 
     Args:
         waypoints: Where to begin [rad], shape (k, n).
         knots: Their progress, shape (k,).
-        limits: Of the joints [rad], shape (n, 2).
-        lag: By how much each joint stays behind its goal [rad] at even times, shape (m, n); None: not at all.
-        offset_m: Where the tool is, less where the joints would have it [m], shape (m, 3); None: the same place.
         held: 1 for a joint whose waypoints stay as they are, else 0, shape (n,); None: all may move.
         move_knots: Whether inner waypoints may be reached earlier or later.
     """
-    n, k = chain.n, len(knots)
-    lag = np.zeros((201, n)) if lag is None else lag
-    m = len(lag)
-    offset = np.zeros((m, 3)) if offset_m is None else offset_m
-    moving = np.ones(n) if held is None else 1.0 - held
-    s = time_law(np.linspace(0.0, 1.0, m))
-    length = float(np.linalg.norm(B - A))
-    along = (B - A) / length
-    power = _POWER[objective]
-    at_end = np.zeros(m)
-    end = END if k > 2 else HELD_END
-    at_end[[0, -1]] = np.sqrt(m / 20.0) * end
-    begin, W, tau = waypoints, np.array(waypoints, dtype=np.float64), np.array(knots, dtype=np.float64)
+    search = _Search(motion, np.array(waypoints, dtype=np.float64), np.array(knots, dtype=np.float64), held)
+    W, tau = search.begin, search.knots
+    k, limits = len(tau), motion.limits
     free = k - 2 if move_knots and k > 2 else 0
-    each = not free and k == m and bool((np.abs(tau - s) < 1e-12).all())  # a goal every tick: Phi is the identity
-
-    def tool(W: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        phi = joint_path(np.eye(k), tau, s, kind)
-        q = phi @ W - lag
-        return phi, q, tool_position(chain, q) + offset
-
-    def weighted(points: FloatArray, weight: FloatArray) -> FloatArray:
-        """Residuals, shape (m, 4): across the line (three components of two dimensions), and along it."""
-        off = points - A - s[:, None] * (B - A)
-        forward = off @ along
-        across = off - forward[:, None] * along
-        return np.concatenate([across * (weight + at_end)[:, None], (forward * (ALONG + at_end))[:, None]], axis=1)
-
-    def cost_m(points: FloatArray, distance: FloatArray) -> float:
-        if k > 2:
-            return _norm(distance, power)
-        missed = np.sqrt(m / 20.0) * end * np.linalg.norm(points[[0, -1]] - [A, B], axis=1)
-        return _norm(np.concatenate([distance, missed]), power)
-
-    best = Placement(W, tau, distance_to_line(tool(W, tau)[2], A, B))
-    best_cost = np.inf
-    damping = 1e-6 if k > 2 else 1e-3  # a bow that cannot be removed would drive what redundancy there is about
-    weight = np.ones(m)
-    for _ in range(STEPS):
-        phi, q, points = tool(W, tau)
-        distance = distance_to_line(points, A, B)
-        cost = cost_m(points, distance)
+    # A goal every tick: Phi is the identity.
+    each = not free and k == len(search.s) and bool((np.abs(tau - search.s) < 1e-12).all())
+    best, best_cost, settled = Placement(W, tau, np.full(len(search.s), np.nan)), np.inf, False
+    for turn in range(STEPS + 1):
+        phi, q, points = search.tool(W, tau)
+        distance = distance_to_line(points, motion.A, motion.B)
+        cost = search.cost_m(points, distance)
         if cost < best_cost:
             best, best_cost = Placement(W, tau, distance), cost
-        if power != 2.0:
-            weight = (distance / max(float(distance.max()), 1e-6) + 0.05) ** ((power - 2.0) / 2.0)
+        if settled or turn == STEPS:
+            break
+        r, rows = search.linear(q, points, distance)
+        step = search.step_each(r, rows, W) if each else search.step(r, rows, W, tau, phi, free)
+        W = np.clip(W + np.clip(step[: W.size].reshape(W.shape), -0.3, 0.3), limits[:, 0], limits[:, 1])
+        if free:
+            tau = tau.copy()
+            tau[1:-1] += np.clip(step[W.size :], -0.05, 0.05)
+            for i in range(1, k - 1):
+                tau[i] = min(max(tau[i], tau[i - 1] + CLOSEST_KNOTS), 1.0 - CLOSEST_KNOTS * (k - 1 - i))
+        settled = float(np.abs(step).max()) < SETTLED
+    return best
+
+
+class _Search:
+    """The least squares problem: what stays the same from step to step, and one step."""
+
+    def __init__(self, motion: StraightMotion, begin: FloatArray, knots: FloatArray, held: FloatArray | None) -> None:
+        n, between = motion.chain.n, len(knots) > 2
+        self.motion, self.begin, self.knots = motion, begin, knots
+        self.moving = np.ones(n) if held is None else 1.0 - held
+        self.lag = np.zeros((201, n)) if motion.lag is None else motion.lag
+        m = len(self.lag)
+        self.offset_m = np.zeros((m, 3)) if motion.offset_m is None else motion.offset_m
+        self.s = time_law(np.linspace(0.0, 1.0, m))
+        self.along = (motion.B - motion.A) / float(np.linalg.norm(motion.B - motion.A))
+        self.power = POWER[motion.objective]
+        self.end = np.sqrt(m / 20.0) * (END if between else HELD_END)
+        self.at_end = np.zeros(m)
+        self.at_end[[0, -1]] = self.end
+        self.stay = STAY_M_RAD**2 * m
+        # A bow that cannot be removed would drive what redundancy there is about.
+        self.damping = (1e-6 if between else 1e-3) * m
+
+    def tool(self, W: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Phi, shape (m, k), the joints [rad], shape (m, n), and the tool points [m], shape (m, 3)."""
+        phi = joint_path(np.eye(len(tau)), tau, self.s, self.motion.kind)
+        q = phi @ W - self.lag
+        return phi, q, tool_position(self.motion.chain, q) + self.offset_m
+
+    def cost_m(self, points: FloatArray, distance: FloatArray) -> float:
+        """The p-norm of the distances; without points in between the ends' own distances count too."""
+        if len(self.knots) > 2:
+            return _norm(distance, self.power)
+        missed = self.end * np.linalg.norm(points[[0, -1]] - [self.motion.A, self.motion.B], axis=1)
+        return _norm(np.concatenate([distance, missed]), self.power)
+
+    def linear(self, q: FloatArray, points: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals, shape (m, 4), and their derivatives by the joints, shape (m, 4, n).
+
+        Across the line (three components of two dimensions), and along it.
+        """
+        weight = np.ones(len(distance))
+        if self.power != 2.0:
+            weight = (distance / max(float(distance.max()), 1e-6) + 0.05) ** ((self.power - 2.0) / 2.0)
             weight /= np.sqrt((weight**2).mean())
-        r = weighted(points, weight)
-        J = jacobian(chain, q)[:, :3]
+        by_across, by_forward = weight + self.at_end, ALONG + self.at_end
+        A, B, along = self.motion.A, self.motion.B, self.along
+        off = points - A - self.s[:, None] * (B - A)
+        forward = off @ along
+        across = off - forward[:, None] * along
+        r = np.concatenate([across * by_across[:, None], (forward * by_forward)[:, None]], axis=1)
+        J = jacobian(self.motion.chain, q)[:, :3]
         forward = along @ J
         across = J - along[:, None] * forward[:, None, :]
-        rows = np.concatenate(
-            [across * (weight + at_end)[:, None, None], (forward * (ALONG + at_end)[:, None])[:, None]], axis=1
-        )
-        rows_W = rows * moving
-        if each:
-            step = _step_each(rows_W, r, W - begin, stay_m_rad**2 * m, damping * m)
-            W = np.clip(W + np.clip(step, -0.3, 0.3), limits[:, 0], limits[:, 1])
-            if float(np.abs(step).max()) < SETTLED:
-                break
-            continue
-        by_W = rows_W[:, :, None, :] * phi[:, None, :, None]
-        columns = [by_W.reshape(m * 4, k * n)]
+        return r, np.concatenate([across * by_across[:, None, None], (forward * by_forward[:, None])[:, None]], axis=1)
+
+    def step(
+        self, r: FloatArray, rows: FloatArray, W: FloatArray, tau: FloatArray, phi: FloatArray, free: int
+    ) -> FloatArray:
+        """The Gauss-Newton step: of the waypoints [rad], row by row, and of `free` inner knots."""
+        (m, k), size = phi.shape, W.size
+        columns = [((rows * self.moving)[:, :, None, :] * phi[:, None, :, None]).reshape(m * 4, size)]
         for i in range(1, free + 1):
             moved = tau.copy()
             moved[i] += 1e-4
-            slope = (joint_path(np.eye(k), moved, s, kind) - phi) @ W / 1e-4
+            slope = (joint_path(np.eye(k), moved, self.s, self.motion.kind) - phi) @ W / 1e-4
             columns.append((rows @ slope[..., None]).reshape(m * 4, 1))
         D = np.concatenate(columns, axis=1)
-        stay = np.full(D.shape[1], stay_m_rad**2 * m)
-        stay[k * n :] = (0.01**2) * m
-        pull = np.concatenate([(W - begin).ravel(), (tau - knots)[1 : free + 1]])
-        normal = D.T @ D + np.diag(stay + damping * m)
-        step = -np.linalg.solve(normal, D.T @ r.ravel() + stay * pull)
-        W = np.clip(W + np.clip(step[: k * n].reshape(k, n), -0.3, 0.3), limits[:, 0], limits[:, 1])
-        if free:
-            tau = tau.copy()
-            tau[1:-1] += np.clip(step[k * n :], -0.05, 0.05)
-            for i in range(1, k - 1):
-                tau[i] = min(max(tau[i], tau[i - 1] + CLOSEST_KNOTS), 1.0 - CLOSEST_KNOTS * (k - 1 - i))
-        if float(np.abs(step).max()) < SETTLED:
-            break
-    points = tool(W, tau)[2]
-    distance = distance_to_line(points, A, B)
-    return Placement(W, tau, distance) if cost_m(points, distance) < best_cost else best
+        stay = np.full(D.shape[1], self.stay)
+        stay[size:] = (0.01**2) * m
+        pull = np.concatenate([(W - self.begin).ravel(), (tau - self.knots)[1 : free + 1]])
+        normal = D.T @ D + np.diag(stay + self.damping)
+        return np.asarray(-np.linalg.solve(normal, D.T @ r.ravel() + stay * pull))
 
-
-def _step_each(rows: FloatArray, r: FloatArray, pull: FloatArray, stay: float, damping: float) -> FloatArray:
-    """The step [rad], shape (m, n), where each instant has a waypoint of its own: the normal equations fall apart.
-
-    Args:
-        rows: Derivatives of the residuals by the joints, shape (m, 4, n).
-        r: Residuals, shape (m, 4).
-        pull: How far the waypoints are from where they began [rad], shape (m, n).
-    """
-    transposed = np.swapaxes(rows, 1, 2)
-    normal = transposed @ rows + (stay + damping) * np.eye(rows.shape[2])
-    gradient = transposed @ r[..., None] + stay * pull[..., None]
-    return np.asarray(-np.linalg.solve(normal, gradient)[..., 0])
+    def step_each(self, r: FloatArray, rows: FloatArray, W: FloatArray) -> FloatArray:
+        """The same step where each instant has a waypoint of its own: the normal equations fall apart."""
+        rows = rows * self.moving
+        transposed = np.swapaxes(rows, 1, 2)
+        normal = transposed @ rows + (self.stay + self.damping) * np.eye(rows.shape[2])
+        gradient = transposed @ r[..., None] + self.stay * (W - self.begin)[..., None]
+        return np.asarray(-np.linalg.solve(normal, gradient)[..., 0].ravel())
 
 
 def _norm(distance: FloatArray, power: float) -> float:

@@ -24,12 +24,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
-from armctl.trajectory.interpolate import (
-    Interpolation,
-    joint_path,
-    quintic,
-    time_law,
-)
+from armctl.trajectory.interpolate import Interpolation, joint_path, quintic, time_law
 from armctl.trajectory.preflight import preflight_motion
 
 LEAD_RAD = math.radians(3.0)

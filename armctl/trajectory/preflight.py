@@ -9,8 +9,6 @@ Rules.
    where it stands it stands. Links that overlap at the start may only come apart, what lies too low only rise.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

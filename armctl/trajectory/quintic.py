@@ -7,8 +7,6 @@ With tau = t / duration each joint runs
 whose six coefficients are fixed by the two states. Velocities and accelerations are per second, not per tau.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -87,19 +85,10 @@ def quintic(
         raise ConfigError("trajectory", "boundary", "holds a number that is not finite")
     V0, V1, A0, A1 = rates[0] * T, rates[1] * T, rates[2] * T**2, rates[3] * T**2
     way = q1 - q0
-    return Quintic(
-        np.stack(
-            (
-                q0,
-                V0,
-                0.5 * A0,
-                10.0 * way - 6.0 * V0 - 4.0 * V1 - 1.5 * A0 + 0.5 * A1,
-                -15.0 * way + 8.0 * V0 + 7.0 * V1 + 1.5 * A0 - A1,
-                6.0 * way - 3.0 * V0 - 3.0 * V1 - 0.5 * A0 + 0.5 * A1,
-            )
-        ),
-        duration_s,
-    )
+    c3 = 10.0 * way - 6.0 * V0 - 4.0 * V1 - 1.5 * A0 + 0.5 * A1
+    c4 = -15.0 * way + 8.0 * V0 + 7.0 * V1 + 1.5 * A0 - A1
+    c5 = 6.0 * way - 3.0 * V0 - 3.0 * V1 - 0.5 * A0 + 0.5 * A1
+    return Quintic(np.stack((q0, V0, 0.5 * A0, c3, c4, c5)), duration_s)
 
 
 class Sampled(Protocol):
@@ -112,14 +101,6 @@ def curves(chain: SerialChain, trajectory: Sampled, time_s: FloatArray) -> Curve
     """Joint and tool curves of a trajectory at times [s], shape (m,)."""
     q, q_rate, q_rate2 = trajectory.sample(time_s)
     velocity, acceleration = tool_velocity(chain, q, q_rate), tool_acceleration(chain, q, q_rate, q_rate2)
-    return Curves(
-        np.asarray(time_s, dtype=np.float64),
-        q,
-        q_rate,
-        q_rate2,
-        tool_position(chain, q),
-        velocity[:, :3],
-        acceleration[:, :3],
-        velocity[:, 3:],
-        acceleration[:, 3:],
-    )
+    time_s, tool_m = np.asarray(time_s, dtype=np.float64), tool_position(chain, q)
+    linear, angular = (velocity[:, :3], acceleration[:, :3]), (velocity[:, 3:], acceleration[:, 3:])
+    return Curves(time_s, q, q_rate, q_rate2, tool_m, *linear, *angular)

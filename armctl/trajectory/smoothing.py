@@ -5,8 +5,6 @@ samples around each instant by weighted least squares (tricube weights, which fa
 and derivatives there are the smoothed ones. A cubic passes unchanged; what is shorter than the window is flattened.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray

@@ -3,8 +3,6 @@
 The line is endless: running past A or B costs nothing, so whoever needs the ends held must hold them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray

@@ -6,8 +6,6 @@ via points are found by trying all choices; more are added one by one, then exch
 improves, which is a local optimum.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """A simulated arm on a virtual clock, and a hand that holds it in any posture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Zero offsets and link lengths from touched points."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the doctor finds on arms with planted troubles."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """EEPROM of simulated servos: what is written, what is refused, and that nothing moves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

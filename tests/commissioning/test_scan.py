@@ -1,7 +1,5 @@
 """Which servos answer, in virtual time."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.commissioning.scan import USUAL_BAUDS, scan

@@ -1,7 +1,5 @@
 """Synthetic recordings of a hand guiding the limp arm along a line."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

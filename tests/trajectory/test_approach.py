@@ -1,7 +1,5 @@
 """Slow motions keep every limit on their way, and are no slower than they must be."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Distances of segments and capsules against dense sampling, symmetry and MuJoCo."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

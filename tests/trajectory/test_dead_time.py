@@ -1,7 +1,5 @@
 """Dead time at both ends goes, and nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-from __future__ import annotations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from armctl.kinematics.chain import tool_position
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
-from armctl.trajectory.placement import place
+from armctl.trajectory.placement import StraightMotion, place
 from armctl.trajectory.straightness import distance_to_line, mean_error
 from armctl.trajectory.via_points import predict_tool_path
 from tests.genetic import hand
@@ -15,6 +15,10 @@ from tests.genetic import hand
 CHAIN = hand.robot().chain
 LINE = hand.joint_line()
 LIMITS = np.array([joint.limits_rad for joint in hand.arm().joints])[: CHAIN.n]
+
+
+def motion(kind: Interpolation = "cubic", limits: np.ndarray = LIMITS, **wanted: Any) -> StraightMotion:
+    return StraightMotion(CHAIN, kind, hand.A, hand.B, limits, **wanted)
 
 
 def on_line(via: int) -> tuple[np.ndarray, np.ndarray]:
@@ -31,7 +35,7 @@ def test_via_points_off_the_line_make_a_straighter_motion_than_points_on_it(
 ) -> None:
     waypoints, knots = on_line(via)
     before = float(mean_error(predict_tool_path(CHAIN, waypoints, knots, kind), hand.A, hand.B))
-    placed = place(CHAIN, waypoints, knots, kind, hand.A, hand.B, LIMITS)
+    placed = place(motion(kind), waypoints, knots)
     after = float(mean_error(predict_tool_path(CHAIN, placed.waypoints, placed.knots, kind), hand.A, hand.B))
     assert after < share * before
 
@@ -39,7 +43,7 @@ def test_via_points_off_the_line_make_a_straighter_motion_than_points_on_it(
 @pytest.mark.parametrize("turned_rad", [0.0, 0.05])
 def test_without_points_in_between_the_tool_still_goes_from_a_to_b(turned_rad: float) -> None:
     waypoints, knots = on_line(0)
-    placed = place(CHAIN, waypoints + turned_rad, knots, "cubic", hand.A, hand.B, LIMITS)
+    placed = place(motion(), waypoints + turned_rad, knots)
     ends = tool_position(CHAIN, placed.waypoints)
     assert np.linalg.norm(ends - [hand.A, hand.B], axis=1).max() < 1e-3
     assert placed.distance_m.max() > 5e-3  # the bow, which nothing in between can take away
@@ -47,7 +51,7 @@ def test_without_points_in_between_the_tool_still_goes_from_a_to_b(turned_rad: f
 
 def test_what_is_predicted_is_what_the_interpolated_motion_does() -> None:
     waypoints, knots = on_line(2)
-    placed = place(CHAIN, waypoints, knots, "cubic", hand.A, hand.B, LIMITS)
+    placed = place(motion(), waypoints, knots)
     q = joint_path(placed.waypoints, placed.knots, time_law(np.linspace(0.0, 1.0, 201)), "cubic")
     np.testing.assert_allclose(distance_to_line(tool_position(CHAIN, q), hand.A, hand.B), placed.distance_m, atol=1e-12)
 
@@ -61,7 +65,7 @@ def test_a_smooth_lag_is_made_up_for(seed: int) -> None:
     lag = 0.03 * (rng.standard_normal(5) + rng.standard_normal(5) * s[:, None])
     waypoints, knots = joint_path(LINE, np.linspace(0.0, 1.0, 65), s, "linear"), s.copy()
     knots[0], knots[-1] = 0.0, 1.0
-    placed = place(CHAIN, waypoints, knots, "linear", hand.A, hand.B, LIMITS, lag, move_knots=False)
+    placed = place(motion("linear", lag=lag), waypoints, knots, move_knots=False)
     assert distance_to_line(tool_position(CHAIN, placed.waypoints - lag), hand.A, hand.B).max() < 2e-4
     assert distance_to_line(tool_position(CHAIN, waypoints - lag), hand.A, hand.B).max() > 1e-3
 
@@ -69,8 +73,7 @@ def test_a_smooth_lag_is_made_up_for(seed: int) -> None:
 def test_the_maximum_as_objective_trades_mean_for_maximum() -> None:
     waypoints, knots = on_line(1)
     mean, worst = (
-        place(CHAIN, waypoints, knots, "linear", hand.A, hand.B, LIMITS, objective=objective).distance_m
-        for objective in ("mean", "max")
+        place(motion("linear", objective=objective), waypoints, knots).distance_m for objective in ("mean", "max")
     )
     assert worst.max() < mean.max()
     assert mean.mean() < worst.mean()
@@ -79,7 +82,7 @@ def test_the_maximum_as_objective_trades_mean_for_maximum() -> None:
 def test_a_joint_that_is_held_out_keeps_its_waypoints() -> None:
     waypoints, knots = on_line(2)
     held = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
-    placed = place(CHAIN, waypoints, knots, "cubic", hand.A, hand.B, LIMITS, held=held)
+    placed = place(motion(), waypoints, knots, held=held)
     np.testing.assert_array_equal(placed.waypoints[:, 2], waypoints[:, 2])
     assert np.abs(placed.waypoints - waypoints).max() > 1e-4
 
@@ -88,7 +91,7 @@ def test_a_tool_seen_beside_its_encoders_place_is_brought_back() -> None:
     waypoints, knots = on_line(8)
     offset = np.tile([0.0, 0.0, 0.004], (101, 1))
     lag = np.zeros((101, 5))
-    placed = place(CHAIN, waypoints, knots, "cubic", hand.A, hand.B, LIMITS, lag, offset_m=offset)
+    placed = place(motion(lag=lag, offset_m=offset), waypoints, knots)
     tool = predict_tool_path(CHAIN, placed.waypoints, placed.knots, "cubic")
     assert float(mean_error(tool + offset[0], hand.A, hand.B)) < 2e-4
 
@@ -96,7 +99,7 @@ def test_a_tool_seen_beside_its_encoders_place_is_brought_back() -> None:
 def test_waypoints_stay_within_limits_and_in_order() -> None:
     waypoints, knots = on_line(3)
     tight = np.stack([waypoints.min(axis=0) - 0.01, waypoints.max(axis=0) + 0.01], axis=1)
-    placed = place(CHAIN, waypoints, knots, "linear", hand.A, hand.B, tight)
+    placed = place(motion("linear", tight), waypoints, knots)
     assert (placed.waypoints >= tight[:, 0]).all()
     assert (placed.waypoints <= tight[:, 1]).all()
     assert (np.diff(placed.knots) > 0.0).all()

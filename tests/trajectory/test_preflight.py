@@ -1,7 +1,5 @@
 """Every reason against a motion is told, in the user's words, and a sound motion is not refused."""
 
-from __future__ import annotations
-
 import math
 import re
 from itertools import pairwise

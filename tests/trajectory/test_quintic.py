@@ -1,7 +1,5 @@
 """Quintic trajectories meet their boundary states, and their curves are each other's derivatives."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

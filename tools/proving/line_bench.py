@@ -20,7 +20,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.interpolate import Interpolation, joint_path
 from armctl.trajectory.line_path import line_paths
-from armctl.trajectory.placement import place
+from armctl.trajectory.placement import StraightMotion, place
 from armctl.trajectory.straightness import distance_to_line
 from armctl.trajectory.via_points import predict_tool_path
 from proving.figures import check, row
@@ -96,7 +96,7 @@ def _errors(
     for kind in KINDS:
         found[f"{kind}, on the line"] = _mm(predict_tool_path(chain, on_line, knots, kind), A, B)
         if via:
-            placed = place(chain, on_line, knots, kind, A, B, limits, objective="mean")
+            placed = place(StraightMotion(chain, kind, A, B, limits, objective="mean"), on_line, knots)
             found[f"{kind}, placed"] = _mm(predict_tool_path(chain, placed.waypoints, placed.knots, kind), A, B)
     return found
 
