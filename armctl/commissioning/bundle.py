@@ -1,8 +1,8 @@
-"""One file that answers the first questions of whoever reads a bug report.
+"""One file that answers the first questions about a bug report.
 
 Rules.
-1. Nothing is changed and no servo is written; a part that cannot be had is told in its place, never a reason to stop.
-2. Secrets stay at home: values of keys that sound like one, the user's name and home folder are blotted out of every
+1. Nothing is changed and no servo is written. Where a part cannot be read the file says so, and the rest is gathered.
+2. Secrets are left out: values of keys that sound like one, the user's name and home folder are removed from every
    text. Logs hold joint angles, requests and the arm's calibration, which is what they are wanted for.
 """
 
@@ -34,7 +34,7 @@ def write(path: Path, config: Config, config_file: str, tell: Callable[[str], No
     Args:
         path: The file; it must not exist.
         config_file: What `--config` named, or nothing.
-        tell: Hears of each part as it is gathered.
+        tell: Called with the name of each part before it is gathered.
     Returns:
         Names of the files inside.
     Raises:
@@ -44,7 +44,7 @@ def write(path: Path, config: Config, config_file: str, tell: Callable[[str], No
         with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) as archive:
             for name, gather in _texts(config, config_file):
                 tell(name)
-                archive.writestr(name, blot(gather()))
+                archive.writestr(name, redacted(gather()))
             for log in newest_logs(data_dir(config)):
                 tell(log.name)
                 archive.write(log, f"logs/{log.name}")
@@ -82,7 +82,7 @@ def _read_calibration(arm: str) -> str:
     try:
         return find_arm_file(arm).read_text(encoding="utf-8")
     except (ArmctlError, OSError, UnicodeDecodeError) as error:
-        return f"# not to be had: {error}\n"
+        return f"# cannot be read: {error}\n"
 
 
 def _said(command: tuple[str, ...]) -> str:
@@ -90,7 +90,7 @@ def _said(command: tuple[str, ...]) -> str:
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=TOOL_TIMEOUT_S)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return f"not to be had: {error}\n"
+        return f"cannot be run: {error}\n"
     return done.stdout + done.stderr
 
 
@@ -109,7 +109,7 @@ def newest_logs(data: Path) -> list[Path]:
     return chosen
 
 
-def blot(text: str) -> str:
+def redacted(text: str) -> str:
     """The text without the values of secret-sounding keys, and without the user's home folder and name."""
     text = SECRET.sub(r"\1(left out)", text)
     text = text.replace(str(Path.home()), "~")

@@ -12,8 +12,9 @@ values mean something: along a singular vector, an error of e mm in the points b
 What can be told apart, and what cannot:
 
 - The points are in the base frame: origin where the chain begins (for `ax12-line` on the base yaw's axis, d1 below
-  the shoulder's), x ahead at base position 0, z up. The base's zero is therefore only as true as the sheet's
-  alignment, and d1 only as true as the sheet's height: moving the sheet down is the same as making d1 longer.
+  the shoulder's), x ahead at base position 0, z up. An error in the sheet's
+  direction becomes an error of the base's zero, and one in its height an error of d1: moving the sheet down is the
+  same as making d1 longer.
 - Servos beyond the chain (a wrist roll) do not move the tool point; their zeros are held.
 - If the tool always comes down at one angle, d1 and the last length are one number, and so are two neighbouring zeros
   if the joint between their links hardly moves. Touch every point in several postures: elbow high and low, tool
@@ -51,7 +52,7 @@ WEAK = 0.25
 """Smallest singular value [mm per tick or mm] that counts as seen: there 0.25 mm are a whole tick."""
 HELD_ERROR_TICK = 5.0
 HELD_ERROR_MM = 2.0
-"""How wrong a value that is left alone may be; the others make up for that, and their standard errors say so."""
+"""How wrong a held value may be. The others make up for that, and their standard errors include it."""
 CONFUSED = 0.3
 """Component of a weak direction from which on a parameter is named."""
 Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

@@ -101,12 +101,11 @@ def check_port(bus: ServoBus, surroundings: Surroundings) -> list[Check]:
         bus.open()
     except BusError as error:
         value, _, fix = str(error).rpartition("; ")
-        if isinstance(error, PortBusy):
-            if surroundings.daemon:
-                fix = "if it is the daemon: `armctl status` shows its servos; stop it (Ctrl-C), then run doctor again"
-            return [_check("port", True, str(path)), Check("owner", False, value, fix)]
-        if path.exists() and not os.access(path, os.R_OK | os.W_OK):
-            return [_check("port", True, str(path)), Check("permission", False, value, fix)]
+        busy = isinstance(error, PortBusy)
+        if busy and surroundings.daemon:
+            fix = "if it is the daemon: `armctl status` shows its servos; stop it (Ctrl-C), then run doctor again"
+        if busy or (path.exists() and not os.access(path, os.R_OK | os.W_OK)):
+            return [Check("port", True, str(path)), Check("owner" if busy else "permission", False, value, fix)]
         return [Check("port", False, value, fix)]
     facts = (("port", _port_name(path)), ("permission", "readable and writable"), ("owner", "nobody else"))
     checks = [Check(name, True, value) for name, value in facts]

@@ -2,8 +2,8 @@
 
 Rules:
 
-1. A servo is written only if it alone answers to its id, its torque is off and its LOCK is off. Whatever speaks
-   against any write of a request is found before the first one.
+1. A servo is written only if it alone answers to its id, its torque is off and its LOCK is off. Every obstacle
+   to any write of a request is found before the first write.
 2. No status packet is believed: a write counts when the register has been read back. (A servo whose id, baud or
    return level changes may answer either way, or not at all.)
 3. Nothing here writes RAM: no torque, no goal, no speed.

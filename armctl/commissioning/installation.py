@@ -1,4 +1,4 @@
-"""armctl as a system service: which files and commands that takes, and their doing and undoing.
+"""armctl as a system service: the files and commands it needs, and how they are done and undone.
 
 Rules.
 1. An installation is a list of acts, made before anything is touched: printing it is the dry run.
@@ -87,7 +87,7 @@ class Run:
 
     command: tuple[str, ...]
     may_fail: bool = False
-    """What is undone may be gone already."""
+    """It undoes something that may be gone already."""
 
     def __str__(self) -> str:
         return "run " + " ".join(self.command)
@@ -173,7 +173,7 @@ def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None]
     """Do what is due.
 
     Args:
-        tell: Hears of every act before it is done, and whether it is due.
+        tell: Called with every act before it is done, and whether it is due.
     Raises:
         InstallationFailed: one could not be done; those before it are.
     """

@@ -12,7 +12,7 @@ Selection is one of
   offspring in proportion to fitness (eqs. 21, 22);
 - "truncation": the best of parents and offspring together survive (mu + lambda), of equal costs only one.
 
-Where a table of triple costs is at hand a few children a generation may also learn: a short window of neighbouring
+Where there is a table of triple costs a few children a generation may also learn: a short window of neighbouring
 genes of a survivor is re-chosen at once, all others held. A window is a small part of a chromosome and lies anywhere,
 so this improves what evolution has found and cannot find it by itself.
 """
@@ -57,18 +57,7 @@ class Settings:
     """Most of the population that may be elite (roulette only)."""
 
     def __post_init__(self) -> None:
-        check_settings(
-            self,
-            population=(2, 100_000),
-            generations=(1, 1_000_000),
-            crossover_probability=(0, 1),
-            mutation_probability=(0, 1),
-            searches=(0, 100_000),
-            window_genes=(1, 12),
-            stall_generations=(0, 1_000_000),
-            elite_threshold=(0, 1),
-            elite_fraction=(0, 1),
-        )
+        check_settings(self)
         shares = self.charge_shares
         if not 1 <= len(shares) <= self.generations or shares[-1] != 1.0 or not all(share >= 0.0 for share in shares):
             raise ConfigError(

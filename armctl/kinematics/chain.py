@@ -20,7 +20,10 @@ from armctl.kinematics.sine import cos_sin, cos_sin_of_all
 from armctl.kinematics.transform import FloatArray
 
 BLOCK = 2048
-"""Poses worked on together: few enough for the cache, many enough to hide the interpreter."""
+"""Poses computed together: they fit the processor's cache, and the cost of a call is small beside their work."""
+
+QUARTER_TURNS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+"""Cosine and sine of 0, 90, 180 and 270 deg."""
 
 Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """X, Y, Z and P of one frame, shape (3, m); (3, 1) while every pose has the same."""
@@ -44,7 +47,7 @@ class SerialChain:
     rows: tuple[DHRow, ...]
     convention: Literal["standard", "modified"] = "standard"
     tool_m: float = 0.0
-    """How far the tool frame lies along x of the last link frame: the last row of a modified table, which moves not."""
+    """How far the tool frame lies along x of the last link frame: the fixed last row of a modified table."""
 
     @property
     def n(self) -> int:
@@ -56,27 +59,22 @@ class SerialChain:
         return 0 if self.convention == "standard" else 1
 
     @cached_property
-    def _alpha_trig(self) -> tuple[tuple[float, float], ...]:
-        # The alphas of real arms are multiples of 90 deg, as near as a float comes to them: keep their sines and
-        # cosines exact.
-        pairs = []
+    def _table(self) -> tuple[tuple[float, float, float, float, float], ...]:
+        """Of each row offset, a, d, and the cosine and sine of alpha."""
+        table = []
         for row in self.rows:
+            # The alphas of real arms are multiples of 90 deg, as near as a float comes to them: their sines and
+            # cosines are kept exact.
             quarter = row.alpha / (np.pi / 2.0)
-            if abs(quarter - round(quarter)) < 1e-14:
-                pairs.append(((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4])
-            else:
-                pairs.append(cos_sin(row.alpha))
-        return tuple(pairs)
+            exact = abs(quarter - round(quarter)) < 1e-14
+            trig = QUARTER_TURNS[round(quarter) % 4] if exact else cos_sin(row.alpha)
+            table.append((row.offset, row.a, row.d, *trig))
+        return tuple(table)
 
     @cached_property
     def _offsets(self) -> FloatArray:
         """Shape (n, 1)."""
         return np.array([[row.offset] for row in self.rows])
-
-    @cached_property
-    def _table(self) -> tuple[tuple[float, float, float, float, float], ...]:
-        """Of each row offset, a, d, and the cosine and sine of alpha."""
-        return tuple((row.offset, row.a, row.d, *trig) for row, trig in zip(self.rows, self._alpha_trig, strict=True))
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
@@ -209,21 +207,21 @@ def _frames(chain: SerialChain, q: FloatArray) -> Iterator[Columns]:
     """Every link frame, and the tool frame if it is another, of q, shape (m, n)."""
     X, Y, Z, P = _BASE
     cosines, sines = cos_sin_of_all(np.ascontiguousarray(q.T) + chain._offsets)
-    for row, (ca, sa), c, s in zip(chain.rows, chain._alpha_trig, cosines, sines, strict=True):
+    for (_, a, d, ca, sa), c, s in zip(chain._table, cosines, sines, strict=True):
         if chain.convention == "standard":
-            if row.a != 0.0:
-                along = X * (row.a * c) + Y * (row.a * s)
-                P = (along if row.d == 0.0 else along + Z * row.d) + P
-            elif row.d != 0.0:
-                P = Z * row.d + P
+            if a != 0.0:
+                along = X * (a * c) + Y * (a * s)
+                P = (along if d == 0.0 else along + Z * d) + P
+            elif d != 0.0:
+                P = Z * d + P
             X, Y = X * c + Y * s, Y * c - X * s
             Y, Z = _twist(Y, Z, ca, sa)
         else:
-            if row.a != 0.0:
-                P = X * row.a + P
+            if a != 0.0:
+                P = X * a + P
             Y, Z = _twist(Y, Z, ca, sa)
-            if row.d != 0.0:
-                P = Z * row.d + P
+            if d != 0.0:
+                P = Z * d + P
             X, Y = X * c + Y * s, Y * c - X * s
         yield X, Y, Z, P
     if chain.tool_m != 0.0:
@@ -242,8 +240,8 @@ def _twist(Y: FloatArray, Z: FloatArray, ca: float, sa: float) -> tuple[FloatArr
 def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, Axis, Axis, Axis]]:
     """The base and the frames of one configuration q, n joint positions, in plain floats.
 
-    The control step asks for one pose every tick. For one pose numpy's calls take most of the time; this takes about
-    a tenth of it. Same products in the same order as `_frames`, hence the same bits, but for the sign of a zero.
+    The control step asks for one pose every tick, and for so little work numpy's calls take most of the time. Same
+    products in the same order as `_frames`, hence the same bits, but for the sign of a zero.
     """
     (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2) = frame = _BASE_OF_ONE
     frames = [frame]

@@ -14,6 +14,8 @@ from armctl.kinematics.transform import FloatArray, rotation_error
 
 TURN_RAD = 2.0 * np.pi - 1e-9
 """A joint whose range is at least this wide has no ends."""
+REFINED = 1e-13
+"""Largest error, in arm lengths and radians, at which a pose is refined no further."""
 MOST_STARTS = 40
 """From so many starts a pose is tried."""
 SOLVED = 1e-9
@@ -28,13 +30,10 @@ def solve_position(
     *,
     tolerance_m: float = 1e-9,
     iterations: int = 200,
-    rest: FloatArray | None = None,
-    rest_gain: float = 0.0,
 ) -> FloatArray:
     """Joint positions near `q_start` that put the tool point on `target`.
 
-    Damped least squares (Levenberg-Marquardt damping), joints clamped to their limits; what redundancy is left
-    is pulled towards `rest` with `rest_gain`.
+    Damped least squares (Levenberg-Marquardt damping), joints clamped to their limits.
 
     Args:
         target: Tool point in the base frame [m], shape (3,).
@@ -60,12 +59,8 @@ def solve_position(
         free = np.ones(chain.n, dtype=bool)
         for _ in range(chain.n):
             Jf = J[:, free]
-            gram = Jf @ Jf.T + damping * np.eye(3)
             step[:] = 0.0
-            step[free] = Jf.T @ np.linalg.solve(gram, error)
-            if rest is not None and rest_gain > 0.0 and distance > 100.0 * tolerance_m:
-                pull = rest_gain * (rest - q)[free]
-                step[free] += pull - Jf.T @ np.linalg.solve(gram, Jf @ pull)
+            step[free] = Jf.T @ np.linalg.solve(Jf @ Jf.T + damping * np.eye(3), error)
             blocked = free & (((q <= low) & (step < 0.0)) | ((q >= high) & (step > 0.0)))
             if not blocked.any() or blocked.sum() == free.sum():
                 break
@@ -104,7 +99,6 @@ def refine_poses(
     *,
     turned: bool = True,
     iterations: int = 60,
-    tolerance: float = 1e-13,
 ) -> FloatArray:
     """Joint configurations near the starts that bring the tool as near to the poses as they go.
 
@@ -113,7 +107,6 @@ def refine_poses(
         q_start: Where each search begins [rad], shape (m, n).
         limits: Lowest and highest position [rad], shape (n, 2); a joint with a whole turn is not clamped.
         turned: Whether the rotation counts; without it the position alone does.
-        tolerance: Largest error, in arm lengths and radians, at which a pose is left alone.
     Returns:
         q, shape (m, n): never worse than the (clamped) start.
     """
@@ -126,7 +119,7 @@ def refine_poses(
     cost = (error**2).sum(axis=-1)
     damping = np.full(len(q), 1e-6)
     for _ in range(iterations):
-        active = np.flatnonzero((cost > tolerance**2) & (damping < 1e5))
+        active = np.flatnonzero((cost > REFINED**2) & (damping < 1e5))
         if not len(active):
             break
         J = jacobian(chain, q[active]) * weights[:, None]

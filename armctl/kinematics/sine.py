@@ -1,11 +1,11 @@
 """Cosine and sine that come out the same, to the last bit, on every machine.
 
 A C library's may differ in the last bit from one processor, system or version to the next, and a log is replayed
-elsewhere than it was made. Here are only sums, products and roundings to a whole number, which IEEE 754 leaves no
-choice in, and one and many angles go through the same ones in the same order.
+elsewhere than it was made. Here are only sums, products and roundings to a whole number, whose results
+IEEE 754 fixes. One angle and many go through the same operations in the same order.
 
 The angle is brought into -pi/4..pi/4 by whole quarter turns, pi/2 being kept in three parts (Cody and Waite), the rest
-in two; there the Taylor series does with nine and ten terms. Both are within 1.2e-16 of the truth.
+in two. There nine and ten terms of the Taylor series are enough. Both are within 1.2e-16 of the truth.
 """
 
 import math
@@ -17,7 +17,7 @@ import numpy as np
 from armctl.kinematics.transform import FloatArray
 
 LARGEST_RAD = 1e6
-"""Beyond, the product of a part of pi/2 and the quarter turns has too many digits; the C library has to do."""
+"""Beyond, the product of a part of pi/2 and the quarter turns has too many digits; the C library is used."""
 FEW = 24
 """So many angles take less time one by one than numpy's calls do."""
 QUARTERS_PER_RAD = 2.0 / math.pi
@@ -31,7 +31,7 @@ PARTS_RAD = (
 
 @lru_cache(maxsize=8192)
 def cos_sin(angle: float) -> tuple[float, float]:
-    """Cosine and sine of an angle [rad]. What a servo's ticks come to is looked up, not computed again."""
+    """Cosine and sine of an angle [rad]; the last ones are kept, because the angles of a servo's ticks come often."""
     if not -LARGEST_RAD <= angle <= LARGEST_RAD:
         return float(np.cos(angle)), float(np.sin(angle))
     turns = round(angle * QUARTERS_PER_RAD)

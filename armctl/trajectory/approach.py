@@ -1,7 +1,7 @@
 """Slow motions from rest to rest: how a plan's start, a rest pose or a single target is approached.
 
 How long a quintic takes that keeps every joint's speed and acceleration and the tool's speed within their limits
-follows from its peaks; a solver of time-optimal laws (toppra, ruckig) has nothing to add to a motion meant to be slow.
+follows from its peaks; a solver of time-optimal laws (toppra, ruckig) is of no use for a motion meant to be slow.
 """
 
 import math

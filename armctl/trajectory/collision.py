@@ -3,11 +3,11 @@
 Rules.
 1. A link is the straight segment between the origins of consecutive frames, thick all round by one radius; link 1 is
    the base column. The radius covers an AX-12A (32 x 50 x 38 mm) with its brackets along the longest side.
-2. Neighbours share a joint and touch in every pose: their angle is the business of the joint's limits. Neither can two
-   links be judged whose links between, even stretched, do not hold them two radii apart. All other pairs are judged.
+2. Neighbours share a joint and touch in every pose: the joint's limits bound their angle. Two links whose links
+   between, even stretched, do not hold them two radii apart are not judged either. All other pairs are judged.
 3. The base column stands on the floor; what comes down is beyond the shoulder. There a link is as thick as its radius
-   at its joint and tapers to the tool point, which is a point: tools are made to touch things.
-4. A capsule is fatter than the arm. Whoever judges a motion must let an arm that stands where capsules overlap leave.
+   at its joint and tapers to the tool point, which is a point, because a tool has to touch things.
+4. A capsule is fatter than the arm: an arm that stands where capsules overlap must be allowed to leave.
 
 Nothing here knows cables, grippers, or what else stands on the table.
 """

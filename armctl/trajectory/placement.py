@@ -1,7 +1,7 @@
 """Via points placed off the line, so that the interpolated and lagging motion is on it.
 
-Between via points joints are interpolated, which bends the tool's path; below its goals an arm sags and lags. Neither
-has to cost anything: the waypoints W are chosen such that what the arm will do, q(t) = Phi(t) W - lag(t), keeps the
+Between via points joints are interpolated, which bends the tool's path; below its goals an arm sags and lags. Both
+can be made up for: the waypoints W are chosen such that what the arm will do, q(t) = Phi(t) W - lag(t), keeps the
 tool on AB. Phi is the interpolation's basis, so the tool's derivative by W is J(q) Phi, and Gauss-Newton converges in
 a few steps. Deviations across the line count in full, at the ends and along the line as far as the weights say; what
 redundancy is left stays where it was.
@@ -122,7 +122,7 @@ class _Search:
         self.at_end = np.zeros(m)
         self.at_end[[0, -1]] = self.end
         self.stay = STAY_M_RAD**2 * m
-        # A bow that cannot be removed would drive what redundancy there is about.
+        # With the ends alone the path keeps its bow; without damping the search would move the free joints for nothing.
         self.damping = (1e-6 if between else 1e-3) * m
 
     def tool(self, W: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

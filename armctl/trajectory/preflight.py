@@ -1,12 +1,12 @@
-"""What must hold before a motion may run, whoever asks for it: every reason against it at once.
+"""What must hold before any motion may run; all reasons against it are told at once.
 
 Rules.
 1. A motion is rows of joint positions on a time grid, straight joint lines between them, at rest before and after.
 2. Nothing is clipped or repaired; a reason names the part, the value, the bound and what to do.
 3. Speeds and accelerations are those of the rows; acceleration is the change of speed over 0.1 s, so that a corner is
-   judged as a servo sees it. What touches is looked at every degree of joint motion.
+   judged as a servo sees it. Contact is checked at every degree of joint motion.
 4. The arm may leave a pose that is forbidden by the thickness of its links alone: capsules are fatter than it is, and
-   where it stands it stands. Links that overlap at the start may only come apart, what lies too low only rise.
+   it already stands there. Links that overlap at the start may only come apart, what lies too low only rise.
 """
 
 import math
@@ -116,21 +116,18 @@ def _against_joints(q: FloatArray, period_s: float, arm: ArmConfig, duration_s: 
 
 
 def _against_limits(joint: JointConfig, column: FloatArray) -> Iterator[str]:
-    (low_rad, high_rad), slack_rad = joint.limits_rad, TICK_RAD / 2.0
+    (low_rad, high_rad), (low_deg, high_deg), slack_rad = joint.limits_rad, joint.limits_deg, TICK_RAD / 2.0
     lowest_rad, highest_rad = float(column.min()), float(column.max())
-    for position_rad, outside in (
-        (lowest_rad, lowest_rad < low_rad - slack_rad),
-        (highest_rad, highest_rad > high_rad + slack_rad),
-    ):
-        if outside:
-            tick = joint.tick(position_rad)
-            dead = not -0.5 <= tick <= TICK_MAX + 0.5
-            yield (
-                f"{joint.name} {'stands at' if position_rad == column[0] else 'would go to'} "
-                f"{math.degrees(position_rad):.1f} deg, outside its limits {joint.limits_deg[0]:.1f} to "
-                f"{joint.limits_deg[1]:.1f} deg"
-                + (f"; tick {tick:.0f} lies in the servo's dead zone (0 to {TICK_MAX})" if dead else "")
-            )
+    outside = [lowest_rad] if lowest_rad < low_rad - slack_rad else []
+    outside += [highest_rad] if highest_rad > high_rad + slack_rad else []
+    for position_rad in outside:
+        tick, verb = joint.tick(position_rad), "stands at" if position_rad == column[0] else "would go to"
+        within = -0.5 <= tick <= TICK_MAX + 0.5
+        dead = "" if within else f"; tick {tick:.0f} lies in the servo's dead zone (0 to {TICK_MAX})"
+        yield (
+            f"{joint.name} {verb} {math.degrees(position_rad):.1f} deg, outside its limits {low_deg:.1f} to "
+            f"{high_deg:.1f} deg{dead}"
+        )
 
 
 def _against_tool_speed(tool_m: FloatArray, period_s: float, arm: ArmConfig, duration_s: float) -> Iterator[str]:

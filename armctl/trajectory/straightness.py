@@ -1,6 +1,6 @@
 """How straight a tool path is: distance to the line through A and B (Raharjo et al. eqs. 19, 20).
 
-The line is endless: running past A or B costs nothing, so whoever needs the ends held must hold them.
+The line is endless: to run past A or B costs nothing. Where the ends matter, something else must hold them.
 """
 
 import numpy as np

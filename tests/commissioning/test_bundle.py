@@ -51,7 +51,8 @@ def test_the_newest_logs_that_fit_are_taken(config: Config, tmp_path: Path, monk
 def test_secrets_and_the_home_folder_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", "/home/evelyn")
     monkeypatch.setenv("LOGNAME", "evelyn")
-    text = bundle.blot('web_token: abc\n  "password": "x",\nport: /home/evelyn/servos\nby evelyn\nmonkey business: 1\n')
+    told = 'web_token: abc\n  "password": "x",\nport: /home/evelyn/servos\nby evelyn\nmonkey business: 1\n'
+    text = bundle.redacted(told)
     assert "abc" not in text
     assert '"x"' not in text
     assert "evelyn" not in text

@@ -73,11 +73,10 @@ def test_standard_errors_are_what_repeated_calibrations_scatter() -> None:
     touches = ideal_touches(ARM, 20, rng)
     found = []
     for _ in range(60):
+        points_m = [np.array(touch.point_m) + 0.0005 * rng.standard_normal(3) for touch in touches]
         noisy = [
-            touch.model_copy(
-                update={"point_m": tuple((np.array(touch.point_m) + 0.0005 * rng.standard_normal(3)).tolist())}
-            )
-            for touch in touches
+            touch.model_copy(update={"point_m": tuple(point_m.tolist())})
+            for touch, point_m in zip(touches, points_m, strict=True)
         ]
         found.append([p for p in fit(ARM, noisy).parameters if p.standard_error is not None])
     after = np.array([[parameter.after for parameter in row] for row in found])
@@ -146,9 +145,8 @@ def test_too_few_touches_and_points_in_the_wrong_order_are_refused() -> None:
 
 
 def test_limits_and_rest_stay_at_their_ticks() -> None:
-    zeros = [
-        joint.zero_tick + shift for joint, shift in zip(ARM.joints, (12.0, -9.5, 0.0, 3.3, -30.0, 0.0), strict=True)
-    ]
+    shifts = (12.0, -9.5, 0.0, 3.3, -30.0, 0.0)
+    zeros = [joint.zero_tick + shift for joint, shift in zip(ARM.joints, shifts, strict=True)]
     after = recalibrated(ARM, zeros, {"d1": 0.1031})
     for old, new in zip(ARM.joints, after.joints, strict=True):
         assert new.limits_tick[0] - old.limits_tick[0] in (0, 1)

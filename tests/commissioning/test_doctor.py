@@ -231,13 +231,7 @@ def test_latency_of_the_driver_is_read_and_its_fix_is_exact(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("error", "daemon", "name", "value", "fix"),
     [
-        (
-            PortMissing("p: no such port; found: none; plug the adapter in"),
-            "",
-            "port",
-            "found: none",
-            "plug the adapter in",
-        ),
+        (PortMissing("p: no such port; found: none; plug it in"), "", "port", "found: none", "plug it in"),
         (PortBusy("p: in use by x (pid 7); stop it"), "", "owner", "x (pid 7)", "stop it"),
         (PortBusy("p: in use by x (pid 7); stop it"), "/run/s", "owner", "x (pid 7)", "armctl status"),
     ],

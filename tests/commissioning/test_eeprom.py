@@ -232,16 +232,9 @@ def test_restoring_names_every_obstacle_and_writes_nothing(tmp_path: Path) -> No
     bench.servos[1].set(ax12a.TORQUE_ENABLE, 1)
     bench.servos[3].set(ax12a.MODEL, 18)
     bench.servos[4].set(ax12a.ID, 99)
-    other_baud = saved.model_copy(
-        update={
-            "servos": tuple(
-                servo.model_copy(update={"registers": {**servo.registers, "baud_rate": 3}})
-                if servo.servo_id == 6
-                else servo
-                for servo in saved.servos
-            )
-        }
-    )
+    *others, sixth = saved.servos
+    slow = sixth.model_copy(update={"registers": {**sixth.registers, "baud_rate": 3}})
+    other_baud = saved.model_copy(update={"servos": (*others, slow)})
     before = writes(bench)
     with pytest.raises(RequestRefused) as refusal:
         eeprom.restore(bench.bus, other_baud)

@@ -1,6 +1,7 @@
 """Synthetic recordings of a hand guiding the limp arm along a line."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,13 @@ def arm() -> ArmConfig:
 @cache
 def robot() -> Robot:
     return robots.get(arm().robot, arm().lengths_m)
+
+
+def changed(original: ArmConfig, joint: int | None = None, **changes: Any) -> ArmConfig:
+    """The arm, or one of its joints, with other settings."""
+    data = original.model_dump()
+    (data if joint is None else data["joints"][joint]).update(changes)
+    return ArmConfig.model_validate(data)
 
 
 @cache

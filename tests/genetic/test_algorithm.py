@@ -11,8 +11,6 @@ from armctl.kinematics.transform import FloatArray, IntArray
 PLAIN = replace(
     DEFAULT, population=40, crossover="one cut", mutation_probability=0.05, charge_shares=(1.0,), searches=0
 )
-
-
 WEIGHTS = np.random.default_rng(5).uniform(1.0, 2.0, 15)
 
 
@@ -29,6 +27,21 @@ def evolved(settings: Settings, seed: int, generations: int) -> tuple[GeneticAlg
         algorithm.tell(weighed(algorithm.ask()))
         best.append(algorithm.best_cost)
     return algorithm, best
+
+
+def uniform(rows: int, genes: int) -> IntArray:
+    """Chromosomes of one gene each."""
+    return np.repeat(np.arange(rows)[:, None], genes, axis=1)
+
+
+def crossed(initial: IntArray, generations: int) -> tuple[GeneticAlgorithm, FloatArray]:
+    """A run by optimal crossover, and its table of triple costs."""
+    table = np.random.default_rng(3).random((6, 3, 3, 3))
+    settings = replace(DEFAULT, population=60)
+    algorithm = GeneticAlgorithm(initial, 3, settings, np.random.default_rng(0), triple_cost=table)
+    for _ in range(generations):
+        algorithm.tell(evaluate(table, algorithm.ask()))
+    return algorithm, table
 
 
 def test_the_first_population_is_the_initial_one_repeated() -> None:
@@ -59,9 +72,7 @@ def test_same_seed_gives_the_same_individuals_and_another_does_not(settings: Set
 
 def test_truncation_keeps_the_best_of_parents_and_offspring_one_for_each_cost() -> None:
     settings = replace(PLAIN, population=4, crossover_probability=0.0, mutation_probability=0.0)
-    algorithm = GeneticAlgorithm(
-        np.arange(4)[:, None] * np.ones(3, dtype=np.intp), 9, settings, np.random.default_rng(0)
-    )
+    algorithm = GeneticAlgorithm(uniform(4, 3), 9, settings, np.random.default_rng(0))
     algorithm.tell(np.array([3.0, 1.0, 1.0, 2.0]))
     assert algorithm.ask()[:, 0].tolist() == [1, 3, 0, 1]
     algorithm.tell(np.array([9.0, 0.5, 9.0, 9.0]))
@@ -71,9 +82,7 @@ def test_truncation_keeps_the_best_of_parents_and_offspring_one_for_each_cost() 
 
 def test_roulette_keeps_the_elite_of_the_parents() -> None:
     settings = replace(PAPER, population=10, crossover_probability=0.0, mutation_probability=0.0, elite_fraction=0.2)
-    algorithm = GeneticAlgorithm(
-        np.arange(10)[:, None] * np.ones(3, dtype=np.intp), 10, settings, np.random.default_rng(0)
-    )
+    algorithm = GeneticAlgorithm(uniform(10, 3), 10, settings, np.random.default_rng(0))
     algorithm.tell(np.where(algorithm.ask()[:, 0] == 4, 1.0, 1e9))
     algorithm.tell(np.full(10, 2.0))
     assert algorithm.ask()[0].tolist() == [4, 4, 4]
@@ -81,18 +90,12 @@ def test_roulette_keeps_the_elite_of_the_parents() -> None:
 
 
 def test_optimal_crossover_needs_and_uses_the_table() -> None:
-    initial = np.repeat(np.arange(3)[:, None], 8, axis=1)
+    initial = uniform(3, 8)
     for settings in (replace(DEFAULT, searches=0), replace(PLAIN, searches=1)):
         with pytest.raises(ValueError, match="triple costs"):
             GeneticAlgorithm(initial, 3, settings, np.random.default_rng(0))
-    table = np.random.default_rng(3).random((6, 3, 3, 3))
-    algorithm = GeneticAlgorithm(
-        initial, 3, replace(DEFAULT, population=60), np.random.default_rng(0), triple_cost=table
-    )
-    for _ in range(30):
-        algorithm.tell(evaluate(table, algorithm.ask()))
-    alone = evaluate(table, initial).min()
-    assert algorithm.best_cost < alone
+    algorithm, table = crossed(initial, 30)
+    assert algorithm.best_cost < evaluate(table, initial).min()
 
 
 def test_searches_improve_survivors_and_a_window_is_never_more_than_a_quarter_of_a_chromosome() -> None:
@@ -113,13 +116,8 @@ def test_searches_improve_survivors_and_a_window_is_never_more_than_a_quarter_of
 
 
 def test_restart_asks_the_first_population_and_the_survivors_under_the_new_cost() -> None:
-    initial = np.repeat(np.arange(3)[:, None], 8, axis=1)
-    table = np.random.default_rng(3).random((6, 3, 3, 3))
-    algorithm = GeneticAlgorithm(
-        initial, 3, replace(DEFAULT, population=60), np.random.default_rng(0), triple_cost=table
-    )
-    for _ in range(5):
-        algorithm.tell(evaluate(table, algorithm.ask()))
+    initial = uniform(3, 8)
+    algorithm, table = crossed(initial, 5)
     before = algorithm.best.copy()
     algorithm.restart(table + 1.0)
     asked = algorithm.ask()

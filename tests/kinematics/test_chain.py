@@ -40,11 +40,9 @@ def product_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
     for r, angle in zip(chain.rows, q, strict=True):
         turn = rotation_z(angle + r.offset) @ translation(0.0, r.d)
         twist = translation(r.a, 0.0) @ rotation_x(r.alpha)
-        T = (
-            T @ turn @ twist
-            if chain.convention == "standard"
-            else T @ rotation_x(r.alpha) @ translation(r.a, 0.0) @ turn
-        )
+        if chain.convention == "modified":
+            turn, twist = rotation_x(r.alpha) @ translation(r.a, 0.0), turn
+        T = T @ turn @ twist
     return T @ translation(chain.tool_m, 0.0)
 
 

@@ -23,6 +23,7 @@ from armctl.trajectory.plan import (
     preflight,
 )
 from tests.genetic import hand
+from tests.genetic.hand import changed
 
 ARM, ROBOT = hand.arm(), hand.robot()
 LINE = np.column_stack([hand.joint_line(), np.full(65, 0.3)])
@@ -46,12 +47,6 @@ def make_plan(**changes: Any) -> Plan:
         "seed": 3,
     }
     return Plan(**(fields | changes))
-
-
-def changed(arm: ArmConfig, joint: int | None = None, **changes: Any) -> ArmConfig:
-    data = arm.model_dump()
-    (data if joint is None else data["joints"][joint]).update(changes)
-    return ArmConfig.model_validate(data)
 
 
 def reasons_for(arm: ArmConfig, plan: Plan | None = None, q_now: list[float] = REST) -> tuple[str, ...]:

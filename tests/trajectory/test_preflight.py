@@ -16,17 +16,12 @@ from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.interpolate import quintic
 from armctl.trajectory.preflight import peak_rates, preflight_motion
 from tests.genetic import hand
+from tests.genetic.hand import changed
 
 ARM, ROBOT = hand.arm(), hand.robot()
 REST = np.array([joint.rest_rad for joint in ARM.joints])
 UP = np.radians([0.0, 100.0, -60.0, -40.0, 0.0, 0.0])
 PERIOD_S = 0.05
-
-
-def changed(joint: int | None = None, **changes: Any) -> ArmConfig:
-    data = ARM.model_dump()
-    (data if joint is None else data["joints"][joint]).update(changes)
-    return ArmConfig.model_validate(data)
 
 
 def motion(*poses: FloatArray, arm: ArmConfig = ARM) -> FloatArray:
@@ -144,7 +139,7 @@ def test_what_happens_between_two_rows_far_apart_is_seen_too() -> None:
 
 def test_an_arm_that_lies_on_itself_may_unfold_but_not_fold_further() -> None:
     folded, free, tighter = np.radians([[0.0, 100.0, -145.0, wrist, 0.0, 0.0] for wrist in (-60.0, 10.0, -65.0)])
-    arm = changed(floor_m=-1.0)
+    arm = changed(ARM, floor_m=-1.0)
     assert reasons(np.stack([folded, folded]), arm) == ()
     assert reasons(motion(folded, free), arm) == ()
     assert any("would touch" in reason for reason in reasons(motion(free, folded), arm))
@@ -174,7 +169,7 @@ def test_the_tool_may_come_down_to_the_floor_itself() -> None:
 
 def test_every_reason_is_told_at_once() -> None:
     q = motion(UP, np.radians([0.0, 165.0, -60.0, -40.0, 0.0, 0.0]))[::8]
-    told = reasons(q, changed(floor_m=0.2), start_rad=REST.tolist())
+    told = reasons(q, changed(ARM, floor_m=0.2), start_rad=REST.tolist())
     for part in ("starts", "outside its limits", "deg/s,", "deg/s2", "m/s,", "floor at 0.200 m"):
         assert any(part in reason for reason in told), part
 

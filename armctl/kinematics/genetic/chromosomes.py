@@ -18,15 +18,28 @@ from armctl.kinematics.transform import FloatArray, IntArray
 
 Words = NDArray[np.uint32]
 MOST_BITS = 32
+BOUNDS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("population", "individuals"), (2, 100_000)),
+    **dict.fromkeys(("generations", "migration_generations", "catastrophe_generations"), (1, 1_000_000)),
+    **dict.fromkeys(("crossover_probability", "mutation_probability", "niche_radius", "progress"), (0, 1)),
+    **dict.fromkeys(("elite_threshold", "elite_fraction"), (0, 1)),
+    "populations": (1, 1000),
+    "sharing": (0, 1000),
+    "searches": (0, 100_000),
+    "window_genes": (1, 12),
+    "stall_generations": (0, 1_000_000),
+}
+"""Least and greatest value of every setting of a genetic algorithm that has a bound of its own."""
 
 
 def check_settings(settings: object, **bounds: tuple[float, float]) -> None:
-    """
+    """Hold what the settings have of `BOUNDS`, and the bounds given, which depend on other settings.
+
     Raises:
         ConfigError: a setting is outside its bounds.
     """
-    for name, (low, high) in bounds.items():
-        value = getattr(settings, name)
+    for name, (low, high) in (BOUNDS | bounds).items():
+        value = getattr(settings, name, low)
         if not low <= value <= high:
             raise ConfigError("genetic algorithm", name, f"{value} is outside {low} to {high}")
 

@@ -5,13 +5,13 @@
 2. Individuals near the head of their niche give up fitness (eqs. 9, 10), so that a niche does not fill with copies.
 3. Roulette, one-cut crossover and flipped bits as in the standard algorithm; the heads survive as they are.
 4. Migration: now and then the best of every population visits the next one.
-5. Catastrophe: a population whose best no longer improves dies out but for that one; newcomers are random.
+5. Catastrophe: a population whose best no longer improves is replaced by random individuals; its best stays.
 
 The paper's text is half unreadable and prints no settings. Chosen here, by trials on its pose and on random ones: all
-of `Settings`; Gray code, without which the bit strings of neighbouring angles may differ everywhere and no niche is
-one; the objective of eq. (9) as least error / own error, since fitness must fall with the error of eq. (4); eq. (10)
-read as fitness_i - (h_max - h_i) / a with h_i the distance to the head, h_max the largest in the niche, and
-a = bits of a chromosome / `sharing`.
+of `Settings`; Gray code, without which the bit strings of neighbouring angles may differ in every bit, and no niche
+holds together; the objective of eq. (9) as least error / own error, since fitness must fall with the error of eq.
+(4); eq. (10) read as fitness_i - (h_max - h_i) / a with h_i the distance to the head, h_max the largest in the niche,
+and a = bits of a chromosome / `sharing`.
 """
 
 from collections.abc import Sequence
@@ -50,20 +50,7 @@ class Settings:
     """Share by which the least error must fall to count as progress."""
 
     def __post_init__(self) -> None:
-        check_settings(
-            self,
-            populations=(1, 1000),
-            individuals=(2, 100_000),
-            generations=(1, 1_000_000),
-            niches=(1, self.individuals),
-            migration_generations=(1, 1_000_000),
-            catastrophe_generations=(1, 1_000_000),
-            crossover_probability=(0, 1),
-            mutation_probability=(0, 1),
-            niche_radius=(0, 1),
-            sharing=(0, 1000),
-            progress=(0, 1),
-        )
+        check_settings(self, niches=(1, self.individuals))
 
 
 DEFAULT = Settings()
@@ -130,7 +117,7 @@ def part(coding: Coding, words: Words, cost: FloatArray, settings: Settings) -> 
     niche, distance = np.full(cost.shape, -1), np.zeros(cost.shape, dtype=np.int64)
     left = cost.copy()
     for index in range(settings.niches):
-        # Where nobody is left the best of all heads this niche too, and nobody follows.
+        # Where no individual is left, the best of all heads this niche too, and it has no members.
         head = np.where(np.isfinite(left).any(axis=1), left.argmin(axis=1), heads[:, 0])
         heads[:, index] = head
         away = chromosomes.hamming(words, words[every, head][:, None])  # (eq. 8)

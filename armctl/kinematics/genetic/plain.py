@@ -30,13 +30,7 @@ class Settings:
     bits: int = 16
 
     def __post_init__(self) -> None:
-        check_settings(
-            self,
-            population=(2, 100_000),
-            generations=(1, 1_000_000),
-            crossover_probability=(0, 1),
-            mutation_probability=(0, 1),
-        )
+        check_settings(self)
 
 
 PAPER = Settings()

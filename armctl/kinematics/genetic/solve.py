@@ -26,7 +26,7 @@ def solve(
     polish: bool = True,
     seed: int = 0,
 ) -> Answer:
-    """The configuration that the algorithm finds; whether the target is reachable is the closed form's word.
+    """The configuration that the algorithm finds; the closed form says whether the target is reachable.
 
     Args:
         method: "ga": the algorithm of Xiang Yao et al., for a pose with the error of eq. (4); "ga-improved": with
