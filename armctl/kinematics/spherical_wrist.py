@@ -13,6 +13,7 @@ No angle is computed to take its cosine again; each is one atan2 at the end.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -115,6 +116,66 @@ class SphericalWrist:
             q[..., 0, joint] = angle.transpose(2, 0, 1)
             q[..., 1, joint] = other.transpose(2, 0, 1)
         q[~np.isfinite(q).all(axis=-1)] = math.nan
+
+    def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+        """Every joint configuration [rad] of one pose, in plain floats: at most eight, in the order of `poses`.
+
+        Args:
+            T: Tool pose in the base frame, at least its first three rows.
+        """
+        (nx, ox, ax, px), (ny, oy, ay, py), (nz, oz, az, pz) = T[:3]
+        if self.mirrored:
+            nz, oz, ax, ay, pz = -nz, -oz, -ax, -ay, -pz
+        L, cos_bend, sin_bend, d6 = self._signed
+        a2, offset = self.a2, -self.shoulder if self.mirrored else self.shoulder
+        sqrt, atan2 = math.sqrt, math.atan2
+        wx, wy, v = px - d6 * ax, py - d6 * ay, pz - d6 * az
+        square = wx * wx + wy * wy
+        rest = square - offset * offset
+        if rest < -ROUNDING * (square + offset * offset):
+            return []
+        root = sqrt(max(0.0, rest))
+        found: list[tuple[float, ...]] = []
+        for radial in (root, -root):
+            c1, s1 = 1.0, 0.0
+            if square > 0.0:
+                c1, s1 = (radial * wx - offset * wy) / square, (radial * wy + offset * wx) / square
+            q1, u = atan2(s1, c1), radial - self.a1
+            C = (u * u + v * v - (a2 * a2 + L * L)) / (2.0 * a2 * L)
+            rest = (1.0 - C) * (1.0 + C)
+            if rest < -2.0 * ROUNDING:
+                continue
+            S, C = sqrt(max(0.0, rest)), min(1.0, max(-1.0, C))
+            along = a2 + L * C
+            a_x, a_y = c1 * ax + s1 * ay, c1 * ay - s1 * ax
+            n_x, n_y = c1 * nx + s1 * ny, c1 * ny - s1 * nx
+            o_x, o_y = c1 * ox + s1 * oy, c1 * oy - s1 * ox
+            for S3 in (S, -S):
+                c3, s3 = C * cos_bend + S3 * sin_bend, S3 * cos_bend - C * sin_bend
+                across = L * S3
+                q3, q2 = atan2(s3, c3), atan2(v * along - u * across, u * along + v * across)
+                c23, s23 = u * along + v * across, v * along - u * across
+                length = sqrt(c23 * c23 + s23 * s23)
+                if length == 0.0:
+                    continue
+                c23, s23 = (c23 * c3 - s23 * s3) / length, (s23 * c3 + c23 * s3) / length
+                ax3, az3 = c23 * a_x + s23 * az, c23 * az - s23 * a_x
+                h = sqrt(ax3 * ax3 + a_y * a_y)
+                c4, s4 = (-ax3 / h, -a_y / h) if h > _STRAIGHT else (1.0, 0.0)
+                q4, q5 = atan2(s4, c4), atan2(h, az3)
+                q6 = atan2(c4 * n_y - s4 * (c23 * n_x + s23 * nz), c4 * o_y - s4 * (c23 * o_x + s23 * oz))
+                found.append((q1, q2, q3, q4, q5, q6))
+                found.append(
+                    (
+                        q1,
+                        q2,
+                        q3,
+                        q4 - math.pi if q4 > 0.0 else q4 + math.pi,
+                        -q5,
+                        q6 - math.pi if q6 > 0.0 else q6 + math.pi,
+                    )
+                )
+        return found
 
     def pose_families(self, T: FloatArray) -> FloatArray:
         """Every joint configuration [rad] of one pose, shape (8, 1, 6): six joints leave nothing free."""

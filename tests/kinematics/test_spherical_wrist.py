@@ -1,5 +1,7 @@
 """Closed form of arms with a spherical wrist."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -61,6 +63,17 @@ def test_every_branch_reaches_the_pose_and_one_is_where_it_came_from(arm: Spheri
         assert turned(found, q_i).min() < 1e-4
 
 
+@given(arms, seeds)
+@settings(deadline=None)
+def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: SphericalWrist, seed: int) -> None:
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (10, 6))
+    T = forward_kinematics(chain_of(arm), q)
+    for T_i, found in zip(T, arm.poses(T), strict=True):
+        alone = np.array(arm.pose(T_i.tolist()))
+        assert alone.shape == finite(found).shape
+        assert turned(alone, finite(found)).max() < 1e-6
+
+
 @given(arms, st.integers(0, 2), seeds)
 @settings(deadline=None)
 def test_at_singular_poses_the_tool_is_exact_all_the_same(arm: SphericalWrist, kind: int, seed: int) -> None:
@@ -73,17 +86,18 @@ def test_at_singular_poses_the_tool_is_exact_all_the_same(arm: SphericalWrist, k
         q[4] = 1e-11  # the wrist nearly straight
     chain = chain_of(arm)
     T = forward_kinematics(chain, q)
-    found = finite(arm.poses(T[None]))
-    errors = np.abs(forward_kinematics(chain, found) - T).max(axis=(-1, -2))
-    assert len(found) >= 4
-    assert errors.max() < 1e-7
-    assert errors.min() < 1e-11
+    for found in (finite(arm.poses(T[None])), np.array(arm.pose(T.tolist()))):
+        errors = np.abs(forward_kinematics(chain, found) - T).max(axis=(-1, -2))
+        assert len(found) >= 4
+        assert errors.max() < 1e-7
+        assert errors.min() < 1e-11
 
 
 def test_out_of_reach_there_is_no_solution_but_a_nearest_pose() -> None:
     arm = SphericalWrist(0.1, 0.4, 0.0, 0.05, 0.3, 0.1)
     T = np.eye(4)
     T[:3, 3] = [2.0, 0.3, 0.4]
+    assert arm.pose(T.tolist()) == []
     assert np.isnan(arm.poses(T[None])).all()
     q, distance = arm.nearest_pose(T)
     reached = forward_kinematics(chain_of(arm), q[0])

@@ -24,6 +24,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, forward_kinematics
 from armctl.kinematics.inverse import pose_errors, solve_poses
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import FloatArray
 from proving import genetic_ik_bench
 from proving.figures import check, row
@@ -38,7 +39,9 @@ SOLVED_M = SOLVED_RAD = 1e-6
 EXACT_SHARE = 0.999
 """A solver that solves at least this share counts as exact."""
 BATCH_BOUND_US = 2.0
+ALONE_BOUND_US = 25.0
 BATCH_RATIO = 50.0
+ALONE_RATIO = 3.0
 FK_BOUND_PER_S = 2e6
 TOOLBOX = "roboticstoolbox"
 
@@ -85,6 +88,7 @@ def inverse(seed: int, poses: int, rounds: int) -> dict[str, Any]:
             if turn < solver.rounds:
                 _time(solver, robot.chain, T[: min(poses, solver.poses)])
     ours = next(solver for solver in solvers if solver.who == "armctl, closed form, batch")
+    alone = next(solver for solver in solvers if solver.who == "armctl, closed form, one by one from arrays")
     rows = [row("IK of a PUMA 560 pose", one.who, one.us, "us", one.us / ours.us) for one in solvers]
     rows += [row("poses solved to 1e-6 m and rad", one.who, one.share, "", one.share) for one in solvers]
     exact = [one.us for one in solvers if one.who.startswith(TOOLBOX) and one.share >= EXACT_SHARE]
@@ -92,7 +96,14 @@ def inverse(seed: int, poses: int, rounds: int) -> dict[str, Any]:
     numeric = next(solver for solver in solvers if solver.who.startswith("armctl, damped"))
     checks = [
         check("closed form, batch [us a pose]", ours.us, BATCH_BOUND_US),
+        check("closed form, one by one [us a pose]", alone.us, ALONE_BOUND_US),
         check("fastest exact roboticstoolbox / batch", fastest / ours.us, BATCH_RATIO, least=True),
+        check(
+            "fastest exact roboticstoolbox / one by one",
+            fastest / alone.us,
+            ALONE_RATIO,
+            least=True,
+        ),
         check("share solved by the closed form", ours.share, EXACT_SHARE, least=True),
         check("share solved by damped least squares", numeric.share, EXACT_SHARE, least=True),
     ]
@@ -131,13 +142,16 @@ def _time(solver: _Solver, chain: SerialChain, T: FloatArray) -> None:
 
 def _solvers(robot: Robot, seed: int) -> list[_Solver]:
     chain, form = robot.chain, robot.closed_form
-    assert form is not None
+    assert isinstance(form, SphericalWrist)  # which has a form for one pose in plain floats
     toolbox, ets, pin = _toolbox(chain), _toolbox(chain).ets(), _Pinocchio(chain)
     analytic = _analytic(chain)
     limits = robot.limits_rad
 
     def alone(T: FloatArray) -> FloatArray:
-        return np.array([form.poses(one[None])[0, 0] for one in T])
+        return np.array([form.pose(one)[0] for one in T.tolist()])
+
+    def alone_from_array(T: FloatArray) -> FloatArray:
+        return np.array([form.pose(one.tolist())[0] for one in T])
 
     def all_branches(T: FloatArray) -> FloatArray:
         return form.poses(T)[:, 0]
@@ -154,7 +168,8 @@ def _solvers(robot: Robot, seed: int) -> list[_Solver]:
 
     return [
         _Solver("armctl, closed form, batch", all_branches),
-        _Solver("armctl, closed form, one by one", alone),
+        _Solver("armctl, closed form, one by one from lists", alone),
+        _Solver("armctl, closed form, one by one from arrays", alone_from_array),
         _Solver("armctl, damped least squares, batch", numeric),
         _Solver(f"{TOOLBOX}, ik_LM (C++), tol 1e-14", lm),
         _Solver(f"{TOOLBOX}, ik_LM (C++), Wampler 1e-6", lambda T: lm(T, method="wampler", k=1e-6)),
