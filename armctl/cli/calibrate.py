@@ -159,13 +159,13 @@ def _calibrate_sag(output: Output) -> None:
     import numpy as np
 
     from armctl.files import load_arm
-    from armctl.lab import calibrate_sag, stored
-    from armctl.lab.run import DaemonRig
+    from armctl.lab import sag_identification, sag_model
+    from armctl.lab.daemon_rig import DaemonRig
 
-    with output.client() as client, output.progress("calibration lines", calibrate_sag.LINES) as show:
+    with output.client() as client, output.progress("calibration lines", sag_identification.LINES) as show:
         rig = DaemonRig(client, load_arm(output.config.arm))
-        model = calibrate_sag.identify(rig, np.random.default_rng(0), show=show)
-    path = stored.save(output.config, model)
+        model = sag_identification.identify(rig, np.random.default_rng(0), show=show)
+    path = sag_model.save(output.config, model)
     residual = dict(zip(rig.arm.joint_names, model.residual_tick, strict=False))
     if not output.result({"path": str(path), "lines": model.lines, "residual_tick": residual}):
         output.say(f"{path}: sag and friction of {len(residual)} joints from {model.lines} lines")

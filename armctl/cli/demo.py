@@ -7,20 +7,18 @@ from typing import Any
 
 import click
 
-from armctl.cli.output import Output, output_option
+from armctl.cli.output import FOLDER, Output, command
 from armctl.cli.tables import show_table
 
 
-@click.command("demo")
+@command("demo")
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default=Path("armctl-demo"),
-    show_default=True,
     help="Folder for logs, recordings, plans and the report.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Repeats a demonstration.")
-@output_option
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a demonstration.")
 def demo_command(output: Output, out: Path, seed: int) -> int:
     """The whole job on simulated servos, in about two minutes.
 
@@ -32,13 +30,12 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
     from armctl.lab import demo
 
     result = demo.run(out.absolute(), seed, output.progress)
-    if not output.result(result):
-        show(output, result)
+    output.answer(result, lambda: show(output, result))
     return 0 if result["replay"]["mismatches"] == 0 else 1
 
 
 def show(output: Output, result: dict[str, Any]) -> None:
-    from armctl.report.line import PAPER_ROWS
+    from armctl.report.line import PRINTED
 
     rows = [
         (
@@ -47,7 +44,8 @@ def show(output: Output, result: dict[str, Any]) -> None:
             f"{row['mean_error_mm']:.1f} / {row['max_error_mm']:.1f}",
             f"{row['truth']['mean_error_mm']:.1f} / {row['truth']['max_error_mm']:.1f}",
             f"{row['duration_s']:.1f}",
-            *_paper(PAPER_ROWS[row["via"]]),
+            PRINTED[row["via"]].errors,
+            f"{PRINTED[row['via']].duration_s:.1f}",
         )
         for row in result["rows"]
     ]
@@ -62,8 +60,3 @@ def show(output: Output, result: dict[str, Any]) -> None:
         f"Replay: {replayed['ticks']} ticks, {replayed['messages']} messages, {replayed['mismatches']} mismatches.\n"
         f"Report: {result['report']}"
     )
-
-
-def _paper(row: tuple[float, float, float]) -> tuple[str, str]:
-    mean_mm, max_mm, duration_s = row
-    return f"{mean_mm:.1f} / {max_mm:.1f}", f"{duration_s:.1f}"

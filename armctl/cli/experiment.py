@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import HOLDS, POINT, Output, config_option, output_option, socket_option
+from armctl.cli.output import CONFIG, FILE, HOLDS, POINT, SOCKET, Output, command
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
-    from armctl.lab.line import Via
-
-Point = tuple[float, float, float]
+    from armctl.lab.course import Via
 
 
 class ViaType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
@@ -46,69 +43,43 @@ def experiment_command() -> None:
     """
 
 
-@experiment_command.command("line")
+@command("line", SOCKET, CONFIG, group=experiment_command)
 @click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
 @click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
-@click.option("--via", type=ViaType(), default="0,1,2", show_default=True, help="Numbers of via points; auto; stream.")
-@click.option("--repeats", type=click.IntRange(1, 100), default=5, show_default=True, help="Runs of each final plan.")
-@click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0, show_default=True)
-@click.option(
-    "--refine", "rounds", type=click.IntRange(0, 20), default=0, show_default=True, help="Corrections at most."
-)
-@click.option("--tolerance-mm", type=click.FloatRange(0.1), default=1.0, show_default=True, help="What auto asks for.")
+@click.option("--via", type=ViaType(), default="0,1,2", help="Numbers of via points; auto; stream.")
+@click.option("--repeats", type=click.IntRange(1, 100), default=5, help="Runs of each final plan.")
+@click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
+@click.option("--refine", "rounds", type=click.IntRange(0, 20), default=0, help="Corrections at most.")
+@click.option("--tolerance-mm", type=click.FloatRange(0.1), default=1.0, help="What auto asks for.")
 @click.option(
     "--objective",
     type=click.Choice(("mean", "mix", "max")),
     default="mix",
-    show_default=True,
     help="What is made small.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Repeats an experiment.")
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats an experiment.")
 @click.option("--recordings", multiple=True, metavar="NAME", help="Candidates for the genetic algorithm.")
 @click.option(
     "--profile",
     type=click.Choice(("default", "paper")),
     default="default",
-    show_default=True,
     help="Of the genetic algorithm; paper: its operators as published.",
 )
 @click.option(
     "--measured",
-    type=(click.Path(dir_okay=False, path_type=Path), str),
+    type=(FILE, str),
     metavar="CSV RECORDING",
     help="The tool as seen from outside during a recorded run: columns t_s, x_m, y_m, z_m, time from the plan's begin.",
 )
 @click.option(
     "--report",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="HTML|SVG",
     help="Draw it: a page with paths, deviation, convergence; or one picture of the paths (FILE.svg).",
 )
 @click.option("--virtual", is_flag=True, help="Simulated servos on a virtual clock; no daemon.")
 @click.option("--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the virtual arm.  [default: 0.1]")
-@socket_option
-@config_option
-@output_option
-def line_command(
-    output: Output,
-    from_m: Point,
-    to_m: Point,
-    via: tuple[Via, ...],
-    repeats: int,
-    duration_s: float,
-    rounds: int,
-    tolerance_mm: float,
-    objective: Literal["mean", "mix", "max"],
-    seed: int,
-    recordings: tuple[str, ...],
-    profile: Literal["default", "paper"],
-    measured: tuple[Path, str] | None,
-    report: Path | None,
-    virtual: bool,
-    period_s: float | None,
-    socket: str | None,
-    config_file: str | None,
-) -> None:
+def line_command(output: Output, virtual: bool, period_s: float | None, **asked: Any) -> None:
     """The straight line from A to B with so many intermediate points: before and after correction.
 
     Every plan is run as it is, then with what the arm's sag model predicts, then corrected by what was measured, and
@@ -117,41 +88,23 @@ def line_command(
     Example: armctl experiment line --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 0,1,2,8,stream --refine 5
     --virtual
     """
-    from armctl.client import Client
     from armctl.errors import ConfigError
-    from armctl.files import load_arm, load_config
-    from armctl.lab import session
-    from armctl.lab.run import DaemonRig
+    from armctl.lab.daemon_rig import DaemonRig
+    from armctl.lab.line_experiment import Asked, on_daemon, on_virtual_arm
 
     if period_s is not None and not virtual:
         raise ConfigError(
             "armctl experiment", "--period", "the daemon's period is in its configuration", "leave it out"
         )
-    asked = session.Asked(
-        from_m=from_m,
-        to_m=to_m,
-        via=via,
-        repeats=repeats,
-        duration_s=duration_s,
-        rounds=rounds,
-        tolerance_mm=tolerance_mm,
-        objective=objective,
-        seed=seed,
-        recordings=recordings,
-        profile=profile,
-        measured=measured,
-        report=report,
-    )
-    config = load_config(config_file)
-    arm = load_arm(config.arm)
+    config = output.config
+    arm = output.arm
     if virtual:
-        result = session.virtual(arm, asked, period_s or config.period_s, config, output.progress)
+        result = on_virtual_arm(arm, Asked(**asked), period_s or config.period_s, config, output.progress)
     else:
         output.after_interrupt = f"{HOLDS}; recordings of the runs so far are kept"
-        with Client(socket) as client:
-            result = session.on_daemon(DaemonRig(client, arm), asked, config, output.progress)
-    if not output.result(result):
-        show(output, result)
+        with output.client() as client:
+            result = on_daemon(DaemonRig(client, arm), Asked(**asked), config, output.progress)
+    output.answer(result, lambda: show(output, result))
 
 
 def show(output: Output, result: dict[str, Any]) -> None:
@@ -181,7 +134,7 @@ def show(output: Output, result: dict[str, Any]) -> None:
         output.say(f"Drawn in {result['report']}")
     unseen = max(one["zero_offset_mm"] for one in result["unseen"].values())
     output.say(
-        "Before and after are the encoders' word, one whole tick apart from reading to reading. What they cannot see: "
-        f"zero offsets of half a tick are about {unseen:.1f} mm; of bending and of the potentiometers' own errors "
-        "nothing is known."
+        "Before and after are measured by the encoders, in whole ticks. What the encoders cannot see: zero offsets of "
+        f"half a tick move the tool by about {unseen:.1f} mm; what bending and the potentiometers' own errors do is "
+        "unknown."
     )

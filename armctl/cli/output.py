@@ -248,34 +248,6 @@ BAUD = kept_option("baud", "--baud", type=int, help="Rate of the bus, bit/s.  [d
 PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")
 
 
-def output_option(function: F) -> F:
-    """Adds `--json`; the command receives the `Output` as its first argument."""
-
-    def remember(ctx: click.Context, _parameter: click.Parameter, value: bool) -> None:
-        ctx.ensure_object(Output).json |= value
-
-    option = click.option(
-        "--json", is_flag=True, expose_value=False, is_eager=True, callback=remember, help="One JSON object on stdout."
-    )
-    return click.pass_obj(option(function))  # type: ignore[return-value]
-
-
-def socket_option(function: F) -> F:
-    """Adds `--socket`."""
-
-    def remember(ctx: click.Context, _parameter: click.Parameter, value: str | None) -> str | None:
-        ctx.ensure_object(Output).socket = value
-        return value
-
-    text = "The daemon's socket (ARMCTL_SOCKET)."
-    return click.option("--socket", "socket", metavar="PATH", callback=remember, help=text)(function)
-
-
-def config_option(function: F) -> F:
-    """Adds `--config`."""
-    return click.option("--config", "config_file", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")(function)
-
-
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 

@@ -79,14 +79,14 @@ def transfer_command(
     Example: armctl transfer --carry 3 --out transfer.html
     """
     from armctl.config import validate
-    from armctl.report import transfer as report
+    from armctl.report import transfer_curves as report
     from armctl.trajectory.transfer import TransferRequest
 
     request = validate(TransferRequest, stations, "transfer")
     answer = {}
     if virtual is not None:
         from armctl.files import load_arm
-        from armctl.lab.transfer import record
+        from armctl.lab.virtual_transfer import record
 
         if log_path is None:
             raise ConfigError("armctl transfer", "--log", "--virtual needs a file for its log", "give --log FILE.mcap")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import Output, output_option
+from armctl.cli.output import FOLDER, Output, command
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
@@ -18,12 +18,11 @@ if TYPE_CHECKING:
 PAPERS = ("000", "001", "002", "003", "004")
 
 
-@click.command("reproduce")
+@command("reproduce")
 @click.argument("paper", type=click.Choice((*PAPERS, "all")))
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the page, reproduce.html.")
+@click.option("--out", type=FOLDER, help="Folder for the page, reproduce.html.")
 @click.option("--quick", is_flag=True, help="Fewer seeds, poses and runs: a look instead of the figures.")
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Repeats a run.")
-@output_option
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a run.")
 def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool, seed: int) -> int:
     """Recompute every table and figure of the five papers beside print, and prove what print has wrong.
 
@@ -59,8 +58,7 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
         "page": None if page is None else str(page),
         "seed": seed,
     }
-    if not output.result(result):
-        show(output, reports, wrong, page)
+    output.answer(result, lambda: show(output, reports, wrong, page))
     return 0 if all(one.proven for one in wrong) else 1
 
 

@@ -6,13 +6,11 @@ guides the limp arm, and the true tool pose, by which straightness is judged. Th
 daemon's ticks, so the same seed gives the same recordings and with them the same result of the optimiser.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -29,23 +27,20 @@ from armctl.files import load_arm
 from armctl.genetic.algorithm import DEFAULT
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.transform import FloatArray
+from armctl.lab.daemon_rig import measured_run
+from armctl.lab.line_experiment import TAKES
+from armctl.lab.line_results import line_run
+from armctl.lab.rig import Measured
+from armctl.lab.stage import Progress, Stage
+from armctl.lab.table_ii import FROM_M, TO_M, VIA
 from armctl.recording import recordings, replay
 from armctl.report import line
-from armctl.sim.control import SimulatorClient, control_path
-from armctl.trajectory.plan import Plan, plan_from_text, plan_positions
+from armctl.sim.control import SimulatorClient, Truth, control_path
+from armctl.trajectory.plan import Plan, plan_from_text
 
-FROM_M = (0.18, -0.125, 0.10)
-TO_M = (0.18, 0.125, 0.10)
-TAKES = 5
-VIA = (0, 1, 2)
 DURATION_S = 5.0
 START_TIMEOUT_S = 20.0
 STOP_TIMEOUT_S = 5.0
-
-Progress = Callable[[float, str], None]
-Stage = Callable[[str, float], AbstractContextManager[Progress]]
-"""Begins a stage of so many steps; what it yields is told how many are done."""
 
 
 @dataclass
@@ -78,7 +73,7 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
     Returns:
         The JSON of `armctl demo`.
     Raises:
-        ArmctlError: some part failed; the programs' own words stand in `out`/daemon.log and simulator.log.
+        ArmctlError: some part failed; the messages of the programs are in `out`/daemon.log and simulator.log.
     """
     _make_room(out)
     arm = load_arm("ax12-line")
@@ -114,7 +109,7 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
 
 
 def _teach(session: _Session, seed: int) -> list[str]:
-    """Record the candidates, the simulator's hand guiding the limp arm."""
+    """Record the candidates: the simulator's hand guides the limp arm."""
     client, period_s = session.client, next(session.watcher)["period_s"]
     session.wait_ticks(5)
     client.call("teach_begin")
@@ -154,15 +149,19 @@ def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
         )
 
 
-def _run(session: _Session, plan: Plan) -> tuple[Plan, dict[str, Any], FloatArray, FloatArray]:
-    """Run a plan; it, the daemon's answer, and the true tool path with its times from the plan's begin."""
+def _run(session: _Session, plan: Plan) -> tuple[Plan, dict[str, Any], Truth]:
+    """Run a plan; it, the daemon's answer, and where the tool really was."""
     with session.stage(f"running, {plan.via} via points", 1) as show:
         answer = session.client.call("run", plan=plan.model_dump(mode="json"))
         show(1, f"{answer['mean_error_mm']:.1f} mm by encoders")
     truth = session.simulator.truth(answer["begin_ns"], answer["end_ns"])
     if len(truth.time_ns) < 2:
         raise RequestRefused("SIMULATOR", "the simulator kept no truth of this run")
-    return plan, answer, (truth.time_ns - answer["begin_ns"]) / 1e9, truth.tool_m
+    return plan, answer, truth
+
+
+def _recording(out: Path, name: str) -> recordings.Recording:
+    return recordings.load(out / "recordings" / f"{name}.mcap")
 
 
 def _finish(
@@ -171,11 +170,10 @@ def _finish(
     stage: Stage,
     names: list[str],
     optimised: dict[str, Any],
-    runs: list[tuple[Plan, dict[str, Any], FloatArray, FloatArray]],
+    runs: list[tuple[Plan, dict[str, Any], Truth]],
 ) -> dict[str, Any]:
     """Replay every log, write the report, and say it all."""
-    folder = out / "recordings"
-    logs = sorted((out / "logs").glob("*.mcap")) + sorted(folder.glob("*.mcap"))
+    logs = sorted((out / "logs").glob("*.mcap")) + sorted((out / "recordings").glob("*.mcap"))
     replayed = {"ticks": 0, "messages": 0, "mismatches": 0, "seconds": 0.0}
     with stage("replaying every log", len(logs)) as show:
         for count, log in enumerate(logs):
@@ -183,51 +181,16 @@ def _finish(
             for key in replayed:
                 replayed[key] += getattr(result, key)
             show(count + 1, log.name)
-    chain = robots.get(arm.robot, arm.lengths_m).chain
-    A, B = np.array(FROM_M), np.array(TO_M)
-    rows, charts = [], []
-    for plan, answer, truth_time_s, truth_tool_m in runs:
-        chart = _chart(plan, answer, folder, chain_tool=lambda q: tool_position(chain, q[..., : chain.n]))
-        charts.append(replace(chart, truth_time_s=truth_time_s, truth_tool_m=truth_tool_m))
-        mean_mm, max_mm = line.errors_mm(truth_tool_m, A, B)
-        rows.append(
-            {
-                "via": plan.via,
-                **{key: answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
-                "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-                "predicted_max_error_mm": plan.predicted_max_error_mm,
-                "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},
-                "recording": answer["recording"],
-            }
-        )
+    done = []
+    for plan, answer, truth in runs:
+        seen = measured_run(_recording(out, answer["recording"]), answer["duration_s"])
+        true_time_s = (truth.time_ns - answer["begin_ns"]) / 1e9
+        done.append((plan, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m)))
     with stage("writing the report", 1) as show:
-        takes = [recordings.load(folder / f"{name}.mcap").positions_rad for name in names]
-        line.write(
-            line.LineReport(
-                from_m=A,
-                to_m=B,
-                joint_names=arm.joint_names,
-                candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
-                candidate_errors_mm=[
-                    (one["name"], one["mean_error_mm"], one["max_error_mm"]) for one in optimised["baseline"]
-                ],
-                ga_tool_m=np.array(optimised["ga"]["tool_m"]),
-                ga_mean_mm=optimised["ga"]["mean_error_mm"],
-                exact_mean_mm=optimised["exact"]["mean_error_mm"],
-                gap_ratio=optimised["gap_ratio"],
-                best_mm=np.array(optimised["history"]["best_cost_mm"]),
-                mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
-                runs=charts,
-                notes=(
-                    f"Every log was run through the control step again: {replayed['ticks']} ticks, "
-                    f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
-                ),
-            ),
-            out / "report.html",
-        )
+        _write_report(out, arm, names, optimised, [(plan, seen) for plan, _, seen in done], replayed)
         show(1, "")
     return {
-        "rows": rows,
+        "rows": [_row(*run) for run in done],
         "ga": {key: value for key, value in optimised["ga"].items() if key != "tool_m"},
         "exact": {key: value for key, value in optimised["exact"].items() if key != "tool_m"},
         "gap_ratio": optimised["gap_ratio"],
@@ -239,35 +202,58 @@ def _finish(
     }
 
 
-def _chart(
-    plan: Plan, answer: dict[str, Any], folder: Path, chain_tool: Callable[[FloatArray], FloatArray]
-) -> line.LineRun:
-    take = recordings.load(folder / f"{answer['recording']}.mcap")
-    begin_s, end_s = take.plan_s or (0.0, take.duration_s)
-    inside = (take.time_s >= begin_s) & (take.time_s <= end_s)
-    time_s, q = take.time_s[inside] - begin_s, take.positions_rad[inside]
-    return line.LineRun(
-        via=plan.via,
-        duration_s=answer["duration_s"],
-        predicted_mean_mm=plan.predicted_mean_error_mm,
-        predicted_max_mm=plan.predicted_max_error_mm,
-        predicted_tool_m=chain_tool(plan_positions(plan, np.linspace(0.0, plan.duration_s, 201))),
-        via_tool_m=chain_tool(np.array(plan.waypoints_rad)[1:-1]),
-        time_s=time_s,
-        positions_rad=q,
-        goals_rad=plan_positions(plan, np.clip(time_s, 0.0, plan.duration_s)),
-        tool_m=chain_tool(q),
+def _row(plan: Plan, answer: dict[str, Any], run: Measured) -> dict[str, Any]:
+    assert run.true_tool_m is not None
+    mean_mm, max_mm = line.errors_mm(run.true_tool_m, np.array(FROM_M), np.array(TO_M))
+    return {
+        "via": plan.via,
+        **{key: answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
+        "predicted_mean_error_mm": plan.predicted_mean_error_mm,
+        "predicted_max_error_mm": plan.predicted_max_error_mm,
+        "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},
+        "recording": answer["recording"],
+    }
+
+
+def _write_report(
+    out: Path,
+    arm: ArmConfig,
+    names: list[str],
+    optimised: dict[str, Any],
+    runs: list[tuple[Plan, Measured]],
+    replayed: dict[str, Any],
+) -> None:
+    chain = robots.get(arm.robot, arm.lengths_m).chain
+    takes = [_recording(out, name).positions_rad for name in names]
+    report = line.LineReport(
+        from_m=np.array(FROM_M),
+        to_m=np.array(TO_M),
+        joint_names=arm.joint_names,
+        candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
+        candidate_errors_mm=[(one["name"], one["mean_error_mm"], one["max_error_mm"]) for one in optimised["baseline"]],
+        ga_tool_m=np.array(optimised["ga"]["tool_m"]),
+        ga_mean_mm=optimised["ga"]["mean_error_mm"],
+        exact_mean_mm=optimised["exact"]["mean_error_mm"],
+        gap_ratio=optimised["gap_ratio"],
+        best_mm=np.array(optimised["history"]["best_cost_mm"]),
+        mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
+        runs=[line_run(chain, plan.via, plan, run) for plan, run in runs],
+        notes=(
+            f"Every log was run through the control step again: {replayed['ticks']} ticks, "
+            f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
+        ),
     )
+    line.write(report, out / "report.html")
 
 
 @contextmanager
 def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """An armctl of its own that has said `ready`; ended on leaving.
+    """Start an armctl program and wait until it says `ready`; it is ended on leaving.
 
     Args:
         log: Where its messages go.
     Raises:
-        ArmctlError: it did not start; its last words are in the message.
+        ArmctlError: it did not start; its last message is in the error.
     """
     with log.open("a", encoding="utf-8") as words:
         process = subprocess.Popen(
@@ -291,7 +277,7 @@ def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def _make_room(out: Path) -> None:
-    """An empty `out`: what an earlier demonstration left moves into a folder of its own."""
+    """Make `out` an empty folder: what an earlier demonstration left is moved into a folder of its own."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         old = [path for path in out.iterdir() if not path.name.startswith("earlier-")]

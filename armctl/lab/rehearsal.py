@@ -9,8 +9,6 @@ Rules.
 4. A log of another arm is refused unless the caller insists.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -34,7 +32,7 @@ DWELL_S = 1.0
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """How the arm followed; errors are between its encoders and the log's, at the same place of the motion."""
+    """How well the arm followed. Errors are those of its encoders against the log's, at the same place."""
 
     ticks: int
     duration_s: float
@@ -150,7 +148,7 @@ def _known(timeline: Timeline, arm: ArmConfig) -> tuple[FloatArray, FloatArray, 
 def _stretched(
     q: FloatArray, time_s: FloatArray, arm: ArmConfig, period_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(times of the grid, motion on it, when each frame's turn comes), no joint faster than its limit."""
+    """The motion, no joint faster than its limit: times of the grid, motion on it, time of each frame of the log."""
     limits = SPEED_MARGIN * np.array([joint.speed_limit_rad_s for joint in arm.joints])
     needed_s = (np.abs(np.diff(q, axis=0)) / limits).max(axis=1)
     run_s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(time_s), needed_s))])

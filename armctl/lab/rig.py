@@ -1,10 +1,8 @@
-"""What an experiment runs its plans on: one protocol, and the arm that is all virtual.
+"""What an experiment runs its plans on: the protocol of a rig, and the virtual rig.
 
-What `VirtualRig` measures is what the servos report through the wire; the true tool path stands beside it, for judging
-only, and nothing that corrects a plan may look at it.
+`VirtualRig` measures what the servos report through the wire. The true tool path is recorded as well, but only to judge
+by: nothing that corrects a plan may look at it.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +31,7 @@ BEFORE_S, AFTER_S = 0.3, 0.8
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One executed plan, as the arm itself tells it; times count from the plan's begin.
+    """One executed plan, as the encoders saw it; times count from the plan's begin.
 
     Shapes: times (m,), positions (m, joints), tool points (k, 3).
     """
@@ -71,7 +69,7 @@ class Rig(Protocol):
 
 
 class _ObservingClock(VirtualClock):
-    """Virtual time that looks at the arm every `TRUTH_NS` while it passes."""
+    """A virtual clock that notes the arm's true positions every `TRUTH_NS` while time passes."""
 
     def __init__(self, arm: SimulatedArm) -> None:
         super().__init__()

@@ -6,18 +6,23 @@
 bends the joint in proportion. `h` in [-1, 1] is the side on which friction pushes: the direction of the joint's last
 motion, which a reversal turns over within `TURN_RAD` (Dahl's model). The position is the potentiometer's, on the
 output shaft: sag and play are seen; zero offsets, bending and the potentiometer's own nonlinearity are not.
+
+The model of an arm is kept in NAME.sag.json beside its calibration file NAME.yaml.
 """
 
-from __future__ import annotations
-
+import json
+import logging
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from armctl.config import ArmConfig, Name
+from armctl.config import ArmConfig, Config, Name, validate
 from armctl.dynamixel.ax12a import LOAD_MAX, NO_LOAD_SPEED_RAD_S, STALL_TORQUE_NM, TICK_RAD
+from armctl.errors import ConfigError
+from armctl.files import find_arm_file, read_text
 from armctl.kinematics.chain import SerialChain, link_frames
 from armctl.kinematics.transform import FloatArray
 
@@ -30,6 +35,8 @@ SPREAD = 0.5
 arm as strongly as one sample with an error of a tick."""
 CONSTANT_RAD = TICK_RAD
 GRAVITY_M_S2 = 9.81
+
+_log = logging.getLogger(__name__)
 
 Row = Annotated[tuple[float, ...], Field(strict=False)]
 
@@ -53,7 +60,7 @@ class SagModel(BaseModel):
 
 
 def directions(q: FloatArray, before: FloatArray) -> FloatArray:
-    """The side friction is on along a motion.
+    """On which side friction pushes along a motion.
 
     Args:
         q: Joint positions [rad], shape (m, n).
@@ -70,7 +77,7 @@ def directions(q: FloatArray, before: FloatArray) -> FloatArray:
 
 
 def regressors(chain: SerialChain, q: FloatArray, before: FloatArray, period_s: float) -> FloatArray:
-    """What each joint's lag is explained by along a motion on a grid of `period_s`.
+    """The quantities that explain each joint's lag, along a motion that is sampled every `period_s`.
 
     Args:
         q: Joint positions the arm is to have [rad], shape (m, n).
@@ -93,7 +100,7 @@ def regressors(chain: SerialChain, q: FloatArray, before: FloatArray, period_s: 
 
 
 def nominal(arm: ArmConfig, chain: SerialChain) -> SagModel:
-    """The model of an arm of new AX-12A, from their data sheet: before anything is measured.
+    """The model of an arm of new AX-12A servos, from the data sheet: it is used before anything is measured.
 
     A servo's output climbs over its compliance slope from `punch` to full; a torque bends it by torque / stiffness.
     """
@@ -120,8 +127,8 @@ def nominal(arm: ArmConfig, chain: SerialChain) -> SagModel:
     )
 
 
-def identify(arm: ArmConfig, chain: SerialChain, lags: Sequence[FloatArray], rows: Sequence[FloatArray]) -> SagModel:
-    """The model that explains measured lags best, by least squares with a slight ridge about the nominal one.
+def fitted(arm: ArmConfig, chain: SerialChain, lags: Sequence[FloatArray], rows: Sequence[FloatArray]) -> SagModel:
+    """The model that explains measured lags best: least squares, with a weak ridge penalty towards the nominal model.
 
     Args:
         lags: Goal less position [rad] of each calibration line, shape (m, n).
@@ -161,6 +168,47 @@ def heaviest_rad(model: SagModel, chain: SerialChain, q: FloatArray) -> FloatArr
     X = regressors(chain, q, np.zeros(n), 1.0)
     sag = np.einsum("imk,ik->mi", X[:, :, :n], np.array(model.gravity_rad_m)) + np.array(model.constant_rad)
     return np.asarray(np.abs(sag).max(axis=0) + np.abs(model.friction_rad))
+
+
+def path_of(config: Config) -> Path:
+    """Where the model of the configured arm lies."""
+    return find_arm_file(config.arm).with_suffix(".sag.json")
+
+
+def load(config: Config, arm: ArmConfig) -> SagModel | None:
+    """The model of this arm and calibration; None where there is none, or it is of another calibration.
+
+    Raises:
+        ConfigError: the file is no sag model.
+    """
+    path = path_of(config)
+    if not path.exists():
+        return None
+    try:
+        data = json.loads(read_text(path, "sag model"))
+    except ValueError as error:
+        raise ConfigError(str(path), "", f"not JSON: {error}", "identify it again") from None
+    model = validate(SagModel, data, str(path))
+    if (model.arm_id, model.calibration_hash) != (arm.arm_id, arm.calibration_hash):
+        _log.warning(
+            "%s: of calibration %s, the arm has %s; not used", path, model.calibration_hash, arm.calibration_hash
+        )
+        return None
+    return model
+
+
+def save(config: Config, model: SagModel) -> Path:
+    """Write the model beside the calibration.
+
+    Raises:
+        ConfigError: it cannot be written there.
+    """
+    path = path_of(config)
+    try:
+        path.write_text(json.dumps(model.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(str(path), "", f"cannot write the sag model: {error.strerror}") from None
+    return path
 
 
 def _coefficients(model: SagModel) -> FloatArray:

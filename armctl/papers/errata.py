@@ -1,7 +1,5 @@
 """Every erratum of the five papers: those of the robots' equations, and those of tables, figures and algorithms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -11,14 +9,15 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, jacobian, tool_position
 from armctl.kinematics.errata import Erratum
 from armctl.kinematics.transform import rotation_error
-from armctl.papers import paper_000, paper_002
+from armctl.lab import table_ii
+from armctl.papers import paper_000
 from armctl.trajectory.straightness import mean_error, progress_along_line
 
 STEP_RAD = 1e-5
 
 
 def errata(papers: Sequence[str]) -> list[Erratum]:
-    """Of those papers ("000" to "004"), in their order."""
+    """The errata of some papers ("000" to "004"), in the order of the papers."""
     known = [one for name in robots.names() for one in robots.get(name).errata] + list(_OWN)
     return sorted((one for one in known if one.paper in papers), key=lambda one: one.paper)
 
@@ -48,7 +47,7 @@ def _radius_alone() -> tuple[float, float]:
 
 
 def _grid_reach() -> tuple[float, float]:
-    """How far out of reach the furthest target of the grid lies, and the furthest of those called reachable [cm]."""
+    """How far out of reach the furthest target of the grid is, and the furthest of the other 97 [cm]."""
     robot = robots.get("xiang-6dof")
     beyond = {key: distance for key, (distance, _) in paper_000.out_of_reach(robot).items()}
     named = {(30.0, 30.0), (29.0, 30.0), (30.0, 29.0)}
@@ -65,8 +64,8 @@ def _ordered_population() -> tuple[float, float]:
 
 
 def _standing_still() -> tuple[float, float]:
-    """Eq. (20) of a tool that stays at A is its least, 0; the way it does not go stays unseen (share of AB)."""
-    A, B = np.array(paper_002.FROM_M), np.array(paper_002.TO_M)
+    """A tool that stays at A: the share of AB that is left undone, and eq. (20), which is 0, its least value."""
+    A, B = np.array(table_ii.FROM_M), np.array(table_ii.TO_M)
     still = np.repeat(A[None], 50, axis=0)
     gone = float(progress_along_line(still, A, B)[-1])
     return 1.0 - gone, float(mean_error(still, A, B))

@@ -1,20 +1,16 @@
-"""The page on which the papers stand beside their recomputation: what is printed, what is found, what is wrong.
+"""The page that compares the papers with their recomputation: what is printed, what is found, what is wrong.
 
 A `PaperReport` is data: rows of numbers with a verdict, tables, and pictures that are drawn only when a page is made.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from armctl.kinematics.errata import Erratum
-from armctl.report.page import Page
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from armctl.report.page import Figure, Page
 
 
 @dataclass(frozen=True)
@@ -47,7 +43,14 @@ class Picture:
 
     title: str
     description: str
-    draw: Callable[[], go.Figure]
+    draw: Callable[[], Figure]
+
+
+def pictures(
+    names: Iterable[str], title: str, description: str, draw: Callable[..., Figure], *of: Any
+) -> list[Picture]:
+    """One picture for each name: the name fills in title and description, and is what `draw` draws of `of`."""
+    return [Picture(title.format(name), description.format(name), partial(draw, *of, name)) for name in names]
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,9 @@ def write(reports: Sequence[PaperReport], errata: Sequence[Erratum], path: Path)
     """Write the page."""
     page = Page("Five papers, recomputed")
     page.text(
-        "Each quantity that a paper prints, beside the one computed here. Equal: the same to the printed digits. "
-        "Better: an error that is smaller here. Misprint: print contradicts itself or the paper's own model, proven "
-        "below. Differs: neither, and why."
+        "Each quantity that a paper prints is shown beside the one computed here. Equal: the same to the printed "
+        "digits. Better: an error that is smaller here. Misprint: the print contradicts itself or the model of the "
+        "paper; the proof is below. Differs: none of these; the reason is given."
     )
     for report in reports:
         page.heading(f"{report.paper}: {report.title}")

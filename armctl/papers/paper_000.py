@@ -1,13 +1,9 @@
 """000: grasping by a genetic algorithm (`xiang-6dof`): the grid with its six tables, the two targets, Figs. 7 to 12."""
 
-from __future__ import annotations
-
 import csv
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import resources
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,20 +15,21 @@ from armctl.kinematics.genetic.problem import Evolution, Problem, behind_the_wai
 from armctl.kinematics.inverse import refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.papers.page import PaperReport, Picture, Row, Table
-from armctl.papers.verdict import Effort, Stage, claim, error
+from armctl.lab.stage import Stage
+from armctl.papers import verdict
+from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
+from armctl.papers.verdict import Effort
 from armctl.report import kinematics as drawn
-from armctl.report import views
-from armctl.report.page import plotly
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from armctl.report.page import Figure, plotly
 
 PAPER = "000"
+claim = partial(verdict.claim, PAPER)
+error = partial(verdict.error, PAPER)
 SIDE_CM = np.arange(21.0, 31.0)
 HEIGHT_CM = 10.0
 TARGETS_CM = ((20.0, 25.0, 30.0), (30.0, 25.0, 20.0))
 TABLES = ("xy0_test", "z0_test", "delta_xy0", "delta_z0", "p_xy0", "p_z0")
+STATISTICS = ("mean |dxy|", "greatest |dxy|", "mean |dz|", "greatest |dz|")
 REACHED_M = 1e-9
 POPULATION_SHOWN = (14, 10)
 """Rows and columns of Fig. 7."""
@@ -90,6 +87,11 @@ def grid_error(points_m: FloatArray) -> GridError:
     return GridError(radius * 100.0, (points_m[:, 2] - targets[:, 2]) * 100.0)
 
 
+def printed_statistics() -> FloatArray:
+    """Of the errors that are printed: mean and greatest |dxy|, mean and greatest |dz| [cm]."""
+    return GridError(printed()["delta_xy0"].ravel(), printed()["delta_z0"].ravel()).statistics()
+
+
 def consistent_cells() -> int:
     """How many of the 600 printed cells agree with the others and the targets within their rounding."""
     table, half = printed(), rounding()
@@ -123,7 +125,7 @@ def evolve_grid(robot: Robot, seed: int, *, waist_given: bool, targets: FloatArr
 
 
 def polished(robot: Robot, targets: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Configurations brought onto the targets [m], shape (k, 3), as far as they go, and what each misses [m]."""
+    """Configurations moved onto the targets [m], shape (k, 3), as far as possible, and the distance left [m]."""
     problem: Problem = points_problem(robot.chain, targets, robot.limits_rad)
     q = refine_poses(robot.chain, problem.T, q, robot.limits_rad, turned=False, iterations=400)
     return q, np.linalg.norm(tool_position(robot.chain, q) - targets, axis=1)
@@ -198,93 +200,49 @@ _NOTES = (
 
 
 def _grid_rows(robot: Robot, runs: dict[bool, list[Evolution]]) -> list[Row]:
-    table = printed()
-    print_error = GridError(table["delta_xy0"].ravel(), table["delta_z0"].ravel()).statistics()
-    rows = [
-        claim(
-            PAPER,
-            "cells of the six tables that agree",
-            "600",
-            str(consistent_cells()),
-            "",
-            consistent_cells() == 600,
-            "misprint",
-        )
-    ]
-    names = ("mean |dxy|", "greatest |dxy|", "mean |dz|", "greatest |dz|")
-    for waist_given, what in (
-        (False, "GA over theta1 to theta4"),
-        (True, "GA over theta2 to theta4, theta1 by eq. (12)"),
+    rows = [claim("cells of the six tables that agree", "600", str(consistent_cells()), consistent_cells() == 600)]
+    harder = "four angles are harder than the three that eq. (18) names"
+    unknown = "settings that the paper does not print"
+    for waist_given, what, why in (
+        (False, "GA over theta1 to theta4", harder),
+        (True, "GA over theta2 to theta4, theta1 by eq. (12)", unknown),
     ):
         found = np.array([grid_error(tool_position(robot.chain, run.q_rad)).statistics() for run in runs[waist_given]])
-        for name, before, values in zip(names, print_error, found.T, strict=True):
+        for name, before, values in zip(STATISTICS, printed_statistics(), found.T, strict=True):
             quantity = f"{name}, {what}, mean of {len(values)} seeds (spread {values.std():.3g})"
-            why = (
-                "four angles are harder than the three that eq. (18) names"
-                if not waist_given
-                else "settings that the paper does not print"
-            )
-            rows.append(error(PAPER, quantity, float(before), float(values.mean()), "cm", why=why))
+            rows.append(error(quantity, float(before), float(values.mean()), "cm", why=why))
     return rows
 
 
 def _polish_rows(robot: Robot, q: FloatArray, missed: FloatArray) -> list[Row]:
-    table, unreachable = printed(), out_of_reach(robot)
     statistics = grid_error(tool_position(robot.chain, q)).statistics()
-    far = GridError(table["delta_xy0"].ravel(), table["delta_z0"].ravel()).statistics()
     reached = int((missed <= REACHED_M).sum())
     rows = [
-        error(PAPER, "mean |dxy|, GA with polish", float(far[0]), float(statistics[0]), "cm", why="not polished"),
-        error(PAPER, "greatest |dxy|, GA with polish", float(far[1]), float(statistics[1]), "cm", why="not polished"),
-        error(PAPER, "mean |dz|, GA with polish", float(far[2]), float(statistics[2]), "cm", why="not polished"),
-        error(PAPER, "greatest |dz|, GA with polish", float(far[3]), float(statistics[3]), "cm", why="not polished"),
-        claim(
-            PAPER,
-            "targets of the grid reached to 1e-9 m",
-            "100 (no other word)",
-            str(reached),
-            "",
-            reached == 100,
-            "misprint",
+        *(
+            error(f"{name}, GA with polish", before, after, "cm", why="not polished")
+            for name, before, after in zip(STATISTICS, printed_statistics().tolist(), statistics.tolist(), strict=True)
         ),
+        claim("targets of the grid reached to 1e-9 m", "100 (no other word)", str(reached), reached == 100),
     ]
-    for (x, y), (distance, near) in unreachable.items():
+    for (x, y), (distance, near) in out_of_reach(robot).items():
         i, j = int(x - SIDE_CM[0]), int(y - SIDE_CM[0])
         least = abs(float(np.hypot(near[0], near[1])) * 100.0 - float(np.hypot(x, y)))
         quantity = f"|dxy| at ({x:.0f}, {y:.0f}, 10), out of reach by exactly {distance * 100.0:.9f} cm"
-        rows.append(error(PAPER, quantity, abs(float(table["delta_xy0"][i, j])), least, "cm", why="the least there is"))
+        rows.append(error(quantity, abs(float(printed()["delta_xy0"][i, j])), least, "cm", why="the least there is"))
     return rows
 
 
 def _target_rows(robot: Robot, targets: FloatArray, two: Evolution, missed: FloatArray) -> list[Row]:
-    rows = []
+    rows, in_print = [], "in accordance, error small"
     points = tool_position(robot.chain, two.q_rad)
     worst = float(np.abs(printed()["delta_xy0"]).max())
-    for target, point, exact in zip(targets, points, missed, strict=True):
-        name = "({:.0f}, {:.0f}, {:.0f})".format(*(target * 100.0))
+    for target, point, exact in zip(targets, points, missed.tolist(), strict=True):
+        name = "target ({:.0f}, {:.0f}, {:.0f}): distance".format(*(target * 100.0))
         away = float(np.linalg.norm(point - target)) * 100.0
-        rows.append(
-            claim(
-                PAPER,
-                f"target {name}: distance, GA alone",
-                "in accordance, error small",
-                away,
-                "cm",
-                away <= worst,
-                f"differs: {away:.2f} cm in this run",
-            )
-        )
-        rows.append(
-            claim(
-                PAPER,
-                f"target {name}: distance, with polish",
-                "in accordance, error small",
-                float(exact) * 100.0,
-                "cm",
-                float(exact) < REACHED_M,
-                "differs: not reached",
-            )
-        )
+        why = f"differs: {away:.2f} cm in this run"
+        rows.append(claim(f"{name}, GA alone", in_print, away, away <= worst, unit="cm", why=why))
+        why = "differs: not reached"
+        rows.append(claim(f"{name}, with polish", in_print, exact * 100.0, exact < REACHED_M, unit="cm", why=why))
     return rows
 
 
@@ -293,13 +251,10 @@ def _population_rows() -> list[Row]:
     agree = int((np.abs(shown - formula) <= 0.6e-4).sum())
     return [
         claim(
-            PAPER,
             "Fig. 7, cells equal to 45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg, of 140",
             "random numbers",
             str(agree),
-            "",
             agree < 70,
-            "misprint",
         )
     ]
 
@@ -309,9 +264,7 @@ def _curve_rows(runs: list[Evolution]) -> list[Row]:
     at = min(200, len(runs[0].best_cost)) - 1
     ratio = float(np.mean([np.sqrt(run.best_cost[at] / run.mean_cost[at]).mean() for run in runs]))
     why = "differs: about half of all individuals have a flipped bit in every generation"
-    return [
-        claim(PAPER, "least / mean distance after 200 generations (Fig. 8)", "almost 1", ratio, "", ratio > 0.9, why)
-    ]
+    return [claim("least / mean distance after 200 generations (Fig. 8)", "almost 1", ratio, ratio > 0.9, why=why)]
 
 
 def _six_tables(robot: Robot, run: Evolution, exact_q: FloatArray) -> list[Table]:
@@ -361,7 +314,7 @@ def _population_table() -> Table:
     return Table("Fig. 7: joint 1 initial population", ("", *columns), rows, note)
 
 
-def _curves(run: Evolution) -> go.Figure:
+def _curves(run: Evolution) -> Figure:
     figure = plotly()()
     generations = np.arange(1, len(run.best_cost) + 1)
     for k, (x, y, z) in enumerate(TARGETS_CM):
@@ -378,15 +331,10 @@ def _arm_pictures(robot: Robot, q: FloatArray) -> list[Picture]:
     names = ["target ({:.0f}, {:.0f}, {:.0f})".format(*target) for target in TARGETS_CM]
     arms = dict(zip(names, q, strict=True))
 
-    def draw(view: str) -> Callable[[], go.Figure]:
-        return lambda: views.arm(robot.chain, arms, view)
-
-    return [
-        Picture(f"Fig. 11: the arm {view}", f"the arm at both targets, {view}", draw(view)) for view in views.ARM_VIEWS
-    ]
+    return pictures(drawn.ARM_VIEWS, "Fig. 11: the arm {}", "the arm at both targets, {}", drawn.arm, robot.chain, arms)
 
 
-def _heat_maps(robot: Robot, run: Evolution) -> go.Figure:
+def _heat_maps(robot: Robot, run: Evolution) -> Figure:
     found = grid_error(tool_position(robot.chain, run.q_rad)).radius_cm.reshape(10, 10)
     both = np.concatenate((np.abs(printed()["delta_xy0"]), np.full((10, 1), np.nan), np.abs(found)), axis=1)
     ticks = [f"{y:.0f}" for y in SIDE_CM]

@@ -1,10 +1,8 @@
 """001: the improved genetic algorithm on the PUMA 560: Table 2, the iteration curve (Fig. 1), the arms (Figs. 2, 3)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 
@@ -17,16 +15,16 @@ from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, finite, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
-from armctl.papers.page import PaperReport, Picture, Row, Table
-from armctl.papers.verdict import Effort, Stage, claim, error
+from armctl.lab.stage import Stage
+from armctl.papers import verdict
+from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
+from armctl.papers.verdict import Effort
 from armctl.report import kinematics as drawn
-from armctl.report import views
-from armctl.report.page import plotly
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from armctl.report.page import Figure, plotly
 
 PAPER = "001"
+claim = partial(verdict.claim, PAPER)
+error = partial(verdict.error, PAPER)
 STANDARD = replace(plain.PAPER, population=improved.DEFAULT.populations * improved.DEFAULT.individuals)
 """The standard algorithm with as many evaluations as the improved one."""
 BATCH = 100
@@ -116,27 +114,26 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         *_comparison_rows(found, plain_found),
         *_exact_rows(robot, solved),
     ]
-    middle = int(np.argsort(found.position_m)[len(seeds) // 2])
+    middle = _middle(found)
     arms = {"wanted": _wanted_arm(robot, better.q_rad[middle]), "found (median run)": better.q_rad[middle]}
+    title = "Figs. 2 and 3: the arm {}"
     return PaperReport(
         PAPER,
         "the PUMA 560 by an improved genetic algorithm",
         _NOTES,
         tuple(rows),
-        (
-            _table_2(
-                robot, better.q_rad[middle], standard.q_rad[int(np.argsort(plain_found.position_m)[len(seeds) // 2])]
-            ),
-        ),
+        (_table_2(robot, better.q_rad[middle], standard.q_rad[_middle(plain_found)]),),
         (
             Picture("Fig. 1: iteration curve", "best error by generation", lambda: _curves(better, standard)),
             Picture("Table 2: spread over seeds", "position error of every run", lambda: _spread(found, plain_found)),
-            *(
-                Picture(f"Figs. 2 and 3: the arm {view}", f"wanted and found arm, {view}", _arm(robot, arms, view))
-                for view in views.ARM_VIEWS
-            ),
+            *pictures(drawn.ARM_VIEWS, title, "wanted and found arm, {}", drawn.arm, robot.chain, arms),
         ),
     )
+
+
+def _middle(found: Errors) -> int:
+    """The run whose position error is the median."""
+    return int(np.argsort(found.position_m)[len(found.position_m) // 2])
 
 
 _NOTES = (
@@ -165,10 +162,10 @@ def _table_2_rows(found: Errors, standard: Errors, polished: Errors) -> list[Row
     ):
         away_m, turned_rad = table_2_errors(line)
         position_mm, turn_rad = float(np.median(ours.position_m)) * 1e3, float(np.median(ours.turn_rad))
-        rows.append(error(PAPER, f"{name}: distance, {runs}", away_m * 1e3, position_mm, "mm", why=why))
-        rows.append(error(PAPER, f"{name}: turn, {runs}", turned_rad, turn_rad, "rad", why=why))
+        rows.append(error(f"{name}: distance, {runs}", away_m * 1e3, position_mm, "mm", why=why))
+        rows.append(error(f"{name}: turn, {runs}", turned_rad, turn_rad, "rad", why=why))
     worst_mm, near_mm = float(polished.position_m.max()) * 1e3, table_2_errors(IMPROVED_XYZ_RPY)[0] * 1e3
-    rows.append(error(PAPER, "improved, with polish: greatest distance", near_mm, worst_mm, "mm", why="a missed run"))
+    rows.append(error("improved, with polish: greatest distance", near_mm, worst_mm, "mm", why="a missed run"))
     return rows
 
 
@@ -181,17 +178,8 @@ def _comparison_rows(found: Errors, standard: Errors) -> list[Row]:
         for name, of in STATISTICS.items():
             a, b = of(ours) * factor, of(theirs) * factor
             quantity = f"{what}, {name}: improved / standard"
-            rows.append(
-                claim(
-                    PAPER,
-                    quantity,
-                    "improved is better",
-                    f"{a:.4g} / {b:.4g}",
-                    unit,
-                    a < b,
-                    "differs: it is not better",
-                )
-            )
+            both, why = f"{a:.4g} / {b:.4g}", "differs: it is not better"
+            rows.append(claim(quantity, "improved is better", both, a < b, unit=unit, why=why))
     return rows
 
 
@@ -205,9 +193,9 @@ def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
     worst_m, why = float(exact.position_m.max()), "differs: too many are missed"
     what = f"share of {len(solved.position_m)} random poses within 1e-6 m and rad, with polish, up to {TRIES} seeds"
     return [
-        claim(PAPER, what, "high precision", share, "", share >= 0.999, why),
-        claim(PAPER, "solutions of Table 2's pose, closed form", "at least 1", str(distinct), "", distinct >= 1, why),
-        error(PAPER, "their greatest distance", table_2_errors(IMPROVED_XYZ_RPY)[0], worst_m, "m", why="rounding"),
+        claim(what, "high precision", share, share >= 0.999, why=why),
+        claim("solutions of Table 2's pose, closed form", "at least 1", str(distinct), distinct >= 1, why=why),
+        error("their greatest distance", table_2_errors(IMPROVED_XYZ_RPY)[0], worst_m, "m", why="rounding"),
     ]
 
 
@@ -220,11 +208,8 @@ def _wanted_arm(robot: Robot, near: FloatArray) -> FloatArray:
 
 
 def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
-    rows = [
-        ("wanted, print", *(f"{value:.4f}" for value in WANTED_XYZ_RPY)),
-        ("improved, print", *(f"{value:.4f}" for value in IMPROVED_XYZ_RPY)),
-        ("standard, print", *(f"{value:.4f}" for value in STANDARD_XYZ_RPY)),
-    ]
+    lines = {"wanted": WANTED_XYZ_RPY, "improved": IMPROVED_XYZ_RPY, "standard": STANDARD_XYZ_RPY}
+    rows = [(f"{name}, print", *(f"{value:.4f}" for value in line)) for name, line in lines.items()]
     for name, q in (("improved, armctl (median run)", ours), ("standard, armctl (median run)", standard)):
         T = forward_kinematics(robot.chain, q)
         values = [*T[:3, 3].tolist(), *rpy_from_matrix(T[:3, :3])]
@@ -232,7 +217,7 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
     return Table("Table 2: position and RPY", ("", "px m", "py m", "pz m", "roll", "pitch", "yaw"), tuple(rows), "rad")
 
 
-def _curves(better: Evolution, standard: Evolution) -> go.Figure:
+def _curves(better: Evolution, standard: Evolution) -> Figure:
     figure = plotly()()
     for run, name, colour in ((better, "improved", drawn.COLOURS[2]), (standard, "standard", drawn.COLOURS[0])):
         generations = np.arange(1, len(run.best_cost) + 1)
@@ -244,7 +229,7 @@ def _curves(better: Evolution, standard: Evolution) -> go.Figure:
     return figure
 
 
-def _spread(found: Errors, standard: Errors) -> go.Figure:
+def _spread(found: Errors, standard: Errors) -> Figure:
     figure = plotly()()
     for one, name, colour in ((found, "improved", drawn.COLOURS[2]), (standard, "standard", drawn.COLOURS[0])):
         figure.add_box(y=one.position_m * 1e3, name=name, boxpoints="all", marker={"color": colour})
@@ -252,7 +237,3 @@ def _spread(found: Errors, standard: Errors) -> go.Figure:
         figure.add_hline(y=table_2_errors(row)[0] * 1e3, line={"dash": "dot", "color": "#888"}, annotation_text=name)
     figure.update_layout(yaxis_title="position error [mm]", yaxis_type="log", height=420)
     return figure
-
-
-def _arm(robot: Robot, arms: dict[str, FloatArray], view: str) -> Callable[[], go.Figure]:
-    return lambda: views.arm(robot.chain, arms, view)

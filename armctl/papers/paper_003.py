@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armctl.kinematics import robots, workspace
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.kinematics.inverse import pose_errors
 from armctl.kinematics.robots.lanzhou_4dof import FIG_5_DEG, QZ_DEG
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import LIMIT_SLACK_RAD, pose_target, solve, within_limits
 from armctl.kinematics.transform import FloatArray
-from armctl.papers.page import PaperReport, Picture, Row, Table
-from armctl.papers.verdict import Effort, Stage, claim, same
+from armctl.lab.stage import Stage
+from armctl.papers import verdict
+from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
+from armctl.papers.verdict import Effort, through_closed_form, yes_no
 from armctl.report import kinematics as drawn
-from armctl.report import views
 from armctl.trajectory.quintic import Curves, curves, quintic
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
+    pass
 
 PAPER = "003"
+claim = partial(verdict.claim, PAPER)
+same = partial(verdict.same, PAPER)
 PRINTED_IKINE = (1.0472, 0.7854, -1.5708, 1.5708)
 PRINTED_FIG_5_MM = {"x": 219.0, "z": 139.0}
 START_DEG = (0.0, 90.0, 0.0, 0.0)
@@ -40,19 +42,13 @@ def round_trip(robot: Robot, poses: int, rng: np.random.Generator) -> tuple[floa
         The greatest pose error [m and rad] of any branch, the most branches of a pose, and how far [rad] the
         configuration that a pose was made of is from the nearest branch, at most.
     """
-    assert robot.closed_form is not None
     limits = robot.limits_rad
     q = rng.uniform(limits[:, 0], limits[:, 1], (poses, robot.chain.n))
-    T = forward_kinematics(robot.chain, q)
-    branches = robot.closed_form.poses(T)
-    back = np.asarray(np.isfinite(branches).all(axis=-1))
-    shown = np.where(back[..., None], branches, q[:, None])
-    position_m, turn_rad = pose_errors(robot.chain, shown, np.broadcast_to(T[:, None], (*shown.shape[:2], 4, 4)))
-    holds = np.maximum(position_m, turn_rad) < 1e-6
-    away = np.abs((shown - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1)
-    away = np.where(back & holds, away, np.inf).min(axis=1)
-    worst = float(np.maximum(position_m, turn_rad)[back & holds].max())
-    return worst, int((back & holds).sum(axis=1).max()), float(away.max())
+    branches, missed = through_closed_form(robot, q)
+    holds = missed < 1e-6
+    away = np.abs((branches - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1)
+    away = np.where(holds, away, np.inf).min(axis=1)
+    return float(missed[holds].max()), int(holds.sum(axis=1).max()), float(away.max())
 
 
 def trajectory(robot: Robot) -> Curves:
@@ -74,13 +70,9 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     motion = trajectory(robot)
     rows = [
         *_pose_rows(robot),
-        claim(
-            PAPER, "poses through IK and back, greatest error", "no error", worst, "m, rad", worst < EXACT, "misprint"
-        ),
-        claim(
-            PAPER, "distance of a branch from the joints it came from", "no error", away, "rad", away < 1e-9, "misprint"
-        ),
-        claim(PAPER, "solutions of a pose at most", "4", str(most), "", most == 4, "misprint"),
+        claim("poses through IK and back, greatest error", "no error", worst, worst < EXACT, unit="m, rad"),
+        claim("distance of a branch from the joints it came from", "no error", away, away < 1e-9, unit="rad"),
+        claim("solutions of a pose at most", "4", str(most), most == 4),
         *_workspace_rows(robot, extent, points),
         *_trajectory_rows(robot, motion),
     ]
@@ -95,7 +87,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         ),
         tuple(rows),
         (_extent_table(extent, points),),
-        (*_workspace_pictures(extent, points), *_curve_pictures(robot, motion)),
+        tuple(_pictures(robot, extent, points, motion)),
     )
 
 
@@ -106,22 +98,14 @@ def _pose_rows(robot: Robot) -> list[Row]:
     found = solve(robot, pose_target(T), present=np.array(PRINTED_IKINE)).solutions
     nearest = min(found, key=lambda one: float(np.abs(np.array(one.q_rad) - PRINTED_IKINE).max()))
     rows = [
-        same(PAPER, "x at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["x"], x, "mm", digits=1.0),
-        same(PAPER, "z at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["z"], z, "mm", digits=1.0),
+        same("x at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["x"], x, "mm", digits=1.0),
+        same("z at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["z"], z, "mm", digits=1.0),
     ]
     for joint, (printed, value) in enumerate(zip(PRINTED_IKINE, nearest.q_rad, strict=True)):
-        rows.append(same(PAPER, f"ikine of qz, theta{joint + 1}", printed, value, "rad", digits=1e-4))
+        rows.append(same(f"ikine of qz, theta{joint + 1}", printed, value, "rad", digits=1e-4))
     inside = bool(within_limits(q, robot.limits_rad))
-    rows.append(
-        claim(
-            PAPER, "qz within the ranges of Table 1", "yes", "yes" if inside else "no: theta4", "", inside, "misprint"
-        )
-    )
+    rows.append(claim("qz within the ranges of Table 1", "yes", "yes" if inside else "no: theta4", inside))
     return rows
-
-
-def _word(holds: bool) -> str:
-    return "yes" if holds else "no"
 
 
 def _workspace_rows(robot: Robot, extent: FloatArray, points: FloatArray) -> list[Row]:
@@ -130,12 +114,15 @@ def _workspace_rows(robot: Robot, extent: FloatArray, points: FloatArray) -> lis
     notch = float(np.hypot(points[:, 0], points[:, 1]).min()) * 1e3
     offset = robot.lengths_m["d2"] * 1e3
     rows = [
-        claim(PAPER, "random points within the exact extents", "yes", _word(inside), "", inside, "misprint"),
+        claim("random points within the exact extents", "yes", yes_no(inside), inside),
         claim(
-            PAPER, f"radius of the cylindrical notch, Fig. 4 (d2 = {offset:g} mm)", "a notch", notch, "mm",
-            notch >= offset - 1e-6, "misprint",
+            f"radius of the cylindrical notch, Fig. 4 (d2 = {offset:g} mm)",
+            "a notch",
+            notch,
+            notch >= offset - 1e-6,
+            unit="mm",
         ),
-    ]  # fmt: skip
+    ]
     for i, axis in enumerate("xyz"):
         text = f"{extent[i, 0] * 1e3:.3f} .. {extent[i, 1] * 1e3:.3f}"
         rows.append(Row(PAPER, f"exact extent along {axis}", None, text, "mm", "differs: print has a picture only"))
@@ -152,34 +139,10 @@ def _trajectory_rows(robot: Robot, motion: Curves) -> list[Row]:
     )
     steps = float(np.abs(np.diff(motion.acceleration_rad_s2, axis=0)).max() / np.abs(motion.acceleration_rad_s2).max())
     return [
-        claim(
-            PAPER,
-            "distance of the trajectory's end from what is wanted",
-            "reached",
-            missed,
-            "m",
-            missed < EXACT,
-            "misprint",
-        ),
-        claim(PAPER, "velocity and acceleration at both ends", "0", ends, "rad/s, rad/s^2", ends < 1e-9, "misprint"),
-        claim(
-            PAPER,
-            "greatest step of acceleration between samples, of its peak",
-            "continuous",
-            steps,
-            "",
-            steps < 0.1,
-            "misprint",
-        ),
-        claim(
-            PAPER,
-            "motion within the joint ranges",
-            "-",
-            "yes" if inside else "no",
-            "",
-            inside,
-            "differs: it leaves them",
-        ),
+        claim("distance of the trajectory's end from what is wanted", "reached", missed, missed < EXACT, unit="m"),
+        claim("velocity and acceleration at both ends", "0", ends, ends < 1e-9, unit="rad/s, rad/s^2"),
+        claim("greatest step of acceleration between samples, of its peak", "continuous", steps, steps < 0.1),
+        claim("motion within the joint ranges", "-", yes_no(inside), inside, why="differs: it leaves them"),
     ]
 
 
@@ -193,35 +156,13 @@ def _extent_table(extent: FloatArray, points: FloatArray) -> Table:
     return Table("Fig. 4: workspace", header, rows, f"mm; random: {len(points)} configurations by eq. (12)")
 
 
-def _workspace_pictures(extent: FloatArray, points: FloatArray) -> list[Picture]:
-    def draw(view: str) -> Callable[[], go.Figure]:
-        return lambda: views.workspace(points, extent, view)
-
+def _pictures(robot: Robot, extent: FloatArray, points: FloatArray, motion: Curves) -> list[Picture]:
+    ends = {"start": motion.position_rad[0], "end": motion.position_rad[-1]}
+    space = partial(drawn.arm, robot.chain, ends, tool_m=motion.tool_position_m)
+    described = "{} of random configurations"
     return [
-        Picture(f"Fig. 4: {view}", f"{view} of random configurations", draw(view)) for view in views.WORKSPACE_VIEWS
-    ]
-
-
-def _curve_pictures(robot: Robot, motion: Curves) -> list[Picture]:
-    def draw(title: str) -> Callable[[], go.Figure]:
-        return lambda: drawn.curve_figures(motion)[title]
-
-    def space() -> go.Figure:
-        arms = {"start": motion.position_rad[0], "end": motion.position_rad[-1]}
-        figure = drawn.arm_figures(robot.chain, arms)["from the side and above"]
-        x, y, z = motion.tool_position_m.T
-        figure.add_scatter3d(x=x, y=y, z=z, mode="lines", name="tool path")
-        return figure
-
-    figures = {
-        "Fig. 7": ("Tool position", "Tool velocity", "Tool acceleration"),
-        "Fig. 8": ("Joint positions", "Joint velocities", "Joint accelerations"),
-    }
-    return [
+        *pictures(drawn.WORKSPACE_VIEWS, "Fig. 4: {}", described, drawn.workspace, points, extent),
         Picture("Fig. 6: path of the tool", "the arm at both ends and the path of its tool", space),
-        *(
-            Picture(f"{number}: {title}", f"{title} over time", draw(title))
-            for number, titles in figures.items()
-            for title in titles
-        ),
+        *pictures(list(drawn.CURVES)[3:6], "Fig. 7: {}", "{} over time", drawn.curve, motion),
+        *pictures(list(drawn.CURVES)[:3], "Fig. 8: {}", "{} over time", drawn.curve, motion),
     ]

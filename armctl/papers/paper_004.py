@@ -1,14 +1,13 @@
 """004: the transfer robot (`transfer-6dof`): kinematics both ways, Jacobian, the curves of a cycle (Figs. 3 to 7).
 
-A `Cycle` is what the curves are drawn from, whoever made it: here the model itself, by `simulated_cycle`; a recorded
-run of the arm fits in as well.
+The curves are drawn from a `Cycle`. Here the model makes it (`simulated_cycle`); a recorded run can be used as well.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,24 +17,26 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, jacobian
 from armctl.kinematics.differential import dexterity
-from armctl.kinematics.inverse import pose_errors
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.robots.transfer_6dof import FIG_3_START_M, INITIAL_DEG, PRINTED_INITIAL
 from armctl.kinematics.solution import pose_target, solve
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error
-from armctl.lab.transfer import record
-from armctl.papers.page import PaperReport, Picture, Row
-from armctl.papers.verdict import Effort, Stage, claim
+from armctl.lab.stage import Stage
+from armctl.lab.virtual_transfer import record
+from armctl.papers import verdict
+from armctl.papers.page import PaperReport, Picture, Row, pictures
+from armctl.papers.verdict import Effort, through_closed_form
 from armctl.report import kinematics as drawn
-from armctl.report import transfer
-from armctl.report.transfer import Transfer
+from armctl.report import transfer_curves
+from armctl.report.transfer_curves import Transfer
 from armctl.trajectory import transfer as trajectory
 from armctl.trajectory.quintic import Curves, curves, quintic
 
 if TYPE_CHECKING:
-    import plotly.graph_objects as go
+    pass
 
 PAPER = "004"
+claim = partial(verdict.claim, PAPER)
 ROBOT = "transfer-6dof"
 SCALE = 0.4
 """Of the arm in calibration/transfer-6dof.yaml."""
@@ -139,17 +140,12 @@ def logged_cycle(seed: int) -> Transfer:
     """A cycle that the control loop ran on a simulated arm, read back from its log."""
     arm = load_arm(ROBOT)
     with tempfile.TemporaryDirectory(prefix="armctl-") as folder:
-        return transfer.load(record(arm, LOGGED, Path(folder) / "transfer.mcap", seed=seed))
+        return transfer_curves.load(record(arm, LOGGED, Path(folder) / "transfer.mcap", seed=seed))
 
 
 def _logged_pictures(logged: Transfer) -> list[Picture]:
-    def draw(title: str) -> Callable[[], go.Figure]:
-        return lambda: transfer.draw(logged)[title]
-
-    return [
-        Picture(f"from the log, {title}", f"{title}: the model's and the recorded one", draw(title))
-        for title in transfer.titles()
-    ]
+    described = "{}: the model's and the recorded one"
+    return pictures(transfer_curves.TITLES, "from the log, {}", described, transfer_curves.draw, logged)
 
 
 def _pose_rows(robot: Robot) -> list[Row]:
@@ -162,45 +158,24 @@ def _pose_rows(robot: Robot) -> list[Row]:
         )
     R = np.array(PRINTED_INITIAL)[:3, :3]
     off = float(np.abs(R @ R.T - np.eye(3)).max())
-    rows.append(claim(PAPER, "R R^T - 1 of the initial rotation", "a rotation", off, "", off < 1e-9, "misprint"))
+    rows.append(claim("R R^T - 1 of the initial rotation", "a rotation", off, off < 1e-9))
     assert robot.closed_form is not None
     _, beyond = robot.closed_form.nearest_position(np.array(FIG_3_START_M))
     start = "({:.0f}, {:.0f}, {:.0f})".format(*(value * 1e3 for value in FIG_3_START_M))
     rows.append(
-        claim(
-            PAPER,
-            f"Fig. 3 starts at {start}: out of reach by",
-            "as calculated",
-            beyond * 1e3,
-            "mm",
-            beyond == 0.0,
-            "misprint",
-        )
+        claim(f"Fig. 3 starts at {start}: out of reach by", "as calculated", beyond * 1e3, beyond == 0.0, unit="mm")
     )
     return rows
 
 
 def _inverse_rows(robot: Robot, q: FloatArray) -> list[Row]:
-    assert robot.closed_form is not None
-    T = forward_kinematics(robot.chain, q)
-    branches = robot.closed_form.poses(T)
-    exists = np.asarray(np.isfinite(branches).all(axis=-1))
-    filled = np.where(exists[..., None], branches, q[:, None])
-    position_m, turn_rad = pose_errors(robot.chain, filled, np.broadcast_to(T[:, None], (*filled.shape[:2], 4, 4)))
-    worst = float(np.maximum(position_m, turn_rad)[exists].max())
-    most = int(exists.sum(axis=1).max())
+    _, missed = through_closed_form(robot, q)
+    exists = np.isfinite(missed)
+    worst, most = float(missed[exists].max()), int(exists.sum(axis=1).max())
     what = f"{len(q)} poses through IK and back, every branch: greatest error"
     return [
-        claim(PAPER, what, "mutually", worst, "m, rad", worst < EXACT, "differs: rounding near a singularity"),
-        claim(
-            PAPER,
-            "solutions of a pose at most",
-            "16 (2 each of theta1 to theta4)",
-            str(most),
-            "",
-            most == 16,
-            "misprint",
-        ),
+        claim(what, "mutually", worst, worst < EXACT, unit="m, rad", why="differs: rounding near a singularity"),
+        claim("solutions of a pose at most", "16 (2 each of theta1 to theta4)", str(most), most == 16),
     ]
 
 
@@ -211,15 +186,7 @@ def _jacobian_rows(robot: Robot, q: FloatArray) -> list[Row]:
     best = max(dexterity(one).manipulability for one in jacobian(robot.chain, q))
     why = "differs: print gives none"
     return [
-        claim(
-            PAPER,
-            "Jacobian by eq. (8) against central differences",
-            "the same",
-            gap,
-            "",
-            gap < DIFFERENCE_BOUND,
-            "misprint",
-        ),
+        claim("Jacobian by eq. (8) against central differences", "the same", gap, gap < DIFFERENCE_BOUND),
         Row(PAPER, "rank of the Jacobian at the initial position", None, str(found.rank), "", why),
         Row(PAPER, "manipulability at the initial position", None, found.manipulability, "", why),
         Row(PAPER, f"greatest manipulability of {len(q)} random configurations", None, best, "", why),
@@ -239,9 +206,7 @@ def _curve_rows(shown: Curves) -> list[Row]:
         printed, found = PRINTED_ACCELERATION_MM_S2[axis], float(push[i])
         rows.append(Row(PAPER, f"greatest acceleration along {axis}, Fig. 5", printed, found, "mm/s^2", why))
     away = _derivative_gap(shown)
-    rows.append(
-        claim(PAPER, "Fig. 4 against the slope of Fig. 3, of its peak", "consistent", away, "", away < 0.01, "misprint")
-    )
+    rows.append(claim("Fig. 4 against the slope of Fig. 3, of its peak", "consistent", away, away < 0.01))
     return rows
 
 
@@ -255,28 +220,13 @@ def _derivative_gap(shown: Curves) -> float:
 
 
 def _pictures(robot: Robot, shown: Curves) -> list[Picture]:
-    titles = (
-        "Tool position",
-        "Tool velocity",
-        "Tool acceleration",
-        "Tool angular velocity",
-        "Tool angular acceleration",
-    )
-
-    def draw(title: str) -> Callable[[], go.Figure]:
-        return lambda: drawn.curve_figures(shown)[title]
-
-    def space() -> go.Figure:
-        q = stops(robot)
-        figure = drawn.arm_figures(robot.chain, {"home": q[0], "pick": q[2], "place": q[5]})["from the side and above"]
-        x, y, z = shown.tool_position_m.T
-        figure.add_scatter3d(x=x, y=y, z=z, mode="lines", name="tool path")
-        return figure
-
+    q = stops(robot)
+    arms = {"home": q[0], "pick": q[2], "place": q[5]}
+    space = partial(drawn.arm, robot.chain, arms, tool_m=shown.tool_position_m)
     return [
         Picture("the cycle", "the arm at home, pick and place and the path of its tool", space),
         *(
-            Picture(f"Fig. {number}: {title}", f"{title} over time", draw(title))
-            for number, title in enumerate(titles, start=3)
+            Picture(f"Fig. {number}: {title}", f"{title} over time", partial(drawn.curve, shown, title))
+            for number, title in enumerate(list(drawn.CURVES)[3:], start=3)
         ),
     ]

@@ -1,12 +1,11 @@
 """Which papers there are, and recomputing some of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
+from armctl.lab.stage import Stage
 from armctl.papers import paper_000, paper_001, paper_002, paper_003, paper_004
 from armctl.papers.page import PaperReport
-from armctl.papers.verdict import Effort, Stage
+from armctl.papers.verdict import Effort
 
 PAPERS: dict[str, Callable[[Effort, int, Stage], PaperReport]] = {
     "000": paper_000.reproduce,

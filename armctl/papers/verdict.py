@@ -1,16 +1,14 @@
-"""Rows with their verdict: how a number of print compares with one computed."""
+"""Rows with a verdict: how a printed number compares with the computed one. And a check that several papers need."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
-from armctl.papers.page import Row
+import numpy as np
 
-Progress = Callable[[float, str], None]
-Stage = Callable[[str, float], AbstractContextManager[Progress]]
-"""Begins a stage of so many steps; what it yields is told how many are done."""
+from armctl.kinematics.chain import forward_kinematics
+from armctl.kinematics.inverse import pose_errors
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.papers.page import Row
 
 
 @dataclass(frozen=True)
@@ -48,6 +46,29 @@ def error(paper: str, quantity: str, printed: float, armctl: float, unit: str, *
     return Row(paper, quantity, printed, armctl, unit, verdict)
 
 
-def claim(paper: str, quantity: str, printed: str, armctl: float | str, unit: str, holds: bool, why: str) -> Row:
-    """A statement in words that holds or does not."""
+def claim(
+    paper: str, quantity: str, printed: str, armctl: float | str, holds: bool, *, unit: str = "", why: str = "misprint"
+) -> Row:
+    """A statement in words: equal if it holds, else `why` it does not."""
     return Row(paper, quantity, printed, armctl, unit, "equal" if holds else why)
+
+
+def yes_no(holds: bool) -> str:
+    """The word for it."""
+    return "yes" if holds else "no"
+
+
+def through_closed_form(robot: Robot, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The poses of configurations [rad], shape (m, n), through closed inverse kinematics and back.
+
+    Returns:
+        Every branch [rad], shape (m, branches, n), and how far it misses its pose [m or rad, the greater], shape
+        (m, branches). A branch that does not exist holds the configuration itself, and misses by infinity.
+    """
+    assert robot.closed_form is not None
+    T = forward_kinematics(robot.chain, q)
+    branches = robot.closed_form.poses(T)
+    exists = np.asarray(np.isfinite(branches).all(axis=-1))
+    shown = np.where(exists[..., None], branches, q[:, None])
+    missed = np.maximum(*pose_errors(robot.chain, shown, np.broadcast_to(T[:, None], (*shown.shape[:2], 4, 4))))
+    return shown, np.where(exists, missed, np.inf)

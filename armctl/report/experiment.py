@@ -1,31 +1,31 @@
-"""The evidence of a straight-line experiment: before and after correction, and what limits the rest.
+"""The page of a straight-line experiment: before and after correction, and what limits the error that is left.
 
-Every figure that stands for several runs says their spread. Where a true tool path is known it is what is drawn.
+A figure that is a mean of several runs is shown with their spread. Where the true tool path is known, it is drawn.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from armctl.kinematics.transform import FloatArray
 from armctl.report import pareto, picture
 from armctl.report.line import (
     COLOURS,
-    PAPER_ROWS,
+    FAINT,
+    GREEN,
+    PRINTED,
+    VIEWS,
     ExperimentReport,
-    LineRun,
-    along_and_off,
+    distance_curve,
     errors_mm,
-    layout,
+    exact_line,
+    path_curve,
+    point_text,
     space_figure,
+    via_markers,
+    wanted_curve,
 )
-from armctl.report.page import Page, plotly
-from armctl.trajectory.straightness import distance_to_line
-
-BEFORE = "#b9c2cd"
+from armctl.report.page import Page, curve, layout, plotly
 
 
 def write(report: ExperimentReport, path: Path) -> None:
@@ -33,19 +33,18 @@ def write(report: ExperimentReport, path: Path) -> None:
     if path.suffix == ".svg":
         picture.write(report, path)
         return
-    figure = plotly()
     page = Page("Straight line: before and after correction")
-    begin, end = (", ".join(f"{value:.3f}" for value in point) for point in (report.from_m, report.to_m))
+    begin, end = point_text(report.from_m), point_text(report.to_m)
     page.text(f"The tool was to move from ({begin}) to ({end}) m in a straight line.")
     for note in report.notes:
         page.text(note)
     _table(page, report)
-    _paths(page, figure, report)
-    _deviation(page, figure, report)
-    _convergence(page, figure, report)
-    _prediction(page, figure, report)
+    _paths(page, report)
+    _deviation(page, report)
+    _convergence(page, report)
+    _prediction(page, report)
     if report.limits:
-        _limits(page, figure, report)
+        _limits(page, report)
     if report.fronts:
         pareto.add_fronts(page, report.fronts)
     page.write(path)
@@ -53,10 +52,6 @@ def write(report: ExperimentReport, path: Path) -> None:
 
 def _name(via: int | str) -> str:
     return str(via) if via == "stream" else f"{via} via"
-
-
-def _real(run: LineRun) -> FloatArray:
-    return run.tool_m if run.truth_tool_m is None else run.truth_tool_m
 
 
 def _spread(pairs: Sequence[tuple[float, float]]) -> str:
@@ -74,18 +69,18 @@ def _table(page: Page, report: ExperimentReport) -> None:
             errors_mm(run.truth_tool_m, report.from_m, report.to_m) for run in one.runs if run.truth_tool_m is not None
         ]
         durations = [run.duration_s for run in one.runs]
-        paper = PAPER_ROWS.get(one.via) if isinstance(one.via, int) else None
+        paper = PRINTED.get(one.via) if isinstance(one.via, int) else None
         rows.append(
             (
                 one.via,
-                "{:.1f} / {:.1f}".format(*errors_mm(_real(one.before), report.from_m, report.to_m)),
+                "{:.1f} / {:.1f}".format(*errors_mm(one.before.real_tool_m, report.from_m, report.to_m)),
                 f"{one.runs[0].predicted_mean_mm:.2f} / {one.runs[0].predicted_max_mm:.2f}",
                 _spread(by_encoder),
                 _spread(truths) if truths else "unknown",
                 f"{np.mean(durations):.2f}" + (f" ± {np.std(durations):.2f}" if len(durations) > 1 else ""),
                 len(one.runs),
                 len(one.rounds) - 1,
-                "-" if paper is None else f"{paper[0]:.1f} / {paper[1]:.1f} in {paper[2]:.1f} s",
+                "-" if paper is None else f"{paper.errors} in {paper.duration_s:.1f} s",
             )
         )
     page.heading("Distance from the line")
@@ -93,127 +88,91 @@ def _table(page: Page, report: ExperimentReport) -> None:
         ("via", "before", "predicted", "by encoders", "true", "time s", "repeats", "corrections", "paper"),
         rows,
         "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20), ± standard deviation over the "
-        "repeats. Before: the plain plan on the arm as it is, true where known. Predicted: the corrected plan with "
-        "what was learnt of the arm. Paper: Raharjo et al., Table II.",
+        "repeats. Before: the plain plan on the arm as it is; the true distance where it is known. Predicted: the "
+        "corrected plan, with what was learnt about the arm. Paper: Raharjo et al., Table II.",
     )
 
 
-def _paths(page: Page, figure: type, report: ExperimentReport) -> None:
+def _paths(page: Page, report: ExperimentReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
-    chart = figure()
+    ends, shown = (report.from_m, report.to_m), list(zip(report.outcomes, COLOURS, strict=False))
     paths = []
-    for one, colour in zip(report.outcomes, COLOURS, strict=False):
-        paths.append((f"{_name(one.via)}, before", _real(one.before), BEFORE))
-        paths.append((f"{_name(one.via)}, after", _real(one.runs[0]), colour))
-    space_figure(chart, report.from_m, report.to_m, paths)
-    page.figure(chart, "Tool paths in space before and after correction")
-    length = float(np.linalg.norm(report.to_m - report.from_m)) * 1000.0
-    for axis, title in ((1, "from above: sideways deviation"), (2, "from the side: upward deviation")):
-        chart = figure()
-        chart.add_scatter(x=[0, length], y=[0, 0], mode="lines", line={"color": "#7d8b99", "width": 2}, name="line AB")
-        for one, colour in zip(report.outcomes, COLOURS, strict=False):
-            for label, run, style in (
-                ("before", one.before, {"color": colour, "width": 1, "dash": "dot"}),
-                ("after", one.runs[0], {"color": colour, "width": 2}),
-            ):
-                view = along_and_off(_real(run), report.from_m, report.to_m)
-                chart.add_scatter(x=view[0], y=view[axis], mode="lines", line=style, name=f"{_name(one.via)}, {label}")
-            via = along_and_off(one.runs[0].via_tool_m, report.from_m, report.to_m)
+    for one, colour in shown:
+        paths.append((f"{_name(one.via)}, before", one.before.real_tool_m, FAINT))
+        paths.append((f"{_name(one.via)}, after", one.runs[0].real_tool_m, colour))
+    space_figure(page, ends, paths, "Tool paths in space before and after correction")
+    for axis, title in VIEWS:
+        chart = plotly()()
+        wanted_curve(chart, ends)
+        for one, colour in shown:
+            before, after = one.before.real_tool_m, one.runs[0].real_tool_m
+            path_curve(chart, ends, axis, before, f"{_name(one.via)}, before", colour, width=1, dash="dot")
+            path_curve(chart, ends, axis, after, f"{_name(one.via)}, after", colour)
             if isinstance(one.via, int) and one.via:
-                chart.add_scatter(
-                    x=via[0],
-                    y=via[axis],
-                    mode="markers",
-                    marker={"color": colour, "size": 8, "symbol": "diamond"},
-                    name=f"{one.via} via points as commanded",
-                    visible="legendonly",
-                )
+                name = f"{one.via} via points as commanded"
+                via_markers(chart, ends, axis, one.runs[0], colour, name, visible="legendonly")
         layout(chart, title, "along the line, mm", "off the line, mm")
         page.figure(chart, f"Tool paths before and after correction, {title}")
 
 
-def _deviation(page: Page, figure: type, report: ExperimentReport) -> None:
+def _deviation(page: Page, report: ExperimentReport) -> None:
     page.heading("Deviation along the path")
-    chart = figure()
+    chart = plotly()()
     for one, colour in zip(report.outcomes, COLOURS, strict=False):
         for number, run in enumerate(one.runs):
-            points = _real(run)
-            chart.add_scatter(
-                x=along_and_off(points, report.from_m, report.to_m)[0],
-                y=distance_to_line(points, report.from_m, report.to_m) * 1000.0,
-                mode="lines",
-                line={"color": colour, "width": 1.5},
-                opacity=1.0 if number == 0 else 0.35,
-                name=_name(one.via),
-                legendgroup=str(one.via),
-                showlegend=number == 0,
-            )
+            first = {"opacity": 1.0 if number == 0 else 0.35, "legendgroup": str(one.via), "showlegend": number == 0}
+            ends = (report.from_m, report.to_m)
+            distance_curve(chart, ends, run.real_tool_m, _name(one.via), colour, width=1.5, **first)
     layout(chart, "Distance from the line after correction, every repeat", "along the line, mm", "distance, mm")
     page.figure(chart, "Distance of the tool from the line along the path, every repeat after correction")
 
 
-def _convergence(page: Page, figure: type, report: ExperimentReport) -> None:
+def _convergence(page: Page, report: ExperimentReport) -> None:
     page.heading("Convergence")
-    chart = figure()
+    chart = plotly()()
     for one, colour in zip(report.outcomes, COLOURS, strict=False):
-        for label, dash, errors in (
-            ("true", "solid", [errors_mm(_real(run), report.from_m, report.to_m)[0] for run in one.rounds]),
-            ("by encoders", "dot", [errors_mm(run.tool_m, report.from_m, report.to_m)[0] for run in one.rounds]),
+        for label, dash, paths in (
+            ("true", "solid", [run.real_tool_m for run in one.rounds]),
+            ("by encoders", "dot", [run.tool_m for run in one.rounds]),
         ):
-            chart.add_scatter(
-                x=list(range(len(errors))),
-                y=errors,
-                mode="lines+markers",
-                line={"color": colour, "dash": dash},
-                name=f"{_name(one.via)}, {label}",
-            )
-    layout(chart, "Mean distance by round of correction (0: before any)", "round", "mean distance, mm")
-    chart.update_layout(yaxis_type="log")
+            errors = [errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in paths]
+            name = f"{_name(one.via)}, {label}"
+            curve(chart, list(range(len(errors))), errors, name, colour, dash=dash, mode="lines+markers")
+    title = "Mean distance by round of correction (0: before any)"
+    layout(chart, title, "round", "mean distance, mm", yaxis_type="log")
     page.figure(chart, "Mean distance from the line by round of correction")
     if report.best_cost_mm:
-        chart = figure()
-        chart.add_scatter(
-            x=list(range(1, len(report.best_cost_mm) + 1)),
-            y=list(report.best_cost_mm),
-            mode="lines",
-            line={"color": "#2a7f62"},
-            name="best individual",
-        )
+        chart = plotly()()
+        generations = list(range(1, len(report.best_cost_mm) + 1))
+        curve(chart, generations, list(report.best_cost_mm), "best individual", GREEN)
         if report.exact_mean_mm is not None:
-            chart.add_hline(
-                y=report.exact_mean_mm, line={"color": "#7d8b99", "dash": "dot"}, annotation_text="exact optimum"
-            )
+            exact_line(chart, report.exact_mean_mm)
         layout(chart, "Genetic algorithm on recorded genes", "generation", "cost, mm")
         page.figure(chart, "Best cost of the genetic algorithm by generation")
 
 
-def _prediction(page: Page, figure: type, report: ExperimentReport) -> None:
+def _prediction(page: Page, report: ExperimentReport) -> None:
     page.heading("Prediction against measurement")
-    chart = figure()
+    chart = plotly()()
     names = [_name(one.via) for one in report.outcomes]
-    by_encoder = [[errors_mm(run.tool_m, report.from_m, report.to_m)[0] for run in one.runs] for one in report.outcomes]
-    real = [[errors_mm(_real(run), report.from_m, report.to_m)[0] for run in one.runs] for one in report.outcomes]
-    bars: tuple[tuple[str, str, list[float], list[float] | None], ...] = (
-        ("predicted", "#b9c2cd", [one.runs[0].predicted_mean_mm for one in report.outcomes], None),
-        (
-            "by encoders",
-            "#3a6ea5",
-            [float(np.mean(some)) for some in by_encoder],
-            [float(np.std(s)) for s in by_encoder],
-        ),
-        ("true", "#2a7f62", [float(np.mean(some)) for some in real], [float(np.std(some)) for some in real]),
-    )
-    for name, colour, values, spread in bars:
-        error = None if spread is None else {"type": "data", "array": spread}
-        chart.add_bar(x=names, y=values, error_y=error, name=name, marker={"color": colour})
+    predicted = [one.runs[0].predicted_mean_mm for one in report.outcomes]
+    chart.add_bar(x=names, y=predicted, name="predicted", marker={"color": FAINT})
+    for name, colour, paths in (
+        ("by encoders", "#3a6ea5", [[run.tool_m for run in one.runs] for one in report.outcomes]),
+        ("true", GREEN, [[run.real_tool_m for run in one.runs] for one in report.outcomes]),
+    ):
+        errors = [[errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in some] for some in paths]
+        spread = {"type": "data", "array": [float(np.std(some)) for some in errors]}
+        means = [float(np.mean(some)) for some in errors]
+        chart.add_bar(x=names, y=means, error_y=spread, name=name, marker={"color": colour})
     layout(chart, "Mean distance after correction, ± standard deviation over the repeats", "", "mean distance, mm")
     page.figure(chart, "Predicted, measured and true mean distance")
 
 
-def _limits(page: Page, figure: type, report: ExperimentReport) -> None:
+def _limits(page: Page, report: ExperimentReport) -> None:
     page.heading("What limits the rest")
     for stage, title in (("after_mm", "after correction"), ("before_mm", "before correction")):
-        chart = figure()
+        chart = plotly()()
         for via, colour in zip(dict.fromkeys(row["via"] for row in report.limits), COLOURS, strict=False):
             some = [row for row in report.limits if row["via"] == via]
             chart.add_bar(
@@ -238,6 +197,7 @@ def _limits(page: Page, figure: type, report: ExperimentReport) -> None:
             )
             for row in report.limits
         ],
-        "Effects do not add up: removing one leaves the others to act alone. Whole ticks: what rounding goals to ticks "
-        "costs on perfect servos. Zero offsets: what up to half a tick, which no encoder sees, costs on average.",
+        "The shares do not add up, because the effects depend on one another. Whole ticks: the error that rounding "
+        "goals to ticks causes on perfect servos. Zero offsets: the mean error by offsets of up to half a tick, which "
+        "no encoder sees.",
     )

@@ -1,26 +1,41 @@
 """The straight-line report: what was taught, what the optimiser made of it, how straight the arm then moved."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.page import Page, plotly
+from armctl.report.page import Page, cube, curve, layout, plotly
 from armctl.trajectory import straightness
 
-PAPER_ROWS: dict[int | str, tuple[float, float, float]] = {
-    0: (10.1499, 19.51644, 5.0),
-    1: (7.42501, 16.52173, 7.7),
-    2: (7.00036, 14.69483, 7.8),
+
+class Printed(NamedTuple):
+    """What the paper prints of one experiment."""
+
+    mean_error_mm: float
+    max_error_mm: float
+    duration_s: float
+
+    @property
+    def errors(self) -> str:
+        """Mean / maximum [mm] for a table."""
+        return f"{self.mean_error_mm:.1f} / {self.max_error_mm:.1f}"
+
+
+PRINTED: dict[int | str, Printed] = {
+    0: Printed(10.1499, 19.51644, 5.0),
+    1: Printed(7.42501, 16.52173, 7.7),
+    2: Printed(7.00036, 14.69483, 7.8),
 }
-"""Mean error [mm], maximum error [mm] and time [s] by number of via points, Raharjo et al. Table II."""
+"""By number of via points, Raharjo et al. Table II; `armctl/lab/table_ii.py` makes that table anew."""
 
 COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3")
+FAINT, GREY, GREEN = "#b9c2cd", "#7d8b99", "#2a7f62"
+VIEWS = ((1, "from above: sideways deviation"), (2, "from the side: upward deviation"))
+"""Which of `along_and_off` is seen from where."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +58,14 @@ class LineRun:
     truth_tool_m: FloatArray | None = None
     """By an outside measurement (the simulator's true pose), where there is one."""
 
+    @property
+    def real_tool_m(self) -> FloatArray:
+        """Where the tool was: really, if that is known, else by the encoders."""
+        return self.tool_m if self.truth_tool_m is None else self.truth_tool_m
+
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class DrawnOutcome:
     """What became of one number of via points."""
 
     via: int | str
@@ -59,11 +79,11 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentReport:
-    """Everything the page shows; what is empty is left out."""
+    """Everything the page shows. Parts without data are left out."""
 
     from_m: FloatArray
     to_m: FloatArray
-    outcomes: Sequence[Outcome]
+    outcomes: Sequence[DrawnOutcome]
     best_cost_mm: Sequence[float] = ()
     """Of the genetic algorithm, by generation."""
     exact_mean_mm: float | None = None
@@ -104,24 +124,23 @@ def errors_mm(tool_m: FloatArray, from_m: FloatArray, to_m: FloatArray) -> tuple
 
 def write(report: LineReport, path: Path) -> None:
     """Write the page."""
-    figure = plotly()
     page = Page("Straight line: taught, optimised, run")
     page.text(
-        f"The tool was to move from ({_point(report.from_m)}) to ({_point(report.to_m)}) m in a straight line. "
+        f"The tool was to move from ({point_text(report.from_m)}) to ({point_text(report.to_m)}) m in a straight line. "
         f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
         "result through 0, 1 and 2 intermediate points."
     )
     for note in report.notes:
         page.text(note)
     _table(page, report)
-    _path_figure(page, figure, report)
-    _deviation_figure(page, figure, report)
-    _convergence_figure(page, figure, report)
-    _joint_figures(page, figure, report)
+    _path_figures(page, report)
+    _deviation_figure(page, report)
+    _convergence_figure(page, report)
+    _joint_figures(page, report)
     page.write(path)
 
 
-def _point(point: FloatArray) -> str:
+def point_text(point: FloatArray) -> str:
     return ", ".join(f"{value:.3f}" for value in point)
 
 
@@ -130,7 +149,7 @@ def _table(page: Page, report: LineReport) -> None:
     for run in report.runs:
         encoder = errors_mm(run.tool_m, report.from_m, report.to_m)
         truth = None if run.truth_tool_m is None else errors_mm(run.truth_tool_m, report.from_m, report.to_m)
-        paper = PAPER_ROWS.get(run.via)
+        paper = PRINTED.get(run.via)
         rows.append(
             (
                 run.via,
@@ -138,8 +157,8 @@ def _table(page: Page, report: LineReport) -> None:
                 "{:.1f} / {:.1f}".format(*encoder),
                 "-" if truth is None else "{:.1f} / {:.1f}".format(*truth),
                 f"{run.duration_s:.1f}",
-                "-" if paper is None else f"{paper[0]:.1f} / {paper[1]:.1f}",
-                "-" if paper is None else f"{paper[2]:.1f}",
+                "-" if paper is None else paper.errors,
+                "-" if paper is None else f"{paper.duration_s:.1f}",
             )
         )
     page.heading("Distance from the line")
@@ -147,7 +166,7 @@ def _table(page: Page, report: LineReport) -> None:
         ("via points", "predicted", "by encoders", "true", "time s", "paper", "paper's time s"),
         rows,
         "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20). Predicted: the commanded motion on "
-        "perfect servos. True: the tool's real place; sag under gravity, play and zero offsets are in it. "
+        "perfect servos. True: the tool's real place, with sag under gravity, play and zero offsets. "
         "Paper: Table II.",
     )
     page.heading("Candidates")
@@ -176,158 +195,125 @@ def along_and_off(
     return offset @ direction, offset @ sideways, offset @ upward
 
 
-def _path_figure(page: Page, figure: type, report: LineReport) -> None:
+def _path_figures(page: Page, report: LineReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
-    chart = figure()
-    paths = [
-        (f"{run.via} via", run.tool_m if run.truth_tool_m is None else run.truth_tool_m, colour)
-        for run, colour in zip(report.runs, COLOURS, strict=False)
-    ]
-    space_figure(chart, report.from_m, report.to_m, paths)
-    page.figure(chart, "Tool paths in space against the line AB")
-    for axis, title in ((1, "from above: sideways deviation"), (2, "from the side: upward deviation")):
-        chart = figure()
+    runs = list(zip(report.runs, COLOURS, strict=False))
+    space_figure(
+        page,
+        (report.from_m, report.to_m),
+        [(f"{run.via} via", run.real_tool_m, colour) for run, colour in runs],
+        "Tool paths in space against the line AB",
+    )
+    ends = (report.from_m, report.to_m)
+    for axis, title in VIEWS:
+        chart = plotly()()
         for index, candidate in enumerate(report.candidates_m):
-            view = along_and_off(candidate, report.from_m, report.to_m)
-            chart.add_scatter(
-                x=view[0],
-                y=view[axis],
-                mode="lines",
-                line={"color": "#b9c2cd", "width": 1},
-                name="taught",
-                legendgroup="taught",
-                showlegend=index == 0,
-            )
-        length = float(np.linalg.norm(report.to_m - report.from_m)) * 1000.0
-        chart.add_scatter(x=[0, length], y=[0, 0], mode="lines", line={"color": "#7d8b99", "width": 2}, name="line AB")
-        for run, colour in zip(report.runs, COLOURS, strict=False):
-            commanded = along_and_off(run.predicted_tool_m, report.from_m, report.to_m)
-            chart.add_scatter(
-                x=commanded[0],
-                y=commanded[axis],
-                mode="lines",
-                line={"color": colour, "width": 1, "dash": "dot"},
-                name=f"{run.via} via, commanded",
-                visible="legendonly",
-            )
-            real = run.tool_m if run.truth_tool_m is None else run.truth_tool_m
-            view = along_and_off(real, report.from_m, report.to_m)
-            label = "by encoders" if run.truth_tool_m is None else "true"
-            chart.add_scatter(
-                x=view[0],
-                y=view[axis],
-                mode="lines",
-                line={"color": colour, "width": 2},
-                name=f"{run.via} via, {label}",
-            )
-            via = along_and_off(run.via_tool_m, report.from_m, report.to_m)
-            chart.add_scatter(
-                x=via[0],
-                y=via[axis],
-                mode="markers",
-                marker={"color": colour, "size": 8, "symbol": "diamond"},
-                name=f"{run.via} via points",
-                showlegend=False,
-            )
+            group = {"legendgroup": "taught", "showlegend": index == 0}
+            path_curve(chart, ends, axis, candidate, "taught", FAINT, width=1, **group)
+        wanted_curve(chart, ends)
+        for run, colour in runs:
+            name, hidden = f"{run.via} via, commanded", {"visible": "legendonly"}
+            path_curve(chart, ends, axis, run.predicted_tool_m, name, colour, width=1, dash="dot", **hidden)
+            judge = "by encoders" if run.truth_tool_m is None else "true"
+            path_curve(chart, ends, axis, run.real_tool_m, f"{run.via} via, {judge}", colour)
+            via_markers(chart, ends, axis, run, colour, f"{run.via} via points", showlegend=False)
         layout(chart, title, "along the line, mm", "off the line, mm")
         page.figure(chart, f"Tool paths against the line AB, {title}")
 
 
-def _deviation_figure(page: Page, figure: type, report: LineReport) -> None:
+Ends = tuple[FloatArray, FloatArray]
+"""Of the line AB [m], each shape (3,)."""
+
+
+def wanted_curve(chart: Any, ends: Ends) -> None:
+    """The line AB, seen from above or from the side."""
+    curve(chart, [0, float(np.linalg.norm(ends[1] - ends[0])) * 1000.0], [0, 0], "line AB", GREY)
+
+
+def path_curve(chart: Any, ends: Ends, axis: int, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
+    """A tool path seen along one of `VIEWS`."""
+    view = along_and_off(tool_m, *ends)
+    curve(chart, view[0], view[axis], name, colour, **more)
+
+
+def via_markers(chart: Any, ends: Ends, axis: int, run: LineRun, colour: str, name: str, **more: Any) -> None:
+    """Where a run's via points are commanded, seen along one of `VIEWS`."""
+    via = along_and_off(run.via_tool_m, *ends)
+    marker = {"color": colour, "size": 8, "symbol": "diamond"}
+    chart.add_scatter(x=via[0], y=via[axis], mode="markers", marker=marker, name=name, **more)
+
+
+def distance_curve(chart: Any, ends: Ends, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
+    """Distance from the line AB along it."""
+    distance_mm = straightness.distance_to_line(tool_m, *ends) * 1000.0
+    curve(chart, along_and_off(tool_m, *ends)[0], distance_mm, name, colour, **more)
+
+
+def exact_line(chart: Any, exact_mm: float) -> None:
+    """The exact optimum of the genetic algorithm's problem."""
+    chart.add_hline(y=exact_mm, line={"color": GREY, "dash": "dot"}, annotation_text="exact optimum")
+
+
+def _deviation_figure(page: Page, report: LineReport) -> None:
     page.heading("Deviation along the path")
-    chart = figure()
+    chart = plotly()()
     for run, colour in zip(report.runs, COLOURS, strict=False):
         for tool_m, dash, label in (
             (run.predicted_tool_m, "dot", "predicted"),
             (run.tool_m, "dash", "by encoders"),
             (run.truth_tool_m, "solid", "true"),
         ):
-            if tool_m is None:
-                continue
-            chart.add_scatter(
-                x=along_and_off(tool_m, report.from_m, report.to_m)[0],
-                y=straightness.distance_to_line(tool_m, report.from_m, report.to_m) * 1000.0,
-                mode="lines",
-                line={"color": colour, "dash": dash, "width": 2},
-                name=f"{run.via} via, {label}",
-            )
+            if tool_m is not None:
+                ends = (report.from_m, report.to_m)
+                distance_curve(chart, ends, tool_m, f"{run.via} via, {label}", colour, dash=dash)
     layout(chart, "Distance from the line", "along the line, mm", "distance, mm")
     page.figure(chart, "Distance of the tool from the line AB along the path, for each run")
 
 
-def _convergence_figure(page: Page, figure: type, report: LineReport) -> None:
+def _convergence_figure(page: Page, report: LineReport) -> None:
     page.heading("Genetic algorithm by generation")
-    chart = figure()
+    chart = plotly()()
     generations = np.arange(len(report.best_mm))
-    chart.add_scatter(x=generations, y=report.best_mm, mode="lines", line={"color": "#2a7f62"}, name="best")
-    chart.add_scatter(x=generations, y=report.mean_mm, mode="lines", line={"color": "#b9c2cd"}, name="mean")
-    chart.add_hline(y=report.exact_mean_mm, line={"color": "#7d8b99", "dash": "dot"}, annotation_text="exact optimum")
+    curve(chart, generations, report.best_mm, "best", GREEN)
+    curve(chart, generations, report.mean_mm, "mean", FAINT)
+    exact_line(chart, report.exact_mean_mm)
     layout(chart, "Mean distance of the best and of the average individual", "generation", "mean distance, mm")
     page.figure(chart, "Best and mean cost of the genetic algorithm by generation")
 
 
-def _joint_figures(page: Page, figure: type, report: LineReport) -> None:
+def _joint_figures(page: Page, report: LineReport) -> None:
     page.heading("Joint angles against time")
+    colours = (*COLOURS, "#5a6878")
     for run in report.runs:
-        chart = figure()
+        chart = plotly()()
         for joint, name in enumerate(report.joint_names):
-            colour = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3", "#5a6878")[joint % 6]
-            for values, dash, suffix in ((run.positions_rad, "solid", ""), (run.goals_rad, "dot", " commanded")):
-                chart.add_scatter(
-                    x=run.time_s,
-                    y=np.degrees(values[:, joint]),
-                    mode="lines",
-                    line={"color": colour, "dash": dash},
-                    name=name + suffix,
-                    legendgroup=name,
-                    showlegend=not suffix,
-                )
+            colour = colours[joint % len(colours)]
+            group: dict[str, Any] = {"legendgroup": name}
+            measured, goal = np.degrees(run.positions_rad[:, joint]), np.degrees(run.goals_rad[:, joint])
+            curve(chart, run.time_s, measured, name, colour, showlegend=True, **group)
+            curve(chart, run.time_s, goal, f"{name} commanded", colour, dash="dot", showlegend=False, **group)
         layout(chart, f"{run.via} via points (dotted: commanded)", "time, s", "joint angle, deg")
         page.figure(chart, f"Joint angles against time with {run.via} via points")
 
 
-def space_figure(
-    chart: Any, from_m: FloatArray, to_m: FloatArray, paths: Sequence[tuple[str, FloatArray, str]]
-) -> None:
-    """Fill a chart with tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
-    ends = np.stack([from_m, to_m]) * 1000.0
-    chart.add_scatter3d(
-        x=ends[:, 0],
-        y=ends[:, 1],
-        z=ends[:, 2],
-        mode="lines+markers",
-        line={"color": "#7d8b99", "width": 6},
-        marker={"size": 4, "color": "#7d8b99"},
-        name="line AB",
-    )
-    seen = [ends]
-    for name, points, colour in paths:
-        mm = points * 1000.0
-        seen.append(mm)
-        chart.add_scatter3d(
-            x=mm[:, 0], y=mm[:, 1], z=mm[:, 2], mode="lines", line={"color": colour, "width": 4}, name=name
+def space_figure(page: Page, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]], description: str) -> None:
+    """Add tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
+    chart = plotly()()
+    AB = np.stack(ends) * 1000.0
+    shown = [
+        (
+            "line AB",
+            AB,
+            {"mode": "lines+markers", "line": {"color": GREY, "width": 6}, "marker": {"size": 4, "color": GREY}},
         )
-    every = np.concatenate(seen)
-    middle = (every.max(axis=0) + every.min(axis=0)) / 2.0
-    half = float(np.ptp(every, axis=0).max()) * 0.55
-    axes = {
-        f"{axis}axis": {"title": {"text": f"{axis}, mm"}, "range": [float(centre) - half, float(centre) + half]}
-        for axis, centre in zip("xyz", middle, strict=True)
-    }
+    ]
+    shown += [
+        (name, points * 1000.0, {"mode": "lines", "line": {"color": colour, "width": 4}})
+        for name, points, colour in paths
+    ]
+    for name, mm, style in shown:
+        chart.add_scatter3d(x=mm[:, 0], y=mm[:, 1], z=mm[:, 2], name=name, **style)
     camera = {"eye": {"x": 1.3, "y": -1.3, "z": 0.8}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
-    layout(chart, "Tool paths in space", "", "")
-    chart.update_layout(
-        height=600, margin={"l": 0, "r": 0, "t": 50, "b": 0}, scene={"aspectmode": "cube", "camera": camera, **axes}
-    )
-
-
-def layout(chart: Any, title: str, x: str, y: str) -> None:
-    chart.update_layout(
-        title=title,
-        xaxis_title=x,
-        yaxis_title=y,
-        template="plotly_white",
-        height=420,
-        margin={"l": 60, "r": 20, "t": 50, "b": 50},
-        legend={"font": {"size": 11}},
-    )
+    layout(chart, "Tool paths in space", "", "", height=600)
+    cube(chart, np.concatenate([mm for _, mm, _ in shown]), camera)
+    page.figure(chart, description)

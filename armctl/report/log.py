@@ -1,7 +1,5 @@
 """One log on one page: joints against goals, load, voltage, temperature, the tool in space, states, faults, events."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -17,7 +15,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import new_file
 from armctl.recording.timeline import Happening, Motion, Timeline
-from armctl.report.page import Page, plotly
+from armctl.report.page import Page, cube, curve, layout, plotly
 from armctl.trajectory.straightness import distance_to_line
 
 POINTS = 4000
@@ -44,7 +42,6 @@ def write(timeline: Timeline, path: Path, checked: Mapping[str, Any] | None = No
     Raises:
         LogError: `path` exists already or cannot be written.
     """
-    figure = plotly()
     page = Page(f"Log {timeline.path.name}")
     begun = datetime.fromtimestamp(timeline.start_ns / NS_PER_S, UTC)
     page.text(
@@ -58,18 +55,18 @@ def write(timeline: Timeline, path: Path, checked: Mapping[str, Any] | None = No
             f"Run through the control step again: {checked['ticks']} ticks, {checked['messages']} messages, "
             f"{checked['mismatches']} mismatches."
         )
-    _state_figure(page, figure, timeline)
-    _joint_figures(page, figure, timeline)
-    _tool_figure(page, figure, timeline)
-    _line_figures(page, figure, timeline)
-    _servo_figures(page, figure, timeline)
+    _state_figure(page, timeline)
+    _joint_figures(page, timeline)
+    _tool_figure(page, timeline)
+    _line_figures(page, timeline)
+    _servo_figures(page, timeline)
     _event_table(page, timeline)
     with new_file(path) as stream:
         stream.write(page.html().encode())
 
 
 def thinned(values: FloatArray, most: int = POINTS) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Which rows to draw: all of a short column; of a long one the lowest and highest of each stretch, in order.
+    """Which rows to draw: all of a short column; of a long one the lowest and the highest of each stretch, in order.
 
     Args:
         values: One column, shape (m,).
@@ -87,11 +84,10 @@ def thinned(values: FloatArray, most: int = POINTS) -> np.ndarray[Any, np.dtype[
     return np.unique(np.concatenate([np.array(sorted(rows)), edges, edges + 1]))
 
 
-def _curve(chart: Any, time_s: FloatArray, values: FloatArray, **style: Any) -> None:
+def _curve(chart: Any, time_s: FloatArray, values: FloatArray, name: str, colour: str, **more: Any) -> None:
     rows = thinned(values)
-    chart.add_scatter(
-        x=time_s[rows].astype(np.float32), y=values[rows].astype(np.float32), mode="lines", connectgaps=False, **style
-    )
+    x, y = time_s[rows].astype(np.float32), values[rows].astype(np.float32)
+    curve(chart, x, y, name, colour, connectgaps=False, **more)
 
 
 def _stretches(changes: Sequence[tuple[int, str]], timeline: Timeline) -> list[tuple[float, float, str]]:
@@ -101,9 +97,9 @@ def _stretches(changes: Sequence[tuple[int, str]], timeline: Timeline) -> list[t
     return [(begin, end, what) for begin, end, (_, what) in zip(begins, ends, changes, strict=True)]
 
 
-def _state_figure(page: Page, figure: type, timeline: Timeline) -> None:
+def _state_figure(page: Page, timeline: Timeline) -> None:
     page.heading("State and faults")
-    chart = figure()
+    chart = plotly()()
     seen: set[str] = set()
     rows = [("state", _stretches(timeline.states, timeline)), ("fault", _stretches(timeline.faults, timeline))]
     for row, stretches in rows:
@@ -125,54 +121,44 @@ def _state_figure(page: Page, figure: type, timeline: Timeline) -> None:
                 hovertemplate=f"{name}, {begin_s:.1f} to {end_s:.1f} s<extra></extra>",
             )
             seen.add(name)
-    _layout(chart, "What the arm did", "time, s", "", height=220)
-    chart.update_layout(barmode="overlay", yaxis={"categoryorder": "array", "categoryarray": ["fault", "state"]})
+    layout(chart, "What the arm did", "time, s", "", height=220, barmode="overlay")
+    chart.update_yaxes(categoryorder="array", categoryarray=["fault", "state"])
     page.figure(chart, "States and faults of the arm over time")
     faults = [(f"{begin:.1f} to {end:.1f}", what) for begin, end, what in _stretches(timeline.faults, timeline) if what]
     if faults:
         page.table(("time s", "fault"), faults, words=True)
 
 
-def _joint_figures(page: Page, figure: type, timeline: Timeline) -> None:
+def _joint_figures(page: Page, timeline: Timeline) -> None:
     page.heading("Joints against their goals")
-    chart = figure()
+    chart = plotly()()
     for j, name in enumerate(timeline.arm.joint_names):
         colour = COLOURS[j % len(COLOURS)]
         measured, goal = np.degrees(timeline.position_rad[:, j]), np.degrees(timeline.goal_rad[:, j])
-        _curve(chart, timeline.time_s, measured, name=name, legendgroup=name, line={"color": colour, "width": 2})
-        _curve(
-            chart,
-            timeline.time_s,
-            goal,
-            name=f"{name} goal",
-            legendgroup=name,
-            showlegend=False,
-            line={"color": colour, "width": 1, "dash": "dot"},
-        )
-    _layout(chart, "Joint angles (dotted: goals; none while limp)", "time, s", "angle, deg")
+        _curve(chart, timeline.time_s, measured, name, colour, legendgroup=name)
+        dotted = {"width": 1, "dash": "dot", "legendgroup": name, "showlegend": False}
+        _curve(chart, timeline.time_s, goal, f"{name} goal", colour, **dotted)
+    layout(chart, "Joint angles (dotted: goals; none while limp)", "time, s", "angle, deg")
     page.figure(chart, "Measured joint angles and goals over time")
-    _quantity(
-        page, figure, timeline, np.degrees(timeline.position_rad - timeline.goal_rad), "Distance from the goal", "deg"
-    )
+    _quantity(page, timeline, np.degrees(timeline.position_rad - timeline.goal_rad), "Distance from the goal", "deg")
 
 
-def _servo_figures(page: Page, figure: type, timeline: Timeline) -> None:
+def _servo_figures(page: Page, timeline: Timeline) -> None:
     page.heading("Servos")
-    _quantity(page, figure, timeline, timeline.load_ratio * 100.0, "Load", "% of full output")
-    _quantity(page, figure, timeline, timeline.voltage_V, "Supply voltage", "V")
-    _quantity(page, figure, timeline, timeline.temperature_degC, "Temperature", "degC")
+    _quantity(page, timeline, timeline.load_ratio * 100.0, "Load", "% of full output")
+    _quantity(page, timeline, timeline.voltage_V, "Supply voltage", "V")
+    _quantity(page, timeline, timeline.temperature_degC, "Temperature", "degC")
 
 
-def _quantity(page: Page, figure: type, timeline: Timeline, values: FloatArray, title: str, unit: str) -> None:
-    chart = figure()
+def _quantity(page: Page, timeline: Timeline, values: FloatArray, title: str, unit: str) -> None:
+    chart = plotly()()
     for j, name in enumerate(timeline.arm.joint_names):
-        line = {"color": COLOURS[j % len(COLOURS)], "width": 1.5}
-        _curve(chart, timeline.time_s, values[:, j], name=name, line=line)
-    _layout(chart, title, "time, s", f"{title.lower()}, {unit}", height=320)
+        _curve(chart, timeline.time_s, values[:, j], name, COLOURS[j % len(COLOURS)], width=1.5)
+    layout(chart, title, "time, s", f"{title.lower()}, {unit}", height=320)
     page.figure(chart, f"{title} of every joint over time")
 
 
-def _tool_figure(page: Page, figure: type, timeline: Timeline) -> None:
+def _tool_figure(page: Page, timeline: Timeline) -> None:
     known = np.flatnonzero(np.isfinite(timeline.tool[:, 0]))
     if not len(known):
         return
@@ -180,7 +166,7 @@ def _tool_figure(page: Page, figure: type, timeline: Timeline) -> None:
     # Evenly in time: a path has no extremes of one axis that would stand for the others.
     rows = known[np.unique(np.linspace(0, len(known) - 1, min(POINTS, len(known))).astype(np.int64))]
     x, y, z = (timeline.tool[rows, :3] * 1000.0).astype(np.float32).T
-    chart = figure()
+    chart = plotly()()
     chart.add_scatter3d(
         x=x,
         y=y,
@@ -190,24 +176,19 @@ def _tool_figure(page: Page, figure: type, timeline: Timeline) -> None:
         name="tool",
         hovertemplate="%{x:.1f}, %{y:.1f}, %{z:.1f} mm<extra></extra>",
     )
-    _layout(chart, "Tool path by the encoders", "", "", height=560)
-    places = np.stack([x, y, z])
-    middle, half = (places.max(axis=1) + places.min(axis=1)) / 2.0, max(1.0, float(np.ptp(places, axis=1).max()) * 0.55)
-    axes = {
-        f"{axis}axis": {"title": {"text": f"{axis}, mm"}, "range": [float(centre) - half, float(centre) + half]}
-        for axis, centre in zip("xyz", middle, strict=True)
-    }
-    camera = {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
-    chart.update_layout(
-        scene={"aspectmode": "cube", "camera": camera, **axes}, margin={"l": 0, "r": 0, "t": 50, "b": 0}
+    layout(chart, "Tool path by the encoders", "", "", height=560)
+    cube(
+        chart,
+        np.stack([x, y, z], axis=1),
+        {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}},
     )
     page.figure(chart, "Path of the tool in space, coloured by time")
 
 
-def _line_figures(page: Page, figure: type, timeline: Timeline) -> None:
-    """How straight each run was, against the line between its commanded ends."""
+def _line_figures(page: Page, timeline: Timeline) -> None:
+    """How straight each run was: its distance from the line between its commanded ends."""
     lines = [(motion, *ends) for motion in timeline.motions if (ends := _ends(timeline, motion)) is not None]
-    rows, chart = [], figure()
+    rows, chart = [], plotly()()
     for number, (motion, A, B) in enumerate(lines):
         begin, end = (
             timeline.index((time_ns - timeline.start_ns) / NS_PER_S) for time_ns in (motion.begin_ns, motion.end_ns)
@@ -221,8 +202,7 @@ def _line_figures(page: Page, figure: type, timeline: Timeline) -> None:
         name = f"{motion.label}, {timeline.time_s[begin]:.1f} s"
         duration_s = (motion.end_ns - motion.begin_ns) / NS_PER_S
         rows.append((name, f"{error_mm.mean():.2f}", f"{error_mm.max():.2f}", f"{duration_s:.1f}"))
-        colour = COLOURS[number % len(COLOURS)]
-        chart.add_scatter(x=along_mm, y=error_mm, mode="lines", line={"color": colour, "width": 2}, name=name)
+        curve(chart, along_mm, error_mm, name, COLOURS[number % len(COLOURS)])
     if not rows:
         return
     page.heading("Straightness of the runs")
@@ -232,7 +212,7 @@ def _line_figures(page: Page, figure: type, timeline: Timeline) -> None:
         "Distance of the tool, by the encoders, from the line between the commanded ends of each run "
         "(Raharjo et al. eqs. 19, 20).",
     )
-    _layout(chart, "Distance from the line", "along the line, mm", "distance, mm", height=320)
+    layout(chart, "Distance from the line", "along the line, mm", "distance, mm", height=320)
     page.figure(chart, "Distance of the tool from the line along each run")
 
 
@@ -257,15 +237,3 @@ def _event_table(page: Page, timeline: Timeline) -> None:
 
 def _level(happening: Happening) -> str:
     return {20: "info", 30: "warning", 40: "error"}.get(happening.level, str(happening.level))
-
-
-def _layout(chart: Any, title: str, x: str, y: str, height: int = 420) -> None:
-    chart.update_layout(
-        title=title,
-        xaxis_title=x,
-        yaxis_title=y,
-        template="plotly_white",
-        height=height,
-        margin={"l": 60, "r": 20, "t": 50, "b": 50},
-        legend={"font": {"size": 11}},
-    )

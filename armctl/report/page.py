@@ -5,10 +5,17 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from armctl.kinematics.transform import FloatArray
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
+
+Figure: TypeAlias = "go.Figure"
+"""A chart; plotly itself is imported by `plotly`, when the first one is drawn."""
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1d2733; --paper: #fff; --quiet: #5a6878; --rule: #d5dbe3; --edge: #8794a5; }
@@ -51,12 +58,40 @@ _CHART_COLOURS = """
 """Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves."""
 
 
-def plotly() -> type[go.Figure]:
+def plotly() -> type[Figure]:
     """plotly's Figure class, imported when the first picture is drawn: it takes a while."""
-    from plotly.graph_objects import Figure
+    from plotly import graph_objects
 
-    figure: type[go.Figure] = Figure
+    figure: type[Figure] = graph_objects.Figure
     return figure
+
+
+def curve(
+    chart: Any, x: Any, y: Any, name: str, colour: str, *, width: float = 2, dash: str = "solid", **more: Any
+) -> None:
+    """Add a line to a chart; `more` as plotly's `add_scatter`, among it `mode`."""
+    style = {"color": colour, "width": width, "dash": dash}
+    chart.add_scatter(**{"mode": "lines", "x": x, "y": y, "name": name, "line": style} | more)
+
+
+def layout(chart: Any, title: str, x: str, y: str, height: int = 420, **more: Any) -> None:
+    """Title, axes and size of a chart; `more` as plotly's `update_layout`."""
+    usual = {"margin": {"l": 60, "r": 20, "t": 50, "b": 50}, "legend": {"font": {"size": 11}}}
+    labels = {"title": title, "xaxis_title": x, "yaxis_title": y}
+    chart.update_layout(template="plotly_white", height=height, **labels, **usual | more)
+
+
+def cube(chart: Any, points: FloatArray, camera: dict[str, Any]) -> None:
+    """Axes of a chart in space, all to one scale, around points [mm], shape (m, 3)."""
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2.0
+    half = max(1.0, float(np.ptp(points, axis=0).max()) * 0.55)
+    axes = {
+        f"{axis}axis": {"title": {"text": f"{axis}, mm"}, "range": [float(centre) - half, float(centre) + half]}
+        for axis, centre in zip("xyz", middle, strict=True)
+    }
+    chart.update_layout(
+        scene={"aspectmode": "cube", "camera": camera, **axes}, margin={"l": 0, "r": 0, "t": 50, "b": 0}
+    )
 
 
 class Page:
@@ -89,7 +124,7 @@ class Page:
         head = f"<thead>{line(header, 'th')}</thead>"
         self._blocks.append(f'<div class="wide"><table{kind}>{head}<tbody>{body}</tbody></table></div>{note}')
 
-    def figure(self, figure: go.Figure, description: str) -> None:
+    def figure(self, figure: Figure, description: str) -> None:
         """Add a plotly figure; `description` says in words what it shows."""
         markup = figure.to_html(
             full_html=False,

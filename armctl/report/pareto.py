@@ -1,12 +1,10 @@
 """Two fronts on one page: error against duration, and error against the number of via points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from armctl.report.page import Page, plotly
+from armctl.report.page import Page, curve, layout, plotly
 
 _COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3", "#5a6878", "#9a5b2e", "#3f8f9b")
 
@@ -32,7 +30,7 @@ def add_fronts(page: Page, rows: Sequence[dict[str, Any]]) -> None:
 
     judge = "true distance, simulated arms after correction" if truth else "predicted distance, perfect servos"
     page.heading("Error against time and against via points")
-    page.text(f"Judged by: {judge}. A ringed point is on the front: no other is as good in both and better in one.")
+    page.text(f"Judged by: {judge}. A ring marks the front: no other point is as good in both and better in one.")
     for axis, by, front, title in (
         ("duration_s", "via", "front_duration", "duration, s"),
         ("via", "duration_s", "front_via", "via points"),
@@ -41,32 +39,16 @@ def add_fronts(page: Page, rows: Sequence[dict[str, Any]]) -> None:
         for number, value in enumerate(dict.fromkeys(row[by] for row in rows)):
             some = [row for row in rows if row[by] == value and error(row) is not None]
             colour = _COLOURS[number % len(_COLOURS)]
-            chart.add_scatter(
-                x=[row[axis] for row in some],
-                y=[error(row) for row in some],
-                error_y={"type": "data", "array": [spread(row) for row in some], "visible": truth},
-                mode="lines+markers",
-                line={"color": colour, "width": 1.5},
-                name=f"{value} via points" if by == "via" else f"{value:g} s",
-            )
+            name = f"{value} via points" if by == "via" else f"{value:g} s"
+            bars = {"type": "data", "array": [spread(row) for row in some], "visible": truth}
+            x, y = [row[axis] for row in some], [error(row) for row in some]
+            curve(chart, x, y, name, colour, width=1.5, mode="lines+markers", error_y=bars)
         best = sorted((row for row in rows if row[front]), key=lambda row: float(row[axis]))
-        chart.add_scatter(
-            x=[row[axis] for row in best],
-            y=[error(row) for row in best],
-            mode="lines+markers",
-            line={"color": "#7d8b99", "width": 2, "dash": "dot"},
-            marker={"size": 14, "symbol": "circle-open", "line": {"width": 2}},
-            name="front",
-        )
-        chart.update_layout(
-            title=f"Mean distance from the line against {title}",
-            xaxis_title=title,
-            yaxis_title="mean distance, mm",
-            yaxis_type="log",
-            template="plotly_white",
-            height=420,
-            margin={"l": 60, "r": 20, "t": 50, "b": 50},
-        )
+        x, y = [row[axis] for row in best], [error(row) for row in best]
+        rings = {"size": 14, "symbol": "circle-open", "line": {"width": 2}}
+        curve(chart, x, y, "front", "#7d8b99", dash="dot", mode="lines+markers", marker=rings)
+        heading = f"Mean distance from the line against {title}"
+        layout(chart, heading, title, "mean distance, mm", yaxis_type="log", legend=None)
         page.figure(chart, f"Mean distance from the line against {title}, the front marked")
     page.table(
         ("s", "via", "recorded genes, mm", "predicted, mm", "true, mm", "front by time", "front by via"),

@@ -115,3 +115,12 @@ def _second_derivatives(waypoints: FloatArray, h: FloatArray) -> FloatArray:
     M[..., 0, :] = M[..., 1, :]
     M[..., -1, :] = M[..., -2, :]
     return M
+
+
+def columns_at(at: FloatArray, known_at: FloatArray, values: FloatArray) -> FloatArray:
+    """Columns of values, shape (m, k), known at increasing places (m,), read at others (l,): linear in between.
+
+    Returns:
+        Shape (l, k); outside of what is known the first or last row.
+    """
+    return np.stack([np.interp(at, known_at, column) for column in values.T], axis=1)

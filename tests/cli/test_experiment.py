@@ -12,11 +12,10 @@ import pytest
 from armctl.cli import main
 from armctl.config import Config
 from armctl.files import load_arm
-from armctl.lab import stored
-from armctl.lab.line import errors_mm
-from armctl.lab.refine import Line
+from armctl.lab import line_results, sag_model
+from armctl.lab.course import Line
+from armctl.lab.measured_tool import COLUMNS
 from armctl.lab.rig import Measured, VirtualRig
-from armctl.lab.tool_points import COLUMNS
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
 from tests.genetic import hand
@@ -124,8 +123,7 @@ def daemon(patch: pytest.MonkeyPatch, spec: ArmSpec = RANDOM_SPEC) -> SimulatedD
 
 
 def true_mm(run: Measured) -> float:
-    assert run.true_tool_m is not None
-    return errors_mm(run.true_tool_m, Line(np.array(A), np.array(B), 5.0))[0]
+    return line_results.true_mm(run, Line(np.array(A), np.array(B), 5.0))[0]
 
 
 def test_a_sag_model_from_calibration_lines_is_stored_and_makes_the_first_run_straight(
@@ -136,7 +134,7 @@ def test_a_sag_model_from_calibration_lines_is_stored_and_makes_the_first_run_st
     assert status == 0
     assert found["lines"] == len(served.runs) == 8
     arm = str(config.with_name("mine.yaml"))
-    model = stored.load(Config(arm=arm), load_arm(arm))
+    model = sag_model.load(Config(arm=arm), load_arm(arm))
     assert model is not None
     assert list(model.residual_tick) == list(found["residual_tick"].values())
     served.runs.clear()

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from armctl.cli import main
+from armctl.cli.study import COMMANDS
+from armctl.lab.study.studies import STUDIES
 
 LINE = ["--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10"]
 
@@ -17,6 +19,12 @@ def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any
     assert len(lines) == 1
     result: dict[str, Any] = json.loads(lines[0])
     return result
+
+
+def test_every_study_stands_in_the_table_of_commands_and_in_that_of_the_work() -> None:
+    assert list(COMMANDS) == list(STUDIES)
+    for name, command in COMMANDS.items():
+        assert (command.file is None) == (STUDIES[name].write is None)
 
 
 def test_settings_of_the_genetic_algorithm_repeat_by_their_seed_whoever_works(
@@ -59,6 +67,8 @@ def test_the_tables_for_people_come_out_too(capsys: pytest.CaptureFixture[str]) 
     [
         (["arms", "--via", "1"], 2),
         (["ga", *LINE, "--population", "2.5"], 2),
+        (["pareto", *LINE, "--via", "1.5"], 2),
+        (["limits", *LINE, "--via", "21"], 2),
         (["ga", *LINE, "--pc", "1.5"], 2),
         (["ga", *LINE, "--pm", "often"], 2),
         (["pareto", "--from", "0.18,-0.1,0.10", "--to", "0.18,-0.1,0.10", "--workers", "1", "--via", "1"], 1),

@@ -14,13 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from armctl.cli import calibrate, demo, experiment, jobs, logs, main, reach, reproduce, servo, setup
+from armctl.cli import (
+    calibrate,
+    demo,
+    experiment,
+    jobs,
+    logs,
+    main,
+    reach,
+    reproduce,
+    servo,
+    setup,
+    study,
+)
 from armctl.cli.output import Output
-from armctl.cli.study.arms import show_arms
-from armctl.cli.study.ga import show_settings
-from armctl.cli.study.limits import show_limits
-from armctl.cli.study.paper import show_paper
-from armctl.cli.study.pareto import show_fronts
 from armctl.cli.tables import show_table
 from armctl.commissioning.calibration import Fit, Parameter
 from armctl.commissioning.doctor import Check
@@ -147,11 +154,15 @@ FIT = Fit(
 TABLES: dict[str, Callable[[Output], object]] = {
     "demo": lambda out: demo.show(out, DEMO),
     "experiment": lambda out: experiment.show(out, EXPERIMENT),
-    "study arms": lambda out: show_arms(out, ARMS, [], 10000),
-    "study ga": lambda out: show_settings(out, [SETTING]),
-    "study pareto": lambda out: show_fronts(out, [FRONT, {**FRONT, "feasible": False, "truth": None}]),
-    "study limits": lambda out: show_limits(out, [{**LIMIT, "without": one} for one in WITHOUT], [LIMIT]),
-    "study paper": lambda out: show_paper(out, [PAPER]),
+    "study arms": lambda out: study.show(out, "arms", {"rows": [], "summary": ARMS}),
+    "study ga": lambda out: study.show(out, "ga", {"rows": [SETTING]}),
+    "study pareto": lambda out: study.show(
+        out, "pareto", {"rows": [FRONT, {**FRONT, "feasible": False, "truth": None}]}
+    ),
+    "study limits": lambda out: study.show(
+        out, "limits", {"rows": [{**LIMIT, "without": effect} for effect in WITHOUT]}
+    ),
+    "study paper": lambda out: study.show(out, "paper", {"rows": [PAPER]}),
     "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
     "recordings": lambda out: jobs.show_recordings(out, [RECORDING, {**RECORDING, "mean_error_mm": None}]),
     "optimize": lambda out: jobs.show_optimum(out, OPTIMUM, {"via": 20, "path": "plan.json", **PREDICTED}),

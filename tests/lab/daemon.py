@@ -1,7 +1,5 @@
 """A daemon in this process: it runs plans on a simulated arm in virtual time, and keeps what it measured by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Self
 

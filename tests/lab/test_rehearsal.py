@@ -1,7 +1,5 @@
 """A log on a simulated arm: it follows, slowly at first, within every limit, judged by the simulator's truth."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,29 +1,21 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
-from armctl.lab import refine
+from armctl.lab.correction import lag_of
+from armctl.lab.course import Line, courses, plan_of
 from armctl.lab.rig import TRUTH_NS, VirtualRig
+from armctl.lab.study.limits import EFFECTS
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import ArmSpec
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
 from tests.genetic import hand
 
-KIND = ArmSpec(
-    servo_kg=0.0,
-    bracket_kg=0.0,
-    tool_kg=(0.0, 0.0),
-    friction_Nm=(0.0, 0.0),
-    play_deg=(0.0, 0.0),
-    noise_tick=0.0,
-    zero_offset_within_tick=0.0,
-)
+KIND = ArmSpec(**{name: value for effect in EFFECTS.values() for name, value in effect.items()})
 """An arm without the faults of one, so that its motion can be held against the plan."""
-LINE = refine.Line(hand.A, hand.B, 3.0)
+LINE = Line(hand.A, hand.B, 3.0)
 
 
 def rig(spec: ArmSpec = KIND, seed: int = 1) -> VirtualRig:
@@ -32,7 +24,7 @@ def rig(spec: ArmSpec = KIND, seed: int = 1) -> VirtualRig:
 
 def plan(on: VirtualRig, via: int | None = 4) -> Plan:
     ways = line_paths(on.arm, on.robot, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=12)
-    return refine.plan_of(on, next(refine.courses(on, LINE, via, None, ways)), 0)
+    return plan_of(on, next(courses(on, LINE, via, None, ways)), 0)
 
 
 def test_a_perfect_arm_is_measured_where_its_plan_says_and_in_its_time() -> None:
@@ -42,7 +34,7 @@ def test_a_perfect_arm_is_measured_where_its_plan_says_and_in_its_time() -> None
     assert measured.duration_s == pytest.approx(3.0, abs=1e-3)
     assert len(measured.time_s) == 31
     np.testing.assert_allclose(measured.time_s, np.arange(31) * 0.1, atol=0.01)
-    assert np.abs(refine.lag_of(on, wanted, measured)).max() < np.radians(1.5)
+    assert np.abs(lag_of(on, wanted, measured)).max() < np.radians(1.5)
 
 
 def test_the_truth_is_looked_at_every_few_milliseconds_from_begin_to_end() -> None:

@@ -1,18 +1,22 @@
-from __future__ import annotations
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from armctl.config import Config
 from armctl.dynamixel.ax12a import STALL_TORQUE_NM, TICK_RAD
+from armctl.errors import ConfigError
+from armctl.files import load_arm
 from armctl.kinematics.chain import link_frames
+from armctl.lab import sag_model
 from armctl.lab.sag_model import (
     SERVO_KG,
     TOOL_KG,
     directions,
+    fitted,
     heaviest_rad,
-    identify,
     nominal,
     predict,
     regressors,
@@ -42,7 +46,7 @@ def test_coefficients_are_found_again_in_what_they_make(seed: int) -> None:
         }
     )
     lags = [predict(truth, rows) + 0.3 * TICK_RAD * rng.standard_normal((51, 5)) for rows in X]
-    found = identify(ARM, CHAIN, lags, X)
+    found = fitted(ARM, CHAIN, lags, X)
     assert max(found.residual_tick) < 0.36
     for rows in X:
         assert np.abs(predict(found, rows) - predict(truth, rows)).mean() < 0.2 * TICK_RAD
@@ -84,3 +88,33 @@ def test_a_stretched_arm_is_heavier_than_a_folded_one() -> None:
     folded = heaviest_rad(model, CHAIN, np.tile([0.0, 1.4, -2.4, 0.5, 0.0], (2, 1)))
     assert stretched[1] > np.radians(5.0) > folded[1]
     assert stretched[0] == pytest.approx(model.friction_rad[0])
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Config:
+    file = tmp_path / "mine.yaml"
+    file.write_text(Path("calibration/ax12-line.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    return Config(arm=str(file))
+
+
+def test_a_model_that_was_saved_is_loaded_bit_for_bit(config: Config) -> None:
+    model = sag_model.nominal(hand.arm(), hand.robot().chain)
+    assert sag_model.save(config, model).name == "mine.sag.json"
+    assert sag_model.load(config, load_arm(config.arm)) == model
+
+
+def test_without_a_model_there_is_none(config: Config) -> None:
+    assert sag_model.load(config, load_arm(config.arm)) is None
+
+
+def test_a_model_of_another_calibration_is_not_used(config: Config) -> None:
+    model = sag_model.nominal(hand.arm(), hand.robot().chain)
+    sag_model.save(config, model.model_copy(update={"calibration_hash": "other"}))
+    assert sag_model.load(config, load_arm(config.arm)) is None
+
+
+@pytest.mark.parametrize(("text", "match"), [("{", "not JSON"), ("{}", "arm_id: Field required")])
+def test_what_is_no_model_is_refused(config: Config, text: str, match: str) -> None:
+    sag_model.path_of(config).write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=match):
+        sag_model.load(config, load_arm(config.arm))

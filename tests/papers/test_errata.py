@@ -1,7 +1,5 @@
 """Every erratum of the papers is proven: print fails and the correction holds."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.kinematics.errata import PRINT_OFF, TRUE_OFF, Erratum

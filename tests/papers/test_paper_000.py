@@ -1,7 +1,5 @@
 """000: the printed tables, the grid, and the short form of the published algorithm."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,9 +7,9 @@ import pytest
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
+from armctl.lab.stage import silent
 from armctl.papers import paper_000
-from armctl.papers.paper_000 import GridError
-from tests.papers.stage import SHORT, silent
+from tests.papers.effort import SHORT
 
 ROBOT = robots.get("xiang-6dof")
 
@@ -29,9 +27,7 @@ def test_one_changed_cell_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_printed_errors_are_the_papers_anchors() -> None:
-    table = paper_000.printed()
-    found = GridError(table["delta_xy0"].ravel(), table["delta_z0"].ravel()).statistics()
-    np.testing.assert_allclose(found, [0.254239, 1.42111, 0.044635, 0.474872], atol=5e-7)
+    np.testing.assert_allclose(paper_000.printed_statistics(), [0.254239, 1.42111, 0.044635, 0.474872], atol=5e-7)
 
 
 def test_figure_7_is_a_formula_in_all_cells_but_one() -> None:

@@ -1,7 +1,5 @@
 """001 to 004 in short form: what each recomputation shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,11 +9,12 @@ from armctl.kinematics.genetic import improved
 from armctl.kinematics.genetic.problem import Evolution, Problem
 from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
+from armctl.lab.stage import silent
 from armctl.papers import paper_001, paper_002, paper_003, paper_004
 from armctl.papers.page import PaperReport
 from armctl.papers.paper_004 import Cycle
 from armctl.papers.verdict import error, same
-from tests.papers.stage import SHORT, silent
+from tests.papers.effort import SHORT
 
 TRANSFER = robots.get("transfer-6dof")
 

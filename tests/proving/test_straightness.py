@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from armctl.lab import trials
-from armctl.lab.trials import Trial
-from proving import straightness
+from armctl.lab.study import limits
+from proving import line_trials, straightness
+from proving.line_trials import Trial
 
 
 def silent(_line: str) -> None:
@@ -36,7 +36,7 @@ def outcomes(of: Callable[[Trial], dict[str, Any]], patch: pytest.MonkeyPatch) -
     def run(trial: Trial) -> dict[str, Any]:
         return {"seed": trial.seed, "refused": [], "via": {str(via): of(trial) for via in trial.via}}
 
-    patch.setattr(trials, "run", run)
+    patch.setattr(line_trials, "run", run)
 
 
 def proved(**options: Any) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def proved(**options: Any) -> dict[str, Any]:
 
 
 def test_one_arm_and_line_keep_every_bound_and_weigh_less_without_masses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trials, "EFFECTS", {"sag": trials.EFFECTS["sag"]})
+    monkeypatch.setattr(limits, "EFFECTS", {"sag": limits.EFFECTS["sag"]})
     result = straightness.prove(1, silent, arms=1, effect_arms=1, via=(2,), rounds=2, workers=1)
     assert (result["violations"], result["runs"], result["seed"]) == ([], 2, 1)
     rows = {row["what"]: row["mean_mm"] for row in result["rows"]}
@@ -64,12 +64,12 @@ def test_outcomes_within_the_bounds_violate_nothing(monkeypatch: pytest.MonkeyPa
     outcomes(lambda _: found(), monkeypatch)
     result = proved()
     assert result["violations"] == []
-    assert result["runs"] == 3 + 3 + len(trials.EFFECTS)
+    assert result["runs"] == 3 + 3 + len(limits.EFFECTS)
     rows = {row["what"]: (row["mean_mm"], row["max_mm"]) for row in result["rows"]}
     assert rows.keys() >= straightness.BOUNDS_MM.keys()
     assert rows["via 2 before median"] == (10.0, 20.0)
     assert rows["via 2 first median"] == (0.8, 2.0)
-    assert {row["without"] for row in result["effects"]} == set(trials.EFFECTS)
+    assert {row["without"] for row in result["effects"]} == set(limits.EFFECTS)
 
 
 @pytest.mark.parametrize("what", straightness.BOUNDS_MM)

@@ -1,7 +1,5 @@
 """The straight-line page: complete in itself, its numbers those of the paths it is given."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page about one log: complete in itself, true to the log, readable in light and dark."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The picture of a line before and after: an SVG that any reader opens, with what was measured in it."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -11,7 +9,7 @@ import pytest
 
 from armctl.kinematics.transform import FloatArray
 from armctl.report import experiment, picture
-from armctl.report.line import ExperimentReport, LineRun, Outcome
+from armctl.report.line import DrawnOutcome, ExperimentReport, LineRun
 
 A, B = np.array([0.18, -0.1, 0.1]), np.array([0.18, 0.1, 0.1])
 SVG = "{http://www.w3.org/2000/svg}"
@@ -39,7 +37,7 @@ def run(off_m: FloatArray, *, true: bool = True) -> LineRun:
 
 
 def report(before: LineRun, after: LineRun) -> ExperimentReport:
-    return ExperimentReport(A, B, [Outcome(via, before, [after], [before, after]) for via in (2, "stream")])
+    return ExperimentReport(A, B, [DrawnOutcome(via, before, [after], [before, after]) for via in (2, "stream")])
 
 
 SAGGED, STRAIGHT = run(np.array([0.01, 0.0, -0.02])), run(np.array([0.001, 0.0, 0.0]))

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from armctl.lab import demo
+from armctl.lab.stage import silent
 
 pytestmark = pytest.mark.pty
-
-
-@contextmanager
-def quietly(_label: str, _steps: float) -> Iterator[demo.Progress]:
-    yield lambda _done, _note: None
 
 
 def test_demonstration_teaches_optimises_runs_replays_and_reports(
@@ -26,7 +20,7 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(
     monkeypatch.setattr(demo, "FROM_M", (0.18, -0.05, 0.10))
     monkeypatch.setattr(demo, "TO_M", (0.18, 0.05, 0.10))
     out = tmp_path / "demo"
-    result = demo.run(out, 1, quietly)
+    result = demo.run(out, 1, silent)
 
     (row,) = result["rows"]
     assert row["via"] == 1

@@ -22,7 +22,8 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from armctl.client import Client
 from armctl.errors import RequestRefused
-from armctl.lab.demo import FROM_M, TO_M, program
+from armctl.lab.demo import program
+from armctl.lab.table_ii import FROM_M, TO_M
 from armctl.sim.control import SimulatorClient, control_path
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

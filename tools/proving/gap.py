@@ -18,7 +18,7 @@ from armctl.files import load_arm
 from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics.transform import FloatArray
-from armctl.lab import calibrate_sag
+from armctl.lab import sag_identification
 from armctl.lab.rig import VirtualRig
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
@@ -87,7 +87,7 @@ def _taught(seed: int, takes: int) -> tuple[VirtualRig, FloatArray, FloatArray, 
     rng = np.random.default_rng(seed)
     rig = VirtualRig(SimulatedArm(load_arm("ax12-line"), seed=seed, spec=RANDOM_SPEC))
     while True:
-        A, B = calibrate_sag.random_line(rig, rng)
+        A, B = sag_identification.random_line(rig, rng)
         try:
             return rig, A, B, [rig.teach(A, B, seed * 1000 + take) for take in range(takes)]
         except (UnreachableTarget, RequestRefused):

@@ -27,9 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from armctl.lab import trials
-from armctl.lab.line import Via
-from armctl.lab.trials import Trial
+from armctl.lab.course import Via
+from armctl.lab.study import limits
+from proving import line_trials
+from proving.line_trials import Trial
 
 ARMS = 20
 REFINED_ARMS = 100
@@ -78,7 +79,7 @@ def prove(
     compared = tuple(one for one in via if one in REFINED_VIA)
     off = {
         effect: [replace(job, via=compared, spec=replace(job.spec, **changes)) for job in jobs[:effect_arms]]
-        for effect, changes in trials.EFFECTS.items()
+        for effect, changes in limits.EFFECTS.items()
     }
     done = _all([*jobs, *fast, *(job for some in off.values() for job in some)], tell, workers)
     plain, quick, rest = done[:arms], done[arms : arms + len(fast)], done[arms + len(fast) :]
@@ -92,7 +93,7 @@ def prove(
     ]
     for trial in plain:
         for one, found in trial["via"].items():
-            if abs(found["duration_s"] / trials.DURATION_S - 1.0) > DURATION_SHARE:
+            if abs(found["duration_s"] / line_trials.DURATION_S - 1.0) > DURATION_SHARE:
                 violations.append(f"arm {trial['seed']}, via {one}: took {found['duration_s']:.2f} s")
             if (share := found["via_speed_ratio"]) < VIA_SPEED_SHARE:
                 violations.append(f"arm {trial['seed']}, via {one}: at a via point {share:.2f} of its cruise speed")
@@ -187,13 +188,13 @@ def _repeat_noise(repeats: Sequence[Sequence[float]]) -> float:
 def _all(jobs: Sequence[Trial], tell: Callable[[str], None], workers: int) -> list[dict[str, Any]]:
     """The trials' outcomes in order; one worker: in this process."""
     if workers == 1:
-        return [trials.run(job) for job in jobs]
+        return [line_trials.run(job) for job in jobs]
     # The workers' own threads would only fight over the processors.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     began_s = time.monotonic()
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         done = []
-        for result in pool.map(trials.run, jobs):
+        for result in pool.map(line_trials.run, jobs):
             done.append(result)
             left_s = (time.monotonic() - began_s) / len(done) * (len(jobs) - len(done))
             tell(f"{len(done)} of {len(jobs)} trials, about {left_s:.0f} s left")

@@ -1,104 +1,77 @@
 """One line, or one plan, on many simulated arms drawn at random: masses, stall torques, friction, play, zero offsets.
 
-How straight it comes out on one arm says little: each arm of the batch is another. Every arm is calibrated, corrected
-and judged by itself, by the true pose of its tool; a plan is run on each as it stands.
+One arm says little about others, because every arm of the batch is different. Each arm is calibrated, corrected and
+judged by itself, by the true pose of its tool. A plan is run on each arm as it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
-from armctl.lab import calibrate_sag, line, refine
-from armctl.lab.line import Via
+from armctl.lab import line_results
+from armctl.lab.course import Via
+from armctl.lab.line_experiment import Budget, experiment, identified
 from armctl.lab.rig import Measured, VirtualRig
-from armctl.sim.arm import SimulatedArm
-from armctl.sim.spec import RANDOM_SPEC, ArmSpec
-from armctl.trajectory.placement import Objective
+from armctl.lab.study.case import Case, Found, Row
 from armctl.trajectory.plan import Plan
 
-
-@dataclass(frozen=True)
-class Case:
-    """One arm, and what it shall do: each number of via points along the line, or the plan."""
-
-    arm: ArmConfig
-    seed: int
-    """Which arm of the batch."""
-    from_m: tuple[float, float, float]
-    to_m: tuple[float, float, float]
-    via: tuple[Via, ...]
-    duration_s: float
-    rounds: int
-    period_s: float
-    objective: Objective = "mix"
-    plan: Plan | None = None
-    spec: ArmSpec = RANDOM_SPEC
+TOLD = ("mean_error_mm", "max_error_mm", "duration_s", "truth", "predicted_mean_error_mm", "predicted_max_error_mm")
 
 
-def work(case: Case) -> list[dict[str, Any]]:
-    """One row for each number of via points, or for the plan; `refused` tells why where this arm cannot do it."""
-    rig = VirtualRig(SimulatedArm(case.arm, seed=case.seed, spec=case.spec), case.period_s)
-    wanted = refine.Line(np.array(case.from_m), np.array(case.to_m), case.duration_s, case.objective)
+def every_arm(case: Case, *, arms: int) -> list[Case]:
+    """The case on so many arms, drawn by its seed and those that follow it."""
+    return [replace(case, seed=case.seed + number) for number in range(arms)]
+
+
+def run(case: Case) -> Found:
+    """One row for each number of via points, or for the plan. `refused` says why, if this arm cannot do it."""
+    rig = case.rig()
     if case.plan is not None:
         try:
-            measured = rig.run(case.plan)
+            return Found([_row(case, case.plan.via, rig, case.plan, rig.run(case.plan)) | {"before": None}])
         except RequestRefused as refusal:
-            return [_refused(case, case.plan.via, refusal)]
-        return [{**_row(case, case.plan.via, rig, wanted, case.plan, measured), "before": None}]
-    found = []
-    model = calibrate_sag.identify(rig, np.random.default_rng(case.seed)) if case.rounds else None
+            return Found([_refused(case, case.plan.via, refusal)])
+    rows = []
+    model = identified(rig, case.rounds, case.seed)
     for via in case.via:
         try:
-            (outcome,) = line.experiment(
-                rig,
-                wanted,
-                (via,),
-                repeats=1,
-                rounds=case.rounds,
-                seed=case.seed,
-                model=model,
-                stage=line.silent,
-            )
+            (outcome,) = experiment(rig, case.line, (via,), Budget(case.rounds, 1, case.seed), model)
         except RequestRefused as refusal:
-            found.append(_refused(case, via, refusal))
+            rows.append(_refused(case, via, refusal))
             continue
-        before = line.row(wanted, via, rig, outcome.rounds[0].plan, [outcome.rounds[0].measured])
-        row = _row(case, via, rig, wanted, outcome.best.plan, outcome.runs[0])
-        found.append({**row, "before": before["truth"], "rounds": len(outcome.rounds) - 1})
-    return found
+        first = outcome.rounds[0]
+        before = line_results.row(case.line, via, rig, first.plan, [first.measured])["truth"]
+        row = _row(case, via, rig, outcome.best.plan, outcome.runs[0])
+        rows.append({**row, "before": before, "rounds": len(outcome.rounds) - 1})
+    return Found(rows)
 
 
-def _row(case: Case, via: Via, rig: VirtualRig, wanted: refine.Line, plan: Plan, measured: Measured) -> dict[str, Any]:
-    row = line.row(wanted, via, rig, plan, [measured])
-    told = ("mean_error_mm", "max_error_mm", "duration_s", "truth", "predicted_mean_error_mm", "predicted_max_error_mm")
-    return {"arm": case.seed, "via": via, **{key: row[key] for key in told}, "refused": None}
+def _row(case: Case, via: Via, rig: VirtualRig, plan: Plan, measured: Measured) -> Row:
+    row = line_results.row(case.line, via, rig, plan, [measured])
+    return {"arm": case.seed, "via": via, **{key: row[key] for key in TOLD}, "refused": None}
 
 
-def _refused(case: Case, via: Via, refusal: RequestRefused) -> dict[str, Any]:
+def _refused(case: Case, via: Via, refusal: RequestRefused) -> Row:
     return {"arm": case.seed, "via": via, "refused": str(refusal)}
 
 
-def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def summary(rows: Sequence[Row]) -> list[Row]:
     """Median, worst and spread of the true errors over the arms, for each number of via points."""
     result = []
     for via in dict.fromkeys(row["via"] for row in rows):
         some = [row for row in rows if row["via"] == via]
         done = [row for row in some if row["refused"] is None]
-        one: dict[str, Any] = {"via": via, "arms": len(done), "refused": len(some) - len(done)}
-        for name, key in (("before", "before"), ("truth", "truth")):
+        told: Row = {"via": via, "arms": len(done), "refused": len(some) - len(done)}
+        for key in ("before", "truth"):
             errors = [row[key] for row in done if row[key] is not None]
-            for error in ("mean_error_mm", "max_error_mm") if errors else ():
-                values = np.array([values[error] for values in errors])
-                one.setdefault(name, {})[error] = {
-                    "median": float(np.median(values)),
-                    "worst": float(values.max()),
-                    "spread": float(values.std()),
-                }
-        result.append(one)
+            if errors:
+                told[key] = {name: _spread([one[name] for one in errors]) for name in TOLD[:2]}
+        result.append(told)
     return result
+
+
+def _spread(values: Sequence[float]) -> dict[str, float]:
+    found = np.array(values)
+    return {"median": float(np.median(found)), "worst": float(found.max()), "spread": float(found.std())}

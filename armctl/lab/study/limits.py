@@ -1,118 +1,131 @@
 """What limits a corrected straight line: the whole experiment again with one effect of the simulator switched off.
 
-The same arm, line and seed every time: only one effect is missing, so the difference is that effect's share. Timing is
-switched off by a tick five times as short. What whole ticks alone would cost on perfect servos stands beside it.
+Arm, line and seed are the same every time. Only one effect is missing, so the difference is the share of that effect.
+Timing is switched off by a tick that is five times as short. A further column tells the error that whole ticks alone
+cause on perfect servos.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from armctl.config import ArmConfig
-from armctl.lab import calibrate_sag, line, refine, trials
-from armctl.lab.evidence import outcome
-from armctl.lab.line import Via
+from armctl.kinematics.chain import tool_position
+from armctl.lab.correction import Round
+from armctl.lab.course import Line, sent_rad, ticks_of
+from armctl.lab.line_experiment import Budget, experiment, identified
+from armctl.lab.line_results import drawn, unseen_mm
 from armctl.lab.rig import VirtualRig
-from armctl.report.line import LineRun, Outcome, errors_mm
-from armctl.sim.arm import SimulatedArm
-from armctl.sim.spec import RANDOM_SPEC
-from armctl.trajectory.placement import Objective
+from armctl.lab.study import pareto
+from armctl.lab.study.case import Case, Found, Row
+from armctl.lab.study.workers import Workers
+from armctl.report import experiment as page
+from armctl.report.line import ExperimentReport, LineRun, errors_mm
+from armctl.trajectory.interpolate import columns_at, time_law
+from armctl.trajectory.line_path import onto
+from armctl.trajectory.plan import plan_positions
 
+EFFECTS: dict[str, dict[str, Any]] = {
+    "sag": {"servo_kg": 0.0, "bracket_kg": 0.0, "tool_kg": (0.0, 0.0)},
+    "friction": {"friction_Nm": (0.0, 0.0)},
+    "backlash": {"play_deg": (0.0, 0.0)},
+    "noise": {"noise_tick": 0.0},
+    "offset": {"zero_offset_within_tick": 0.0},
+}
+"""What of the simulated arm's specification switches one effect off."""
 TIMING = "timing"
-WITHOUT: tuple[str | None, ...] = (None, *trials.EFFECTS, TIMING)
-"""What is switched off; None: nothing."""
 TIMING_SHARE = 0.2
+WITHOUT: tuple[str | None, ...] = (None, *EFFECTS, TIMING)
+"""What is switched off; None: nothing."""
+FRONT_SHARES = (0.5, 0.7, 1.0, 1.6, 2.4)
+"""Durations of the fronts on the page, over the one asked for."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One arm and line, with one effect switched off."""
-
-    arm: ArmConfig
-    seed: int
-    from_m: tuple[float, float, float]
-    to_m: tuple[float, float, float]
-    via: tuple[Via, ...]
-    duration_s: float
-    rounds: int
-    repeats: int
-    period_s: float
-    objective: Objective = "mix"
-    without: str | None = None
+def every_effect(case: Case) -> list[Case]:
+    """The case as it is, then with each effect switched off."""
+    return [
+        case,
+        *(replace(case, without=effect, spec=replace(case.spec, **off)) for effect, off in EFFECTS.items()),
+        replace(case, without=TIMING, period_s=case.period_s * TIMING_SHARE),
+    ]
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """Rows of numbers, and the paths behind them."""
-
-    rows: list[dict[str, Any]]
-    outcomes: list[Outcome]
-
-
-def work(case: Case) -> Evidence:
-    """Calibrate the arm, run the experiment, tell the true errors.
+def run(case: Case) -> Found:
+    """Calibrate the arm, run the experiment and tell the true errors. The evidence is what a page draws.
 
     Raises:
         RequestRefused: the line cannot be followed, or the arm stopped.
     """
-    spec = RANDOM_SPEC
-    period_s = case.period_s
-    if case.without == TIMING:
-        period_s *= TIMING_SHARE
-    elif case.without is not None:
-        spec = replace(spec, **trials.EFFECTS[case.without])
-    rig = VirtualRig(SimulatedArm(case.arm, seed=case.seed, spec=spec), period_s)
-    wanted = refine.Line(np.array(case.from_m), np.array(case.to_m), case.duration_s, case.objective)
-    model = calibrate_sag.identify(rig, np.random.default_rng(case.seed)) if case.rounds else None
-    found = line.experiment(
-        rig,
-        wanted,
-        case.via,
-        repeats=case.repeats,
-        rounds=case.rounds,
-        seed=case.seed,
-        model=model,
-        stage=line.silent,
-    )
-    rows, outcomes = [], []
-    for one in found:
-        shown = outcome(rig, one)
-        outcomes.append(shown)
-        before = _true_mm(shown.before, wanted)
-        after = np.array([_true_mm(run, wanted) for run in shown.runs])
+    rig, line = case.rig(), case.line
+    model = identified(rig, case.rounds, case.seed)
+    outcomes = experiment(rig, line, case.via, Budget(case.rounds, case.repeats, case.seed), model)
+    shown = [drawn(rig, outcome) for outcome in outcomes]
+    rows = []
+    for outcome, paths in zip(outcomes, shown, strict=True):
+        before = _true_mm(paths.before, line)
+        after = np.array([_true_mm(run, line) for run in paths.runs])
         rows.append(
             {
-                "via": one.via,
+                "via": outcome.via,
                 "without": case.without,
                 "before_mm": before[0],
                 "before_max_mm": before[1],
                 "after_mm": float(after[:, 0].mean()),
                 "after_max_mm": float(after[:, 1].mean()),
                 "spread_mm": float(after[:, 0].std()),
-                "ticks_mm": trials.tick_floor_mm(rig, one.best, wanted)[0],
-                "unseen_mm": line.unseen_mm(rig, one.best.plan)["zero_offset_mm"],
+                "ticks_mm": tick_floor_mm(rig, outcome.best, line)[0],
+                "unseen_mm": unseen_mm(rig, outcome.best.plan)["zero_offset_mm"],
             }
         )
-    return Evidence(rows, outcomes)
+    return Found(rows, shown)
 
 
-def with_shares(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows, each told what its effect costs: error with everything less that without it [mm]."""
+def with_shares(rows: Sequence[Row]) -> list[Row]:
+    """The rows, each with the share of its effect: the error with all effects less the error without this one [mm]."""
     whole = {row["via"]: row for row in rows if row["without"] is None}
     return [
-        {
-            **row,
-            "before_share_mm": whole[row["via"]]["before_mm"] - row["before_mm"],
-            "after_share_mm": whole[row["via"]]["after_mm"] - row["after_mm"],
-        }
+        row | {f"{when}_share_mm": whole[row["via"]][f"{when}_mm"] - row[f"{when}_mm"] for when in ("before", "after")}
         for row in rows
     ]
 
 
-def _true_mm(run: LineRun, wanted: refine.Line) -> tuple[float, float]:
+def write(path: Path, cases: Sequence[Case], found: Sequence[Found], rows: Sequence[Row], workers: Workers) -> None:
+    """Write the page with all the evidence, the fronts of `pareto` among it."""
+    case = cases[0]
+    counts = tuple(via for via in case.via if isinstance(via, int))
+    report = ExperimentReport(
+        from_m=case.line.A,
+        to_m=case.line.B,
+        outcomes=found[0].evidence,
+        limits=rows,
+        fronts=_fronts(replace(case, via=counts), workers),
+        notes=(f"Simulated arm {case.seed} of the batch, {case.repeats} repeats of each final plan.",),
+    )
+    page.write(report, path)
+
+
+def _fronts(case: Case, workers: Workers) -> list[Row]:
+    takes = workers.guided(case)
+    durations = [case.duration_s * share for share in FRONT_SHARES] if case.via else []
+    cases = pareto.every_duration(replace(case, takes=takes), durations=durations, arms=1)
+    # The genetic algorithm makes the mean small, whatever the correction on the arms does.
+    found = workers.carry_out("optimising", pareto.run, [replace(one, objective="mean") for one in cases])
+    return pareto.judged(cases, found, workers)
+
+
+def tick_floor_mm(rig: VirtualRig, best: Round, line: Line) -> tuple[float, float]:
+    """Mean and largest error that whole ticks alone cause on perfect servos [mm]: goals rounded, linear between."""
+    chain = rig.robot.chain
+    time_s = np.linspace(0.0, line.duration_s, 10 * (ticks_of(line.duration_s, rig.period_s) - 1) + 1)
+    goals = plan_positions(best.plan, time_s)[:, : chain.n]
+    rounding = columns_at(time_s, time_s[::10], sent_rad(rig.arm, goals[::10]) - goals[::10])
+    along = line.A + time_law(time_s / line.duration_s)[:, None] * (line.B - line.A)
+    straight = onto(chain, along, goals, np.tile([-np.pi, np.pi], (chain.n, 1)), 12)[0]
+    return line.errors_mm(tool_position(chain, straight + rounding))
+
+
+def _true_mm(run: LineRun, line: Line) -> tuple[float, float]:
     assert run.truth_tool_m is not None
-    return errors_mm(run.truth_tool_m, wanted.A, wanted.B)
+    return errors_mm(run.truth_tool_m, line.A, line.B)

@@ -1,83 +1,67 @@
-"""Error against duration and against the number of via points: what more time or more points buys, and what no longer.
+"""Error against duration and against the number of via points: how far more time or more points help.
 
-Two judges. What the optimiser predicts for recorded candidates (perfect servos): shorter durations leave it fewer paths
-that keep the joints' limits. And what simulated arms then really do, corrected, by their true tool pose: faster motion
-lags more. A row is on a front if no other is at least as good in both respects and better in one.
+There are two judges. The optimiser predicts an error for recorded candidates on perfect servos; a shorter duration
+leaves it fewer paths that keep the joints' limits. Simulated arms run the line, corrected, and their true tool pose is
+measured; faster motion lags more. A row is on a front if no other is at least as good in both and better in one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from armctl.config import ArmConfig
-from armctl.genetic.algorithm import DEFAULT, Settings
-from armctl.genetic.request import OptimizeRequest
-from armctl.genetic.straight_line import optimize
-from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.placement import Objective
+from armctl.lab.study import arms
+from armctl.lab.study.case import Case, Found, Row, all_rows
+from armctl.lab.study.workers import Workers
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One duration."""
-
-    arm: ArmConfig
-    takes: tuple[FloatArray, ...]
-    """Joint positions of each recording [rad], shape (samples, joints)."""
-    from_m: tuple[float, float, float]
-    to_m: tuple[float, float, float]
-    via: tuple[int, ...]
-    duration_s: float
-    seed: int
-    objective: Objective = "mean"
-    settings: Settings = DEFAULT
+def every_duration(case: Case, *, durations: Sequence[float], arms: int) -> list[Case]:
+    """The case in every duration [s], shortest first; so many simulated arms run what each finds."""
+    return [replace(case, duration_s=duration_s, arms=arms) for duration_s in sorted(durations)]
 
 
-def work(case: Case) -> list[dict[str, Any]]:
+def run(case: Case) -> Found:
     """One row for each number of via points.
 
     Raises:
         RequestRefused: the recordings are unfit.
     """
-    result = optimize(
-        case.takes,
-        case.arm,
-        robots.get(case.arm.robot, case.arm.lengths_m),
-        OptimizeRequest(
-            from_m=case.from_m,
-            to_m=case.to_m,
-            via=case.via,
-            duration_s=case.duration_s,
-            seed=case.seed,
-            settings=case.settings,
-            objective=case.objective,
-        ),
+    result = case.optimum([count for count in case.via if isinstance(count, int)], free=True)
+    return Found(
+        [
+            {
+                "duration_s": case.duration_s,
+                "via": plan.via,
+                "recorded_mean_error_mm": result.ga.mean_error_mm,
+                "recorded_max_error_mm": result.ga.path.max_error_mm,
+                "feasible": result.feasible,
+                "gap_ratio": result.gap_ratio,
+                "predicted_mean_error_mm": plan.predicted_mean_error_mm,
+                "predicted_max_error_mm": plan.predicted_max_error_mm,
+            }
+            for plan in result.plans
+        ]
     )
-    return [
-        {
-            "duration_s": case.duration_s,
-            "via": plan.via,
-            "recorded_mean_error_mm": result.ga.mean_error_mm,
-            "recorded_max_error_mm": result.ga.path.max_error_mm,
-            "feasible": result.feasible,
-            "gap_ratio": result.gap_ratio,
-            "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-            "predicted_max_error_mm": plan.predicted_max_error_mm,
-        }
-        for plan in result.plans
-    ]
 
 
-def with_truth(rows: Sequence[dict[str, Any]], ran: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def judged(cases: Sequence[Case], found: Sequence[Found], workers: Workers) -> list[Row]:
+    """The rows of `run` with the truth of the arms that ran them, if any did, and the fronts marked."""
+    rows = all_rows(found)
+    on_arms = [each for case in cases for each in arms.every_arm(case, arms=case.arms)]
+    if on_arms:
+        done = workers.carry_out("running on arms", arms.run, on_arms)
+        ran = [row | {"wanted_s": each.duration_s} for each, one in zip(on_arms, done, strict=True) for row in one.rows]
+        rows = with_truth(rows, ran)
+    return with_fronts(rows)
+
+
+def with_truth(rows: Sequence[Row], ran: Sequence[Row]) -> list[Row]:
     """The rows with the true errors of the arms that ran them: mean and spread over the arms.
 
     Args:
-        ran: Rows of `arms.work`, each with the `wanted_s` it was asked for.
+        ran: Rows of `arms.run`, each with the `wanted_s` it was asked for.
     """
     result = []
     for row in rows:
@@ -91,15 +75,15 @@ def with_truth(rows: Sequence[dict[str, Any]], ran: Sequence[dict[str, Any]]) ->
     return result
 
 
-def error_mm(row: dict[str, Any]) -> float:
-    """What a row is judged by: the truth where arms were asked, else the prediction; infinite where neither ran."""
+def error_mm(row: Row) -> float:
+    """The error a row is judged by: the true one if arms ran it, else the predicted one; infinite if nothing ran."""
     if "truth" in row:
         return np.inf if row["truth"] is None else float(row["truth"]["mean_error_mm"])
     return float(row["predicted_mean_error_mm"]) if row["feasible"] else np.inf
 
 
-def with_fronts(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows, each told whether it is on the front of error against duration, and of error against via points."""
+def with_fronts(rows: Sequence[Row]) -> list[Row]:
+    """The rows with two marks: whether each is on the front of error against duration, and against via points."""
     errors = np.array([error_mm(row) for row in rows])
     fronts = {key: on_front(np.array([row[key] for row in rows], dtype=float), errors) for key in ("duration_s", "via")}
     return [
@@ -109,7 +93,7 @@ def with_fronts(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def on_front(first: FloatArray, second: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Which pairs no other beats, both to be small; shape (m,). Infinite ones never are."""
+    """Which pairs are on the front, shape (m,): no other pair is better. Small is good; infinite is never on it."""
     no_worse = (first[None] <= first[:, None]) & (second[None] <= second[:, None])
     better = (first[None] < first[:, None]) | (second[None] < second[:, None])
     return np.isfinite(second) & ~(no_worse & better).any(axis=1)

@@ -1,20 +1,23 @@
 """Who does the work of a study: this process, spawned processes, or a Dask cluster.
 
-A piece of work is a plain function at the top of a module and one argument that says everything, its seed included;
-nothing is shared. So the results, which come in the order of the arguments, are the same bits whoever works.
+A piece of work is a plain function at the top of a module, and one argument that holds everything, the seed included.
+Nothing is shared. So the results are the same bits whoever does the work; they come in the order of the arguments.
 """
-
-from __future__ import annotations
 
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from armctl.errors import ArmctlError
 from armctl.host.jobs import NICENESS
+from armctl.kinematics.transform import FloatArray
+from armctl.lab.line_experiment import TAKES
+from armctl.lab.stage import Stage
+from armctl.lab.study.case import Case
 
 A = TypeVar("A")
 R = TypeVar("R")
@@ -22,6 +25,37 @@ Tell = Callable[[int], None]
 """Called with the number of pieces done."""
 
 CONNECT_S = 5
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work, and who is told how far it is."""
+
+    stage: Stage
+    processes: int
+    scheduler: str | None = None
+
+    def carry_out(self, label: str, work: Callable[[A], R], arguments: Sequence[A]) -> list[R]:
+        """As `carry_out`, with progress shown."""
+        with self.stage(label, len(arguments)) as show:
+
+            def tell(done: int) -> None:
+                show(done, f"{done} of {len(arguments)}")
+
+            return carry_out(work, arguments, workers=self.processes, scheduler=self.scheduler, tell=tell)
+
+    def guided(self, case: Case) -> tuple[FloatArray, ...]:
+        """Takes of the simulated hand along the case's line: joint positions [rad], each shape (samples, joints).
+
+        Raises:
+            UnreachableTarget: an end of the line is out of the hand's reach.
+        """
+        rig, takes = case.rig(), []
+        with self.stage("guiding by hand", TAKES) as show:
+            for take in range(TAKES):
+                takes.append(rig.teach(case.line.A, case.line.B, case.seed * 1000 + take))
+                show(take + 1, "")
+        return tuple(takes)
 
 
 def carry_out(

@@ -1,26 +1,12 @@
-from __future__ import annotations
-
-from dataclasses import replace
-
 import pytest
 
-from armctl.lab.rig import VirtualRig
-from armctl.lab.study.arms import Case, summary, work
-from armctl.lab.study.table_ii import Case as Experiment
-from armctl.lab.study.table_ii import _through_points
-from armctl.sim.arm import SimulatedArm
-from tests.genetic import hand
-
-A, B = (0.18, -0.1, 0.10), (0.18, 0.1, 0.10)
-
-
-def case(**changes: object) -> Case:
-    plain = Case(hand.arm(), 1, A, B, (2, "stream"), 5.0, rounds=0, period_s=0.1)
-    return replace(plain, **changes)  # type: ignore[arg-type]
+from armctl.lab.study.arms import run, summary
+from armctl.lab.table_ii import through_points
+from tests.lab.study.cases import case
 
 
 def test_arms_differ_and_the_same_arm_repeats_its_bits() -> None:
-    first, again, other = work(case()), work(case()), work(case(seed=2))
+    first, again, other = (run(one).rows for one in (case(), case(), case(seed=2)))
     assert first == again
     assert [row["via"] for row in first] == [2, "stream"]
     assert all(row["refused"] is None for row in first)
@@ -28,25 +14,25 @@ def test_arms_differ_and_the_same_arm_repeats_its_bits() -> None:
 
 
 def test_correction_brings_an_arm_onto_the_line() -> None:
-    (row,) = work(case(via=(2,), rounds=3))
+    (row,) = run(case(via=(2,), rounds=3)).rows
     assert row["before"]["mean_error_mm"] > 5.0
     assert row["truth"]["mean_error_mm"] < 2.5
     assert 1 <= row["rounds"] <= 3
 
 
 def test_a_plan_is_run_as_it_stands() -> None:
-    rig = VirtualRig(SimulatedArm(hand.arm(), seed=0))
-    plan = _through_points(rig, Experiment(hand.arm(), A, B, 1, 5.0, seed=0))
-    (row,) = work(case(plan=plan, rounds=5))
+    one = case(seed=0, via=(1,))
+    plan = through_points(one.rig(), one)
+    (row,) = run(case(plan=plan, rounds=5)).rows
     assert row["via"] == 1
     assert row["before"] is None
     assert row["truth"]["mean_error_mm"] > 5.0  # nothing corrected it
-    (refused,) = work(case(plan=plan.model_copy(update={"calibration_hash": "other"})))
+    (refused,) = run(case(plan=plan.model_copy(update={"calibration_hash": "other"}))).rows
     assert "calibration" in refused["refused"]
 
 
 def test_an_arm_that_cannot_do_it_says_why_and_is_counted() -> None:
-    rows = work(case(duration_s=0.6))
+    rows = run(case(duration_s=0.6)).rows
     assert all("s or more" in row["refused"] for row in rows)
     assert summary(rows) == [
         {"via": 2, "arms": 0, "refused": 1},

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.genetic.algorithm import DEFAULT
-from armctl.lab.study.pareto import Case, on_front, with_fronts, with_truth, work
+from armctl.lab.study.case import Row, all_rows
+from armctl.lab.study.pareto import every_duration, on_front, run, with_fronts, with_truth
 from tests.genetic import hand
+from tests.lab.study.cases import case
 
 pairs = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=1, max_size=12)
 
@@ -28,27 +27,28 @@ def test_what_could_not_be_done_is_on_no_front() -> None:
     assert on_front(np.array([1.0, 2.0]), np.array([np.inf, 3.0])).tolist() == [False, True]
 
 
-def case(duration_s: float) -> Case:
-    takes = tuple(hand.recordings(3, 2))
-    return Case(
-        hand.arm(), takes, (0.18, -0.125, 0.10), (0.18, 0.125, 0.10), (0, 2), duration_s, 0,
-        settings=replace(DEFAULT, generations=30),
+def optimised(*durations_s: float) -> list[Row]:
+    start = case(
+        from_m=(0.18, -0.125, 0.10), to_m=(0.18, 0.125, 0.10), via=(0, 2), seed=0, objective="mean",
+        takes=tuple(hand.recordings(3, 2)), settings=replace(DEFAULT, generations=30),
     )  # fmt: skip
+    return all_rows([run(each) for each in every_duration(start, durations=durations_s, arms=0)])
 
 
 def test_too_short_a_duration_is_not_feasible_and_a_longer_one_is() -> None:
-    fast, slow = work(case(0.5)), work(case(5.0))
-    assert [(row["duration_s"], row["via"]) for row in fast + slow] == [(0.5, 0), (0.5, 2), (5.0, 0), (5.0, 2)]
+    rows = optimised(5.0, 0.5)
+    fast, slow = rows[:2], rows[2:]
+    assert [(row["duration_s"], row["via"]) for row in rows] == [(0.5, 0), (0.5, 2), (5.0, 0), (5.0, 2)]
     assert not any(row["feasible"] for row in fast)
     assert all(row["feasible"] for row in slow)
-    marked = with_fronts(fast + slow)
+    marked = with_fronts(rows)
     assert [row["front_duration"] for row in marked] == [False, False, False, True]
     assert [row["front_via"] for row in marked] == [False, False, True, True]
 
 
 def test_where_arms_ran_their_truth_counts_and_who_was_refused_is_out() -> None:
-    rows = work(case(5.0))
-    ran: list[dict[str, Any]] = [
+    rows = optimised(5.0)
+    ran: list[Row] = [
         {"via": 0, "wanted_s": 5.0, "refused": None, "truth": {"mean_error_mm": 4.0}},
         {"via": 0, "wanted_s": 5.0, "refused": None, "truth": {"mean_error_mm": 2.0}},
         {"via": 2, "wanted_s": 5.0, "refused": "too heavy"},

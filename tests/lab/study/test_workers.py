@@ -1,7 +1,5 @@
 """The same work by whoever does it: this process, spawned ones, a real Dask scheduler with two workers."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

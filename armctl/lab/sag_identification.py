@@ -1,6 +1,4 @@
-"""Calibration lines: motions from which the sag model of an arm is identified, in any rig."""
-
-from __future__ import annotations
+"""How the sag model of an arm is identified: a rig runs calibration lines uncorrected, and their lags are explained."""
 
 from collections.abc import Callable
 
@@ -8,7 +6,9 @@ import numpy as np
 
 from armctl.errors import RequestRefused
 from armctl.kinematics.transform import FloatArray
-from armctl.lab import refine, sag_model
+from armctl.lab import sag_model
+from armctl.lab.correction import lag_of, smoothed
+from armctl.lab.course import Line, courses, plan_of, too_heavy
 from armctl.lab.rig import Rig
 from armctl.lab.sag_model import SagModel
 from armctl.trajectory.line_path import line_paths
@@ -25,7 +25,7 @@ MOST_TRIES = 400
 def random_line(
     rig: Rig, rng: np.random.Generator, *, lengths_m: tuple[float, float] = (0.2, 0.3), stretch: float = STRETCH
 ) -> tuple[FloatArray, FloatArray]:
-    """A line through the part of the workspace in front of the arm, with room to every side.
+    """A random line in the part of the workspace in front of the arm, with room on every side.
 
     Returns:
         A and B [m], shape (3,).
@@ -51,7 +51,7 @@ def random_line(
 def identify(
     rig: Rig, rng: np.random.Generator, lines: int = LINES, show: Callable[[int], None] = lambda _: None
 ) -> SagModel:
-    """The sag model of the rig's arm, from so many uncorrected lines.
+    """Identify the sag model of the rig's arm from uncorrected lines.
 
     Raises:
         RequestRefused: the arm cannot run enough lines, or stopped.
@@ -66,20 +66,20 @@ def identify(
         try:
             ways = line_paths(rig.arm, rig.robot, A, B, DURATION_S, rng, most=DRAWN_WAYS)
             way = ways[int(rng.integers(len(ways)))]
-            course = next(refine.courses(rig, refine.Line(A, B, DURATION_S), None, None, way[None]))
-            plan = refine.plan_of(rig, course, 0)
-            if refine.too_heavy(rig, None, plan):
+            course = next(courses(rig, Line(A, B, DURATION_S), None, None, way[None]))
+            plan = plan_of(rig, course, 0)
+            if too_heavy(rig, None, plan):
                 continue
             measured = rig.run(plan)
         except RequestRefused as refusal:
             if refusal.code not in ("PREFLIGHT", "LIMIT", "LINE"):
                 raise
             continue
-        lag = refine.lag_of(rig, plan, measured)
-        q = course.goals_rad - refine.smoothed(lag, rig.period_s)
+        lag = lag_of(rig, plan, measured)
+        q = course.goals_rad - smoothed(lag, rig.period_s)
         lags.append(lag)
         rows.append(sag_model.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
         show(len(lags))
     if len(lags) < lines:
         raise RequestRefused("CALIBRATE", f"only {len(lags)} of {lines} calibration lines could be run")
-    return sag_model.identify(rig.arm, chain, lags, rows)
+    return sag_model.fitted(rig.arm, chain, lags, rows)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +5,7 @@ import pytest
 
 from armctl.errors import ConfigError, RequestRefused
 from armctl.kinematics.chain import tool_position
-from armctl.lab import tool_points
+from armctl.lab import measured_tool
 from armctl.recording.recordings import Recording
 from tests.genetic import hand
 
@@ -26,7 +24,7 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_a_table_of_tool_points_is_read(tmp_path: Path) -> None:
-    time_s, tool_m = tool_points.read(write(tmp_path / "t.csv", "z_m,t_s,x_m,y_m,note\n3,0,1,2,a\n6,0.5,4,5,b\n"))
+    time_s, tool_m = measured_tool.read(write(tmp_path / "t.csv", "z_m,t_s,x_m,y_m,note\n3,0,1,2,a\n6,0.5,4,5,b\n"))
     np.testing.assert_array_equal(time_s, [0.0, 0.5])
     np.testing.assert_array_equal(tool_m, [[1, 2, 3], [4, 5, 6]])
 
@@ -43,12 +41,12 @@ def test_a_table_of_tool_points_is_read(tmp_path: Path) -> None:
 )
 def test_what_is_no_such_table_is_refused_with_its_place(tmp_path: Path, text: str, match: str) -> None:
     with pytest.raises(ConfigError, match=match):
-        tool_points.read(write(tmp_path / "t.csv", text))
+        measured_tool.read(write(tmp_path / "t.csv", text))
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot read"):
-        tool_points.read(tmp_path / "none.csv")
+        measured_tool.read(tmp_path / "none.csv")
 
 
 def test_what_the_encoders_do_not_see_is_the_difference_to_where_they_have_the_tool() -> None:
@@ -58,13 +56,13 @@ def test_what_the_encoders_do_not_see_is_the_difference_to_where_they_have_the_t
         [np.interp(time_s + 1.0, run.time_s, column) for column in tool_position(CHAIN, run.positions_rad[:, :5]).T],
         axis=1,
     )
-    unseen = tool_points.unseen_m(time_s, by_encoder + np.array([0.001, -0.002, 0.003]), run, CHAIN)
-    np.testing.assert_allclose(unseen, np.tile([0.001, -0.002, 0.003], (tool_points.EVEN, 1)), atol=2e-5)
+    unseen = measured_tool.unseen_m(time_s, by_encoder + np.array([0.001, -0.002, 0.003]), run, CHAIN)
+    np.testing.assert_allclose(unseen, np.tile([0.001, -0.002, 0.003], (measured_tool.EVEN, 1)), atol=2e-5)
 
 
 def test_a_measurement_of_no_plan_or_half_of_one_is_refused() -> None:
     time_s, tool = np.linspace(0.0, 5.0, 20), np.zeros((20, 3))
     with pytest.raises(RequestRefused, match="no executed plan"):
-        tool_points.unseen_m(time_s, tool, recording(None), CHAIN)
+        measured_tool.unseen_m(time_s, tool, recording(None), CHAIN)
     with pytest.raises(RequestRefused, match="measure all of it"):
-        tool_points.unseen_m(time_s / 2.0, tool, recording(), CHAIN)
+        measured_tool.unseen_m(time_s / 2.0, tool, recording(), CHAIN)

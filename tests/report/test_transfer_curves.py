@@ -1,7 +1,5 @@
 """The transfer robot's curves out of a log: near the model, whole, and only from a log that holds a cycle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -12,11 +10,11 @@ import pytest
 from armctl.errors import LogError, RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
-from armctl.lab import transfer as experiment
-from armctl.lab.transfer import record
+from armctl.lab import virtual_transfer
+from armctl.lab.virtual_transfer import record
 from armctl.recording import replay, timeline
-from armctl.report import transfer as report
-from armctl.report.transfer import QUANTITIES, Transfer
+from armctl.report import transfer_curves as report
+from armctl.report.transfer_curves import QUANTITIES, TITLES, Transfer
 from armctl.trajectory.transfer import TransferRequest, motion
 
 CYCLE = TransferRequest(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
@@ -79,8 +77,8 @@ def test_the_model_s_curves_are_derivatives_of_one_another(done: Transfer) -> No
     assert math.dist(curve.tool_position_m[0], np.add(CYCLE.pick_m, (0.0, 0.0, CYCLE.height_m))) < 1e-9
 
 
-def test_figures_3_to_7_each_show_three_axes_recorded_and_by_the_model(log: Path) -> None:
-    drawn = report.figures(log)
+def test_figures_3_to_7_each_show_three_axes_recorded_and_by_the_model(done: Transfer) -> None:
+    drawn = {title: report.draw(done, title) for title in TITLES}
     assert [caption.split(":")[0] for caption in drawn] == [number for number, *_ in QUANTITIES]
     for chart in drawn.values():
         assert [trace.name for trace in chart.data] == [f"{a}, {who}" for a in "xyz" for who in ("model", "recorded")]
@@ -112,7 +110,7 @@ def test_what_is_no_log_of_a_cycle_is_told(log: Path, tmp_path: Path, spoil: Cal
 
 
 def test_a_log_that_tells_of_no_cycle_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(experiment, "NOTED", "SOMETHING_ELSE")
+    monkeypatch.setattr(virtual_transfer, "NOTED", "SOMETHING_ELSE")
     path = record(ARM, CYCLE.model_copy(update={"carry_s": 3.0, "lift_s": 1.5}), tmp_path / "other.mcap")
     with pytest.raises(LogError, match="tells of no transfer"):
         report.load(path)

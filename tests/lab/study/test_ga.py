@@ -1,27 +1,25 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 
 from armctl.errors import ConfigError
 from armctl.genetic.algorithm import PAPER
-from armctl.lab.study.settings import Case, cases, rows, work
+from armctl.lab.study.case import all_rows
+from armctl.lab.study.ga import every_setting, over_seeds, run
 from tests.genetic import hand
+from tests.lab.study.cases import case
 
-POINT_A, POINT_B = (0.18, -0.125, 0.10), (0.18, 0.125, 0.10)
-
-
-def base(generations: int = 20) -> Case:
-    settings = replace(PAPER, generations=generations)
-    return Case(hand.arm(), tuple(hand.recordings(3, 1)), POINT_A, POINT_B, 3.0, settings, seed=7)
+BASE = case(
+    from_m=(0.18, -0.125, 0.10), to_m=(0.18, 0.125, 0.10), takes=tuple(hand.recordings(3, 1)), duration_s=3.0,
+    settings=replace(PAPER, generations=20), seed=7,
+)  # fmt: skip
 
 
 def test_every_setting_gets_the_same_seeds_and_one_row() -> None:
-    asked = cases(base(), [10, 30], [0.5, 0.9], [0.01], repeats=2)
-    assert [case.seed for case in asked] == [7, 8] * 4
-    found = [work(case) for case in asked]
-    table = rows(found, repeats=2)
+    asked = every_setting(BASE, population=[10, 30], pc=[0.5, 0.9], pm=[0.01], repeats=2)
+    assert [each.seed for each in asked] == [7, 8] * 4
+    found = all_rows([run(each) for each in asked])
+    table = over_seeds(found, repeats=2)
     assert [(row["population"], row["crossover_probability"]) for row in table] == [
         (10, 0.5),
         (10, 0.9),
@@ -39,10 +37,10 @@ def test_every_setting_gets_the_same_seeds_and_one_row() -> None:
 
 
 def test_the_same_case_gives_the_same_bits() -> None:
-    (case,) = cases(base(), [20], [0.6], [0.02], repeats=1)
-    assert work(case) == work(case)
+    (one,) = every_setting(BASE, population=[20], pc=[0.6], pm=[0.02], repeats=1)
+    assert run(one).rows == run(one).rows
 
 
 def test_a_setting_out_of_range_is_refused_before_any_work() -> None:
     with pytest.raises(ConfigError, match=r"crossover_probability: 1\.5 is outside 0 to 1"):
-        cases(base(), [10], [0.5, 1.5], [0.01], repeats=1)
+        every_setting(BASE, population=[10], pc=[0.5, 1.5], pm=[0.01], repeats=1)

@@ -1,6 +1,4 @@
-"""The arm behind a daemon as an experiment's rig."""
-
-from __future__ import annotations
+"""The arm of a daemon as an experiment's rig: its runs are read back from the recordings that the daemon makes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +9,7 @@ from armctl.errors import RequestRefused
 from armctl.kinematics import robots
 from armctl.lab.rig import Measured
 from armctl.recording import recordings
+from armctl.recording.recordings import Recording
 from armctl.trajectory.plan import Plan
 
 TRIES = 3
@@ -31,11 +30,11 @@ class DaemonRig:
 
     @property
     def goals_rad(self) -> Sequence[float]:
-        """Where the arm is, as near as its encoders tell."""
+        """Where the arm is, by its encoders."""
         return [joint["position_rad"] for joint in self._client.call("status")["joints"]]
 
     def run(self, plan: Plan) -> Measured:
-        """As `Rig.run`; a run that had to wait for a silent servo did not keep the plan's time, and is repeated."""
+        """As `Rig.run`. A run that waited for a silent servo took longer than the plan; it is repeated."""
         for _ in range(TRIES):
             measured = self._run(plan)
             if abs(measured.duration_s - plan.duration_s) < self.period_s / 2.0:
@@ -49,14 +48,17 @@ class DaemonRig:
     def _run(self, plan: Plan) -> Measured:
         answer = self._client.call("run", plan=plan.model_dump(mode="json"))
         path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
-        take = recordings.load(path)
-        if take.plan_s is None:
-            raise RequestRefused("RECORDS_LOST", f"{path}: the plan's begin or end is missing in the recording")
-        begin_s, end_s = take.plan_s
-        inside = (take.time_s >= begin_s - 1e-6) & (take.time_s <= end_s + 1e-6)
-        return Measured(
-            time_s=take.time_s[inside] - begin_s,
-            positions_rad=take.positions_rad[inside],
-            duration_s=float(answer["duration_s"]),
-            recording=answer["recording"],
-        )
+        return measured_run(recordings.load(path), float(answer["duration_s"]))
+
+
+def measured_run(run: Recording, duration_s: float) -> Measured:
+    """What a recorded run measured between the begin and the end of its plan.
+
+    Raises:
+        RequestRefused: RECORDS_LOST, the plan's begin or end is missing.
+    """
+    if run.plan_s is None:
+        raise RequestRefused("RECORDS_LOST", f"{run.path}: the plan's begin or end is missing in the recording")
+    begin_s, end_s = run.plan_s
+    inside = (run.time_s >= begin_s - 1e-6) & (run.time_s <= end_s + 1e-6)
+    return Measured(run.time_s[inside] - begin_s, run.positions_rad[inside], duration_s, run.name)

@@ -1,7 +1,5 @@
 """The daemon's arm as a rig, seen through a client that answers as the daemon does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,8 +8,8 @@ import pytest
 
 from armctl.client import Client
 from armctl.errors import RequestRefused
+from armctl.lab.daemon_rig import DaemonRig
 from armctl.lab.rig import Measured
-from armctl.lab.run import DaemonRig
 from armctl.recording import recordings
 from armctl.recording.recordings import Recording
 from armctl.trajectory.plan import Plan

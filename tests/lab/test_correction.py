@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -11,8 +9,9 @@ from hypothesis import strategies as st
 
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
-from armctl.lab import refine, sag_model, trials
-from armctl.lab.line import errors_mm, experiment, run_rounds, silent
+from armctl.lab import correction, line_results, sag_model
+from armctl.lab.course import UNKNOWN_HEAVIEST_RAD, Course, Line, courses, plan_of, too_heavy
+from armctl.lab.line_experiment import Budget, experiment, run_rounds
 from armctl.lab.rig import Measured, VirtualRig
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
@@ -20,10 +19,11 @@ from armctl.trajectory.interpolate import joint_path, time_law
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan, plan_from_text, plan_positions, plan_to_text
 from armctl.trajectory.straightness import distance_to_line
+from proving.line_trials import via_speed_ratio
 from tests.genetic import hand
 from tests.trajectory.test_plan import make_plan
 
-LINE = refine.Line(hand.A, hand.B, 5.0)
+LINE = Line(hand.A, hand.B, 5.0)
 ROBOT = hand.robot()
 
 
@@ -36,34 +36,33 @@ def ways() -> np.ndarray:
     return line_paths(hand.arm(), ROBOT, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=24)
 
 
-def true_mm(one: refine.Round) -> float:
-    assert one.measured.true_tool_m is not None
-    return errors_mm(one.measured.true_tool_m, LINE)[0]
+def true_mm(one: correction.Round) -> float:
+    return line_results.true_mm(one.measured, LINE)[0]
 
 
 @pytest.mark.parametrize("via", [2, None])
 def test_an_arm_nobody_has_measured_gets_straight_by_its_own_encoders(via: int | None) -> None:
     on = rig()
-    first = refine.first_run(on, refine.courses(on, LINE, via, None, ways()), None, 0)
-    rounds = refine.refine(on, first, 4)
+    first = correction.first_run(on, courses(on, LINE, via, None, ways()), None, 0)
+    rounds = correction.refine(on, first, 4)
     assert [one.number for one in rounds] == list(range(len(rounds)))
     assert true_mm(first) > 8.0
     assert true_mm(rounds[1]) < 0.5 * true_mm(first)
-    assert true_mm(refine.best_of(rounds)) < 1.6
+    assert true_mm(correction.best_of(rounds)) < 1.6
 
 
 def test_the_plan_of_a_round_is_a_plain_plan_that_text_keeps() -> None:
     on = rig()
     for via in (None, 0, 3):
-        plan = refine.plan_of(on, next(refine.courses(on, LINE, via, None, ways())), 7)
+        plan = plan_of(on, next(courses(on, LINE, via, None, ways())), 7)
         assert plan.via == (49 if via is None else via)
         assert plan_from_text(plan_to_text(plan), "plan") == plan
 
 
 def test_a_stream_has_a_goal_for_every_tick_exactly() -> None:
     on = rig()
-    course = next(refine.courses(on, LINE, None, None, ways()))
-    q = plan_positions(refine.plan_of(on, course, 0), np.arange(51) * np.float64(0.1))
+    course = next(courses(on, LINE, None, None, ways()))
+    q = plan_positions(plan_of(on, course, 0), np.arange(51) * np.float64(0.1))
     np.testing.assert_allclose(q[:, :5], course.waypoints, atol=1e-9)
 
 
@@ -86,13 +85,13 @@ class Scripted:
         return Measured(time_s, q, 5.0, "")
 
 
-def begun(on: Scripted) -> refine.Round:
-    course = next(refine.courses(on, LINE, None, None, ways()[:1]))
-    return refine.run(on, course, refine.plan_of(on, course, 0), 0)
+def begun(on: Scripted) -> correction.Round:
+    course = next(courses(on, LINE, None, None, ways()[:1]))
+    return correction.run(on, course, plan_of(on, course, 0), 0)
 
 
-def refined(on: Scripted, rounds: int) -> list[refine.Round]:
-    return refine.refine(on, begun(on), rounds)
+def refined(on: Scripted, rounds: int) -> list[correction.Round]:
+    return correction.refine(on, begun(on), rounds)
 
 
 def test_rounds_end_by_themselves_once_they_are_no_better() -> None:
@@ -100,7 +99,7 @@ def test_rounds_end_by_themselves_once_they_are_no_better() -> None:
     rounds = refined(on, 20)
     assert [one.kept for one in rounds] == [True, True, False, False]
     assert [len(one.runs) for one in rounds] == [2, 2, 1, 1]
-    assert refine.best_of(rounds) is rounds[1]
+    assert correction.best_of(rounds) is rounds[1]
 
 
 def test_a_plan_that_is_better_once_by_luck_is_not_kept() -> None:
@@ -122,8 +121,8 @@ def test_a_jump_in_one_run_neither_counts_as_noise_nor_is_it_learnt(monkeypatch:
     on = Scripted(0.02, 0.004, 0.02)
     jumped, steady = refined(on, 0)[0], refined(Scripted(0.02), 0)[0]
     assert len(jumped.runs) == 3
-    assert refine.repeat_noise_mm([jumped]) < refine.NOISE_MM
-    learnt, wanted = (refine.learn(on, one, 0.8) for one in (jumped, steady))
+    assert correction.repeat_noise_mm([jumped]) < correction.NOISE_MM
+    learnt, wanted = (correction.learn(on, one, 0.8) for one in (jumped, steady))
     np.testing.assert_allclose(learnt.lag_rad, wanted.lag_rad, atol=1e-12)
 
 
@@ -140,35 +139,26 @@ def test_whatever_the_arm_does_kept_plans_get_better_and_the_last_of_them_is_the
     rounds = refined(Scripted(*off_rad), 4)
     kept = [one.filtered_mm for one in rounds if one.kept]
     assert all(after < before for before, after in pairwise(kept))
-    assert refine.best_of(rounds).filtered_mm == kept[-1] == min(kept)
-    assert all(refine.RUNS <= len(one.runs) <= refine.MOST_RUNS for one in rounds if one.kept)
+    assert correction.best_of(rounds).filtered_mm == kept[-1] == min(kept)
+    assert all(correction.RUNS <= len(one.runs) <= correction.MOST_RUNS for one in rounds if one.kept)
     assert len(rounds) <= 5
 
 
 def test_the_repeat_noise_is_that_of_the_readings_of_one_plan() -> None:
     off = 0.01 + 0.0005 * np.random.default_rng(0).standard_normal(400)
     on = Scripted(*off.tolist())
-    rounds = [refine.again(on, begun(on)) for _ in range(100)]
+    rounds = [correction.again(on, begun(on)) for _ in range(100)]
     runs_mm = [run_mm for one in rounds for run_mm in one.run_mm]
-    assert refine.repeat_noise_mm(rounds) == pytest.approx(np.std(runs_mm), rel=0.1)
-    assert refine.repeat_noise_mm([]) == pytest.approx(refine.NOISE_MM)
+    assert correction.repeat_noise_mm(rounds) == pytest.approx(np.std(runs_mm), rel=0.1)
+    assert correction.repeat_noise_mm([]) == pytest.approx(correction.NOISE_MM)
 
 
 def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew() -> None:
     on = rig()
-    (outcome,) = experiment(
-        on,
-        LINE,
-        [1],
-        repeats=2,
-        rounds=2,
-        seed=0,
-        model=sag_model.nominal(on.arm, ROBOT.chain),
-        stage=silent,
-        ways=ways(),
-    )
+    nominal = sag_model.nominal(on.arm, ROBOT.chain)
+    (outcome,) = experiment(on, LINE, [1], Budget(rounds=2, repeats=2, seed=0), nominal, ways=ways())
     assert [one.number for one in outcome.rounds] == [0, 1, 2]
-    assert outcome.best is refine.best_of(outcome.rounds)
+    assert outcome.best is correction.best_of(outcome.rounds)
     assert len(outcome.runs) == 2
     assert outcome.runs[0] is not outcome.best.measured
 
@@ -177,11 +167,11 @@ def test_a_model_that_does_harm_is_left_aside() -> None:
     on = rig()
     other = sag_model.nominal(on.arm, ROBOT.chain)
     other = other.model_copy(update={"gravity_rad_m": tuple(tuple(-g for g in row) for row in other.gravity_rad_m)})
-    rounds = run_rounds(on, LINE, None, 3, 0, other, ways())
+    rounds = run_rounds(on, LINE, None, Budget(rounds=3, repeats=0, seed=0), other, ways())
     assert [one.number for one in rounds] == [0, 1, 2, 3]
     assert rounds[1].filtered_mm > rounds[0].filtered_mm
     assert [one.kept for one in rounds[:3]] == [True, False, True]
-    assert refine.best_of(rounds).filtered_mm < 0.5 * rounds[0].filtered_mm
+    assert correction.best_of(rounds).filtered_mm < 0.5 * rounds[0].filtered_mm
 
 
 def test_a_line_too_heavy_for_the_motors_is_refused_before_anything_moves() -> None:
@@ -189,7 +179,7 @@ def test_a_line_too_heavy_for_the_motors_is_refused_before_anything_moves() -> N
     weak = sag_model.nominal(on.arm, ROBOT.chain)
     weak = weak.model_copy(update={"gravity_rad_m": tuple(tuple(8.0 * g for g in row) for row in weak.gravity_rad_m)})
     with pytest.raises(RequestRefused, match="behind its goal") as refusal:
-        refine.first_run(on, refine.courses(on, LINE, 2, None, ways()), weak, 0)
+        correction.first_run(on, courses(on, LINE, 2, None, ways()), weak, 0)
     assert refusal.value.code == "TOO_HEAVY"
 
 
@@ -200,18 +190,18 @@ def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_mor
     borne, most = (
         np.degrees(sag_model.heaviest_rad(nominal, ROBOT.chain, np.tile(q[:5], (2, 1)))[1]) for q in (stands, there)
     )
-    assert borne < np.degrees(refine.UNKNOWN_HEAVIEST_RAD) < most
+    assert borne < np.degrees(UNKNOWN_HEAVIEST_RAD) < most
     plan = make_plan(via=0, waypoints_rad=(tuple(stands), tuple(there)), waypoint_progress=(0.0, 1.0))
     on = Scripted(0.0)
-    assert refine.too_heavy(on, None, plan).startswith("shoulder would stay 5.")
+    assert too_heavy(on, None, plan).startswith("shoulder would stay 5.")
     on.goals_rad = tuple(stands.tolist())
-    assert refine.too_heavy(on, None, plan) == ""
+    assert too_heavy(on, None, plan) == ""
 
 
 def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points() -> None:
     on = rig()
     model = sag_model.nominal(on.arm, ROBOT.chain)
-    course = next(refine.courses(on, LINE, 2, model, ways()))
+    course = next(courses(on, LINE, 2, model, ways()))
     off = distance_to_line(tool_position(ROBOT.chain, course.expected_rad), LINE.A, LINE.B)
     assert off.max() < 0.003
     steps = np.diff(course.expected_rad, axis=0)
@@ -221,33 +211,33 @@ def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points() -> Non
 def test_a_tool_seen_beside_where_the_encoders_have_it_is_brought_to_the_line() -> None:
     on = rig()
     aside = replace(LINE, unseen_m=np.tile([0.0, 0.0, 0.01], (5, 1)))
-    course = next(refine.courses(on, aside, None, None, ways()))
+    course = next(courses(on, aside, None, None, ways()))
     tool = tool_position(ROBOT.chain, course.expected_rad)
     np.testing.assert_allclose(tool[:, 2], hand.A[2] - 0.01, atol=5e-4)
 
 
 def test_smoothing_keeps_what_is_constant_and_averages_noise() -> None:
-    np.testing.assert_allclose(refine.smoothed(np.full((51, 2), 3.0), 0.1), 3.0)
+    np.testing.assert_allclose(correction.smoothed(np.full((51, 2), 3.0), 0.1), 3.0)
     noise = np.random.default_rng(0).standard_normal((501, 1))
-    assert refine.smoothed(noise, 0.1).std() < 0.5
+    assert correction.smoothed(noise, 0.1).std() < 0.5
 
 
 def test_a_correction_that_did_not_help_is_tried_again_at_half_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     on, gains = rig(), []
-    first = refine.first_run(on, refine.courses(on, LINE, 2, None, ways()), None, 0)
+    first = correction.first_run(on, courses(on, LINE, 2, None, ways()), None, 0)
     seen = iter([5.0, 8.0, 3.0, 6.0, 6.0])  # kept, worse, kept, worse, worse
 
-    def learn(_rig: object, last: refine.Round, gain: float) -> refine.Course:
+    def learn(_rig: object, last: correction.Round, gain: float) -> Course:
         gains.append(gain)
         return last.course
 
-    def run(_rig: object, course: refine.Course, plan: Plan, number: int) -> refine.Round:
+    def run(_rig: object, course: Course, plan: Plan, number: int) -> correction.Round:
         return replace(first, course=course, plan=plan, number=number, run_mm=(next(seen),))
 
-    monkeypatch.setattr(refine, "learn", learn)
-    monkeypatch.setattr(refine, "run", run)
-    monkeypatch.setattr(refine, "again", lambda _rig, one: replace(one, runs=one.runs * 2, run_mm=one.run_mm * 2))
-    refine.refine(on, replace(first, run_mm=(9.0, 9.0)), 5)
+    monkeypatch.setattr(correction, "learn", learn)
+    monkeypatch.setattr(correction, "run", run)
+    monkeypatch.setattr(correction, "again", lambda _rig, one: replace(one, runs=one.runs * 2, run_mm=one.run_mm * 2))
+    correction.refine(on, replace(first, run_mm=(9.0, 9.0)), 5)
     assert gains == [0.8, 0.6, 0.25, 0.4, 0.175]
 
 
@@ -255,15 +245,15 @@ def test_a_correction_that_did_not_help_is_tried_again_at_half_the_gain(monkeypa
 def test_the_tool_does_not_slow_down_at_via_points_and_they_cost_no_time(seed: int) -> None:
     on, durations_s = rig(seed), []
     for via in (0, 1, 2, 5):
-        first = refine.first_run(on, refine.courses(on, LINE, via, None, ways()), None, 0)
-        assert trials.via_speed_ratio(first.plan, first.measured) > (0.0 if via == 0 else 0.5)
+        first = correction.first_run(on, courses(on, LINE, via, None, ways()), None, 0)
+        assert via_speed_ratio(first.plan, first.measured) > (0.0 if via == 0 else 0.5)
         durations_s.append(first.measured.duration_s)
     assert durations_s == pytest.approx([LINE.duration_s] * 4, rel=0.02)
 
 
 def test_a_tool_that_stops_at_a_via_point_is_seen() -> None:
     on = rig()
-    first = refine.first_run(on, refine.courses(on, LINE, 1, None, ways()), None, 0)
+    first = correction.first_run(on, courses(on, LINE, 1, None, ways()), None, 0)
     time_s, tool_m = first.measured.true_time_s, first.measured.true_tool_m
     assert time_s is not None
     assert tool_m is not None
@@ -271,4 +261,4 @@ def test_a_tool_that_stops_at_a_via_point_is_seen() -> None:
     still = np.stack([np.interp(stopped_s, time_s, column) for column in tool_m.T], axis=1)
     (progress,) = first.plan.waypoint_progress[1:-1]
     assert progress == pytest.approx(0.5, abs=0.03)
-    assert trials.via_speed_ratio(first.plan, replace(first.measured, true_tool_m=still)) < 0.2
+    assert via_speed_ratio(first.plan, replace(first.measured, true_tool_m=still)) < 0.2

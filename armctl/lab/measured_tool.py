@@ -1,6 +1,4 @@
-"""The tool as somebody measured it from outside, and what that shows which no encoder sees."""
-
-from __future__ import annotations
+"""The tool measured from outside, by a camera or a tracker, and what that shows that no encoder sees."""
 
 import csv
 import math
@@ -12,6 +10,7 @@ from armctl.errors import ConfigError, RequestRefused
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.recordings import Recording
+from armctl.trajectory.interpolate import columns_at
 
 COLUMNS = ("t_s", "x_m", "y_m", "z_m")
 EVEN = 51
@@ -71,12 +70,8 @@ def unseen_m(time_s: FloatArray, tool_m: FloatArray, run: Recording, chain: Seri
         )
     at_s = np.linspace(0.0, duration_s, EVEN)
     q = run.positions_rad[:, : chain.n]
-    by_encoder = tool_position(chain, _at(at_s, run.time_s - begin_s, q))
+    by_encoder = tool_position(chain, columns_at(at_s, run.time_s - begin_s, q))
     u = np.linspace(0.0, 1.0, EVEN)
     window = np.exp(-0.5 * ((u[:, None] - u) / SMOOTH) ** 2)
-    difference = _at(at_s, time_s, tool_m) - by_encoder
+    difference = columns_at(at_s, time_s, tool_m) - by_encoder
     return np.asarray(window @ difference / window.sum(axis=1, keepdims=True))
-
-
-def _at(at_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
-    return np.stack([np.interp(at_s, time_s, column) for column in values.T], axis=1)

@@ -1,6 +1,4 @@
-"""A pick-and-transfer cycle without a daemon: simulated servos, the real control loop, virtual time, a log like any."""
-
-from __future__ import annotations
+"""A pick-and-transfer cycle without a daemon: simulated servos, the real control loop, virtual time, a usual log."""
 
 import json
 from pathlib import Path

@@ -1,17 +1,15 @@
-"""Figs. 3 to 7 of Lu & Liu from a log: what the middle of the paw did, beside what the model says.
+"""Figs. 3 to 7 of Lu & Liu from a log: the motion of the paw's midpoint, recorded and by the model.
 
 Recorded: the encoders' joint positions of the log, made smooth and differentiated by local cubics
 (trajectory/smoothing.py) and taken to the tool by forward kinematics and the Jacobian. Model: the cycle's quintics,
 rebuilt from the parameters that the log itself holds, taken to the tool in the same way. Time 0 is the cycle's begin.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -24,13 +22,10 @@ from armctl.kinematics.transform import FloatArray
 from armctl.recording import channels, timeline
 from armctl.recording.reader import read
 from armctl.report.kinematics import COLOURS
-from armctl.report.page import Page, plotly
+from armctl.report.page import Figure, Page, plotly
 from armctl.trajectory.quintic import Curves, curves
 from armctl.trajectory.smoothing import local_cubics
 from armctl.trajectory.transfer import NOTED, TransferRequest, motion
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
 
 HALF_WIDTH_S = 0.55
 """Eleven samples at 0.1 s."""
@@ -43,6 +38,7 @@ QUANTITIES = (
     ("Fig. 7", "angular acceleration", "tool_angular_acceleration_rad_s2", "rad/s^2"),
 )
 """Figure of the paper, what it shows of the paw's midpoint, the field of `Curves`, its unit."""
+TITLES = {f"{number}: {what} of the paw's midpoint": (what, field, unit) for number, what, field, unit in QUANTITIES}
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,44 +84,20 @@ def load(log: Path) -> Transfer:
     return Transfer(log, robot, cycle, curves(robot.chain, _Sampled(smooth), at_s), curves(robot.chain, model, at_s))
 
 
-def figures(log: Path) -> dict[str, go.Figure]:
-    """Figs. 3 to 7, drawn from a log; keyed by their captions.
-
-    Raises:
-        LogError: see `load`.
-    """
-    return draw(load(log))
-
-
-def draw(transfer: Transfer) -> dict[str, go.Figure]:
-    """Figs. 3 to 7 of a cycle that was loaded."""
-    figure = plotly()
-    drawn = {}
-    for number, what, field, unit in QUANTITIES:
-        chart = figure()
-        for axis, letter in enumerate("xyz"):
-            for curve, name, dash in (
-                (transfer.model, "model", "dash"),
-                (transfer.recorded, "recorded", "solid"),
-            ):
-                chart.add_scatter(
-                    x=curve.time_s,
-                    y=getattr(curve, field)[:, axis],
-                    name=f"{letter}, {name}",
-                    line={"color": COLOURS[axis], "width": 1.6, "dash": dash},
-                )
-        chart.update_layout(height=420, xaxis_title="time [s]", yaxis_title=f"{what} [{unit}]")
-        drawn[_title(number, what)] = chart
-    return drawn
-
-
-def titles() -> list[str]:
-    """Captions of the figures that `draw` draws, in order."""
-    return [_title(number, what) for number, what, _, _ in QUANTITIES]
-
-
-def _title(number: object, what: str) -> str:
-    return f"{number}: {what} of the paw's midpoint"
+def draw(transfer: Transfer, title: str) -> Figure:
+    """One of `TITLES` of a cycle that was loaded."""
+    what, field, unit = TITLES[title]
+    chart = plotly()()
+    for axis, letter in enumerate("xyz"):
+        for curve, name, dash in ((transfer.model, "model", "dash"), (transfer.recorded, "recorded", "solid")):
+            chart.add_scatter(
+                x=curve.time_s,
+                y=getattr(curve, field)[:, axis],
+                name=f"{letter}, {name}",
+                line={"color": COLOURS[axis], "width": 1.6, "dash": dash},
+            )
+    chart.update_layout(height=420, xaxis_title="time [s]", yaxis_title=f"{what} [{unit}]")
+    return chart
 
 
 def table(transfer: Transfer) -> list[dict[str, Any]]:
@@ -157,15 +129,15 @@ def write(transfer: Transfer, path: Path) -> None:
         for row in table(transfer)
     ]
     page.table(["figure", "of the paw's midpoint", "unit", "peak, model", "peak, recorded", "rms difference"], rows)
-    for caption, chart in draw(transfer).items():
-        page.heading(caption)
-        page.figure(chart, f"{caption} over time, recorded and by the model, in x, y and z")
+    for title in TITLES:
+        page.heading(title)
+        page.figure(draw(transfer, title), f"{title} over time, recorded and by the model, in x, y and z")
     page.write(path)
 
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """Position, velocity and acceleration that are there already."""
+    """Position, velocity and acceleration that were sampled before."""
 
     values: tuple[FloatArray, FloatArray, FloatArray]
 
@@ -175,7 +147,7 @@ class _Sampled:
 
 
 def _cycle(log: Path) -> TransferRequest:
-    """The parameters of the last cycle that a log tells of."""
+    """The parameters of the last cycle in a log."""
     found: TransferRequest | None = None
     for message in read(log, (channels.COMMAND,)):
         text = message.value["data"]

@@ -1,0 +1,329 @@
+"""`armctl study`: the command line of every study, in one table: what may be asked, and what a person is shown.
+
+What a study does stands in a second table by the same names, `armctl/lab/study/studies.py`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from armctl.cli.experiment import ViaType
+from armctl.cli.output import CONFIG, FILE, POINT, Numbers, Output
+from armctl.cli.output import command as answering
+from armctl.cli.tables import show_table
+from armctl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from armctl.config import ArmConfig, Config
+    from armctl.lab.study.case import Case
+
+Row = dict[str, Any]
+Text = str | Callable[[Row], str]
+"""A template that a row fills in, or a function of the row."""
+Column = tuple[str, Text] | tuple[str, str, str]
+"""Heading, text of a cell, and the key without which the cell is left open."""
+Option = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+RECORDINGS = click.argument("recordings", nargs=-1)
+FROM_TO = (
+    click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres."),
+    click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres."),
+)
+DURATION = click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
+REFINE = click.option("--refine", "rounds", type=click.IntRange(0, 20), default=5, help="Corrections.")
+WORK = (
+    click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a study."),
+    click.option("--workers", type=click.IntRange(1, 1024), help="Processes.  [default: one a processor]"),
+    click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler that does the work: tcp://host:8786."),
+)
+
+
+def numbers(name: str, default: str, **more: Any) -> Option:
+    return click.option(name, type=Numbers(), default=default, **more)
+
+
+def via(default: str, help: str) -> Option:
+    return click.option("--via", type=ViaType(), default=default, help=help)
+
+
+def objective(default: str) -> Option:
+    return click.option("--objective", type=click.Choice(("mean", "mix", "max")), default=default)
+
+
+def repeats(most: int, help: str) -> Option:
+    return click.option("--repeats", type=click.IntRange(1, most), default=5, help=help)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A row of the table."""
+
+    help: str
+    options: tuple[Option, ...]
+    """What is asked beside `WORK`: fields of `Case`, what varies, and the file."""
+    title: Text
+    """Of the table for people; filled in by its first row."""
+    columns: tuple[Column, ...]
+    varied: tuple[str, ...] = ()
+    """Options that say which cases there are."""
+    whole: tuple[str, ...] = ()
+    """Options whose numbers must be whole."""
+    file: str | None = None
+    """The option that names a file to write."""
+    table: str = "rows"
+    """What of the result the table shows."""
+    words: tuple[str, ...] = ()
+    """Columns that hold words."""
+    notes: Callable[[Mapping[str, Sequence[Row]]], Iterable[str]] = field(default=lambda _result: ())
+    """Sentences below the table."""
+
+
+MEDIAN_WORST = "{{{0}[{1}][median]:.2f}} / {{{0}[{1}][worst]:.2f}}"
+COMMANDS = {
+    "ga": Command(
+        "Settings of the genetic algorithm compared on RECORDINGS, or on takes of the simulated hand.\n\n"
+        "Example: armctl study ga --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --population 50,95,200",
+        (
+            RECORDINGS,
+            *FROM_TO,
+            numbers("--population", "50,95,200"),
+            numbers("--pc", "0.4,0.6,0.8", help="Crossover probabilities."),
+            numbers("--pm", "0.001,0.01,0.05", help="Mutation probabilities."),
+            click.option("--generations", type=click.IntRange(10, 100_000), default=300),
+            click.option("--profile", type=click.Choice(("paper", "default")), default="paper"),
+            repeats(1000, "Seeds of each setting."),
+            DURATION,
+        ),
+        "Mean distance from the line over {repeats} seeds, mm",
+        (
+            ("population", "{population}"),
+            ("Pc", "{crossover_probability:g}"),
+            ("Pm", "{mutation_probability:g}"),
+            ("mean", "{mean_error_mm:.3f}"),
+            ("+-", "{spread_mm:.3f}"),
+            ("best", "{best_mm:.3f}"),
+            ("exact", "{exact_mean_error_mm:.3f}"),
+            ("gap", "{gap_ratio:.1%}"),
+            ("settled", "{settled_generation:.0f}"),
+        ),
+        varied=("population", "pc", "pm", "repeats"),
+        whole=("population",),
+    ),
+    "arms": Command(
+        "One line, or PLAN as it stands, on many simulated arms drawn at random: the spread of its true error.\n\n"
+        "Example: armctl study arms --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 2,stream --arms 20",
+        (
+            click.argument("plan", required=False, type=FILE),
+            click.option("--from", "from_m", type=POINT, help="Start of the line, metres; not with a plan."),
+            click.option("--to", "to_m", type=POINT, help="End of the line, metres; not with a plan."),
+            via("2", "Numbers of via points; auto; stream."),
+            click.option("--arms", type=click.IntRange(1, 10_000), default=20),
+            REFINE,
+            DURATION,
+            objective("mix"),
+            click.option(
+                "--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the arms.  [default: 0.1]"
+            ),
+        ),
+        lambda first: f"True distance from the line on {first['arms'] + first['refused']} arms, median / worst, mm",
+        (
+            ("via", "{via}"),
+            ("before, mean", MEDIAN_WORST.format("before", "mean_error_mm"), "before"),
+            ("mean", MEDIAN_WORST.format("truth", "mean_error_mm"), "truth"),
+            ("+-", "{truth[mean_error_mm][spread]:.2f}", "truth"),
+            ("max", MEDIAN_WORST.format("truth", "max_error_mm"), "truth"),
+            ("arms", "{arms}"),
+            ("refused", "{refused}"),
+        ),
+        varied=("arms",),
+        table="summary",
+        notes=lambda result: (
+            f"arm {row['arm']}, via {row['via']}: {row['refused']}" for row in result["rows"] if row["refused"]
+        ),
+    ),
+    "pareto": Command(
+        "Error against duration and against the number of via points, the best of each marked.\n\n"
+        "RECORDINGS (or takes of the simulated hand) are optimised for every duration. With --arms so many simulated "
+        "arms run every combination, corrected, and are judged by their true tool path.\n\n"
+        "Example: armctl study pareto --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --arms 4 --report pareto.html",
+        (
+            RECORDINGS,
+            *FROM_TO,
+            numbers("--via", "0,1,2,3,5,8", help="Numbers of via points."),
+            numbers("--durations", "1,1.5,2,3,5,8", help="Seconds."),
+            click.option("--arms", type=click.IntRange(0, 1000), default=0, help="Simulated arms."),
+            REFINE,
+            objective("mean"),
+            click.option("--report", type=FILE, metavar="HTML", help="Write a page with the fronts drawn."),
+        ),
+        "Distance from the line, mm; * no other is better in both",
+        (
+            ("s", "{duration_s:g}"),
+            ("via", "{via}"),
+            ("recorded", lambda row: f"{row['recorded_mean_error_mm']:.2f}" if row["feasible"] else "too fast"),
+            ("predicted", "{predicted_mean_error_mm:.2f}"),
+            ("true", "{truth[mean_error_mm]:.2f} +- {truth[spread_mm]:.2f}", "truth"),
+            ("by time", lambda row: "*" if row["front_duration"] else ""),
+            ("by via", lambda row: "*" if row["front_via"] else ""),
+        ),
+        varied=("durations", "arms"),
+        whole=("via",),
+        file="report",
+    ),
+    "limits": Command(
+        "What limits the corrected line: the experiment on one simulated arm, then with one effect after another "
+        "off.\n\n"
+        "Example: armctl study limits --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --report evidence.html",
+        (
+            *FROM_TO,
+            via("1,2,8,stream", "Via points; auto; stream."),
+            REFINE,
+            repeats(100, "Runs of each final plan."),
+            DURATION,
+            objective("mix"),
+            click.option("--report", type=FILE, metavar="HTML", help="Write the page with all the evidence."),
+        ),
+        "True mean distance from the line, mm, one effect off",
+        (
+            ("via", "{via}"),
+            ("without", lambda row: row["without"] or "nothing"),
+            ("before", "{before_mm:.2f}"),
+            ("after", "{after_mm:.2f}"),
+            ("+-", "{spread_mm:.2f}"),
+            ("its share", "{after_share_mm:+.2f}"),
+        ),
+        file="report",
+        words=("without",),
+        notes=lambda result: (
+            f"via {row['via']}: whole ticks alone {row['ticks_mm']:.2f} mm, zero offsets no encoder sees "
+            f"{row['unseen_mm']:.2f} mm"
+            for row in result["rows"]
+            if row["without"] is None
+        ),
+    ),
+    "paper": Command(
+        "The paper's experiments 1, 2 and 3, five runs each, by its own genetic algorithm: Table II beside ours.\n\n"
+        "Example: armctl study paper --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --xlsx angles.xlsx",
+        (
+            *FROM_TO,
+            DURATION,
+            click.option("--xlsx", type=FILE, metavar="FILE", help="Write the recorded angles of all runs."),
+        ),
+        "Distance from the line by the encoders, mean / maximum, mm",
+        (
+            ("experiment", "{experiment}"),
+            ("via", "{via}"),
+            ("recorded, mean", "{recorded_mean_error_mm:.1f} +- {spread_mm:.1f}"),
+            ("found", "{mean_error_mm:.1f} / {max_error_mm:.1f}"),
+            ("s", "{duration_s:.1f}"),
+            ("paper", "{paper[mean_error_mm]:.1f} / {paper[max_error_mm]:.1f}"),
+            ("s", "{paper[duration_s]:.1f}"),
+        ),
+        file="xlsx",
+    ),
+}
+
+
+@click.group("study")
+def study_command() -> None:
+    """The same work many times over: settings, durations, arms drawn at random.
+
+    Work is shared among this machine's processors; with --scheduler a Dask cluster does it, whose workers must have
+    armctl installed. A seed repeats the figures, whoever works.
+
+    Example: armctl study ga --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10
+    """
+
+
+def _add(name: str, command: Command) -> None:
+    def callback(output: Output, **asked: Any) -> None:
+        run(name, command, output, asked)
+
+    for option in reversed((*command.options, *WORK)):
+        callback = option(callback)
+    answering(name, CONFIG, group=study_command, help=command.help)(callback)
+
+
+for _name, _of in COMMANDS.items():
+    _add(_name, _of)
+
+
+def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> None:
+    """Do one study and show it."""
+    from dataclasses import replace
+
+    from armctl.lab.line_experiment import named_takes
+    from armctl.lab.study.studies import STUDIES
+    from armctl.lab.study.workers import Workers
+
+    config, arm = output.config, output.arm
+    for key in command.whole:
+        asked[key] = _whole(name, f"--{key}", asked[key])
+    study, case = STUDIES[name], _case(name, command, asked, arm, config)
+    cases = study.vary(case, **{key: asked[key] for key in command.varied})  # refuses bad settings before any work
+    workers = Workers(output.progress, asked["workers"] or len(os.sched_getaffinity(0)), asked["scheduler"])
+    if "recordings" in asked:
+        takes = tuple(named_takes(config, arm, asked["recordings"])) or workers.guided(case)
+        cases = [replace(case, takes=takes) for case in cases]
+    found = workers.carry_out(study.label, study.run, cases)
+    result = study.result(cases, found, workers)
+    told: dict[str, Any] = {**result, "seed": asked["seed"]}
+    if command.file is not None:
+        path = asked[command.file]
+        told[command.file] = None if path is None else str(path)
+        if path is not None:
+            assert study.write is not None
+            study.write(path, cases, found, result["rows"], workers)
+    output.answer(told, lambda: show(output, name, result))
+
+
+def _case(name: str, command: Command, asked: dict[str, Any], arm: ArmConfig, config: Config) -> Case:
+    """The case that every other one is made from."""
+    from dataclasses import fields, replace
+
+    from armctl.files import read_text
+    from armctl.genetic.algorithm import PROFILES
+    from armctl.lab.line_experiment import check_via
+    from armctl.lab.study.case import Case
+    from armctl.trajectory.plan import plan_from_text
+
+    given = {each.name: asked[each.name] for each in fields(Case) if asked.get(each.name) is not None}
+    given["period_s"] = asked.get("period_s") or config.period_s
+    if "plan" in given:
+        plan = given["plan"] = plan_from_text(read_text(asked["plan"], "plan"), str(asked["plan"]))
+        given |= {"from_m": plan.from_m, "to_m": plan.to_m, "duration_s": plan.duration_s}
+    elif "from_m" not in given or "to_m" not in given:
+        raise ConfigError(f"armctl study {name}", "--from/--to", "no line", "give both ends, or a plan")
+    if "via" in given and "via" not in command.whole:
+        check_via(given["via"])
+    if "profile" in asked:
+        given["settings"] = replace(PROFILES[asked["profile"]], generations=asked["generations"])
+    return Case(arm, **given)
+
+
+def _whole(name: str, option: str, values: Sequence[float]) -> tuple[int, ...]:
+    if any(value != int(value) for value in values):
+        raise ConfigError(f"armctl study {name}", option, f"{list(values)} are not whole numbers")
+    return tuple(int(value) for value in values)
+
+
+def show(output: Output, name: str, result: Mapping[str, Sequence[Row]]) -> None:
+    """The table of a study's result, and the sentences below it."""
+    command = COMMANDS[name]
+    rows = result[command.table]
+    cells = [[_cell(row, *texts) for _, *texts in command.columns] for row in rows]
+    headings = [heading for heading, *_ in command.columns]
+    show_table(output.console, _cell(rows[0], command.title), headings, cells, words=command.words)
+    for note in command.notes(result):
+        output.say(note)
+
+
+def _cell(row: Row, text: Text, needed: str | None = None) -> str:
+    if needed is not None and row.get(needed) is None:
+        return "-"
+    return text.format_map(row) if isinstance(text, str) else text(row)

@@ -1,0 +1,341 @@
+"""The straight-line experiment: before any correction, with the sag model, corrected, repeated; and the GA beside it.
+
+Round 0 is the plain plan on the arm as it is. Round 1 runs with the sag model's prediction, where there is one; later
+rounds are corrected by what the ones before showed. The plan that was kept last is then run `repeats` times anew: those
+runs are the experiment's rows, so that one lucky run does not decide.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from armctl.config import ArmConfig, Config
+from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.files import data_dir
+from armctl.genetic.algorithm import PROFILES
+from armctl.genetic.request import OptimizeRequest
+from armctl.genetic.straight_line import optimize
+from armctl.host.jobs import NICENESS, load_takes
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.lab import correction, course, measured_tool, sag_identification, sag_model
+from armctl.lab.correction import Round
+from armctl.lab.course import Course, Line, Via, courses
+from armctl.lab.line_results import Outcome, as_json, drawn, rms_lever_m
+from armctl.lab.rig import Rig, VirtualRig
+from armctl.lab.sag_model import SagModel
+from armctl.lab.stage import Progress, Stage, silent
+from armctl.recording import recordings
+from armctl.report import experiment as page
+from armctl.report.line import ExperimentReport
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import RANDOM_SPEC
+from armctl.trajectory.interpolate import columns_at
+from armctl.trajectory.line_path import line_paths, onto
+from armctl.trajectory.placement import Objective
+from armctl.trajectory.straightness import mean_error
+
+Profile = Literal["default", "paper"]
+"""Of the genetic algorithm."""
+MOST_VIA = 20
+AUTO_VIA = range(9)
+TAKES = 5
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What one call of `armctl experiment line` asks for."""
+
+    from_m: tuple[float, float, float]
+    to_m: tuple[float, float, float]
+    via: tuple[Via, ...]
+    repeats: int
+    duration_s: float
+    rounds: int
+    tolerance_mm: float
+    objective: Objective
+    seed: int
+    recordings: tuple[str, ...]
+    profile: Profile
+    measured: tuple[Path, str] | None
+    """An external measurement of the tool, and the recording of the run it was made during."""
+    report: Path | None = None
+    """A page that shows what was found."""
+
+
+def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
+    """The experiment on a simulated arm. The seed draws the arm; its zero ticks are as after `calibrate`.
+
+    The sag model is identified and the candidates are guided on the spot.
+    """
+    rig = VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=RANDOM_SPEC), period_s)
+    line = _line(rig, asked, config)
+    drawn_ways(rig, line, asked.seed)  # a line that cannot be followed is refused before anything moves
+    takes: list[FloatArray] | None = named_takes(config, arm, asked.recordings)
+    if not takes:
+        with stage("guiding by hand", TAKES) as show:
+            takes = guided_takes(rig, line, asked.seed)
+            show(TAKES, "")
+    return _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
+
+
+def on_daemon(rig: Rig, asked: Asked, config: Config, stage: Stage) -> dict[str, Any]:
+    """The experiment on a daemon's arm. The sag model is the one stored beside the calibration, if there is one."""
+    os.nice(NICENESS)  # planning between runs must not take the processor from who drives the arm
+    line = _line(rig, asked, config)
+    model, takes = sag_model.load(config, rig.arm), named_takes(config, rig.arm, asked.recordings)
+    return _report(rig, line, asked, model, takes, stage)
+
+
+def _line(rig: Rig, asked: Asked, config: Config) -> Line:
+    check_via(asked.via)
+    unseen = None
+    if asked.measured is not None:
+        file, name = asked.measured
+        run = recordings.load(_recording_path(config, name))
+        unseen = measured_tool.unseen_m(*measured_tool.read(file), run, rig.robot.chain)
+    return Line(np.array(asked.from_m), np.array(asked.to_m), asked.duration_s, asked.objective, unseen)
+
+
+def _report(
+    rig: Rig, line: Line, asked: Asked, model: SagModel | None, takes: list[FloatArray] | None, stage: Stage
+) -> dict[str, Any]:
+    """Run the experiment; its JSON, and its page where one is asked for."""
+    ways, ga = drawn_ways(rig, line, asked.seed), None
+    if takes:
+        ga, path = genetic(takes, rig, line, asked.via, asked.seed, asked.profile)
+        if asked.recordings:
+            ways = _held_as_taught(rig, line, path, ways)
+    budget = Budget(asked.rounds, asked.repeats, asked.seed, asked.tolerance_mm)
+    outcomes = experiment(rig, line, asked.via, budget, model, stage, ways)
+    if asked.report is not None:
+        page.write(
+            ExperimentReport(
+                from_m=line.A,
+                to_m=line.B,
+                outcomes=[drawn(rig, outcome) for outcome in outcomes],
+                best_cost_mm=[] if ga is None else ga["history"]["best_cost_mm"],
+                exact_mean_mm=None if ga is None else ga["exact_mean_error_mm"],
+                notes=(f"Arm {rig.arm.arm_id}, calibration {rig.arm.calibration_hash}.",),
+            ),
+            asked.report,
+        )
+    return {
+        **as_json(rig, line, outcomes, model),
+        "report": None if asked.report is None else str(asked.report),
+        "ga": ga,
+        "from_m": list(asked.from_m),
+        "to_m": list(asked.to_m),
+        "seed": asked.seed,
+    }
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How many runs an experiment may make."""
+
+    rounds: int
+    """Corrections at most; 0: the plain plan alone."""
+    repeats: int
+    """Runs of the plan that was kept last."""
+    seed: int
+    tolerance_mm: float = 1.0
+    """Mean error that `auto` asks for."""
+
+
+def experiment(
+    rig: Rig,
+    line: Line,
+    via: Sequence[Via],
+    budget: Budget,
+    model: SagModel | None,
+    stage: Stage = silent,
+    ways: FloatArray | None = None,
+) -> list[Outcome]:
+    """One outcome for each entry of `via`, in order.
+
+    Args:
+        ways: Joint positions along the line [rad], shape (ways, stations, n); None: they are drawn by the seed.
+    Raises:
+        RequestRefused: the line cannot be followed, or the arm stopped.
+    """
+    if ways is None:
+        ways = drawn_ways(rig, line, budget.seed)
+    outcomes = []
+    for wanted in via:
+        count = choose_via(rig, line, model, ways, budget.tolerance_mm) if wanted == "auto" else wanted
+        points = None if count == "stream" else int(count)
+        label = f"via {wanted}" if wanted != "auto" else f"via auto: {count}"
+        with stage(label, 1 + budget.rounds + budget.repeats) as show:
+            done = run_rounds(rig, line, points, budget, model, ways, show)
+            best = correction.best_of(done)
+            runs = []
+            for repeat in range(1, budget.repeats + 1):
+                runs.append(rig.run(best.plan))
+                show(1 + budget.rounds + repeat, f"repeat {repeat} of {budget.repeats}")
+        outcomes.append(Outcome(count, done, best, runs))
+    return outcomes
+
+
+def run_rounds(
+    rig: Rig,
+    line: Line,
+    via: int | None,
+    budget: Budget,
+    model: SagModel | None,
+    ways: FloatArray,
+    show: Progress = lambda _done, _note: None,
+) -> list[Round]:
+    """Round 0 and the corrected ones; via None is a goal every tick."""
+
+    def tell(done: Round) -> None:
+        show(done.number + 1, f"round {done.number}: {done.filtered_mm:.2f} mm")
+
+    rounds, seed = budget.rounds, budget.seed
+    before = correction.first_run(rig, courses(rig, line, via, None, ways), model, seed)
+    tell(before)
+    if rounds == 0:
+        return [replace(before, kept=True)]
+    if model is None:
+        return correction.refine(rig, before, rounds, tell)
+    first = correction.first_run(rig, courses(rig, line, via, model, ways), model, seed, 1)
+    tell(first)
+    if first.filtered_mm < before.filtered_mm:
+        return [before, *correction.refine(rig, first, rounds - 1, tell)]
+    # The model does harm: it is of another arm, or the arm has changed.
+    start, *later = correction.refine(rig, before, rounds - 1, tell)
+    return [start, first, *(replace(one, number=one.number + 1) for one in later)]
+
+
+def identified(rig: Rig, rounds: int, seed: int, stage: Stage = silent) -> SagModel | None:
+    """The sag model of the rig's arm; None if there are no rounds of correction, which alone need it.
+
+    Raises:
+        RequestRefused: the arm cannot run enough calibration lines, or stopped.
+    """
+    if not rounds:
+        return None
+    with stage("calibration lines", sag_identification.LINES) as show:
+        return sag_identification.identify(rig, np.random.default_rng(seed), show=lambda done: show(done, ""))
+
+
+def drawn_ways(rig: Rig, line: Line, seed: int) -> FloatArray:
+    """Joint positions along the line [rad], shape (ways, stations, n).
+
+    Raises:
+        RequestRefused: the line cannot be followed.
+    """
+    rng = np.random.default_rng(seed)
+    return line_paths(rig.arm, rig.robot, line.A, line.B, line.duration_s, rng, most=course.DRAWN_WAYS)
+
+
+def _held_as_taught(rig: Rig, line: Line, path: FloatArray, ways: FloatArray) -> FloatArray:
+    """The way whose posture is the recordings', put onto the line; shape (1, stations, n).
+
+    Raises:
+        RequestRefused: it does not reach all of the line.
+    """
+    s = np.linspace(0.0, 1.0, ways.shape[1])
+    q = columns_at(s, np.linspace(0.0, 1.0, len(path)), path)
+    limits = np.array([joint.limits_rad for joint in rig.arm.joints[: rig.robot.chain.n]])
+    way, missed = onto(rig.robot.chain, line.A + s[:, None] * (line.B - line.A), q, limits, 20)
+    if missed.max() > 1e-4:
+        raise RequestRefused("LINE", "the recordings' posture does not reach all of the line; record nearer to it")
+    return way[None]
+
+
+def choose_via(rig: Rig, line: Line, model: SagModel | None, ways: FloatArray, tolerance_mm: float) -> int:
+    """The fewest via points whose predicted error is within the tolerance; if none is, the most that are tried."""
+    chain = rig.robot.chain
+    for count in AUTO_VIA:
+        expected: Course = next(courses(rig, line, count, model, ways))
+        q = expected.expected_rad
+        # What whole ticks and friction leave at the tool, whatever the plan.
+        floor_mm = course.SERVO_ERROR_RAD * rms_lever_m(chain, q, line.A, line.B) * 1e3
+        if float(mean_error(tool_position(chain, q), line.A, line.B)) * 1e3 + floor_mm <= tolerance_mm:
+            return count
+    return AUTO_VIA[-1]
+
+
+def genetic(
+    takes: Sequence[FloatArray], rig: Rig, line: Line, via: Sequence[Via], seed: int, profile: Profile = "default"
+) -> tuple[dict[str, Any], FloatArray]:
+    """What the genetic algorithm makes of recorded candidates, and its path [rad], shape (stations, n).
+
+    Args:
+        profile: "paper": the paper's operators and order, its genes are recorded ones and stay so.
+    Raises:
+        RequestRefused: the recordings are unfit; every reason.
+    """
+    result = optimize(
+        takes,
+        rig.arm,
+        rig.robot,
+        OptimizeRequest(
+            from_m=tuple(line.A.tolist()),
+            to_m=tuple(line.B.tolist()),
+            via=tuple(sorted({count for count in via if isinstance(count, int)})),
+            duration_s=line.duration_s,
+            seed=seed,
+            settings=PROFILES[profile],
+            free=profile == "default",
+        ),
+    )
+    ga, exact = result.ga, result.exact
+    return {
+        "profile": profile,
+        "mean_error_mm": ga.path.mean_error_mm,
+        "max_error_mm": ga.path.max_error_mm,
+        "generations": ga.generations,
+        "evaluations": ga.evaluations,
+        "feasible": ga.path.feasible,
+        "exact_mean_error_mm": exact.mean_error_mm,
+        "gap_ratio": result.gap_ratio,
+        "history": {"best_cost_mm": list(ga.best_cost_mm)},
+        "baseline": [{"mean_error_mm": one.mean_error_mm, "max_error_mm": one.max_error_mm} for one in result.baseline],
+        "plans": [
+            {key: getattr(plan, key) for key in ("via", "predicted_mean_error_mm", "predicted_max_error_mm")}
+            for plan in result.plans
+        ],
+    }, ga.path.positions_rad[:, : rig.robot.chain.n]
+
+
+def guided_takes(rig: VirtualRig, line: Line, seed: int) -> list[FloatArray] | None:
+    """Recordings of the simulated hand that guides the limp arm along the line; None: it cannot reach all of it."""
+    try:
+        return [rig.teach(line.A, line.B, seed * 1000 + take) for take in range(TAKES)]
+    except UnreachableTarget:
+        return None
+
+
+def named_takes(config: Config, arm: ArmConfig, names: Sequence[str]) -> list[FloatArray]:
+    """Joint positions [rad] of the recordings of this arm, each shape (samples, joints).
+
+    Raises:
+        LogError: a recording cannot be read.
+        RequestRefused: a recording is another arm's; names each.
+    """
+    return [take.positions_rad for take in load_takes(arm, [_recording_path(config, name) for name in names])]
+
+
+def _recording_path(config: Config, name: str) -> Path:
+    """The file of a recording: a name with a slash is a path, any other names one of the daemon's recordings."""
+    return Path(name) if "/" in name else recordings.find(data_dir(config) / "recordings", name)
+
+
+def check_via(via: Sequence[Via]) -> None:
+    """
+    Raises:
+        RequestRefused: a number of via points is out of range.
+    """
+    reasons = [
+        f"{one} via points wanted; give 0 to {MOST_VIA}, auto or stream"
+        for one in via
+        if isinstance(one, int) and not 0 <= one <= MOST_VIA
+    ]
+    if reasons or not via:
+        raise RequestRefused("BAD_REQUEST", reasons or "no number of via points given")

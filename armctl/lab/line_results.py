@@ -1,0 +1,144 @@
+"""What a straight-line experiment found: as rows of numbers, and as a page draws it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.kinematics.chain import SerialChain, tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.lab import correction
+from armctl.lab.correction import Round
+from armctl.lab.course import Line, Via
+from armctl.lab.rig import Measured, Rig
+from armctl.lab.sag_model import SagModel
+from armctl.report.line import DrawnOutcome, LineRun
+from armctl.trajectory.line_path import levers_m
+from armctl.trajectory.plan import Plan, plan_positions
+
+PREDICTED_POINTS = 201
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one number of via points."""
+
+    via: Via
+    rounds: list[Round]
+    """Round 0 is before any correction."""
+    best: Round
+    runs: list[Measured]
+    """Of the plan that was kept last, run anew."""
+
+
+def row(line: Line, via: Via, rig: Rig, plan: Plan, runs: Sequence[Measured]) -> dict[str, Any]:
+    """One row of the experiment: means over the runs, and their spread."""
+    chain = rig.robot.chain
+    by_encoder = np.array([line.errors_mm(tool_position(chain, run.positions_rad[:, : chain.n])) for run in runs])
+    truths = [line.errors_mm(run.true_tool_m) for run in runs if run.true_tool_m is not None]
+
+    # Column by column: sums over rows of pairs would round otherwise.
+    def both(of: Callable[[FloatArray], Any], errors: FloatArray, prefix: str = "") -> dict[str, float]:
+        return {
+            f"{prefix}{name}_error_mm": float(of(column))
+            for name, column in zip(("mean", "max"), errors.T, strict=True)
+        }
+
+    result: dict[str, Any] = {
+        "via": via,
+        **both(np.mean, by_encoder),
+        "duration_s": float(np.mean([run.duration_s for run in runs])),
+        "truth": None,
+        "predicted_mean_error_mm": plan.predicted_mean_error_mm,
+        "predicted_max_error_mm": plan.predicted_max_error_mm,
+        "runs": len(runs),
+        "spread": both(np.std, by_encoder),
+        "recordings": [run.recording for run in runs if run.recording],
+    }
+    if truths:
+        true = np.array(truths)
+        result["truth"] = both(np.mean, true)
+        result["spread"] |= both(np.std, true, "true_")
+    return result
+
+
+def true_mm(measured: Measured, line: Line) -> tuple[float, float]:
+    """Mean and largest distance of the tool's real path from the line [mm]; known of a simulated arm only."""
+    assert measured.true_tool_m is not None
+    return line.errors_mm(measured.true_tool_m)
+
+
+def rms_lever_m(chain: SerialChain, q: FloatArray, A: FloatArray, B: FloatArray) -> float:
+    """How far the tool goes off the line AB for a turn of every joint by a radian at random, root mean square [m]."""
+    return float(np.sqrt((levers_m(chain, q, A, B) ** 2).sum(axis=-1).mean()))
+
+
+def unseen_mm(rig: Rig, plan: Plan) -> dict[str, float]:
+    """An estimate of what no encoder shows: how far zero offsets of up to half a tick, evenly spread, move the tool."""
+    chain = rig.robot.chain
+    q = np.array(plan.waypoints_rad)[:, : chain.n]
+    rms_mm = rms_lever_m(chain, q, np.array(plan.from_m), np.array(plan.to_m)) * 1e3
+    return {"zero_offset_mm": rms_mm * TICK_RAD / np.sqrt(12.0), "per_degree_mm": rms_mm * float(np.radians(1.0))}
+
+
+def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: SagModel | None) -> dict[str, Any]:
+    """The outcomes in the terms of `armctl experiment line --json`."""
+    most = max((outcome.rounds[-1].number for outcome in outcomes), default=0)
+    refined = [
+        {
+            "round": number,
+            "rows": [
+                row(line, outcome.via, rig, found.plan, found.runs)
+                | {"kept": found.kept, "filtered_mm": found.filtered_mm}
+                for outcome in outcomes
+                for found in outcome.rounds
+                if found.number == number
+            ],
+        }
+        for number in range(most + 1)
+    ]
+    return {
+        "rows": [row(line, one.via, rig, one.best.plan, one.runs or [one.best.measured]) for one in outcomes],
+        "before": refined[0]["rows"],
+        "refined": refined,
+        "sag_model": None if model is None else {"lines": model.lines, "residual_tick": list(model.residual_tick)},
+        "repeat_noise_mm": {str(one.via): correction.repeat_noise_mm(one.rounds) for one in outcomes},
+        "unseen": {str(one.via): unseen_mm(rig, one.best.plan) for one in outcomes},
+    }
+
+
+def drawn(rig: Rig, outcome: Outcome) -> DrawnOutcome:
+    """The outcome as a page draws it."""
+    rounds = [line_run(rig.robot.chain, outcome.via, one.plan, one.measured) for one in outcome.rounds]
+    runs = outcome.runs or [outcome.best.measured]
+    return DrawnOutcome(
+        via=outcome.via,
+        before=rounds[0],
+        runs=[line_run(rig.robot.chain, outcome.via, outcome.best.plan, run) for run in runs],
+        rounds=rounds,
+    )
+
+
+def line_run(chain: SerialChain, via: Via, plan: Plan, measured: Measured) -> LineRun:
+    """One execution of a plan as a page draws it."""
+
+    def tool_m(q: FloatArray) -> FloatArray:
+        return tool_position(chain, q[:, : chain.n])
+
+    time_s = measured.time_s
+    return LineRun(
+        via=via,
+        duration_s=measured.duration_s,
+        predicted_mean_mm=plan.predicted_mean_error_mm,
+        predicted_max_mm=plan.predicted_max_error_mm,
+        predicted_tool_m=tool_m(plan_positions(plan, np.linspace(0.0, plan.duration_s, PREDICTED_POINTS))),
+        via_tool_m=tool_m(np.array(plan.waypoints_rad)[1:-1]),
+        time_s=time_s,
+        positions_rad=measured.positions_rad,
+        goals_rad=plan_positions(plan, np.clip(time_s, 0.0, plan.duration_s)),
+        tool_m=tool_m(measured.positions_rad),
+        truth_time_s=measured.true_time_s,
+        truth_tool_m=measured.true_tool_m,
+    )

@@ -1,0 +1,99 @@
+"""One piece of a study's work: an arm, a line and all that may be varied. Cases share nothing: anybody may run one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.genetic.algorithm import DEFAULT, Settings
+from armctl.genetic.request import OptimizeRequest
+from armctl.genetic.straight_line import StraightLineResult, optimize
+from armctl.kinematics import robots
+from armctl.kinematics.transform import FloatArray
+from armctl.lab.course import Line, Via
+from armctl.lab.rig import VirtualRig
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import RANDOM_SPEC, ArmSpec
+from armctl.trajectory.placement import Objective
+from armctl.trajectory.plan import Plan
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What one worker gets. A study ignores the fields that it does not need."""
+
+    arm: ArmConfig
+    seed: int
+    """Draws the simulated arm and everything else that is random."""
+    from_m: tuple[float, float, float]
+    to_m: tuple[float, float, float]
+    via: tuple[Via, ...] = ()
+    duration_s: float = 5.0
+    rounds: int = 0
+    """Corrections at most."""
+    repeats: int = 1
+    """Runs of each final plan, or seeds of each setting of the genetic algorithm."""
+    period_s: float = 0.1
+    objective: Objective = "mix"
+    takes: tuple[FloatArray, ...] = ()
+    """Joint positions of each recording [rad], shape (samples, joints)."""
+    settings: Settings = DEFAULT
+    """Of the genetic algorithm."""
+    arms: int = 0
+    """How many simulated arms run what the genetic algorithm finds."""
+    plan: Plan | None = None
+    """Run as it stands, instead of a line that is corrected."""
+    spec: ArmSpec = RANDOM_SPEC
+    """What the simulated arm is drawn from."""
+    without: str | None = None
+    """The effect of the simulator that is switched off."""
+
+    @property
+    def line(self) -> Line:
+        return Line(np.array(self.from_m), np.array(self.to_m), self.duration_s, self.objective)
+
+    def rig(self) -> VirtualRig:
+        """The simulated arm of the seed, with torque on."""
+        return VirtualRig(SimulatedArm(self.arm, seed=self.seed, spec=self.spec), self.period_s)
+
+    def optimum(self, via: Sequence[int] = (), *, free: bool = False) -> StraightLineResult:
+        """What the genetic algorithm makes of the takes.
+
+        Args:
+            via: Numbers of via points that a plan is wanted for.
+            free: Whether genes may leave the recordings, and via points the path that was found.
+        Raises:
+            RequestRefused: the takes are unfit.
+        """
+        return optimize(
+            self.takes,
+            self.arm,
+            robots.get(self.arm.robot, self.arm.lengths_m),
+            OptimizeRequest(
+                from_m=self.from_m,
+                to_m=self.to_m,
+                via=tuple(via),
+                duration_s=self.duration_s,
+                seed=self.seed,
+                settings=self.settings,
+                objective=self.objective,
+                free=free,
+            ),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a case gave: rows of numbers, and what a page or file shows beside them."""
+
+    rows: list[Row]
+    evidence: Sequence[Any] = ()
+
+
+def all_rows(found: Sequence[Found]) -> list[Row]:
+    """Every row of several cases, in order."""
+    return [row for one in found for row in one.rows]

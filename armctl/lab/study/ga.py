@@ -1,0 +1,82 @@
+"""Settings of the genetic algorithm compared on the same recordings: population, crossover and mutation probability.
+
+Xiang et al. make this comparison by hand. Here every setting is run with several seeds, which gives the spread, and the
+exact optimum is computed as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from armctl.lab.study.case import Case, Found, Row
+
+SETTLED_SHARE = 1.01
+"""A run counts as settled from the generation on whose best cost is within 1 % of its last."""
+
+
+def every_setting(
+    case: Case, *, population: Sequence[int], pc: Sequence[float], pm: Sequence[float], repeats: int
+) -> list[Case]:
+    """Every combination, each with `repeats` seeds from the case's on; the seeds are the same for all of them.
+
+    Args:
+        pc, pm: Probabilities of crossover and mutation.
+    Raises:
+        ConfigError: a setting is out of range.
+    """
+    return [
+        replace(
+            case,
+            settings=replace(case.settings, population=P, crossover_probability=Pc, mutation_probability=Pm),
+            seed=case.seed + repeat,
+            repeats=repeats,
+            objective="mean",
+        )
+        for P, Pc, Pm in product(population, pc, pm)
+        for repeat in range(repeats)
+    ]
+
+
+def run(case: Case) -> Found:
+    """What one run of the genetic algorithm found.
+
+    Raises:
+        RequestRefused: the recordings are unfit.
+    """
+    result, settings = case.optimum(), case.settings
+    best = np.array(result.ga.best_cost_mm)
+    row = {
+        "population": settings.population,
+        "crossover_probability": settings.crossover_probability,
+        "mutation_probability": settings.mutation_probability,
+        "mean_error_mm": result.ga.mean_error_mm,
+        "gap_ratio": result.gap_ratio,
+        "feasible": result.feasible,
+        "settled_generation": int(np.argmax(best <= SETTLED_SHARE * best[-1])) + 1,
+        "exact_mean_error_mm": result.exact.mean_error_mm,
+    }
+    return Found([row])
+
+
+def over_seeds(rows: Sequence[Row], repeats: int) -> list[Row]:
+    """One row a setting, over its seeds; `rows` in the order of `every_setting`."""
+    result = []
+    for begin in range(0, len(rows), repeats):
+        some = rows[begin : begin + repeats]
+        errors = np.array([row["mean_error_mm"] for row in some])
+        result.append(
+            {
+                **{key: some[0][key] for key in ("population", "crossover_probability", "mutation_probability")},
+                "mean_error_mm": float(errors.mean()),
+                "spread_mm": float(errors.std()),
+                "best_mm": float(errors.min()),
+                "gap_ratio": float(np.mean([row["gap_ratio"] for row in some])),
+                "feasible": sum(row["feasible"] for row in some),
+                "settled_generation": float(np.mean([row["settled_generation"] for row in some])),
+                "exact_mean_error_mm": some[0]["exact_mean_error_mm"],
+                "repeats": len(some),
+            }
+        )
+    return result

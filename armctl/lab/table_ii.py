@@ -1,0 +1,171 @@
+"""Table II of Raharjo et al., made on simulated arms: experiments 1, 2, 3 move the tool from A to B by 0, 1, 2 points.
+
+Two ways. `run` does what the paper did: five recorded runs of a plan that goes through the points, joints interpolated,
+a servo reading each 100 ms; its genetic algorithm takes the five recordings as individuals. Nothing is corrected.
+`corrected` gives each experiment the time that the paper prints and measures the tool's true place, before and after
+the corrections that armctl learns. What the paper prints is `PRINTED`, in `report/line.py`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.genetic.algorithm import PAPER
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
+from armctl.lab.course import Line, line_plan
+from armctl.lab.line_experiment import Budget, experiment, genetic, guided_takes, identified
+from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.stage import Stage
+from armctl.lab.study.case import Case, Found
+from armctl.recording.disk import new_file
+from armctl.recording.export import missing_extra
+from armctl.report.line import PRINTED
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import RANDOM_SPEC
+from armctl.trajectory.interpolate import joint_path
+from armctl.trajectory.line_path import line_paths
+from armctl.trajectory.plan import Plan
+
+FROM_M = (0.18, -0.125, 0.10)
+TO_M = (0.18, 0.125, 0.10)
+"""A line of the paper's kind; the paper does not print its ends."""
+VIA = (0, 1, 2)
+"""Points on the line, by experiment."""
+RUNS = 5
+PERIOD_S = 0.1
+"""The paper's recorder wrote every 100 ms."""
+
+
+# --------------------------------------------------------------------------------------------------- as published
+
+
+def every_experiment(case: Case) -> list[Case]:
+    """The case as experiments 1, 2 and 3, with the paper's genetic algorithm and clock."""
+    paper = replace(case, settings=PAPER, objective="mean", period_s=PERIOD_S)
+    return [replace(paper, via=(via,)) for via in VIA]
+
+
+def run(case: Case) -> Found:
+    """One experiment as the paper made it: its row, and as evidence what was measured in each run.
+
+    Raises:
+        RequestRefused: the line cannot be followed, or the recordings are too far from it.
+    """
+    (via,) = case.via
+    assert isinstance(via, int)
+    rig = case.rig()
+    plan = through_points(rig, case)
+    runs = [rig.run(plan) for _ in range(RUNS)]
+    result = replace(case, takes=tuple(run.positions_rad for run in runs)).optimum()
+    recorded_mm = [take.mean_error_mm for take in result.baseline]
+    row = {
+        "experiment": via + 1,
+        "via": via,
+        "mean_error_mm": result.ga.mean_error_mm,
+        "max_error_mm": result.ga.path.max_error_mm,
+        "duration_s": float(np.mean([run.duration_s for run in runs])),
+        "recorded_mean_error_mm": float(np.mean(recorded_mm)),
+        "spread_mm": float(np.std(recorded_mm)),
+        "exact_mean_error_mm": result.exact.mean_error_mm,
+        "gap_ratio": result.gap_ratio,
+        "paper": PRINTED[via]._asdict(),
+    }
+    return Found([row], runs)
+
+
+def through_points(rig: VirtualRig, case: Case) -> Plan:
+    """A plan that passes the case's points on the line, joints interpolated linearly in between."""
+    (via,) = case.via
+    assert isinstance(via, int)
+    line, rng = case.line, np.random.default_rng(case.seed)
+    way = line_paths(case.arm, rig.robot, line.A, line.B, case.duration_s, rng, most=1)[0]
+    knots = np.linspace(0.0, 1.0, via + 2)
+    waypoints = np.tile([joint.rest_rad for joint in case.arm.joints], (len(knots), 1))
+    waypoints[:, : rig.robot.chain.n] = joint_path(way, np.linspace(0.0, 1.0, len(way)), knots, "cubic")
+    return line_plan(case.arm, line, waypoints, knots, "linear", case.seed)
+
+
+def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[Found]) -> None:
+    """The recorded angles in degrees, one sheet a recording, one row a sample, as an Excel file.
+
+    Raises:
+        LogError: the file exists or cannot be written.
+        ArmctlError: openpyxl is not installed; names the extra that brings it.
+    """
+    try:
+        import openpyxl
+    except ImportError:
+        raise missing_extra("Excel files", "openpyxl") from None
+    # The file first: a book whose sheets are begun has to be saved.
+    with new_file(path) as stream:
+        book = openpyxl.Workbook(write_only=True)
+        for found in experiments:
+            for number, run in enumerate(found.evidence, 1):
+                sheet = book.create_sheet(f"experiment {found.rows[0]['experiment']} run {number}")
+                sheet.append(["time_s", *(f"{name}_deg" for name in joint_names)])
+                degrees: FloatArray = np.degrees(run.positions_rad)
+                for time_s, angles in zip(run.time_s.tolist(), degrees.tolist(), strict=True):
+                    sheet.append([time_s, *angles])
+        book.save(stream)
+
+
+# ------------------------------------------------------------------------------------------------------ corrected
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """What a simulated arm did in the three experiments."""
+
+    arm_id: str
+    line: Line
+    takes_m: tuple[FloatArray, ...]
+    """Tool paths of the guided candidates."""
+    before: dict[int, Measured]
+    """By number of via points, before any correction."""
+    after: dict[int, list[Measured]]
+    ga: dict[str, Any] | None
+    ga_tool_m: FloatArray | None
+
+    def duration_s(self, via: int) -> float:
+        """Of the final plan, mean of its runs."""
+        return float(np.mean([run.duration_s for run in self.after[via]]))
+
+    def errors_mm(self, via: int, *, corrected: bool) -> tuple[float, float]:
+        """Mean and maximum distance of the tool's true place from the line [mm], averaged over runs."""
+        runs = self.after[via] if corrected else [self.before[via]]
+        found = [self.line.errors_mm(run.true_tool_m) for run in runs if run.true_tool_m is not None]
+        mean, most = np.array(found).mean(axis=0).tolist()
+        return mean, most
+
+
+def corrected(arm: ArmConfig, rounds: int, repeats: int, seed: int, stage: Stage) -> Corrected:
+    """Guide candidates, optimise them, run 0, 1 and 2 via points, correct, repeat; all in virtual time."""
+    rig = VirtualRig(SimulatedArm(arm, seed=seed, spec=RANDOM_SPEC), PERIOD_S)
+    lines = {via: Line(np.array(FROM_M), np.array(TO_M), PRINTED[via].duration_s) for via in VIA}
+    line = lines[VIA[0]]
+    with stage("002: guiding by hand", 1):
+        takes = guided_takes(rig, line, seed)
+    ga = path = None
+    if takes:
+        with stage("002: genetic algorithm", 1):
+            ga, path = genetic(takes, rig, line, VIA, seed)
+    model = identified(rig, rounds, seed, lambda label, total: stage(f"002: {label}", total))
+    before, after = {}, {}
+    for via in VIA:
+        (outcome,) = experiment(rig, lines[via], [via], Budget(rounds, repeats, seed), model, stage)
+        before[via], after[via] = outcome.rounds[0].measured, outcome.runs
+    chain = rig.robot.chain
+    return Corrected(
+        rig.arm.arm_id,
+        line,
+        tuple(tool_position(chain, take[:, : chain.n]) for take in takes or ()),
+        before,
+        after,
+        ga,
+        None if path is None else tool_position(chain, path),
+    )
