@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -111,18 +112,21 @@ def layer(module: str) -> int:
     return found[0] if found else 0
 
 
-def reached(module: str, imported: dict[str, set[str]] | None = None) -> set[str]:
-    """Every module of armctl that importing this one imports, directly or through others, packages included."""
-    imported = IMPORTED if imported is None else imported
+@functools.cache
+def reached(module: str, packages: bool = True) -> frozenset[str]:
+    """Every module of armctl that importing this one imports, directly or through others.
+
+    Args:
+        packages: Whether the packages count that a module lies in: they are imported with it.
+    """
     found: set[str] = set()
     waiting = [module]
     while waiting:
         name = waiting.pop()
-        if name in imported and name not in found:
+        if name in IMPORTED and name not in found:
             found.add(name)
-            parents = {name.rpartition(".")[0]} if "." in name else set()
-            waiting.extend(imported[name] | parents)
-    return found
+            waiting.extend(IMPORTED[name] | ({name.rpartition(".")[0]} if packages else set()))
+    return frozenset(found)
 
 
 IMPORTED = {module: imports(path) for module, path in MODULES.items()}
@@ -133,6 +137,25 @@ def test_imports_go_down_only(module: str) -> None:
     for name in IMPORTED[module]:
         if within(name, "armctl"):
             assert layer(name) <= layer(module), f"{module} imports {name}, which stands above it"
+
+
+def test_no_two_rooms_import_each_other() -> None:
+    """Not for types alone either: rooms of one layer may import in one direction."""
+    rooms = {
+        (module.split(".")[1], name.split(".")[1])
+        for module, names in IMPORTED.items()
+        for name in names
+        if name.startswith("armctl.") and "." in module
+    }
+    assert not [(room, other) for room, other in rooms if room < other and (other, room) in rooms]
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """Not for types alone either. A package may import its modules, which are imported through it."""
+    for module, names in IMPORTED.items():
+        for name in names & MODULES.keys():
+            back = not within(name, module) and not within(module, name) and module in reached(name, packages=False)
+            assert not back, f"{module} and {name} import each other"
 
 
 @pytest.mark.parametrize("module", sorted(name for name in MODULES if any(within(name, part) for part in PURE)))

@@ -1,0 +1,49 @@
+"""ARCHITECTURE.md is true where a machine can tell: every file and every name in it exists, every room stands in it."""
+
+import ast
+import re
+from pathlib import Path
+
+from tests.test_layers import LAYERS
+
+ROOT = Path(__file__).resolve().parent.parent
+TEXT = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+QUOTED = re.findall(r"`([^`\n]+)`", TEXT)
+TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / "armctl").rglob("*.py"))}
+NAMES = {
+    name
+    for tree in TREES.values()
+    for node in ast.walk(tree)
+    for name in (
+        getattr(node, "name", None),
+        getattr(node, "id", None),
+        getattr(node, "attr", None),
+        getattr(node, "arg", None),
+    )
+    if name
+}
+ELSEWHERE = {"ROWS", "NAME", "NAME_command", "SOCK_SEQPACKET", "SCHED_FIFO", "PYTHONPATH"}
+"""Of tests, of the system, or for a name to be chosen."""
+
+
+def exists(path: str) -> bool:
+    return any((folder / path).exists() for folder in (ROOT, ROOT / "armctl", ROOT / "armctl" / "sim"))
+
+
+def test_every_file_and_folder_that_it_names_is_there() -> None:
+    paths = [word for word in QUOTED if re.fullmatch(r"[\w./-]+(\.(py|md|yaml)|/)", word)]
+    assert len(paths) > 60
+    assert [path for path in paths if not exists(path)] == []
+
+
+def test_every_function_class_and_constant_that_it_names_is_there() -> None:
+    words = {word for quoted in QUOTED for word in re.findall(r"^(?:\w+\.)*(\w+)(?:\(.*\))?$", quoted)}
+    code = {word for word in words if "_" in word or (re.search(r"[A-Z]", word) and not word.isdigit())}
+    assert len(code) > 60
+    assert sorted(word for word in code if word not in NAMES | ELSEWHERE and not exists(word)) == []
+
+
+def test_every_room_stands_in_its_layer() -> None:
+    rows = re.findall(r"^\| (\d+) \| (.*?) \|", TEXT, flags=re.MULTILINE)
+    told = [{room.strip("`/") for room in rooms.split(", ")} for _, rooms in rows]
+    assert told == [set(layer) for layer in LAYERS if layer != ("__main__",)]
