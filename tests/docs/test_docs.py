@@ -112,7 +112,6 @@ def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stand]:
 
 
 @pytest.mark.pty
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize("topic", RUN_PAGES)
 def test_what_a_page_says_to_type_works(topic: str, stand: Stand) -> None:
     ran = 0
@@ -172,7 +171,6 @@ def test_what_readme_says_to_type_is_right() -> None:
 
 
 @pytest.mark.pty
-@pytest.mark.timeout(240)
 def test_the_five_minutes_of_readme_work_in_three_terminals_as_they_are_typed(stand: Stand) -> None:
     section = (
         (DOCS.parent.parent / "README.md").read_text().split("## Five minutes without an arm")[1].split("\n## ")[0]
