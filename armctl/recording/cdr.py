@@ -20,10 +20,10 @@ from armctl.errors import LogError
 from armctl.recording.schemas import MESSAGES, PRIMITIVES, Field, fields, parse_schema, short_name
 
 HEADER = b"\x00\x01\x00\x00"
+# Bounds for schemas that came with a file from elsewhere.
 MAX_DEPTH = 16
 MAX_NESTED = 1000
 MAX_FIELDS = 10_000
-"""Bounds for schemas that came with a file from elsewhere."""
 
 Value = dict[str, Any]
 _Place = tuple[int, str]  # which of the message's (flattened) dicts, and the key in it

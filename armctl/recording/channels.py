@@ -27,11 +27,11 @@ from armctl.messages import Event, Goal, JointTrajectory, Outputs, Run, Sample, 
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 
+# A tick that begins later than this is an overrun.
 OVERRUN_NS = 50_000_000
-"""A tick that begins later than this is an overrun."""
+# Who wrote a line of /rosout: the control step (repeated by replay) or the recorder.
 CONTROL = "armctl.control"
 RECORDING = "armctl.recording"
-"""Who wrote a line of /rosout: the control step (repeated by replay) or the recorder."""
 
 JOINT_STATES = "/joint_states"
 JOINT_COMMANDS = "/joint_commands"
@@ -76,6 +76,7 @@ class Topic:
         }
 
 
+# Every channel of a log, registered at the start of each file whether used or not.
 TOPICS: dict[str, Topic] = {
     topic.name: topic
     for topic in (
@@ -94,7 +95,6 @@ TOPICS: dict[str, Topic] = {
         Topic(ROBOT_DESCRIPTION, full_name("std_msgs/String"), latched=True),
     )
 }
-"""Every channel of a log, registered at the start of each file whether used or not."""
 
 
 @dataclass(frozen=True, slots=True)

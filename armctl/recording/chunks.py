@@ -25,13 +25,14 @@ from armctl.errors import LogError
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 2**20
 MAX_CHUNK_BYTES = 16 * 2**20
+# zstd level of a log while it is written: its chunks of a second are no smaller at 3, and take longer.
 LEVEL = 1
-"""zstd level of a log while it is written: its chunks of a second are no smaller at 3, and take longer."""
 RECORD = struct.Struct("<BQ")  # opcode, length
 CHUNK = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of the compression's name
 MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing enumeration members costs more than all the rest
 _ZSTD = b"zstd"
+# The groups of records that a file ends with, in their order.
 _SUMMARY = (
     Opcode.SCHEMA,
     Opcode.CHANNEL,
@@ -40,7 +41,6 @@ _SUMMARY = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
-"""The groups of records that a file ends with, in their order."""
 
 
 class ChunkWriter:
@@ -58,8 +58,8 @@ class ChunkWriter:
         self._stream, self._chunk_bytes = stream, chunk_bytes
         self._pack = MESSAGE.pack
         self._compress = zstandard.ZstdCompressor(level=level).compress
+        # Bytes written so far.
         self.offset = 0
-        """Bytes written so far."""
         self._summary: dict[Opcode, list[records.McapRecord]] = {opcode: [] for opcode in _SUMMARY}
         self._counts: dict[int, int] = {}
         self._body = bytearray()

@@ -21,11 +21,11 @@ from armctl.errors import LogError
 from armctl.recording.cdr import HEADER, MAX_DEPTH
 from armctl.recording.schemas import PRIMITIVES, fields
 
+# Bounds on what a topic may fall into; beyond them it is read message by message.
 MAX_COLUMNS = 15_000
 MAX_TABLES = 256
-"""Bounds on what a topic may fall into; beyond them it is read message by message."""
+# Longest text [bytes] that is looked at for being the same in every message.
 MAX_REPEATED = 64
-"""Longest text [bytes] that is looked at for being the same in every message."""
 
 IntArray = NDArray[np.int64]
 Column = NDArray[Any]
@@ -38,8 +38,8 @@ class Texts:
 
     _buffer: bytes
     _begin: IntArray
+    # In bytes; one number if they are all of one size.
     _size: int | IntArray
-    """In bytes; one number if they are all of one size."""
 
     def __len__(self) -> int:
         return len(self._begin)

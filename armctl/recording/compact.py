@@ -22,12 +22,12 @@ from armctl.recording.quota import stored_logs
 from armctl.recording.rewrite import Rewrite
 from armctl.recording.writer import LIBRARY, PROFILE
 
+# Metadata record of a file that needs no more compacting.
 COMPACTED = "compacted"
-"""Metadata record of a file that needs no more compacting."""
+# zstd level; above it the files hardly shrink and the time grows.
 LEVEL = 9
-"""zstd level; above it the files hardly shrink and the time grows."""
+# Of a chunk, inflated: the numbers of a moving arm come back after a while, and 1 MiB makes a file a fifth larger.
 CHUNK_BYTES = 4 * 2**20
-"""Of a chunk, inflated: the numbers of a moving arm come back after a while, and 1 MiB makes a file a fifth larger."""
 _UNFINISHED = ".compacting"
 _log = logging.getLogger(__name__)
 

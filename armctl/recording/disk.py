@@ -20,8 +20,8 @@ from pathlib import Path
 
 from armctl.errors import LogError
 
+# Ends the name of a log that is being written, or was when its writer died.
 PART = ".part"
-"""Ends the name of a log that is being written, or was when its writer died."""
 
 
 class PartInUse(LogError):

@@ -37,12 +37,12 @@ from armctl.recording.rewrite import Rewrite
 from armctl.recording.writer import LIBRARY, PROFILE
 
 TRIMMED = "trimmed"
+# Kept since the last keyframe, to compute the state at a cut; several times what stands between two keyframes.
 MAX_WARMUP_MESSAGES = 40_000
-"""Kept since the last keyframe, to compute the state at a cut; several times what stands between two keyframes."""
 PROGRESS_MESSAGES = 5000
 _LATCHED = tuple(topic.name for topic in TOPICS.values() if topic.latched)
+# Topics whose newest message goes on being true: what a file that begins in the middle must say first.
 _STANDING = (*_LATCHED, channels.DIAGNOSTICS)
-"""Topics whose newest message goes on being true: what a file that begins in the middle must say first."""
 _log = logging.getLogger(__name__)
 
 
@@ -54,8 +54,8 @@ class EditResult:
     messages: int
     duration_s: float
     damaged: int = 0
+    # Of a trimmed file, whether a replay begins with its first tick and not at a later keyframe.
     begins_with_state: bool | None = None
-    """Of a trimmed file, whether a replay begins with its first tick and not at a later keyframe."""
 
 
 Progress = Callable[[float], None]

@@ -33,8 +33,8 @@ Format = Literal["csv", "xlsx", "parquet"]
 Cell = bool | int | float | str | None
 Row = dict[str, Cell]
 
+# Rows of a sheet, its header included.
 EXCEL_ROWS = 1_048_576
-"""Rows of a sheet, its header included."""
 EXCEL_TEXT = 32_767
 BATCH_ROWS = 5000
 PROGRESS_ROWS = 2000
@@ -51,8 +51,8 @@ class ExportResult:
 
     paths: tuple[Path, ...]
     rows: dict[str, int]
+    # Whether the log was closed properly and nothing in it is damaged.
     complete: bool
-    """Whether the log was closed properly and nothing in it is damaged."""
 
 
 def export(
@@ -117,12 +117,12 @@ class _Table:
 
     def __init__(self, path: Path, name: str, show: Progress) -> None:
         self.name = name
+        # Rows given so far.
         self.count = 0
-        """Rows given so far."""
+        # Whether the log is; known when the rows are exhausted.
         self.complete = False
-        """Whether the log is; known when the rows are exhausted."""
+        # Every column that comes up, in the order in which they do, and the type that holds all its cells.
         self.columns: dict[str, type] = {}
-        """Every column that comes up, in the order in which they do, and the type that holds all its cells."""
         self.facts: dict[str, str] = {}
         self._path, self._show = path, show
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from armctl.clock import NS_PER_S
 from armctl.messages import TickRecord
 
+# Kept beyond those of the last `keep_s`; several times what stands between two keyframes.
 MAX_RECORDS = 2000
-"""Kept beyond those of the last `keep_s`; several times what stands between two keyframes."""
 
 
 @dataclass(frozen=True)

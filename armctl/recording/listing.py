@@ -22,8 +22,8 @@ from armctl.recording.recordings import Recording, load, take_files, take_name
 from armctl.trajectory.dead_time import moving_part
 from armctl.trajectory.straightness import max_error, mean_error
 
+# Ends closer than this make no line: their distance is rounding, not motion (a servo tick moves the tool far more).
 MIN_LINE_M = 1e-6
-"""Ends closer than this make no line: their distance is rounding, not motion (a servo tick moves the tool far more)."""
 Line = tuple[Sequence[float], Sequence[float]]
 _log = logging.getLogger(__name__)
 

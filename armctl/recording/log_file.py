@@ -32,14 +32,15 @@ from armctl.recording.columns import Payloads, Table
 from armctl.recording.schemas import parse_schema, short_name
 from armctl.recording.writer import SEED
 
+# What the chunks of a file may claim to inflate to: so much, and so many bytes for each of its own.
 FREE_BYTES = MAX_CHUNK_BYTES
 MAX_RATIO = 256
-"""What the chunks of a file may claim to inflate to: so much, and so many bytes for each of its own."""
 MAX_SEED_BYTES = 2**20
 MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**16
 MAX_CHUNK_NS = 3600 * NS_PER_S
 _CHUNK, _MESSAGE_INDEX, _DATA_END = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX), int(Opcode.DATA_END)
 _PRIVATE = 0x80
+# Records that are taken note of.
 _KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
     Opcode.HEADER: Header,
     Opcode.ATTACHMENT: Attachment,
@@ -47,7 +48,6 @@ _KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
 }
-"""Records that are taken note of."""
 _INDEX_LENGTH = struct.Struct("<I")
 _Entry = tuple[str, int, int, int, int]  # topic, log time, sequence, where the data begin and end in the chunk
 
@@ -74,10 +74,10 @@ class LogFile:
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
+        # Known when the messages are exhausted.
         self.complete = False
-        """Known when the messages are exhausted."""
+        # Places that had to be skipped so far.
         self.damaged = 0
-        """Places that had to be skipped so far."""
         self._end_ns = self._lost_ns = self._tail_ns = 0
         self._bridged = 0  # damaged places whose cost in log time is known
         self._kept = self._claimed = 0

@@ -26,8 +26,8 @@ class Player:
     loop: bool = False
     at_s: float = 0.0
     paused: bool = False
+    # Whether the viewer asked to leave.
     left: bool = False
-    """Whether the viewer asked to leave."""
 
     @property
     def ended(self) -> bool:

@@ -17,9 +17,9 @@ from pathlib import Path
 from armctl.config import LogConfig
 from armctl.recording.disk import DISK, Disk
 
+# What the names of logs and of snapshots begin with.
 LOG = "armctl"
 FAULT = "fault"
-"""What the names of logs and of snapshots begin with."""
 KEPT = 2
 _STAMP = re.compile(LOG + r"-(\d{8}T\d{6})Z(?:-\d+)?\.mcap")
 _log = logging.getLogger(__name__)
@@ -31,8 +31,8 @@ class StoredLog:
 
     path: Path
     size_bytes: int
+    # Epoch time in its name.
     begin_s: int
-    """Epoch time in its name."""
 
 
 def stored_logs(folder: Path) -> tuple[StoredLog, ...]:

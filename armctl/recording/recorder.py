@@ -29,10 +29,10 @@ from armctl.recording.rotation import LOG, SNAPSHOT, TAKE, Compactor, Files
 from armctl.recording.writer import LogContext
 
 QUEUE_RECORDS = 3000
+# From the beginning of one flush to the end of the next one.
 FLUSH_NS = 9 * NS_PER_S // 10
-"""From the beginning of one flush to the end of the next one."""
+# A flush that takes longer breaks the promise of one second, and becomes a `problem`.
 SLOW_NS = NS_PER_S
-"""A flush that takes longer breaks the promise of one second, and becomes a `problem`."""
 CLOSE_S = 2.0
 TAKE_END_S = 10.0
 _log = logging.getLogger(__name__)

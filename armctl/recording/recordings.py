@@ -34,8 +34,8 @@ class Recording:
     arm_id: str
     calibration_hash: str
     joint_names: tuple[str, ...]
+    # Epoch time of the first sample [ns].
     start_ns: int
-    """Epoch time of the first sample [ns]."""
     time_s: FloatArray
     positions_rad: FloatArray
     plan_s: tuple[float, float] | None

@@ -21,8 +21,8 @@ from armctl.recording.rewrite import Rewrite
 from armctl.recording.writer import LIBRARY, PROFILE
 
 BROKEN = ".broken"
+# Metadata record of a recovered file: what it was made from, and what was lost.
 RECOVERED = "recovered"
-"""Metadata record of a recovered file: what it was made from, and what was lost."""
 _UNFINISHED = ".recovering"
 _log = logging.getLogger(__name__)
 

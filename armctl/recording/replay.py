@@ -31,10 +31,10 @@ from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.log_file import LogFile, LogMessage
 
 PROGRESS_TICKS = 500
+# Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic.
 MERGED = "merged"
-"""Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic."""
+# Fields that the message of a servo and its `ServoReading` have in common.
 _READING = ("registers", "stamp_ns", "fresh", "error", "problem")
-"""Fields that the message of a servo and its `ServoReading` have in common."""
 _COMPARED = (
     channels.JOINT_STATES,
     channels.JOINT_COMMANDS,
@@ -56,8 +56,8 @@ class ReplayResult:
     seconds: float
     realtime_ratio: float
     first_mismatch: str
+    # Of the armctl that made the log: another one may decide otherwise.
     version: str
-    """Of the armctl that made the log: another one may decide otherwise."""
 
 
 class Step(Protocol):
@@ -76,8 +76,8 @@ class LogSetup:
     robot: Robot
     period_s: float
     anchor: Anchor
+    # Of the files that were merged behind the first one.
     later_anchors: tuple[Anchor, ...] = ()
-    """Of the files that were merged behind the first one."""
 
     def anchor_of(self, time_ns: int, epoch_ns: int) -> Anchor:
         """The anchor that gives a monotonic time its epoch time; the first one if none does."""
@@ -148,8 +148,8 @@ class Rerun:
     def __init__(self, log: LogFile, setup: LogSetup, step: Step = control_step) -> None:
         self.ticks = self.messages = self.mismatches = self.keyframes = self.duration_ns = 0
         self.first_mismatch = ""
+        # State after the last tick; None: not known.
         self.state: State | None = None
-        """State after the last tick; None: not known."""
         self._log, self._setup, self._step = log, setup, step
         self._last_tick: int | None = None
         self._last_ns = 0

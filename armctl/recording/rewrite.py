@@ -31,8 +31,8 @@ class Rewrite:
     """
 
     def __init__(self, log: LogFile, writer: McapWriter, name: str = "", facts: dict[str, str] | None = None) -> None:
+        # Written so far.
         self.messages = 0
-        """Written so far."""
         self._begin_ns, self._end_ns = 2**64, 0
         self._log, self._writer = log, writer
         self._channels: dict[str, int] = {}

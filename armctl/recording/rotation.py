@@ -29,8 +29,8 @@ from armctl.recording.history import History
 from armctl.recording.writer import LogContext, LogWriter
 
 RETRY_NS = 5 * NS_PER_S
+# A snapshot lasts no longer than so many times its ordinary length, however many faults follow each other.
 MAX_SNAPSHOT = 10
-"""A snapshot lasts no longer than so many times its ordinary length, however many faults follow each other."""
 CLOCK_STEP_NS = NS_PER_S // 2
 LOG, TAKE, SNAPSHOT = "log", "take", "snapshot"
 _log = logging.getLogger(__name__)
@@ -60,10 +60,10 @@ class Files:
         disk: Disk,
         compactor: Compactor,
     ) -> None:
+        # Why there is no log, or no take any more; for others too.
         self.log_problem = self.take_problem = ""
-        """Why there is no log, or no take any more; for others too."""
+        # Whether something was written since the last flush.
         self.written = False
-        """Whether something was written since the last flush."""
         self._context, self._folder = context, folder
         self._clock, self._wall_ns = clock, wall_ns
         self._disk, self._compactor = disk, compactor

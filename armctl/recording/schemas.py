@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from armctl.errors import LogError
 
+# struct format character of every fixed-size primitive.
 PRIMITIVES = {
     "bool": "?",
     "byte": "B",
@@ -25,8 +26,8 @@ PRIMITIVES = {
     "float32": "f",
     "float64": "d",
 }
-"""struct format character of every fixed-size primitive."""
 
+# Body of every message type by its short name, `package/Type`.
 MESSAGES: dict[str, str] = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
@@ -76,7 +77,6 @@ MESSAGES: dict[str, str] = {
         "bool inputs_only"
     ),
 }
-"""Body of every message type by its short name, `package/Type`."""
 
 _TYPE = re.compile(r"(?:[a-z][a-z0-9_]*/)?[A-Za-z][A-Za-z0-9]*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")

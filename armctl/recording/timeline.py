@@ -81,11 +81,11 @@ class Frame:
     voltage_V: list[float]
     temperature_degC: list[float]
     torque_enabled: list[bool]
+    # x, y, z [m] and the quaternion x, y, z, w.
     tool: tuple[float, ...]
-    """x, y, z [m] and the quaternion x, y, z, w."""
     state: str
+    # CODE: text; empty if there is none.
     fault: str
-    """CODE: text; empty if there is none."""
 
 
 @dataclass
@@ -225,8 +225,8 @@ class Timeline:
 
     path: Path
     arm: ArmConfig
+    # Epoch time of the first frame [ns].
     start_ns: int
-    """Epoch time of the first frame [ns]."""
     time_s: FloatArray
     tick: NDArray[np.int64]
     position_rad: FloatArray
@@ -262,8 +262,8 @@ class Timeline:
 
 
 _TYPES = {"time_ns": np.int64, "tick": np.int64, "torque_enabled": np.bool_}
+# What of a frame becomes an array, and its type.
 _ARRAYS = {f.name: _TYPES.get(f.name, np.float64) for f in fields(Frame) if f.name not in ("state", "fault")}
-"""What of a frame becomes an array, and its type."""
 
 
 def load(path: Path, progress: Callable[[float], None] | None = None) -> Timeline:

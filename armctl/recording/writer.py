@@ -36,8 +36,8 @@ from armctl.recording.templates import Encoded, TickEncoder
 
 LIBRARY = f"armctl {__version__}"
 PROFILE = "ros2"
+# Attachment: schemas, channels and everything of the metadata record, with a checksum over it.
 SEED = "armctl.json"
-"""Attachment: schemas, channels and everything of the metadata record, with a checksum over it."""
 DIAGNOSTICS_PERIOD_NS = NS_PER_S
 
 
@@ -50,8 +50,8 @@ class LogContext:
     config: Config
     port: str
     period_s: float
+    # Firmware versions of the servos in joint order; empty while they are not known.
     firmware: tuple[int, ...] = ()
-    """Firmware versions of the servos in joint order; empty while they are not known."""
 
 
 class LogWriter:
