@@ -17,10 +17,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO
-
-from mcap.records import Attachment
-from mcap.writer import CompressionType, Writer
 
 from armctl.clock import NS_PER_S
 from armctl.control.machine import State
@@ -29,7 +25,7 @@ from armctl.messages import to_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS
-from armctl.recording.chunks import CHUNK_BYTES
+from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PART, new_file
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.replay import MERGED, LogSetup, Rerun, log_setup
@@ -265,32 +261,15 @@ class _Before:
         return None if rerun.mismatches else rerun.state
 
 
-class _Writer:
-    """The mcap package's writer, called as ours is (see chunks.py): an edited file need not be flushed every second."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD)
-        self._writer.start(PROFILE, LIBRARY)
-        self.add_schema, self.add_channel = self._writer.register_schema, self._writer.register_channel
-        self.add_metadata, self.finish = self._writer.add_metadata, self._writer.finish
-
-    def add_attachment(self, attachment: Attachment) -> None:
-        a = attachment
-        self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
-
-    def add_message(self, channel_id: int, time_ns: int, sequence: int, data: bytes) -> None:
-        self._writer.add_message(channel_id, time_ns, data, time_ns, sequence)
-
-
 @contextmanager
 def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str]) -> Iterator[Rewrite]:
     """A new file that begins with the head of `log`; it ends with what else the last log has shown by then."""
     with new_file(out) as stream:
-        writer = _Writer(stream)
+        writer = ChunkWriter(stream, PROFILE, LIBRARY)
         rewrite = Rewrite(log, writer, name, facts)
         yield rewrite
         rewrite.keep()
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
 
 
 def _stamped(value: Value, epoch_ns: int) -> Value:

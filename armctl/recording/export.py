@@ -26,7 +26,7 @@ from armctl.errors import ArmctlError, LogError
 from armctl.recording import channels
 from armctl.recording.disk import new_file, writing
 from armctl.recording.edit import Progress, first_ns
-from armctl.recording.reader import LogFile
+from armctl.recording.log_file import LogFile
 from armctl.recording.timeline import Frame, Frames
 
 Format = Literal["csv", "xlsx", "parquet"]

@@ -21,21 +21,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.recording.cdr import Value
 from armctl.recording.channels import JOINT_STATES
 from armctl.recording.columns import Payloads, Table
-from armctl.recording.log_file import LogFile, LogMessage
-
-__all__ = [
-    "DecodedMessage",
-    "JointTrack",
-    "LogFile",
-    "LogInfo",
-    "LogMessage",
-    "info",
-    "joint_track",
-    "read",
-    "read_columns",
-    "read_topic",
-    "ticks",
-]
+from armctl.recording.log_file import LogFile
 
 
 class DecodedMessage(NamedTuple):

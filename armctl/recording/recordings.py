@@ -15,7 +15,8 @@ from armctl.errors import LogError
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.channels import CONTROL, JOINT_STATES, ROSOUT
 from armctl.recording.disk import PART, owned, publish, writing
-from armctl.recording.reader import LogFile, joint_track
+from armctl.recording.log_file import LogFile
+from armctl.recording.reader import joint_track
 from armctl.recording.recover import recover
 
 SUFFIX = ".mcap"

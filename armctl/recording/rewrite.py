@@ -1,26 +1,9 @@
 """A log's messages into a new file, byte for byte: what recovery, compaction, trimming and merging have in common."""
 
-from typing import Protocol
-
-from mcap.records import Attachment
-
 from armctl.clock import NS_PER_S
 from armctl.recording.cdr import Value
+from armctl.recording.chunks import ChunkWriter
 from armctl.recording.log_file import LogFile, LogMessage
-
-
-class McapWriter(Protocol):
-    """What writes the new file, record by record (see chunks.py)."""
-
-    def add_schema(self, name: str, encoding: str, data: bytes, /) -> int: ...
-
-    def add_channel(self, topic: str, encoding: str, schema_id: int, metadata: dict[str, str], /) -> int: ...
-
-    def add_attachment(self, attachment: Attachment, /) -> None: ...
-
-    def add_metadata(self, name: str, facts: dict[str, str], /) -> None: ...
-
-    def add_message(self, channel_id: int, time_ns: int, sequence: int, data: bytes, /) -> None: ...
 
 
 class Rewrite:
@@ -30,7 +13,7 @@ class Rewrite:
         name, facts: A metadata record that says what was done; the log's own of that name is not taken over.
     """
 
-    def __init__(self, log: LogFile, writer: McapWriter, name: str = "", facts: dict[str, str] | None = None) -> None:
+    def __init__(self, log: LogFile, writer: ChunkWriter, name: str = "", facts: dict[str, str] | None = None) -> None:
         # Written so far.
         self.messages = 0
         self._begin_ns, self._end_ns = 2**64, 0

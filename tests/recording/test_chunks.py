@@ -15,7 +15,7 @@ from mcap.records import Attachment
 from armctl.errors import LogError
 from armctl.recording import chunks
 from armctl.recording.chunks import CHUNK, CHUNK_BYTES, MAX_CHUNK_BYTES, ChunkWriter, inflate
-from armctl.recording.reader import LogFile
+from armctl.recording.log_file import LogFile
 
 
 def test_the_mcap_package_reads_what_was_written_and_seeks_in_it(tmp_path: Path) -> None:

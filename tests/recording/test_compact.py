@@ -14,7 +14,7 @@ from armctl.errors import LogError
 from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
 from armctl.recording.disk import Disk, PartInUse, owned
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.replay import check
 from proving.damage import chunk_places
 from proving.log_rig import repeated

@@ -19,7 +19,7 @@ from armctl.messages import TickRecord
 from armctl.recording import edit, reader, replay
 from armctl.recording.channels import Anchor
 from armctl.recording.edit import merge, trim
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.schemas import schema_text
 from armctl.recording.writer import LogContext
 from proving.damage import chunk_places

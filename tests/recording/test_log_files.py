@@ -25,7 +25,7 @@ from armctl.messages import Event, Inputs, Outputs
 from armctl.recording import reader, recordings
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PartInUse, publish
-from armctl.recording.reader import LogFile
+from armctl.recording.log_file import LogFile
 from armctl.recording.recover import recover, recover_folder
 from armctl.recording.replay import check, log_setup
 from armctl.recording.schemas import schema_text

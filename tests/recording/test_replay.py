@@ -12,7 +12,7 @@ from armctl.errors import LogError
 from armctl.messages import Hold, Inputs, Outputs, Release, Teach, TeachEnd
 from armctl.recording import reader, recordings, replay
 from armctl.recording.channels import Anchor
-from armctl.recording.reader import LogFile
+from armctl.recording.log_file import LogFile
 from armctl.recording.replay import LogSetup, Rerun, check, log_setup
 from tests.recording.factory import ANCHOR, ARM, PERIOD_S, ROBOT, RUN_SCRIPT, make_records, with_dropped
 from tests.recording.logs import recorder_lines, write

@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from armctl.recording import reader
 from armctl.recording.channels import CYCLE, JOINT_STATES, SERVOS
 from armctl.recording.columns import Texts
-from armctl.recording.reader import LogFile
+from armctl.recording.log_file import LogFile
 from tests.recording.hour import TICKS, hour_log
 
 NODE = Path(__file__).parent / "node"

@@ -15,7 +15,7 @@ from armctl.errors import LogError
 from armctl.messages import Fault, Mode
 from armctl.recording import timeline
 from armctl.recording.cdr import codec
-from armctl.recording.reader import LogFile
+from armctl.recording.log_file import LogFile
 from armctl.recording.replay import check
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records

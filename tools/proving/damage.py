@@ -20,7 +20,7 @@ from armctl.messages import TickRecord
 from armctl.recording.channels import Anchor
 from armctl.recording.chunks import CHUNK, RECORD
 from armctl.recording.disk import PART, Disk
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.recover import recover
 from armctl.recording.writer import LogWriter
 from proving.log_rig import log_context

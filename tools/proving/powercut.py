@@ -39,7 +39,7 @@ from armctl.messages import Fault, TickRecord
 from armctl.recording.channels import CYCLE, JOINT_COMMANDS, JOINT_STATES, SERVOS, TCP_POSE, TF
 from armctl.recording.compact import compact_folder
 from armctl.recording.disk import Disk
-from armctl.recording.reader import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.recorder import Recorder
 from armctl.recording.recover import recover_folder
 from armctl.recording.rotation import RETRY_NS
