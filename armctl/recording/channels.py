@@ -11,9 +11,11 @@ Rules.
 
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from functools import partial
+from itertools import chain
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from armctl.dynamixel import ax12a
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Event, Goal, JointTrajectory, Outputs, Run, Sample, TickRecord, ToolPose, to_json
+from armctl.messages import Event, JointTrajectory, Run, ServoReading, TickRecord, to_json
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 
@@ -47,6 +49,10 @@ DIAGNOSTICS = "/diagnostics"
 ROSOUT = "/rosout"
 ROBOT_DESCRIPTION = "/robot_description"
 
+# Fields that the message of a servo and its `ServoReading` have in common.
+READING = ("registers", "stamp_ns", "fresh", "error", "problem")
+# What /diagnostics says of each joint.
+_HEALTH = ("temperature_degC", "voltage_V", "load_ratio", "torque_enabled", "age_s")
 Message = tuple[str, Value]
 
 
@@ -113,10 +119,36 @@ class Anchor:
         return max(0, self.wall_ns + time_ns - self.monotonic_ns)
 
 
+class Row(NamedTuple):
+    """A message that comes every tick, as numbers: templates.py makes bytes of them without the message itself."""
+
+    topic: str
+    # Messages of one shape differ in their numbers alone.
+    shape: Hashable
+    # Behind the stamps, in the order of their fields; a uint8[] is one item, of bytes.
+    numbers: list[Any]
+    # The message, given its header.
+    value: Callable[[Value], Value]
+
+
+def row_message(row: Row, record: TickRecord, anchor: Anchor) -> Message:
+    """The message that a row of this tick stands for."""
+    return row.topic, row.value(_header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE))
+
+
 def input_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
     """What the control step saw in this tick: servos, then commands in their order. Its times are in the cycle."""
-    header = _header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE)
-    return [(SERVOS, _servos(header, record.inputs.sample, arm)), *command_messages(record)]
+    return [row_message(servos_row(record, arm), record, anchor), *command_messages(record)]
+
+
+def servos_row(record: TickRecord, arm: ArmConfig) -> Row:
+    """What every servo said."""
+    readings = record.inputs.sample.servos
+    numbers: list[Any] = []
+    for reading in readings:
+        numbers += (reading.servo_id, reading.fresh, reading.error, reading.stamp_ns, reading.registers)
+    shape = tuple([(reading.problem, len(reading.registers)) for reading in readings])
+    return Row(SERVOS, shape, numbers, partial(_servos, readings, arm.joint_names))
 
 
 def command_messages(record: TickRecord) -> list[Message]:
@@ -129,17 +161,32 @@ def command_messages(record: TickRecord) -> list[Message]:
 
 def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
     """What the control step said in this tick: the part of the log a replay can compute again."""
+    rows = output_rows(record, arm, robot)
+    return [row_message(row, record, anchor) for row in rows] + event_messages(record, anchor, arm)
+
+
+def output_rows(record: TickRecord, arm: ArmConfig, robot: Robot) -> list[Row]:
+    """Those outputs that come every tick: joints, and goal, frames and tool where there are some."""
     outputs = record.outputs
-    header = _header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE)
-    messages: list[Message] = [(JOINT_STATES, _joint_states(header, outputs, arm))]
-    if outputs.goal is not None:
-        messages.append((JOINT_COMMANDS, _joint_commands(header, outputs.goal, arm)))
-    if outputs.tool is not None:
+    known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
+    numbers = [
+        *[joint.position_rad for _, joint in known],
+        *[joint.velocity_rad_s for _, joint in known],
+        *[joint.load_ratio for _, joint in known],
+    ]
+    names = tuple([name for name, _ in known])
+    rows = [Row(JOINT_STATES, names, numbers, partial(_joints, names, numbers))]
+    if (goal := outputs.goal) is not None:
+        numbers = [joint.position_rad(tick) for joint, tick in zip(arm.joints, goal.ticks, strict=True)]
+        numbers += [speed * ax12a.SPEED_UNIT_RAD_S for speed in goal.speeds]
+        rows.append(Row(JOINT_COMMANDS, (), numbers, partial(_joints, arm.joint_names, numbers)))
+    if (tool := outputs.tool) is not None:
         q = np.array([joint.position_rad for joint in outputs.joints])
-        links = zip(moving_links(arm), moving_frames(arm, robot, q), strict=True)
-        messages.append((TF, {"transforms": [_transform(header, link, T) for link, T in links]}))
-        messages.append((TCP_POSE, _pose(header, outputs.tool)))
-    return messages + event_messages(record, anchor, arm)
+        frames = [_placing(T) for T in moving_frames(arm, robot, q)]
+        rows.append(Row(TF, (), [*chain.from_iterable(frames)], partial(_transforms, moving_links(arm), frames)))
+        placing = [*tool.position_m, *tool.quaternion]
+        rows.append(Row(TCP_POSE, (), placing, partial(_pose, placing)))
+    return rows
 
 
 def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
@@ -161,14 +208,13 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
 
 def cycle_message(record: TickRecord, anchor: Anchor, *, inputs_only: bool = False) -> Message:
     """How the tick went; the last message of every tick."""
-    header = _header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE)
-    return CYCLE, {"header": header, **cycle_numbers(record, inputs_only=inputs_only)}
+    return row_message(cycle_row(record, inputs_only=inputs_only), record, anchor)
 
 
-def cycle_numbers(record: TickRecord, *, inputs_only: bool = False) -> Value:
-    """The fields of a cycle behind its header, in the order of their declaration."""
+def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
+    """How the tick went; the fields are in the order of their declaration."""
     inputs, sample = record.inputs, record.inputs.sample
-    return {
+    fields = {
         "tick": inputs.tick,
         "now_ns": inputs.now_ns,
         "time_ns": sample.time_ns,
@@ -182,6 +228,7 @@ def cycle_numbers(record: TickRecord, *, inputs_only: bool = False) -> Value:
         "port_open": sample.port_open,
         "inputs_only": inputs_only,
     }
+    return Row(CYCLE, (), [*fields.values()], lambda header: {"header": header, **fields})
 
 
 def tick_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
@@ -196,7 +243,9 @@ def tick_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Rob
 def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:
     """The frames that do not move against a link, once for a file."""
     frames = fixed_frames(arm, robot)
-    return TF_STATIC, {"transforms": [_transform(_header(epoch_ns, parent), child, T) for parent, child, T in frames]}
+    return TF_STATIC, {
+        "transforms": [_transform(_header(epoch_ns, parent), child, _placing(T)) for parent, child, T in frames]
+    }
 
 
 def string_message(topic: str, text: str) -> Message:
@@ -218,13 +267,7 @@ def diagnostics(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Message:
         )
     ]
     for config, joint, reading in zip(arm.joints, outputs.joints, sample.servos, strict=True):
-        values: dict[str, object] = {
-            "temperature_degC": joint.temperature_degC,
-            "voltage_V": joint.voltage_V,
-            "load_ratio": joint.load_ratio,
-            "torque_enabled": joint.torque_enabled,
-            "age_s": joint.age_s,
-        }
+        values = {key: getattr(joint, key) for key in _HEALTH}
         errors = " ".join(ax12a.ErrorBit.names(reading.error)) if reading.error else ""
         message = reading.problem or errors or "ok"
         level = 3 if not joint.known else 1 if message != "ok" else 0
@@ -280,25 +323,10 @@ def _header(epoch_ns: int, frame_id: str) -> Value:
     return {"stamp": _stamp(epoch_ns), "frame_id": frame_id}
 
 
-def _joint_states(header: Value, outputs: Outputs, arm: ArmConfig) -> Value:
-    known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
-    return {
-        "header": header,
-        "name": [name for name, _ in known],
-        "position": [joint.position_rad for _, joint in known],
-        "velocity": [joint.velocity_rad_s for _, joint in known],
-        "effort": [joint.load_ratio for _, joint in known],
-    }
-
-
-def _joint_commands(header: Value, goal: Goal, arm: ArmConfig) -> Value:
-    return {
-        "header": header,
-        "name": list(arm.joint_names),
-        "position": [joint.position_rad(tick) for joint, tick in zip(arm.joints, goal.ticks, strict=True)],
-        "velocity": [speed * ax12a.SPEED_UNIT_RAD_S for speed in goal.speeds],
-        "effort": [],
-    }
+def _joints(names: Sequence[str], numbers: list[float], header: Value) -> Value:
+    n = len(names)
+    values = {"position": numbers[:n], "velocity": numbers[n : 2 * n], "effort": numbers[2 * n :]}
+    return {"header": header, "name": list(names), **values}
 
 
 def _axes(values: Iterable[float]) -> Value:
@@ -306,34 +334,30 @@ def _axes(values: Iterable[float]) -> Value:
     return dict(zip("xyzw", values, strict=False))
 
 
-def _transform(header: Value, child: str, T: FloatArray) -> Value:
-    return {
-        "header": header,
-        "child_frame_id": child,
-        "transform": {"translation": _axes(T[:3, 3].tolist()), "rotation": _axes(quaternion_from_matrix(T[:3, :3]))},
-    }
+def _placing(T: FloatArray) -> list[float]:
+    """x, y, z [m] and the quaternion x, y, z, w of a frame."""
+    return [*T[:3, 3].tolist(), *quaternion_from_matrix(T[:3, :3])]
 
 
-def _pose(header: Value, tool: ToolPose) -> Value:
-    return {"header": header, "pose": {"position": _axes(tool.position_m), "orientation": _axes(tool.quaternion)}}
+def _transform(header: Value, child: str, placing: list[float]) -> Value:
+    transform = {"translation": _axes(placing[:3]), "rotation": _axes(placing[3:])}
+    return {"header": header, "child_frame_id": child, "transform": transform}
 
 
-def _servos(header: Value, sample: Sample, arm: ArmConfig) -> Value:
-    return {
-        "header": header,
-        "servos": [
-            {
-                "id": reading.servo_id,
-                "name": name,
-                "fresh": reading.fresh,
-                "error": reading.error,
-                "problem": reading.problem,
-                "stamp_ns": reading.stamp_ns,
-                "registers": reading.registers,
-            }
-            for name, reading in zip(arm.joint_names, sample.servos, strict=True)
-        ],
-    }
+def _transforms(links: Sequence[str], frames: list[list[float]], header: Value) -> Value:
+    return {"transforms": [_transform(header, link, placing) for link, placing in zip(links, frames, strict=True)]}
+
+
+def _pose(placing: list[float], header: Value) -> Value:
+    return {"header": header, "pose": {"position": _axes(placing[:3]), "orientation": _axes(placing[3:])}}
+
+
+def _servos(readings: Sequence[ServoReading], names: Sequence[str], header: Value) -> Value:
+    servos = [
+        {"id": reading.servo_id, "name": name, **{key: getattr(reading, key) for key in READING}}
+        for name, reading in zip(names, readings, strict=True)
+    ]
+    return {"header": header, "servos": servos}
 
 
 def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig) -> Value:

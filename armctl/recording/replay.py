@@ -33,8 +33,6 @@ from armctl.recording.log_file import LogFile, LogMessage
 PROGRESS_TICKS = 500
 # Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic.
 MERGED = "merged"
-# Fields that the message of a servo and its `ServoReading` have in common.
-_READING = ("registers", "stamp_ns", "fresh", "error", "problem")
 _COMPARED = (
     channels.JOINT_STATES,
     channels.JOINT_COMMANDS,
@@ -225,7 +223,7 @@ class Rerun:
         if ids != self._setup.arm.servo_ids:
             raise LogError(f"{self._log.path}: servos {ids} in a log of an arm with {self._setup.arm.servo_ids}")
         readings = tuple(
-            ServoReading(servo["id"], **{key: servo[key] for key in _READING}) for servo in servos["servos"]
+            ServoReading(servo["id"], **{key: servo[key] for key in channels.READING}) for servo in servos["servos"]
         )
         sample = Sample(cycle["time_ns"], readings, **{key: cycle[key] for key in ("bus_us", "retries", "port_open")})
         commands = tuple(
