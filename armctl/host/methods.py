@@ -21,7 +21,7 @@ from armctl.host.reach import reach
 from armctl.host.server import Connection, Method
 from armctl.host.transfer import transfer
 from armctl.recording import recordings
-from armctl.recording.listing import describe, listing
+from armctl.recording.recordings import describe, listing
 from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan

@@ -49,7 +49,6 @@ _KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
     Opcode.CHANNEL: Channel,
 }
 _INDEX_LENGTH = struct.Struct("<I")
-_Entry = tuple[str, int, int, int, int]  # topic, log time, sequence, where the data begin and end in the chunk
 
 
 class LogMessage(NamedTuple):
@@ -142,16 +141,15 @@ class LogFile:
             LogError: the file claims to inflate to more than is ever read (rule 4).
         """
         for chunk in self._chunks():
-            for topic, time_ns, sequence, begin, end in self._split(chunk, topics):
-                yield LogMessage(topic, time_ns, sequence, chunk[begin:end])
+            yield from self._split(chunk, topics)
 
     def payloads(self, topics: Collection[str] | None = None) -> dict[str, Payloads]:
         """The same messages by topic, as lists of bytes."""
         found: dict[str, Payloads] = {}
         for chunk in self._chunks():
             at = self._sort(chunk, topics, found)
-            for topic, time_ns, sequence, begin, end in self._split(chunk, topics, at):
-                found.setdefault(topic, Payloads()).add(time_ns, sequence, chunk[begin:end])
+            for message in self._split(chunk, topics, at):
+                found.setdefault(message.topic, Payloads()).add(*message[1:])
         return found
 
     def tables(self, topic: str, payloads: Payloads) -> tuple[Table, ...]:
@@ -344,12 +342,12 @@ class LogFile:
             at = end
         return at
 
-    def _split(self, chunk: bytes, topics: Collection[str] | None, at: int = 0) -> list[_Entry]:
+    def _split(self, chunk: bytes, topics: Collection[str] | None, at: int = 0) -> Iterator[LogMessage]:
         """The messages of a chunk from `at` on; what else stands in it is taken note of."""
         size = len(chunk)
         padded = chunk + bytes(MESSAGE.size) if at < size else b""  # so that a short last record unpacks, too
         unpack, head = MESSAGE.unpack_from, MESSAGE.size
-        names, entries, damaged = self._names(), list[_Entry](), self.damaged
+        names, damaged = self._names(), self.damaged
         first_ns = last_ns = 0
         while at < size:
             opcode, length, number, sequence, time_ns, _ = unpack(padded, at)
@@ -367,13 +365,12 @@ class LogFile:
             else:
                 first_ns, last_ns = first_ns or time_ns, time_ns
                 if topics is None or name in topics:
-                    entries.append((name, time_ns, sequence, at + head, end))
+                    yield LogMessage(name, time_ns, sequence, chunk[at + head : end])
             at = end
         if last_ns:
             if damaged > self._bridged and self._end_ns:
                 self._lost_ns += max(0, first_ns - self._end_ns)
             self._end_ns, self._tail_ns, self._bridged = last_ns, 0, self.damaged
-        return entries
 
     def _names(self) -> dict[int, str]:
         return {channel.id: channel.topic for channel in self.channels.values()}

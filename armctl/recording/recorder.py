@@ -66,15 +66,17 @@ class Recorder:
         # Shared with the thread, under the condition's lock.
         self._condition = threading.Condition()
         self._queue: deque[TickRecord | Callable[[], None]] = deque()
-        self._dropped = self._dropped_total = 0
+        self._dropped = 0
+        # Ticks lost since the start because the queue was full.
+        self.dropped_records = 0
         self._closing = False
         # The thread's own.
         compactor = compactor or Compaction()
         self._files = Files(context, log_dir, clock=self._clock, wall_ns=wall_ns, disk=disk, compactor=compactor)
         self._flushed_ns, self._flush_took_ns = self._clock.now_ns(), 0
         self._slow_problem = ""
-        # The caller's own.
-        self._take_path: Path | None = None
+        # The caller's own: final name of the take being recorded.
+        self.take_path: Path | None = None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -84,27 +86,17 @@ class Recorder:
         return self._files.log_problem or self._files.take_problem or self._slow_problem
 
     @property
-    def dropped_records(self) -> int:
-        """Ticks lost since the start because the queue was full."""
-        return self._dropped_total
-
-    @property
     def log_path(self) -> Path | None:
         """Final name of the log being written; None while there is none."""
         log = self._files.log
         return None if log is None else log.path
-
-    @property
-    def take_path(self) -> Path | None:
-        """Final name of the take being recorded; None while there is none."""
-        return self._take_path
 
     def put(self, record: TickRecord) -> None:
         """Record one tick. Never blocks."""
         with self._condition:
             if len(self._queue) >= self._queue_records:
                 self._dropped += 1
-                self._dropped_total += 1
+                self.dropped_records += 1
                 return
             if self._dropped:
                 record, self._dropped = replace(record, dropped=record.dropped + self._dropped), 0
@@ -125,14 +117,14 @@ class Recorder:
             LogError: the name is not acceptable or taken, a take is being recorded, or it cannot be written.
         """
         path = take_path(self._recordings_dir, name)
-        if self._take_path is not None:
-            raise LogError(f"take {name}: {self._take_path.stem} is being recorded; end it first")
+        if self.take_path is not None:
+            raise LogError(f"take {name}: {self.take_path.stem} is being recorded; end it first")
         if self._files.log_problem:
             raise LogError(f"take {name}: cannot be recorded now: {self._files.log_problem}")
         take = self._files.new_take(path)
         self._files.take_problem = ""
         self._put(partial(self._files.begin_take, take))
-        self._take_path = path
+        self.take_path = path
         return path
 
     def end_take(self) -> Path | None:
@@ -141,7 +133,7 @@ class Recorder:
         Raises:
             LogError: it could not be completed; what was written is kept as a part.
         """
-        path, self._take_path = self._take_path, None
+        path, self.take_path = self.take_path, None
         if path is None:
             return None
         done = threading.Event()

@@ -4,7 +4,7 @@ Rules.
 1. A log is rotated when it is old or large enough (`LogConfig`): the next record begins another one, and the
    finished one is compacted (compact.py). The oldest logs are deleted when all of them take too much (quota.py).
 2. A file that fails is abandoned and the others go on. A log is tried again every `RETRY_NS`.
-3. Every file can be replayed alone: the newest ticks back to a keyframe (history.py) are handed to each one.
+3. Every file can be replayed alone: the newest ticks back to a keyframe (`History`) are handed to each one.
 4. Around a fault a snapshot is kept beside the log; no bound on the logs deletes it.
 
 Everything here runs in the recorder's thread (recorder.py), but for what its docstring says is for others.
@@ -13,6 +13,7 @@ Everything here runs in the recorder's thread (recorder.py), but for what its do
 import errno
 import logging
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import chain, count
@@ -25,14 +26,16 @@ from armctl.messages import Connected, Event, TickRecord
 from armctl.recording import quota
 from armctl.recording.channels import Anchor
 from armctl.recording.disk import PART, Disk
-from armctl.recording.history import History
 from armctl.recording.writer import LogContext, LogWriter
 
 RETRY_NS = 5 * NS_PER_S
 # A snapshot lasts no longer than so many times its ordinary length, however many faults follow each other.
 MAX_SNAPSHOT = 10
+# Ticks kept beyond those of the last `keep_s`; several times what stands between two keyframes.
+MAX_RECORDS = 2000
 CLOCK_STEP_NS = NS_PER_S // 2
 LOG, TAKE, SNAPSHOT = "log", "take", "snapshot"
+Ticks = tuple[TickRecord, ...]
 _log = logging.getLogger(__name__)
 
 
@@ -40,6 +43,43 @@ class Compactor(Protocol):
     """Compacts the finished logs of a folder, some time."""
 
     def start(self, folder: Path) -> None: ...
+
+
+class History:
+    """The latest ticks, for files that begin with something that happened before them.
+
+    A file replays alone if it begins with a keyframe and the inputs of every tick since; a snapshot of a fault wants
+    the ticks before the fault as well. So the history reaches back to the newest keyframe older than `keep_s`.
+    """
+
+    def __init__(self, keep_s: float, period_s: float) -> None:
+        self._keep_ns = round(keep_s * NS_PER_S)
+        self._records: deque[TickRecord] = deque(maxlen=MAX_RECORDS + round(keep_s / period_s))
+
+    def add(self, record: TickRecord) -> None:
+        """The newest tick."""
+        self._records.append(record)
+        if not record.keyframe:
+            return
+        begin_ns = record.inputs.sample.time_ns - self._keep_ns
+        older = [i for i, old in enumerate(self._records) if old.keyframe and old.inputs.sample.time_ns <= begin_ns]
+        for _ in range(older[-1] if older else 0):
+            self._records.popleft()
+
+    def beginning(self, begin_ns: int | None = None) -> tuple[str, Ticks, Ticks]:
+        """What a file begins with: a keyframe (empty: none is known), ticks for replay alone, ticks of its own.
+
+        Args:
+            begin_ns: The file's own ticks are those since then (monotonic); None: those from now on.
+        """
+        records = tuple(self._records)
+        first = len(records)
+        while begin_ns is not None and first > 0 and records[first - 1].inputs.sample.time_ns >= begin_ns:
+            first -= 1
+        for index in range(first - 1, -1, -1):
+            if records[index].keyframe:
+                return records[index].keyframe, records[index + 1 : first], records[first:]
+        return "", (), records[first:]
 
 
 class Files:
@@ -90,8 +130,8 @@ class Files:
 
     def begin_take(self, take: LogWriter) -> None:
         """Record into the take as well from now on."""
-        beginning = self._history.beginning()
-        take.begin(beginning.keyframe, beginning.inputs_only)
+        keyframe, inputs_only, _ = self._history.beginning()
+        take.begin(keyframe, inputs_only)
         self._open[TAKE] = take
 
     def note(self, topic: str, text: str, time_ns: int) -> None:
@@ -198,24 +238,22 @@ class Files:
             if SNAPSHOT in self._open:
                 self._abandon(SNAPSHOT, error)
 
-    def _begin(
-        self, kind: str, stem: str, previous: str, anchor: Anchor, begin_ns: int | None = None
-    ) -> tuple[TickRecord, ...]:
+    def _begin(self, kind: str, stem: str, previous: str, anchor: Anchor, begin_ns: int | None = None) -> Ticks:
         """Open a file beside the logs; returns the ticks since `begin_ns`, which are to be written to it."""
         names = chain((f"{stem}.mcap",), (f"{stem}-{number}.mcap" for number in count(2)))
         paths = (self._folder / name for name in names)
         path = next(path for path in paths if not path.exists() and not path.with_name(path.name + PART).exists())
-        beginning = self._history.beginning(begin_ns)
+        keyframe, inputs_only, records = self._history.beginning(begin_ns)
         self._open[kind] = LogWriter(
             path,
             self._context,
-            keyframe=beginning.keyframe,
+            keyframe=keyframe,
             previous=previous,
             anchor=anchor,
-            inputs_only=beginning.inputs_only,
+            inputs_only=inputs_only,
             disk=self._disk,
         )
-        return beginning.records
+        return records
 
     # ------------------------------------------------------------------------------------------ failures
 

@@ -88,13 +88,6 @@ class Frame:
     fault: str
 
 
-@dataclass
-class _Tick:
-    servos: Value | None = None
-    joints: Value | None = None
-    tool: tuple[float, ...] = _UNKNOWN_TOOL
-
-
 class Frames:
     """The frames of an open log in file order; what happened, and what was commanded, collects on the way.
 
@@ -108,7 +101,8 @@ class Frames:
         self.motions: list[Motion] = []
         self._log = log
         self._state = self._fault = ""
-        self._tick = _Tick()
+        # Servos, joints and tool of the tick that is not over yet, by topic.
+        self._tick: dict[str, Any] = {}
         self._run: Motion | None = None
 
     def __iter__(self) -> Iterator[Frame]:
@@ -126,24 +120,25 @@ class Frames:
         """One message; the frame, if a tick ends with it."""
         topic, tick = message.topic, self._tick
         if topic == channels.SERVOS:
-            self._tick = _Tick(servos=value)
+            self._tick = {topic: value}
         elif topic == channels.JOINT_STATES:
-            tick.joints = value
+            tick[topic] = value
         elif topic == channels.TCP_POSE:
             position, turn = value["pose"]["position"], value["pose"]["orientation"]
-            tick.tool = (*(position[axis] for axis in "xyz"), *(turn[axis] for axis in "xyzw"))
+            tick[topic] = (*(position[axis] for axis in "xyz"), *(turn[axis] for axis in "xyzw"))
         elif topic == channels.DIAGNOSTICS:
             self._diagnosed(value)
         elif topic == channels.CYCLE:
-            self._tick = _Tick()
-            if not value["inputs_only"] and tick.servos is not None and tick.joints is not None:
-                return self._frame(message.log_time_ns, value["tick"], tick, tick.servos, tick.joints)
+            self._tick = {}
+            if not value["inputs_only"] and tick.keys() >= {channels.SERVOS, channels.JOINT_STATES}:
+                return self._frame(message.log_time_ns, value["tick"], tick)
         else:
             self._happened(message, value)
         return None
 
-    def _frame(self, time_ns: int, number: int, tick: _Tick, servos: Value, joints: Value) -> Frame:
-        registers = [servo["registers"] for servo in servos["servos"]]
+    def _frame(self, time_ns: int, number: int, tick: dict[str, Any]) -> Frame:
+        joints = tick[channels.JOINT_STATES]
+        registers = [servo["registers"] for servo in tick[channels.SERVOS]["servos"]]
         names = self.arm.joint_names
         if len(registers) != len(names):
             raise ValueError(f"{len(registers)} servos, the arm has {len(names)}")
@@ -165,7 +160,7 @@ class Frames:
             voltage_V=[block[_VOLTAGE] / 10.0 if block else math.nan for block in registers],
             temperature_degC=[float(block[_TEMPERATURE]) if block else math.nan for block in registers],
             torque_enabled=torque,
-            tool=tick.tool,
+            tool=tick.get(channels.TCP_POSE, _UNKNOWN_TOOL),
             state=self._state,
             fault=self._fault,
         )

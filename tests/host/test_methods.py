@@ -19,8 +19,7 @@ from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress
 from armctl.host.methods import Methods
 from armctl.host.server import Connection
-from armctl.recording.listing import describe
-from armctl.recording.recordings import Recording, load
+from armctl.recording.recordings import Recording, describe, load
 from tests.genetic import hand
 from tests.host.doubles import MemoryRecorder, write_take
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from armctl.kinematics import robots
 from armctl.messages import Event
 from armctl.recording import recordings
-from armctl.recording.listing import describe, listing
+from armctl.recording.recordings import describe, listing
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records
 

@@ -7,7 +7,7 @@ import pytest
 
 from armctl.errors import LogError
 from armctl.recording import recordings
-from armctl.recording.listing import listing
+from armctl.recording.recordings import listing
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records
 from tests.recording.logs import write
