@@ -136,11 +136,6 @@ def row_message(row: Row, record: TickRecord, anchor: Anchor) -> Message:
     return row.topic, row.value(_header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE))
 
 
-def input_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
-    """What the control step saw in this tick: servos, then commands in their order. Its times are in the cycle."""
-    return [row_message(servos_row(record, arm), record, anchor), *command_messages(record)]
-
-
 def servos_row(record: TickRecord, arm: ArmConfig) -> Row:
     """What every servo said."""
     readings = record.inputs.sample.servos
@@ -206,13 +201,8 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
     return messages
 
 
-def cycle_message(record: TickRecord, anchor: Anchor, *, inputs_only: bool = False) -> Message:
-    """How the tick went; the last message of every tick."""
-    return row_message(cycle_row(record, inputs_only=inputs_only), record, anchor)
-
-
 def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
-    """How the tick went; the fields are in the order of their declaration."""
+    """How the tick went, and the times of its inputs; the last message of every tick."""
     inputs, sample = record.inputs, record.inputs.sample
     fields = {
         "tick": inputs.tick,
@@ -234,9 +224,10 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
 def tick_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
     """Every message of one tick in file order, without state and diagnostics, which do not come every tick."""
     return [
-        *input_messages(record, anchor, arm),
+        row_message(servos_row(record, arm), record, anchor),
+        *command_messages(record),
         *output_messages(record, anchor, arm, robot),
-        cycle_message(record, anchor),
+        row_message(cycle_row(record), record, anchor),
     ]
 
 

@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -129,18 +128,13 @@ def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) ->
         later = " ".join(f"{a.wall_ns}/{a.monotonic_ns}" for a in anchors if a != setups[0].anchor)
         names = " ".join(path.name for path in ordered)
         with _rewriting(out, first, MERGED, {"from": names, "anchors": later}) as copy:
-            merger = _Merger(copy)
-            merger.take(first, None, partial(_share, progress, 0, len(ordered)))
-            for number, (before, path) in enumerate(pairwise(ordered), 1):
+            merger = _Merger(copy, progress, len(ordered))
+            merger.take(first, None)
+            for before, path in pairwise(ordered):
                 with LogFile(path) as log:
                     copy.follow(log)
-                    merger.take(log, before, partial(_share, progress, number, len(ordered)))
+                    merger.take(log, before)
     return EditResult(out, copy.messages, copy.duration_s)
-
-
-def _share(progress: Progress | None, number: int, files: int, fraction: float) -> None:
-    if progress is not None:
-        progress((number + fraction) / files)
 
 
 def _checked(first: LogFile, path: Path) -> LogSetup:
@@ -164,12 +158,13 @@ def _checked(first: LogFile, path: Path) -> LogSetup:
 class _Merger:
     """Ticks of one file after the other; knows which one was the last."""
 
-    def __init__(self, copy: Rewrite) -> None:
-        self._copy = copy
+    def __init__(self, copy: Rewrite, progress: Progress | None, files: int) -> None:
+        self._copy, self._progress = copy, progress
+        self._files, self._done = files, 0
         self._tick: int | None = None
         self._tick_ns = 0
 
-    def take(self, log: LogFile, before: Path | None, progress: Progress) -> None:
+    def take(self, log: LogFile, before: Path | None) -> None:
         """All of a file; `before` is the one it must follow.
 
         Raises:
@@ -178,8 +173,8 @@ class _Merger:
         tick: list[LogMessage] = []
         begun = before is None
         for count, message in enumerate(log.messages()):
-            if count % PROGRESS_MESSAGES == 0:
-                progress(log.progress)
+            if self._progress is not None and count % PROGRESS_MESSAGES == 0:
+                self._progress((self._done + log.progress) / self._files)
             if before is None or message.topic not in _LATCHED:
                 tick.append(message)
             if message.topic == channels.CYCLE or len(tick) > MAX_WARMUP_MESSAGES:
@@ -187,6 +182,7 @@ class _Merger:
                 tick = []
         for message in tick:
             self._copy.add(message)
+        self._done += 1
         if not log.complete:
             raise LogError(f"{log.path}: is damaged or has no end; mend it first: armctl log recover {log.path}")
 

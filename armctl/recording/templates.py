@@ -107,7 +107,7 @@ class TickEncoder:
         self._templates: dict[Hashable, Template] = {}
 
     def inputs(self, record: TickRecord, anchor: Anchor) -> list[Encoded]:
-        """`channels.input_messages`, encoded."""
+        """What the control step saw in this tick: servos, then commands in their order."""
         servos = self._encoded([channels.servos_row(record, self._arm)], record, anchor)
         return [*servos, *map(_encode, channels.command_messages(record))]
 
@@ -117,7 +117,7 @@ class TickEncoder:
         return [*rows, *map(_encode, channels.event_messages(record, anchor, self._arm))]
 
     def cycle(self, record: TickRecord, anchor: Anchor, *, inputs_only: bool = False) -> Encoded:
-        """`channels.cycle_message`, encoded."""
+        """How the tick went."""
         return self._encoded([channels.cycle_row(record, inputs_only=inputs_only)], record, anchor)[0]
 
     def _encoded(self, rows: list[Row], record: TickRecord, anchor: Anchor) -> list[Encoded]:

@@ -105,5 +105,7 @@ def make_records(
     return records
 
 
-def with_dropped(record: TickRecord, dropped: int) -> TickRecord:
-    return replace(record, dropped=dropped)
+def without_first_joint(record: TickRecord) -> TickRecord:
+    """The tick as it is while the first servo has never answered."""
+    joints = (replace(record.outputs.joints[0], known=False), *record.outputs.joints[1:])
+    return replace(record, outputs=replace(record.outputs, joints=joints, tool=None))

@@ -1,12 +1,17 @@
 """Log files for tests: written from tick records, and read back as they are."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from mcap.writer import CompressionType, Writer
 
 from armctl.messages import TickRecord
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.reader import read
+from armctl.recording.replay import check
+from armctl.recording.schemas import schema_text
 from armctl.recording.writer import LogContext, LogWriter
 from proving.damage import UnsyncedDisk
 from tests.recording.factory import ANCHOR, CONTEXT
@@ -52,3 +57,25 @@ def ticks(path: Path) -> list[int]:
 def recorder_lines(path: Path) -> list[dict[str, Any]]:
     """What the recorder itself says on /rosout."""
     return [m.value for m in read(path, ["/rosout"]) if m.value["name"] == "armctl.recording"]
+
+
+def replayed(path: Path) -> tuple[int, int]:
+    """How many ticks of a log were replayed, and how many of their messages differ."""
+    result = check(path)
+    return result.ticks, result.mismatches
+
+
+@contextmanager
+def foreign(path: Path, compression: CompressionType = CompressionType.NONE, **options: Any) -> Iterator[Writer]:
+    """The writer of a file that is not armctl's."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=compression, **options)
+        writer.start("ros2", "somebody")
+        yield writer
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def add_string_channel(writer: Writer, topic: str = "/chatter") -> int:
+    """Number of a new channel of std_msgs/String."""
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", schema_text("std_msgs/String").encode())
+    return writer.register_channel(topic, "cdr", schema)

@@ -13,7 +13,7 @@ from armctl.messages import Event, Fault, Reply, TickRecord, command_from_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor, Topic
-from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command, without_first_joint
 
 RECORDS = make_records(60)
 MOVING = RECORDS[30]
@@ -36,8 +36,7 @@ def test_joint_states_are_those_of_the_outputs() -> None:
 
 
 def test_a_joint_that_never_answered_is_left_out() -> None:
-    joints = (replace(MOVING.outputs.joints[0], known=False), *MOVING.outputs.joints[1:])
-    found = messages(replace(MOVING, outputs=replace(MOVING.outputs, joints=joints, tool=None)))
+    found = messages(without_first_joint(MOVING))
     assert found["/joint_states"][0]["name"] == list(ARM.joint_names[1:])
     assert "/tf" not in found
     assert "/tcp_pose" not in found
@@ -132,13 +131,13 @@ def test_an_event_keeps_its_code_and_severity() -> None:
 
 
 def test_diagnostics_tell_fault_and_silent_servos() -> None:
-    joints = (replace(MOVING.outputs.joints[0], known=False), *MOVING.outputs.joints[1:])
-    servos = list(MOVING.inputs.sample.servos)
+    record = without_first_joint(MOVING)
+    servos = list(record.inputs.sample.servos)
     servos[1] = replace(servos[1], error=0x24)
     record = replace(
-        MOVING,
-        inputs=replace(MOVING.inputs, sample=replace(MOVING.inputs.sample, servos=tuple(servos))),
-        outputs=replace(MOVING.outputs, joints=joints, fault=Fault("TRIPPED", "it tripped", 5, 2)),
+        record,
+        inputs=replace(record.inputs, sample=replace(record.inputs.sample, servos=tuple(servos))),
+        outputs=replace(record.outputs, fault=Fault("TRIPPED", "it tripped", 5, 2)),
     )
     topic, value = channels.diagnostics(record, ANCHOR, ARM)
     assert topic == "/diagnostics"

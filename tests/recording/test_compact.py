@@ -1,11 +1,9 @@
 """Compaction: smaller, the same bit for bit, and never a loss."""
 
 import errno
-import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -15,11 +13,11 @@ from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
 from armctl.recording.disk import Disk, PartInUse, owned
 from armctl.recording.log_file import LogFile, LogMessage
-from armctl.recording.replay import check
 from proving.damage import chunk_places
 from proving.log_rig import repeated
 from tests.recording.factory import make_records
-from tests.recording.logs import write
+from tests.recording.logs import replayed, write
+from tests.recording.rig import failing
 
 RECORDS = make_records(400, keyframe_ticks=150)
 
@@ -41,7 +39,7 @@ def test_a_compacted_log_is_smaller_and_holds_the_same_and_replays_bit_for_bit(l
     assert compact(log)
     assert held(log) == before
     assert log.stat().st_size < 0.7 * size
-    assert (check(log).ticks, check(log).mismatches) == (399, 0)
+    assert replayed(log) == (399, 0)
     assert [path.name for path in log.parent.iterdir()] == [log.name]
 
 
@@ -88,11 +86,8 @@ def test_a_file_that_is_not_what_it_should_be_replaces_nothing(log: Path, monkey
 
 @pytest.mark.parametrize("method", ["create", "sync", "replace"])
 def test_a_failing_disk_leaves_the_log_as_it_is(log: Path, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> Any:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     data = log.read_bytes()
-    monkeypatch.setattr(Disk, method, full)
+    monkeypatch.setattr(Disk, method, failing(errno.ENOSPC))
     with pytest.raises(LogError, match="No space left"):
         compact(log)
     monkeypatch.undo()

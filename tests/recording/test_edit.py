@@ -9,22 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.errors import LogError, RequestRefused
-from armctl.messages import TickRecord
 from armctl.recording import edit, reader, replay
 from armctl.recording.channels import Anchor
 from armctl.recording.edit import merge, trim
 from armctl.recording.log_file import LogFile, LogMessage
-from armctl.recording.schemas import schema_text
 from armctl.recording.writer import LogContext
 from proving.damage import chunk_places
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
-from tests.recording.logs import messages, write
+from tests.recording.logs import add_string_channel, foreign, messages, replayed, write
 
 RECORDS = make_records(90, keyframe_ticks=25)
 LATCHED = {"/robot_description", "/tf_static"}
@@ -33,11 +31,6 @@ LATCHED = {"/robot_description", "/tf_static"}
 def own(path: Path) -> list[LogMessage]:
     """Messages that a trimmed file takes over, and does not say anew."""
     return [message for message in messages(path) if message.topic not in {*LATCHED, "/diagnostics", "/armctl/state"}]
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 # ------------------------------------------------------------------------------------------------------- trim
@@ -57,8 +50,7 @@ def test_a_trimmed_file_holds_its_stretch_byte_for_byte_and_replays_from_its_fir
     zero_ns = messages(log)[0].log_time_ns
     begin_ns, end_ns = (zero_ns + round((tick / 10.0 - 0.05) * NS_PER_S) for tick in (begin, begin + length))
     assert own(out) == between(log, begin_ns, end_ns)
-    checked = replay.check(out)
-    assert (checked.ticks, checked.mismatches) == (min(length, 90 - begin), 0)
+    assert replayed(out) == (min(length, 90 - begin), 0)
     info = reader.info(out)
     assert info.complete
     assert result.begins_with_state
@@ -112,28 +104,23 @@ def test_where_the_log_does_not_replay_no_state_is_made_up(tmp_path: Path) -> No
     log = write(tmp_path / "a.mcap", wrong)
     result = trim(log, tmp_path / "b.mcap", 1.0, 4.0)
     assert result.begins_with_state is False
-    checked = replay.check(tmp_path / "b.mcap")  # from the keyframe of tick 25 on
-    assert (checked.ticks, checked.mismatches) == (14, 0)
+    # from the keyframe of tick 25 on
+    assert replayed(tmp_path / "b.mcap") == (14, 0)
 
 
 def test_the_ticks_before_a_rotated_file_lead_to_its_state(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", RECORDS[40:], keyframe=RECORDS[25].keyframe, inputs_only=RECORDS[26:40])
     assert trim(path, tmp_path / "b.mcap", 0.0, 1.0).begins_with_state
-    info, checked = reader.info(tmp_path / "b.mcap"), replay.check(tmp_path / "b.mcap")
-    assert info.duration_s == pytest.approx(0.9)
-    assert (checked.ticks, checked.mismatches) == (10, 0)
+    assert reader.info(tmp_path / "b.mcap").duration_s == pytest.approx(0.9)
+    assert replayed(tmp_path / "b.mcap") == (10, 0)
 
 
 def test_a_file_of_others_is_trimmed_as_well(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.LZ4)
-        writer.start("ros2", "other")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", schema_text("std_msgs/String").encode())
-        channel = writer.register_channel("/chatter", "cdr", schema)
+    with foreign(path, CompressionType.LZ4) as writer:
+        channel = add_string_channel(writer)
         for i in range(10):
             writer.add_message(channel, i * NS_PER_S, b"\x00\x01\x00\x00\x02\x00\x00\x00a\x00", i * NS_PER_S)
-        writer.finish()  # type: ignore[no-untyped-call]
     assert trim(path, tmp_path / "b.mcap", 2.0, 5.0).messages == 3
 
 
@@ -173,21 +160,10 @@ def test_a_damaged_chunk_is_left_out_and_told(tmp_path: Path) -> None:
 
 def rotated(folder: Path, cut: int = 50, *, anchor: Anchor = ANCHOR, context: LogContext = CONTEXT) -> list[Path]:
     """Two files as a daemon writes them around a rotation; anchor and context are the later one's."""
-    begins: list[tuple[str, list[TickRecord], list[TickRecord], str, Anchor]] = [
-        ("", [], RECORDS[:cut], "", ANCHOR),
-        (RECORDS[cut // 25 * 25].keyframe, RECORDS[cut // 25 * 25 + 1 : cut], RECORDS[cut:], "a.mcap", anchor),
-    ]
-    paths = []
-    for name, (keyframe, before, records, previous, own_anchor) in zip(("a.mcap", "b.mcap"), begins, strict=True):
-        options: dict[str, Any] = {
-            "keyframe": keyframe,
-            "previous": previous,
-            "anchor": own_anchor,
-            "inputs_only": before,
-        }
-        own_context = context if previous else CONTEXT
-        paths.append(write(folder / name, records, context=own_context, **options))
-    return paths
+    keyframe = cut // 25 * 25
+    beginning = {"keyframe": RECORDS[keyframe].keyframe, "inputs_only": RECORDS[keyframe + 1 : cut]}
+    later: dict[str, Any] = beginning | {"previous": "a.mcap", "anchor": anchor, "context": context}
+    return [write(folder / "a.mcap", RECORDS[:cut]), write(folder / "b.mcap", RECORDS[cut:], **later)]
 
 
 DRIFTED = Anchor(ANCHOR.wall_ns + 123_456, ANCHOR.monotonic_ns)
@@ -204,8 +180,7 @@ def test_files_around_a_rotation_become_the_log_they_would_have_been(tmp_path: P
     assert topics["/tf_static"] == topics["/robot_description"] == 1
     times_ns = [message.log_time_ns for message in merged]
     assert times_ns == sorted(times_ns)
-    checked = replay.check(tmp_path / "c.mcap")
-    assert (checked.ticks, checked.mismatches) == (89, 0)
+    assert replayed(tmp_path / "c.mcap") == (89, 0)
     assert result.messages == len(merged) == reader.info(tmp_path / "c.mcap").messages
     a, b = (own(path) for path in paths)
     assert merged[: len(messages(paths[0]))] == messages(paths[0])
@@ -236,8 +211,8 @@ def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one
     merge([first, write(tmp_path / "b.mcap", RECORDS[55:], **follows)], tmp_path / "c.mcap")
     ticks = [m.value["tick"] for m in reader.read(tmp_path / "c.mcap", ["/armctl/cycle"])]
     assert ticks == [*range(40), *range(55, 90)]
-    checked = replay.check(tmp_path / "c.mcap")  # up to the gap, and from the keyframe of tick 75 on
-    assert (checked.ticks, checked.mismatches) == (39 + 14, 0)
+    # up to the gap, and from the keyframe of tick 75 on
+    assert replayed(tmp_path / "c.mcap") == (39 + 14, 0)
 
 
 def other_arm() -> ArmConfig:

@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,17 +18,12 @@ from armctl.recording import export as exporting
 from armctl.recording.channels import TOPICS
 from armctl.recording.export import Format, Seconds, export
 from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, without_first_joint
 from tests.recording.logs import write
 from tests.recording.simulated import simulated_records
 
 RECORDS = simulated_records()
 FORMATS: tuple[Format, ...] = ("csv", "xlsx", "parquet")
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 def table(path: Path) -> tuple[list[str], list[list[Any]]]:
@@ -202,9 +196,7 @@ def test_parquet_has_types_and_says_where_it_is_from(log: Path, tmp_path: Path) 
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_what_is_not_known_is_empty(tmp_path: Path, kind: Format) -> None:
-    joints = (replace(RECORDS[0].outputs.joints[0], known=False), *RECORDS[0].outputs.joints[1:])
-    first = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, joints=joints, tool=None))
-    export(write(tmp_path / "a.mcap", [first, *RECORDS[1:3]]), tmp_path / f"t.{kind}", kind)
+    export(write(tmp_path / "a.mcap", [without_first_joint(RECORDS[0]), *RECORDS[1:3]]), tmp_path / f"t.{kind}", kind)
     header, rows = table(tmp_path / f"t.{kind}")
     column, tool = header.index("base.position_rad"), header.index("tool.x_m")
     assert [number(row[column]) is None for row in rows] == [True, False, False]

@@ -22,10 +22,9 @@ from armctl.recording.disk import Disk
 from armctl.recording.reader import info, read
 from armctl.recording.recorder import Recorder
 from armctl.recording.recover import recover_folder
-from armctl.recording.replay import check
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import make_records
-from tests.recording.logs import recorder_lines, ticks
+from tests.recording.logs import recorder_lines, replayed, ticks
 from tests.recording.rig import Rig, failing
 
 RECORDS = make_records(100, keyframe_ticks=40)
@@ -55,7 +54,7 @@ def test_closing_writes_the_queue_into_one_finished_log(rig: Rig) -> None:
     assert path.name == "armctl-20250615T150645Z.mcap"
     assert ticks(path) == list(range(100))
     assert json.loads(list(read(path, ["/armctl/command"]))[-1].value["data"]) == {"request": 1}
-    assert (check(path).ticks, check(path).mismatches) == (99, 0)
+    assert replayed(path) == (99, 0)
     assert rig.recorder.problem == ""
 
 
@@ -108,7 +107,7 @@ def test_a_take_holds_its_own_ticks_and_replays_alone(rig: Rig) -> None:
     rig.put(RECORDS[80:])
     (log,) = rig.close()
     assert ticks(path) == list(range(55, 80))
-    assert (check(path).ticks, check(path).mismatches) == (25, 0)
+    assert replayed(path) == (25, 0)
     assert recordings.load(path).samples == 25
     assert ticks(log) == list(range(100))
     times = {m.sequence: m.log_time_ns for m in read(log, ["/joint_states"])}
@@ -148,7 +147,7 @@ def test_putting_never_waits_and_a_full_queue_is_told(tmp_path: Path) -> None:
     (line,) = recorder_lines(path)
     assert line["function"] == "DROPPED"
     assert "10 tick records were lost before tick 30" in line["msg"]
-    assert (check(path).ticks, check(path).mismatches) == (19 + 59, 0)
+    assert replayed(path) == (19 + 59, 0)
 
 
 def test_a_take_that_begins_after_a_loss_waits_for_the_next_keyframe(rig: Rig) -> None:
@@ -157,7 +156,7 @@ def test_a_take_that_begins_after_a_loss_waits_for_the_next_keyframe(rig: Rig) -
     path = rig.recorder.begin_take("first")
     rig.put(RECORDS[60:])
     rig.recorder.end_take()
-    assert (check(path).ticks, check(path).mismatches) == (19, 0)
+    assert replayed(path) == (19, 0)
 
 
 def test_a_full_disk_stops_recording_and_nothing_else(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,15 +14,10 @@ from armctl.recording import reader, recordings, replay
 from armctl.recording.channels import Anchor
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import LogSetup, Rerun, check, log_setup
-from tests.recording.factory import ANCHOR, ARM, PERIOD_S, ROBOT, RUN_SCRIPT, make_records, with_dropped
-from tests.recording.logs import recorder_lines, write
+from tests.recording.factory import ANCHOR, ARM, PERIOD_S, ROBOT, RUN_SCRIPT, make_records
+from tests.recording.logs import recorder_lines, replayed, write
 
 RECORDS = make_records(100, keyframe_ticks=40)
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 def test_a_tick_goes_by_the_anchor_its_log_time_is_of() -> None:
@@ -68,8 +63,7 @@ def test_replay_gives_the_logged_bytes(log: Path) -> None:
 def test_replay_covers_teaching_stops_and_refusals(tmp_path: Path) -> None:
     script = {**RUN_SCRIPT, 30: (Hold(3),), 45: (Teach(4), Release(5)), 60: (TeachEnd(6),)}
     records = make_records(80, script, keyframe_ticks=25)
-    result = check(write(tmp_path / "a.mcap", records))
-    assert (result.ticks, result.mismatches) == (79, 0)
+    assert replayed(write(tmp_path / "a.mcap", records)) == (79, 0)
 
 
 def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
@@ -89,23 +83,22 @@ def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
 
 def test_replay_goes_on_at_the_next_keyframe_after_a_gap(tmp_path: Path) -> None:
     gap = write(tmp_path / "gap.mcap", [*RECORDS[:30], *RECORDS[33:]])
-    assert (check(gap).ticks, check(gap).mismatches) == (29 + 59, 0)
-    dropped = write(tmp_path / "dropped.mcap", [*RECORDS[:30], with_dropped(RECORDS[30], 3), *RECORDS[31:]])
-    assert (check(dropped).ticks, check(dropped).mismatches) == (29 + 59, 0)
+    assert replayed(gap) == (29 + 59, 0)
+    dropped = write(tmp_path / "dropped.mcap", [*RECORDS[:30], replace(RECORDS[30], dropped=3), *RECORDS[31:]])
+    assert replayed(dropped) == (29 + 59, 0)
     assert [line["function"] for line in recorder_lines(dropped)] == ["DROPPED"]
 
 
 def test_a_file_that_begins_between_keyframes_replays_from_its_beginning(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", RECORDS[55:], keyframe=RECORDS[40].keyframe, inputs_only=RECORDS[41:55])
-    result = check(path)
-    assert (result.ticks, result.mismatches) == (45, 0)
+    assert replayed(path) == (45, 0)
     assert reader.ticks(path).position_rad.shape == (45, 6)
     assert recordings.load(path).duration_s == pytest.approx(4.4)
 
 
 def test_a_file_that_begins_right_after_a_keyframe_replays_whole(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", RECORDS[41:], keyframe=RECORDS[40].keyframe)
-    assert (check(path).ticks, check(path).mismatches) == (59, 0)
+    assert replayed(path) == (59, 0)
 
 
 def test_a_step_that_cannot_take_the_log_is_a_log_error(log: Path) -> None:

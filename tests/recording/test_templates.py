@@ -13,7 +13,7 @@ from armctl.recording.cdr import Value, codec
 from armctl.recording.channels import TOPICS
 from armctl.recording.schemas import MESSAGES, fields
 from armctl.recording.templates import MAX_TEMPLATES, Template, TickEncoder
-from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, without_first_joint
 from tests.recording.test_cdr import NAMES, values
 
 RECORDS = make_records(60)
@@ -62,8 +62,7 @@ def odd(record: TickRecord) -> TickRecord:
     servos[1] = replace(servos[1], fresh=False, problem="NO_REPLY", error=0x24)
     servos[2] = replace(servos[2], registers=b"", stamp_ns=0, fresh=False, problem="PORT_GONE")
     sample = replace(record.inputs.sample, servos=tuple(servos), port_open=False, retries=3)
-    joints = (replace(record.outputs.joints[0], known=False), *record.outputs.joints[1:])
-    outputs = replace(record.outputs, joints=joints, tool=None, goal=None, fault=Fault("HOT", "it is", 5, 2))
+    outputs = replace(without_first_joint(record).outputs, goal=None, fault=Fault("HOT", "it is", 5, 2))
     return replace(record, inputs=replace(record.inputs, sample=sample, late_ns=10**9), outputs=outputs, dropped=2)
 
 
@@ -74,7 +73,8 @@ def test_every_tick_is_encoded_as_channels_says() -> None:
         plain = channels.tick_messages(record, ANCHOR, ARM, ROBOT)
         assert encoded == [(topic, TOPICS[topic].codec.encode(value)) for topic, value in plain]
         topic, data = encoder.cycle(record, ANCHOR, inputs_only=True)
-        assert data == TOPICS[topic].codec.encode(channels.cycle_message(record, ANCHOR, inputs_only=True)[1])
+        _, value = channels.row_message(channels.cycle_row(record, inputs_only=True), record, ANCHOR)
+        assert data == TOPICS[topic].codec.encode(value)
 
 
 def test_shapes_without_end_are_not_kept() -> None:

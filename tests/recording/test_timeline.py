@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
@@ -18,16 +17,11 @@ from armctl.recording.cdr import codec
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import check
 from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
-from tests.recording.logs import write
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records, without_first_joint
+from tests.recording.logs import add_string_channel, foreign, write
 from tests.recording.simulated import simulated_records
 
 RECORDS = simulated_records()
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
 
 
 def test_every_array_is_what_the_ticks_said(log: Path) -> None:
@@ -99,9 +93,7 @@ def test_requests_and_events_are_told_in_order(tmp_path: Path) -> None:
 
 
 def test_a_joint_that_never_answered_is_not_a_number(tmp_path: Path) -> None:
-    joints = (replace(RECORDS[0].outputs.joints[0], known=False), *RECORDS[0].outputs.joints[1:])
-    first = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, joints=joints, tool=None))
-    found = timeline.load(write(tmp_path / "a.mcap", [first, *RECORDS[1:3]]))
+    found = timeline.load(write(tmp_path / "a.mcap", [without_first_joint(RECORDS[0]), *RECORDS[1:3]]))
     assert np.isnan(found.position_rad[0, 0])
     assert np.isnan(found.tool[0]).all()
     assert np.isfinite(found.position_rad[0, 1:]).all()
@@ -141,19 +133,14 @@ def test_our_topics_with_something_else_in_them_are_an_error_of_the_log(log: Pat
     text = codec("std_msgs/String").encode({"data": '{"tick": 1, "command": 5}'})
     for topic in ("/armctl/servos", "/joint_states", "/tcp_pose", "/armctl/cycle", "/diagnostics", "/rosout"):
         path = tmp_path / f"{topic.replace('/', '-')}.mcap"
-        with path.open("wb") as stream, LogFile(log) as source:
-            writer = Writer(stream)
-            writer.start("ros2", "other")
-            schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
-            channels = {t: writer.register_channel(t, "cdr", schema) for t in (topic, "/armctl/command")}
+        with foreign(path) as writer, LogFile(log) as source:
             for attachment in source.attachments.values():
                 data = attachment.data
                 if attachment.name == "armctl.json":
                     data = json.dumps(json.loads(data) | {"schemas": [], "channels": []}).encode()
                 writer.add_attachment(0, 0, attachment.name, attachment.media_type, data)
-            for channel in channels.values():
-                writer.add_message(channel, 1, text, 1)
-            writer.finish()  # type: ignore[no-untyped-call]
+            for name in (topic, "/armctl/command"):
+                writer.add_message(add_string_channel(writer, name), 1, text, 1)
         for attempt in (timeline.load, check):
             with pytest.raises(LogError, match=path.name):
                 attempt(path)
