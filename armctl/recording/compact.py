@@ -24,9 +24,10 @@ from armctl.recording.writer import LIBRARY, PROFILE
 
 # Metadata record of a file that needs no more compacting.
 COMPACTED = "compacted"
-# zstd level; above it the files hardly shrink and the time grows.
+# zstd level; a higher one takes more time and hardly makes the files smaller.
 LEVEL = 9
-# Of a chunk, inflated: the numbers of a moving arm come back after a while, and 1 MiB makes a file a fifth larger.
+# Size of a chunk before compression. The numbers of a moving arm repeat after a while: with chunks of 1 MiB, which
+# are too short for that, a file is a fifth larger.
 CHUNK_BYTES = 4 * 2**20
 _UNFINISHED = ".compacting"
 _log = logging.getLogger(__name__)

@@ -23,7 +23,6 @@ from armctl.errors import LogError, RequestRefused
 from armctl.messages import to_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
-from armctl.recording.channels import TOPICS
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PART, new_file
 from armctl.recording.log_file import LogFile, LogMessage
@@ -32,10 +31,10 @@ from armctl.recording.rewrite import Rewrite
 from armctl.recording.writer import LIBRARY, PROFILE
 
 TRIMMED = "trimmed"
-# Kept since the last keyframe, to compute the state at a cut; several times what stands between two keyframes.
+# Most messages kept since the last keyframe, to compute the state at a cut; several times what is between two.
 MAX_WARMUP_MESSAGES = 40_000
 PROGRESS_MESSAGES = 5000
-_LATCHED = tuple(topic.name for topic in TOPICS.values() if topic.latched)
+_LATCHED = tuple(topic.name for topic in channels.TOPICS.values() if topic.latched)
 # Topics whose newest message goes on being true: what a file that begins in the middle must say first.
 _STANDING = (*_LATCHED, channels.DIAGNOSTICS)
 _log = logging.getLogger(__name__)

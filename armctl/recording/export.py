@@ -119,9 +119,9 @@ class _Table:
         self.name = name
         # Rows given so far.
         self.count = 0
-        # Whether the log is; known when the rows are exhausted.
+        # Whether the log is complete; known after the last row.
         self.complete = False
-        # Every column that comes up, in the order in which they do, and the type that holds all its cells.
+        # Every column in the order in which they come up, and the type that holds all its cells.
         self.columns: dict[str, type] = {}
         self.facts: dict[str, str] = {}
         self._path, self._show = path, show

@@ -32,7 +32,7 @@ from armctl.recording.columns import Payloads, Table
 from armctl.recording.schemas import parse_schema, short_name
 from armctl.recording.writer import SEED
 
-# What the chunks of a file may claim to inflate to: so much, and so many bytes for each of its own.
+# Bound on what the chunks of a file may claim to inflate to: this many bytes, and this many for each of its own.
 FREE_BYTES = MAX_CHUNK_BYTES
 MAX_RATIO = 256
 MAX_SEED_BYTES = 2**20
@@ -40,7 +40,7 @@ MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**16
 MAX_CHUNK_NS = 3600 * NS_PER_S
 _CHUNK, _MESSAGE_INDEX, _DATA_END = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX), int(Opcode.DATA_END)
 _PRIVATE = 0x80
-# Records that are taken note of.
+# Records whose content is kept; messages and chunks are read apart.
 _KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
     Opcode.HEADER: Header,
     Opcode.ATTACHMENT: Attachment,
@@ -73,7 +73,7 @@ class LogFile:
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        # Known when the messages are exhausted.
+        # Whether the file has its end, and no damage; known after the last message.
         self.complete = False
         # Places that had to be skipped so far.
         self.damaged = 0

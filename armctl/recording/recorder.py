@@ -29,7 +29,7 @@ from armctl.recording.rotation import LOG, SNAPSHOT, TAKE, Compactor, Files
 from armctl.recording.writer import LogContext
 
 QUEUE_RECORDS = 3000
-# From the beginning of one flush to the end of the next one.
+# Longest time from the beginning of one flush to the end of the next one.
 FLUSH_NS = 9 * NS_PER_S // 10
 # A flush that takes longer breaks the promise of one second, and becomes a `problem`.
 SLOW_NS = NS_PER_S

@@ -14,7 +14,7 @@ class Rewrite:
     """
 
     def __init__(self, log: LogFile, writer: ChunkWriter, name: str = "", facts: dict[str, str] | None = None) -> None:
-        # Written so far.
+        # Number of messages written so far.
         self.messages = 0
         self._begin_ns, self._end_ns = 2**64, 0
         self._log, self._writer = log, writer

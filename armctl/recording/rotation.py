@@ -29,7 +29,7 @@ from armctl.recording.disk import PART, Disk
 from armctl.recording.writer import LogContext, LogWriter
 
 RETRY_NS = 5 * NS_PER_S
-# A snapshot lasts no longer than so many times its ordinary length, however many faults follow each other.
+# Longest snapshot, as a multiple of its ordinary length: faults may follow each other without end.
 MAX_SNAPSHOT = 10
 # Ticks kept beyond those of the last `keep_s`; several times what stands between two keyframes.
 MAX_RECORDS = 2000
@@ -100,7 +100,7 @@ class Files:
         disk: Disk,
         compactor: Compactor,
     ) -> None:
-        # Why there is no log, or no take any more; for others too.
+        # Why there is no log, or no take any more. Other threads read these two.
         self.log_problem = self.take_problem = ""
         # Whether something was written since the last flush.
         self.written = False

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from armctl.errors import LogError
 
-# struct format character of every fixed-size primitive.
+# The format character of the struct module for every primitive of a fixed size.
 PRIMITIVES = {
     "bool": "?",
     "byte": "B",

@@ -26,7 +26,6 @@ from armctl.errors import LogError
 from armctl.kinematics.transform import FloatArray
 from armctl.recording import channels
 from armctl.recording.cdr import Value
-from armctl.recording.channels import CONTROL
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.replay import log_setup
 
@@ -176,7 +175,7 @@ class Frames:
     def _happened(self, message: LogMessage, value: Value) -> None:
         time_ns = message.log_time_ns
         if message.topic == channels.ROSOUT:
-            source = "" if value["name"] == CONTROL else f"{value['name']}: "
+            source = "" if value["name"] == channels.CONTROL else f"{value['name']}: "
             self.happenings.append(Happening(time_ns, value["level"], value["function"], f"{source}{value['msg']}"))
             self._mark(value["function"], time_ns)
         elif (record := channels.parse_record(value["data"])) is None:
