@@ -13,7 +13,6 @@ from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 
 from armctl.clock import NS_PER_S
-from armctl.config import ArmConfig
 from armctl.errors import LogError, RequestRefused
 from armctl.recording import edit, reader, replay
 from armctl.recording.channels import Anchor
@@ -215,14 +214,10 @@ def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one
     assert replayed(tmp_path / "c.mcap") == (39 + 14, 0)
 
 
-def other_arm() -> ArmConfig:
-    return ARM.model_copy(update={"arm_id": "other"})
-
-
 @pytest.mark.parametrize(
     ("context", "named"),
     [
-        (replace(CONTEXT, arm=other_arm()), "arm_id"),
+        (replace(CONTEXT, arm=ARM.model_copy(update={"arm_id": "other"})), "arm_id"),
         (replace(CONTEXT, port="/dev/ttyUSB7"), "port"),
         (replace(CONTEXT, period_s=0.05), "period_s"),
     ],

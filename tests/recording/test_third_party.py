@@ -17,16 +17,23 @@ from rosbags.highlevel import AnyReader
 from armctl.recording import reader
 from armctl.recording.channels import CYCLE, JOINT_STATES, SERVOS
 from armctl.recording.columns import Texts
+from armctl.recording.compact import compact
 from armctl.recording.log_file import LogFile
-from tests.recording.hour import TICKS, hour_log
+from proving.log_rig import repeated
+from tests.recording.factory import make_records
+from tests.recording.logs import write
 
 NODE = Path(__file__).parent / "node"
 P = 2**31 - 1
+TICKS = 36_000
 
 
 @pytest.fixture(scope="module")
 def hour(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return hour_log(tmp_path_factory.getbasetemp())
+    """A compacted log of an hour at 10 Hz: a minute of the control step, repeated at later times."""
+    path = tmp_path_factory.mktemp("hour") / "armctl-20250615T150645Z.mcap"
+    assert compact(write(path, repeated(make_records(600), TICKS), flush_ticks=9))
+    return path
 
 
 @pytest.fixture(scope="module")
