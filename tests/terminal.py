@@ -1,7 +1,5 @@
 """A program in a real terminal of 80 columns: keys pressed, words waited for, an interactive shell with job control."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """YAML without its surprises, and names that stay names."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

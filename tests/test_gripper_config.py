@@ -1,7 +1,5 @@
 """The key `gripper` of a calibration file."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.config import ArmConfig, validate

@@ -1,7 +1,5 @@
 """What a person gets who has the wheel and no checkout: everything that armctl reads while it runs."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -17,8 +15,8 @@ from armctl.cli.help import TOPICS
 from armctl.commissioning.installation import UNITS
 
 ROOT = Path(__file__).resolve().parent.parent
+# Folder of the checkout -> where its files stand in the wheel.
 COPIED = {"armctl": "armctl", "calibration": "armctl/calibration", "systemd": "armctl/systemd"}
-"""Folder of the checkout -> where its files stand in the wheel."""
 
 Python = Callable[..., str]
 

@@ -4,8 +4,6 @@ Commands only parse, call and print. Heavy modules are imported inside the comma
 not wait for a plotting library.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Sequence
 
@@ -15,6 +13,7 @@ from armctl import __version__
 from armctl.cli.output import Output
 from armctl.errors import ArmctlError
 
+# Module of this package -> the commands that it defines, each as `NAME_command`.
 _MODULES = {
     "arm": ("clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
     "calibrate": ("calibrate",),
@@ -38,10 +37,10 @@ _MODULES = {
     "teach": ("teach",),
     "web": ("web",),
 }
-"""Module of this package -> the commands that it defines, each as `NAME_command`."""
 _COMMANDS = {command: module for module, commands in _MODULES.items() for command in commands}
 
 
+# What the help lists under which heading, in the order in which a newcomer meets it.
 PURPOSES: dict[str, tuple[str, ...]] = {
     "First steps": ("demo", "sim", "daemon", "help", "completion"),
     "Running the arm": (
@@ -54,11 +53,10 @@ PURPOSES: dict[str, tuple[str, ...]] = {
     "Kinematics, without an arm": ("robots", "fk", "ik", "jacobian", "workspace", "trajectory", "reproduce"),
     "For maintainers": ("study", "hand", "fault"),
 }
-"""What the help lists under which heading, in the order in which a newcomer meets it."""
 
 
+# Characters at most that say in the list what a command does.
 SUMMARY = 100
-"""Characters at most that say in the list what a command does."""
 
 
 class _Commands(click.Group):

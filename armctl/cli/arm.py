@@ -54,10 +54,10 @@ def watch_command(output: Output) -> None:
 
 
 WIDEST_NAME = 14
+# Characters that show where a joint is between its limits.
 BAR = 12
-"""Characters that show where a joint is between its limits."""
+# Of the range between its limits, from where on a joint's place is shown in red.
 NEAR_LIMIT = 0.03
-"""Of the range between its limits, from where on a joint's place is shown in red."""
 
 
 def picture(snapshot: dict[str, Any]) -> RenderableType:

@@ -1,7 +1,5 @@
 """`armctl completion`: the script that lets a shell finish command lines."""
 
-from __future__ import annotations
-
 import click
 
 from armctl.cli.output import Output, command

@@ -1,7 +1,5 @@
 """`armctl demo`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +11,7 @@ from armctl.cli.tables import show_table
 
 @command("demo")
 @click.option(
-    "--out",
-    type=FOLDER,
-    default=Path("armctl-demo"),
-    help="Folder for logs, recordings, plans and the report.",
+    "--out", type=FOLDER, default=Path("armctl-demo"), help="Folder for logs, recordings, plans and the report."
 )
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a demonstration.")
 def demo_command(output: Output, out: Path, seed: int) -> int:

@@ -51,12 +51,7 @@ def experiment_command() -> None:
 @click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
 @click.option("--refine", "rounds", type=click.IntRange(0, 20), default=0, help="Corrections at most.")
 @click.option("--tolerance-mm", type=click.FloatRange(0.1), default=1.0, help="What auto asks for.")
-@click.option(
-    "--objective",
-    type=click.Choice(("mean", "mix", "max")),
-    default="mix",
-    help="What is made small.",
-)
+@click.option("--objective", type=click.Choice(("mean", "mix", "max")), default="mix", help="What is made small.")
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats an experiment.")
 @click.option("--recordings", multiple=True, metavar="NAME", help="Candidates for the genetic algorithm.")
 @click.option(

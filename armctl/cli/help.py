@@ -106,8 +106,8 @@ def configuration_page() -> str:
     return "\n".join(blocks)
 
 
+# Type in JSON's words -> what a person calls it.
 KINDS = {"string": "text", "integer": "whole number", "array": "list", "object": "names and values"}
-"""Type in JSON's words -> what a person calls it."""
 BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 

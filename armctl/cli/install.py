@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 
 DRY_RUN = click.Option(["--dry-run"], is_flag=True, help="Say what would be done, and do nothing.")
 ROOT = click.Option(
-    ["--root"],
-    type=FOLDER,
-    default=Path("/"),
-    help="Write below this folder and run no command: for packages.",
+    ["--root"], type=FOLDER, default=Path("/"), help="Write below this folder and run no command: for packages."
 )
 
 

@@ -4,8 +4,6 @@ A shell with job control stops a process in the background that reads the termin
 the foreground only, and this is asked anew each time: the process may be suspended, or change places, at any time.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import termios
@@ -36,8 +34,8 @@ class TerminalKeys:
     def __init__(self, fd: int) -> None:
         self._fd = fd
         self._pressed = b""
+        # The terminal's mode before this process set it; None: it has not.
         self._before: list[Any] | None = None
-        """The terminal's mode before this process set it; None: it has not."""
 
     def wait(self, timeout_s: float) -> str:
         """The next key, `left` and `right` by name; nothing once the time is over, and nothing in the background."""

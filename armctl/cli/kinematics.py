@@ -284,10 +284,7 @@ def _solve(
 
 
 def _target(
-    xyz: tuple[float, float, float] | None,
-    pose: tuple[float, ...] | None,
-    matrix: tuple[float, ...] | None,
-    deg: bool,
+    xyz: tuple[float, float, float] | None, pose: tuple[float, ...] | None, matrix: tuple[float, ...] | None, deg: bool
 ) -> Target:
     import numpy as np
 

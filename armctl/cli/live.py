@@ -1,7 +1,5 @@
 """`armctl live`: the arm in Foxglove, Lichtblick and PlotJuggler."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from armctl.recording.timeline import Timeline
 
 EVENTS_SHOWN = 6
+# Between two lines where there is no terminal.
 LINE_S = 1.0
-"""Between two lines where there is no terminal."""
 KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: rate   l: loop   q: leave"
 
 
@@ -212,8 +212,8 @@ def log_command() -> None:
     """
 
 
+# What `log info` tells.
 INFO = ("messages", "start_s", "duration_s", "topics", "complete")
-"""What `log info` tells."""
 
 
 @command("info", group=log_command)

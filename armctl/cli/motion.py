@@ -1,7 +1,5 @@
 """Single motions, jogging, and what can be said to a run under way."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Any

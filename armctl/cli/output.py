@@ -19,23 +19,15 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from armctl.errors import (
-    ArmctlError,
-    BusError,
-    ConfigError,
-    LogError,
-    NoDaemon,
-    RequestRefused,
-    UnreachableTarget,
-)
+from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 
 if TYPE_CHECKING:
     from armctl.client import Client
     from armctl.config import ArmConfig, Config
 
 Point = tuple[float, float, float]
+# What a Ctrl-C leaves behind during a motion: its client is gone, and the daemon stops the arm.
 HOLDS = "the arm slows down on its path and holds there; `armctl status` shows it"
-"""What a Ctrl-C leaves behind during a motion: its client is gone, and the daemon stops the arm."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -47,10 +39,10 @@ class Output:
         self.json = False
         self.console = Console()
         self.messages = Console(stderr=True)
+        # What a Ctrl-C leaves behind, said when it comes.
         self.after_interrupt = ""
-        """What a Ctrl-C leaves behind, said when it comes."""
+        # The daemon that was named; None: the usual one.
         self.socket: str | None = None
-        """The daemon that was named; None: the usual one."""
         self.config_file: str | None = None
         self.arm_name: str | None = None
         self.port: str | None = None
@@ -153,6 +145,7 @@ def millimetres(point_m: Iterable[float]) -> str:
     return ", ".join(f"{value * 1000.0:.1f}" for value in point_m) + " mm"
 
 
+# Code of a refusal -> what to type next; where none stands here, `armctl status`.
 NEXT = {
     "LIMIT": "armctl status, which shows every joint within its limits",
     "NO_PLAN": "armctl optimize --help",
@@ -161,7 +154,6 @@ NEXT = {
     "EXISTS": "another name, or armctl recordings",
     "NOT_CONFIRMED": "armctl teach --help",
 }
-"""Code of a refusal -> what to type next; where none stands here, `armctl status`."""
 
 
 def next_command(error: ArmctlError, socket: str | None = None) -> str:
@@ -187,8 +179,8 @@ def next_command(error: ArmctlError, socket: str | None = None) -> str:
     return remedy[0] if remedy else "armctl help"
 
 
+# How an error says which extra is missing.
 INSTALL = re.compile(r"pip install '[^']+'")
-"""How an error says which extra is missing."""
 
 
 def _workspace_command(socket: str | None) -> str:

@@ -53,12 +53,7 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
 @click.option("--link", type=click.Path(path_type=Path), help="Stable name of the port.")
 @click.option("--seed", default=0, help="Draws masses, friction, play, offsets and noise.")
 @click.option("--return-delay-us", type=click.IntRange(0, 508), help="Return delay of every servo.")
-@click.option(
-    "--latency-ms",
-    type=click.FloatRange(0.0, 100.0),
-    default=0.0,
-    help="Latency timer of the adapter.",
-)
+@click.option("--latency-ms", type=click.FloatRange(0.0, 100.0), default=0.0, help="Latency timer of the adapter.")
 @click.option("--echo", is_flag=True, help="The adapter also receives what the host sends.")
 @click.option(
     "--faults", "faults_file", type=click.Path(path_type=Path), metavar="FILE", help="What goes wrong and when (YAML)."

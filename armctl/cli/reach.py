@@ -1,7 +1,5 @@
 """Reaching for a point, and the cycle of a transfer robot."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

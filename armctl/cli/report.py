@@ -1,7 +1,5 @@
 """`armctl report`: one file for a bug report."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from pathlib import Path
 

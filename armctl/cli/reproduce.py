@@ -46,13 +46,7 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
     result: dict[str, Any] = {
         "rows": [asdict(row) for one in reports for row in one.rows],
         "errata": [
-            {
-                "paper": one.paper,
-                "where": one.where,
-                "printed": one.printed,
-                "true": one.true,
-                "proof": one.proof,
-            }
+            {"paper": one.paper, "where": one.where, "printed": one.printed, "true": one.true, "proof": one.proof}
             for one in wrong
         ],
         "page": None if page is None else str(page),

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from armctl.lab.study.case import Case
 
 Row = dict[str, Any]
+# A template that a row fills in, or a function of the row.
 Text = str | Callable[[Row], str]
-"""A template that a row fills in, or a function of the row."""
+# Heading, text of a cell, and the key without which the cell is left open.
 Column = tuple[str, Text] | tuple[str, str, str]
-"""Heading, text of a cell, and the key without which the cell is left open."""
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 RECORDINGS = click.argument("recordings", nargs=-1)
@@ -64,23 +64,23 @@ class Command:
     """A row of the table."""
 
     help: str
+    # What is asked beside `WORK`: fields of `Case`, what varies, and the file.
     options: tuple[Option, ...]
-    """What is asked beside `WORK`: fields of `Case`, what varies, and the file."""
+    # Of the table for people; filled in by its first row.
     title: Text
-    """Of the table for people; filled in by its first row."""
     columns: tuple[Column, ...]
+    # Options that say which cases there are.
     varied: tuple[str, ...] = ()
-    """Options that say which cases there are."""
+    # Options whose numbers must be whole.
     whole: tuple[str, ...] = ()
-    """Options whose numbers must be whole."""
+    # The option that names a file to write.
     file: str | None = None
-    """The option that names a file to write."""
+    # What of the result the table shows.
     table: str = "rows"
-    """What of the result the table shows."""
+    # Columns that hold words.
     words: tuple[str, ...] = ()
-    """Columns that hold words."""
+    # Sentences below the table.
     notes: Callable[[Mapping[str, Sequence[Row]]], Iterable[str]] = field(default=lambda _result: ())
-    """Sentences below the table."""
 
 
 MEDIAN_WORST = "{{{0}[{1}][median]:.2f}} / {{{0}[{1}][worst]:.2f}}"

@@ -6,8 +6,6 @@ Rules.
 3. Columns move together before anything is wrapped that need not be.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 from rich.box import SIMPLE_HEAD
@@ -15,16 +13,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+# Characters between two columns, the first that fits is taken.
 GAPS = (3, 2, 1)
-"""Characters between two columns, the first that fits is taken."""
 
 
 def show_table(
-    console: Console,
-    title: str,
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    words: Collection[str] = (),
+    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[str] = ()
 ) -> None:
     """Print a table.
 

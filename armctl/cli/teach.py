@@ -20,12 +20,12 @@ from armctl.errors import ConfigError, LogError, RequestRefused
 if TYPE_CHECKING:
     from armctl.client import Client
 
+# How near its start a take begins.
 AT_START_M = 0.04
-"""How near its start a take begins."""
+# How far the tool goes before a rest can end a take.
 MOVED_M = 0.03
-"""How far the tool goes before a rest can end a take."""
+# Largest change of the tool's place that still counts as rest.
 STILL_M = 0.004
-"""Largest change of the tool's place that still counts as rest."""
 SETTLE_S = 0.5
 REST_S = 1.0
 ENTER = frozenset("\r\n")

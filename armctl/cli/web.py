@@ -1,7 +1,5 @@
 """`armctl web`: the dashboard."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -22,8 +22,8 @@ from armctl.config import Config
 from armctl.errors import ArmctlError
 from armctl.files import data_dir, find_arm_file
 
+# The newest logs, as many as fit into so much.
 LOG_BYTES = 20 * 2**20
-"""The newest logs, as many as fit into so much."""
 TOOL_TIMEOUT_S = 90
 SECRET = re.compile(r"""(?im)^(\s*["']?[\w-]*(?:token|secret|password|key)[\w-]*["']?\s*[:=]\s*).+$""")
 

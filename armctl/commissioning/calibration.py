@@ -46,25 +46,25 @@ from armctl.kinematics.transform import FloatArray
 MM = 1000.0
 READINGS = 32
 READING_PERIOD_NS = 20_000_000
+# Highest minus lowest reading of one joint while the tool rests on a point; more: the arm moved.
 MAX_SPREAD_TICK = 6
-"""Highest minus lowest reading of one joint while the tool rests on a point; more: the arm moved."""
+# Smallest singular value [mm per tick or mm] that counts as seen: there 0.25 mm are a whole tick.
 WEAK = 0.25
-"""Smallest singular value [mm per tick or mm] that counts as seen: there 0.25 mm are a whole tick."""
 HELD_ERROR_TICK = 5.0
+# How wrong a held value may be. The others make up for that, and their standard errors include it.
 HELD_ERROR_MM = 2.0
-"""How wrong a held value may be. The others make up for that, and their standard errors include it."""
+# Component of a weak direction from which on a parameter is named.
 CONFUSED = 0.3
-"""Component of a weak direction from which on a parameter is named."""
+# Parameters -> residuals [mm] and their sensitivity.
 Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""Parameters -> residuals [mm] and their sensitivity."""
 BEYOND_CHAIN = "does not move the tool"
 ITERATIONS = 50
+# Gauss-Newton ends when no scaled parameter moves by more.
 STEP = 1e-9
-"""Gauss-Newton ends when no scaled parameter moves by more."""
+# Residuals above this come from points in the wrong order or frame, not from an arm.
 MAX_RMS_MM = 5.0
-"""Residuals above this come from points in the wrong order or frame, not from an arm."""
+# The tool position is linear in every length, so that a central difference of any width is its derivative.
 LENGTH_STEP_M = 1e-3
-"""The tool position is linear in every length, so that a central difference of any width is its derivative."""
 
 
 class Touch(BaseModel):
@@ -73,8 +73,8 @@ class Touch(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     point_m: tuple[float, float, float] = Field(strict=False)
+    # Mean position of every servo, in the calibration's order.
     ticks: tuple[float, ...] = Field(strict=False)
-    """Mean position of every servo, in the calibration's order."""
 
 
 class Readings(BaseModel):
@@ -90,15 +90,15 @@ class Readings(BaseModel):
 class Parameter:
     """One zero tick or length, before and after."""
 
+    # `JOINT.zero_tick` or `lengths_m.LENGTH`.
     name: str
-    """`JOINT.zero_tick` or `lengths_m.LENGTH`."""
     unit: str
     before: float
     after: float
+    # From the residuals, and from what held ones may be wrong by; None: held.
     standard_error: float | None
-    """From the residuals, and from what held ones may be wrong by; None: held."""
+    # Why it was left alone.
     held: str = ""
-    """Why it was left alone."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ class Fit:
 
     arm: ArmConfig
     parameters: tuple[Parameter, ...]
+    # Distance of the calibrated tool from each point, shape (m,).
     residuals_mm: FloatArray
-    """Distance of the calibrated tool from each point, shape (m,)."""
     rms_before_mm: float
     rms_mm: float
 

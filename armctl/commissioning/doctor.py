@@ -29,15 +29,15 @@ from armctl.errors import BusError, PortBusy, PortGone
 SYSFS = Path("/sys")
 MIN_PYTHON = (3, 11)
 MAX_LATENCY_TIMER_MS = 1
+# Recommended is 0; some adapters need a few microseconds to turn the line around.
 MAX_RETURN_DELAY_US = 20
-"""Recommended is 0; some adapters need a few microseconds to turn the line around."""
+# ROBOTIS names 9 to 12 V; a full battery of three cells has 12.6 V.
 VOLTAGE_V = (9.0, 12.6)
-"""ROBOTIS names 9 to 12 V; a full battery of three cells has 12.6 V."""
 HOT_DEGC = 65
 NEEDED_SHUTDOWN = ErrorBit.OVERHEAT | ErrorBit.OVERLOAD
 CYCLES = 10
+# Of the period; the rest is for what the bus does not do, and for repetitions.
 CYCLE_SHARE = 0.5
-"""Of the period; the rest is for what the bus does not do, and for repetitions."""
 
 ERROR_REMEDIES = {
     ErrorBit.VOLTAGE: "measure the supply at the servo under load: 9 to 12 V",
@@ -57,8 +57,8 @@ class Check:
     name: str
     ok: bool
     value: str
+    # What to do; empty when ok.
     fix: str = ""
-    """What to do; empty when ok."""
     servo_id: int | None = None
 
 
@@ -66,13 +66,13 @@ class Check:
 class Surroundings:
     """What the doctor is told instead of asking for it."""
 
+    # Where a daemon answers; empty: none.
     daemon: str
-    """Where a daemon answers; empty: none."""
     log_dir: Path
+    # Needed in the folder of the logs.
     free_bytes: int
-    """Needed in the folder of the logs."""
+    # What to add to each command of armctl, such as " --port /dev/ttyUSB1".
     options: str = ""
-    """What to add to each command of armctl, such as " --port /dev/ttyUSB1"."""
     sysfs: Path = SYSFS
 
 

@@ -9,8 +9,6 @@ Rules:
 3. Nothing here writes RAM: no torque, no goal, no speed.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -30,11 +28,11 @@ from armctl.messages import Write
 
 EEPROM_REGISTERS = tuple(register for register in ax12a.REGISTERS if register.eeprom)
 BY_NAME = {register.name: register for register in EEPROM_REGISTERS}
+# What `write_register` and `restore` write; id and baud have functions of their own.
 SETTABLE = tuple(r for r in EEPROM_REGISTERS if r.writable and r not in (ax12a.ID, ax12a.BAUD))
-"""What `write_register` and `restore` write; id and baud have functions of their own."""
 BAUD_UNIT = 2_000_000
+# A servo hears a host whose rate differs by up to 3 %; some of that belongs to its own clock.
 BAUD_TOLERANCE = 0.025
-"""A servo hears a host whose rate differs by up to 3 %; some of that belongs to its own clock."""
 MAX_BAUD = 1_000_000
 
 
@@ -47,7 +45,7 @@ class ServoEeprom(BaseModel):
     registers: dict[str, int]
 
     @model_validator(mode="after")
-    def _check(self) -> ServoEeprom:
+    def _check(self) -> "ServoEeprom":
         for name, value in self.registers.items():
             register = BY_NAME.get(name)
             if register is None:
@@ -67,7 +65,7 @@ class Snapshot(BaseModel):
     servos: tuple[ServoEeprom, ...] = Field(min_length=1, strict=False)
 
     @model_validator(mode="after")
-    def _check(self) -> Snapshot:
+    def _check(self) -> "Snapshot":
         ids = [servo.servo_id for servo in self.servos]
         if twice := [servo_id for servo_id in ids if ids.count(servo_id) > 1]:
             raise ValueError(f"servo_id {twice[0]} stands here twice")

@@ -27,11 +27,11 @@ UNITS = ("armctl.service", "armctl-web.service")
 ETC = Path("etc/armctl")
 RULES = Path("etc/udev/rules.d/60-armctl.rules")
 SYSTEMD = Path("etc/systemd/system")
+# Kinds of systemd's configuration files, etc/KIND.d/armctl.conf, and what reads each.
 CONFIGURED = {"sysusers": ("systemd-sysusers",), "tmpfiles": ("systemd-tmpfiles", "--create")}
-"""Kinds of systemd's configuration files, etc/KIND.d/armctl.conf, and what reads each."""
 TEMPLATE_PREFIX = "/opt/armctl"
+# ROBOTIS' present adapter; what the rule is limited to while none is plugged in.
 U2D2 = {"idVendor": "0403", "idProduct": "6014"}
-"""ROBOTIS' present adapter; what the rule is limited to while none is plugged in."""
 
 
 class InstallationFailed(ArmctlError):
@@ -44,8 +44,8 @@ class WriteFile:
 
     path: Path
     text: str
+    # A person's file: written only where there is none.
     keep: bool = False
-    """A person's file: written only where there is none."""
 
     def __str__(self) -> str:
         return f"write /{self.path}" + (" unless it is there" if self.keep else "")
@@ -86,8 +86,8 @@ class Run:
     """One command of the running system."""
 
     command: tuple[str, ...]
+    # It undoes something that may be gone already.
     may_fail: bool = False
-    """It undoes something that may be gone already."""
 
     def __str__(self) -> str:
         return "run " + " ".join(self.command)

@@ -22,11 +22,11 @@ from armctl.dynamixel.port import ADAPTER_LATENCY_MS, ServoPort
 from armctl.errors import PortGone, PortMissing
 
 ALL_IDS = range(ax12a.ID.maximum + 1)
+# What ROBOTIS' tools offer for an AX-12A; the likely ones first.
 USUAL_BAUDS = (1_000_000, 57_600, 115_200, 500_000, 250_000, 200_000, 400_000, 19_200, 9_600)
-"""What ROBOTIS' tools offer for an AX-12A; the likely ones first."""
 
+# (baud, ids asked, ids in all).
 Progress = Callable[[int, int, int], None]
-"""(baud, ids asked, ids in all)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +35,13 @@ class FoundServo:
 
     servo_id: int
     baud: int
+    # None: it answers a PING but no READ (its status return level is 0, or its replies are garbled).
     model: int | None
-    """None: it answers a PING but no READ (its status return level is 0, or its replies are garbled)."""
     firmware: int | None
+    # PING to the last byte of its reply.
     round_trip_us: int
-    """PING to the last byte of its reply."""
+    # More than one servo answers to this id.
     clash: bool
-    """More than one servo answers to this id."""
 
 
 @dataclass(frozen=True, slots=True)

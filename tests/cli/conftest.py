@@ -1,7 +1,5 @@
 """A command typed in this process, and what it says."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

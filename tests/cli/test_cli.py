@@ -1,7 +1,5 @@
 """Manners of the command line: help, one JSON object, exit statuses, errors without tracebacks."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

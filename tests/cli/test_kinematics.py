@@ -1,7 +1,5 @@
 """The kinematics commands: their JSON keys, and what wrong input gets."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What people do with log files, at the command line."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

@@ -1,7 +1,5 @@
 """`armctl optimize` on files, without a daemon: both profiles, every objective, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The picture of a snapshot that `armctl status` and `armctl watch` show."""
 
-from __future__ import annotations
-
 import io
 import math
 from typing import Any

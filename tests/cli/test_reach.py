@@ -1,7 +1,5 @@
 """`armctl reach` and `armctl transfer` as they are typed; the daemon is a stand-in, the cycle runs in virtual time."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

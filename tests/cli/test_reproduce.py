@@ -1,7 +1,5 @@
 """`armctl reproduce`: JSON keys, the page, and what wrong use gets."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

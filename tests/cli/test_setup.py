@@ -1,7 +1,5 @@
 """The commands that set an arm up, on a simulated arm in virtual time and once on the real pseudo terminal."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from datetime import date

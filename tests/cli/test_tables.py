@@ -1,7 +1,5 @@
 """Every table of the command line, with wide figures and long words, on 80 columns."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable
@@ -14,19 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from armctl.cli import (
-    calibrate,
-    demo,
-    experiment,
-    jobs,
-    logs,
-    main,
-    reach,
-    reproduce,
-    servo,
-    setup,
-    study,
-)
+from armctl.cli import calibrate, demo, experiment, jobs, logs, main, reach, reproduce, servo, setup, study
 from armctl.cli.output import Output
 from armctl.cli.tables import show_table
 from armctl.commissioning.calibration import Fit, Parameter

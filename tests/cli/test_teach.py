@@ -1,7 +1,5 @@
 """When a take begins and ends: the tool followed through snapshots."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import pairwise

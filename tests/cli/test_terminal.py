@@ -1,7 +1,5 @@
 """Commands as a person meets them: in a terminal, with Ctrl-C, on simulated servos."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -49,12 +49,7 @@ class Bench:
     """Everything between a test and a simulated arm."""
 
     def __init__(
-        self,
-        *,
-        seed: int = 0,
-        latency_ms: float = 0.0,
-        spec: ArmSpec | None = None,
-        simulated: ArmConfig | None = None,
+        self, *, seed: int = 0, latency_ms: float = 0.0, spec: ArmSpec | None = None, simulated: ArmConfig | None = None
     ) -> None:
         self.config = load_arm("ax12-line")
         self.arm = SimulatedArm(simulated or self.config, seed=seed, spec=spec or ArmSpec())
@@ -115,5 +110,5 @@ def planted(config: ArmConfig, rng: np.random.Generator, *, tick: float, length_
     )
 
 
+# An arm that is exactly as its calibration says.
 EXACT = replace(ArmSpec(), zero_offset_tick=0.0)
-"""An arm that is exactly as its calibration says."""

@@ -5,8 +5,6 @@ nothing, `web` the dashboard as well; `sh simulator`, `sh daemon` and `sh dashbo
 ports become the simulator's.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -33,8 +31,8 @@ from tests.terminal import CTRL_C, shell
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 RUN_PAGES = ("start", "arm", "api", "new-arm")
 TIMEOUT_S = 110
+# Columns: `armctl help` sets a space before and behind.
 WIDEST_CODE = 78
-"""Columns: `armctl help` sets a space before and behind."""
 
 
 @dataclass
@@ -42,8 +40,8 @@ class Stand:
     """A simulator and a daemon, started when a block needs them."""
 
     folder: Path
+    # As short as a runtime folder is: a socket's name has 107 bytes, and a test's folder may be as long alone.
     runtime: Path
-    """As short as a runtime folder is: a socket's name has 107 bytes, and a test's folder may be as long alone."""
     programs: ExitStack = field(default_factory=ExitStack)
     running: str = ""
 

@@ -4,8 +4,6 @@ Nothing here waits for time to pass but for what it waits for, with a deadline f
 long a thing did take is judged by the stamps of ticks and of the simulator's truth, which share one monotonic clock.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal
@@ -68,7 +66,7 @@ class Program:
     stderr: Path
 
     @classmethod
-    def start(cls, folder: Path, name: str, *command: str) -> Program:
+    def start(cls, folder: Path, name: str, *command: str) -> "Program":
         """Start `command` and wait until it is ready; its standard error goes to a file in `folder`."""
         folder.mkdir(parents=True, exist_ok=True)
         stderr = folder / f"{name}-{time.monotonic_ns()}.err"
@@ -160,8 +158,8 @@ class Bench:
     cleanup: ExitStack
     threads: ThreadPoolExecutor
     daemons: list[Program] = field(default_factory=list)
+    # Every control process seen.
     controls: list[int] = field(default_factory=list)
-    """Every control process seen."""
 
     @property
     def socket(self) -> Path:

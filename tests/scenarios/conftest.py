@@ -1,7 +1,5 @@
 """One simulated arm for all scenarios that move it: bringing it up takes longer than any of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

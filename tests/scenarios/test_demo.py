@@ -1,7 +1,5 @@
 """The demonstration, shortened: one take of a short line, and one run of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

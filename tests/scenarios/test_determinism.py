@@ -4,8 +4,6 @@ The masters are real programs on a real machine: a request may have to be repeat
 reading may be missed altogether. What both masters read is the same, tick by tick.
 """
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 import pytest

@@ -1,7 +1,5 @@
 """The gripping arm behind a real daemon: a reach grips, lifts and is recorded; judged by the simulator."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -12,8 +10,8 @@ from tests.scenarios.bench import armctl, bench, insist, simulator
 pytestmark = pytest.mark.pty
 
 GRIPPER_ID = 6
+# Near the rest pose: the arm need not go far.
 POINT = (0.08, 0.02, 0.32)
-"""Near the rest pose: the arm need not go far."""
 
 
 def test_a_grip_of_something_in_the_hand_is_told_and_its_recording_replays() -> None:

@@ -1,7 +1,5 @@
 """What a person reads who starts armctl wrongly: one clear line, the right exit status, no traceback."""
 
-from __future__ import annotations
-
 import json
 import os
 import threading

@@ -1,7 +1,5 @@
 """A daemon beside a resting arm: what it shows, and what its log holds when it has ended."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -6,8 +6,6 @@ shaft trails by what its controller needs against friction and gravity, and catc
 death takes up to one tick to be noticed and 200 ms to slow down on the path; 500 ms are what the fault matrix allows.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -24,10 +22,10 @@ from tests.scenarios.bench import Bench, Simulator, alive, insist, line_plan
 pytestmark = pytest.mark.pty
 
 STOPPED_DEG = 0.5
+# Less than one tick of the potentiometer (0.29 deg): shafts creep through their play, but no goal has changed.
 STILL_DEG = 0.25
-"""Less than one tick of the potentiometer (0.29 deg): shafts creep through their play, but no goal has changed."""
+# Data reach the disk every second, at the first record after it is over; and that takes its time.
 LOST_MS = 1200
-"""Data reach the disk every second, at the first record after it is over; and that takes its time."""
 MS = NS_PER_S // 1000
 
 
