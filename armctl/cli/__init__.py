@@ -14,32 +14,6 @@ from armctl.cli.output import Output
 from armctl.errors import ArmctlError
 
 # Module of this package -> the commands that it defines, each as `NAME_command`.
-_MODULES = {
-    "arm": ("clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
-    "calibrate": ("calibrate",),
-    "completion": ("completion",),
-    "demo": ("demo",),
-    "experiment": ("experiment",),
-    "help": ("help",),
-    "install": ("install", "uninstall"),
-    "jobs": ("optimize", "recordings", "run"),
-    "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),
-    "live": ("live",),
-    "logs": ("log", "replay"),
-    "motion": ("jog", "move"),
-    "processes": ("daemon", "fault", "hand", "sim"),
-    "reach": ("reach", "transfer"),
-    "report": ("report",),
-    "reproduce": ("reproduce",),
-    "servo": ("servo",),
-    "setup": ("doctor", "scan"),
-    "study": ("study",),
-    "teach": ("teach",),
-    "web": ("web",),
-}
-_COMMANDS = {command: module for module, commands in _MODULES.items() for command in commands}
-
-
 # What the help lists under which heading, in the order in which a newcomer meets it.
 PURPOSES: dict[str, tuple[str, ...]] = {
     "First steps": ("demo", "sim", "daemon", "help", "completion"),
@@ -53,8 +27,19 @@ PURPOSES: dict[str, tuple[str, ...]] = {
     "Kinematics, without an arm": ("robots", "fk", "ik", "jacobian", "workspace", "trajectory", "reproduce"),
     "For maintainers": ("study", "hand", "fault"),
 }
-
-
+# Module of this package -> the commands in it, each as `NAME_command`; every other command has a module of its name.
+_SHARED = {
+    "arm": ("clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
+    "help": ("completion",),
+    "jobs": ("optimize", "recordings", "run"),
+    "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),
+    "logs": ("log", "replay"),
+    "motion": ("jog", "move", "reach", "transfer"),
+    "processes": ("daemon", "fault", "hand", "live", "sim", "web"),
+    "setup": ("doctor", "install", "report", "scan", "uninstall"),
+}
+_COMMANDS = {name: name for names in PURPOSES.values() for name in names}
+_COMMANDS |= {name: module for module, names in _SHARED.items() for name in names}
 # Characters at most that say in the list what a command does.
 SUMMARY = 100
 

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from armctl.cli.output import FOLDER, Output, command
-from armctl.cli.tables import show_table
+from armctl.cli.tables import Column, show_rows
 
 
 @command("demo")
@@ -32,20 +32,16 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
 def show(output: Output, result: dict[str, Any]) -> None:
     from armctl.report.line import PRINTED
 
-    rows = [
-        (
-            str(row["via"]),
-            f"{row['predicted_mean_error_mm']:.1f} / {row['predicted_max_error_mm']:.1f}",
-            f"{row['mean_error_mm']:.1f} / {row['max_error_mm']:.1f}",
-            f"{row['truth']['mean_error_mm']:.1f} / {row['truth']['max_error_mm']:.1f}",
-            f"{row['duration_s']:.1f}",
-            PRINTED[row["via"]].errors,
-            f"{PRINTED[row['via']].duration_s:.1f}",
-        )
-        for row in result["rows"]
-    ]
-    title = "Distance of the tool from the line, mean / maximum, mm"
-    show_table(output.console, title, ("via", "predicted", "encoders", "true", "s", "paper", "s"), rows)
+    columns: tuple[Column, ...] = (
+        ("via", "{via}"),
+        ("predicted", "{predicted_mean_error_mm:.1f} / {predicted_max_error_mm:.1f}"),
+        ("encoders", "{mean_error_mm:.1f} / {max_error_mm:.1f}"),
+        ("true", "{truth[mean_error_mm]:.1f} / {truth[max_error_mm]:.1f}"),
+        ("s", "{duration_s:.1f}"),
+        ("paper", lambda row: PRINTED[row["via"]].errors),
+        ("s", lambda row: f"{PRINTED[row['via']].duration_s:.1f}"),
+    )
+    show_rows(output.console, "Distance of the tool from the line, mean / maximum, mm", columns, result["rows"])
     replayed = result["replay"]
     output.say(
         "Predicted: perfect servos. True: the tool's real place, sag under gravity included.\n"

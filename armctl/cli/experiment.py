@@ -7,32 +7,28 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.output import CONFIG, FILE, HOLDS, POINT, SOCKET, Output, command
-from armctl.cli.tables import show_table
+from armctl.cli.tables import Column, show_rows
 
 if TYPE_CHECKING:
     from armctl.lab.course import Via
 
 
-class ViaType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
+def via_counts(text: str) -> tuple[Via, ...]:
     """`0,1,2,8,auto,stream`."""
+    found: list[Via] = []
+    for part in text.split(","):
+        word = part.strip()
+        if word == "auto" or word == "stream":
+            found.append(word)
+        elif word.isdecimal() and int(word) <= 20:
+            found.append(int(word))
+        else:
+            raise click.BadParameter(f"{part!r} is not a number of via points from 0 to 20, auto or stream")
+    return tuple(found)
 
-    name = "n,n,..."
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Via, ...]:
-        if isinstance(value, tuple):
-            return value
-        found: list[Via] = []
-        for part in str(value).split(","):
-            word = part.strip()
-            if word == "auto":
-                found.append("auto")
-            elif word == "stream":
-                found.append("stream")
-            elif word.isdecimal() and int(word) <= 20:
-                found.append(int(word))
-            else:
-                self.fail(f"{part!r} is not a number of via points from 0 to 20, auto or stream", param, ctx)
-        return tuple(found)
+# What `--via` of every experiment and study takes.
+VIA: dict[str, Any] = {"type": via_counts, "metavar": "N,N,..."}
 
 
 @click.group("experiment")
@@ -46,7 +42,7 @@ def experiment_command() -> None:
 @command("line", SOCKET, CONFIG, group=experiment_command)
 @click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
 @click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
-@click.option("--via", type=ViaType(), default="0,1,2", help="Numbers of via points; auto; stream.")
+@click.option("--via", **VIA, default="0,1,2", help="Numbers of via points; auto; stream.")
 @click.option("--repeats", type=click.IntRange(1, 100), default=5, help="Runs of each final plan.")
 @click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
 @click.option("--refine", "rounds", type=click.IntRange(0, 20), default=0, help="Corrections at most.")
@@ -102,24 +98,26 @@ def line_command(output: Output, virtual: bool, period_s: float | None, **asked:
     output.answer(result, lambda: show(output, result))
 
 
+ERRORS = "{mean_error_mm:.2f} / {max_error_mm:.2f}"
+COLUMNS: tuple[Column, ...] = (
+    ("via", "{via}"),
+    ("predicted", "{predicted_mean_error_mm:.2f} / {predicted_max_error_mm:.2f}"),
+    ("before", "{before[mean_error_mm]:.1f} / {before[max_error_mm]:.1f}"),
+    ("after", ERRORS),
+    ("+-", lambda row: f"{row['spread']['mean_error_mm']:.2f}" if row["runs"] > 1 else "-"),
+    ("true", lambda row: ERRORS.format_map(row["truth"]) if row["truth"] else "unknown"),
+    ("s", "{duration_s:.1f}"),
+    ("rounds", "{rounds}"),
+)
+
+
 def show(output: Output, result: dict[str, Any]) -> None:
-    rounds = {row["via"]: one["round"] for one in result["refined"] for row in one["rows"]}
+    rounds = {row["via"]: corrected["round"] for corrected in result["refined"] for row in corrected["rows"]}
     rows = [
-        (
-            str(row["via"]),
-            f"{row['predicted_mean_error_mm']:.2f} / {row['predicted_max_error_mm']:.2f}",
-            f"{before['mean_error_mm']:.1f} / {before['max_error_mm']:.1f}",
-            f"{row['mean_error_mm']:.2f} / {row['max_error_mm']:.2f}",
-            f"{row['spread']['mean_error_mm']:.2f}" if row["runs"] > 1 else "-",
-            f"{truth['mean_error_mm']:.2f} / {truth['max_error_mm']:.2f}" if (truth := row["truth"]) else "unknown",
-            f"{row['duration_s']:.1f}",
-            str(rounds[row["via"]]),
-        )
+        {**row, "before": before, "rounds": rounds[row["via"]]}
         for row, before in zip(result["rows"], result["before"], strict=True)
     ]
-    title = "Distance of the tool from the line, mean / maximum, mm"
-    columns = ("via", "predicted", "before", "after", "+-", "true", "s", "rounds")
-    show_table(output.console, title, columns, rows)
+    show_rows(output.console, "Distance of the tool from the line, mean / maximum, mm", COLUMNS, rows)
     if (ga := result["ga"]) is not None:
         output.say(
             f"Genetic algorithm over {len(ga['baseline'])} recordings: {ga['mean_error_mm']:.2f} mm mean on their own "

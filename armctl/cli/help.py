@@ -1,4 +1,4 @@
-"""`armctl help [TOPIC]`: the pages of armctl/docs, and two that are made from the code."""
+"""`armctl help [TOPIC]`: the pages of armctl/docs, and two that are made from the code. `armctl completion`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
+
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 TOPICS = {
@@ -149,3 +150,26 @@ def attribute_docstrings(model: type) -> dict[str, str]:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
                 texts[name] = " ".join(text.split())
     return texts
+
+
+FILES = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/armctl.fish"}
+
+
+@command("completion")
+@click.argument("shell", type=click.Choice(tuple(FILES)))
+def completion_command(output: Output, shell: str) -> None:
+    """Print what lets the Tab key finish commands and options in SHELL.
+
+    Append its output to the file that the shell reads when it starts: ~/.bashrc, ~/.zshrc, or
+    ~/.config/fish/completions/armctl.fish.
+
+    Example: armctl completion bash >> ~/.bashrc
+    """
+    from click.shell_completion import get_completion_class
+
+    from armctl.cli import cli
+
+    kind = get_completion_class(shell)
+    assert kind is not None
+    script = kind(cli, {}, "armctl", "_ARMCTL_COMPLETE").source()
+    output.answer({"shell": shell, "file": FILES[shell], "script": script}, lambda: click.echo(script))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from armctl.cli.output import CONFIG, FILE, HOLDS, JSON, POINT, SOCKET, Output, command
-from armctl.cli.tables import show_table
+from armctl.cli.tables import Column, show_rows, show_table
 from armctl.errors import LogError, NoDaemon
 
 if TYPE_CHECKING:
@@ -62,18 +62,18 @@ def _show_list(output: Output, found: dict[str, Any]) -> None:
         output.say(f"not shown: {entry['problem']}")
 
 
+RECORDINGS: tuple[Column, ...] = (
+    ("name", "{name}"),
+    ("s", "{duration_s:.1f}"),
+    ("samples", "{samples}"),
+    ("mean", "{mean_error_mm:.1f}", "mean_error_mm"),
+    ("maximum", "{max_error_mm:.1f}", "max_error_mm"),
+)
+
+
 def show_recordings(output: Output, recordings: Sequence[dict[str, Any]]) -> None:
-    rows = [
-        (
-            recording["name"],
-            f"{recording['duration_s']:.1f}",
-            str(recording["samples"]),
-            *("-" if recording[key] is None else f"{recording[key]:.1f}" for key in ("mean_error_mm", "max_error_mm")),
-        )
-        for recording in recordings
-    ]
     title = "Recordings; how far off the line the tool was, mm"
-    show_table(output.console, title, ("name", "s", "samples", "mean", "maximum"), rows, words=("name",))
+    show_rows(output.console, title, RECORDINGS, recordings, words=("name",))
 
 
 def _on_recording(output: Output, method: str, words: Callable[[dict[str, Any]], str], **params: Any) -> None:

@@ -29,9 +29,13 @@ def _in_foreground(fd: int) -> bool:
 
 
 class TerminalKeys:
-    """Keys of a terminal that hands them over one by one."""
+    """Keys of a terminal that hands them over one by one.
 
-    def __init__(self, fd: int) -> None:
+    Args:
+        fd: The terminal; None: there is none, and nobody presses anything.
+    """
+
+    def __init__(self, fd: int | None) -> None:
         self._fd = fd
         self._pressed = b""
         # The terminal's mode before this process set it; None: it has not.
@@ -39,10 +43,10 @@ class TerminalKeys:
 
     def wait(self, timeout_s: float) -> str:
         """The next key, `left` and `right` by name; nothing once the time is over, and nothing in the background."""
-        if not _in_foreground(self._fd):
+        if self._fd is None or not _in_foreground(self._fd):
             time.sleep(timeout_s)
             return ""
-        self._one_by_one()
+        self._one_by_one(self._fd)
         if not self._pressed and select.select([self._fd], [], [], timeout_s)[0]:
             if not _in_foreground(self._fd):  # it was sent to the background while it waited
                 return ""
@@ -51,35 +55,23 @@ class TerminalKeys:
         key, self._pressed = self._pressed[: len(known) or 1], self._pressed[len(known) or 1 :]
         return _ESCAPES.get(key) or key.decode("ascii", "replace")
 
-    def _one_by_one(self) -> None:
+    def _one_by_one(self, fd: int) -> None:
         """Let keys come without Enter. A shell puts its own mode back whenever it suspends this process."""
-        mode = termios.tcgetattr(self._fd)
+        mode = termios.tcgetattr(fd)
         if mode[3] & termios.ICANON:
             self._before = mode
-            tty.setcbreak(self._fd, termios.TCSANOW)  # keeps what was pressed meanwhile
+            tty.setcbreak(fd, termios.TCSANOW)  # keeps what was pressed meanwhile
 
     def put_back(self) -> None:
         """Restore the terminal's mode; in the background it is the shell's."""
-        if self._before is not None and _in_foreground(self._fd):
+        if self._before is not None and self._fd is not None and _in_foreground(self._fd):
             termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
 
 
-class NoKeys:
-    """Nobody presses anything."""
-
-    def wait(self, timeout_s: float) -> str:
-        """Nothing, once the time is over."""
-        time.sleep(timeout_s)
-        return ""
-
-
 @contextmanager
-def keys(stream: TextIO) -> Iterator[TerminalKeys | NoKeys]:
-    """The keys of `stream` if it is a terminal; its mode is put back afterwards."""
-    if not stream.isatty():
-        yield NoKeys()
-        return
-    pressed = TerminalKeys(stream.fileno())
+def keys(stream: TextIO) -> Iterator[TerminalKeys]:
+    """The keys of `stream`, none if it is no terminal; its mode is put back afterwards."""
+    pressed = TerminalKeys(stream.fileno() if stream.isatty() else None)
     if attended(stream):
         termios.tcflush(stream, termios.TCIFLUSH)  # what was typed before was not meant for this
     try:

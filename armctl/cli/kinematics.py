@@ -11,32 +11,26 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import FILE, POINT, F, Numbers, Output, command
+from armctl.cli.output import FILE, IK_METHODS, POINT, F, Numbers, Output, command
 from armctl.cli.tables import show_table
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from armctl.kinematics.robots.robot import Robot
     from armctl.kinematics.solution import Answer, Solution, Target
+    from armctl.kinematics.transform import FloatArray
 
 
-class LengthType(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
+def length(text: str) -> tuple[str, float]:
     """`name=metres`."""
-
-    name = "name=m"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
-        if isinstance(value, tuple):
-            return value
-        name, _, text = str(value).partition("=")
-        try:
-            return name.strip(), float(text)
-        except ValueError:
-            self.fail(f"{value!r} is not a length such as a2=0.5", param, ctx)
+    name, _, metres = text.partition("=")
+    try:
+        return name.strip(), float(metres)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a length such as a2=0.5") from None
 
 
 NUMBERS = Numbers()
-NumbersType = Numbers
 
 
 def robot_option(function: F) -> F:
@@ -49,7 +43,9 @@ def robot_option(function: F) -> F:
         return function(output, robots.get(robot_name, dict(lengths)), **given)
 
     named = click.option("--robot", "robot_name", required=True, metavar="R", help="See `armctl robots`.")
-    changed = click.option("--set", "lengths", type=LengthType(), multiple=True, help="Another length, metres.")
+    changed = click.option(
+        "--set", "lengths", type=length, multiple=True, metavar="NAME=M", help="Another length, metres."
+    )
     return named(changed(on_robot))  # type: ignore[return-value]  # what click calls has other parameters
 
 
@@ -81,12 +77,10 @@ def fk_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) ->
 
     Example: armctl fk --robot puma560 --q 0,45,-30,0,20,0 --deg
     """
-    import numpy as np
-
     from armctl.kinematics.chain import forward_kinematics
     from armctl.kinematics.transform import rpy_from_matrix
 
-    T = forward_kinematics(robot.chain, np.array(_configuration(robot, "--q", q, deg)))
+    T = forward_kinematics(robot.chain, _configuration(robot, "--q", q, deg))
     position_m, rpy_rad = T[:3, 3].tolist(), list(rpy_from_matrix(T[:3, :3]))
     output.answer(
         {"T": T.tolist(), "position_m": position_m, "rpy_rad": rpy_rad},
@@ -94,22 +88,19 @@ def fk_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) ->
     )
 
 
-METHODS = click.Choice(("closed", "numeric", "ga", "ga-improved"))
-
-
 @command("ik")
 @robot_option
 @click.option("--xyz", type=POINT, help="A point for the tool, metres.")
 @click.option("--pose", type=NUMBERS, help="x,y,z,roll,pitch,yaw; R = Rz(yaw) Ry(pitch) Rx(roll).")
 @click.option("--T", "matrix", type=NUMBERS, help="A pose as 16 numbers, row by row.")
-@click.option("--method", type=METHODS, default="closed")
+@click.option("--method", type=IK_METHODS, default="closed")
 @click.option("--polish/--no-polish", default=True, help="Bring solutions onto the target.")
 @click.option("--all", "every", is_flag=True, help="Every solution, not only the best.")
 @click.option("--near", type=NUMBERS, help="Present joint positions: solutions near them come first.")
 @click.option("--seed", default=0, type=click.IntRange(0), help="Repeats a random search.")
 @deg_option
 def ik_command(
-    output: Output, robot: Robot, every: bool, near: tuple[float, ...] | None, deg: bool, **asked: Any
+    output: Output, robot: Robot, method: Any, every: bool, near: tuple[float, ...] | None, deg: bool, **asked: Any
 ) -> None:
     """Inverse kinematics: joint positions for a point or a pose of the tool, or the nearest there are.
 
@@ -118,9 +109,13 @@ def ik_command(
 
     Example: armctl ik --robot puma560 --pose 0.0968,-0.7558,0.0972,-2.7913,2.1047,-1.6016 --all
     """
+    from armctl.kinematics import solution
+    from armctl.kinematics.genetic import solve as genetic
+
     target = _target(asked.pop("xyz"), asked.pop("pose"), asked.pop("matrix"), deg)
     present = None if near is None else _configuration(robot, "--near", near, deg)
-    found = _solve(robot, target, present, **asked)
+    solve = genetic.solve if method.startswith("ga") else solution.solve
+    found = solve(robot, target, method=method, present=present, **asked)
     solutions = found.solutions if every else found.solutions[:1]
     answer = {
         "reachable": found.reachable,
@@ -153,12 +148,10 @@ def jacobian_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bo
 
     Example: armctl jacobian --robot transfer-6dof --q 0,-60,20,0,30,0 --deg
     """
-    import numpy as np
-
     from armctl.kinematics.chain import jacobian
     from armctl.kinematics.differential import dexterity
 
-    J = jacobian(robot.chain, np.array(_configuration(robot, "--q", q, deg)))
+    J = jacobian(robot.chain, _configuration(robot, "--q", q, deg))
     found = dexterity(J)
     result = {
         "J": J.tolist(),
@@ -208,12 +201,6 @@ def workspace_command(output: Output, robot: Robot, samples: int, grid: int, see
     output.answer(result, "\n".join(told))
 
 
-CURVES = (
-    *("time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2"),
-    *("tool_position_m", "tool_velocity_m_s", "tool_acceleration_m_s2"),
-)
-
-
 @command("trajectory")
 @robot_option
 @click.option("--q0", required=True, type=NUMBERS, help="Joint positions at the start.")
@@ -238,9 +225,7 @@ def trajectory_command(
     from armctl.trajectory import quintic
 
     known: dict[str, Any] = {
-        end: np.array(_configuration(robot, f"--{end}", values, deg))
-        for end, values in ends.items()
-        if values is not None
+        end: _configuration(robot, f"--{end}", values, deg) for end, values in ends.items() if values is not None
     }
     motion = quintic.quintic(known.pop("q0"), known.pop("q1"), duration, **known)
     curves = quintic.curves(robot.chain, motion, np.linspace(0.0, duration, samples))
@@ -248,39 +233,27 @@ def trajectory_command(
         from armctl.report import kinematics as report
 
         report.write_trajectory(robot, curves, out)
-    result = {key: getattr(curves, key).tolist() for key in CURVES}
+    # How the tool turns is drawn on the page only.
+    result = {key: values.tolist() for key, values in asdict(curves).items() if "angular" not in key}
     output.answer(result, lambda: show_curves(output, result, deg, out))
 
 
 def show_curves(output: Output, result: dict[str, Any], deg: bool, out: Path | None) -> None:
-    peaks = [
-        [max(map(abs, joint)) * (180.0 / math.pi if deg else 1.0) for joint in zip(*result[key], strict=True)]
-        for key in ("velocity_rad_s", "acceleration_rad_s2")
-    ]
+    import numpy as np
+
+    unit, factor = ("deg", math.degrees(1.0)) if deg else ("rad", 1.0)
+    speeds, accelerations = (
+        factor * np.abs(result[key]).max(axis=0) for key in ("velocity_rad_s", "acceleration_rad_s2")
+    )
     shown = [
-        (str(joint), *(f"{value:.6f}" for value in values))
-        for joint, values in enumerate(zip(*peaks, strict=True), start=1)
+        (str(joint), f"{speed:.6f}", f"{acceleration:.6f}")
+        for joint, (speed, acceleration) in enumerate(zip(speeds, accelerations, strict=True), start=1)
     ]
-    unit = "deg" if deg else "rad"
     show_table(output.console, "", ("joint", f"peak velocity, {unit}/s", f"peak acceleration, {unit}/s^2"), shown)
     tool_m = result["tool_position_m"]
     output.say(f"tool from {_numbers(tool_m[0])} to {_numbers(tool_m[-1])} m")
     if out is not None:
         output.say(f"drawn: {out}")
-
-
-def _solve(
-    robot: Robot, target: Target, present_rad: list[float] | None, *, method: Any, polish: bool, seed: int
-) -> Answer:
-    """Inverse kinematics by any of the methods."""
-    import numpy as np
-
-    from armctl.kinematics import solution
-    from armctl.kinematics.genetic import solve as genetic
-
-    solve = genetic.solve if method.startswith("ga") else solution.solve
-    near = None if present_rad is None else np.array(present_rad)
-    return solve(robot, target, method=method, present=near, polish=polish, seed=seed)
 
 
 def _target(
@@ -301,21 +274,23 @@ def _target(
         x, y, z, *rpy = pose
         roll, pitch, yaw = (math.radians(angle) if deg else angle for angle in rpy)
         return pose_target(pose_from_xyz_rpy(x, y, z, roll, pitch, yaw))
-    numbers = matrix or ()
-    if len(numbers) != 16:
-        raise ConfigError("target", "--T", f"{len(numbers)} numbers", "give 16, the 4x4 pose row by row")
-    return pose_target(np.array(numbers).reshape(4, 4))
+    assert matrix is not None
+    if len(matrix) != 16:
+        raise ConfigError("target", "--T", f"{len(matrix)} numbers", "give 16, the 4x4 pose row by row")
+    return pose_target(np.array(matrix).reshape(4, 4))
 
 
-def _configuration(robot: Robot, option: str, values: tuple[float, ...], deg: bool) -> list[float]:
-    """One number a joint [rad].
+def _configuration(robot: Robot, option: str, values: tuple[float, ...], deg: bool) -> FloatArray:
+    """One number a joint [rad], shape (n,).
 
     Raises:
         ConfigError: another count of numbers.
     """
+    import numpy as np
+
     if len(values) != robot.chain.n:
         raise ConfigError(robot.name, option, f"{len(values)} numbers", f"this robot has {robot.chain.n} joints")
-    return [math.radians(value) if deg else value for value in values]
+    return np.radians(values) if deg else np.array(values)
 
 
 def _matrix(rows: list[list[float]]) -> str:

@@ -241,6 +241,7 @@ PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the ar
 
 
 FILE = click.Path(path_type=Path, dir_okay=False)
+IK_METHODS = click.Choice(("closed", "numeric", "ga", "ga-improved"))
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
 

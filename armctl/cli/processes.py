@@ -1,4 +1,4 @@
-"""`armctl daemon`, `armctl sim`, and the simulator's hand and faults."""
+"""What runs until Ctrl-C: `armctl daemon`, `sim`, `web` and `live`; and the simulator's hand and faults."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import os
 import time
 from dataclasses import asdict
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import ARM, CONFIG, FOLDER, LINK, POINT, PORT, SOCKET, Output, Point, command
+from armctl.cli.output import ARM, CONFIG, FILE, FOLDER, LINK, POINT, PORT, SOCKET, Output, Point, command, kept_option
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from armctl.sim.control import SimulatorClient
+
 
 DEFAULT_LINK = "armctl-servos"
 
@@ -175,3 +177,63 @@ def _simulator(output: Output) -> SimulatorClient:
     from armctl.sim.control import SimulatorClient, control_path
 
     return SimulatorClient(control_path((output.link or default_link()).absolute()))
+
+
+WATCHED = kept_option(
+    "arm_name", "--arm", metavar="NAME|FILE", help="Calibration of the daemon's arm, if it is not the configured one."
+)
+
+
+@command("live", WATCHED, SOCKET, CONFIG)
+@click.option("--port", type=click.IntRange(0, 65535), default=8765, help="0: any that is free.")
+@click.option("--layout", type=FILE, metavar="FILE", help="Only write a Foxglove layout that fits logs and live view.")
+def live_command(output: Output, port: int, layout: Path | None) -> None:
+    """Let Foxglove, Lichtblick or PlotJuggler watch the arm, until Ctrl-C.
+
+    Prints `ready ws://127.0.0.1:PORT`; open that as a Foxglove WebSocket. Viewers can only look. Any program of this
+    machine can connect, no other machine can. The log holds all that is shown here, and more.
+
+    Example: armctl live --layout armctl.json; armctl live
+    """
+    from armctl.recording.disk import new_file
+    from armctl.web import live
+
+    if layout is not None:
+        with new_file(layout) as stream:
+            stream.write(files("armctl").joinpath("docs/foxglove-layout.json").read_bytes())
+        said = f"{layout}: import it in Foxglove or Lichtblick (Layouts, Import from file)"
+        output.answer({"layout": str(layout)}, said)
+        return
+    live.serve(
+        output.socket, output.arm, port, lambda found: output.ready("url", f"ws://{live.HOST}:{found}"), output.warn
+    )
+
+
+@command("web", SOCKET, CONFIG)
+@click.option("--port", type=click.IntRange(1, 65535), default=8080, help="TCP port on 127.0.0.1.")
+def web_command(output: Output, port: int) -> None:
+    """Serve the dashboard on this computer, until Ctrl-C.
+
+    Prints `ready ADDRESS`; the address holds the token that opens the page. Nobody else can reach it: for another
+    computer use a tunnel, `ssh -L 8080:127.0.0.1:8080 HOST`, and open the printed address there.
+
+    Example: armctl web
+    """
+    from armctl.files import socket_path
+    from armctl.host.service_manager import notify
+    from armctl.web.server import serve
+
+    runtime = os.environ.get("RUNTIME_DIRECTORY")
+
+    def ready(address: str) -> None:
+        notify("READY=1")
+        output.ready("address", address)
+
+    serve(
+        output.arm,
+        output.config,
+        socket=socket_path(output.socket),
+        port=port,
+        token_file=Path(runtime) / "address" if runtime else None,
+        ready=ready,
+    )

@@ -1,25 +1,29 @@
-"""`armctl scan` and `armctl doctor`, and the bus of every command that opens the serial port itself.
+"""`armctl scan`, `doctor`, `report`, `install`, `uninstall`; the bus of every command that opens the serial port.
 
-The daemon must not run meanwhile, and none of these commands moves a servo.
+The daemon must not run while a command of this module has the port, and none of them moves a servo.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import shlex
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command
-from armctl.cli.tables import show_table
+from armctl.cli.output import ARM, BAUD, CONFIG, FILE, FOLDER, PORT, SOCKET, Output, command
+from armctl.cli.tables import Column, show_rows
 
 if TYPE_CHECKING:
     from armctl.commissioning.doctor import Check
+    from armctl.commissioning.installation import Act
     from armctl.commissioning.scan import FoundServo
     from armctl.dynamixel.bus import ServoBus
     from armctl.dynamixel.port import ServoPort
@@ -87,18 +91,19 @@ def scan_command(output: Output, baud: str | None) -> int:
 
 
 def show_servos(output: Output, found: Sequence[FoundServo]) -> None:
-    rows = [
-        (
-            str(servo.servo_id),
-            str(servo.baud),
-            *("-" if value is None else str(value) for value in (servo.model, servo.firmware)),
-            str(servo.round_trip_us),
-            "; ".join(["answers no READ"] * (servo.model is None) + ["two servos have this id"] * servo.clash),
-        )
-        for servo in found
-    ]
-    columns = ("id", "baud", "model", "firmware", "round trip, us", "trouble")
-    show_table(output.console, "", columns, rows, words=("trouble",))
+    columns: tuple[Column, ...] = (
+        ("id", "{servo_id}"),
+        ("baud", "{baud}"),
+        ("model", "{model}", "model"),
+        ("firmware", "{firmware}", "firmware"),
+        ("round trip, us", "{round_trip_us}"),
+        ("trouble", _trouble),
+    )
+    show_rows(output.console, "", columns, map(asdict, found), words=("trouble",))
+
+
+def _trouble(servo: Mapping[str, Any]) -> str:
+    return "; ".join(["answers no READ"] * (servo["model"] is None) + ["two servos have this id"] * servo["clash"])
 
 
 # --------------------------------------------------------------------------------------------------------- doctor
@@ -155,3 +160,88 @@ def show_checks(output: Output, checks: Sequence[Check]) -> None:
         say(f"{'FAIL' if bad else 'ok':<5} {order[name]:<16} {value}{where}", 23)
         if bad:  # from the left: a command to type is then rarely broken
             say(f"      -> {fix}", 9)
+
+
+@command("report", CONFIG)
+@click.option("--out", type=FILE, help="The zip file to write.")
+def report_command(output: Output, out: Path | None) -> None:
+    """Gather versions, doctor, status, configuration and the last logs into one zip file for a bug report.
+
+    Secrets, your name and your home folder are left out of every text; look through the file before you send it.
+
+    Example: armctl report --out armctl-report.zip
+    """
+    from armctl.commissioning import bundle
+
+    path = out or Path(f"armctl-report-{datetime.now():%Y%m%d-%H%M%S}.zip")
+    files = bundle.write(path, output.config, output.config_file or "", lambda part: output.say(f"  {part}"))
+    size_MB = path.stat().st_size / 1e6
+    output.answer({"path": str(path), "files": files}, f"{path}: {len(files)} files, {size_MB:.1f} MB")
+
+
+DRY_RUN = click.Option(["--dry-run"], is_flag=True, help="Say what would be done, and do nothing.")
+ROOT = click.Option(
+    ["--root"], type=FOLDER, default=Path("/"), help="Write below this folder and run no command: for packages."
+)
+
+
+@command("install", DRY_RUN, ROOT)
+@click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to serve.")
+@click.option("--port", metavar="PATH", help="Serial port of the arm, to limit the udev rule to its adapter.")
+@click.option("--user", help="Who may command the arm.  [default: you]")
+@click.option("--prefix", type=FOLDER, help="Environment whose bin/armctl the service starts.  [default: this one]")
+def install_command(
+    output: Output, arm: str, port: str | None, user: str | None, prefix: Path | None, dry_run: bool, root: Path
+) -> int:
+    """Make the daemon a service that starts with the system.
+
+    Says what it does, changes nothing the second time, and keeps configuration and calibrations that are there.
+    The dashboard's service is installed too, but starts only when asked:
+    `sudo systemctl enable --now armctl-web`.
+
+    Example: sudo armctl install --port /dev/ttyUSB0
+    """
+    from armctl.commissioning.installation import SYSTEM, installation, missing_commands
+    from armctl.errors import ConfigError
+
+    user = os.environ.get("SUDO_USER", "") if user is None else user
+    acts = installation(arm=arm, port=port or "", user=user, prefix=prefix)
+    missing = missing_commands(acts) if root == SYSTEM and not dry_run else []
+    if missing:
+        raise ConfigError(
+            "armctl install", "", f"this system has no {', '.join(missing)}", "run `armctl daemon` by hand instead"
+        )
+    done = "armctl runs as a service; see `armctl status`" if root == SYSTEM else f"written below {root}"
+    return _carry_out(output, acts, root, dry_run, done)
+
+
+@command("uninstall", DRY_RUN, ROOT)
+def uninstall_command(output: Output, dry_run: bool, root: Path) -> int:
+    """Remove the service; configuration, calibrations, logs and recordings stay.
+
+    The arm comes to rest and keeps its torque: type `armctl park` first to have it limp at its rest pose.
+
+    Example: sudo armctl uninstall --dry-run
+    """
+    from armctl.commissioning.installation import removal
+
+    return _carry_out(output, removal(), root, dry_run, "left: /etc/armctl, /var/lib/armctl, the user and group armctl")
+
+
+def _carry_out(output: Output, acts: Sequence[Act], root: Path, dry_run: bool, done: str) -> int:
+    from armctl.commissioning.installation import carry_out
+
+    told: list[dict[str, object]] = []
+
+    def tell(act: Act, due: bool) -> None:
+        told.append({"act": str(act), "due": due})
+        output.say(("would " if dry_run and due else "") + str(act) + ("" if due else "  (nothing to do)"))
+
+    if dry_run:
+        for act in acts:
+            tell(act, act.due(root))
+    else:
+        carry_out(acts, root, tell)
+        output.say(done)
+    output.result({"acts": told, "done": not dry_run})
+    return 0

@@ -12,21 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.experiment import ViaType
+from armctl.cli.experiment import VIA
 from armctl.cli.output import CONFIG, FILE, POINT, Numbers, Output
 from armctl.cli.output import command as answering
-from armctl.cli.tables import show_table
+from armctl.cli.tables import Cell, Column, Row, filled, show_rows
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from armctl.config import ArmConfig, Config
     from armctl.lab.study.case import Case
 
-Row = dict[str, Any]
-# A template that a row fills in, or a function of the row.
-Text = str | Callable[[Row], str]
-# Heading, text of a cell, and the key without which the cell is left open.
-Column = tuple[str, Text] | tuple[str, str, str]
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 RECORDINGS = click.argument("recordings", nargs=-1)
@@ -48,7 +43,7 @@ def numbers(name: str, default: str, **more: Any) -> Option:
 
 
 def via(default: str, help: str) -> Option:
-    return click.option("--via", type=ViaType(), default=default, help=help)
+    return click.option("--via", **VIA, default=default, help=help)
 
 
 def objective(default: str) -> Option:
@@ -67,7 +62,7 @@ class Command:
     # What is asked beside `WORK`: fields of `Case`, what varies, and the file.
     options: tuple[Option, ...]
     # Of the table for people; filled in by its first row.
-    title: Text
+    title: Cell
     columns: tuple[Column, ...]
     # Options that say which cases there are.
     varied: tuple[str, ...] = ()
@@ -316,14 +311,6 @@ def show(output: Output, name: str, result: Mapping[str, Sequence[Row]]) -> None
     """The table of a study's result, and the sentences below it."""
     command = COMMANDS[name]
     rows = result[command.table]
-    cells = [[_cell(row, *texts) for _, *texts in command.columns] for row in rows]
-    headings = [heading for heading, *_ in command.columns]
-    show_table(output.console, _cell(rows[0], command.title), headings, cells, words=command.words)
+    show_rows(output.console, filled(rows[0], command.title), command.columns, rows, words=command.words)
     for note in command.notes(result):
         output.say(note)
-
-
-def _cell(row: Row, text: Text, needed: str | None = None) -> str:
-    if needed is not None and row.get(needed) is None:
-        return "-"
-    return text.format_map(row) if isinstance(text, str) else text(row)

@@ -6,13 +6,19 @@ Rules.
 3. Columns move together before anything is wrapped that need not be.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+Row = Mapping[str, Any]
+# A template that a row fills in, or a function of the row.
+Cell = str | Callable[[Row], str]
+# Heading, text of a cell, and the key without which the cell is left open.
+Column = tuple[str, Cell] | tuple[str, str, str]
 # Characters between two columns, the first that fits is taken.
 GAPS = (3, 2, 1)
 
@@ -43,6 +49,21 @@ def show_table(
     for row in rows:
         shown.add_row(*map(Text, row))
     console.print(shown)
+
+
+def show_rows(
+    console: Console, title: str, columns: Sequence[Column], rows: Iterable[Row], words: Collection[str] = ()
+) -> None:
+    """Print a table whose cells are made from rows of data."""
+    cells = [[filled(row, *cell) for _, *cell in columns] for row in rows]
+    show_table(console, title, [heading for heading, *_ in columns], cells, words)
+
+
+def filled(row: Row, cell: Cell, needed: str | None = None) -> str:
+    """The text of one cell; `needed` names what the row must hold, or the cell is left open."""
+    if needed is not None and row.get(needed) is None:
+        return "-"
+    return cell.format_map(row) if isinstance(cell, str) else cell(row)
 
 
 def layout(cells: Sequence[Sequence[str]], worded: Sequence[bool], total: int) -> tuple[int, list[int]]:

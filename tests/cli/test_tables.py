@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from armctl.cli import calibrate, demo, experiment, jobs, logs, main, reach, reproduce, servo, setup, study
+from armctl.cli import calibrate, demo, experiment, jobs, logs, main, motion, reproduce, servo, setup, study
 from armctl.cli.output import Output
 from armctl.cli.tables import show_table
 from armctl.commissioning.calibration import Fit, Parameter
@@ -152,7 +152,7 @@ TABLES: dict[str, Callable[[Output], object]] = {
     "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
     "recordings": lambda out: jobs.show_recordings(out, [RECORDING, {**RECORDING, "mean_error_mm": None}]),
     "optimize": lambda out: jobs.show_optimum(out, OPTIMUM, {"via": 20, "path": "plan.json", **PREDICTED}),
-    "transfer": lambda out: reach.show_curves(out, [CURVE]),
+    "transfer": lambda out: motion.show_curves(out, [CURVE]),
     "scan": lambda out: setup.show_servos(out, SERVOS),
     "doctor": lambda out: setup.show_checks(out, CHECKS),
     "servo eeprom": lambda out: servo.show_differences(out, DIFFERENCES, "file", "servo"),

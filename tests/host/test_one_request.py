@@ -14,8 +14,7 @@ import pytest
 from armctl import client
 from armctl.cli import main
 from armctl.cli.jobs import optimize_command
-from armctl.cli.motion import move_command
-from armctl.cli.reach import reach_command, transfer_command
+from armctl.cli.motion import move_command, reach_command, transfer_command
 from armctl.clock import VirtualClock
 from armctl.config import Frozen, validate
 from armctl.genetic.algorithm import PROFILES
