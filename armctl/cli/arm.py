@@ -62,36 +62,31 @@ NEAR_LIMIT = 0.03
 
 def picture(snapshot: dict[str, Any]) -> RenderableType:
     joints = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for column in ("joint", "id", "deg", "limits", "deg/s", "load %", "V", "degC", "torque", "age s"):
-        left = column in ("joint", "limits")
-        width = WIDEST_NAME if column == "joint" else None
-        joints.add_column(
-            column, justify="left" if left else "right", no_wrap=width is None, overflow="fold", max_width=width
-        )
+    joints.add_column("joint", overflow="fold", max_width=WIDEST_NAME)
+    for column in ("id", "deg", "limits", "deg/s", "load %", "V", "degC", "torque", "age s"):
+        joints.add_column(column, justify="left" if column == "limits" else "right", no_wrap=True, overflow="fold")
     for joint in snapshot["joints"]:
-        known = joint["position_rad"] is not None
-        joints.add_row(
-            joint["name"],
-            str(joint["servo_id"]),
-            f"{math.degrees(joint['position_rad']):.1f}" if known else "-",
-            _place(joint) if known else "",
-            f"{math.degrees(joint['velocity_rad_s']):.0f}" if known else "-",
-            f"{joint['load_ratio'] * 100.0:.0f}" if known else "-",
-            f"{joint['voltage_V']:.1f}" if known else "-",
-            f"{joint['temperature_degC']:.0f}" if known else "-",
-            ("on" if joint["torque_enabled"] else "off") if known else "-",
-            f"{joint['age_s']:.2f}" if joint["age_s"] is not None else "never",
-        )
+        read: tuple[str | Text, ...] = ("-", "", *["-"] * 5)
+        if joint["position_rad"] is not None:
+            read = (
+                f"{math.degrees(joint['position_rad']):.1f}",
+                _place(joint),
+                f"{math.degrees(joint['velocity_rad_s']):.0f}",
+                f"{joint['load_ratio'] * 100.0:.0f}",
+                f"{joint['voltage_V']:.1f}",
+                f"{joint['temperature_degC']:.0f}",
+                "on" if joint["torque_enabled"] else "off",
+            )
+        age = "never" if joint["age_s"] is None else f"{joint['age_s']:.2f}"
+        joints.add_row(joint["name"], str(joint["servo_id"]), *read, age)
     speed_m_s = None if snapshot["tool"] is None else snapshot["tool"]["speed_m_s"]
     limit_m_s = snapshot["tool_speed_limit_m_s"]
     hurried = snapshot["state"] == "teaching" and (speed_m_s or 0.0) > limit_m_s
+    warning = f" (keep it below {1000.0 * limit_m_s:.0f})" if hurried else ""
     parts: list[RenderableType] = [
         Text(f"{snapshot['arm_id']}: {snapshot['state']}", style="bold red" if snapshot["fault"] else "bold"),
         joints,
-        Text(
-            f"tool at {_tool(snapshot)}" + (f" (keep it below {1000.0 * limit_m_s:.0f})" if hurried else ""),
-            style="bold red" if hurried else "",
-        ),
+        Text(f"tool at {_tool(snapshot)}{warning}", style="bold red" if hurried else ""),
     ]
     if snapshot["progress"] is not None:
         done = round(snapshot["progress"] * 2 * BAR)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import CONFIG, FILE, HOLDS, POINT, SOCKET, Output, command
+from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, SOCKET, START, Output, command
 from armctl.cli.tables import Column, show_rows
 
 if TYPE_CHECKING:
@@ -40,11 +40,11 @@ def experiment_command() -> None:
 
 
 @command("line", SOCKET, CONFIG, group=experiment_command)
-@click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
-@click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
+@START
+@END
 @click.option("--via", **VIA, default="0,1,2", help="Numbers of via points; auto; stream.")
 @click.option("--repeats", type=click.IntRange(1, 100), default=5, help="Runs of each final plan.")
-@click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
+@DURATION
 @click.option("--refine", "rounds", type=click.IntRange(0, 20), default=0, help="Corrections at most.")
 @click.option("--tolerance-mm", type=click.FloatRange(0.1), default=1.0, help="What auto asks for.")
 @click.option("--objective", type=click.Choice(("mean", "mix", "max")), default="mix", help="What is made small.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from armctl.cli.output import CONFIG, FILE, HOLDS, JSON, POINT, SOCKET, Output, command
+from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, JSON, SOCKET, START, Output, command
 from armctl.cli.tables import Column, show_rows, show_table
 from armctl.errors import LogError, NoDaemon
 
@@ -116,10 +116,10 @@ def recordings_delete(output: Output, name: str) -> None:
 
 @command("optimize", SOCKET, CONFIG)
 @click.argument("recordings", nargs=-1, required=True)
-@click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
-@click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
+@START
+@END
 @click.option("--via", type=click.IntRange(0, 20), default=2, help="Intermediate points.")
-@click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
+@DURATION
 @click.option("--seed", type=click.IntRange(0), default=0)
 @click.option(
     "--profile",

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from armctl.recording.replay import ReplayResult
     from armctl.recording.timeline import Timeline
 
+LOG = click.argument("log", type=FILE)
+NEW_FILE = click.option("--out", type=FILE, required=True, metavar="PATH", help="The new file.")
 EVENTS_SHOWN = 6
 # Between two lines where there is no terminal.
 LINE_S = 1.0
@@ -39,7 +41,7 @@ PLAYED = kept_option(
 
 
 @command("replay", PLAYED)
-@click.argument("log", type=FILE)
+@LOG
 @click.option("--check", is_flag=True, help="Re-run every tick and compare bit for bit.")
 @click.option("--rate", type=click.FloatRange(0.01, 1000.0), default=1.0, help="Times real time.")
 @click.option("--start", "start_s", type=click.FloatRange(0.0), default=0.0, metavar="S", help="Begin here.")
@@ -67,7 +69,12 @@ def replay_command(
         same = result.mismatches == 0 and result.ticks > 0
         answer = vars(result).copy()
     if report is not None:
-        _report(output, log, report, answer)
+        from armctl.report import log as page
+
+        page.write(_loaded(output, log), report, answer)
+        answer["report"] = str(report)
+        if not output.json:
+            output.say(f"report: {report}")
     if not output.result(answer) and not check and report is None:
         from armctl.cli.keys import keys
         from armctl.clock import MonotonicClock
@@ -103,15 +110,6 @@ def _loaded(output: Output, log: Path) -> Timeline:
 
     with output.progress("reading", 1.0) as show:
         return timeline.load(log, progress=show)
-
-
-def _report(output: Output, log: Path, report: Path, answer: dict[str, Any]) -> None:
-    from armctl.report import log as page
-
-    page.write(_loaded(output, log), report, answer)
-    answer["report"] = str(report)
-    if not output.json:
-        output.say(f"report: {report}")
 
 
 def _onto_sim(output: Output, log: Path, foreign: bool, seed: int) -> int:
@@ -155,9 +153,9 @@ def picture(timeline: Timeline, player: Player) -> RenderableType:
     """One frame for a terminal: joints, tool, state, fault, and what happened last."""
     i = timeline.index(player.at_s)
     joints = Table(box=None, pad_edge=False)
-    for column in ("joint", "deg", "goal", "deg/s", "load %", "V", "degC", "torque"):
-        named = column == "joint"
-        joints.add_column(column, justify="left" if named else "right", no_wrap=not named, overflow="fold")
+    joints.add_column("joint", overflow="fold")
+    for column in ("deg", "goal", "deg/s", "load %", "V", "degC", "torque"):
+        joints.add_column(column, justify="right", no_wrap=True, overflow="fold")
     for j, name in enumerate(timeline.arm.joint_names):
         joints.add_row(
             name,
@@ -217,7 +215,7 @@ INFO = ("messages", "start_s", "duration_s", "topics", "complete")
 
 
 @command("info", group=log_command)
-@click.argument("log", type=FILE)
+@LOG
 def info(output: Output, log: Path) -> None:
     """Tell what LOG holds: messages, duration, topics, whether it was closed properly.
 
@@ -240,7 +238,7 @@ def show_topics(output: Output, topics: Mapping[str, int]) -> None:
 
 
 @command("recover", group=log_command)
-@click.argument("log", type=FILE)
+@LOG
 def recover(output: Output, log: Path) -> None:
     """Write every intact message of a truncated LOG into a finished file beside it.
 
@@ -257,7 +255,7 @@ def recover(output: Output, log: Path) -> None:
 
 
 @command("export", group=log_command)
-@click.argument("log", type=FILE)
+@LOG
 @click.option("--format", "kind", type=click.Choice(["csv", "xlsx", "parquet"]), required=True)
 @click.option("--out", type=click.Path(path_type=Path), required=True, metavar="PATH", help="The new file.")
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only the messages of TOPIC; repeatable.")
@@ -281,7 +279,7 @@ def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, .
 
 
 @command("trim", group=log_command)
-@click.argument("log", type=FILE)
+@LOG
 @click.option("--from", "begin_s", type=float, default=0.0, help="Seconds since the beginning.")
 @click.option(
     "--to",
@@ -291,7 +289,7 @@ def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, .
     show_default=False,
     help="Seconds since the beginning; the end if left out.",
 )
-@click.option("--out", type=FILE, required=True, metavar="PATH", help="The new file.")
+@NEW_FILE
 def trim(output: Output, log: Path, begin_s: float, end_s: float, out: Path) -> None:
     """Write a part of LOG as a log of its own, which opens and replays alone.
 
@@ -308,7 +306,7 @@ def trim(output: Output, log: Path, begin_s: float, end_s: float, out: Path) -> 
 
 @command("merge", group=log_command)
 @click.argument("logs", type=FILE, nargs=-1, required=True)
-@click.option("--out", type=FILE, required=True, metavar="PATH", help="The new file.")
+@NEW_FILE
 def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
     """Write consecutive LOGS of one daemon as one file; the order in which they are named does not matter.
 

@@ -278,3 +278,6 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in som
 
 
 POINT = Numbers(3, "three numbers x,y,z in metres, such as 0.18,-0.125,0.10", metres=True)
+START = click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
+END = click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
+DURATION = click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)

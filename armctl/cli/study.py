@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.experiment import VIA
-from armctl.cli.output import CONFIG, FILE, POINT, Numbers, Output
+from armctl.cli.output import CONFIG, DURATION, END, FILE, POINT, START, Numbers, Output
 from armctl.cli.output import command as answering
 from armctl.cli.tables import Cell, Column, Row, filled, show_rows
 from armctl.errors import ConfigError
@@ -25,11 +25,6 @@ if TYPE_CHECKING:
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 RECORDINGS = click.argument("recordings", nargs=-1)
-FROM_TO = (
-    click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres."),
-    click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres."),
-)
-DURATION = click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
 REFINE = click.option("--refine", "rounds", type=click.IntRange(0, 20), default=5, help="Corrections.")
 WORK = (
     click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a study."),
@@ -85,7 +80,8 @@ COMMANDS = {
         "Example: armctl study ga --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --population 50,95,200",
         (
             RECORDINGS,
-            *FROM_TO,
+            START,
+            END,
             numbers("--population", "50,95,200"),
             numbers("--pc", "0.4,0.6,0.8", help="Crossover probabilities."),
             numbers("--pm", "0.001,0.01,0.05", help="Mutation probabilities."),
@@ -148,7 +144,8 @@ COMMANDS = {
         "Example: armctl study pareto --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --arms 4 --report pareto.html",
         (
             RECORDINGS,
-            *FROM_TO,
+            START,
+            END,
             numbers("--via", "0,1,2,3,5,8", help="Numbers of via points."),
             numbers("--durations", "1,1.5,2,3,5,8", help="Seconds."),
             click.option("--arms", type=click.IntRange(0, 1000), default=0, help="Simulated arms."),
@@ -175,7 +172,8 @@ COMMANDS = {
         "off.\n\n"
         "Example: armctl study limits --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --report evidence.html",
         (
-            *FROM_TO,
+            START,
+            END,
             via("1,2,8,stream", "Via points; auto; stream."),
             REFINE,
             repeats(100, "Runs of each final plan."),
@@ -205,7 +203,8 @@ COMMANDS = {
         "The paper's experiments 1, 2 and 3, five runs each, by its own genetic algorithm: Table II beside ours.\n\n"
         "Example: armctl study paper --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --xlsx angles.xlsx",
         (
-            *FROM_TO,
+            START,
+            END,
             DURATION,
             click.option("--xlsx", type=FILE, metavar="FILE", help="Write the recorded angles of all runs."),
         ),

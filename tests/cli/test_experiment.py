@@ -1,8 +1,5 @@
-import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,29 +13,22 @@ from armctl.lab.measured_tool import COLUMNS
 from armctl.lab.rig import Measured, VirtualRig
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
+from tests.cli.conftest import Answer
 from tests.genetic import hand
 from tests.host.doubles import write_take
 from tests.lab.daemon import SimulatedDaemon
 
 A, B = (0.18, -0.1, 0.10), (0.18, 0.1, 0.10)
-LINE = ["experiment", "line", "--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10"]
-
-
-def answer(capsys: pytest.CaptureFixture[str], arguments: Sequence[str]) -> tuple[int, Any]:
-    status = main([*arguments, "--json"])
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 1
-    return status, json.loads(lines[0])
+LINE = ("experiment", "line", "--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10")
 
 
 def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_after(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    answer: Answer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("ARMCTL_SOCKET", "/nonexistent/socket")
     told = ["--via", "2,stream", "--repeats", "2", "--refine", "2", "--seed", "3", "--profile", "paper", "--virtual"]
     page = tmp_path / "line.html"
-    status, found = answer(capsys, [*LINE, *told, "--report", str(page)])
-    assert status == 0
+    found = answer(*LINE, *told, "--report", page)
     text = page.read_text(encoding="utf-8")
     assert "Mean distance by round of correction" in text
     assert "Best cost of the genetic algorithm by generation" in text
@@ -58,7 +48,7 @@ def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_aft
 
 
 def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_tolerance(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    answer: Answer, tmp_path: Path
 ) -> None:
     names = []
     for number, take in enumerate(hand.recordings(3, seed=1)):
@@ -69,8 +59,7 @@ def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_t
     chosen = []
     for tolerance_mm in (20.0, 0.9):
         more = ["--via", "auto", "--tolerance-mm", str(tolerance_mm), "--repeats", "1", "--virtual"]
-        status, found = answer(capsys, ["experiment", "line", *ends, *told, *more])
-        assert status == 0
+        found = answer("experiment", "line", *ends, *told, *more)
         assert len(found["ga"]["baseline"]) == len(names)
         (row,) = found["rows"]
         assert row["predicted_mean_error_mm"] < tolerance_mm
@@ -86,12 +75,8 @@ def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_t
         (["--duration", "0.6"], "s or more"),
     ],
 )
-def test_a_line_that_cannot_be_followed_is_refused_at_once(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], match: str
-) -> None:
-    status, found = answer(capsys, [*LINE, *arguments, "--virtual"])
-    assert status == 1
-    assert match in str(found["error"])
+def test_a_line_that_cannot_be_followed_is_refused_at_once(answer: Answer, arguments: list[str], match: str) -> None:
+    assert match in str(answer(*LINE, *arguments, "--virtual", status=1)["error"])
 
 
 @pytest.mark.parametrize("via", ["", "one", "21", "-1", "2.5", "2,,3"])
@@ -125,38 +110,34 @@ def true_mm(run: Measured) -> float:
 
 
 def test_a_sag_model_from_calibration_lines_is_stored_and_makes_the_first_run_straight(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config: Path
+    answer: Answer, monkeypatch: pytest.MonkeyPatch, config: Path
 ) -> None:
     served = daemon(monkeypatch)
-    status, found = answer(capsys, ["calibrate", "--sag", "--config", str(config)])
-    assert status == 0
+    found = answer("calibrate", "--sag", "--config", config)
     assert found["lines"] == len(served.runs) == 8
     arm = str(config.with_name("mine.yaml"))
     model = sag_model.load(Config(arm=arm), load_arm(arm))
     assert model is not None
     assert list(model.residual_tick) == list(found["residual_tick"].values())
     served.runs.clear()
-    told = ["--via", "stream", "--refine", "1", "--repeats", "1", "--config", str(config)]
-    status, found = answer(capsys, [*LINE, *told])
-    assert status == 0
+    found = answer(*LINE, "--via", "stream", "--refine", "1", "--repeats", "1", "--config", config)
     assert found["sag_model"]["lines"] == 8
     assert true_mm(served.runs[1]) < 0.3 * true_mm(served.runs[0])
     assert found["rows"][0]["recordings"] == [f"run-{len(served.runs)}"]
 
 
 def test_a_measurement_from_outside_corrects_what_no_encoder_sees(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config: Path, tmp_path: Path
+    answer: Answer, monkeypatch: pytest.MonkeyPatch, config: Path, tmp_path: Path
 ) -> None:
     served = daemon(monkeypatch, replace(RANDOM_SPEC, zero_offset_within_tick=8.0))
-    told = [*LINE, "--via", "stream", "--refine", "2", "--repeats", "1", "--config", str(config)]
-    assert answer(capsys, told)[0] == 0
+    told = (*LINE, "--via", "stream", "--refine", "2", "--repeats", "1", "--config", config)
+    answer(*told)
     blind = served.runs[-1]
     assert blind.true_time_s is not None
     assert blind.true_tool_m is not None
     csv = tmp_path / "tool.csv"
     rows = np.column_stack([blind.true_time_s, blind.true_tool_m])
     np.savetxt(csv, rows, delimiter=",", header=",".join(COLUMNS), comments="")
-    status, _ = answer(capsys, [*told, "--measured", str(csv), f"takes/run-{len(served.runs)}"])
-    assert status == 0
+    answer(*told, "--measured", csv, f"takes/run-{len(served.runs)}")
     assert true_mm(blind) > 2.0
     assert true_mm(served.runs[-1]) < 0.5 * true_mm(blind)

@@ -80,31 +80,3 @@ def test_workspace_and_trajectory_answer_and_draw(tmp_path: Path, answer: Answer
     np.testing.assert_allclose(np.degrees(found["position_rad"][-1]), [60, 45, -60, 60], atol=1e-9)
     np.testing.assert_allclose(found["velocity_rad_s"][-1], 0.0, atol=1e-12)
     assert "Tool acceleration" in page.read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("fk --robot hal --q 0", "known: xiang-6dof, puma560, ax12-line, lanzhou-4dof, transfer-6dof"),
-        ("fk --robot puma560 --q 0,0", "this robot has 6 joints"),
-        ("fk --robot puma560 --q nan,0,0,0,0,0", "must be finite"),
-        ("fk --robot puma560 --q a", "not a list of numbers"),
-        ("fk --robot puma560 --q 0,0,0,0,0,0 --set a9=1", "no such length; known: a2"),
-        ("fk --robot puma560 --q 0,0,0,0,0,0 --set a2", "not a length"),
-        ("ik --robot puma560", "give one of --xyz, --pose and --T"),
-        (f"ik --robot puma560 --xyz 1,2,3 --pose {POSE}", "give one of"),
-        ("ik --robot puma560 --pose 1,2,3", "x,y,z,roll,pitch,yaw"),
-        ("ik --robot puma560 --T 1,2,3", "give 16"),
-        ("ik --robot puma560 --T 1,0,0,0,0,1,0,0,0,0,2,0,0,0,0,1", "not a rotation"),
-        ("ik --robot puma560 --T " + ",".join(["nan"] * 16), "must be finite"),
-        ("ik --robot puma560 --xyz nan,0,0", "finite"),
-        ("ik --robot ax12-line --set a2=-0.1 --xyz 0.1,0,0", "longer than 0 m"),
-        ("jacobian --robot puma560 --q 0", "this robot has 6 joints"),
-        ("trajectory --robot lanzhou-4dof --q0 0,0,0,0 --q1 0,0 --duration 1", "4 joints"),
-        ("trajectory --robot lanzhou-4dof --q0 0,0,0,0 --q1 0,0,0,1 --duration 0", "above 0"),
-    ],
-)
-def test_wrong_input_is_2_and_says_what_is_wrong(line: str, message: str, typed: Typed) -> None:
-    said = typed(*line.split())
-    assert (said.status, said.out) == (2, "")
-    assert message in said.err

@@ -1,22 +1,13 @@
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from armctl.cli import main
 from armctl.cli.study import COMMANDS
 from armctl.lab.study.studies import STUDIES
+from tests.cli.conftest import Answer, Typed
 
 LINE = ["--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10"]
-
-
-def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    assert main(["study", *arguments, "--json"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 1
-    result: dict[str, Any] = json.loads(lines[0])
-    return result
 
 
 def test_every_study_stands_in_the_table_of_commands_and_in_that_of_the_work() -> None:
@@ -25,28 +16,26 @@ def test_every_study_stands_in_the_table_of_commands_and_in_that_of_the_work() -
         assert (command.file is None) == (STUDIES[name].write is None)
 
 
-def test_settings_of_the_genetic_algorithm_repeat_by_their_seed_whoever_works(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_settings_of_the_genetic_algorithm_repeat_by_their_seed_whoever_works(answer: Answer) -> None:
     asked = ["ga", *LINE, "--population", "10,20", "--pc", "0.6", "--pm", "0.01", "--generations", "10"]
-    alone = answer(capsys, *asked, "--repeats", "2", "--seed", "4", "--workers", "1")
-    spread = answer(capsys, *asked, "--repeats", "2", "--seed", "4", "--workers", "2")
+    alone = answer("study", *asked, "--repeats", "2", "--seed", "4", "--workers", "1")
+    spread = answer("study", *asked, "--repeats", "2", "--seed", "4", "--workers", "2")
     assert alone == spread
     assert [row["population"] for row in alone["rows"]] == [10, 20]
 
 
-def test_arms_tell_each_row_and_their_summary(capsys: pytest.CaptureFixture[str]) -> None:
-    found = answer(capsys, "arms", *LINE, "--via", "1", "--arms", "2", "--refine", "0", "--workers", "1")
+def test_arms_tell_each_row_and_their_summary(answer: Answer) -> None:
+    found = answer("study", "arms", *LINE, "--via", "1", "--arms", "2", "--refine", "0", "--workers", "1")
     assert [row["arm"] for row in found["rows"]] == [0, 1]
     (one,) = found["summary"]
     assert one["arms"] == 2
     assert one["truth"]["mean_error_mm"]["worst"] >= one["truth"]["mean_error_mm"]["median"] > 0.0
 
 
-def test_fronts_are_told_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_fronts_are_told_and_drawn(answer: Answer, tmp_path: Path) -> None:
     page = tmp_path / "pareto.html"
     found = answer(
-        capsys, "pareto", *LINE, "--via", "1,2", "--durations", "4,3", "--report", str(page), "--workers", "1"
+        "study", "pareto", *LINE, "--via", "1,2", "--durations", "4,3", "--report", str(page), "--workers", "1"
     )
     assert [(row["duration_s"], row["via"]) for row in found["rows"]] == [(3.0, 1), (3.0, 2), (4.0, 1), (4.0, 2)]
     assert any(row["front_duration"] for row in found["rows"])
@@ -54,10 +43,10 @@ def test_fronts_are_told_and_drawn(capsys: pytest.CaptureFixture[str], tmp_path:
     assert html.count('<figure role="img"') == 2
 
 
-def test_the_tables_for_people_come_out_too(capsys: pytest.CaptureFixture[str]) -> None:
-    status = main(["study", "arms", *LINE, "--via", "1", "--arms", "1", "--refine", "0", "--workers", "1"])
-    assert status == 0
-    assert "True distance from the line on 1 arms" in capsys.readouterr().out
+def test_the_tables_for_people_come_out_too(typed: Typed) -> None:
+    said = typed("study", "arms", *LINE, "--via", "1", "--arms", "1", "--refine", "0", "--workers", "1")
+    assert said.status == 0
+    assert "True distance from the line on 1 arms" in said.out
 
 
 @pytest.mark.parametrize(
