@@ -1,6 +1,7 @@
 """Zero offsets and link lengths from touched points."""
 
 import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from armctl.errors import ConfigError, PortGone, RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
 
 TOUCHES = 24
@@ -31,14 +33,26 @@ def errors(found: Fit, true: ArmConfig) -> tuple[float, float]:
 
 def ideal_touches(true: ArmConfig, count: int, rng: np.random.Generator, *, flat: bool = False) -> list[Touch]:
     """Touches without noise; `flat`: the tool always comes down at one angle."""
-    robot = robots.get(true.robot, true.lengths_m)
     touches = []
     for q in postures(true, count, rng):
         if flat:
             q[4] = -math.pi / 2.0 - q[1] - q[2] - q[3]
-        ticks = tuple(joint.tick(position) for joint, position in zip(true.joints, q, strict=True))
-        touches.append(Touch(point_m=tuple(tool_position(robot.chain, q[: robot.chain.n]).tolist()), ticks=ticks))
+        touches.append(touch(true, q, np.zeros(3)))
     return touches
+
+
+def touch(true: ArmConfig, q: FloatArray, error_m: FloatArray) -> Touch:
+    """What the servos of the true arm read in a posture, and the point that its tool is said to be on."""
+    chain = robots.get(true.robot, true.lengths_m).chain
+    point_m = tool_position(chain, q[: chain.n]) + error_m
+    ticks = tuple(joint.tick(position) for joint, position in zip(true.joints, q, strict=True))
+    return Touch(point_m=tuple(point_m.tolist()), ticks=ticks)
+
+
+def moved(touches: Sequence[Touch], points_m: Iterable[Iterable[float]]) -> list[Touch]:
+    """The same postures on other points."""
+    pairs = zip(touches, points_m, strict=True)
+    return [taken.model_copy(update={"point_m": tuple(point_m)}) for taken, point_m in pairs]
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -73,11 +87,7 @@ def test_standard_errors_are_what_repeated_calibrations_scatter() -> None:
     touches = ideal_touches(ARM, 20, rng)
     found = []
     for _ in range(60):
-        points_m = [np.array(touch.point_m) + 0.0005 * rng.standard_normal(3) for touch in touches]
-        noisy = [
-            touch.model_copy(update={"point_m": tuple(point_m.tolist())})
-            for touch, point_m in zip(touches, points_m, strict=True)
-        ]
+        noisy = moved(touches, [taken.point_m + 0.0005 * rng.standard_normal(3) for taken in touches])
         found.append([p for p in fit(ARM, noisy).parameters if p.standard_error is not None])
     after = np.array([[parameter.after for parameter in row] for row in found])
     said = np.array([[parameter.standard_error for parameter in row] for row in found], dtype=np.float64).mean(axis=0)
@@ -102,13 +112,10 @@ def test_standard_errors_own_up_to_what_was_left_alone(seed: int) -> None:
     """One way of holding the arm for all points: some parameters are held, and the others absorb their errors."""
     rng = np.random.default_rng(seed)
     true = planted(ARM, rng, tick=5.0, length_m=0.002)
-    robot = robots.get(true.robot, true.lengths_m)
     touches = []
     for _ in range(30):
         q = np.array([0.0, 1.9, -1.2, -0.9, -0.9, 0.0]) + rng.normal(0.0, [0.5, 0.1, 0.1, 0.05, 0.05, 0.0])
-        ticks = tuple(joint.tick(position) for joint, position in zip(true.joints, q, strict=True))
-        point = tool_position(robot.chain, q[:5]) + 0.0003 * rng.standard_normal(3)
-        touches.append(Touch(point_m=tuple(point.tolist()), ticks=ticks))
+        touches.append(touch(true, q, 0.0003 * rng.standard_normal(3)))
     found = fit(ARM, touches)
     assert not found.complete
     truth = {f"{joint.name}.zero_tick": joint.zero_tick for joint in true.joints}
@@ -132,10 +139,7 @@ def test_too_few_touches_and_points_in_the_wrong_order_are_refused() -> None:
     touches = ideal_touches(ARM, 12, rng)
     with pytest.raises(RequestRefused, match="4 touches, at least 5"):
         fit(ARM, touches[:4])
-    shuffled = [
-        touch.model_copy(update={"point_m": other.point_m})
-        for touch, other in zip(touches, touches[1:] + touches[:1], strict=True)
-    ]
+    shuffled = moved(touches, [taken.point_m for taken in touches[1:] + touches[:1]])
     with pytest.raises(RequestRefused, match="order and the unit") as refusal:
         fit(ARM, shuffled)
     assert refusal.value.code == "POOR_FIT"
@@ -184,22 +188,23 @@ def test_a_still_arm_is_read_to_a_fraction_of_a_tick(latency_ms: float) -> None:
 
 def test_readings_of_an_arm_that_is_powered_silent_moving_or_gone_are_refused() -> None:
     bench = Bench()
+
+    def refused(match: str, error: type[Exception] = RequestRefused) -> None:
+        with pytest.raises(error, match=match):
+            read_ticks(bench.bus, bench.config, bench.clock)
+
     bench.servos[1].set(ax12a.TORQUE_ENABLE, 1)
-    with pytest.raises(RequestRefused, match=r"servo 2 \(shoulder\): torque is on"):
-        read_ticks(bench.bus, bench.config, bench.clock)
+    refused(r"servo 2 \(shoulder\): torque is on")
     bench.servos[1].set(ax12a.TORQUE_ENABLE, 0)
     hand = PosingHand(bench.arm)
     bench.arm.hand = hand
     hand.carry(np.array([0.5, 2.0, -2.0, 1.0, 0.0, 0.0]))
     bench.clock.advance_ns(500_000_000)
-    with pytest.raises(RequestRefused, match="hold the tool still"):
-        read_ticks(bench.bus, bench.config, bench.clock)
+    refused("hold the tool still")
     bench.servos[1].set(ax12a.ID, 9)
-    with pytest.raises(RequestRefused, match="NO_REPLY"):
-        read_ticks(bench.bus, bench.config, bench.clock)
+    refused("NO_REPLY")
     bench.port.unplug()
-    with pytest.raises(PortGone):
-        read_ticks(bench.bus, bench.config, bench.clock)
+    refused("vanished", PortGone)
 
 
 def test_readings_survive_their_file(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -30,16 +31,16 @@ def failed(checks: dict[tuple[str, int | None], Check]) -> set[tuple[str, int | 
     return {key for key, check in checks.items() if not check.ok}
 
 
-def quick(**settings: float) -> Bench:
+@pytest.fixture
+def bench() -> Bench:
     """An arm with nothing wrong but what the test does to it."""
-    bench = Bench(latency_ms=settings.get("latency_ms", 0.0))
+    bench = Bench()
     for servo in bench.servos:
         servo.set(ax12a.RETURN_DELAY, 0)
     return bench
 
 
-def test_a_fit_arm_passes_and_nothing_is_written(tmp_path: Path) -> None:
-    bench = quick()
+def test_a_fit_arm_passes_and_nothing_is_written(bench: Bench, tmp_path: Path) -> None:
     before = [servo.writes for servo in bench.servos]
     checks = examine(bench, tmp_path)
     assert failed(checks) == set()
@@ -76,22 +77,17 @@ def plant(servo: int, register: ax12a.Register, value: int) -> Plant:
     return lambda bench: bench.servos[servo - 1].set(register, value)
 
 
-def volts(bench: Bench) -> None:
-    bench.servos[1].voltage_V = 7.4
+def condition(name: str, value: float) -> Plant:
+    return lambda bench: setattr(bench.servos[1], name, value)
 
 
-def hot(bench: Bench) -> None:
-    bench.servos[1].temperature_degC = 66.0
-
-
-def overloaded(bench: Bench) -> None:
-    bench.servos[1].overloaded = True
+HOT = condition("temperature_degC", 66.0)
+OVERLOADED = condition("overloaded", True)
 
 
 def too_hot(bench: Bench) -> None:
-    hot(bench)
-    overloaded(bench)
-    bench.servos[1].set(ax12a.TEMPERATURE_LIMIT, 60)
+    for trouble in (HOT, OVERLOADED, plant(2, ax12a.TEMPERATURE_LIMIT, 60)):
+        trouble(bench)
 
 
 @pytest.mark.parametrize(
@@ -104,16 +100,15 @@ def too_hot(bench: Bench) -> None:
         (plant(2, ax12a.CCW_LIMIT, 0), {"angle_limits"}, "171..0", "armctl servo set 2 ccw_angle_limit 750"),
         (plant(2, ax12a.SHUTDOWN, 1), {"shutdown"}, "voltage", "armctl servo set 2 shutdown 37"),
         (plant(2, ax12a.TORQUE_LIMIT, 0), {"torque"}, "shut itself down", "switch its power off and on"),
-        (volts, {"voltage"}, "7.4 V", "9 to 12.6 V"),
-        (hot, {"temperature"}, "66 degC", "cool down"),
-        (overloaded, {"error_bits"}, "overload", "relieve the joint"),
+        (condition("voltage_V", 7.4), {"voltage"}, "7.4 V", "9 to 12.6 V"),
+        (HOT, {"temperature"}, "66 degC", "cool down"),
+        (OVERLOADED, {"error_bits"}, "overload", "relieve the joint"),
         (too_hot, {"error_bits", "temperature"}, "overheat, overload", "cool down"),
     ],
 )
 def test_each_trouble_of_one_servo_is_one_line_with_one_fix(
-    tmp_path: Path, trouble: Plant, names: set[str], value: str, fix: str
+    bench: Bench, tmp_path: Path, trouble: Plant, names: set[str], value: str, fix: str
 ) -> None:
-    bench = quick()
     trouble(bench)
     checks = examine(bench, tmp_path)
     assert failed(checks) == {(name, 2) for name in names}
@@ -122,16 +117,14 @@ def test_each_trouble_of_one_servo_is_one_line_with_one_fix(
     assert fix in worst.fix
 
 
-def test_torque_that_is_on_is_told_and_no_trouble(tmp_path: Path) -> None:
-    bench = quick()
+def test_torque_that_is_on_is_told_and_no_trouble(bench: Bench, tmp_path: Path) -> None:
     bench.servos[0].set(ax12a.TORQUE_ENABLE, 1)
     checks = examine(bench, tmp_path)
     assert checks["torque", 1] == Check("torque", True, "on", "", 1)
     assert checks["torque", 2].value == "off"
 
 
-def test_two_servos_with_one_id_are_told(tmp_path: Path) -> None:
-    bench = quick()
+def test_two_servos_with_one_id_are_told(bench: Bench, tmp_path: Path) -> None:
     bench.servos[3].set(ax12a.ID, 3)
     checks = examine(bench, tmp_path)
     assert failed(checks) == {("id_clash", 3), ("present", 4)}
@@ -139,15 +132,13 @@ def test_two_servos_with_one_id_are_told(tmp_path: Path) -> None:
     assert "check the cable" in checks["present", 4].fix
 
 
-def test_a_stranger_beside_a_full_arm_is_told(tmp_path: Path) -> None:
-    bench = quick()
+def test_a_stranger_beside_a_full_arm_is_told(bench: Bench, tmp_path: Path) -> None:
     short = ArmConfig(arm_id="short", robot=bench.config.robot, joints=bench.config.joints[:5])
     checks = check_servos(bench.bus, short, PERIOD_S, surroundings(tmp_path))
     assert [(check.name, check.servo_id) for check in checks if not check.ok] == [("wrong_id", 6)]
 
 
-def test_a_servo_at_another_baud_is_found_and_brought_back(tmp_path: Path) -> None:
-    bench = quick()
+def test_a_servo_at_another_baud_is_found_and_brought_back(bench: Bench, tmp_path: Path) -> None:
     bench.servos[1].set(ax12a.BAUD, 34)
     checks = examine(bench, tmp_path)
     assert failed(checks) == {("present", 2)}
@@ -155,25 +146,22 @@ def test_a_servo_at_another_baud_is_found_and_brought_back(tmp_path: Path) -> No
     assert bench.port.baudrate == 1_000_000
 
 
-def test_a_whole_bus_at_another_baud_or_without_supply_is_told(tmp_path: Path) -> None:
-    bench = quick()
+def test_a_whole_bus_at_another_baud_or_without_supply_is_told(bench: Bench, tmp_path: Path) -> None:
     for servo in bench.servos:
         servo.set(ax12a.BAUD, 34)
     checks = examine(bench, tmp_path)
     assert checks["baud", None].value == "nobody answers at 1000000, but servos 1, 2, 3, 4, 5, 6 at 57600"
     assert checks["baud", None].fix == "armctl servo set-baud 1 1000000 --baud 57600"
+    bench.line.baud = 1
     for servo in bench.servos:
         servo.set(ax12a.RETURN_LEVEL, 0)
         servo.set(ax12a.ID, 253)
-    bench.line.baud = 1
-    for servo in bench.servos:
         servo.set(ax12a.BAUD, 254)
     checks = examine(bench, tmp_path)
     assert "supply" in checks["baud", None].fix
 
 
-def test_a_port_that_vanishes_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = quick()
+def test_a_port_that_vanishes_is_raised(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     def unplug(*_: object) -> Check:
         bench.bus.close()
@@ -191,11 +179,10 @@ def test_host_checks_need_no_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     by_name = {check.name: check for check in check_host(surroundings(tmp_path, daemon="/run/x"))}
     assert all(check.ok for check in by_name.values())
     assert by_name["daemon"].value == "runs: /run/x"
-    full = {check.name: check for check in check_host(surroundings(tmp_path, free_bytes=1 << 60))}["disk"]
-    assert not full.ok
-    assert full.fix == f"delete old logs in {tmp_path}"
+    [full] = [check for check in check_host(surroundings(tmp_path, free_bytes=1 << 60)) if not check.ok]
+    assert (full.name, full.fix) == ("disk", f"delete old logs in {tmp_path}")
     monkeypatch.setattr("os.access", lambda *_: False)
-    locked = {check.name: check for check in check_host(surroundings(tmp_path))}["disk"]
+    [locked] = [check for check in check_host(surroundings(tmp_path)) if not check.ok]
     assert "not writable" in locked.value
     assert "chown" in locked.fix
 
@@ -228,6 +215,14 @@ def test_latency_of_the_driver_is_read_and_its_fix_is_exact(tmp_path: Path) -> N
     assert all(check.ok for check in check_port(bench.bus, surroundings(tmp_path)))
 
 
+def refusing(error: Exception, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """A bench whose port does not open."""
+    bench = Bench()
+    bench.bus.close()
+    monkeypatch.setattr(bench.port, "openPort", Mock(side_effect=error))
+    return bench
+
+
 @pytest.mark.parametrize(
     ("error", "daemon", "name", "value", "fix"),
     [
@@ -239,13 +234,7 @@ def test_latency_of_the_driver_is_read_and_its_fix_is_exact(tmp_path: Path) -> N
 def test_a_port_that_does_not_open_ends_the_examination(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, daemon: str, name: str, value: str, fix: str
 ) -> None:
-    bench = Bench()
-    bench.bus.close()
-
-    def refuse() -> bool:
-        raise error
-
-    monkeypatch.setattr(bench.port, "openPort", refuse)
+    bench = refusing(error, monkeypatch)
     last = check_port(bench.bus, surroundings(tmp_path, daemon=daemon))[-1]
     assert (last.name, last.ok) == (name, False)
     assert value in last.value
@@ -254,14 +243,9 @@ def test_a_port_that_does_not_open_ends_the_examination(
 
 
 def test_missing_permission_is_a_check_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
-    bench.bus.close()
+    error = PortMissing("p: no permission; it belongs to group dialout: sudo usermod -aG dialout $USER")
+    bench = refusing(error, monkeypatch)
     bench.port.port_name = str(tmp_path)
-
-    def refuse() -> bool:
-        raise PortMissing("p: no permission; it belongs to group dialout: sudo usermod -aG dialout $USER")
-
-    monkeypatch.setattr(bench.port, "openPort", refuse)
     monkeypatch.setattr("os.access", lambda *_: False)
     checks = check_port(bench.bus, surroundings(tmp_path))
     assert [(check.name, check.ok) for check in checks] == [("port", True), ("permission", False)]

@@ -1,5 +1,7 @@
 """EEPROM of simulated servos: what is written, what is refused, and that nothing moves."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -16,8 +18,19 @@ def bench(request: pytest.FixtureRequest) -> Bench:
     return Bench(latency_ms=request.param)
 
 
-def writes(bench: Bench) -> list[int]:
-    return [servo.writes for servo in bench.servos]
+@contextmanager
+def unwritten(bench: Bench) -> Iterator[None]:
+    """No servo may be written meanwhile."""
+    before = [servo.writes for servo in bench.servos]
+    yield
+    assert [servo.writes for servo in bench.servos] == before
+
+
+def deaf(monkeypatch: pytest.MonkeyPatch, heard: Callable[[Bench], object] = lambda bench: None) -> Bench:
+    """A bench where something else happens than what is written."""
+    bench = Bench()
+    monkeypatch.setattr(bench.bus, "write", lambda _: heard(bench))
+    return bench
 
 
 # ------------------------------------------------------------------------------------------------------ id and baud
@@ -32,42 +45,35 @@ def test_a_servo_gets_its_id_and_only_that(bench: Bench) -> None:
 
 
 def test_a_taken_id_is_refused_even_if_its_servo_reads_nothing(bench: Bench) -> None:
-    before = writes(bench)
     bench.servos[4].set(ax12a.RETURN_LEVEL, 0)
     for taken in (3, 5):
-        with pytest.raises(RequestRefused, match=f"servo {taken} already answers"):
+        with unwritten(bench), pytest.raises(RequestRefused, match=f"servo {taken} already answers"):
             eeprom.set_id(bench.bus, 4, taken)
-    assert writes(bench) == [n + (i == 4) for i, n in enumerate(before)]
+
+
+ATTEMPTS: tuple[Callable[[Bench, int], object], ...] = (
+    lambda bench, servo_id: eeprom.set_id(bench.bus, servo_id, 50),
+    lambda bench, servo_id: eeprom.set_baud(bench.bus, servo_id, 57_600),
+    lambda bench, servo_id: eeprom.write_register(bench.bus, servo_id, ax12a.SHUTDOWN, 36),
+)
 
 
 def test_two_servos_with_one_id_are_not_written(bench: Bench) -> None:
     bench.servos[3].set(ax12a.ID, 3)
-    before = writes(bench)
-    for attempt in (
-        lambda: eeprom.set_id(bench.bus, 3, 4),
-        lambda: eeprom.set_baud(bench.bus, 3, 57_600),
-        lambda: eeprom.write_register(bench.bus, 3, ax12a.RETURN_DELAY, 0),
-    ):
-        with pytest.raises(RequestRefused, match="two servos answer") as refusal:
-            attempt()
+    for attempt in ATTEMPTS:
+        with unwritten(bench), pytest.raises(RequestRefused, match="two servos answer") as refusal:
+            attempt(bench, 3)
         assert refusal.value.code == "DUPLICATE_ID"
-    assert writes(bench) == before
 
 
 def test_with_torque_on_or_locked_nothing_is_written(bench: Bench) -> None:
     bench.servos[0].set(ax12a.TORQUE_ENABLE, 1)
     bench.servos[1].set(ax12a.LOCK, 1)
-    before = writes(bench)
     for servo_id, code in ((1, "TORQUE_ON"), (2, "LOCKED"), (77, "SERVO_SILENT")):
-        for attempt in (
-            lambda i: eeprom.set_id(bench.bus, i, 50),
-            lambda i: eeprom.set_baud(bench.bus, i, 57_600),
-            lambda i: eeprom.write_register(bench.bus, i, ax12a.SHUTDOWN, 36),
-        ):
-            with pytest.raises(RequestRefused) as refusal:
-                attempt(servo_id)
+        for attempt in ATTEMPTS:
+            with unwritten(bench), pytest.raises(RequestRefused) as refusal:
+                attempt(bench, servo_id)
             assert refusal.value.code == code
-    assert writes(bench) == before
 
 
 @pytest.mark.parametrize(("old", "new"), [(1, 1), (1, 254), (-1, 3)])
@@ -77,8 +83,7 @@ def test_impossible_ids_are_refused(old: int, new: int) -> None:
 
 
 def test_an_id_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
-    monkeypatch.setattr(bench.bus, "write", lambda write: True)
+    bench = deaf(monkeypatch)
     with pytest.raises(RequestRefused, match="does not answer as 9") as refusal:
         eeprom.set_id(bench.bus, 4, 9)
     assert refusal.value.code == "NOT_WRITTEN"
@@ -86,10 +91,9 @@ def test_an_id_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch) -
 
 def test_twins_that_read_alike_are_told_after_the_fact(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only one of two servos hears the write: the old id still answers."""
-    bench = Bench()
+    bench = deaf(monkeypatch, lambda bench: bench.servos[2].set(ax12a.ID, 9))
     bench.servos[3].set(ax12a.ID, 3)
     monkeypatch.setattr(bench.bus, "answers_twice", lambda servo_id: False)
-    monkeypatch.setattr(bench.bus, "write", lambda write: bench.servos[2].set(ax12a.ID, 9))
     monkeypatch.setattr(eeprom, "_read", lambda *_: bytes(26))
     with pytest.raises(RequestRefused, match="there were two of them"):
         eeprom.set_id(bench.bus, 3, 9)
@@ -121,16 +125,11 @@ def test_a_baud_at_which_the_id_is_taken_is_refused() -> None:
     assert bench.servos[0].get(ax12a.BAUD) == 1
 
 
-@pytest.mark.parametrize(("lost", "text"), [(False, "still answers at 1000000"), (True, "scan --baud all")])
-def test_a_baud_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch, lost: bool, text: str) -> None:
-    bench = Bench()
-
-    def write(_: object) -> bool:
-        if lost:
-            bench.servos[0].set(ax12a.BAUD, 9)
-        return True
-
-    monkeypatch.setattr(bench.bus, "write", write)
+@pytest.mark.parametrize(
+    ("baud_rate", "text"), [(1, "still answers at 1000000"), (9, "scan --baud all")], ids=["unchanged", "lost"]
+)
+def test_a_baud_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch, baud_rate: int, text: str) -> None:
+    bench = deaf(monkeypatch, lambda bench: bench.servos[0].set(ax12a.BAUD, baud_rate))
     with pytest.raises(RequestRefused, match=text):
         eeprom.set_baud(bench.bus, 1, 57_600)
     assert bench.port.baudrate == 1_000_000
@@ -154,17 +153,14 @@ def test_a_mute_servo_gets_its_return_level_back(bench: Bench, level: int) -> No
 @pytest.mark.parametrize("register", [ax12a.ID, ax12a.BAUD, ax12a.MODEL, ax12a.GOAL, ax12a.TORQUE_ENABLE])
 def test_only_settings_in_the_eeprom_are_written(register: ax12a.Register) -> None:
     bench = Bench()
-    before = writes(bench)
-    with pytest.raises(ConfigError, match="not set this way"):
+    with unwritten(bench), pytest.raises(ConfigError, match="not set this way"):
         eeprom.write_register(bench.bus, 3, register, 1)
-    with pytest.raises(ConfigError, match=r"outside 0\.\.2"):
+    with unwritten(bench), pytest.raises(ConfigError, match=r"outside 0\.\.2"):
         eeprom.write_register(bench.bus, 3, ax12a.RETURN_LEVEL, 3)
-    assert writes(bench) == before
 
 
 def test_a_value_that_does_not_read_back_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
-    monkeypatch.setattr(bench.bus, "write", lambda write: True)
+    bench = deaf(monkeypatch)
     with pytest.raises(RequestRefused, match="return_delay_time was to be 0 and reads 250"):
         eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
 
@@ -177,8 +173,7 @@ def test_an_unplugged_port_is_raised() -> None:
 
 
 def test_a_port_that_vanishes_after_the_write_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
-    monkeypatch.setattr(bench.bus, "write", lambda write: bench.port.unplug())
+    bench = deaf(monkeypatch, lambda bench: bench.port.unplug())
     with pytest.raises(PortGone, match="return_delay_time was to be 0"):
         eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
 
@@ -235,11 +230,9 @@ def test_restoring_names_every_obstacle_and_writes_nothing(tmp_path: Path) -> No
     *others, sixth = saved.servos
     slow = sixth.model_copy(update={"registers": {**sixth.registers, "baud_rate": 3}})
     other_baud = saved.model_copy(update={"servos": (*others, slow)})
-    before = writes(bench)
-    with pytest.raises(RequestRefused) as refusal:
+    with unwritten(bench), pytest.raises(RequestRefused) as refusal:
         eeprom.restore(bench.bus, other_baud)
     assert [reason.split(":")[0] for reason in refusal.value.reasons] == [f"servo {i}" for i in (2, 4, 5, 6)]
-    assert writes(bench) == before
     with pytest.raises(ConfigError, match="it holds 1, 2, 3, 4, 5, 6"):
         eeprom.restore(bench.bus, saved, (7,))
 

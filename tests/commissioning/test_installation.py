@@ -5,8 +5,8 @@ import pytest
 
 from armctl.commissioning.installation import (
     SYSTEM,
+    Act,
     InstallationFailed,
-    RemoveFile,
     Run,
     WriteFile,
     carry_out,
@@ -30,6 +30,11 @@ def prefix(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def acts(prefix: Path) -> list[Act]:
+    return installation(arm="ax12-line", prefix=prefix)
+
+
+@pytest.fixture
 def root(tmp_path: Path) -> Path:
     return tmp_path / "root"
 
@@ -50,7 +55,7 @@ def sysfs(tmp_path: Path) -> Path:
     return tmp_path / "sys"
 
 
-def due(acts: list[WriteFile | RemoveFile | Run], root: Path) -> list[str]:
+def due(acts: list[Act], root: Path) -> list[str]:
     done: list[str] = []
     carry_out(acts, root, lambda act, is_due: done.append(str(act)) if is_due else None)
     return done
@@ -60,8 +65,8 @@ def contents(root: Path) -> dict[str, str]:
     return {str(path.relative_to(root)): path.read_text() for path in root.rglob("*") if path.is_file()}
 
 
-def test_an_installation_is_complete_and_readable_by_the_service(prefix: Path, root: Path) -> None:
-    carry_out(installation(arm="ax12-line", prefix=prefix), root, lambda act, is_due: None)
+def test_an_installation_is_complete_and_readable_by_the_service(acts: list[Act], prefix: Path, root: Path) -> None:
+    due(acts, root)
     found = contents(root)
     assert sorted(found) == [
         "etc/armctl/armctl.yaml",
@@ -78,16 +83,14 @@ def test_an_installation_is_complete_and_readable_by_the_service(prefix: Path, r
     assert {stat.S_IMODE(path.stat().st_mode) for path in root.rglob("*") if path.is_file()} == {0o644}
 
 
-def test_installing_twice_changes_nothing(prefix: Path, root: Path) -> None:
-    acts = installation(arm="ax12-line", prefix=prefix)
+def test_installing_twice_changes_nothing(acts: list[Act], root: Path) -> None:
     assert due(acts, root)
     before = contents(root)
     assert due(acts, root) == []
     assert contents(root) == before
 
 
-def test_a_persons_configuration_is_kept_and_a_changed_unit_is_renewed(prefix: Path, root: Path) -> None:
-    acts = installation(arm="ax12-line", prefix=prefix)
+def test_a_persons_configuration_is_kept_and_a_changed_unit_is_renewed(acts: list[Act], root: Path) -> None:
     due(acts, root)
     mine, unit = root / "etc/armctl/armctl.yaml", root / "etc/systemd/system/armctl.service"
     mine.write_text("arm: mine\n")
@@ -96,8 +99,8 @@ def test_a_persons_configuration_is_kept_and_a_changed_unit_is_renewed(prefix: P
     assert mine.read_text() == "arm: mine\n"
 
 
-def test_removal_leaves_configuration_and_calibrations_and_nothing_else(prefix: Path, root: Path) -> None:
-    due(installation(arm="ax12-line", prefix=prefix), root)
+def test_removal_leaves_configuration_and_calibrations_and_nothing_else(acts: list[Act], root: Path) -> None:
+    due(acts, root)
     due(removal(), root)
     assert sorted(contents(root)) == ["etc/armctl/armctl.yaml", "etc/armctl/calibration/ax12-line.yaml"]
     assert due(removal(), root) == []
@@ -119,18 +122,17 @@ def test_a_command_that_fails_is_named_with_its_words() -> None:
     assert missing_commands([act, Run(("no-such-program",))]) == ["no-such-program"]
 
 
-def test_a_folder_that_cannot_be_written_is_told_with_the_act(prefix: Path, root: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_told_with_the_act(acts: list[Act], root: Path) -> None:
     root.write_text("a file where a folder should be")
     with pytest.raises(InstallationFailed, match=r"write /etc/sysusers.d/armctl.conf: Not a directory"):
-        due(installation(arm="ax12-line", prefix=prefix), root)
+        due(acts, root)
 
 
-def test_a_program_in_a_home_folder_is_refused_with_the_way_out() -> None:
+def test_a_program_that_is_missing_or_in_a_home_folder_is_refused_with_the_way_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pytest.raises(ConfigError, match="no such program"):
         installation(arm="ax12-line", prefix=Path("/home/eve/.venv"))
-
-
-def test_a_home_folder_is_no_place_for_a_service(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "is_file", lambda path: True)
     with pytest.raises(ConfigError, match=r"home folder; python3 -m venv /opt/armctl"):
         installation(arm="ax12-line", prefix=Path("/home/eve/.venv"))
