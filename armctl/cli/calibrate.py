@@ -18,6 +18,7 @@ from armctl.cli.keys import attended
 from armctl.cli.output import ARM, BAUD, CONFIG, FILE, PORT, SOCKET, Output, command
 from armctl.cli.setup import opened
 from armctl.cli.tables import show_table
+from armctl.errors import ConfigError, RequestRefused
 
 if TYPE_CHECKING:
     from armctl.commissioning.calibration import Fit, Readings
@@ -57,7 +58,6 @@ def calibrate_command(
     """
     from armctl.commissioning import calibration
     from armctl.commissioning.eeprom import write_new
-    from armctl.errors import RequestRefused
     from armctl.files import find_arm_file
 
     if sum(choice is not None for choice in (points, readings, zero_at, sag or None)) != 1:
@@ -94,13 +94,8 @@ def calibrate_command(
     write_new(path, calibration.calibration_text(after, remarks))
     result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
     if fit is not None:
-        result |= {
-            "parameters": [asdict(parameter) for parameter in fit.parameters],
-            "residuals_mm": fit.residuals_mm.tolist(),
-            "rms_before_mm": fit.rms_before_mm,
-            "rms_mm": fit.rms_mm,
-            "complete": fit.complete,
-        }
+        result |= asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
+        del result["arm"]
     if output.result(result):
         return
     if fit is not None:
@@ -124,7 +119,6 @@ def _touch_all(
 ) -> Readings:
     """Lead the person through every point; a reading that fails is taken again."""
     from armctl.commissioning.calibration import Readings, Touch, read_ticks
-    from armctl.errors import RequestRefused
 
     taken: list[Touch] = []
     for number, point in enumerate(points, start=1):
@@ -145,8 +139,6 @@ def _touch_all(
 
 
 def _wait_for_enter(output: Output, text: str) -> None:
-    from armctl.errors import ConfigError
-
     if output.json or not attended(sys.stdin):
         raise ConfigError("armctl calibrate", "", "needs a terminal and no --json", "or give --readings FILE")
     output.say(text)

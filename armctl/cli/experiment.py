@@ -8,6 +8,7 @@ import click
 
 from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, SOCKET, START, Output, command
 from armctl.cli.tables import Column, show_rows
+from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from armctl.lab.course import Via
@@ -18,8 +19,10 @@ def via_counts(text: str) -> tuple[Via, ...]:
     found: list[Via] = []
     for part in text.split(","):
         word = part.strip()
-        if word == "auto" or word == "stream":
-            found.append(word)
+        if word == "auto":
+            found.append("auto")
+        elif word == "stream":
+            found.append("stream")
         elif word.isdecimal() and int(word) <= 20:
             found.append(int(word))
         else:
@@ -79,22 +82,19 @@ def line_command(output: Output, virtual: bool, period_s: float | None, **asked:
     Example: armctl experiment line --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 0,1,2,8,stream --refine 5
     --virtual
     """
-    from armctl.errors import ConfigError
     from armctl.lab.daemon_rig import DaemonRig
     from armctl.lab.line_experiment import Asked, on_daemon, on_virtual_arm
 
     if period_s is not None and not virtual:
-        raise ConfigError(
-            "armctl experiment", "--period", "the daemon's period is in its configuration", "leave it out"
-        )
-    config = output.config
-    arm = output.arm
+        why = "the daemon's period is in its configuration"
+        raise ConfigError("armctl experiment", "--period", why, "leave it out")
+    config, arm, wanted = output.config, output.arm, Asked(**asked)
     if virtual:
-        result = on_virtual_arm(arm, Asked(**asked), period_s or config.period_s, config, output.progress)
+        result = on_virtual_arm(arm, wanted, period_s or config.period_s, config, output.progress)
     else:
         output.after_interrupt = f"{HOLDS}; recordings of the runs so far are kept"
         with output.client() as client:
-            result = on_daemon(DaemonRig(client, arm), Asked(**asked), config, output.progress)
+            result = on_daemon(DaemonRig(client, arm), wanted, config, output.progress)
     output.answer(result, lambda: show(output, result))
 
 

@@ -43,17 +43,15 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
         out.mkdir(parents=True, exist_ok=True)
         page = out / "reproduce.html"
         report.write(reports, wrong, page)
+    told = ("paper", "where", "printed", "true", "proof")
     result: dict[str, Any] = {
-        "rows": [asdict(row) for one in reports for row in one.rows],
-        "errata": [
-            {"paper": one.paper, "where": one.where, "printed": one.printed, "true": one.true, "proof": one.proof}
-            for one in wrong
-        ],
+        "rows": [asdict(row) for made in reports for row in made.rows],
+        "errata": [{key: getattr(erratum, key) for key in told} for erratum in wrong],
         "page": None if page is None else str(page),
         "seed": seed,
     }
     output.answer(result, lambda: show(output, reports, wrong, page))
-    return 0 if all(one.proven for one in wrong) else 1
+    return 0 if all(erratum.proven for erratum in wrong) else 1
 
 
 def show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page: Path | None) -> None:
@@ -65,8 +63,8 @@ def show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page:
         title = f"{report.paper}: {report.title}"
         show_table(output.console, title, columns, rows, words=("quantity", "printed", "unit", "verdict"))
         output.say("")
-    title = f"{len(wrong)} errata, {sum(one.proven for one in wrong)} of them proven"
-    shown_errata = [(f"{one.paper} {one.where}", str(one.printed), str(one.true), one.proof) for one in wrong]
+    title = f"{len(wrong)} errata, {sum(erratum.proven for erratum in wrong)} of them proven"
+    errata = [(f"{found.paper} {found.where}", str(found.printed), str(found.true), found.proof) for found in wrong]
     headings = ("where", "printed", "true", "proof")
-    show_table(output.console, title, headings, shown_errata, words=headings)
+    show_table(output.console, title, headings, errata, words=headings)
     output.say(f"page: {page}" if page is not None else "--out DIR writes a page with the tables and pictures")

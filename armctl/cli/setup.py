@@ -20,6 +20,7 @@ import click
 
 from armctl.cli.output import ARM, BAUD, CONFIG, FILE, FOLDER, PORT, SOCKET, Output, command
 from armctl.cli.tables import Column, show_rows
+from armctl.errors import ConfigError, NoDaemon
 
 if TYPE_CHECKING:
     from armctl.commissioning.doctor import Check
@@ -40,7 +41,6 @@ def make_port(path: str, baud: int) -> ServoPort:
 def make_bus(output: Output, servo_ids: Sequence[int] = ()) -> ServoBus:
     """The bus named by options and configuration, not yet open."""
     from armctl.dynamixel.bus import ServoBus
-    from armctl.errors import ConfigError
 
     context = click.get_current_context(silent=True)
     asked = context.command_path if context else "the bus"
@@ -118,7 +118,6 @@ def doctor_command(output: Output) -> int:
     Example: armctl doctor --port /dev/ttyUSB0
     """
     from armctl.commissioning import doctor
-    from armctl.errors import NoDaemon
     from armctl.files import data_dir
 
     config, arm = output.config, output.arm
@@ -192,7 +191,7 @@ ROOT = click.Option(
 @click.option("--prefix", type=FOLDER, help="Environment whose bin/armctl the service starts.  [default: this one]")
 def install_command(
     output: Output, arm: str, port: str | None, user: str | None, prefix: Path | None, dry_run: bool, root: Path
-) -> int:
+) -> None:
     """Make the daemon a service that starts with the system.
 
     Says what it does, changes nothing the second time, and keeps configuration and calibrations that are there.
@@ -202,21 +201,19 @@ def install_command(
     Example: sudo armctl install --port /dev/ttyUSB0
     """
     from armctl.commissioning.installation import SYSTEM, installation, missing_commands
-    from armctl.errors import ConfigError
 
     user = os.environ.get("SUDO_USER", "") if user is None else user
     acts = installation(arm=arm, port=port or "", user=user, prefix=prefix)
-    missing = missing_commands(acts) if root == SYSTEM and not dry_run else []
-    if missing:
+    if root == SYSTEM and not dry_run and (missing := missing_commands(acts)):
         raise ConfigError(
             "armctl install", "", f"this system has no {', '.join(missing)}", "run `armctl daemon` by hand instead"
         )
     done = "armctl runs as a service; see `armctl status`" if root == SYSTEM else f"written below {root}"
-    return _carry_out(output, acts, root, dry_run, done)
+    _carry_out(output, acts, root, dry_run, done)
 
 
 @command("uninstall", DRY_RUN, ROOT)
-def uninstall_command(output: Output, dry_run: bool, root: Path) -> int:
+def uninstall_command(output: Output, dry_run: bool, root: Path) -> None:
     """Remove the service; configuration, calibrations, logs and recordings stay.
 
     The arm comes to rest and keeps its torque: type `armctl park` first to have it limp at its rest pose.
@@ -225,10 +222,10 @@ def uninstall_command(output: Output, dry_run: bool, root: Path) -> int:
     """
     from armctl.commissioning.installation import removal
 
-    return _carry_out(output, removal(), root, dry_run, "left: /etc/armctl, /var/lib/armctl, the user and group armctl")
+    _carry_out(output, removal(), root, dry_run, "left: /etc/armctl, /var/lib/armctl, the user and group armctl")
 
 
-def _carry_out(output: Output, acts: Sequence[Act], root: Path, dry_run: bool, done: str) -> int:
+def _carry_out(output: Output, acts: Sequence[Act], root: Path, dry_run: bool, done: str) -> None:
     from armctl.commissioning.installation import carry_out
 
     told: list[dict[str, object]] = []
@@ -244,4 +241,3 @@ def _carry_out(output: Output, acts: Sequence[Act], root: Path, dry_run: bool, d
         carry_out(acts, root, tell)
         output.say(done)
     output.result({"acts": told, "done": not dry_run})
-    return 0

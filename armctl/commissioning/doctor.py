@@ -26,7 +26,6 @@ from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS
 from armctl.errors import BusError, PortBusy, PortGone
 
-SYSFS = Path("/sys")
 MIN_PYTHON = (3, 11)
 MAX_LATENCY_TIMER_MS = 1
 # Recommended is 0; some adapters need a few microseconds to turn the line around.
@@ -73,7 +72,7 @@ class Surroundings:
     free_bytes: int
     # What to add to each command of armctl, such as " --port /dev/ttyUSB1".
     options: str = ""
-    sysfs: Path = SYSFS
+    sysfs: Path = Path("/sys")
 
 
 def check_host(surroundings: Surroundings) -> list[Check]:
@@ -179,7 +178,8 @@ def _baud_check(baud: int, found: int, wanted: int, elsewhere: dict[int, FoundSe
         fix = "switch on the servos' supply, and check the cable between adapter and first servo"
         return Check("baud", False, f"none of {wanted} servos answers at {baud} or any other usual baud", fix)
     first = next(iter(elsewhere.values()))
-    value = f"nobody answers at {baud}, but {_listed(list(elsewhere))} at {first.baud}"
+    servos = "servo" if len(elsewhere) == 1 else "servos"
+    value = f"nobody answers at {baud}, but {servos} {', '.join(map(str, elsewhere))} at {first.baud}"
     return Check("baud", False, value, _set_baud(first, baud, options))
 
 
@@ -212,9 +212,8 @@ def _presence(
             fix = f"check the cable and the supply of {joint.name}, then `armctl scan --baud all{options}`"
         checks.append(Check("present", not fix, value, fix, servo_id))
     for stray in strays:
-        fix = "take it off the bus, or give the calibration a joint for it"
-        if stray in wanted:
-            fix = _set_id(stray, wanted[stray], options)
+        spare = "take it off the bus, or give the calibration a joint for it"
+        fix = _set_id(stray, wanted[stray], options) if stray in wanted else spare
         checks.append(Check("wrong_id", False, f"servo {stray} is not in the calibration {arm.arm_id}", fix, stray))
     return checks
 
@@ -288,7 +287,3 @@ def _cycle_check(bus: ServoBus, period_s: float) -> Check:
 
 def _bits(value: int) -> str:
     return ", ".join(name.lower() for name in ErrorBit.names(value)) or "none"
-
-
-def _listed(ids: Sequence[int]) -> str:
-    return ("servo " if len(ids) == 1 else "servos ") + ", ".join(map(str, ids))

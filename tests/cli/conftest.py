@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from armctl.cli import main
+from tests.genetic import hand
+from tests.host.doubles import write_take
 
 
 @dataclass(frozen=True)
@@ -54,3 +56,13 @@ def own_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name.lower()))
     monkeypatch.setenv("ARMCTL_SOCKET", str(tmp_path / "nobody.sock"))
+
+
+@pytest.fixture(scope="module")
+def takes(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Files of three takes that the simulated hand guided along one line."""
+    folder = tmp_path_factory.mktemp("takes")
+    paths = [folder / f"take-{number}.mcap" for number in range(3)]
+    for path, samples in zip(paths, hand.recordings(3, seed=1), strict=True):
+        write_take(path, samples, hand.arm())
+    return [str(path) for path in paths]

@@ -15,7 +15,6 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
 from tests.cli.conftest import Answer
 from tests.genetic import hand
-from tests.host.doubles import write_take
 from tests.lab.daemon import SimulatedDaemon
 
 A, B = (0.18, -0.1, 0.10), (0.18, 0.1, 0.10)
@@ -48,19 +47,15 @@ def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_aft
 
 
 def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_tolerance(
-    answer: Answer, tmp_path: Path
+    answer: Answer, takes: list[str]
 ) -> None:
-    names = []
-    for number, take in enumerate(hand.recordings(3, seed=1)):
-        names.append(str(tmp_path / f"take-{number}.mcap"))
-        write_take(Path(names[-1]), take, hand.arm())
     ends = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10"]
-    told = [word for name in names for word in ("--recordings", name)]
+    told = [word for name in takes for word in ("--recordings", name)]
     chosen = []
     for tolerance_mm in (20.0, 0.9):
         more = ["--via", "auto", "--tolerance-mm", str(tolerance_mm), "--repeats", "1", "--virtual"]
         found = answer("experiment", "line", *ends, *told, *more)
-        assert len(found["ga"]["baseline"]) == len(names)
+        assert len(found["ga"]["baseline"]) == len(takes)
         (row,) = found["rows"]
         assert row["predicted_mean_error_mm"] < tolerance_mm
         chosen.append(row["via"])

@@ -6,19 +6,8 @@ import pytest
 
 from armctl.genetic.algorithm import DEFAULT, PAPER
 from tests.cli.conftest import Answer
-from tests.genetic import hand
-from tests.host.doubles import write_take
 
 LINE = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10"]
-
-
-@pytest.fixture(scope="module")
-def takes(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    folder = tmp_path_factory.mktemp("takes")
-    paths = [folder / f"take-{number}.mcap" for number in range(3)]
-    for path, samples in zip(paths, hand.recordings(3, seed=1), strict=True):
-        write_take(path, samples, hand.arm())
-    return [str(path) for path in paths]
 
 
 def test_the_default_profile_sets_genes_free_and_the_paper_s_does_not(
