@@ -6,6 +6,7 @@ import os
 import pty
 import select
 import subprocess
+import sys
 import termios
 import time
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 PATIENCE_S = 60.0
+# Where `armctl` is the one that is tested.
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 CTRL_C, CTRL_Z = b"\x03", b"\x1a"
 
 
@@ -89,10 +92,10 @@ def terminal(*command: str) -> Iterator[Terminal]:
 
 
 @contextlib.contextmanager
-def shell(folder: Path, **environment: str) -> Iterator[Shell]:
+def shell(folder: Path) -> Iterator[Shell]:
     """An interactive bash in a folder. Its prompt tells the next command's number, and the last one's status."""
-    plain = {"PS1": r"[\# $?]$ ", "TERM": "dumb", "HISTFILE": "", "COLUMNS": "80"}
-    with _opened(("bash", "--norc", "--noediting", "-i"), plain | environment, folder) as (process, fd):
+    plain = {"PS1": r"[\# $?]$ ", "TERM": "dumb", "HISTFILE": "", "COLUMNS": "80", "PATH": PATH}
+    with _opened(("bash", "--norc", "--noediting", "-i"), plain, folder) as (process, fd):
         started = Shell(process, fd)
         started.until("[1 0]$ ")
         yield started

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import re
 import signal
 import subprocess
@@ -147,8 +146,7 @@ def bash(daemon: Path, tmp_path: Path) -> Iterator[Shell]:
     """A shell beside the daemon, whose arm is limp; `armctl` is the one that is tested."""
     with Client(daemon) as client:
         client.call("release", confirm=True)
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    with shell(tmp_path, PATH=path) as running:
+    with shell(tmp_path) as running:
         yield running
 
 

@@ -26,9 +26,10 @@ from armctl.cli.processes import DEFAULT_LINK
 from armctl.control.faults import CODES, NEXT, WHAT
 from armctl.files import load_arm
 from armctl.lab.demo import program
-from tests.terminal import CTRL_C, shell
+from tests.terminal import CTRL_C, PATH, shell
 
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
+README = (DOCS.parent.parent / "README.md").read_text()
 RUN_PAGES = ("start", "arm", "api", "new-arm")
 TIMEOUT_S = 110
 # Columns: `armctl help` sets a space before and behind.
@@ -72,9 +73,8 @@ class Stand:
             self.web_port = int(probe.getsockname()[1])
         with log.open("a") as words:
             command = [sys.executable, "-m", "armctl", "web", "--port", str(self.web_port)]
-            web = self.programs.enter_context(
-                subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True)
-            )
+            served = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True)
+            web = self.programs.enter_context(served)
         self.programs.callback(web.terminate)
         assert web.stdout is not None
         (self.folder / "address").write_text(web.stdout.readline())
@@ -82,14 +82,9 @@ class Stand:
     def shell(self, text: str) -> subprocess.CompletedProcess[str]:
         text = re.sub(r"/tmp/armctl-servos|/dev/ttyUSB0", str(self.port), text)
         text = text.replace("--port PORT", f"--port {self.port}").replace(":8080/", f":{self.web_port}/")
-        path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+        command, environment = ["bash", "-e", "-o", "pipefail", "-c", text], {**os.environ, "PATH": PATH}
         return subprocess.run(
-            ["bash", "-e", "-o", "pipefail", "-c", text],
-            cwd=self.folder,
-            env={**os.environ, "PATH": path},
-            capture_output=True,
-            text=True,
-            timeout=TIMEOUT_S,
+            command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S
         )
 
 
@@ -151,14 +146,9 @@ def test_every_block_of_every_page_is_run_or_is_none_of_ours() -> None:
         assert not [text for language, _, text in BLOCK.findall(path.read_text()) if language in ("sh", "python")], path
 
 
-def readme_commands() -> list[str]:
-    """What README says to type, comments left out."""
-    text = (DOCS.parent.parent / "README.md").read_text().replace("\\\n", " ")
-    return [" ".join(line.split("#")[0].split()) for line in re.findall(r"^    (\S.*)$", text, re.MULTILINE)]
-
-
 def test_what_readme_says_to_type_is_right() -> None:
-    typed = [part.strip() for line in readme_commands() for part in re.split("[&;]", line)]
+    lines = re.findall(r"^    (\S.*)$", README.replace("\\\n", " "), re.MULTILINE)
+    typed = [part.strip() for line in lines for part in re.split("[&;]", line.split("#")[0])]
     commands = [shlex.split(part)[1:] for part in typed if part.startswith("armctl ")]
     assert len(commands) > 20
     for words in commands:
@@ -170,15 +160,12 @@ def test_what_readme_says_to_type_is_right() -> None:
 
 @pytest.mark.pty
 def test_the_five_minutes_of_readme_work_in_three_terminals_as_they_are_typed(stand: Stand) -> None:
-    section = (
-        (DOCS.parent.parent / "README.md").read_text().split("## Five minutes without an arm")[1].split("\n## ")[0]
-    )
+    section = README.split("## Five minutes without an arm")[1].split("\n## ")[0]
     typed = re.findall(r"^    (\S.*)$", section, re.MULTILINE)
     [servos, daemon], rest = typed[2:4], typed[4:]  # the first two install the package that is tested
     assert [line.split("#")[0].split()[:2] for line in (servos, daemon)] == [["armctl", "sim"], ["armctl", "daemon"]]
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     with ExitStack() as terminals:
-        first, second, third = (terminals.enter_context(shell(stand.folder, PATH=path)) for _ in range(3))
+        first, second, third = (terminals.enter_context(shell(stand.folder)) for _ in range(3))
         first.until("ready ", first.start(servos))
         second.until("ready ", second.start(daemon.replace("PORT", str(stand.port))))
         said = "".join(third.type(line) for line in rest)

@@ -22,18 +22,9 @@ def test_a_grip_of_something_in_the_hand_is_told_and_its_recording_replays() -> 
         client = b.client()
         assert insist(client, "torque_on") == {"state": "holding"}
         arm.client.fault_begin("blocked_joint", servo_id=GRIPPER_ID)
-        done = armctl(
-            b.folder,
-            "reach",
-            "--xyz",
-            ",".join(map(str, POINT)),
-            "--grip",
-            "--off",
-            "0.02",
-            "--json",
-            "--socket",
-            str(b.socket),
-        )
+        place = ",".join(map(str, POINT))
+        reach = f"reach --xyz {place} --grip --off 0.02 --json --socket {b.socket}"
+        done = armctl(b.folder, *reach.split())
         result = json.loads(done.stdout)
         assert done.returncode == 0, result
         assert result["gripped"] is True

@@ -62,10 +62,17 @@ def one_line(folder: Path, status: int, *arguments: str) -> str:
     return said
 
 
-def test_missing_port(tmp_path: Path) -> None:
-    said = one_line(tmp_path, 1, "daemon", "--port", "/dev/ttyNOBODY")
-    assert "/dev/ttyNOBODY: no such port" in said
-    assert "--port" in said
+@pytest.mark.parametrize(
+    ("status", "line", "says"),
+    [
+        (1, "daemon --port /dev/ttyNOBODY", "/dev/ttyNOBODY: no such port"),
+        (1, "daemon --port /dev/ttyNOBODY", "--port"),
+        (2, "daemon --port /dev/null --arm nobodys", "known: ax12-line"),
+        (3, "status", "armctl daemon --port"),
+    ],
+)
+def test_what_is_missing_is_named_in_one_line(tmp_path: Path, status: int, line: str, says: str) -> None:
+    assert says in one_line(tmp_path, status, *line.split())
 
 
 def test_port_of_another_process_names_it(tmp_path: Path, port: str) -> None:
@@ -100,14 +107,6 @@ def test_bad_configuration(tmp_path: Path, text: str, where: str, what: str) -> 
     said = one_line(tmp_path, 2, "daemon", "--port", "/dev/null", "--config", str(file))
     for part in (str(file), where, what):
         assert part in said
-
-
-def test_unknown_arm(tmp_path: Path) -> None:
-    assert "known: ax12-line" in one_line(tmp_path, 2, "daemon", "--port", "/dev/null", "--arm", "nobodys")
-
-
-def test_no_daemon(tmp_path: Path) -> None:
-    assert "armctl daemon --port" in one_line(tmp_path, 3, "status")
 
 
 def test_wrong_usage(tmp_path: Path) -> None:
