@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, JSON, SOCKET, START, Output, command
+from armctl.cli.output import CONFIG, DURATION, END, FILE, JSON, SOCKET, START, Output, command
 from armctl.cli.tables import Column, show_rows, show_table
 from armctl.errors import LogError, NoDaemon
 
@@ -222,9 +222,7 @@ def run_command(output: Output, plan: Path) -> None:
     from armctl.trajectory.plan import plan_from_text
 
     parsed = plan_from_text(read_text(plan, "plan"), str(plan))
-    with output.client() as client:
-        output.after_interrupt = f"{HOLDS}, and what was recorded is kept"
-        output.say("running; Ctrl-C stops the arm")
+    with output.motion("running", kept=", and what was recorded is kept") as client:
         result = client.call("run", plan=parsed.model_dump())
     output.answer(
         result,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.output import FILE, IK_METHODS, POINT, F, Numbers, Output, command
-from armctl.cli.tables import show_table
+from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -62,10 +62,9 @@ def robots_command(output: Output) -> None:
 
     known = [robots.get(name) for name in robots.names()]
     rows = [{"name": r.name, "joints": r.chain.n, "convention": r.chain.convention, "source": r.source} for r in known]
-    shown = [(r.name, str(r.chain.n), f"{r.chain.convention} DH", r.source) for r in known]
+    columns = (("robot", "{name}"), ("joints", "{joints}"), ("convention", "{convention} DH"), ("source", "{source}"))
     words = ("robot", "convention", "source")
-    columns = ("robot", "joints", "convention", "source")
-    output.answer({"robots": rows}, lambda: show_table(output.console, "", columns, shown, words=words))
+    output.answer({"robots": rows}, lambda: show_rows(output.console, "", columns, rows, words))
 
 
 @command("fk")

@@ -41,9 +41,7 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
         if deg and asked[name] is not None:
             asked[name] = (*asked[name][:metres], *map(math.radians, asked[name][metres:]))
     request = validate(MoveRequest, asked, "move")
-    with output.client() as client:
-        output.after_interrupt = HOLDS
-        output.say("moving; Ctrl-C stops the arm")
+    with output.motion("moving") as client:
         result = client.call("move", **request.model_dump(exclude_none=True))
     output.answer(
         result,
@@ -122,9 +120,7 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
         raise ConfigError("armctl reach", "--grip/--let-go", "both are wanted", "give one of them")
     gripper = "grip" if grip else "let_go" if let_go else "stay"
     request = validate(ReachRequest, {**way, "gripper": gripper}, "reach")
-    with output.client() as client:
-        output.after_interrupt = HOLDS
-        output.say("reaching; Ctrl-C stops the arm")
+    with output.motion("reaching") as client:
         result = client.call("reach", **request.model_dump())
     words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
     output.answer(
@@ -174,9 +170,7 @@ def transfer_command(
     else:
         if log_path is not None:
             raise ConfigError("armctl transfer", "--log", "the daemon keeps its own recordings", "leave it out")
-        with output.client() as client:
-            output.after_interrupt = HOLDS
-            output.say("transferring; Ctrl-C stops the arm")
+        with output.motion("transferring") as client:
             answer = client.call("transfer", **request.model_dump())
             log_path = Path(client.call("recordings_show", name=answer["recording"])["path"])
     done = report.load(log_path)

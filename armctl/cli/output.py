@@ -55,6 +55,14 @@ class Output:
 
         return Client(self.socket, **options)
 
+    @contextmanager
+    def motion(self, doing: str, *, kept: str = "") -> Iterator[Client]:
+        """A connection whose requests move the arm; Ctrl-C stops it, and what was recorded may be kept."""
+        with self.client() as client:
+            self.after_interrupt = HOLDS + kept
+            self.say(f"{doing}; Ctrl-C stops the arm")
+            yield client
+
     @cached_property
     def config(self) -> Config:
         """The configuration that was named, or the usual one."""

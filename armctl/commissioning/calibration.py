@@ -30,10 +30,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from armctl.clock import Clock
-from armctl.config import ArmConfig, parse_yaml, validate
+from armctl.config import ArmConfig, Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, ServoBus
 from armctl.errors import ConfigError, PortGone, RequestRefused
@@ -67,20 +67,16 @@ MAX_RMS_MM = 5.0
 LENGTH_STEP_M = 1e-3
 
 
-class Touch(BaseModel):
+class Touch(Frozen):
     """The tool tip on one known point."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     point_m: tuple[float, float, float] = Field(strict=False)
     # Mean position of every servo, in the calibration's order.
     ticks: tuple[float, ...] = Field(strict=False)
 
 
-class Readings(BaseModel):
+class Readings(Frozen):
     """All touches of one session."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     arm_id: str
     touches: tuple[Touch, ...] = Field(strict=False)

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from armctl.commissioning.scan import scan
-from armctl.config import parse_yaml, validate
+from armctl.config import Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
 from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, PORT_GONE, ServoBus
@@ -36,10 +36,8 @@ BAUD_TOLERANCE = 0.025
 MAX_BAUD = 1_000_000
 
 
-class ServoEeprom(BaseModel):
+class ServoEeprom(Frozen):
     """EEPROM of one servo in register units."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     servo_id: int = Field(ge=0, le=ax12a.ID.maximum)
     registers: dict[str, int]
@@ -57,10 +55,8 @@ class ServoEeprom(BaseModel):
         return self
 
 
-class Snapshot(BaseModel):
+class Snapshot(Frozen):
     """EEPROM of the servos of one bus."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     servos: tuple[ServoEeprom, ...] = Field(min_length=1, strict=False)
 

@@ -44,10 +44,8 @@ class FoundServo:
     clash: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
-    kind: Literal["status", "echo", "noise"]
-    elapsed_ns: int
+# What came from an id, and how long after the request [ns].
+_Answer = tuple[Literal["status", "echo", "noise"], int]
 
 
 def scan(
@@ -70,23 +68,23 @@ def scan(
                 refused.append(error)
                 continue
         answers = sorted(_ping_all(bus.port, servo_ids, progress).items())
-        found += [servo for servo_id, answer in answers if (servo := _look_at(bus, servo_id, answer))]
+        found += [servo for servo_id, answer in answers if (servo := _look_at(bus, servo_id, *answer))]
     if len(refused) == len(bauds):
         raise refused[0]
     return found
 
 
-def _look_at(bus: ServoBus, servo_id: int, answer: _Answer) -> FoundServo | None:
+def _look_at(bus: ServoBus, servo_id: int, kind: str, elapsed_ns: int) -> FoundServo | None:
     reply = bus.read_block(servo_id, ax12a.MODEL.address, 3)
     clash = bus.answers_twice(servo_id)
     if not bus.is_open:
         raise PortGone(f"{bus.port.port_name}: the port vanished during the scan; plug the adapter in again")
-    if reply.problem and (answer.kind == "echo" or (answer.kind == "noise" and not clash)):
+    if reply.problem and (kind == "echo" or (kind == "noise" and not clash)):
         return None
     model = firmware = None
     if not reply.problem:
         model, firmware = (ax12a.register_value(register, reply.data, 0) for register in (ax12a.MODEL, ax12a.FIRMWARE))
-    return FoundServo(servo_id, bus.port.baudrate, model, firmware, answer.elapsed_ns // 1000, clash)
+    return FoundServo(servo_id, bus.port.baudrate, model, firmware, elapsed_ns // 1000, clash)
 
 
 def _ping_all(port: ServoPort, servo_ids: Sequence[int], progress: Progress | None) -> dict[int, _Answer]:
@@ -124,9 +122,9 @@ def _ping_all(port: ServoPort, servo_ids: Sequence[int], progress: Progress | No
             index = min(late, default=index)
             continue
         if servo_id in heard:
-            answers[servo_id] = _Answer("echo" if heard[servo_id] == request else "status", elapsed_ns)
+            answers[servo_id] = ("echo" if heard[servo_id] == request else "status", elapsed_ns)
         elif port.heard:
-            answers[servo_id] = _Answer("noise", elapsed_ns)
+            answers[servo_id] = ("noise", elapsed_ns)
             port.drain()
             decoder.reset()
         index += 1

@@ -17,7 +17,6 @@ from tests.host.doubles import write_take
 class Said:
     """What a command left behind."""
 
-    status: int
     out: str
     err: str
 
@@ -28,10 +27,13 @@ Answer = Callable[..., dict[str, Any]]
 
 @pytest.fixture
 def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
-    """Type a command; what it said."""
+    """Type a command that ends with this status; what it said."""
 
-    def run(*words: object) -> Said:
-        return Said(main([*map(str, words)]), *capsys.readouterr())
+    def run(*words: object, status: int = 0) -> Said:
+        found = main([*map(str, words)])
+        said = Said(*capsys.readouterr())
+        assert found == status, said.err
+        return said
 
     return run
 
@@ -41,9 +43,7 @@ def answer(typed: Typed) -> Answer:
     """Type a command with `--json`; the one object that it prints."""
 
     def run(*words: object, status: int = 0) -> dict[str, Any]:
-        said = typed(*words, "--json")
-        assert said.status == status, said.err
-        (line,) = said.out.splitlines()
+        (line,) = typed(*words, "--json", status=status).out.splitlines()
         found: dict[str, Any] = json.loads(line)
         return found
 

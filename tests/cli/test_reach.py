@@ -48,8 +48,7 @@ def test_a_grip_that_found_nothing_fails(
     typed: Typed, monkeypatch: pytest.MonkeyPatch, gripped: bool, status: int
 ) -> None:
     monkeypatch.setattr(Daemon, "answer", {**ANSWER, "gripped": gripped})
-    said = typed(*REACH, "--grip")
-    assert said.status == status
+    said = typed(*REACH, "--grip", status=status)
     assert Daemon.asked["gripper"] == "grip"
     assert ("gripped: yes" if gripped else "gripped: nothing") in said.out
 
@@ -69,7 +68,7 @@ def test_a_grip_that_found_nothing_fails(
     ],
 )
 def test_wrong_usage_is_told_with_status_2(line: str, typed: Typed) -> None:
-    assert typed(*line.split()).status == 2
+    typed(*line.split(), status=2)
 
 
 def test_a_virtual_transfer_leaves_a_log_a_page_and_a_table(tmp_path: Path, typed: Typed, answer: Answer) -> None:
@@ -81,4 +80,4 @@ def test_a_virtual_transfer_leaves_a_log_a_page_and_a_table(tmp_path: Path, type
     assert (Path(result["log"]), Path(result["report"])) == (log, page)
     assert log.stat().st_size > 10_000
     assert page.stat().st_size > 100_000
-    assert typed(*command).status == 1  # nothing is overwritten
+    typed(*command, status=1)  # nothing is overwritten

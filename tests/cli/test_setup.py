@@ -53,12 +53,9 @@ def test_scan_says_what_it_found_and_what_to_do_when_nothing_is(bench: Bench, ty
     bench.servos[3].set(ax12a.ID, 3)
     bench.servos[5].set(ax12a.RETURN_LEVEL, 0)
     said = typed("scan", "--port", "x", "--baud", "1000000")
-    assert said.status == 0
     assert "two servos have this id" in said.out
     assert "answers no READ" in said.out
-    said = typed("scan", "--port", "x", "--baud", "9600")
-    assert said.status == 1
-    assert "try --baud all" in said.out
+    assert "try --baud all" in typed("scan", "--port", "x", "--baud", "9600", status=1).out
 
 
 def test_scan_of_all_bauds_finds_a_stray(bench: Bench, answer: Answer) -> None:
@@ -84,17 +81,14 @@ def test_doctor_names_every_trouble_with_its_fix_and_fails(
     assert fixes(result).keys() == TROUBLES
     assert all(fixes(result).values())
     assert set(result["checks"][0]) >= {"name", "ok", "value", "fix"}
-    said = typed("doctor", "--port", "x")
-    assert said.status == 1
+    said = typed("doctor", "--port", "x", status=1)
     assert "-> armctl servo set-id 9 4 --port x" in said.out
     assert "500 us (register 250)  (servo 1)" in said.out
 
 
 def test_doctor_is_content_with_a_fit_arm(bench: Bench, typed: Typed) -> None:
-    assert typed("servo", "set-return-delay", "all", "0", "--port", "x").status == 0
-    said = typed("doctor", "--port", "x")
-    assert said.status == 0
-    assert "FAIL" not in said.out
+    typed("servo", "set-return-delay", "all", "0", "--port", "x")
+    assert "FAIL" not in typed("doctor", "--port", "x").out
 
 
 def test_doctor_leaves_a_busy_port_alone(tmp_path: Path, answer: Answer) -> None:
@@ -112,9 +106,9 @@ def test_servo_commands_write_and_say_so(bench: Bench, answer: Answer, typed: Ty
     servo("set 9 shutdown 37", answer)
     assert servo("set-baud 9 57600", answer)["real_baud"] == 57_142
     assert "The daemon talks at 1000000" in servo("set-baud 9 115200 --baud 57600").out
-    assert servo("set-baud 9 1000000 --baud 115200").status == 0
+    servo("set-baud 9 1000000 --baud 115200")
     assert "servo 9 is now servo 4" in servo("set-id 9 4").out
-    assert servo("set 4 shutdown 36").status == 0
+    servo("set 4 shutdown 36")
     assert servo("set-return-delay 4 101", answer)["return_delay_us"] == 100
     assert bench.servos[3].get(ax12a.ID) == 4
     assert bench.servos[3].get(ax12a.RETURN_DELAY) == 50
@@ -140,16 +134,13 @@ def test_servo_commands_write_and_say_so(bench: Bench, answer: Answer, typed: Ty
 )
 def test_refusals_are_one_clear_sentence(bench: Bench, arguments: str, status: int, text: str, typed: Typed) -> None:
     before = [servo.writes for servo in bench.servos]
-    said = typed(*arguments.split(), "--port", "x")
-    assert said.status == status
-    assert text in said.err
+    assert text in typed(*arguments.split(), "--port", "x", status=status).err
     assert [servo.writes for servo in bench.servos] == before
     assert not bench.port.is_open
 
 
 def test_without_a_port_the_remedy_is_named(typed: Typed) -> None:
-    said = typed("scan")
-    assert said.status == 2
+    said = typed("scan", status=2)
     assert said.err.startswith("armctl scan: --port: no serial port named; give --port PATH")
 
 
@@ -158,21 +149,17 @@ def test_eeprom_is_saved_compared_and_restored(bench: Bench, tmp_path: Path, ans
         return ask("servo", "eeprom", act, tmp_path / "e.yaml", *more, "--port", "x", **expected)
 
     assert len(eeprom("save", ask=answer)["servos"]) == 6
-    assert "not overwritten" in eeprom("save").err
-    same = eeprom("diff")
-    assert same.status == 0
-    assert "no difference" in same.out
+    assert "not overwritten" in eeprom("save", status=1).err
+    assert "no difference" in eeprom("diff").out
     bench.servos[2].set(ax12a.SHUTDOWN, 4)
     difference = {"servo_id": 3, "register": "shutdown", "wanted": 36, "found": 4}
     assert eeprom("diff", ask=answer, status=1) == {"differences": [difference]}
     bench.servos[4].set(ax12a.ID, 50)
-    other = eeprom("diff")
-    assert other.status == 1
-    assert "not readable" in other.out
+    assert "not readable" in eeprom("diff", status=1).out
     bench.servos[4].set(ax12a.ID, 5)
     assert "1 registers restored" in eeprom("restore", "--servo", "3").out
     assert eeprom("restore", ask=answer) == {"restored": []}
-    assert typed("servo", "eeprom", "save", tmp_path / "f.json", "--port", "x").status == 0
+    typed("servo", "eeprom", "save", tmp_path / "f.json", "--port", "x")
 
 
 # ------------------------------------------------------------------------------------------------------- calibrate
@@ -212,16 +199,12 @@ def test_calibrate_from_readings_writes_a_new_file_beside_the_old(
     assert len(result["residuals_mm"]) == 16
     assert result["rms_mm"] < 1.0
     again = typed(*command, result["path"])
-    assert again.status == 0
     assert all(words in again.out for words in (f"my-arm-{today}-2.yaml", "roll.zero_tick", "does not move the tool"))
-    taken = typed(*command, arm_file, "--out", result["path"])
-    assert taken.status == 1
-    assert "not overwritten" in taken.err
+    assert "not overwritten" in typed(*command, arm_file, "--out", result["path"], status=1).err
 
 
 def test_calibrate_says_when_the_postures_were_too_much_alike(arm_file: Path, typed: Typed) -> None:
     said = typed(*calibrated(arm_file, touch_points(Bench(spec=EXACT), 1, np.random.default_rng(0)) * 12), arm_file)
-    assert said.status == 0
     assert "left alone" in said.out
     assert "touch every point in more postures" in said.out
 
@@ -269,13 +252,12 @@ def test_calibrate_leads_a_person_through_the_points(
     command = ("calibrate", "--arm", arm_file, "--port", "x", "--points", points, "--touches", "1", "--out")
     # The hand sags by millimetres under the arm's weight, so these points are not quite where the tool was.
     said = typed(*command, tmp_path / "new.yaml", "--save-readings", saved)
-    assert said.status == 0
     assert person.asked == 13
     assert "not taken: " in said.out
     assert "hold the tool still" in said.out
     assert saved.exists()
     monkeypatch.setattr(sys, "stdin", Person(lambda asked: False))
-    assert typed(*command, tmp_path / "other.yaml").status == 130
+    typed(*command, tmp_path / "other.yaml", status=130)
     assert not bench.port.is_open
 
 
@@ -287,7 +269,6 @@ def test_zeros_alone_are_read_in_the_rest_pose(
     monkeypatch.setattr(sys, "stdin", Person(lambda asked: True))
     out = tmp_path / "new.yaml"
     said = typed("calibrate", "--arm", arm_file, "--port", "x", "--zero-at", "rest", "--out", out)
-    assert said.status == 0
     for found, planted_joint in zip(load_arm(str(out)).joints, true.joints, strict=True):
         assert found.zero_tick == pytest.approx(planted_joint.zero_tick, abs=1.0)
     assert "base.zero_tick" in said.out
