@@ -46,14 +46,8 @@ def python(wheel: Path, tmp_path: Path) -> Python:
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("ARMCTL_", "XDG_", "PYTHON"))}
 
     def run(*arguments: str) -> str:
-        done = subprocess.run(
-            [sys.executable, *arguments],
-            cwd=home,
-            env={**kept, "HOME": str(home), "PYTHONPATH": str(unpacked)},
-            capture_output=True,
-            text=True,
-            timeout=100,
-        )
+        command, environment = [sys.executable, *arguments], {**kept, "HOME": str(home), "PYTHONPATH": str(unpacked)}
+        done = subprocess.run(command, cwd=home, env=environment, capture_output=True, text=True, timeout=100)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

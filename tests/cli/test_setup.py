@@ -1,6 +1,8 @@
 """The commands that set an arm up, on a simulated arm in virtual time and once on the real pseudo terminal."""
 
+import json
 import sys
+import zipfile
 from collections.abc import Callable, Sequence
 from datetime import date
 from pathlib import Path
@@ -11,6 +13,7 @@ import pytest
 
 from armctl.cli import setup
 from armctl.commissioning.calibration import Readings, Touch, readings_text
+from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.files import find_arm_file, load_arm
 from armctl.lab.demo import program
@@ -172,6 +175,10 @@ def arm_file(tmp_path: Path) -> Path:
     return path
 
 
+def zeros(arm: ArmConfig) -> list[float]:
+    return [joint.zero_tick for joint in arm.joints]
+
+
 def calibrated(arm_file: Path, touches: Sequence[Touch]) -> tuple[object, ...]:
     """The command that calibrates an arm from these touches."""
     readings = arm_file.with_name("r.yaml")
@@ -191,10 +198,8 @@ def test_calibrate_from_readings_writes_a_new_file_beside_the_old(
     assert result["path"] == str(tmp_path / f"my-arm-{today}.yaml")
     assert arm_file.read_text() == old
     found_arm = load_arm(result["path"])
-    for found, planted_joint in zip(found_arm.joints[:5], true.joints[:5], strict=True):
-        assert found.zero_tick == pytest.approx(planted_joint.zero_tick, abs=1.0)
-    for name, length in true.lengths_m.items():
-        assert found_arm.lengths_m[name] == pytest.approx(length, abs=0.0005)
+    assert zeros(found_arm)[:5] == pytest.approx(zeros(true)[:5], abs=1.0)
+    assert found_arm.lengths_m == pytest.approx(true.lengths_m, abs=0.0005)
     assert {change["key"] for change in result["changes"]} >= {"base.zero_tick", "lengths_m.d1"}
     assert len(result["residuals_mm"]) == 16
     assert result["rms_mm"] < 1.0
@@ -269,9 +274,55 @@ def test_zeros_alone_are_read_in_the_rest_pose(
     monkeypatch.setattr(sys, "stdin", Person(lambda asked: True))
     out = tmp_path / "new.yaml"
     said = typed("calibrate", "--arm", arm_file, "--port", "x", "--zero-at", "rest", "--out", out)
-    for found, planted_joint in zip(load_arm(str(out)).joints, true.joints, strict=True):
-        assert found.zero_tick == pytest.approx(planted_joint.zero_tick, abs=1.0)
+    assert zeros(load_arm(str(out))) == pytest.approx(zeros(true), abs=1.0)
     assert "base.zero_tick" in said.out
+
+
+# ---------------------------------------------------------------------------------------------- install and report
+
+
+@pytest.fixture
+def prefix(tmp_path: Path) -> str:
+    program = tmp_path / "opt" / "bin" / "armctl"
+    program.parent.mkdir(parents=True)
+    program.touch()
+    return str(program.parent.parent)
+
+
+def test_a_dry_run_says_everything_and_does_nothing(tmp_path: Path, prefix: str, typed: Typed) -> None:
+    root = tmp_path / "root"
+    said = typed("install", "--prefix", prefix, "--dry-run", "--root", root)
+    assert "would write /etc/systemd/system/armctl.service" in said.out
+    assert not root.exists()
+
+
+def test_install_and_uninstall_below_a_root(tmp_path: Path, prefix: str, typed: Typed, answer: Answer) -> None:
+    told = answer("install", "--prefix", prefix, "--root", tmp_path)
+    assert told["done"]
+    assert {"act": "write /etc/udev/rules.d/60-armctl.rules", "due": True} in told["acts"]
+    assert (tmp_path / "etc/systemd/system/armctl.service").is_file()
+    assert "left: /etc/armctl" in typed("uninstall", "--root", tmp_path).out
+    assert not (tmp_path / "etc/systemd/system/armctl.service").exists()
+
+
+def test_an_unknown_port_is_wrong_usage(tmp_path: Path, prefix: str, typed: Typed) -> None:
+    said = typed("install", "--prefix", prefix, "--root", tmp_path, "--port", "/dev/no-such-port", status=2)
+    assert "no such serial device" in said.err
+
+
+def test_a_report_holds_every_part_even_where_nothing_runs(tmp_path: Path, answer: Answer, typed: Typed) -> None:
+    logs = tmp_path / "xdg_data_home" / "armctl" / "logs"
+    logs.mkdir(parents=True)
+    (logs / "a.mcap").write_bytes(b"log")
+    path = tmp_path / "report.zip"
+    texts = ["versions.json", "configuration.json", "calibration.yaml", "status.json", "doctor.json", "journal.txt"]
+    assert answer("report", "--out", path) == {"path": str(path), "files": [*texts, "logs/a.mcap"]}
+    with zipfile.ZipFile(path) as archive:
+        assert "numpy" in json.loads(archive.read("versions.json"))["packages"]
+        assert "NoDaemon" in archive.read("status.json").decode()
+        assert "checks" in archive.read("doctor.json").decode() or "port" in archive.read("doctor.json").decode()
+        assert b"arm_id" in archive.read("calibration.yaml")
+    assert "exists" in typed("report", "--out", path, status=1).err
 
 
 # --------------------------------------------------------------------------------------- on the pseudo terminal

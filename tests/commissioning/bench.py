@@ -8,6 +8,7 @@ from armctl.clock import NS_PER_S
 from armctl.commissioning.calibration import Touch, read_ticks
 from armctl.config import ArmConfig
 from armctl.files import load_arm
+from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
@@ -65,8 +66,6 @@ class Bench:
 
 def postures(arm: ArmConfig, count: int, rng: np.random.Generator) -> FloatArray:
     """Postures that touch a low sheet, a step or the air above it, in every way the limits allow; shape (m, n)."""
-    from armctl.kinematics import robots
-
     chain = robots.get(arm.robot, arm.lengths_m).chain
     limits = np.array([joint.limits_rad for joint in arm.joints])
     margin = np.radians(8.0)
@@ -96,18 +95,13 @@ def touch_points(bench: Bench, count: int, rng: np.random.Generator, *, touch_er
 
 def planted(config: ArmConfig, rng: np.random.Generator, *, tick: float, length_m: float) -> ArmConfig:
     """The arm as it truly is: zeros off by up to `tick`, every length off by `length_m` one way or the other."""
-    from armctl.kinematics import robots
-
-    lengths = robots.get(config.robot).lengths_m
-    return config.model_copy(
-        update={
-            "lengths_m": {name: value + length_m * float(rng.choice([-1, 1])) for name, value in lengths.items()},
-            "joints": tuple(
-                joint.model_copy(update={"zero_tick": joint.zero_tick + float(rng.uniform(-tick, tick))})
-                for joint in config.joints
-            ),
-        }
+    known_m = robots.get(config.robot).lengths_m
+    lengths = {name: value + length_m * float(rng.choice([-1, 1])) for name, value in known_m.items()}
+    zeros = [joint.zero_tick + float(rng.uniform(-tick, tick)) for joint in config.joints]
+    joints = tuple(
+        joint.model_copy(update={"zero_tick": zero}) for joint, zero in zip(config.joints, zeros, strict=True)
     )
+    return config.model_copy(update={"lengths_m": lengths, "joints": joints})
 
 
 # An arm that is exactly as its calibration says.

@@ -1,11 +1,8 @@
-import json
 import os
-import zipfile
 from pathlib import Path
 
 import pytest
 
-from armctl.cli import main
 from armctl.commissioning import bundle
 from armctl.config import Config
 from armctl.errors import ArmctlError
@@ -15,28 +12,6 @@ from armctl.errors import ArmctlError
 def config(tmp_path: Path) -> Config:
     (tmp_path / "logs").mkdir()
     return Config(data_dir=str(tmp_path))
-
-
-def test_a_report_holds_every_part_even_where_nothing_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ARMCTL_SOCKET", str(tmp_path / "nobody.sock"))
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    logs = tmp_path / "armctl" / "logs"
-    logs.mkdir(parents=True)
-    (logs / "a.mcap").write_bytes(b"log")
-    path = tmp_path / "report.zip"
-    assert main(["report", "--out", str(path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    texts = ["versions.json", "configuration.json", "calibration.yaml", "status.json", "doctor.json", "journal.txt"]
-    assert told == {"path": str(path), "files": [*texts, "logs/a.mcap"]}
-    with zipfile.ZipFile(path) as archive:
-        assert "numpy" in json.loads(archive.read("versions.json"))["packages"]
-        assert "NoDaemon" in archive.read("status.json").decode()
-        assert "checks" in archive.read("doctor.json").decode() or "port" in archive.read("doctor.json").decode()
-        assert b"arm_id" in archive.read("calibration.yaml")
-    assert main(["report", "--out", str(path)]) == 1
-    assert "exists" in capsys.readouterr().err
 
 
 def test_the_newest_logs_that_fit_are_taken(config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,7 @@
 """Which servos answer, in virtual time."""
 
+from collections.abc import Callable
+
 import pytest
 
 from armctl.commissioning.scan import USUAL_BAUDS, scan
@@ -68,30 +70,32 @@ def test_two_servos_whose_replies_collide_are_a_clash_too(latency_ms: float) -> 
     ]  # fmt: skip
 
 
-def test_noise_now_and_then_is_no_servo_and_hides_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
+def received_first(bench: Bench, monkeypatch: pytest.MonkeyPatch, noise: Callable[[bytes], bytes]) -> None:
+    """Before each reply the port receives something else, which depends on the request."""
     send = bench.port._send
-    asked: list[int] = []
 
     def noisy(packet: bytes) -> int:
-        asked.append(packet[2])
-        if packet[2] in (0, 4, 7) and asked.count(packet[2]) <= 2:
-            bench.port._received += b"\xff\xff\x00"
+        bench.port._received += noise(packet)
         return send(packet)
 
     monkeypatch.setattr(bench.port, "_send", noisy)
+
+
+def test_noise_now_and_then_is_no_servo_and_hides_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    asked: list[int] = []
+
+    def noise(packet: bytes) -> bytes:
+        asked.append(packet[2])
+        return b"\xff\xff\x00" if packet[2] in (0, 4, 7) and asked.count(packet[2]) <= 2 else b""
+
+    received_first(bench, monkeypatch, noise)
     assert [servo.servo_id for servo in scan(bench.bus, ONE_MBPS, range(9))] == [1, 2, 3, 4, 5, 6]
 
 
 def test_an_echo_is_no_servo(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench()
-    send = bench.port._send
-
-    def echoing(packet: bytes) -> int:
-        bench.port._received += packet
-        return send(packet)
-
-    monkeypatch.setattr(bench.port, "_send", echoing)
+    received_first(bench, monkeypatch, lambda packet: packet)
     assert scan(bench.bus, ONE_MBPS, range(7, 12)) == []
 
 

@@ -39,16 +39,10 @@ DEADLINE_S = 30.0
 Snapshot = dict[str, Any]
 
 
-def armctl(folder: Path, *arguments: str, check: bool = False) -> subprocess.CompletedProcess[str]:
+def armctl(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """One command to its end."""
-    return subprocess.run(
-        [sys.executable, "-m", "armctl", *arguments],
-        env=environment(folder),
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-        check=check,
-    )
+    command = [sys.executable, "-m", "armctl", *arguments]
+    return subprocess.run(command, env=environment(folder), capture_output=True, text=True, timeout=DEADLINE_S)
 
 
 def environment(folder: Path) -> dict[str, str]:
@@ -114,7 +108,7 @@ class Simulator:
 
     def truth(self, begin_ns: int, end_ns: int) -> Truth:
         """What really happened between two instants, once it has."""
-        wait_until_ns(end_ns)
+        time.sleep(max(0, end_ns - time.monotonic_ns()) / NS_PER_S)
         deadline_ns = time.monotonic_ns() + round(DEADLINE_S * NS_PER_S)
         while not len(seen := self.client.truth(begin_ns, end_ns).time_ns) or seen[-1] < end_ns - 20_000_000:
             assert time.monotonic_ns() < deadline_ns, "the simulator's time stands still"
@@ -186,14 +180,10 @@ class Bench:
         """A new connection, closed with the bench."""
         return self.cleanup.enter_context(Client(self.socket, timeout_s=DEADLINE_S))
 
-    def watch(self) -> Iterator[Snapshot]:
-        """Snapshots as they come, one a tick."""
-        return self.client().subscribe()
-
     def until(self, condition: Callable[[Snapshot], object]) -> Snapshot:
         """The first snapshot from now on that fulfils the condition."""
         deadline = time.monotonic() + DEADLINE_S
-        for snapshot in self.watch():
+        for snapshot in self.client().subscribe():
             if condition(snapshot):
                 return snapshot
             assert time.monotonic() < deadline, f"never came true; last: {snapshot}"
@@ -245,11 +235,6 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
         return False
-
-
-def wait_until_ns(instant_ns: int) -> None:
-    """Return when the monotonic clock shows `instant_ns`."""
-    time.sleep(max(0, instant_ns - time.monotonic_ns()) / NS_PER_S)
 
 
 def insist(client: Client, method: str) -> dict[str, Any]:
