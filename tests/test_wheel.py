@@ -81,7 +81,7 @@ from armctl.cli.help import page
 from armctl.files import load_arm
 from armctl.commissioning.installation import template
 from armctl.papers.paper_000 import printed
-from armctl.web.app import STATIC
+from armctl.web.pages import STATIC
 
 assert all(page(topic).startswith("# ") for topic in {list(TOPICS)})
 assert all(load_arm(arm).joints for arm in {arms})
