@@ -31,7 +31,7 @@ from tests.terminal import CTRL_C, PATH, shell
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 README = (DOCS.parent.parent / "README.md").read_text()
 RUN_PAGES = ("start", "arm", "api", "new-arm")
-TIMEOUT_S = 110
+TIMEOUT_S = 600
 # Columns: `armctl help` sets a space before and behind.
 WIDEST_CODE = 78
 

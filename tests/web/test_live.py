@@ -239,7 +239,7 @@ def test_a_viewer_sees_what_the_daemon_says_of_the_same_tick() -> None:
     with simulator() as arm, bench(arm.port) as b:
         b.start_daemon()
         b.until(lambda now: now["tool"] is not None)
-        snapshots = b.watch()
+        snapshots = b.client().subscribe()
         with live_view(b.folder, b.socket) as port, viewer(port) as socket:
             found = Viewer(socket)
             found.subscribe()
