@@ -32,21 +32,21 @@ from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import distance_to_line
 
 GAINS = (0.8, 0.6, 0.5, 0.4, 0.35, 0.3)
+# Of the gain, after each plan in a row that was not kept: stiction answers a large correction with a jump.
 LESS = 0.5
-"""Of the gain, after each plan in a row that was not kept: stiction answers a large correction with a jump."""
+# How often a plan is run before it may be kept: at least, and where two runs disagree.
 RUNS, MOST_RUNS = 2, 3
-"""How often a plan is run before it may be kept: at least, and where two runs disagree."""
+# Deviations of the noise between two runs that noise alone hardly ever makes.
 DISAGREE = 4.0 * 2.0**0.5
-"""Deviations of the noise between two runs that noise alone hardly ever makes."""
+# Standard deviation of the window over which readings are averaged.
 SMOOTH_S = 0.25
-"""Standard deviation of the window over which readings are averaged."""
+# A joint that travels less hardly moves.
 STILL_RAD = 3.0 * TICK_RAD
-"""A joint that travels less hardly moves."""
 PATIENCE = 2
+# Standard deviation of `filtered_mm` from run to run of one plan, as it was on simulated arms (half a tick of noise in
+# each reading), and how many runs of this arm's own count as much.
 NOISE_MM = 0.07
 NOISE_RUNS = 2
-"""Standard deviation of `filtered_mm` from run to run of one plan, as it was on simulated arms (half a tick of noise in
-each reading), and how many runs of this arm's own count as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +57,10 @@ class Round:
     course: Course
     plan: Plan
     runs: tuple[Measured, ...]
+    # Of each run, see `seen_mm`.
     run_mm: tuple[float, ...]
-    """Of each run, see `seen_mm`."""
+    # Whether it was the best when it was made.
     kept: bool = False
-    """Whether it was the best when it was made."""
 
     @property
     def measured(self) -> Measured:

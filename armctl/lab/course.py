@@ -32,20 +32,20 @@ from armctl.trajectory.placement import Objective, StraightMotion, place
 from armctl.trajectory.plan import LEAD_RAD, LEAD_SHARE, Plan, joint_trajectory, plan_positions
 from armctl.trajectory.straightness import distance_to_line, max_error, mean_error
 
+# How many via points; auto: as few as will do; stream: a goal every tick.
 Via = int | Literal["auto", "stream"]
-"""How many via points; auto: as few as will do; stream: a goal every tick."""
 
+# How many ways along the line are considered at all, placed as via points, and offered to the arm.
 DRAWN_WAYS, PLACED_WAYS, TRIED_WAYS = 400, 32, 30
-"""How many ways along the line are considered at all, placed as via points, and offered to the arm."""
+# What a servo is off after correction, one with another.
 SERVO_ERROR_RAD = 0.3 * TICK_RAD
-"""What a servo is off after correction, one with another."""
+# Largest lag of a plan that may run: a larger one is near to where the daemon takes a joint for blocked.
 HEAVIEST_RAD = np.radians(7.0)
 UNKNOWN_HEAVIEST_RAD = np.radians(5.0)
-"""Largest lag of a plan that may run: a larger one is near to where the daemon takes a joint for blocked."""
+# How much more than it bears where it stands an arm may bear on its way from there.
 LEAVING = 1.1
-"""How much more than it bears where it stands an arm may bear on its way from there."""
+# Kept free before each joint limit: a curve through waypoints swings a little further than they do.
 SWING_RAD = np.radians(2.0)
-"""Kept free before each joint limit: a curve through waypoints swings a little further than they do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +55,11 @@ class Line:
     A: FloatArray
     B: FloatArray
     duration_s: float
+    # Which measure of the distance from the line is made small.
     objective: Objective = "mix"
-    """Which measure of the distance from the line is made small."""
+    # Where the tool was seen from outside, less where the encoders have it, at even times from begin to end [m], shape
+    # (k, 3); None: nobody looked.
     unseen_m: FloatArray | None = None
-    """Where the tool was seen from outside, less where the encoders have it, at even times from begin to end [m],
-    shape (k, 3); None: nobody looked."""
 
     def errors_mm(self, tool_m: FloatArray) -> tuple[float, float]:
         """Mean and largest distance of tool points, shape (m, 3), from the line [mm]."""
@@ -77,13 +77,13 @@ class Course:
     line: Line
     kind: Interpolation
     stream: bool
+    # [rad], shape (k, n).
     waypoints: FloatArray
-    """[rad], shape (k, n)."""
     knots: FloatArray
+    # Goal less position: what the model says at first, then corrected by what was measured; shape (m, n).
     lag_rad: FloatArray
-    """Goal less position: what the model says at first, then corrected by what was measured; shape (m, n)."""
+    # The line's `unseen_m`, shape (m, 3).
     offset_m: FloatArray
-    """The line's `unseen_m`, shape (m, 3)."""
 
     @property
     def goals_rad(self) -> FloatArray:

@@ -39,8 +39,8 @@ from armctl.trajectory.line_path import line_paths, onto
 from armctl.trajectory.placement import Objective
 from armctl.trajectory.straightness import mean_error
 
+# Of the genetic algorithm.
 Profile = Literal["default", "paper"]
-"""Of the genetic algorithm."""
 MOST_VIA = 20
 AUTO_VIA = range(9)
 TAKES = 5
@@ -61,10 +61,10 @@ class Asked:
     seed: int
     recordings: tuple[str, ...]
     profile: Profile
+    # An external measurement of the tool, and the recording of the run it was made during.
     measured: tuple[Path, str] | None
-    """An external measurement of the tool, and the recording of the run it was made during."""
+    # A page that shows what was found.
     report: Path | None = None
-    """A page that shows what was found."""
 
 
 def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
@@ -138,13 +138,13 @@ def _report(
 class Budget:
     """How many runs an experiment may make."""
 
+    # Corrections at most; 0: the plain plan alone.
     rounds: int
-    """Corrections at most; 0: the plain plan alone."""
+    # Runs of the plan that was kept last.
     repeats: int
-    """Runs of the plan that was kept last."""
     seed: int
+    # Mean error that `auto` asks for.
     tolerance_mm: float = 1.0
-    """Mean error that `auto` asks for."""
 
 
 def experiment(

@@ -26,11 +26,11 @@ class Outcome:
     """What became of one number of via points."""
 
     via: Via
+    # Round 0 is before any correction.
     rounds: list[Round]
-    """Round 0 is before any correction."""
     best: Round
+    # Of the plan that was kept last, run anew.
     runs: list[Measured]
-    """Of the plan that was kept last, run anew."""
 
 
 def row(line: Line, via: Via, rig: Rig, plan: Plan, runs: Sequence[Measured]) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from armctl.trajectory.interpolate import columns_at
 
 COLUMNS = ("t_s", "x_m", "y_m", "z_m")
 EVEN = 51
+# Standard deviation of the window over which the difference is averaged, of the whole.
 SMOOTH = 0.05
-"""Standard deviation of the window over which the difference is averaged, of the whole."""
 
 
 def read(path: Path) -> tuple[FloatArray, FloatArray]:

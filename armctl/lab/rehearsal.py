@@ -35,12 +35,12 @@ class Rehearsal:
     """How well the arm followed. Errors are those of its encoders against the log's, at the same place."""
 
     ticks: int
+    # Of the motion as it was run.
     duration_s: float
-    """Of the motion as it was run."""
+    # How much longer than in the log that is.
     stretched_s: float
-    """How much longer than in the log that is."""
+    # The farthest the log was outside this arm's limits.
     clipped_rad: float
-    """The farthest the log was outside this arm's limits."""
     joint_rms_rad: float
     joint_max_rad: float
     tool_mean_m: float

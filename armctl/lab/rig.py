@@ -20,13 +20,13 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 
+# Time between two points of the true tool path.
 TRUTH_NS = 4_000_000
-"""Time between two points of the true tool path."""
+# So long before the plan can begin the true path is looked at.
 EARLY_TICKS = 2
-"""So long before the plan can begin the true path is looked at."""
 FIRST_TICKS = 5
+# How much of a take is kept before the hand leaves and after it has arrived.
 BEFORE_S, AFTER_S = 0.3, 0.8
-"""How much of a take is kept before the hand leaves and after it has arrived."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +37,14 @@ class Measured:
     """
 
     time_s: FloatArray
+    # By the encoders, at `time_s`.
     positions_rad: FloatArray
-    """By the encoders, at `time_s`."""
     duration_s: float
+    # Name of the log; empty where none was kept.
     recording: str
-    """Name of the log; empty where none was kept."""
+    # The tool's real path: known of a simulated arm only.
     true_time_s: FloatArray | None = None
     true_tool_m: FloatArray | None = None
-    """The tool's real path: known of a simulated arm only."""
 
 
 class Rig(Protocol):
@@ -74,8 +74,8 @@ class _ObservingClock(VirtualClock):
     def __init__(self, arm: SimulatedArm) -> None:
         super().__init__()
         self._arm = arm
+        # None: it does not look.
         self.observe_from_ns: int | None = None
-        """None: it does not look."""
         self.time_ns: list[int] = []
         self.positions_rad: list[FloatArray] = []
 

@@ -16,8 +16,8 @@ from armctl.trajectory.plan import lead
 
 LINES = 8
 DURATION_S = 5.0
+# How far out the lines lead, of the stretched arm: beyond, an uncorrected arm may sag until it counts as blocked.
 STRETCH = 0.75
-"""How far out the lines lead, of the stretched arm: beyond, an uncorrected arm may sag until it counts as blocked."""
 DRAWN_WAYS = 8
 MOST_TRIES = 400
 

@@ -27,12 +27,12 @@ from armctl.kinematics.chain import SerialChain, link_frames
 from armctl.kinematics.transform import FloatArray
 
 TURN_RAD = 0.5 * TICK_RAD
+# An AX-12A with its bracket, and a light tool: what an arm nobody has measured is taken to weigh.
 SERVO_KG, TOOL_KG = 0.075, 0.08
-"""An AX-12A with its bracket, and a light tool: what an arm nobody has measured is taken to weigh."""
 FRICTION_NM = 0.12
+# How far, as a share, an arm's coefficients may be from those of the nominal one: the ridge pulls towards the nominal
+# arm as strongly as one sample with an error of a tick.
 SPREAD = 0.5
-"""How far, as a share, an arm's coefficients may be from those of the nominal one: the ridge pulls towards the nominal
-arm as strongly as one sample with an error of a tick."""
 CONSTANT_RAD = TICK_RAD
 GRAVITY_M_S2 = 9.81
 
@@ -48,15 +48,15 @@ class SagModel(BaseModel):
 
     arm_id: Name
     calibration_hash: str = Field(max_length=64)
+    # Of each downstream link [rad/m], shape (n, n).
     gravity_rad_m: tuple[Row, ...] = Field(strict=False)
-    """Of each downstream link [rad/m], shape (n, n)."""
     friction_rad: Row
     damping_s: Row
     constant_rad: Row
+    # Standard deviation of what the equation leaves, one encoder reading's noise included.
     residual_tick: Row
-    """Standard deviation of what the equation leaves, one encoder reading's noise included."""
+    # How many it was identified from; 0: it is the nominal arm's.
     lines: int = Field(ge=0)
-    """How many it was identified from; 0: it is the nominal arm's."""
 
 
 def directions(q: FloatArray, before: FloatArray) -> FloatArray:

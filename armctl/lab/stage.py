@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
+# Told how many steps are done, and a note.
 Progress = Callable[[float, str], None]
-"""Told how many steps are done, and a note."""
+# Begins a stage by its name and its number of steps; what it yields is told how many are done.
 Stage = Callable[[str, float], AbstractContextManager[Progress]]
-"""Begins a stage by its name and its number of steps; what it yields is told how many are done."""
 
 
 @contextmanager

@@ -31,14 +31,14 @@ from armctl.trajectory.interpolate import joint_path
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
 
+# A line of the paper's kind; the paper does not print its ends.
 FROM_M = (0.18, -0.125, 0.10)
 TO_M = (0.18, 0.125, 0.10)
-"""A line of the paper's kind; the paper does not print its ends."""
+# Points on the line, by experiment.
 VIA = (0, 1, 2)
-"""Points on the line, by experiment."""
 RUNS = 5
+# The paper's recorder wrote every 100 ms.
 PERIOD_S = 0.1
-"""The paper's recorder wrote every 100 ms."""
 
 
 # --------------------------------------------------------------------------------------------------- as published
@@ -123,10 +123,10 @@ class Corrected:
 
     arm_id: str
     line: Line
+    # Tool paths of the guided candidates.
     takes_m: tuple[FloatArray, ...]
-    """Tool paths of the guided candidates."""
+    # By number of via points, before any correction.
     before: dict[int, Measured]
-    """By number of via points, before any correction."""
     after: dict[int, list[Measured]]
     ga: dict[str, Any] | None
     ga_tool_m: FloatArray | None

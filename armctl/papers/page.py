@@ -19,12 +19,12 @@ class Row:
 
     paper: str
     quantity: str
+    # None: the paper gives no number.
     printed: float | str | None
-    """None: the paper gives no number."""
     armctl: float | str
     unit: str
+    # "equal", "better", "misprint" or "differs: why".
     verdict: str
-    """"equal", "better", "misprint" or "differs: why"."""
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ TARGETS_CM = ((20.0, 25.0, 30.0), (30.0, 25.0, 20.0))
 TABLES = ("xy0_test", "z0_test", "delta_xy0", "delta_z0", "p_xy0", "p_z0")
 STATISTICS = ("mean |dxy|", "greatest |dxy|", "mean |dz|", "greatest |dz|")
 REACHED_M = 1e-9
+# Rows and columns of Fig. 7.
 POPULATION_SHOWN = (14, 10)
-"""Rows and columns of Fig. 7."""
 
 
 @dataclass(frozen=True, eq=False)

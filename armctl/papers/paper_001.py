@@ -25,13 +25,13 @@ from armctl.report.page import Figure, plotly
 PAPER = "001"
 claim = partial(verdict.claim, PAPER)
 error = partial(verdict.error, PAPER)
+# The standard algorithm with as many evaluations as the improved one.
 STANDARD = replace(plain.PAPER, population=improved.DEFAULT.populations * improved.DEFAULT.individuals)
-"""The standard algorithm with as many evaluations as the improved one."""
 BATCH = 100
+# Runs that a random pose gets at most before it counts as not solved.
 TRIES = 6
-"""Runs that a random pose gets at most before it counts as not solved."""
+# Near a singularity least squares creeps.
 POLISH_ITERATIONS = 1500
-"""Near a singularity least squares creeps."""
 SOLVED = 1e-6
 STATISTICS: dict[str, Callable[[FloatArray], float]] = {
     "median": lambda values: float(np.median(values)),

@@ -28,9 +28,9 @@ claim = partial(verdict.claim, PAPER)
 same = partial(verdict.same, PAPER)
 PRINTED_IKINE = (1.0472, 0.7854, -1.5708, 1.5708)
 PRINTED_FIG_5_MM = {"x": 219.0, "z": 139.0}
+# The print's start, and qz with theta4 at the end of its range: print gives no end for the trajectory.
 START_DEG = (0.0, 90.0, 0.0, 0.0)
 END_DEG = (60.0, 45.0, -90.0, 82.0)
-"""The print's start, and qz with theta4 at the end of its range: print gives no end for the trajectory."""
 DURATION_S = 2.0
 EXACT = 1e-12
 

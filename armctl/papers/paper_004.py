@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 PAPER = "004"
 claim = partial(verdict.claim, PAPER)
 ROBOT = "transfer-6dof"
+# Of the arm in calibration/transfer-6dof.yaml.
 SCALE = 0.4
-"""Of the arm in calibration/transfer-6dof.yaml."""
 LOGGED = trajectory.TransferRequest(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
 EXACT = 1e-12
 STEP_RAD = 1e-5
+# What central differences of that step can tell.
 DIFFERENCE_BOUND = 1e-8
-"""What central differences of that step can tell."""
 PRINTED_SPEED_MM_S = {"x": 297.0, "y": 200.0, "z": 245.0}
 PRINTED_ACCELERATION_MM_S2 = {"x": 95.0, "y": 113.0, "z": 46.0}
 

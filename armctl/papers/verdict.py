@@ -15,18 +15,18 @@ from armctl.papers.page import Row
 class Effort:
     """How much is computed."""
 
+    # Runs of the genetic algorithm over the grid of 000.
     grid_seeds: int
-    """Runs of the genetic algorithm over the grid of 000."""
+    # Runs on the pose of 001.
     pose_seeds: int
-    """Runs on the pose of 001."""
+    # Poses put through inverse kinematics.
     random_poses: int
-    """Poses put through inverse kinematics."""
+    # Points of a workspace.
     samples: int
-    """Points of a workspace."""
+    # Corrections of the straight line.
     rounds: int
-    """Corrections of the straight line."""
+    # Runs of each straight-line plan.
     repeats: int
-    """Runs of each straight-line plan."""
 
 
 FULL = Effort(grid_seeds=10, pose_seeds=50, random_poses=1000, samples=20_000, rounds=5, repeats=3)

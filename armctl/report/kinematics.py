@@ -16,16 +16,17 @@ from armctl.kinematics.workspace import ReachabilityMap
 from armctl.report.page import Figure, Page, plotly
 from armctl.trajectory.quintic import Curves
 
+# Points of a cloud that are drawn, on a page of its own and among other pictures; more only make the page slow.
 SHOWN_POINTS, SHOWN_AMONG_OTHERS = 8000, 2500
-"""Points of a cloud that are drawn, on a page of its own and among other pictures; more only make the page slow."""
 COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3", "#555555")
 IN_SPACE = "from the side and above"
+# View -> the axes to the right and upwards.
 FLAT = {"front (along x)": (1, 2), "left (along y)": (0, 2), "top (along z)": (0, 1)}
-"""View -> the axes to the right and upwards."""
 ARM_VIEWS = (IN_SPACE, *FLAT)
 PLANES = {f"Projection on {'xyz'[i]}{'xyz'[j]}": (i, j) for i, j in FLAT.values()}
 WORKSPACE_IN_SPACE = "Workspace in 3D"
 WORKSPACE_VIEWS = (WORKSPACE_IN_SPACE, *PLANES)
+# What of a trajectory is drawn -> the field of `Curves`, and the unit it is drawn in.
 CURVES: dict[str, tuple[str, str]] = {
     "Joint positions": ("position_rad", "deg"),
     "Joint velocities": ("velocity_rad_s", "deg/s"),
@@ -36,7 +37,6 @@ CURVES: dict[str, tuple[str, str]] = {
     "Tool angular velocity": ("tool_angular_velocity_rad_s", "rad/s"),
     "Tool angular acceleration": ("tool_angular_acceleration_rad_s2", "rad/s²"),
 }
-"""What of a trajectory is drawn -> the field of `Curves`, and the unit it is drawn in."""
 
 
 def arm(

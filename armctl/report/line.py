@@ -25,25 +25,25 @@ class Printed(NamedTuple):
         return f"{self.mean_error_mm:.1f} / {self.max_error_mm:.1f}"
 
 
+# By number of via points, Raharjo et al. Table II; `armctl/lab/table_ii.py` makes that table anew.
 PRINTED: dict[int | str, Printed] = {
     0: Printed(10.1499, 19.51644, 5.0),
     1: Printed(7.42501, 16.52173, 7.7),
     2: Printed(7.00036, 14.69483, 7.8),
 }
-"""By number of via points, Raharjo et al. Table II; `armctl/lab/table_ii.py` makes that table anew."""
 
 COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3")
 FAINT, GREY, GREEN = "#b9c2cd", "#7d8b99", "#2a7f62"
+# Which of `along_and_off` is seen from where.
 VIEWS = ((1, "from above: sideways deviation"), (2, "from the side: upward deviation"))
-"""Which of `along_and_off` is seen from where."""
 
 
 @dataclass(frozen=True)
 class LineRun:
     """One execution of one plan; paths in the base frame [m], times from the plan's start [s]."""
 
+    # How many, or "stream".
     via: int | str
-    """How many, or "stream"."""
     duration_s: float
     predicted_mean_mm: float
     predicted_max_mm: float
@@ -52,11 +52,11 @@ class LineRun:
     time_s: FloatArray
     positions_rad: FloatArray
     goals_rad: FloatArray
+    # By the encoders.
     tool_m: FloatArray
-    """By the encoders."""
+    # By an outside measurement (the simulator's true pose), where there is one.
     truth_time_s: FloatArray | None = None
     truth_tool_m: FloatArray | None = None
-    """By an outside measurement (the simulator's true pose), where there is one."""
 
     @property
     def real_tool_m(self) -> FloatArray:
@@ -69,12 +69,12 @@ class DrawnOutcome:
     """What became of one number of via points."""
 
     via: int | str
+    # The plain plan on the arm as it is.
     before: LineRun
-    """The plain plan on the arm as it is."""
+    # The best corrected plan, repeated.
     runs: Sequence[LineRun]
-    """The best corrected plan, repeated."""
+    # Each correction in order, from the plain plan on.
     rounds: Sequence[LineRun]
-    """Each correction in order, from the plain plan on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +84,14 @@ class ExperimentReport:
     from_m: FloatArray
     to_m: FloatArray
     outcomes: Sequence[DrawnOutcome]
+    # Of the genetic algorithm, by generation.
     best_cost_mm: Sequence[float] = ()
-    """Of the genetic algorithm, by generation."""
     exact_mean_mm: float | None = None
+    # True mean errors [mm] with one effect switched off: `via`, `without` (None: with all), `before_mm`, `after_mm`,
+    # `spread_mm`, `ticks_mm`, `unseen_mm`.
     limits: Sequence[dict[str, Any]] = ()
-    """True mean errors [mm] with one effect switched off: `via`, `without` (None: with all), `before_mm`, `after_mm`,
-    `spread_mm`, `ticks_mm`, `unseen_mm`."""
+    # Rows of `armctl study pareto`.
     fronts: Sequence[dict[str, Any]] = ()
-    """Rows of `armctl study pareto`."""
     notes: Sequence[str] = field(default_factory=tuple)
 
 
@@ -103,15 +103,15 @@ class LineReport:
     to_m: FloatArray
     joint_names: Sequence[str]
     candidates_m: Sequence[FloatArray]
+    # Name, mean and maximum error of each candidate.
     candidate_errors_mm: Sequence[tuple[str, float, float]]
-    """Name, mean and maximum error of each candidate."""
     ga_tool_m: FloatArray
     ga_mean_mm: float
     exact_mean_mm: float
     gap_ratio: float
+    # Best and mean cost by generation.
     best_mm: FloatArray
     mean_mm: FloatArray
-    """Best and mean cost by generation."""
     runs: Sequence[LineRun]
     notes: Sequence[str] = ()
 
@@ -221,8 +221,8 @@ def _path_figures(page: Page, report: LineReport) -> None:
         page.figure(chart, f"Tool paths against the line AB, {title}")
 
 
+# Of the line AB [m], each shape (3,).
 Ends = tuple[FloatArray, FloatArray]
-"""Of the line AB [m], each shape (3,)."""
 
 
 def wanted_curve(chart: Any, ends: Ends) -> None:

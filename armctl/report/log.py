@@ -18,8 +18,8 @@ from armctl.recording.timeline import Happening, Motion, Timeline
 from armctl.report.page import Page, cube, curve, layout, plotly
 from armctl.trajectory.straightness import distance_to_line
 
+# Most points of a curve; a longer log shows the extremes of each stretch.
 POINTS = 4000
-"""Most points of a curve; a longer log shows the extremes of each stretch."""
 EVENTS = 500
 COLOURS = ("#d1495b", "#d98e1f", "#2f9e6e", "#3f7fd0", "#9a6bd1", "#7d8b99")
 STATE_COLOURS = {

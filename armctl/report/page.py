@@ -14,8 +14,8 @@ from armctl.kinematics.transform import FloatArray
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+# A chart; plotly itself is imported by `plotly`, when the first one is drawn.
 Figure: TypeAlias = "go.Figure"
-"""A chart; plotly itself is imported by `plotly`, when the first one is drawn."""
 
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1d2733; --paper: #fff; --quiet: #5a6878; --rule: #d5dbe3; --edge: #8794a5; }
@@ -34,6 +34,7 @@ th:first-child, td:first-child, .words th, .words td { text-align: left; } th { 
   .wide td { white-space: nowrap; } .wide .words td { white-space: normal; } }
 """
 
+# Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves.
 _CHART_COLOURS = """
 (() => {
   const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -55,7 +56,6 @@ _CHART_COLOURS = """
   dark.addEventListener("change", paint);
 })();
 """
-"""Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves."""
 
 
 def plotly() -> type[Figure]:

@@ -18,8 +18,8 @@ LINE_HEIGHT = 24
 VIEWS = ((1, "from above"), (2, "from the side"))
 LEAST_HALF_HEIGHT_MM = 6.0
 RULER_MM = 50
+# Points of a curve: more cannot be told apart.
 POINTS = 300
-"""Points of a curve: more cannot be told apart."""
 STYLE = """
 text { font: 15px system-ui, sans-serif; fill: #1d2733; } .quiet { fill: #5a6878; }
 .paper { fill: #ffffff; } path { fill: none; stroke-linejoin: round; stroke-linecap: round; }

@@ -13,8 +13,8 @@ from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
 from tests.genetic import hand
 
+# An arm without the faults of one, so that its motion can be held against the plan.
 KIND = ArmSpec(**{name: value for effect in EFFECTS.values() for name, value in effect.items()})
-"""An arm without the faults of one, so that its motion can be held against the plan."""
 LINE = Line(hand.A, hand.B, 3.0)
 
 

@@ -44,8 +44,8 @@ PROOFS: dict[str, Work] = {
     "kill": _work("kill", "prove", tells=True),
     "load": _work("load", "prove", tells=True),
 }
+# What a proof takes beside the seed.
 OPTIONS = {"soak": {"hours", "workers", "episode"}, "mutants": {"workers"}}
-"""What a proof takes beside the seed."""
 BENCHES: dict[str, Work] = {
     name: _work(f"{name}_bench", "bench") for name in ("log", "web", "bus", "sim", "jitter", "ik", "ga", "line")
 }

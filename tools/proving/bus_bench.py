@@ -36,8 +36,8 @@ from proving.rig import ARM
 BAUD = 1_000_000
 RETURN_DELAYS_US = (0, 500)
 CYCLES = 150
+# Each client runs so often, in turn; the best round counts, being the one least disturbed by other work.
 ROUNDS = 5
-"""Each client runs so often, in turn; the best round counts, being the one least disturbed by other work."""
 WARM_UP = 20
 SERVOS = 6
 SHORT_READ = (ax12a.PRESENT_POSITION.address, 8)
@@ -46,11 +46,11 @@ PYPOT_READ_SIZE = 6
 SYNC_WRITE_SIZE = 4
 OURS, RAW = "armctl, full status", "raw, full status"
 CYCLE_BOUND = 1.10
+# Both to the raw client of the same run.
 CPU_BOUND = 2.0
-"""Both to the raw client of the same run."""
 
+# Does one cycle; returns the number of replies missed in it.
 Cycle = Callable[[], int]
-"""Does one cycle; returns the number of replies missed in it."""
 
 
 @dataclass(frozen=True)

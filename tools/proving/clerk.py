@@ -42,14 +42,14 @@ from proving.story import Story, Strike, Wish, Word
 if TYPE_CHECKING:
     from proving.episode import Episode
 
+# When faults end, the arm is ready (latched) within this time.
 READY_S = 3.0
-"""When faults end, the arm is ready (latched) within this time."""
+# From a `clear` to a moving arm.
 MOVE_S = 1.0
-"""From a `clear` to a moving arm."""
+# A card that does not lead out of a fault in so long does not tell the truth.
 PATIENCE_S = 60.0
-"""A card that does not lead out of a fault in so long does not tell the truth."""
+# How often a run is asked for first that must be refused.
 WRONG_SHARE = 0.2
-"""How often a run is asked for first that must be refused."""
 LEAN_S = 4.0
 
 Doing = Generator[tuple[Command, ...], None, None]

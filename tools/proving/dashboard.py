@@ -24,8 +24,8 @@ class Dashboard:
     """Where everything is."""
 
     folder: Path
+    # The daemon's.
     socket: Path
-    """The daemon's."""
     daemon: subprocess.Popen[str]
     web: subprocess.Popen[str]
     port: int

@@ -22,33 +22,34 @@ from armctl.messages import Mode
 from armctl.sim.faults import Fault
 
 TICK_DEG = math.degrees(ax12a.TICK_RAD)
+# From a hold, or a fault's bound, to the last goal that advances: 200 ms of them, and the tick under way.
 STOP_S = 0.3
-"""From a hold, or a fault's bound, to the last goal that advances: 200 ms of them, and the tick under way."""
 SILENCE_S = 0.2
 LATCH_S = 0.5
+# Beyond the matrix's bound: a fault may begin just behind a reading, and a silent servo is asked now and then.
 REPORT_SLACK_S = 0.3
-"""Beyond the matrix's bound: a fault may begin just behind a reading, and a silent servo is asked now and then."""
+# An adapter that is in again is found, and its servos are identified, within this time.
 BACK_S = 3.0
-"""An adapter that is in again is found, and its servos are identified, within this time."""
+# For so long a fault still excuses what its joints do, once they are back at their goals.
 RECOVERING_S = 1.0
-"""For so long a fault still excuses what its joints do, once they are back at their goals."""
 BACK_TICKS = 3.5 / TICK_DEG
+# A limp joint has found its rest by then.
 FALL_S = 6.0
-"""A limp joint has found its rest by then."""
+# Surely above the calibration's 65 degC, whatever has cooled by the next reading.
 HOT_DEGC = 67.0
-"""Surely above the calibration's 65 degC, whatever has cooled by the next reading."""
+# Surely below the calibration's 9 V, as the register rounds.
 LOW_V = 8.5
-"""Surely below the calibration's 9 V, as the register rounds."""
 
 ADVANCING = frozenset({Mode.MOVING, Mode.JOGGING, Mode.PARKING})
 POWERED = ADVANCING | {Mode.HOLDING}
+# Faults by which a servo's shaft leaves its goal, or its goal the program's.
 MOVES_JOINT = frozenset({"stuck_joint", "blocked_joint", "frozen_sensor", "second_writer"})
-"""Faults by which a servo's shaft leaves its goal, or its goal the program's."""
+# Faults that take torque from some and thereby load from others.
 MOVES_ARM = frozenset({"brown_out", "trip"})
-"""Faults that take torque from some and thereby load from others."""
 SILENCES = frozenset({"mute", "dead_bus", "lost"})
 
 _SILENT = frozenset({"SERVO_SILENT", "BUS_DEAD"})
+# Under which codes a fault may be reported.
 CODES = {
     "mute": _SILENT,
     "dead_bus": _SILENT,
@@ -59,7 +60,6 @@ CODES = {
     "second_writer": frozenset({"OTHER_WRITER"}),
     "hot": frozenset({"HOT", "TRIPPED"}),
 }
-"""Under which codes a fault may be reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +81,14 @@ class Sent:
 class Servo:
     """What one servo held at an instant."""
 
+    # Enabled, with a torque limit above 0.
     torque: bool
-    """Enabled, with a torque limit above 0."""
     goal: int
     speed: int
     limit: int
     shaft_tick: float
+    # What its own sensor reads, without noise.
     sensed_tick: int
-    """What its own sensor reads, without noise."""
 
 
 @dataclass(slots=True)
@@ -96,26 +96,26 @@ class Duty:
     """From `from_s` no goal may advance, until it is over."""
 
     from_s: float
+    # The end of a short fault; infinite: until the user ends it.
     until_s: float
-    """The end of a short fault; infinite: until the user ends it."""
+    # Whether `clear` ends it, else the next motion asked for.
     by_clear: bool
-    """Whether `clear` ends it, else the next motion asked for."""
     invariant: str
     why: str
+    # Whether an arm that is let go on request, before anybody had to latch, is past it: what took its torque.
     by_release: bool = False
-    """Whether an arm that is let go on request, before anybody had to latch, is past it: what took its torque."""
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
     """What else is known when a fault begins."""
 
+    # As reported.
     mode: Mode
-    """As reported."""
+    # Whether a fault was reported before.
     latched: bool
-    """Whether a fault was reported before."""
+    # Whether a program is in charge.
     alive: bool
-    """Whether a program is in charge."""
 
 
 class Duties:
@@ -124,15 +124,15 @@ class Duties:
     def __init__(self, servo_ids: Sequence[int], period_s: float) -> None:
         self._servo_ids, self._period_s = servo_ids, period_s
         self._duties: list[Duty] = []
+        # Begin and end of every fault not begun yet.
         self._planned: list[tuple[float, float, Fault]] = []
-        """Begin and end of every fault not begun yet."""
         self._faults: list[tuple[float, float, Fault]] = []
+        # By when a fault has to be reported, which, and under what codes; none: any will do.
         self._expected: list[tuple[float, str, frozenset[str]]] = []
-        """By when a fault has to be reported, which, and under what codes; none: any will do."""
+        # By when a port that was reported gone has to be reported back.
         self._back_by_s = math.inf
-        """By when a port that was reported gone has to be reported back."""
+        # When a hand was last at the arm.
         self._hand_s = -math.inf
-        """When a hand was last at the arm."""
 
     def must_stop(
         self,

@@ -48,19 +48,19 @@ from proving.shafts import Violation
 from proving.story import HostGone, Kill, Late, Story, Strike, Tamper
 
 ARM = "ax12-line"
+# Bytes of a good reply to a READ of 24..49.
 STATUS_REPLY = 32
-"""Bytes of a good reply to a READ of 24..49."""
+# Places in such a reply behind its header.
 TORQUE_AT = 3 + ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN
 GOAL_AT = 3 + ax12a.GOAL.address - ax12a.STATUS_BEGIN
 POSITION_AT = 3 + ax12a.PRESENT_POSITION.address - ax12a.STATUS_BEGIN
-"""Places in such a reply behind its header."""
 WATCHED = (ax12a.TORQUE_LIMIT, ax12a.GOAL, ax12a.MOVING_SPEED)
+# As plain numbers: every packet is looked at.
 READ, PING = int(Instruction.READ), int(Instruction.PING)
-"""As plain numbers: every packet is looked at."""
+# A fault is planned so long before it begins: the next tick comes earlier, however late.
 NEAR_S = 2.0
-"""A fault is planned so long before it begins: the next tick comes earlier, however late."""
+# A control process that could not open the port is started again so much later.
 RESTART_S = 1.0
-"""A control process that could not open the port is started again so much later."""
 
 
 class Killed(BaseException):
@@ -113,27 +113,27 @@ class Watch:
 
     def __init__(self, arm: ArmConfig, body: SimulatedArm, judge: Judge) -> None:
         self.received = bytearray()
+        # Everything the host ever said.
         self.wire = hashlib.blake2b(digest_size=16)
-        """Everything the host ever said."""
         self.packets = 0
+        # Raises `Killed` once so many packets are sent.
         self.kill_at = -1
-        """Raises `Killed` once so many packets are sent."""
+        # Whether the adapter may be out of the host.
         self.unpluggable = False
-        """Whether the adapter may be out of the host."""
+        # When it surely will not be.
         self._plugged_ns = -1
-        """When it surely will not be."""
         self._body, self._judge = body, judge
         self._index = {servo_id: i for i, servo_id in enumerate(arm.servo_ids)}
         self._heads = {servo_id: bytes((0xFF, 0xFF, servo_id, STATUS_REPLY - 4)) for servo_id in arm.servo_ids}
         self._pending: int | None = None
         self._writes = [-1] * len(body.servos)
         self._servos = [Servo(False, 0, 0, 0, 0.0, 0) for _ in body.servos]
+        # Whether this tick's readings are not a sample's alone.
         self._identifying = False
-        """Whether this tick's readings are not a sample's alone."""
+        # How often each servo was asked for its status in this tick.
         self._asked: dict[int, int] = {}
-        """How often each servo was asked for its status in this tick."""
+        # Which of them were heard.
         self._heard: set[int] = set()
-        """Which of them were heard."""
         self._sent: list[Sent] = []
         self._before: list[Servo] = []
 
@@ -245,8 +245,8 @@ class Stage:
 
     arm: ArmConfig
     robot: Robot
+    # Some that the arm can take [rad].
     postures: Sequence[FloatArray]
-    """Some that the arm can take [rad]."""
 
 
 def stage(arm_name: str = ARM) -> Stage:
@@ -263,10 +263,10 @@ class Outcome:
     violations: list[Violation]
     rows: Counter[str]
     virtual_s: float
+    # Fingerprint of every byte the host sent.
     wire: str
-    """Fingerprint of every byte the host sent."""
+    # The course of it in plain words, with its times.
     told: list[tuple[float, str]] = field(default_factory=list)
-    """The course of it in plain words, with its times."""
 
 
 def variants(seed: int) -> ServoVariants:
@@ -318,8 +318,8 @@ class Episode:
         self._noisy: set[str] = set()
         self._code, self._mode = "", ""
         self._log = log
+        # The step's memory, run again on the records alone.
         self._again = State()
-        """The step's memory, run again on the records alone."""
         self._eeprom = [limits]
 
     @property

@@ -50,10 +50,10 @@ WITH_LIMITS = replace(
     DEFAULT, population=POPULATION, generations=GENERATIONS, charge_shares=(1.0,), searches=0, stall_generations=0
 )
 
+# Costs [m] of chromosomes, shape (P, m) -> (P,).
 Evaluate = Callable[[IntArray], FloatArray]
-"""Costs [m] of chromosomes, shape (P, m) -> (P,)."""
+# Least cost found with this evaluation, first population, number of choices and seed.
 Minimise = Callable[[Evaluate, IntArray, int, int], float]
-"""Least cost found with this evaluation, first population, number of choices and seed."""
 
 
 @dataclass

@@ -27,16 +27,16 @@ from armctl.kinematics.transform import FloatArray
 from proving.figures import check, row
 
 TARGETS = 100
+# Targets of those that take a second each.
 PEER_TARGETS = 5
-"""Targets of those that take a second each."""
 ROUNDS = 3
 SPEED_BOUND = 30.0
 WORK = "GA for a point, 95 x 300"
 OURS = "armctl, GA of 000 with polish, batch"
 IMPROVED = "armctl, improved GA without polish, batch"
 
+# Targets [m], shape (m, 3) -> configurations [rad], shape (m, n).
 Solver = Callable[[FloatArray], FloatArray]
-"""Targets [m], shape (m, 3) -> configurations [rad], shape (m, n)."""
 
 
 def bench(seed: int, targets: int = TARGETS, peer_targets: int = PEER_TARGETS, rounds: int = ROUNDS) -> dict[str, Any]:

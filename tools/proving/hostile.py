@@ -24,8 +24,8 @@ from armctl.recording.chunks import CHUNK, MAGIC, MAX_CHUNK_BYTES, RECORD, Chunk
 from armctl.recording.writer import SEED
 
 SIZE = 65_000
+# In which `read_all` reads a file.
 WAYS = 5
-"""In which `read_all` reads a file."""
 CHUNK_OPCODE, ATTACHMENT_OPCODE, HEADER_OPCODE, MESSAGE_OPCODE = 6, 9, 1, 5
 _END = RECORD.pack(15, 4) + bytes(4)
 

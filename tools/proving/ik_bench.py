@@ -31,13 +31,13 @@ from proving.figures import check, row
 
 POSES = 1000
 SLOW_POSES = 100
+# For solvers that take milliseconds, and tenths of a second, a pose.
 SLOWEST_POSES = 10
-"""For solvers that take milliseconds, and tenths of a second, a pose."""
 FK_POSES = 100_000
 ROUNDS = 5
 SOLVED_M = SOLVED_RAD = 1e-6
+# A solver that solves at least this share counts as exact.
 EXACT_SHARE = 0.999
-"""A solver that solves at least this share counts as exact."""
 BATCH_BOUND_US = 2.0
 ALONE_BOUND_US = 25.0
 BATCH_RATIO = 50.0

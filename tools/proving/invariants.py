@@ -50,23 +50,23 @@ from armctl.sim.faults import Fault
 from proving.duties import ADVANCING, POWERED, STOP_S, TICK_DEG, Known, Sent, Servo
 from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, ShaftJudge, copied
 
+# A goal this near to the servo's own position asks for no motion.
 HERE_TICKS = 0.6 / TICK_DEG + NOISE_TICKS
-"""A goal this near to the servo's own position asks for no motion."""
 LEAD_TICKS = 12.0 / TICK_DEG
 SOFT_LIMIT = 0.2 * ax12a.TORQUE_LIMIT.maximum
 REST_TICKS = 3.0 / TICK_DEG + 2.0
 REST_SPEED_DEG_S = 20.0
+# A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
-"""A torque-on takes so long at most, without the ticks in which a servo is not heard."""
+# From the last goal that may advance to an arm that is still.
 REST_S = 0.3
-"""From the last goal that may advance to an arm that is still."""
 AGE_S = 0.25
 BURST_S = 0.25
 BURST = 4
+# A heartbeat counts for 80 ms; then the arm stops.
 JOG_S = 0.08 + 0.1 + STOP_S
-"""A heartbeat counts for 80 ms; then the arm stops."""
+# Late by the bound of 250 ms, whatever the two readings took.
 LATE_S = 0.35
-"""Late by the bound of 250 ms, whatever the two readings took."""
 DEAD_S = 0.25
 MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
 
@@ -85,35 +85,35 @@ class Judge(ShaftJudge):
         self._speeds = [ax12a.moving_speed_units(joint.speed_limit_rad_s) for joint in arm.joints]
         self._rest = [joint.tick(joint.rest_rad) for joint in arm.joints]
         self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + 1.0
+        # Goals of the program in charge, while their servos have torque.
         self._sent: list[int | None] = [None] * n
-        """Goals of the program in charge, while their servos have torque."""
+        # And those before them: what a servo holds that missed one.
         self._sent_before: list[int | None] = [None] * n
-        """And those before them: what a servo holds that missed one."""
         self._goal_times: deque[float] = deque(maxlen=BURST + 1)
+        # Whose EEPROM forbids torque.
         self._unfit: set[int] = set()
-        """Whose EEPROM forbids torque."""
+        # When each servo was last heard, and where it said it was.
         self._heard_s = [-math.inf] * n
         self._told = [0] * n
-        """When each servo was last heard, and where it said it was."""
+        # Whether every servo answered in the last tick.
         self._all_heard = False
-        """Whether every servo answered in the last tick."""
         self._time_s = -math.inf
         self._asked_s: dict[str, float] = {}
+        # In this tick.
         self._asked_now: set[str] = set()
-        """In this tick."""
+        # What this tick's `clear`, if it is granted, makes right.
         self._unless_cleared: list[tuple[str, float, int, str]] = []
-        """What this tick's `clear`, if it is granted, makes right."""
+        # Whether this tick's `clear` comes together with a request to move.
         self._clears_and_moves = False
-        """Whether this tick's `clear` comes together with a request to move."""
+        # What is right if this tick's report tells of a fault that sends the arm to rest at once.
         self._unless_settling: list[tuple[str, float, int, str]] = []
-        """What is right if this tick's report tells of a fault that sends the arm to rest at once."""
         self._torque_asked_s = -math.inf
+        # Since when a fault is reported.
         self._fault_s = -math.inf
-        """Since when a fault is reported."""
+        # Whether there is a program at all.
         self._in_charge = False
-        """Whether there is a program at all."""
+        # Whether another program is taking over, and nobody has asked it for anything yet.
         self._adopting = False
-        """Whether another program is taking over, and nobody has asked it for anything yet."""
 
     # ------------------------------------------------------------------------------------- what is known
 

@@ -29,8 +29,8 @@ from proving.rig import ARM, rig
 
 SECONDS = 20.0
 RATES_HZ = (10, 100)
+# Left out at the begin: imports, first keyframe, adoption.
 SETTLE_S = 1.0
-"""Left out at the begin: imports, first keyframe, adoption."""
 IDLE_BOUND_MS = 1.0
 BUSY_BOUND_MS = 5.0
 DAEMON_CPU_BOUND = 0.03

@@ -57,20 +57,20 @@ TRAVEL_RAD = math.radians(10.0)
 FASTEST_DEG_S = 60.0
 ADOPT_S = 2.0
 SETTLED_RAD = math.radians(0.5)
+# What a machine that keeps bytes back makes of servos that answer.
 UNHEARD = ("SERVO_SILENT", "BUS_DEAD", "a fault is latched")
-"""What a machine that keeps bytes back makes of servos that answer."""
 KEPT_BACK_S = 0.1
 MACHINE_BEFORE_NS = NS_PER_S
+# Of the runs.
 MOST_UNJUDGED = 0.1
-"""Of the runs."""
+# How long the arm is watched after it was adopted.
 WATCH_S = 0.3
-"""How long the arm is watched after it was adopted."""
 PATIENCE_S = 20.0
+# Control processes killed before it is the host's turn: a daemon whose control process dies oftener waits longer.
 CONTROLS_A_DAEMON = 4
-"""Control processes killed before it is the host's turn: a daemon whose control process dies oftener waits longer."""
 SPREAD_DEG = (60.0, 25.0, 25.0, 40.0, 60.0, 90.0)
+# Poses the arm moves between: high enough that no way between two of them comes near the table.
 CENTRE_DEG = (0.0, 130.0, -115.0, 60.0, 0.0, 0.0)
-"""Poses the arm moves between: high enough that no way between two of them comes near the table."""
 
 Victim = Literal["control", "host"]
 
@@ -83,17 +83,17 @@ class Run:
     stop_ms: float = math.nan
     travel_deg: float = math.nan
     adopt_s: float = math.nan
+    # From the kill until the process was gone.
     dying_s: float = 0.0
-    """From the kill until the process was gone."""
+    # The kernel's longest delay around the kill.
     kept_back_s: float = 0.0
-    """The kernel's longest delay around the kill."""
+    # How long the new processes waited for a processor.
     waited_s: float = 0.0
-    """How long the new processes waited for a processor."""
+    # Of the fastest joint in the 50 ms before the kill.
     speed_deg_s: float = math.nan
-    """Of the fastest joint in the 50 ms before the kill."""
     violations: list[str] = field(default_factory=list)
+    # Why nothing follows from this run: the machine kept the arm from being heard.
     unjudged: str = ""
-    """Why nothing follows from this run: the machine kept the arm from being heard."""
 
 
 def prove(seed: int, runs: int = RUNS, tell: Callable[[str], None] = lambda _: None) -> dict[str, Any]:

@@ -30,12 +30,12 @@ VIA = (0, 1, 2, 3, 5, 8)
 DURATION_S = 5.0
 LENGTH_M = (0.2, 0.3)
 TICK_STATIONS = 201
+# What armctl does with via points at least halves their error.
 HALF = 0.5
-"""What armctl does with via points at least halves their error."""
 KINDS: tuple[Interpolation, ...] = ("linear", "cubic")
 
+# Mean and maximum error of each line [mm].
 Errors = list[tuple[float, float]]
-"""Mean and maximum error of each line [mm]."""
 
 
 def bench(seed: int, lines: int = LINES) -> dict[str, Any]:

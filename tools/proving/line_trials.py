@@ -29,12 +29,12 @@ from armctl.trajectory.plan import Plan
 
 ARM = "ax12-line"
 DURATION_S = 5.0
+# How far out a trial's line may lead, of the stretched arm: farther out the weakest motors cannot lift it.
 STRETCH = 0.85
-"""How far out a trial's line may lead, of the stretched arm: farther out the weakest motors cannot lift it."""
+# Codes of refusals that say of a line that this arm cannot follow or lift it: another one is drawn.
 REFUSED_LINES = ("LINE", "PREFLIGHT", "LIMIT", "TOO_HEAVY")
-"""Codes of refusals that say of a line that this arm cannot follow or lift it: another one is drawn."""
+# A tick: within one, stiction lets a slow joint start and stop.
 SPEED_SPAN_S = 0.1
-"""A tick: within one, stiction lets a slow joint start and stop."""
 
 
 @dataclass(frozen=True)

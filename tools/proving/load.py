@@ -55,12 +55,12 @@ CLIENTS = 8
 STALLED = 16
 HOGS = 2
 STOP_EVERY_S = 1.0 / 3.0
+# Stops of the holding arm for one of the moving arm.
 HOLDING_STOPS = 3
-"""Stops of the holding arm for one of the moving arm."""
+# How long it moves, or is about to.
 MOVING_S = 0.6
-"""How long it moves, or is about to."""
+# How far the last joint, which nothing hangs on, moves from its rest.
 SWAY_RAD = math.radians(20.0)
-"""How far the last joint, which nothing hangs on, moves from its rest."""
 STOP_BOUND_MS = 100.0
 TAKEN_BOUND_MS = 150.0
 STILL_BOUND_MS = 300.0
@@ -68,14 +68,14 @@ STATUS_BOUND_MS = 50.0
 LATE_BOUND_MS = 50.0
 LEAST_RATE = 0.95
 OTHER_WORK_CORES = 0.1
+# What is judged whatever else the machine does.
 ALWAYS = ("lateness_ms_max", "skipped_ticks")
-"""What is judged whatever else the machine does."""
+# From the first request to the first that counts.
 SETTLE_S = 2.0
-"""From the first request to the first that counts."""
 DRAIN_S = 2.0
 PATIENCE_S = 20.0
+# Answers that each stalled subscriber leaves unread from the first: as many as fill a socket.
 FILLING = 200
-"""Answers that each stalled subscriber leaves unread from the first: as many as fill a socket."""
 
 
 def prove(
@@ -301,14 +301,14 @@ class _Log:
     folder: Path
     begin_s: float
     end_s: float
+    # By number: a log may tell of a tick more than once.
     cycles: dict[int, dict[str, Any]] = field(default_factory=dict)
-    """By number: a log may tell of a tick more than once."""
+    # When each tick began that a `Hold` came to.
     holds_s: list[float] = field(default_factory=list)
-    """When each tick began that a `Hold` came to."""
+    # Ticks in which some servo was not heard.
     unheard: int = 0
-    """Ticks in which some servo was not heard."""
+    # Of the faults that latched.
     codes: list[str] = field(default_factory=list)
-    """Of the faults that latched."""
 
     def __post_init__(self) -> None:
         holding: set[int] = set()

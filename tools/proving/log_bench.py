@@ -48,10 +48,10 @@ from proving.log_rig import log_context, repeated, simulated_records
 
 HOUR_TICKS = 36_000
 SIMULATED_TICKS = 3000
+# What is encoded and written for the figures of writing.
 WRITTEN_TICKS = 3000
-"""What is encoded and written for the figures of writing."""
+# What mcap-ros2-support decodes.
 SLOW_MESSAGES = 20_000
-"""What mcap-ros2-support decodes."""
 ROUNDS = 5
 FLUSH_TICKS = 9
 _TICK = (

@@ -26,8 +26,8 @@ from armctl.errors import ArmctlError
 from proving.syntax import Edit, apply, fits
 
 SEED = 1
+# At most so many for each mutant, until one fails.
 EPISODES = 24
-"""At most so many for each mutant, until one fails."""
 TIMEOUT_S = 240.0
 TOOLS = Path(__file__).resolve().parents[1]
 ROOT = TOOLS.parent / "armctl"
@@ -38,10 +38,10 @@ class Mutant:
     """One planted bug."""
 
     name: str
+    # The folder of the package, or the module at its root, in which it is looked for.
     room: str
-    """The folder of the package, or the module at its root, in which it is looked for."""
+    # Each fits one place of the room.
     edits: tuple[Edit, ...]
-    """Each fits one place of the room."""
 
 
 class StaleMutant(ArmctlError):
@@ -78,11 +78,11 @@ class Result:
     """What the soak said of one copy."""
 
     name: str
+    # Empty: it noticed nothing.
     violation: str
-    """Empty: it noticed nothing."""
     seconds: float
+    # What the unit tests said of a survivor.
     tests: str = ""
-    """What the unit tests said of a survivor."""
 
 
 def check(mutant: Mutant) -> None:

@@ -40,11 +40,11 @@ from armctl.dynamixel.port import ServoPort
 RUNS = 5_000_000
 SHARD_RUNS = 25_000
 SHARD_TIMEOUT_S = 120.0
+# One in so many sequences also goes to the bus, which takes longer over it.
 BUS_EVERY = 25
-"""One in so many sequences also goes to the bus, which takes longer over it."""
 LONGEST = 48
+# Violations told in words.
 KEPT = 10
-"""Violations told in words."""
 PROBE = encode_status(7, 0, b"\x20\x01")
 SERVO_ID = 1
 

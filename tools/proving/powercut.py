@@ -55,18 +55,18 @@ DAMAGED_TICKS = 180
 SHARD = 250
 FOLDERS = ("logs", "recordings")
 TICKS = 150
+# Tick at which a take begins, at which it ends, its name.
 TAKES = ((20, 60, "first"), (65, 90, "second"), (100, 10**9, "third"))
-"""Tick at which a take begins, at which it ends, its name."""
 FAULT_TICK = 75
 LOSS_BOUND_S = 1.0
 WALL_NS = 1_750_000_000 * NS_PER_S
 LIMITS = LogConfig(free_bytes=0, rotate_s=5.0, snapshot_s=2.0)
+# So many operations fail in a row.
 FAILING_OPERATIONS = (1, 4)
-"""So many operations fail in a row."""
+# Operations after which the disk may be in another state than before.
 CHANGING = ("create", "write", "sync", "sync_folder", "link", "replace", "remove")
-"""Operations after which the disk may be in another state than before."""
+# Whose messages are the same whichever files they go to.
 TICK_TOPICS = (JOINT_STATES, JOINT_COMMANDS, TF, TCP_POSE, SERVOS)
-"""Whose messages are the same whichever files they go to."""
 Truth = frozenset[LogMessage]
 
 

@@ -34,14 +34,14 @@ from armctl.trajectory.plan import Plan, joint_trajectory
 from proving.story import Word
 
 PERIOD_S = 0.1
+# Of a joint's speed limit, in the fastest runs.
 FAST_SHARE = 0.97
-"""Of a joint's speed limit, in the fastest runs."""
+# Joints that hardly move the tool, and how often they turn alone: nothing but their own limits makes them slow.
 WRIST, WRIST_SHARE = 2, 0.25
-"""Joints that hardly move the tool, and how often they turn alone: nothing but their own limits makes them slow."""
 POSTURES = 64
 ELSEWHERE_RAD = 0.2
+# At the default compliance 82 % of a servo's output, and 7.9 deg.
 LEAN_TICKS = 27
-"""At the default compliance 82 % of a servo's output, and 7.9 deg."""
 
 
 class Requests:

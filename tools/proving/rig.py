@@ -34,8 +34,8 @@ class Seen:
     """Everything observed, each with the monotonic instant [ns] at which it arrived."""
 
     snapshots: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
+    # What the simulated servos' registers held.
     servos: list[tuple[int, list[dict[str, Any]]]] = field(default_factory=list)
-    """What the simulated servos' registers held."""
 
 
 class Rig:
@@ -133,8 +133,8 @@ class KernelWatch:
 
     def __init__(self) -> None:
         self._worker, self._clock = KernelWorker(), MonotonicClock()
+        # When a byte was sent, and when it came [ns].
         self._delays: list[tuple[int, int]] = []
-        """When a byte was sent, and when it came [ns]."""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()

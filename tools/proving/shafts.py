@@ -13,12 +13,12 @@ from armctl.config import ArmConfig
 from armctl.messages import Mode
 from proving.duties import POWERED, REPORT_SLACK_S, TICK_DEG, Duties, Servo
 
+# Two standard deviations of one reading: a program that has one reading knows a shaft no better.
 NOISE_TICKS = 1.0
-"""Two standard deviations of one reading: a program that has one reading knows a shaft no better."""
 JUMP_TICKS = 2.0 / TICK_DEG
 JUMP_S = 0.5
+# Between two ticks: twice the play of a joint, which gravity may cross when a neighbour comes to rest.
 STILL_TICKS = 0.9 / TICK_DEG
-"""Between two ticks: twice the play of a joint, which gravity may cross when a neighbour comes to rest."""
 DEAD_TICKS = 10.0 / TICK_DEG
 BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
 BLOCKED_S = 0.3
@@ -42,16 +42,16 @@ class ShaftJudge:
         self._period_s = period_s
         self._seen: set[tuple[str, int]] = set()
         self._duties = Duties(arm.servo_ids, period_s)
+        # What is reported: the mode, and the code of a fault.
         self._mode, self._code = Mode.OFF, ""
-        """What is reported: the mode, and the code of a fault."""
+        # The servos a tick ago.
         self._before: list[Servo] = []
-        """The servos a tick ago."""
+        # When and where [tick] each servo took torque, for the half second of watching.
         self._enabled: dict[int, tuple[float, float]] = {}
-        """When and where [tick] each servo took torque, for the half second of watching."""
+        # Since when each servo is far from its goal.
         self._far_s = [math.inf] * len(arm.joints)
-        """Since when each servo is far from its goal."""
+        # When the program in charge died, and where the shafts were.
         self._dead: tuple[float, list[float]] | None = None
-        """When the program in charge died, and where the shafts were."""
 
     def found(self, now_s: float, invariant: str, text: str) -> None:
         """Something that whoever plays the user, or the episode itself, has seen."""

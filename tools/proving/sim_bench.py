@@ -27,19 +27,19 @@ from proving.mujoco_arm import mjcf
 from proving.rig import ARM
 
 ROUNDS = 5
+# Virtual time of a round.
 SECONDS = 10.0
-"""Virtual time of a round."""
 PERIOD_S = 0.1
 PERIOD_NS = 100_000_000
+# In plain Python, half holding, half moving: an hour of soak in about a minute.
 SPEED_BOUND = 55.0
-"""In plain Python, half holding, half moving: an hour of soak in about a minute."""
 WORKING_RAD = np.radians([20.0, 75.0, -60.0, -45.0, -45.0, 10.0])
+# There and back in `SWING_S`, a sine: up to 36 deg/s.
 SWING_RAD = np.array([1.0, -0.4, 0.5, 0.4, 0.4, 1.0])
-"""There and back in `SWING_S`, a sine: up to 36 deg/s."""
 SWING_S = 10.0
 
+# Lets so many virtual seconds pass.
 Play = Callable[[float], None]
-"""Lets so many virtual seconds pass."""
 
 
 def bench(seed: int, seconds: float = SECONDS, rounds: int = ROUNDS) -> dict[str, Any]:

@@ -37,18 +37,19 @@ from proving.shafts import Violation
 from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink
 
 SEED = 1
+# Of so many episodes one is played twice, and its log replayed; as is each worker's first, and every failure.
 TWICE_EVERY = 40
-"""Of so many episodes one is played twice, and its log replayed; as is each worker's first, and every failure."""
 SHRINK_S = 120.0
 MIB_PER_DAY = 1.0
+# What an allocator keeps from the largest episode so far.
 SLACK_MIB = 8.0
-"""What an allocator keeps from the largest episode so far."""
+# Episodes of a worker before its memory counts.
 WARM = 30
-"""Episodes of a worker before its memory counts."""
 CHUNK = 4
+# New objects after which a worker looks for cycles among them; it counts its memory after a full search.
 GARBAGE = 50_000
-"""New objects after which a worker looks for cycles among them; it counts its memory after a full search."""
 
+# Rows of the fault matrix at or below the control process, by what the episodes count.
 ROWS: dict[str, tuple[str, ...]] = {
     "lost or slow reply": ("NO_REPLY in a reading",),
     "bad checksum, garbage, echo, wrong id, late reply": ("BUS_NOISE in a reading",),
@@ -76,7 +77,6 @@ ROWS: dict[str, tuple[str, ...]] = {
     "SIGTERM, host lost": ("SIGTERM",),
     "SIGKILL": ("RESTARTED",),
 }
-"""Rows of the fault matrix at or below the control process, by what the episodes count."""
 
 
 @dataclass
@@ -87,8 +87,8 @@ class Tally:
     virtual_s: float = 0.0
     busy_s: float = 0.0
     rows: Counter[str] = field(default_factory=Counter)
+    # Episode, invariant, when and what.
     failures: list[tuple[int, str, float, str]] = field(default_factory=list)
-    """Episode, invariant, when and what."""
     grown_mib: float = 0.0
 
     def add(self, other: Tally) -> None:
@@ -155,10 +155,10 @@ def _finite(command: Command) -> bool:
 
 
 _stage: Stage | None = None
+# Memory [MiB], open files and simulated time [s] of this worker once it was warm.
 _baseline: tuple[float, int, float] | None = None
-"""Memory [MiB], open files and simulated time [s] of this worker once it was warm."""
+# Of this worker, since it began.
 _tally = Tally()
-"""Of this worker, since it began."""
 
 
 def _begin() -> None:

@@ -17,14 +17,14 @@ from armctl.config import ArmConfig
 from armctl.sim.faults import DESCRIPTIONS, KINDS, Fault
 
 SHORTEST_S, LONGEST_S = 120.0, 240.0
+# What a user wants of an arm; `mixed` is a run with pauses, other rates and stops in between, `lean` one against
+# something that holds a joint.
 WISHES = ("run", "run", "run", "mixed", "mixed", "jog", "jog", "park", "teach", "release", "lean")
-"""What a user wants of an arm; `mixed` is a run with pauses, other rates and stops in between, `lean` one against
-something that holds a joint."""
+# What is asked without regard to the state; `nonsense` is a run outside the limits, `elsewhere` one that starts so.
 WORDS = (
     "hold", "clear", "release", "torque_on", "park", "run", "teach", "teach_end", "pause", "resume", "set_rate", "jog",
     "nonsense", "elsewhere", "elsewhere",
 )  # fmt: skip
-"""What is asked without regard to the state; `nonsense` is a run outside the limits, `elsewhere` one that starts so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class Wish:
 
     at_s: float
     what: str
+    # Draws whatever it needs.
     number: int
-    """Draws whatever it needs."""
 
     def __str__(self) -> str:
         return f"the user wants to {self.what}"
@@ -87,8 +87,8 @@ class Kill:
     """The control process is killed, in the middle of a tick, and another one comes."""
 
     at_s: float
+    # After so many packets of the tick.
     sends: int
-    """After so many packets of the tick."""
     back_s: float
 
     def __str__(self) -> str:

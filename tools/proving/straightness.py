@@ -39,6 +39,7 @@ EFFECT_ARMS = 4
 WORKERS = 2
 VIA: tuple[Via, ...] = (0, 1, 2, 8, "stream")
 FAST_PERIOD_S = 0.02
+# Mean and maximum of the true distance to the line.
 BOUNDS_MM: dict[str, tuple[float, float]] = {
     "via 1 median": (3.2, 7.0),
     "via 2 median": (0.9, 2.3),
@@ -50,13 +51,12 @@ BOUNDS_MM: dict[str, tuple[float, float]] = {
     "via 2 first median": (1.3, 3.5),
     "via stream at 50 Hz median": (0.70, 2.1),
 }
-"""Mean and maximum of the true distance to the line."""
 DURATION_SHARE = 0.05
 WORSE_SHARE = 0.05
+# Of its cruise speed the tool keeps at a via point.
 VIA_SPEED_SHARE = 0.5
-"""Of its cruise speed the tool keeps at a via point."""
+# Deviations that normal noise exceeds once in 30,000 cases.
 LIKELY = 4.0
-"""Deviations that normal noise exceeds once in 30,000 cases."""
 REFINED_VIA: tuple[Via, ...] = (2, "stream")
 
 Pair = tuple[float, float]

@@ -14,8 +14,8 @@ import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+# What each placeholder of a pattern stands for: a node, a run of statements, or a name.
 Found = dict[str, object]
-"""What each placeholder of a pattern stands for: a node, a run of statements, or a name."""
 IGNORED = frozenset({"ctx", "type_comment", "kind", "lineno", "col_offset", "end_lineno", "end_col_offset"})
 
 

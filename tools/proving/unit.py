@@ -26,10 +26,10 @@ from armctl.errors import ArmctlError
 from armctl.lab.demo import program
 
 EXPOSURE = {"armctl.service": 1.0, "armctl-web.service": 1.2}
+# WatchdogSec of the unit.
 WATCHDOG_S = 10.0
-"""WatchdogSec of the unit."""
+# Without a tick for so long no word may come; the unit's watchdog waits longer.
 QUIET_S = 1.5
-"""Without a tick for so long no word may come; the unit's watchdog waits longer."""
 
 
 class NotifySocket:

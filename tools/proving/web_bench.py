@@ -32,8 +32,8 @@ ROUNDS = 5
 SETTLE_S = 2.0
 LIVE_CPU_BOUND = 0.05
 PAGE_BOUND_S = 1.0
+# More of a core than this the control process does not use because somebody looks: what two runs differ by anyway.
 TICK_CPU_BOUND = 0.005
-"""More of a core than this the control process does not use because somebody looks: what two runs differ by anyway."""
 FILES = ("/", "/app.js", "/style.css")
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 

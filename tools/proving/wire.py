@@ -33,20 +33,20 @@ from armctl.trajectory.plan import Plan
 from proving.rig import Rig, rig
 from proving.wire_rows import LATER, SCENARIOS, SWING_S, TICK_S, Before, Scenario, spoil
 
+# For the observer: from the daemon's tick to its snapshot here, on a machine with other work.
 SLACK_S = 0.08
-"""For the observer: from the daemon's tick to its snapshot here, on a machine with other work."""
 LAST_GOAL_S = 0.2
 REST_S = 0.5
 CLEAR_S = 3.0
 COOL_DEGC = 40.0
+# Sag aside: 20 % of stall torque bends a servo by 1.9 deg, and the arm leaves its rest when the base swings.
 MOVED_RAD = math.radians(3.0)
-"""Sag aside: 20 % of stall torque bends a servo by 1.9 deg, and the arm leaves its rest when the base swings."""
+# Motion within 0.1 s that still counts as rest.
 STILL_RAD = math.radians(0.4)
-"""Motion within 0.1 s that still counts as rest."""
 MOVING_IDS = (1, 6)
 SWING_RAD = math.radians(30.0)
+# Of the whole motion, with its approach and dwell: here base and roll turn at 13 deg/s.
 FAST_PROGRESS = 0.4
-"""Of the whole motion, with its approach and dwell: here base and roll turn at 13 deg/s."""
 
 
 @dataclass
@@ -60,8 +60,8 @@ class Result:
     bound_s: float = 0.0
     still_s: float | None = None
     recovered_s: float | None = None
+    # The kernel's longest delay meanwhile.
     kept_back_s: float = 0.0
-    """The kernel's longest delay meanwhile."""
     unjudged: list[str] = field(default_factory=list)
     violations: list[str] = field(default_factory=list)
 

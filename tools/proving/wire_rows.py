@@ -20,8 +20,8 @@ from proving.rig import Rig
 
 TICK_S = 0.1
 RESTART_S = 2.0
+# How long the motion of a moving arm takes.
 SWING_S = 5.0
-"""How long the motion of a moving arm takes."""
 
 Before = Literal["connect", "off", "holding", "moving", "teaching"]
 Act = Callable[[Rig], None]
@@ -33,22 +33,22 @@ class Scenario:
 
     state: Before
     kind: str
+    # Acceptable codes, the matrix's first; empty: nothing latches.
     codes: tuple[str, ...]
-    """Acceptable codes, the matrix's first; empty: nothing latches."""
     within_s: float = 0.0
     servo_id: int | None = None
     probability: float = 1.0
     count: int | None = None
     value: float | None = None
+    # Servos whose motion the fault itself causes.
     free: tuple[int, ...] = ()
-    """Servos whose motion the fault itself causes."""
+    # Whether the fault takes torque away, so that `release` comes before `clear`.
     limp: bool = False
-    """Whether the fault takes torque away, so that `release` comes before `clear`."""
     settles: bool = False
+    # How long to watch beyond the bound.
     watch_s: float = 1.0
-    """How long to watch beyond the bound."""
+    # What happens instead of a simulator's fault.
     act: Act | None = None
-    """What happens instead of a simulator's fault."""
 
     @property
     def name(self) -> str:
@@ -59,13 +59,13 @@ class Scenario:
         return f"{self.state}: {self.kind}{where}{often}{times}{much}"
 
 
+# A servo or bus without an answer latches after this long; goals stop at 0.2 s.
 SILENT = 0.5
-"""A servo or bus without an answer latches after this long; goals stop at 0.2 s."""
 NOISE = 10.0
 ALL_SILENT = ("BUS_DEAD",)
 ALL_NOISE = ("BUS_DEAD", "BUS_NOISE")
+# Nothing but noise from a servo is no answer of it: what comes first counts.
 ONE_NOISE = ("SERVO_SILENT", "BUS_NOISE")
-"""Nothing but noise from a servo is no answer of it: what comes first counts."""
 
 
 def _stall_control(running: Rig) -> None:
@@ -167,13 +167,13 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("connect", "wheel mode", ("EEPROM_MISMATCH",), 0.0, 5),
 )
 
+# What the test suite runs.
 SHORT: tuple[str, ...] = (
     "off: unplug",
     "holding: lost servo 3",
     "holding: trip servo 4",
     "moving: lost servo 3",
 )
-"""What the test suite runs."""
 
 LATER: tuple[tuple[str, str], ...] = (
     ("JUMP_REFUSED, NO_REPLY at 200 ms as a code of its own", "no snapshot tells them; the step's own tests hold them"),

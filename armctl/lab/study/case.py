@@ -27,30 +27,30 @@ class Case:
     """What one worker gets. A study ignores the fields that it does not need."""
 
     arm: ArmConfig
+    # Draws the simulated arm and everything else that is random.
     seed: int
-    """Draws the simulated arm and everything else that is random."""
     from_m: tuple[float, float, float]
     to_m: tuple[float, float, float]
     via: tuple[Via, ...] = ()
     duration_s: float = 5.0
+    # Corrections at most.
     rounds: int = 0
-    """Corrections at most."""
+    # Runs of each final plan, or seeds of each setting of the genetic algorithm.
     repeats: int = 1
-    """Runs of each final plan, or seeds of each setting of the genetic algorithm."""
     period_s: float = 0.1
     objective: Objective = "mix"
+    # Joint positions of each recording [rad], shape (samples, joints).
     takes: tuple[FloatArray, ...] = ()
-    """Joint positions of each recording [rad], shape (samples, joints)."""
+    # Of the genetic algorithm.
     settings: Settings = DEFAULT
-    """Of the genetic algorithm."""
+    # How many simulated arms run what the genetic algorithm finds.
     arms: int = 0
-    """How many simulated arms run what the genetic algorithm finds."""
+    # Run as it stands, instead of a line that is corrected.
     plan: Plan | None = None
-    """Run as it stands, instead of a line that is corrected."""
+    # What the simulated arm is drawn from.
     spec: ArmSpec = RANDOM_SPEC
-    """What the simulated arm is drawn from."""
+    # The effect of the simulator that is switched off.
     without: str | None = None
-    """The effect of the simulator that is switched off."""
 
     @property
     def line(self) -> Line:

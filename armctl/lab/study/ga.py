@@ -12,8 +12,8 @@ import numpy as np
 
 from armctl.lab.study.case import Case, Found, Row
 
+# A run counts as settled from the generation on whose best cost is within 1 % of its last.
 SETTLED_SHARE = 1.01
-"""A run counts as settled from the generation on whose best cost is within 1 % of its last."""
 
 
 def every_setting(

@@ -27,6 +27,7 @@ from armctl.trajectory.interpolate import columns_at, time_law
 from armctl.trajectory.line_path import onto
 from armctl.trajectory.plan import plan_positions
 
+# What of the simulated arm's specification switches one effect off.
 EFFECTS: dict[str, dict[str, Any]] = {
     "sag": {"servo_kg": 0.0, "bracket_kg": 0.0, "tool_kg": (0.0, 0.0)},
     "friction": {"friction_Nm": (0.0, 0.0)},
@@ -34,13 +35,12 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "noise": {"noise_tick": 0.0},
     "offset": {"zero_offset_within_tick": 0.0},
 }
-"""What of the simulated arm's specification switches one effect off."""
 TIMING = "timing"
 TIMING_SHARE = 0.2
+# What is switched off; None: nothing.
 WITHOUT: tuple[str | None, ...] = (None, *EFFECTS, TIMING)
-"""What is switched off; None: nothing."""
+# Durations of the fronts on the page, over the one asked for.
 FRONT_SHARES = (0.5, 0.7, 1.0, 1.6, 2.4)
-"""Durations of the fronts on the page, over the one asked for."""
 
 
 def every_effect(case: Case) -> list[Case]:

@@ -21,18 +21,19 @@ Cases = Sequence[Case]
 class Study:
     """A row of the table."""
 
+    # What the work is called while it is done.
     label: str
-    """What the work is called while it is done."""
+    # Every case, from the one that is asked for and the values that are to be tried.
     vary: Callable[..., list[Case]]
-    """Every case, from the one that is asked for and the values that are to be tried."""
+    # One case; a plain function, so that any process may call it.
     run: Callable[[Case], Found]
-    """One case; a plain function, so that any process may call it."""
+    # The rows that are told, from all cases and what they gave.
     result: Callable[[Cases, Sequence[Found], Workers], Result]
-    """The rows that are told, from all cases and what they gave."""
+    # Writes the study's file, from the cases, what they gave, and the rows.
     write: Callable[[Path, Cases, Sequence[Found], Sequence[Row], Workers], None] | None = None
-    """Writes the study's file, from the cases, what they gave, and the rows."""
 
 
+# By the name of its command.
 STUDIES = {
     "ga": Study(
         "evolving",
@@ -68,4 +69,3 @@ STUDIES = {
         lambda path, cases, found, _rows, _workers: table_ii.write_angles(path, cases[0].arm.joint_names, found),
     ),
 }
-"""By the name of its command."""

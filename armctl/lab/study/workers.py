@@ -21,8 +21,8 @@ from armctl.lab.study.case import Case
 
 A = TypeVar("A")
 R = TypeVar("R")
+# Called with the number of pieces done.
 Tell = Callable[[int], None]
-"""Called with the number of pieces done."""
 
 CONNECT_S = 5
 

@@ -31,8 +31,8 @@ from proving.fuzz.tally import Tally
 REQUESTS = 500_000
 SOCKET_REQUESTS = 50_000
 TEXTS = 100_000
+# Of each HTTP operation, valid and invalid.
 EXAMPLES = 150
-"""Of each HTTP operation, valid and invalid."""
 
 
 def prove(

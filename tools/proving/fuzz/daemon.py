@@ -35,12 +35,13 @@ from proving.log_rig import PERIOD_S
 
 BATCH = 16
 CLIENTS = 6
+# Requests before a client comes anew: the daemon's allowance of a fresh connection.
 PER_CONNECTION = 384
-"""Requests before a client comes anew: the daemon's allowance of a fresh connection."""
 PATIENT_TICKS = 12
 STOPPED_TICKS = 30
 STOPPED_S = 3.0
 TRIES = 3
+# Methods whose answer waits for the arm.
 LASTING = frozenset(
     (
         "run",
@@ -56,7 +57,6 @@ LASTING = frozenset(
         "clear",
     )
 )
-"""Methods whose answer waits for the arm."""
 P = ParamSpec("P")
 T = TypeVar("T")
 

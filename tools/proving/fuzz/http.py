@@ -18,6 +18,7 @@ from proving.fuzz import malformed
 from proving.fuzz.files import TAKES, Takes
 from proving.fuzz.tally import HANG_S, Memory, Tally
 
+# Where the answer waits for the arm, or for a job.
 LASTING = (
     "/api/optimize",
     "/api/park",
@@ -28,7 +29,6 @@ LASTING = (
     "/api/clear",
     "/api/release",
 )
-"""Where the answer waits for the arm, or for a job."""
 PATIENCE_S = 30.0
 TRIES = 3
 T = TypeVar("T")

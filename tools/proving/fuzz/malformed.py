@@ -18,8 +18,8 @@ from typing import Any
 from armctl.config import MAX_YAML_BYTES
 from armctl.host.jsonrpc import MAX_LINE_BYTES
 
+# dict, list, scalar, `Raw`, or `Pairs` where a key stands twice.
 Tree = Any
-"""dict, list, scalar, `Raw`, or `Pairs` where a key stands twice."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ YAML_WORDS = tuple(
     )
 )  # fmt: skip
 DEPTHS = (1, 2, 15, 16, 17, 40, 400, 12000)
+# Of what grows; only `flood` is longer.
 MOST_BYTES = 20000
-"""Of what grows; only `flood` is longer."""
 
 
 def request_line(rng: random.Random, valid: Sequence[tuple[str, dict[str, Any]]], request_id: int) -> bytes:
