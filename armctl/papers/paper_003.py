@@ -1,9 +1,6 @@
 """003: the four-joint manipulator (`lanzhou-4dof`): test poses, inverse kinematics, workspace, quintic trajectory."""
 
-from __future__ import annotations
-
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +16,6 @@ from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
 from armctl.papers.verdict import Effort, through_closed_form, yes_no
 from armctl.report import kinematics as drawn
 from armctl.trajectory.quintic import Curves, curves, quintic
-
-if TYPE_CHECKING:
-    pass
 
 PAPER = "003"
 claim = partial(verdict.claim, PAPER)

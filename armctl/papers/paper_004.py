@@ -3,13 +3,10 @@
 The curves are drawn from a `Cycle`. Here the model makes it (`simulated_cycle`); a recorded run can be used as well.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,9 +28,6 @@ from armctl.report import transfer_curves
 from armctl.report.transfer_curves import Transfer
 from armctl.trajectory import transfer as trajectory
 from armctl.trajectory.quintic import Curves, curves, quintic
-
-if TYPE_CHECKING:
-    pass
 
 PAPER = "004"
 claim = partial(verdict.claim, PAPER)

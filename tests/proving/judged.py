@@ -1,7 +1,5 @@
 """An arm's servos as a judge sees them, moved by the tests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from armctl.dynamixel import ax12a

@@ -1,7 +1,5 @@
 """The benches run, and say what they say they say; their figures mean nothing on a machine that runs tests."""
 
-from __future__ import annotations
-
 import os
 import time
 

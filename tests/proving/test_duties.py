@@ -1,7 +1,5 @@
 """The judge on motion after what stops it, and on what a latched fault allows: caught, or left alone."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.messages import Mode

@@ -1,7 +1,5 @@
 """The fuzz proof's short form, that its texts are what they claim, and that its judges would notice."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import random

@@ -1,7 +1,5 @@
 """Every library of the bench solves the same problem from the same start, and is measured."""
 
-from __future__ import annotations
-
 from proving import ga_bench
 
 

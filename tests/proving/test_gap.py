@@ -1,7 +1,5 @@
 """The proof of the optimality gap teaches its sets through the whole stack, and finds none that is missed."""
 
-from __future__ import annotations
-
 from proving import gap
 
 

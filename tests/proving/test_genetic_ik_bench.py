@@ -1,7 +1,5 @@
 """The bench of the genetic algorithms runs every peer, and each of them works on the target."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The kinematics bench runs every solver, and none of them is handed the answer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

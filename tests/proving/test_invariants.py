@@ -3,8 +3,6 @@
 Here those of goals and of torque; `test_duties.py` and `test_rows.py` have what a fault obliges to.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The line bench finds what interpolation alone allows, and the tick floor under it."""
 
-from __future__ import annotations
-
 from proving import line_bench
 
 

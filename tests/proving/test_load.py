@@ -1,7 +1,5 @@
 """The load proof's short form, and that its judge would notice."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

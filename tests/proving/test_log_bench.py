@@ -1,7 +1,5 @@
 """The log bench runs, and says what it says it says; its figures mean nothing on a machine that runs tests."""
 
-from __future__ import annotations
-
 from proving import log_bench
 
 

@@ -1,7 +1,5 @@
 """`tools/prove` and `tools/bench` as commands: names, JSON, exit status."""
 
-from __future__ import annotations
-
 import json
 import sys
 from typing import Any

@@ -1,7 +1,5 @@
 """Planted bugs: their edits fit, a few are caught, and what is not caught is told."""
 
-from __future__ import annotations
-
 import ast
 import copy
 import functools

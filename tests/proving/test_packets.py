@@ -1,7 +1,5 @@
 """The parser proof's short form, and that the proof would notice."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

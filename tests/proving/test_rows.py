@@ -1,7 +1,5 @@
 """The judge on what has to be reported, on bursts, on late readings and on programs that died."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """The soak's parts: stories, shrinking, one episode, a short run as a command."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The proofs of straightness: small ones for real, and their judgement on made-up outcomes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Edits by the shape of a syntax tree: what fits, what a placeholder stands for, what comes out."""
 
-from __future__ import annotations
-
 import ast
 
 import pytest

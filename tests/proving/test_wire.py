@@ -1,7 +1,5 @@
 """The wire proof's short form: the real daemon, a real pty, four faults."""
 
-from __future__ import annotations
-
 import pytest
 
 from proving import wire, wire_rows

@@ -1,7 +1,5 @@
 """`python -m proving prove|bench NAME`, with tools/ on the path: what tools/prove and tools/bench run."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

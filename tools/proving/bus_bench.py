@@ -7,8 +7,6 @@ is bounded, which does nothing but os.write, select and os.read, and believes wh
 SYNC_WRITE to its own flush and look faster. CPU is user and system time of the client's process.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import select

@@ -15,6 +15,7 @@ import numpy as np
 from armctl.config import ArmConfig
 from armctl.control.faults import SETTLING
 from armctl.dynamixel import ax12a
+from armctl.errors import UnreachableTarget
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (
@@ -114,8 +115,8 @@ class Clerk:
         if any(servo.temperature_degC >= self._arm.temperature_limit_degC + 1.0 for servo in servos):
             return "a servo is hot"
         on = self._stiff()
-        quiet = not any(self._under_way(kind) for kind in ("brown_out", "trip", "second_writer"))
-        if any(on) and not all(on) and quiet:
+        explained = any(faults.in_force(kind) is not None for kind in ("brown_out", "trip", "second_writer"))
+        if any(on) and not all(on) and not explained:
             return "some servos are limp while others hold"
         if self._weak() and not energising:
             return "a servo holds with a part of its torque"
@@ -127,9 +128,6 @@ class Clerk:
             servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) < round(ax12a.LOAD_MAX * joint.torque_limit_ratio)
             for servo, joint in zip(self._episode.body.servos, self._arm.joints, strict=True)
         )
-
-    def _under_way(self, kind: str) -> bool:
-        return self._episode.body.faults.in_force(kind) is not None
 
     # -------------------------------------------------------------------------------------- what is seen
 
@@ -241,9 +239,7 @@ class Clerk:
         body = self._episode.body
         try:
             when = body.hand.guide(point, 0.97 * point, seed=int(rng.integers(1000)), duration_s=0.5)
-        except Exception as error:  # whatever the hand cannot do, it leaves
-            if type(error).__name__ != "UnreachableTarget":
-                raise
+        except UnreachableTarget:  # whatever the hand cannot do, it leaves
             return
         yield from self._wait(when.duration_s)
 

@@ -10,8 +10,6 @@ Rules.
 Stricter than a journalling file system, which keeps names in order and syncs a new name together with its data.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -6,8 +6,6 @@
 4. Recovery raises nothing but LogError, and its file holds exactly what could be read.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -26,6 +24,7 @@ from armctl.recording.writer import LogWriter
 from proving.log_rig import log_context
 
 LOSS_BOUND_S = 1.0
+MOST_EXAMPLES = 5
 FLUSH_TICKS = 9
 CHUNK_OPCODE = 6
 ANCHOR = Anchor(1_750_000_000 * NS_PER_S, 5 * NS_PER_S)
@@ -52,8 +51,14 @@ class Tally:
 
     def violation(self, text: str) -> None:
         self.violations += 1
-        if len(self.examples) < 5:
+        if len(self.examples) < MOST_EXAMPLES:
             self.examples.append(text)
+
+    def add_findings(self, other: "Tally") -> None:
+        """What another tally found, but not what it tried."""
+        self.violations += other.violations
+        self.worst_loss_s = max(self.worst_loss_s, other.worst_loss_s)
+        self.examples = (self.examples + other.examples)[:MOST_EXAMPLES]
 
 
 def part_bytes(records: list[TickRecord], folder: Path) -> bytes:

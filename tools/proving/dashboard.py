@@ -1,7 +1,5 @@
 """`armctl web` on a daemon on simulated servos, each a program of its own."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import subprocess

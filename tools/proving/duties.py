@@ -11,8 +11,6 @@ Rules:
    are back at their goals.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

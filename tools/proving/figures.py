@@ -1,7 +1,5 @@
 """What every benchmark answers with: rows of figures side by side, and checks of them against a bound."""
 
-from __future__ import annotations
-
 from typing import Any
 
 Row = dict[str, Any]

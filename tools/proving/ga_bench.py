@@ -8,8 +8,6 @@ Every library gets the same table to look costs up in, the same first population
 populations, DEAP one at a time. Rounds alternate; the best time and the median cost count.
 """
 
-from __future__ import annotations
-
 import random
 import time
 import warnings

@@ -5,8 +5,6 @@ bus and control loop; of each set the first 5, 10, 15 and 20 takes. What counts 
 mean distance to the line and the charges for broken limits.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -6,8 +6,6 @@ the algorithm's own work. DEAP has the paper's roulette too; pymoo keeps its tou
 parents and children, which find better than a roulette does: hence time and final distance both count.
 """
 
-from __future__ import annotations
-
 import math
 import time
 import warnings

@@ -4,8 +4,6 @@ Each is to be refused, or read as far as it is true, in under 100 ms and 256 MiB
 armctl does with any.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -8,8 +8,6 @@ the pose error) is run from random starts. Poses and starts come from separate r
 first starts would be the very configurations the poses were made of, and a search would have nothing to find.
 """
 
-from __future__ import annotations
-
 import math
 import time
 import warnings

@@ -36,8 +36,6 @@ Rules:
 11, 13 and 14 need more than one arm's bytes: the user of an episode and the soak tell them by `Judge.found`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

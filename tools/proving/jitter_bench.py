@@ -4,8 +4,6 @@ Lateness is measured by the control process itself, at its own absolute deadline
 process: idle, and with one busy process a core beside it (no priority, no real-time class: what a laptop gives).
 """
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -5,8 +5,6 @@ interpolated through points on the line, straight and curved; the same with the 
 whole ticks alone cost, goals on the line each rounded to the nearest tick (`tick floor`).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

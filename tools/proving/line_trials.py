@@ -4,8 +4,6 @@ One trial: an arm whose masses, friction, stall torques, play and zero offsets i
 one random line, and the experiment on it for every number of via points, judged by the true tool pose.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

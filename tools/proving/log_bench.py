@@ -16,8 +16,6 @@ What is counted:
 - Ratios: of writing to foxglove-sdk's time, of reading to armctl's.
 """
 
-from __future__ import annotations
-
 import gc
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """Tick records to write logs of: the control loop on simulated servos in virtual time, an arm that moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

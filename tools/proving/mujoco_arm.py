@@ -1,7 +1,5 @@
 """The arm as MuJoCo sees it: the same chain and point masses, in a simulator that knows nothing of this package."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from armctl.kinematics.chain import DHRow

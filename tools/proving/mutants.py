@@ -6,8 +6,6 @@ given to the unit tests of the control package, which is told beside it and does
 fits one place is an error, so that mutants do not rot. None is in the simulator, nor in `proving`.
 """
 
-from __future__ import annotations
-
 import ast
 import concurrent.futures
 import json

@@ -1,7 +1,5 @@
 """The planted bugs: what each is, where it is looked for, and its edits of the syntax tree."""
 
-from __future__ import annotations
-
 from proving.mutants import Mutant
 from proving.syntax import Edit
 

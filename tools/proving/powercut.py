@@ -16,8 +16,6 @@ The third part: one log cut at every byte of its last 64 KiB and at random place
 (damage.py).
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os
@@ -58,7 +56,6 @@ TICKS = 150
 # Tick at which a take begins, at which it ends, its name.
 TAKES = ((20, 60, "first"), (65, 90, "second"), (100, 10**9, "third"))
 FAULT_TICK = 75
-LOSS_BOUND_S = 1.0
 WALL_NS = 1_750_000_000 * NS_PER_S
 LIMITS = LogConfig(free_bytes=0, rotate_s=5.0, snapshot_s=2.0)
 # So many operations fail in a row.
@@ -95,30 +92,17 @@ class Story:
 
 
 @dataclass
-class Tally:
-    """What was tried, and what was found."""
+class Tally(damage.Tally):
+    """What was tried, and what was found; the runs are power cuts."""
 
-    cuts: int = 0
     recoveries_cut: int = 0
     faults: int = 0
     faults_told: int = 0
-    worst_loss_s: float = 0.0
-    violations: int = 0
-    examples: list[str] = field(default_factory=list)
 
-    def violation(self, text: str) -> None:
-        self.violations += 1
-        if len(self.examples) < 5:
-            self.examples.append(text)
-
-    def add(self, other: Tally) -> None:
-        self.cuts += other.cuts
-        self.recoveries_cut += other.recoveries_cut
-        self.faults += other.faults
-        self.faults_told += other.faults_told
-        self.worst_loss_s = max(self.worst_loss_s, other.worst_loss_s)
-        self.violations += other.violations
-        self.examples = (self.examples + other.examples)[:5]
+    def add(self, other: "Tally") -> None:
+        self.add_findings(other)
+        for name in ("runs", "recoveries_cut", "faults", "faults_told"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
 
 
 class _CompactAtOnce:
@@ -143,14 +127,12 @@ def prove(seed: int, cuts: int = CUTS) -> dict[str, Any]:
             tally.add(job.result())
         byte_cuts, damages = [job.result() for job in byte_cutting], damaging.result()
     for other in (*byte_cuts, *damages):
-        tally.worst_loss_s = max(tally.worst_loss_s, other.worst_loss_s)
-        tally.violations += other.violations
-        tally.examples = (tally.examples + other.examples)[:5]
+        tally.add_findings(other)
     return {
-        "runs": tally.cuts,
+        "runs": tally.runs,
         "violations": tally.violations,
         "worst_loss_s": tally.worst_loss_s,
-        "loss_bound_s": LOSS_BOUND_S,
+        "loss_bound_s": damage.LOSS_BOUND_S,
         "recoveries_cut": tally.recoveries_cut,
         "write_faults": tally.faults,
         "write_faults_told": tally.faults_told,
@@ -198,7 +180,7 @@ def cut(seed: int, shard: int, runs: int, *, after_kinds: Sequence[str] = CHANGI
             leave(done, rng, root)
             if rng.random() < 0.25:
                 root = _cut_recovery(root, rng, tally)
-            tally.cuts += 1
+            tally.runs += 1
             _judge(root, story, done, now_ns, tally)
     return tally
 
@@ -330,7 +312,7 @@ def _judge(root: Path, story: Story, done: list[Operation], now_ns: int, tally: 
     missing = [one.time_ns for one in done if one.kind == "put" and one.number not in logged]
     loss_s = (now_ns - min(missing)) / NS_PER_S if missing else 0.0
     tally.worst_loss_s = max(tally.worst_loss_s, loss_s)
-    if loss_s > LOSS_BOUND_S:
+    if loss_s > damage.LOSS_BOUND_S:
         tally.violation(f"{where}: {loss_s:.3f} s lost")
     for one in done:
         if one.kind == "finished" and not _same(root / one.new, story.takes[one.new]):
@@ -355,7 +337,7 @@ def _judge_fault(root: Path, story: Story, truth: Truth, where: str, count: int,
         if not story.told:
             tally.violation(f"{where}: {len(missing)} ticks are missing, and nobody was told")
         # Each failing operation may cost one attempt to go on.
-        if max(missing) - min(missing) > count * RETRY_NS + LOSS_BOUND_S * NS_PER_S:
+        if max(missing) - min(missing) > count * RETRY_NS + damage.LOSS_BOUND_S * NS_PER_S:
             tally.violation(f"{where}: {(max(missing) - min(missing)) / NS_PER_S:.1f} s are missing")
     for name, messages in story.takes.items():
         if not _same(root / name, messages):

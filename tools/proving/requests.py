@@ -1,7 +1,5 @@
 """What the user of an episode asks for, drawn by a seed: motions, right and wrong ones, and words out of the blue."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

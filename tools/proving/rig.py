@@ -1,7 +1,5 @@
 """The real daemon on a simulated arm, both as programs of their own, and all that is seen of them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import tempfile

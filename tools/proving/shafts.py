@@ -3,8 +3,6 @@
 The part of the judge that looks at true positions once a tick; `invariants.py` has the rules and looks at the packets.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ supply, and without servos. CPU is user and system time of this process; of all 
 least disturbed by other work.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

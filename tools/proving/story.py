@@ -4,8 +4,6 @@ A story is plain data: a list of things that happen at their times. It can be ru
 one of its lines leaves the others as they were.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

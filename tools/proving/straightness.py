@@ -15,8 +15,6 @@ plans that were run more than once; the motion itself repeats far better, which 
    exceeds round 1 nowhere by over 5 % and `LIKELY` deviations of the noise. How often by over 5 % alone is told.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import time

@@ -6,8 +6,6 @@ statement `...` stands for any run of statements. A pattern of one expression fi
 statements fits those statements in a row. The replacement may use what the pattern found.
 """
 
-from __future__ import annotations
-
 import ast
 import copy
 import functools

@@ -5,8 +5,6 @@ to say READY=1 only when it serves, to feed the watchdog while its control loop 
 stands still, and to say STOPPING=1 when it is told to end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -5,8 +5,6 @@ come. The live view is watched like a browser does: every message is taken, comp
 process is weighed with and without a page that looks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

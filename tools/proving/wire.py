@@ -14,8 +14,6 @@ How long the kernel kept back what went over a pseudo terminal meanwhile is meas
 was long enough to look like a silent servo, a silence that latched is told (`unjudged`), not judged.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import threading

@@ -1,7 +1,5 @@
 """The rows of the fault matrix that are tried on the wire: what strikes in which state, and what must come of it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -14,8 +14,6 @@ Judged:
 In-process, the daemon's own server, methods, host and control loop run on simulated servos and a virtual clock.
 """
 
-from __future__ import annotations
-
 import asyncio
 import tempfile
 import time

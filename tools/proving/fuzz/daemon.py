@@ -1,7 +1,5 @@
 """Requests to the daemon: to its parts in this process on a virtual clock, and to one that runs."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

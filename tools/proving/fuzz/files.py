@@ -1,7 +1,5 @@
 """Configurations and recording names."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import time

@@ -1,7 +1,5 @@
 """Requests to the dashboard: by its OpenAPI description, and beyond what one can describe."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import random

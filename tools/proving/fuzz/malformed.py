@@ -7,8 +7,6 @@ Rules.
 3. The same generator gives the same texts.
 """
 
-from __future__ import annotations
-
 import json
 import random
 from collections.abc import Sequence

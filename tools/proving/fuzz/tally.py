@@ -1,7 +1,5 @@
 """What was tried, and what came of it."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from dataclasses import dataclass, field

@@ -1,0 +1,187 @@
+"""The servos of an arm seen from outside, packet by packet: what the judge of an episode looks at."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.packet import BROADCAST_ID, Instruction
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.bus import SimulatedBus
+from armctl.sim.loopback import LoopbackPort
+from proving.duties import Sent, Servo
+from proving.invariants import Judge
+
+# Bytes of a good reply to a READ of 24..49.
+STATUS_REPLY = 32
+# Places in such a reply behind its header.
+TORQUE_AT = 3 + ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN
+GOAL_AT = 3 + ax12a.GOAL.address - ax12a.STATUS_BEGIN
+POSITION_AT = 3 + ax12a.PRESENT_POSITION.address - ax12a.STATUS_BEGIN
+WATCHED = (ax12a.TORQUE_LIMIT, ax12a.GOAL, ax12a.MOVING_SPEED)
+# As plain numbers: every packet is looked at.
+READ, PING = int(Instruction.READ), int(Instruction.PING)
+
+
+class Killed(BaseException):
+    """SIGKILL, as far as code can tell: nothing catches it."""
+
+
+class WatchedPort(LoopbackPort):
+    """A port that shows the judge what passes."""
+
+    def __init__(self, bus: SimulatedBus, clock: VirtualClock, watch: Watch) -> None:
+        super().__init__(bus, clock)
+        self._watch = watch
+
+    def _check(self) -> None:
+        # To ask whether the adapter is plugged in moves the whole arm first; most of the time nothing can unplug it.
+        if self._watch.unpluggable or not self.is_open:
+            super()._check()
+
+    def readPort(self, length: int) -> bytes:
+        data = super().readPort(length)
+        self._watch.received += data
+        return data
+
+    def _send(self, packet: bytes) -> int:
+        watch = self._watch
+        watch.before(packet, self.clock.now_ns())
+        sent = super()._send(packet)
+        watch.after(self.clock.now_ns())
+        return sent
+
+
+class Watch:
+    """The servos of an arm, seen from outside: before and after each packet, and once a tick."""
+
+    def __init__(self, arm: ArmConfig, body: SimulatedArm, judge: Judge) -> None:
+        self.received = bytearray()
+        # Everything the host ever said.
+        self.wire = hashlib.blake2b(digest_size=16)
+        self.packets = 0
+        # Raises `Killed` once so many packets are sent.
+        self.kill_at = -1
+        # Whether the adapter may be out of the host.
+        self.unpluggable = False
+        # When it surely will not be.
+        self._plugged_ns = -1
+        self._body, self._judge = body, judge
+        self._index = {servo_id: i for i, servo_id in enumerate(arm.servo_ids)}
+        self._heads = {servo_id: bytes((0xFF, 0xFF, servo_id, STATUS_REPLY - 4)) for servo_id in arm.servo_ids}
+        self._pending: int | None = None
+        self._writes = [-1] * len(body.servos)
+        self._servos = [Servo(False, 0, 0, 0, 0.0, 0) for _ in body.servos]
+        # Whether this tick's readings are not a sample's alone.
+        self._identifying = False
+        # How often each servo was asked for its status in this tick.
+        self._asked: dict[int, int] = {}
+        # Which of them were heard.
+        self._heard: set[int] = set()
+        self._sent: list[Sent] = []
+        self._before: list[Servo] = []
+
+    def now_s(self, now_ns: int) -> float:
+        """The judge's time: the clock's."""
+        return now_ns / NS_PER_S - 1.0
+
+    def unplugged(self, until_s: float) -> None:
+        """The adapter will be out of the host, and back at that time."""
+        self.unpluggable = True
+        self._plugged_ns = max(self._plugged_ns, round((until_s + 1.1) * NS_PER_S))
+
+    def before(self, packet: bytes, now_ns: int) -> None:
+        """A packet is about to leave the host."""
+        if self.packets == self.kill_at:  # before the first of a tick
+            raise Killed
+        self.packets += 1
+        self.wire.update(packet)
+        self.hear(now_ns)
+        self._sent = []
+        if packet[4] == READ:
+            if packet[5] == ax12a.STATUS_BEGIN:
+                self._pending = packet[2]
+                index = self._index[packet[2]]
+                self._asked[index] = self._asked.get(index, 0) + 1
+            else:
+                self._identifying = True
+            return
+        if packet[4] == PING:
+            return
+        self._sent = list(_writes(packet, self._index))
+        # The servos act on a packet's last byte; where the arm is by then does not depend on who asks first.
+        self._body.advance(now_ns + len(packet) * 10_000)
+        self._before = [_copy(servo) for servo in self.servos()]
+
+    def after(self, now_ns: int) -> None:
+        """It has arrived."""
+        if self._sent:
+            self._judge.wrote(self.now_s(now_ns), self._sent, self._before, self.servos())
+            self._sent = []
+        if self.packets == self.kill_at:
+            raise Killed
+
+    def hear(self, now_ns: int) -> None:
+        """Whatever has come from the servo asked last is all that came."""
+        pending, received = self._pending, self.received
+        if pending is not None and len(received) >= STATUS_REPLY:
+            at = received.find(self._heads[pending])
+            reply = received[at + 2 : at + STATUS_REPLY]
+            if at >= 0 and len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
+                index = self._index[pending]
+                torque, goal = reply[TORQUE_AT], reply[GOAL_AT] | reply[GOAL_AT + 1] << 8
+                position = reply[POSITION_AT] | reply[POSITION_AT + 1] << 8
+                self._judge.heard(self.now_s(now_ns), index, position, goal if torque else None)
+                self._heard.add(index)
+        self._pending = None
+        received.clear()
+
+    def end_tick(self, now_ns: int, complete: bool) -> None:
+        """The control process has done what it does in a tick; `complete`: and its port is there."""
+        self.hear(now_ns)
+        self.unpluggable &= now_ns <= self._plugged_ns
+        faults = self._body.faults
+        # A reply that comes while the line is being drained is heard here, and rightly not there.
+        late = faults.in_force("late") or faults.in_force("latency")
+        sampled = complete and not self._identifying and not late
+        asked = self._asked if sampled else {}
+        unheard = [(index, often) for index, often in asked.items() if index not in self._heard]
+        self._judge.polled(self.now_s(now_ns), unheard, len(self._heard) if sampled else 0, sum(asked.values()))
+        self._asked.clear()
+        self._heard.clear()
+        self._identifying = False
+
+    def servos(self) -> Sequence[Servo]:
+        """Every servo now; the list is the same one each time."""
+        for i, (servo, known) in enumerate(zip(self._body.servos, self._servos, strict=True)):
+            known.shaft_tick = servo.position_tick
+            frozen = servo.frozen_tick
+            known.sensed_tick = math.floor(servo.position_tick + 0.5) if frozen is None else frozen
+            if servo.writes != self._writes[i]:
+                self._writes[i] = servo.writes
+                known.limit, known.goal, known.speed = servo.values(*WATCHED)
+                known.torque = servo.torque_enabled and known.limit > 0
+        return self._servos
+
+
+def _copy(servo: Servo) -> Servo:
+    return Servo(servo.torque, servo.goal, servo.speed, servo.limit, servo.shaft_tick, servo.sensed_tick)
+
+
+def _writes(packet: bytes, index: dict[int, int]) -> list[Sent]:
+    """What a packet of the host tells each servo."""
+    parameters = packet[5:-1]
+    match packet[4]:
+        case Instruction.WRITE | Instruction.REG_WRITE:
+            asked = index.values() if packet[2] == BROADCAST_ID else (index[packet[2]],)
+            return [Sent(i, parameters[0], parameters[1:]) for i in asked]
+        case Instruction.SYNC_WRITE:
+            size = parameters[1] + 1
+            rows = [parameters[at : at + size] for at in range(2, len(parameters), size)]
+            return [Sent(index[row[0]], parameters[0], row[1:]) for row in rows]
+        case _:  # RESET and whatever else changes the table
+            return [Sent(i, 0, b"\0") for i in index.values()]
