@@ -139,6 +139,5 @@ def line_run(chain: SerialChain, via: Via, plan: Plan, measured: Measured) -> Li
         positions_rad=measured.positions_rad,
         goals_rad=plan_positions(plan, np.clip(time_s, 0.0, plan.duration_s)),
         tool_m=tool_m(measured.positions_rad),
-        truth_time_s=measured.true_time_s,
         truth_tool_m=measured.true_tool_m,
     )

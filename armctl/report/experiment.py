@@ -8,11 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from armctl.kinematics.transform import FloatArray
 from armctl.report import pareto, picture
 from armctl.report.line import (
+    ALONG,
     COLOURS,
     FAINT,
     GREEN,
+    OFF,
     PRINTED,
     VIEWS,
     ExperimentReport,
@@ -25,7 +28,7 @@ from armctl.report.line import (
     via_markers,
     wanted_curve,
 )
-from armctl.report.page import Page, curve, layout, plotly
+from armctl.report.page import Page, curve
 
 
 def write(report: ExperimentReport, path: Path) -> None:
@@ -102,88 +105,83 @@ def _paths(page: Page, report: ExperimentReport) -> None:
         paths.append((f"{_name(one.via)}, after", one.runs[0].real_tool_m, colour))
     space_figure(page, ends, paths, "Tool paths in space before and after correction")
     for axis, title in VIEWS:
-        chart = plotly()()
-        wanted_curve(chart, ends)
-        for one, colour in shown:
-            before, after = one.before.real_tool_m, one.runs[0].real_tool_m
-            path_curve(chart, ends, axis, before, f"{_name(one.via)}, before", colour, width=1, dash="dot")
-            path_curve(chart, ends, axis, after, f"{_name(one.via)}, after", colour)
-            if isinstance(one.via, int) and one.via:
-                name = f"{one.via} via points as commanded"
-                via_markers(chart, ends, axis, one.runs[0], colour, name, visible="legendonly")
-        layout(chart, title, "along the line, mm", "off the line, mm")
-        page.figure(chart, f"Tool paths before and after correction, {title}")
+        with page.chart(f"Tool paths before and after correction, {title}", title, ALONG, OFF) as chart:
+            wanted_curve(chart, ends)
+            for one, colour in shown:
+                before, after = one.before.real_tool_m, one.runs[0].real_tool_m
+                path_curve(chart, ends, axis, before, f"{_name(one.via)}, before", colour, width=1, dash="dot")
+                path_curve(chart, ends, axis, after, f"{_name(one.via)}, after", colour)
+                if isinstance(one.via, int) and one.via:
+                    name = f"{one.via} via points as commanded"
+                    via_markers(chart, ends, axis, one.runs[0], colour, name, visible="legendonly")
 
 
 def _deviation(page: Page, report: ExperimentReport) -> None:
     page.heading("Deviation along the path")
-    chart = plotly()()
-    for one, colour in zip(report.outcomes, COLOURS, strict=False):
-        for number, run in enumerate(one.runs):
-            first = {"opacity": 1.0 if number == 0 else 0.35, "legendgroup": str(one.via), "showlegend": number == 0}
-            ends = (report.from_m, report.to_m)
-            distance_curve(chart, ends, run.real_tool_m, _name(one.via), colour, width=1.5, **first)
-    layout(chart, "Distance from the line after correction, every repeat", "along the line, mm", "distance, mm")
-    page.figure(chart, "Distance of the tool from the line along the path, every repeat after correction")
+    description = "Distance of the tool from the line along the path, every repeat after correction"
+    title = "Distance from the line after correction, every repeat"
+    with page.chart(description, title, ALONG, "distance, mm") as chart:
+        for one, colour in zip(report.outcomes, COLOURS, strict=False):
+            for number, run in enumerate(one.runs):
+                group = {"legendgroup": str(one.via), "showlegend": number == 0, "opacity": 0.35 if number else 1.0}
+                ends = (report.from_m, report.to_m)
+                distance_curve(chart, ends, run.real_tool_m, _name(one.via), colour, width=1.5, **group)
 
 
 def _convergence(page: Page, report: ExperimentReport) -> None:
     page.heading("Convergence")
-    chart = plotly()()
-    for one, colour in zip(report.outcomes, COLOURS, strict=False):
-        for label, dash, paths in (
-            ("true", "solid", [run.real_tool_m for run in one.rounds]),
-            ("by encoders", "dot", [run.tool_m for run in one.rounds]),
-        ):
-            errors = [errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in paths]
-            name = f"{_name(one.via)}, {label}"
-            curve(chart, list(range(len(errors))), errors, name, colour, dash=dash, mode="lines+markers")
+    description = "Mean distance from the line by round of correction"
     title = "Mean distance by round of correction (0: before any)"
-    layout(chart, title, "round", "mean distance, mm", yaxis_type="log")
-    page.figure(chart, "Mean distance from the line by round of correction")
+    with page.chart(description, title, "round", "mean distance, mm", yaxis_type="log") as chart:
+        for one, colour in zip(report.outcomes, COLOURS, strict=False):
+            for label, dash, paths in (
+                ("true", "solid", [run.real_tool_m for run in one.rounds]),
+                ("by encoders", "dot", [run.tool_m for run in one.rounds]),
+            ):
+                errors, name = _mean_errors_mm(report, paths), f"{_name(one.via)}, {label}"
+                curve(chart, list(range(len(errors))), errors, name, colour, dash=dash, mode="lines+markers")
     if report.best_cost_mm:
-        chart = plotly()()
-        generations = list(range(1, len(report.best_cost_mm) + 1))
-        curve(chart, generations, list(report.best_cost_mm), "best individual", GREEN)
-        if report.exact_mean_mm is not None:
-            exact_line(chart, report.exact_mean_mm)
-        layout(chart, "Genetic algorithm on recorded genes", "generation", "cost, mm")
-        page.figure(chart, "Best cost of the genetic algorithm by generation")
+        description = "Best cost of the genetic algorithm by generation"
+        with page.chart(description, "Genetic algorithm on recorded genes", "generation", "cost, mm") as chart:
+            generations = list(range(1, len(report.best_cost_mm) + 1))
+            curve(chart, generations, list(report.best_cost_mm), "best individual", GREEN)
+            if report.exact_mean_mm is not None:
+                exact_line(chart, report.exact_mean_mm)
 
 
 def _prediction(page: Page, report: ExperimentReport) -> None:
     page.heading("Prediction against measurement")
-    chart = plotly()()
-    names = [_name(one.via) for one in report.outcomes]
-    predicted = [one.runs[0].predicted_mean_mm for one in report.outcomes]
-    chart.add_bar(x=names, y=predicted, name="predicted", marker={"color": FAINT})
-    for name, colour, paths in (
-        ("by encoders", "#3a6ea5", [[run.tool_m for run in one.runs] for one in report.outcomes]),
-        ("true", GREEN, [[run.real_tool_m for run in one.runs] for one in report.outcomes]),
-    ):
-        errors = [[errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in some] for some in paths]
-        spread = {"type": "data", "array": [float(np.std(some)) for some in errors]}
-        means = [float(np.mean(some)) for some in errors]
-        chart.add_bar(x=names, y=means, error_y=spread, name=name, marker={"color": colour})
-    layout(chart, "Mean distance after correction, ± standard deviation over the repeats", "", "mean distance, mm")
-    page.figure(chart, "Predicted, measured and true mean distance")
+    title = "Mean distance after correction, ± standard deviation over the repeats"
+    with page.chart("Predicted, measured and true mean distance", title, "", "mean distance, mm") as chart:
+        names = [_name(one.via) for one in report.outcomes]
+        predicted = [one.runs[0].predicted_mean_mm for one in report.outcomes]
+        chart.add_bar(x=names, y=predicted, name="predicted", marker={"color": FAINT})
+        for name, colour, paths in (
+            ("by encoders", "#3a6ea5", [[run.tool_m for run in one.runs] for one in report.outcomes]),
+            ("true", GREEN, [[run.real_tool_m for run in one.runs] for one in report.outcomes]),
+        ):
+            errors = [_mean_errors_mm(report, some) for some in paths]
+            spread = {"type": "data", "array": [float(np.std(some)) for some in errors]}
+            means = [float(np.mean(some)) for some in errors]
+            chart.add_bar(x=names, y=means, error_y=spread, name=name, marker={"color": colour})
+
+
+def _mean_errors_mm(report: ExperimentReport, paths: Sequence[FloatArray]) -> list[float]:
+    return [errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in paths]
 
 
 def _limits(page: Page, report: ExperimentReport) -> None:
     page.heading("What limits the rest")
     for stage, title in (("after_mm", "after correction"), ("before_mm", "before correction")):
-        chart = plotly()()
-        for via, colour in zip(dict.fromkeys(row["via"] for row in report.limits), COLOURS, strict=False):
-            some = [row for row in report.limits if row["via"] == via]
-            chart.add_bar(
-                x=["all effects" if row["without"] is None else f"without {row['without']}" for row in some],
-                y=[row[stage] for row in some],
-                error_y={"type": "data", "array": [row["spread_mm"] for row in some]} if stage == "after_mm" else None,
-                name=_name(via),
-                marker={"color": colour},
-            )
-        layout(chart, f"True mean distance {title}, one effect switched off at a time", "", "mean distance, mm")
-        page.figure(chart, f"True mean distance {title} with one effect of the simulator switched off at a time")
+        description = f"True mean distance {title} with one effect of the simulator switched off at a time"
+        heading = f"True mean distance {title}, one effect switched off at a time"
+        with page.chart(description, heading, "", "mean distance, mm") as chart:
+            for via, colour in zip(dict.fromkeys(row["via"] for row in report.limits), COLOURS, strict=False):
+                some = [row for row in report.limits if row["via"] == via]
+                names = ["all effects" if row["without"] is None else f"without {row['without']}" for row in some]
+                spread = {"type": "data", "array": [row["spread_mm"] for row in some]} if stage == "after_mm" else None
+                values, marker = [row[stage] for row in some], {"color": colour}
+                chart.add_bar(x=names, y=values, error_y=spread, name=_name(via), marker=marker)
     page.table(
         ("via", "without", "before, mm", "after, mm", "whole ticks, mm", "zero offsets, mm"),
         [

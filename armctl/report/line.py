@@ -1,14 +1,15 @@
 """The straight-line report: what was taught, what the optimiser made of it, how straight the arm then moved."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.page import Page, cube, curve, layout, plotly
+from armctl.report.page import Page, cube, curve
 from armctl.trajectory import straightness
 
 
@@ -34,6 +35,7 @@ PRINTED: dict[int | str, Printed] = {
 
 COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3")
 FAINT, GREY, GREEN = "#b9c2cd", "#7d8b99", "#2a7f62"
+ALONG, OFF = "along the line, mm", "off the line, mm"
 # Which of `along_and_off` is seen from where.
 VIEWS = ((1, "from above: sideways deviation"), (2, "from the side: upward deviation"))
 
@@ -55,7 +57,6 @@ class LineRun:
     # By the encoders.
     tool_m: FloatArray
     # By an outside measurement (the simulator's true pose), where there is one.
-    truth_time_s: FloatArray | None = None
     truth_tool_m: FloatArray | None = None
 
     @property
@@ -92,7 +93,7 @@ class ExperimentReport:
     limits: Sequence[dict[str, Any]] = ()
     # Rows of `armctl study pareto`.
     fronts: Sequence[dict[str, Any]] = ()
-    notes: Sequence[str] = field(default_factory=tuple)
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -197,28 +198,21 @@ def along_and_off(
 
 def _path_figures(page: Page, report: LineReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
-    runs = list(zip(report.runs, COLOURS, strict=False))
-    space_figure(
-        page,
-        (report.from_m, report.to_m),
-        [(f"{run.via} via", run.real_tool_m, colour) for run, colour in runs],
-        "Tool paths in space against the line AB",
-    )
-    ends = (report.from_m, report.to_m)
+    ends, runs = (report.from_m, report.to_m), list(zip(report.runs, COLOURS, strict=False))
+    paths = [(f"{run.via} via", run.real_tool_m, colour) for run, colour in runs]
+    space_figure(page, ends, paths, "Tool paths in space against the line AB")
     for axis, title in VIEWS:
-        chart = plotly()()
-        for index, candidate in enumerate(report.candidates_m):
-            group = {"legendgroup": "taught", "showlegend": index == 0}
-            path_curve(chart, ends, axis, candidate, "taught", FAINT, width=1, **group)
-        wanted_curve(chart, ends)
-        for run, colour in runs:
-            name, hidden = f"{run.via} via, commanded", {"visible": "legendonly"}
-            path_curve(chart, ends, axis, run.predicted_tool_m, name, colour, width=1, dash="dot", **hidden)
-            judge = "by encoders" if run.truth_tool_m is None else "true"
-            path_curve(chart, ends, axis, run.real_tool_m, f"{run.via} via, {judge}", colour)
-            via_markers(chart, ends, axis, run, colour, f"{run.via} via points", showlegend=False)
-        layout(chart, title, "along the line, mm", "off the line, mm")
-        page.figure(chart, f"Tool paths against the line AB, {title}")
+        with page.chart(f"Tool paths against the line AB, {title}", title, ALONG, OFF) as chart:
+            for index, candidate in enumerate(report.candidates_m):
+                group = {"legendgroup": "taught", "showlegend": index == 0}
+                path_curve(chart, ends, axis, candidate, "taught", FAINT, width=1, **group)
+            wanted_curve(chart, ends)
+            for run, colour in runs:
+                name, hidden = f"{run.via} via, commanded", {"visible": "legendonly"}
+                path_curve(chart, ends, axis, run.predicted_tool_m, name, colour, width=1, dash="dot", **hidden)
+                judge = "by encoders" if run.truth_tool_m is None else "true"
+                path_curve(chart, ends, axis, run.real_tool_m, f"{run.via} via, {judge}", colour)
+                via_markers(chart, ends, axis, run, colour, f"{run.via} via points", showlegend=False)
 
 
 # Of the line AB [m], each shape (3,).
@@ -256,64 +250,52 @@ def exact_line(chart: Any, exact_mm: float) -> None:
 
 def _deviation_figure(page: Page, report: LineReport) -> None:
     page.heading("Deviation along the path")
-    chart = plotly()()
-    for run, colour in zip(report.runs, COLOURS, strict=False):
-        for tool_m, dash, label in (
-            (run.predicted_tool_m, "dot", "predicted"),
-            (run.tool_m, "dash", "by encoders"),
-            (run.truth_tool_m, "solid", "true"),
-        ):
-            if tool_m is not None:
-                ends = (report.from_m, report.to_m)
-                distance_curve(chart, ends, tool_m, f"{run.via} via, {label}", colour, dash=dash)
-    layout(chart, "Distance from the line", "along the line, mm", "distance, mm")
-    page.figure(chart, "Distance of the tool from the line AB along the path, for each run")
+    description = "Distance of the tool from the line AB along the path, for each run"
+    with page.chart(description, "Distance from the line", ALONG, "distance, mm") as chart:
+        for run, colour in zip(report.runs, COLOURS, strict=False):
+            for tool_m, dash, label in (
+                (run.predicted_tool_m, "dot", "predicted"),
+                (run.tool_m, "dash", "by encoders"),
+                (run.truth_tool_m, "solid", "true"),
+            ):
+                if tool_m is not None:
+                    ends = (report.from_m, report.to_m)
+                    distance_curve(chart, ends, tool_m, f"{run.via} via, {label}", colour, dash=dash)
 
 
 def _convergence_figure(page: Page, report: LineReport) -> None:
     page.heading("Genetic algorithm by generation")
-    chart = plotly()()
-    generations = np.arange(len(report.best_mm))
-    curve(chart, generations, report.best_mm, "best", GREEN)
-    curve(chart, generations, report.mean_mm, "mean", FAINT)
-    exact_line(chart, report.exact_mean_mm)
-    layout(chart, "Mean distance of the best and of the average individual", "generation", "mean distance, mm")
-    page.figure(chart, "Best and mean cost of the genetic algorithm by generation")
+    description = "Best and mean cost of the genetic algorithm by generation"
+    title = "Mean distance of the best and of the average individual"
+    with page.chart(description, title, "generation", "mean distance, mm") as chart:
+        generations = np.arange(len(report.best_mm))
+        curve(chart, generations, report.best_mm, "best", GREEN)
+        curve(chart, generations, report.mean_mm, "mean", FAINT)
+        exact_line(chart, report.exact_mean_mm)
 
 
 def _joint_figures(page: Page, report: LineReport) -> None:
     page.heading("Joint angles against time")
-    colours = (*COLOURS, "#5a6878")
     for run in report.runs:
-        chart = plotly()()
-        for joint, name in enumerate(report.joint_names):
-            colour = colours[joint % len(colours)]
-            group: dict[str, Any] = {"legendgroup": name}
-            measured, goal = np.degrees(run.positions_rad[:, joint]), np.degrees(run.goals_rad[:, joint])
-            curve(chart, run.time_s, measured, name, colour, showlegend=True, **group)
-            curve(chart, run.time_s, goal, f"{name} commanded", colour, dash="dot", showlegend=False, **group)
-        layout(chart, f"{run.via} via points (dotted: commanded)", "time, s", "joint angle, deg")
-        page.figure(chart, f"Joint angles against time with {run.via} via points")
+        description = f"Joint angles against time with {run.via} via points"
+        title = f"{run.via} via points (dotted: commanded)"
+        with page.chart(description, title, "time, s", "joint angle, deg") as chart:
+            measured, goals = np.degrees(run.positions_rad), np.degrees(run.goals_rad)
+            for joint, (name, colour) in enumerate(zip(report.joint_names, cycle((*COLOURS, "#5a6878")), strict=False)):
+                for values, label, dash in ((measured, name, "solid"), (goals, f"{name} commanded", "dot")):
+                    group = {"legendgroup": name, "showlegend": values is measured}
+                    curve(chart, run.time_s, values[:, joint], label, colour, dash=dash, **group)
 
 
 def space_figure(page: Page, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]], description: str) -> None:
     """Add tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
-    chart = plotly()()
-    AB = np.stack(ends) * 1000.0
-    shown = [
-        (
-            "line AB",
-            AB,
-            {"mode": "lines+markers", "line": {"color": GREY, "width": 6}, "marker": {"size": 4, "color": GREY}},
-        )
-    ]
-    shown += [
-        (name, points * 1000.0, {"mode": "lines", "line": {"color": colour, "width": 4}})
-        for name, points, colour in paths
-    ]
-    for name, mm, style in shown:
-        chart.add_scatter3d(x=mm[:, 0], y=mm[:, 1], z=mm[:, 2], name=name, **style)
-    camera = {"eye": {"x": 1.3, "y": -1.3, "z": 0.8}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
-    layout(chart, "Tool paths in space", "", "", height=600)
-    cube(chart, np.concatenate([mm for _, mm, _ in shown]), camera)
-    page.figure(chart, description)
+    with page.chart(description, "Tool paths in space", "", "", height=600) as chart:
+        AB = np.stack(ends) * 1000.0
+        x, y, z = AB.T
+        style = {"line": {"color": GREY, "width": 6}, "marker": {"size": 4, "color": GREY}}
+        chart.add_scatter3d(x=x, y=y, z=z, mode="lines+markers", name="line AB", **style)
+        for name, points, colour in paths:
+            x, y, z = points.T * 1000.0
+            chart.add_scatter3d(x=x, y=y, z=z, mode="lines", name=name, line={"color": colour, "width": 4})
+        camera = {"eye": {"x": 1.3, "y": -1.3, "z": 0.8}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
+        cube(chart, np.concatenate([AB, *(points * 1000.0 for _, points, _ in paths)]), camera)

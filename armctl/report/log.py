@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,14 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import new_file
-from armctl.recording.timeline import Happening, Motion, Timeline
-from armctl.report.page import Page, cube, curve, layout, plotly
+from armctl.recording.timeline import Motion, Timeline
+from armctl.report.page import Page, cube, curve
 from armctl.trajectory.straightness import distance_to_line
 
 # Most points of a curve; a longer log shows the extremes of each stretch.
 POINTS = 4000
 EVENTS = 500
+LEVELS = {20: "info", 30: "warning", 40: "error"}
 COLOURS = ("#d1495b", "#d98e1f", "#2f9e6e", "#3f7fd0", "#9a6bd1", "#7d8b99")
 STATE_COLOURS = {
     "off": "#9aa7b4",
@@ -99,14 +100,14 @@ def _stretches(changes: Sequence[tuple[int, str]], timeline: Timeline) -> list[t
 
 def _state_figure(page: Page, timeline: Timeline) -> None:
     page.heading("State and faults")
-    chart = plotly()()
-    seen: set[str] = set()
-    rows = [("state", _stretches(timeline.states, timeline)), ("fault", _stretches(timeline.faults, timeline))]
-    for row, stretches in rows:
-        for begin_s, end_s, what in stretches:
-            name = what if row == "state" else what.partition(":")[0]
-            if not name:
-                continue
+    states = _stretches(timeline.states, timeline)
+    faults = [stretch for stretch in _stretches(timeline.faults, timeline) if stretch[2]]
+    rows = [("state", what, _UNKNOWN_COLOUR, begin, end) for begin, end, what in states if what]
+    rows += [("fault", what.partition(":")[0], STATE_COLOURS["faulted"], begin, end) for begin, end, what in faults]
+    description, title = "States and faults of the arm over time", "What the arm did"
+    with page.chart(description, title, "time, s", "", height=220, barmode="overlay") as chart:
+        seen: set[str] = set()
+        for row, name, colour, begin_s, end_s in rows:
             chart.add_bar(
                 y=[row],
                 base=[begin_s],
@@ -115,31 +116,25 @@ def _state_figure(page: Page, timeline: Timeline) -> None:
                 name=name,
                 legendgroup=name,
                 showlegend=name not in seen,
-                marker={
-                    "color": STATE_COLOURS.get(name, STATE_COLOURS["faulted"] if row == "fault" else _UNKNOWN_COLOUR)
-                },
+                marker={"color": STATE_COLOURS.get(name, colour)},
                 hovertemplate=f"{name}, {begin_s:.1f} to {end_s:.1f} s<extra></extra>",
             )
             seen.add(name)
-    layout(chart, "What the arm did", "time, s", "", height=220, barmode="overlay")
-    chart.update_yaxes(categoryorder="array", categoryarray=["fault", "state"])
-    page.figure(chart, "States and faults of the arm over time")
-    faults = [(f"{begin:.1f} to {end:.1f}", what) for begin, end, what in _stretches(timeline.faults, timeline) if what]
+        chart.update_yaxes(categoryorder="array", categoryarray=["fault", "state"])
     if faults:
-        page.table(("time s", "fault"), faults, words=True)
+        told = [(f"{begin_s:.1f} to {end_s:.1f}", what) for begin_s, end_s, what in faults]
+        page.table(("time s", "fault"), told, words=True)
 
 
 def _joint_figures(page: Page, timeline: Timeline) -> None:
     page.heading("Joints against their goals")
-    chart = plotly()()
-    for j, name in enumerate(timeline.arm.joint_names):
-        colour = COLOURS[j % len(COLOURS)]
-        measured, goal = np.degrees(timeline.position_rad[:, j]), np.degrees(timeline.goal_rad[:, j])
-        _curve(chart, timeline.time_s, measured, name, colour, legendgroup=name)
-        dotted = {"width": 1, "dash": "dot", "legendgroup": name, "showlegend": False}
-        _curve(chart, timeline.time_s, goal, f"{name} goal", colour, **dotted)
-    layout(chart, "Joint angles (dotted: goals; none while limp)", "time, s", "angle, deg")
-    page.figure(chart, "Measured joint angles and goals over time")
+    title = "Joint angles (dotted: goals; none while limp)"
+    with page.chart("Measured joint angles and goals over time", title, "time, s", "angle, deg") as chart:
+        for j, (name, colour) in enumerate(zip(timeline.arm.joint_names, cycle(COLOURS), strict=False)):
+            measured, goal = np.degrees(timeline.position_rad[:, j]), np.degrees(timeline.goal_rad[:, j])
+            _curve(chart, timeline.time_s, measured, name, colour, legendgroup=name)
+            dotted = {"width": 1, "dash": "dot", "legendgroup": name, "showlegend": False}
+            _curve(chart, timeline.time_s, goal, f"{name} goal", colour, **dotted)
     _quantity(page, timeline, np.degrees(timeline.position_rad - timeline.goal_rad), "Distance from the goal", "deg")
 
 
@@ -151,11 +146,10 @@ def _servo_figures(page: Page, timeline: Timeline) -> None:
 
 
 def _quantity(page: Page, timeline: Timeline, values: FloatArray, title: str, unit: str) -> None:
-    chart = plotly()()
-    for j, name in enumerate(timeline.arm.joint_names):
-        _curve(chart, timeline.time_s, values[:, j], name, COLOURS[j % len(COLOURS)], width=1.5)
-    layout(chart, title, "time, s", f"{title.lower()}, {unit}", height=320)
-    page.figure(chart, f"{title} of every joint over time")
+    y = f"{title.lower()}, {unit}"
+    with page.chart(f"{title} of every joint over time", title, "time, s", y, height=320) as chart:
+        for name, colour, column in zip(timeline.arm.joint_names, cycle(COLOURS), values.T, strict=False):
+            _curve(chart, timeline.time_s, column, name, colour, width=1.5)
 
 
 def _tool_figure(page: Page, timeline: Timeline) -> None:
@@ -166,30 +160,20 @@ def _tool_figure(page: Page, timeline: Timeline) -> None:
     # Evenly in time: a path has no extremes of one axis that would stand for the others.
     rows = known[np.unique(np.linspace(0, len(known) - 1, min(POINTS, len(known))).astype(np.int64))]
     x, y, z = (timeline.tool[rows, :3] * 1000.0).astype(np.float32).T
-    chart = plotly()()
-    chart.add_scatter3d(
-        x=x,
-        y=y,
-        z=z,
-        mode="lines",
-        line={"width": 4, "color": timeline.time_s[rows], "colorscale": "Viridis", "colorbar": {"title": "time, s"}},
-        name="tool",
-        hovertemplate="%{x:.1f}, %{y:.1f}, %{z:.1f} mm<extra></extra>",
-    )
-    layout(chart, "Tool path by the encoders", "", "", height=560)
-    cube(
-        chart,
-        np.stack([x, y, z], axis=1),
-        {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}},
-    )
-    page.figure(chart, "Path of the tool in space, coloured by time")
+    line = {"width": 4, "color": timeline.time_s[rows], "colorscale": "Viridis", "colorbar": {"title": "time, s"}}
+    description = "Path of the tool in space, coloured by time"
+    with page.chart(description, "Tool path by the encoders", "", "", height=560) as chart:
+        hover = "%{x:.1f}, %{y:.1f}, %{z:.1f} mm<extra></extra>"
+        chart.add_scatter3d(x=x, y=y, z=z, mode="lines", line=line, name="tool", hovertemplate=hover)
+        camera = {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
+        cube(chart, np.stack([x, y, z], axis=1), camera)
 
 
 def _line_figures(page: Page, timeline: Timeline) -> None:
     """How straight each run was: its distance from the line between its commanded ends."""
     lines = [(motion, *ends) for motion in timeline.motions if (ends := _ends(timeline, motion)) is not None]
-    rows, chart = [], plotly()()
-    for number, (motion, A, B) in enumerate(lines):
+    rows, curves = [], []
+    for (motion, A, B), colour in zip(lines, cycle(COLOURS), strict=False):
         begin, end = (
             timeline.index((time_ns - timeline.start_ns) / NS_PER_S) for time_ns in (motion.begin_ns, motion.end_ns)
         )
@@ -202,7 +186,7 @@ def _line_figures(page: Page, timeline: Timeline) -> None:
         name = f"{motion.label}, {timeline.time_s[begin]:.1f} s"
         duration_s = (motion.end_ns - motion.begin_ns) / NS_PER_S
         rows.append((name, f"{error_mm.mean():.2f}", f"{error_mm.max():.2f}", f"{duration_s:.1f}"))
-        curve(chart, along_mm, error_mm, name, COLOURS[number % len(COLOURS)])
+        curves.append((along_mm, error_mm, name, colour))
     if not rows:
         return
     page.heading("Straightness of the runs")
@@ -212,8 +196,10 @@ def _line_figures(page: Page, timeline: Timeline) -> None:
         "Distance of the tool, by the encoders, from the line between the commanded ends of each run "
         "(Raharjo et al. eqs. 19, 20).",
     )
-    layout(chart, "Distance from the line", "along the line, mm", "distance, mm", height=320)
-    page.figure(chart, "Distance of the tool from the line along each run")
+    description = "Distance of the tool from the line along each run"
+    with page.chart(description, "Distance from the line", "along the line, mm", "distance, mm", height=320) as chart:
+        for drawn in curves:
+            curve(chart, *drawn)
 
 
 def _ends(timeline: Timeline, motion: Motion) -> tuple[FloatArray, FloatArray] | None:
@@ -229,11 +215,10 @@ def _event_table(page: Page, timeline: Timeline) -> None:
     left_out = len(timeline.happenings) - len(shown)
     page.table(
         ("time s", "level", "event"),
-        [(f"{(one.time_ns - timeline.start_ns) / NS_PER_S:.1f}", _level(one), one.text) for one in shown],
+        [
+            (f"{(one.time_ns - timeline.start_ns) / NS_PER_S:.1f}", LEVELS.get(one.level, str(one.level)), one.text)
+            for one in shown
+        ],
         f"The first {EVENTS}; {left_out} more stand in the log." if left_out else "",
         words=True,
     )
-
-
-def _level(happening: Happening) -> str:
-    return {20: "info", 30: "warning", 40: "error"}.get(happening.level, str(happening.level))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -74,13 +75,6 @@ def curve(
     chart.add_scatter(**{"mode": "lines", "x": x, "y": y, "name": name, "line": style} | more)
 
 
-def layout(chart: Any, title: str, x: str, y: str, height: int = 420, **more: Any) -> None:
-    """Title, axes and size of a chart; `more` as plotly's `update_layout`."""
-    usual = {"margin": {"l": 60, "r": 20, "t": 50, "b": 50}, "legend": {"font": {"size": 11}}}
-    labels = {"title": title, "xaxis_title": x, "yaxis_title": y}
-    chart.update_layout(template="plotly_white", height=height, **labels, **usual | more)
-
-
 def cube(chart: Any, points: FloatArray, camera: dict[str, Any]) -> None:
     """Axes of a chart in space, all to one scale, around points [mm], shape (m, 3)."""
     middle = (points.max(axis=0) + points.min(axis=0)) / 2.0
@@ -123,6 +117,20 @@ class Page:
         kind = (' class="words"' if words else "") + (f' aria-describedby="{name}"' if caption else "")
         head = f"<thead>{line(header, 'th')}</thead>"
         self._blocks.append(f'<div class="wide"><table{kind}>{head}<tbody>{body}</tbody></table></div>{note}')
+
+    @contextmanager
+    def chart(self, description: str, title: str, x: str, y: str, height: int = 420, **more: Any) -> Iterator[Any]:
+        """An empty chart with a title and axes, for the caller to draw on; it is added to the page afterwards.
+
+        Args:
+            more: As plotly's `update_layout`.
+        """
+        chart = plotly()()
+        usual = {"margin": {"l": 60, "r": 20, "t": 50, "b": 50}, "legend": {"font": {"size": 11}}}
+        labels = {"title": title, "xaxis_title": x, "yaxis_title": y}
+        chart.update_layout(template="plotly_white", height=height, **labels, **usual | more)
+        yield chart
+        self.figure(chart, description)
 
     def figure(self, figure: Figure, description: str) -> None:
         """Add a plotly figure; `description` says in words what it shows."""

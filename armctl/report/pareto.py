@@ -1,10 +1,11 @@
 """Two fronts on one page: error against duration, and error against the number of via points."""
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from armctl.report.page import Page, curve, layout, plotly
+from armctl.report.page import Page, curve
 
 _COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3", "#5a6878", "#9a5b2e", "#3f8f9b")
 
@@ -31,25 +32,24 @@ def add_fronts(page: Page, rows: Sequence[dict[str, Any]]) -> None:
     judge = "true distance, simulated arms after correction" if truth else "predicted distance, perfect servos"
     page.heading("Error against time and against via points")
     page.text(f"Judged by: {judge}. A ring marks the front: no other point is as good in both and better in one.")
+    axes: dict[str, Any]
     for axis, by, front, title in (
         ("duration_s", "via", "front_duration", "duration, s"),
         ("via", "duration_s", "front_via", "via points"),
     ):
-        chart = plotly()()
-        for number, value in enumerate(dict.fromkeys(row[by] for row in rows)):
-            some = [row for row in rows if row[by] == value and error(row) is not None]
-            colour = _COLOURS[number % len(_COLOURS)]
-            name = f"{value} via points" if by == "via" else f"{value:g} s"
-            bars = {"type": "data", "array": [spread(row) for row in some], "visible": truth}
-            x, y = [row[axis] for row in some], [error(row) for row in some]
-            curve(chart, x, y, name, colour, width=1.5, mode="lines+markers", error_y=bars)
-        best = sorted((row for row in rows if row[front]), key=lambda row: float(row[axis]))
-        x, y = [row[axis] for row in best], [error(row) for row in best]
-        rings = {"size": 14, "symbol": "circle-open", "line": {"width": 2}}
-        curve(chart, x, y, "front", "#7d8b99", dash="dot", mode="lines+markers", marker=rings)
         heading = f"Mean distance from the line against {title}"
-        layout(chart, heading, title, "mean distance, mm", yaxis_type="log", legend=None)
-        page.figure(chart, f"Mean distance from the line against {title}, the front marked")
+        axes = {"x": title, "y": "mean distance, mm", "yaxis_type": "log", "legend": None}
+        with page.chart(f"{heading}, the front marked", heading, **axes) as chart:
+            for value, colour in zip(dict.fromkeys(row[by] for row in rows), cycle(_COLOURS), strict=False):
+                some = [row for row in rows if row[by] == value and error(row) is not None]
+                name = f"{value} via points" if by == "via" else f"{value:g} s"
+                bars = {"type": "data", "array": [spread(row) for row in some], "visible": truth}
+                x, y = [row[axis] for row in some], [error(row) for row in some]
+                curve(chart, x, y, name, colour, width=1.5, mode="lines+markers", error_y=bars)
+            best = sorted((row for row in rows if row[front]), key=lambda row: float(row[axis]))
+            x, y = [row[axis] for row in best], [error(row) for row in best]
+            rings = {"size": 14, "symbol": "circle-open", "line": {"width": 2}}
+            curve(chart, x, y, "front", "#7d8b99", dash="dot", mode="lines+markers", marker=rings)
     page.table(
         ("s", "via", "recorded genes, mm", "predicted, mm", "true, mm", "front by time", "front by via"),
         [

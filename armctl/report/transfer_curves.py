@@ -88,14 +88,11 @@ def draw(transfer: Transfer, title: str) -> Figure:
     """One of `TITLES` of a cycle that was loaded."""
     what, field, unit = TITLES[title]
     chart = plotly()()
-    for axis, letter in enumerate("xyz"):
-        for curve, name, dash in ((transfer.model, "model", "dash"), (transfer.recorded, "recorded", "solid")):
-            chart.add_scatter(
-                x=curve.time_s,
-                y=getattr(curve, field)[:, axis],
-                name=f"{letter}, {name}",
-                line={"color": COLOURS[axis], "width": 1.6, "dash": dash},
-            )
+    for letter, colour, axis in zip("xyz", COLOURS, range(3), strict=False):
+        for who, name, dash in ((transfer.model, "model", "dash"), (transfer.recorded, "recorded", "solid")):
+            values = getattr(who, field)[:, axis]
+            line = {"color": colour, "width": 1.6, "dash": dash}
+            chart.add_scatter(x=who.time_s, y=values, name=f"{letter}, {name}", line=line)
     chart.update_layout(height=420, xaxis_title="time [s]", yaxis_title=f"{what} [{unit}]")
     return chart
 

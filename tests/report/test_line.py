@@ -32,7 +32,6 @@ def run(via: int) -> LineRun:
         positions_rad=np.zeros((11, 2)),
         goals_rad=np.zeros((11, 2)),
         tool_m=path(-0.0123),
-        truth_time_s=time_s,
         truth_tool_m=path(-0.0456),
     )
 
@@ -65,7 +64,7 @@ def test_the_page_tells_what_the_paths_show(tmp_path: Path) -> None:
 
 
 def test_without_an_outside_measurement_the_truth_is_left_open(tmp_path: Path) -> None:
-    blind = [replace(one, truth_time_s=None, truth_tool_m=None) for one in REPORT.runs]
+    blind = [replace(one, truth_tool_m=None) for one in REPORT.runs]
     write(replace(REPORT, runs=blind), tmp_path / "line.html")
     html = (tmp_path / "line.html").read_text()
     assert "45.6 / 45.6" not in html
