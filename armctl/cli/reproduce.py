@@ -45,7 +45,7 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
         report.write(reports, wrong, page)
     told = ("paper", "where", "printed", "true", "proof")
     result: dict[str, Any] = {
-        "rows": [asdict(row) for made in reports for row in made.rows],
+        "rows": [{"paper": made.paper, **asdict(row)} for made in reports for row in made.rows],
         "errata": [{key: getattr(erratum, key) for key in told} for erratum in wrong],
         "page": None if page is None else str(page),
         "seed": seed,

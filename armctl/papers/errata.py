@@ -6,14 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from armctl.kinematics import robots
-from armctl.kinematics.chain import forward_kinematics, jacobian, tool_position
+from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.errata import Erratum
-from armctl.kinematics.transform import rotation_error
 from armctl.lab import table_ii
-from armctl.papers import paper_000
+from armctl.papers import paper_000, paper_004
 from armctl.trajectory.straightness import mean_error, progress_along_line
-
-STEP_RAD = 1e-5
 
 
 def errata(papers: Sequence[str]) -> list[Erratum]:
@@ -75,10 +72,7 @@ def _column_of_the_jacobian() -> tuple[float, float]:
     """The tool's motion by J whose i-th row, and whose i-th column, is (Z x P, Z), against finite differences."""
     robot = robots.get("transfer-6dof")
     q, rate = np.array([0.3, -1.0, 0.5, 0.2, 0.7, 0.1]), np.array([0.2, -0.1, 0.3, 0.4, -0.2, 0.1])
-    J = jacobian(robot.chain, q)
-    ahead, behind = (forward_kinematics(robot.chain, q + side * STEP_RAD * rate) for side in (1.0, -1.0))
-    turn = rotation_error(behind[:3, :3], ahead[:3, :3])
-    true = np.concatenate((ahead[:3, 3] - behind[:3, 3], turn)) / (2.0 * STEP_RAD)
+    J, true = jacobian(robot.chain, q), paper_004.tool_rate(robot.chain, q, rate)
     return float(np.abs(J.T @ rate - true).max()), float(np.abs(J @ rate - true).max())
 
 

@@ -9,15 +9,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from armctl.kinematics.errata import Erratum
-from armctl.report.page import Figure, Page
+from armctl.kinematics.transform import FloatArray
+from armctl.report.page import Figure, Page, curve
 
 
 @dataclass(frozen=True)
 class Row:
     """One quantity of a paper beside armctl's."""
 
-    paper: str
     quantity: str
     # None: the paper gives no number.
     printed: float | str | None
@@ -51,6 +53,12 @@ def pictures(
 ) -> list[Picture]:
     """One picture for each name: the name fills in title and description, and is what `draw` draws of `of`."""
     return [Picture(title.format(name), description.format(name), partial(draw, *of, name)) for name in names]
+
+
+def by_generation(figure: Figure, name: str, colour: str, best: FloatArray, mean: FloatArray) -> None:
+    """Add the best and the mean of a genetic algorithm's population, one value a generation from the first on."""
+    for values, which, dash in ((best, "best", "solid"), (mean, "mean", "dot")):
+        curve(figure, np.arange(1, len(values) + 1), values, name.format(which), colour, dash=dash)
 
 
 @dataclass(frozen=True)
@@ -102,6 +110,4 @@ def write(reports: Sequence[PaperReport], errata: Sequence[Erratum], path: Path)
 
 def shown(value: float | str | None) -> str:
     """A number as a person reads it."""
-    if value is None:
-        return "-"
-    return value if isinstance(value, str) else f"{value:.6g}"
+    return value if isinstance(value, str) else "-" if value is None else f"{value:.6g}"

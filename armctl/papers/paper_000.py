@@ -2,8 +2,10 @@
 
 import csv
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cache, partial
 from importlib import resources
+from itertools import product
 
 import numpy as np
 
@@ -16,15 +18,11 @@ from armctl.kinematics.inverse import refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
-from armctl.papers import verdict
-from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
-from armctl.papers.verdict import Effort
+from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, pictures
+from armctl.papers.verdict import Effort, claim, error
 from armctl.report import kinematics as drawn
 from armctl.report.page import Figure, plotly
 
-PAPER = "000"
-claim = partial(verdict.claim, PAPER)
-error = partial(verdict.error, PAPER)
 SIDE_CM = np.arange(21.0, 31.0)
 HEIGHT_CM = 10.0
 TARGETS_CM = ((20.0, 25.0, 30.0), (30.0, 25.0, 20.0))
@@ -66,12 +64,10 @@ def _cells() -> dict[str, list[list[str]]]:
 @cache
 def rounding() -> dict[str, FloatArray]:
     """Half a unit of each printed cell's last digit."""
-    return {name: np.array([[_half_digit(cell) for cell in row] for row in rows]) for name, rows in _cells().items()}
-
-
-def _half_digit(cell: str) -> float:
-    number, _, exponent = cell.upper().partition("E")
-    return 0.5 * 10.0 ** (int(exponent or 0) - len(number.partition(".")[2]))
+    return {
+        name: np.array([[0.5 * 10.0 ** int(Decimal(cell).as_tuple().exponent) for cell in row] for row in rows])
+        for name, rows in _cells().items()
+    }
 
 
 def grid_m() -> FloatArray:
@@ -96,16 +92,15 @@ def consistent_cells() -> int:
     """How many of the 600 printed cells agree with the others and the targets within their rounding."""
     table, half = printed(), rounding()
     radius = np.hypot(SIDE_CM[:, None], SIDE_CM)
-    far = {
-        "delta_xy0": (table["xy0_test"] - radius - table["delta_xy0"], half["xy0_test"] + half["delta_xy0"]),
-        "delta_z0": (table["z0_test"] - HEIGHT_CM - table["delta_z0"], half["z0_test"] + half["delta_z0"]),
-        "p_xy0": (table["delta_xy0"] / radius - table["p_xy0"], half["p_xy0"] + half["delta_xy0"] / radius),
-        "p_z0": (table["delta_z0"] / HEIGHT_CM - table["p_z0"], half["p_z0"] + half["delta_z0"] / HEIGHT_CM),
-    }
-    agree = {name: np.abs(gap) <= bound * (1.0 + 1e-9) for name, (gap, bound) in far.items()}
-    # A cell of a measured table agrees where its difference does.
-    agree["xy0_test"], agree["z0_test"] = agree["delta_xy0"], agree["delta_z0"]
-    return sum(int(agree[name].sum()) for name in TABLES)
+    agree = 0
+    for axis, target in (("xy0", radius), ("z0", HEIGHT_CM)):
+        measured, away, share = f"{axis}_test", f"delta_{axis}", f"p_{axis}"
+        gap, bound = table[measured] - target - table[away], half[measured] + half[away]
+        # A cell of a measured table agrees where its difference does.
+        agree += 2 * int((np.abs(gap) <= bound * (1.0 + 1e-9)).sum())
+        gap, bound = table[away] / target - table[share], half[share] + half[away] / target
+        agree += int((np.abs(gap) <= bound * (1.0 + 1e-9)).sum())
+    return agree
 
 
 def population_formula() -> FloatArray:
@@ -151,38 +146,35 @@ def out_of_reach(robot: Robot) -> dict[tuple[float, float], tuple[float, FloatAr
 def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     """Recompute the paper."""
     robot = robots.get("xiang-6dof")
-    runs: dict[bool, list[Evolution]] = {}
+    runs: dict[bool, list[Evolution]] = {False: [], True: []}
     with stage("000: the grid", 2 * effort.grid_seeds) as show:
-        for waist_given in (False, True):
-            runs[waist_given] = []
-            for one in range(effort.grid_seeds):
-                runs[waist_given].append(evolve_grid(robot, seed + one, waist_given=waist_given))
-                show(waist_given * effort.grid_seeds + one + 1, f"seed {seed + one}")
+        for done, (waist_given, number) in enumerate(product(runs, range(effort.grid_seeds)), start=1):
+            runs[waist_given].append(evolve_grid(robot, seed + number, waist_given=waist_given))
+            show(done, f"seed {seed + number}")
     with stage("000: two targets", 1):
         targets = np.array(TARGETS_CM) / 100.0
         two = evolve_grid(robot, seed, waist_given=False, targets=targets)
         two_q, two_missed = polished(robot, targets, two.q_rad)
     first = runs[False][0]
     exact_q, missed = polished(robot, grid_m(), first.q_rad)
-    rows = [
-        *_grid_rows(robot, runs),
-        *_polish_rows(robot, exact_q, missed),
-        *_target_rows(robot, targets, two, two_missed),
-        *_population_rows(),
-        *_curve_rows(runs[False]),
-    ]
     return PaperReport(
-        PAPER,
+        "000",
         "grasping by a genetic algorithm",
         _NOTES,
-        tuple(rows),
+        (
+            *_grid_rows(robot, runs),
+            *_polish_rows(robot, exact_q, missed),
+            *_target_rows(robot, targets, two, two_missed),
+            _population_row(),
+            _curve_row(runs[False]),
+        ),
         (*_six_tables(robot, first, exact_q), _population_table()),
         (
             Picture(
-                "Figs. 8 and 12: fitness", "best and mean error by generation for two targets", lambda: _curves(two)
+                "Figs. 8 and 12: fitness", "best and mean error by generation for two targets", partial(_curves, two)
             ),
             *_arm_pictures(robot, two_q),
-            Picture("the grid", "difference of radius at every target", lambda: _heat_maps(robot, first)),
+            Picture("the grid", "difference of radius at every target", partial(_heat_maps, robot, first)),
         ),
     )
 
@@ -246,50 +238,32 @@ def _target_rows(robot: Robot, targets: FloatArray, two: Evolution, missed: Floa
     return rows
 
 
-def _population_rows() -> list[Row]:
-    shown, formula = printed()["joint_1_population"], population_formula()
-    agree = int((np.abs(shown - formula) <= 0.6e-4).sum())
-    return [
-        claim(
-            "Fig. 7, cells equal to 45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg, of 140",
-            "random numbers",
-            str(agree),
-            agree < 70,
-        )
-    ]
+def _population_row() -> Row:
+    agree = int((np.abs(printed()["joint_1_population"] - population_formula()) <= 0.6e-4).sum())
+    what = "Fig. 7, cells equal to 45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg, of 140"
+    return claim(what, "random numbers", str(agree), agree < 70)
 
 
-def _curve_rows(runs: list[Evolution]) -> list[Row]:
+def _curve_row(runs: list[Evolution]) -> Row:
     """Fig. 8: the mean of the fitness beside the best after 200 generations."""
     at = min(200, len(runs[0].best_cost)) - 1
     ratio = float(np.mean([np.sqrt(run.best_cost[at] / run.mean_cost[at]).mean() for run in runs]))
     why = "differs: about half of all individuals have a flipped bit in every generation"
-    return [claim("least / mean distance after 200 generations (Fig. 8)", "almost 1", ratio, ratio > 0.9, why=why)]
+    return claim("least / mean distance after 200 generations (Fig. 8)", "almost 1", ratio, ratio > 0.9, why=why)
 
 
 def _six_tables(robot: Robot, run: Evolution, exact_q: FloatArray) -> list[Table]:
-    table, side = printed(), len(SIDE_CM)
-    found = [_tables_of(tool_position(robot.chain, q)) for q in (run.q_rad, exact_q)]
+    ga, polish = (_tables_of(tool_position(robot.chain, q)) for q in (run.q_rad, exact_q))
     columns = ("x \\ y", *(f"{y:.0f}" for y in SIDE_CM))
     note = "print | one run of the GA | polished; cm, P as a share of the target's radius or height"
-    return [
-        Table(
-            f"table {name}",
-            columns,
-            tuple(
-                (
-                    f"{SIDE_CM[i]:.0f}",
-                    *(
-                        f"{table[name][i, j]:g} | {found[0][name][i, j]:.5f} | {found[1][name][i, j]:.5f}"
-                        for j in range(side)
-                    ),
-                )
-                for i in range(side)
-            ),
-            note,
-        )
-        for name in TABLES
-    ]
+    tables = []
+    for name in TABLES:
+        rows = []
+        for x, *cells in zip(SIDE_CM, printed()[name], ga[name], polish[name], strict=True):
+            shown = (f"{print_:g} | {one:.5f} | {exact:.5f}" for print_, one, exact in zip(*cells, strict=True))
+            rows.append((f"{x:.0f}", *shown))
+        tables.append(Table(f"table {name}", columns, tuple(rows), note))
+    return tables
 
 
 def _tables_of(points_m: FloatArray) -> dict[str, FloatArray]:
@@ -316,13 +290,9 @@ def _population_table() -> Table:
 
 def _curves(run: Evolution) -> Figure:
     figure = plotly()()
-    generations = np.arange(1, len(run.best_cost) + 1)
     for k, (x, y, z) in enumerate(TARGETS_CM):
-        colour = drawn.COLOURS[2 * k]
-        for values, name, dash in ((run.best_cost, "best", "solid"), (run.mean_cost, "mean", "dot")):
-            line = {"color": colour, "dash": dash, "width": 2}
-            label = f"({x:.0f}, {y:.0f}, {z:.0f}) {name}"
-            figure.add_scatter(x=generations, y=np.sqrt(values[:, k]) * 100.0, mode="lines", name=label, line=line)
+        costs = (np.sqrt(cost[:, k]) * 100.0 for cost in (run.best_cost, run.mean_cost))
+        by_generation(figure, f"({x:.0f}, {y:.0f}, {z:.0f}) {{}}", drawn.COLOURS[2 * k], *costs)
     figure.update_layout(xaxis_title="generation", yaxis_title="distance [cm]", yaxis_type="log", height=400)
     return figure
 
@@ -330,7 +300,6 @@ def _curves(run: Evolution) -> Figure:
 def _arm_pictures(robot: Robot, q: FloatArray) -> list[Picture]:
     names = ["target ({:.0f}, {:.0f}, {:.0f})".format(*target) for target in TARGETS_CM]
     arms = dict(zip(names, q, strict=True))
-
     return pictures(drawn.ARM_VIEWS, "Fig. 11: the arm {}", "the arm at both targets, {}", drawn.arm, robot.chain, arms)
 
 
@@ -338,9 +307,8 @@ def _heat_maps(robot: Robot, run: Evolution) -> Figure:
     found = grid_error(tool_position(robot.chain, run.q_rad)).radius_cm.reshape(10, 10)
     both = np.concatenate((np.abs(printed()["delta_xy0"]), np.full((10, 1), np.nan), np.abs(found)), axis=1)
     ticks = [f"{y:.0f}" for y in SIDE_CM]
-    figure = plotly()(
-        [{"type": "heatmap", "z": both, "y": ticks, "colorbar": {"title": "|dxy| [cm]"}, "colorscale": "Viridis"}]
-    )
+    figure = plotly()()
+    figure.add_heatmap(z=both, y=ticks, colorbar={"title": "|dxy| [cm]"}, colorscale="Viridis")
     axis = {"tickvals": list(range(21)), "ticktext": [*ticks, "", *ticks], "title": "y [cm]: print | one run of the GA"}
     figure.update_layout(xaxis=axis, yaxis_title="x [cm]", height=420)
     return figure

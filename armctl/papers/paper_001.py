@@ -16,15 +16,11 @@ from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY,
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, finite, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
 from armctl.lab.stage import Stage
-from armctl.papers import verdict
-from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
-from armctl.papers.verdict import Effort
+from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, pictures
+from armctl.papers.verdict import Effort, claim, error
 from armctl.report import kinematics as drawn
 from armctl.report.page import Figure, plotly
 
-PAPER = "001"
-claim = partial(verdict.claim, PAPER)
-error = partial(verdict.error, PAPER)
 # The standard algorithm with as many evaluations as the improved one.
 STANDARD = replace(plain.PAPER, population=improved.DEFAULT.populations * improved.DEFAULT.individuals)
 BATCH = 100
@@ -109,23 +105,22 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     with stage("001: random poses", len(some)) as show:
         solved = solved_by_polish(robot, some, seed, show)
     found, plain_found = errors(robot, better.q_rad, T), errors(robot, standard.q_rad, T)
-    rows = [
-        *_table_2_rows(found, plain_found, errors(robot, polished, T)),
-        *_comparison_rows(found, plain_found),
-        *_exact_rows(robot, solved),
-    ]
     middle = _middle(found)
     arms = {"wanted": _wanted_arm(robot, better.q_rad[middle]), "found (median run)": better.q_rad[middle]}
     title = "Figs. 2 and 3: the arm {}"
     return PaperReport(
-        PAPER,
+        "001",
         "the PUMA 560 by an improved genetic algorithm",
         _NOTES,
-        tuple(rows),
+        (
+            *_table_2_rows(found, plain_found, errors(robot, polished, T)),
+            *_comparison_rows(found, plain_found),
+            *_exact_rows(robot, solved),
+        ),
         (_table_2(robot, better.q_rad[middle], standard.q_rad[_middle(plain_found)]),),
         (
-            Picture("Fig. 1: iteration curve", "best error by generation", lambda: _curves(better, standard)),
-            Picture("Table 2: spread over seeds", "position error of every run", lambda: _spread(found, plain_found)),
+            Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, better, standard)),
+            Picture("Table 2: spread over seeds", "position error of every run", partial(_spread, found, plain_found)),
             *pictures(drawn.ARM_VIEWS, title, "wanted and found arm, {}", drawn.arm, robot.chain, arms),
         ),
     )
@@ -220,11 +215,8 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
 def _curves(better: Evolution, standard: Evolution) -> Figure:
     figure = plotly()()
     for run, name, colour in ((better, "improved", drawn.COLOURS[2]), (standard, "standard", drawn.COLOURS[0])):
-        generations = np.arange(1, len(run.best_cost) + 1)
-        for values, what, dash in ((run.best_cost, "best", "solid"), (run.mean_cost, "mean", "dot")):
-            line = {"color": colour, "dash": dash, "width": 2}
-            middle = np.median(values, axis=1)
-            figure.add_scatter(x=generations, y=middle, mode="lines", name=f"{name}, {what} (median)", line=line)
+        costs = (np.median(cost, axis=1) for cost in (run.best_cost, run.mean_cost))
+        by_generation(figure, f"{name}, {{}} (median)", colour, *costs)
     figure.update_layout(xaxis_title="generation", yaxis_title="error of eq. (4)", yaxis_type="log", height=420)
     return figure
 

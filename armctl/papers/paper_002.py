@@ -8,16 +8,12 @@ from armctl.files import load_arm
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
 from armctl.lab.table_ii import FROM_M, TO_M, VIA, Corrected, corrected
-from armctl.papers import verdict
 from armctl.papers.page import PaperReport, Picture, Row
-from armctl.papers.verdict import Effort
+from armctl.papers.verdict import Effort, error
 from armctl.report import kinematics as drawn
 from armctl.report.line import PRINTED
 from armctl.report.page import Figure, plotly
 from armctl.trajectory.straightness import distance_to_line, progress_along_line
-
-PAPER = "002"
-error = partial(verdict.error, PAPER)
 
 
 def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
@@ -26,15 +22,17 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     rows = [row for via in VIA for row in _rows(done, via, effort)]
     pictures = [
         Picture("Figs. 7 and 8: initial population", "tool paths guided by hand", lambda: _takes_figure(done)),
-        *(_experiment_picture(done, via) for via in VIA),
+        *(
+            Picture(
+                f"Fig. {9 + via}: experiment {via + 1}",
+                f"distance from the line along the path with {via} via points",
+                partial(_deviation, done, via),
+            )
+            for via in VIA
+        ),
         Picture("Fig. 12: comparison", "mean and maximum error beside print", lambda: _bars(done)),
     ]
-    return PaperReport(PAPER, "a straight line with an AX-12A arm", _notes(done), tuple(rows), (), tuple(pictures))
-
-
-def _experiment_picture(done: Corrected, via: int) -> Picture:
-    described = f"distance from the line along the path with {via} via points"
-    return Picture(f"Fig. {9 + via}: experiment {via + 1}", described, lambda: _deviation(done, via))
+    return PaperReport("002", "a straight line with an AX-12A arm", _notes(done), tuple(rows), (), tuple(pictures))
 
 
 def _notes(done: Corrected) -> tuple[str, ...]:
@@ -65,7 +63,7 @@ def _rows(done: Corrected, via: int, effort: Effort) -> list[Row]:
         rows.append(error(f"{name}, maximum error, {when}", max_mm, most, "mm", why=why))
     took = done.duration_s(via)
     verdict = "equal" if abs(took - time_s) < 0.05 else f"differs: the arm needs {took:.1f} s for this plan"
-    return [*rows, Row(PAPER, f"{name}, time (asked for as printed)", time_s, took, "s", verdict)]
+    return [*rows, Row(f"{name}, time (asked for as printed)", time_s, took, "s", verdict)]
 
 
 def _takes_figure(done: Corrected) -> Figure:

@@ -8,18 +8,14 @@ from armctl.kinematics import robots, workspace
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots.lanzhou_4dof import FIG_5_DEG, QZ_DEG
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import LIMIT_SLACK_RAD, pose_target, solve, within_limits
+from armctl.kinematics.solution import pose_target, solve, within_limits
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
-from armctl.papers import verdict
 from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
-from armctl.papers.verdict import Effort, through_closed_form, yes_no
+from armctl.papers.verdict import Effort, claim, same, through_closed_form, yes_no
 from armctl.report import kinematics as drawn
 from armctl.trajectory.quintic import Curves, curves, quintic
 
-PAPER = "003"
-claim = partial(verdict.claim, PAPER)
-same = partial(verdict.same, PAPER)
 PRINTED_IKINE = (1.0472, 0.7854, -1.5708, 1.5708)
 PRINTED_FIG_5_MM = {"x": 219.0, "z": 139.0}
 # The print's start, and qz with theta4 at the end of its range: print gives no end for the trajectory.
@@ -62,16 +58,16 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         points = workspace.cloud(robot.chain, robot.limits_rad, effort.samples, rng)
         show(2, "")
     motion = trajectory(robot)
-    rows = [
+    rows = (
         *_pose_rows(robot),
         claim("poses through IK and back, greatest error", "no error", worst, worst < EXACT, unit="m, rad"),
         claim("distance of a branch from the joints it came from", "no error", away, away < 1e-9, unit="rad"),
         claim("solutions of a pose at most", "4", str(most), most == 4),
         *_workspace_rows(robot, extent, points),
         *_trajectory_rows(robot, motion),
-    ]
+    )
     return PaperReport(
-        PAPER,
+        "003",
         "kinematics of a four-joint manipulator",
         (
             "Lengths in millimetres, Table 1 in the modified convention (print builds it with standard links). The "
@@ -79,7 +75,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
             "its trajectory: the motion here goes from its start (0, 90, 0, 0) deg to qz with theta4 at the end of its "
             "range.",
         ),
-        tuple(rows),
+        rows,
         (_extent_table(extent, points),),
         tuple(_pictures(robot, extent, points, motion)),
     )
@@ -107,19 +103,14 @@ def _workspace_rows(robot: Robot, extent: FloatArray, points: FloatArray) -> lis
     inside = bool(((cloud[:, 0] >= extent[:, 0]) & (cloud[:, 1] <= extent[:, 1])).all())
     notch = float(np.hypot(points[:, 0], points[:, 1]).min()) * 1e3
     offset = robot.lengths_m["d2"] * 1e3
+    hollow = f"cylindrical notch, Fig. 4 (d2 = {offset:g} mm)"
     rows = [
         claim("random points within the exact extents", "yes", yes_no(inside), inside),
-        claim(
-            f"radius of the cylindrical notch, Fig. 4 (d2 = {offset:g} mm)",
-            "a notch",
-            notch,
-            notch >= offset - 1e-6,
-            unit="mm",
-        ),
+        claim(f"radius of the {hollow}", "a notch", notch, notch >= offset - 1e-6, unit="mm"),
     ]
     for i, axis in enumerate("xyz"):
         text = f"{extent[i, 0] * 1e3:.3f} .. {extent[i, 1] * 1e3:.3f}"
-        rows.append(Row(PAPER, f"exact extent along {axis}", None, text, "mm", "differs: print has a picture only"))
+        rows.append(Row(f"exact extent along {axis}", None, text, "mm", "differs: print has a picture only"))
     return rows
 
 
@@ -127,10 +118,7 @@ def _trajectory_rows(robot: Robot, motion: Curves) -> list[Row]:
     wanted = tool_position(robot.chain, np.radians(END_DEG))
     missed = float(np.linalg.norm(motion.tool_position_m[-1] - wanted))
     ends = max(float(np.abs(values[[0, -1]]).max()) for values in (motion.velocity_rad_s, motion.acceleration_rad_s2))
-    inside = bool(
-        (motion.position_rad >= robot.limits_rad[:, 0] - LIMIT_SLACK_RAD).all()
-        and (motion.position_rad <= robot.limits_rad[:, 1] + LIMIT_SLACK_RAD).all()
-    )
+    inside = bool(within_limits(motion.position_rad, robot.limits_rad).all())
     steps = float(np.abs(np.diff(motion.acceleration_rad_s2, axis=0)).max() / np.abs(motion.acceleration_rad_s2).max())
     return [
         claim("distance of the trajectory's end from what is wanted", "reached", missed, missed < EXACT, unit="m"),

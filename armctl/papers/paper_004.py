@@ -4,7 +4,7 @@ The curves are drawn from a `Cycle`. Here the model makes it (`simulated_cycle`)
 """
 
 import tempfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.files import load_arm
 from armctl.kinematics import robots
-from armctl.kinematics.chain import forward_kinematics, jacobian
+from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian
 from armctl.kinematics.differential import dexterity
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.robots.transfer_6dof import FIG_3_START_M, INITIAL_DEG, PRINTED_INITIAL
@@ -20,17 +20,14 @@ from armctl.kinematics.solution import pose_target, solve
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error
 from armctl.lab.stage import Stage
 from armctl.lab.virtual_transfer import record
-from armctl.papers import verdict
 from armctl.papers.page import PaperReport, Picture, Row, pictures
-from armctl.papers.verdict import Effort, through_closed_form
+from armctl.papers.verdict import Effort, claim, through_closed_form
 from armctl.report import kinematics as drawn
 from armctl.report import transfer_curves
 from armctl.report.transfer_curves import Transfer
 from armctl.trajectory import transfer as trajectory
 from armctl.trajectory.quintic import Curves, curves, quintic
 
-PAPER = "004"
-claim = partial(verdict.claim, PAPER)
 ROBOT = "transfer-6dof"
 # Of the arm in calibration/transfer-6dof.yaml.
 SCALE = 0.4
@@ -81,29 +78,27 @@ def simulated_cycle(robot: Robot, samples: int = SAMPLES) -> Cycle:
     begin_s, parts = 0.0, []
     for start, end, duration_s in zip(q, q[1:], STAGE_S, strict=False):
         part = curves(robot.chain, quintic(start, end, duration_s), np.linspace(0.0, duration_s, samples))
-        parts.append((part, begin_s))
+        parts.append(replace(part, time_s=part.time_s + begin_s))
         begin_s += duration_s
-    joined = {
-        field.name: np.concatenate([getattr(part, field.name) for part, _ in parts])
-        for field in fields(Curves)
-        if field.name != "time_s"
-    }
-    time_s = np.concatenate([part.time_s + begin for part, begin in parts])
-    return Cycle(Curves(time_s=time_s, **joined), "quintic motions of the model")
+    joined = {each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Curves)}
+    return Cycle(Curves(**joined), "quintic motions of the model")
+
+
+def tool_rate(chain: SerialChain, q: FloatArray, rate: FloatArray) -> FloatArray:
+    """Linear and angular velocity of the tool, shape (..., 6), at q, shape (..., n), by central differences.
+
+    Args:
+        rate: Of the joints [rad/s], shape (n,).
+    """
+    ahead, behind = (forward_kinematics(chain, q + side * STEP_RAD * rate) for side in (1.0, -1.0))
+    turn = rotation_error(behind[..., :3, :3], ahead[..., :3, :3])
+    return np.concatenate((ahead[..., :3, 3] - behind[..., :3, 3], turn), axis=-1) / (2.0 * STEP_RAD)
 
 
 def jacobian_gap(robot: Robot, q: FloatArray) -> float:
     """Greatest difference between the Jacobian and central differences of forward kinematics, q of shape (m, n)."""
-    J = jacobian(robot.chain, q)
-    worst = 0.0
-    for joint in range(robot.chain.n):
-        step = np.zeros(robot.chain.n)
-        step[joint] = STEP_RAD
-        ahead, behind = forward_kinematics(robot.chain, q + step), forward_kinematics(robot.chain, q - step)
-        linear = (ahead[:, :3, 3] - behind[:, :3, 3]) / (2.0 * STEP_RAD)
-        turn = rotation_error(behind[:, :3, :3], ahead[:, :3, :3]) / (2.0 * STEP_RAD)
-        worst = max(worst, float(np.abs(np.concatenate((linear, turn), axis=1) - J[:, :, joint]).max()))
-    return worst
+    columns = [tool_rate(robot.chain, q, rate) for rate in np.eye(robot.chain.n)]
+    return float(np.abs(np.stack(columns, axis=-1) - jacobian(robot.chain, q)).max())
 
 
 def reproduce(effort: Effort, seed: int, stage: Stage, cycle: Cycle | None = None) -> PaperReport:
@@ -115,7 +110,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage, cycle: Cycle | None = Non
         shown = cycle or simulated_cycle(robot)
         rows = [*_pose_rows(robot), *_inverse_rows(robot, q), *_jacobian_rows(robot, q), *_curve_rows(shown.curves)]
     return PaperReport(
-        PAPER,
+        "004",
         "a transfer robot with six degrees of freedom",
         (
             "Lengths in millimetres, Table 1 in the modified convention. The motion behind the printed curves is not "
@@ -147,9 +142,7 @@ def _pose_rows(robot: Robot) -> list[Row]:
     rows = []
     for axis, printed, value in zip("xyz", np.array(PRINTED_INITIAL)[:3, 3], found[:3, 3], strict=True):
         verdict = "equal" if abs(printed * 1e3 - value) < 0.5 else "misprint"
-        rows.append(
-            Row(PAPER, f"initial position, {axis}", float(printed) * 1e3, round(float(value), 9) + 0.0, "mm", verdict)
-        )
+        rows.append(Row(f"initial position, {axis}", float(printed) * 1e3, round(float(value), 9) + 0.0, "mm", verdict))
     R = np.array(PRINTED_INITIAL)[:3, :3]
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     rows.append(claim("R R^T - 1 of the initial rotation", "a rotation", off, off < 1e-9))
@@ -181,9 +174,9 @@ def _jacobian_rows(robot: Robot, q: FloatArray) -> list[Row]:
     why = "differs: print gives none"
     return [
         claim("Jacobian by eq. (8) against central differences", "the same", gap, gap < DIFFERENCE_BOUND),
-        Row(PAPER, "rank of the Jacobian at the initial position", None, str(found.rank), "", why),
-        Row(PAPER, "manipulability at the initial position", None, found.manipulability, "", why),
-        Row(PAPER, f"greatest manipulability of {len(q)} random configurations", None, best, "", why),
+        Row("rank of the Jacobian at the initial position", None, str(found.rank), "", why),
+        Row("manipulability at the initial position", None, found.manipulability, "", why),
+        Row(f"greatest manipulability of {len(q)} random configurations", None, best, "", why),
     ]
 
 
@@ -192,13 +185,14 @@ def _curve_rows(shown: Curves) -> list[Row]:
     speed, push = (
         np.abs(values).max(axis=0) * 1e3 for values in (shown.tool_velocity_m_s, shown.tool_acceleration_m_s2)
     )
-    rows = []
-    for i, axis in enumerate("xyz"):
-        printed, found = PRINTED_SPEED_MM_S[axis], float(speed[i])
-        rows.append(Row(PAPER, f"greatest speed along {axis}, Fig. 4", printed, found, "mm/s", why))
-    for i, axis in enumerate("xyz"):
-        printed, found = PRINTED_ACCELERATION_MM_S2[axis], float(push[i])
-        rows.append(Row(PAPER, f"greatest acceleration along {axis}, Fig. 5", printed, found, "mm/s^2", why))
+    rows = [
+        Row(f"greatest {what} along {axis}, {figure}", printed, float(found), unit, why)
+        for what, figure, unit, print_, most in (
+            ("speed", "Fig. 4", "mm/s", PRINTED_SPEED_MM_S, speed),
+            ("acceleration", "Fig. 5", "mm/s^2", PRINTED_ACCELERATION_MM_S2, push),
+        )
+        for (axis, printed), found in zip(print_.items(), most, strict=True)
+    ]
     away = _derivative_gap(shown)
     rows.append(claim("Fig. 4 against the slope of Fig. 3, of its peak", "consistent", away, away < 0.01))
     return rows

@@ -33,24 +33,22 @@ FULL = Effort(grid_seeds=10, pose_seeds=50, random_poses=1000, samples=20_000, r
 QUICK = Effort(grid_seeds=2, pose_seeds=8, random_poses=50, samples=2000, rounds=0, repeats=1)
 
 
-def same(
-    paper: str, quantity: str, printed: float, armctl: float, unit: str, *, digits: float, why: str = "misprint"
-) -> Row:
-    """Equal if within half a unit of the last printed digit (`digits`), else `why`."""
-    return Row(paper, quantity, printed, armctl, unit, "equal" if abs(printed - armctl) <= 0.5 * digits else why)
+def same(quantity: str, printed: float, armctl: float, unit: str, *, digits: float) -> Row:
+    """Equal if within half a unit of the last printed digit (`digits`), else a misprint."""
+    return Row(quantity, printed, armctl, unit, "equal" if abs(printed - armctl) <= 0.5 * digits else "misprint")
 
 
-def error(paper: str, quantity: str, printed: float, armctl: float, unit: str, *, why: str) -> Row:
+def error(quantity: str, printed: float, armctl: float, unit: str, *, why: str) -> Row:
     """An error, of which less is better; `why` says what a greater one comes from."""
     verdict = "better" if armctl < printed else "equal" if armctl == printed else f"differs: {why}"
-    return Row(paper, quantity, printed, armctl, unit, verdict)
+    return Row(quantity, printed, armctl, unit, verdict)
 
 
 def claim(
-    paper: str, quantity: str, printed: str, armctl: float | str, holds: bool, *, unit: str = "", why: str = "misprint"
+    quantity: str, printed: str, armctl: float | str, holds: bool, *, unit: str = "", why: str = "misprint"
 ) -> Row:
     """A statement in words: equal if it holds, else `why` it does not."""
-    return Row(paper, quantity, printed, armctl, unit, "equal" if holds else why)
+    return Row(quantity, printed, armctl, unit, "equal" if holds else why)
 
 
 def yes_no(holds: bool) -> str:

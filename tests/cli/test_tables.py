@@ -103,10 +103,10 @@ REPORT = PaperReport(
     title="a title that is as long as the longest of the five papers' titles, and then some more of it",
     notes=(),
     rows=(
-        Row("004", "greatest |dxy|, GA over theta2 to theta4, theta1 by eq. (12), mean of 2 seeds (spread 0.399)",
+        Row("greatest |dxy|, GA over theta2 to theta4, theta1 by eq. (12), mean of 2 seeds (spread 0.399)",
             "16 (2 each of theta1 to theta4)", "2.806e-06 / 0.0003107", "rad/s, rad/s^2",
             "differs: about half of all individuals have a flipped bit in every generation"),
-        Row("004", "extent [mm]", None, -123456.78901, "mm", "equal"),
+        Row("extent [mm]", None, -123456.78901, "mm", "equal"),
     ),
     tables=(),
     pictures=(),
