@@ -36,7 +36,9 @@ class DaemonRig:
     def run(self, plan: Plan) -> Measured:
         """As `Rig.run`. A run that waited for a silent servo took longer than the plan; it is repeated."""
         for _ in range(TRIES):
-            measured = self._run(plan)
+            answer = self._client.call("run", plan=plan.model_dump(mode="json"))
+            path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
+            measured = measured_run(recordings.load(path), float(answer["duration_s"]))
             if abs(measured.duration_s - plan.duration_s) < self.period_s / 2.0:
                 return measured
         raise RequestRefused(
@@ -44,11 +46,6 @@ class DaemonRig:
             f"{TRIES} runs in a row took {measured.duration_s:.2f} s or so instead of {plan.duration_s:.2f} s: servos "
             "miss readings and the arm waits for them; see `armctl doctor`",
         )
-
-    def _run(self, plan: Plan) -> Measured:
-        answer = self._client.call("run", plan=plan.model_dump(mode="json"))
-        path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
-        return measured_run(recordings.load(path), float(answer["duration_s"]))
 
 
 def measured_run(run: Recording, duration_s: float) -> Measured:

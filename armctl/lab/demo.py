@@ -9,11 +9,10 @@ daemon's ticks, so the same seed gives the same recordings and with them the sam
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,24 +46,22 @@ STOP_TIMEOUT_S = 5.0
 class _Session:
     """The running programs, and where they write."""
 
-    out: Path
-    arm: ArmConfig
     client: Client
     watcher: Iterator[dict[str, Any]]
     simulator: SimulatorClient
     stage: Stage
 
-    def wait_ticks(self, count: int, show: Callable[[int], None] = lambda _: None) -> None:
-        """Let so many ticks of the daemon pass.
+    def wait_ticks(self, end: int, show: Progress = lambda _done, _note: None, note: str = "", begin: int = 0) -> None:
+        """Let the daemon's ticks from `begin` up to `end` pass.
 
         Raises:
             ArmctlError: the daemon latched a fault meanwhile.
         """
-        for passed in range(count):
+        for passed in range(begin, end):
             fault = next(self.watcher)["fault"]
             if fault is not None:
                 raise ArmctlError(f"{fault['code']}: {fault['text']}")
-            show(passed + 1)
+            show(passed + 1, note)
 
 
 def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
@@ -83,17 +80,13 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         config = out / "armctl.yaml"
         config.write_text(yaml.safe_dump({"port": str(port), "data_dir": str(out)}), encoding="utf-8")
         with stage("starting", 2) as show:
-            cleanup.enter_context(
-                program(out / "simulator.log", "sim", "--link", str(port), "--seed", str(seed), "--lockstep")
-            )
+            simulator = ("sim", "--link", str(port), "--seed", str(seed), "--lockstep")
+            cleanup.enter_context(program(out / "simulator.log", *simulator))
             show(1, "simulated servos")
-            cleanup.enter_context(
-                program(out / "daemon.log", "daemon", "--config", str(config), "--socket", str(socket))
-            )
+            daemon = ("daemon", "--config", str(config), "--socket", str(socket))
+            cleanup.enter_context(program(out / "daemon.log", *daemon))
             show(2, "daemon")
         session = _Session(
-            out=out,
-            arm=arm,
             client=cleanup.enter_context(Client(socket)),
             watcher=cleanup.enter_context(Client(socket)).subscribe(),
             simulator=cleanup.enter_context(SimulatorClient(control_path(port))),
@@ -119,9 +112,9 @@ def _teach(session: _Session, seed: int) -> list[str]:
         guided = session.simulator.guide(FROM_M, TO_M, seed=seed * 1000 + take)
         at_A, at_B = round((guided.begin_s - 0.3) / period_s), round((guided.end_s + 0.8) / period_s)
         with session.stage(f"teaching {take + 1} of {TAKES}", at_B + 5) as show:
-            session.wait_ticks(at_A, partial(_tell, show, 0, "to the start"))
+            session.wait_ticks(at_A, show, "to the start")
             client.call("take_begin", name=name)
-            session.wait_ticks(at_B - at_A, partial(_tell, show, at_A, "along the line"))
+            session.wait_ticks(at_B, show, "along the line", begin=at_A)
             client.call("take_end")
             session.wait_ticks(5)
             show(at_B + 5, "")
@@ -129,10 +122,6 @@ def _teach(session: _Session, seed: int) -> list[str]:
     client.call("torque_on")
     session.simulator.let_go()
     return names
-
-
-def _tell(show: Progress, before: int, note: str, passed: int) -> None:
-    show(before + passed, note)
 
 
 def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """A pick-and-transfer cycle without a daemon: simulated servos, the real control loop, virtual time, a usual log."""
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 from armctl.config import ArmConfig, Config, LogConfig
@@ -11,8 +12,8 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
-FIRST_TICKS = 5
-TAIL_TICKS = 5
+# Ticks at rest before torque comes on, and after the cycle.
+FIRST_TICKS = TAIL_TICKS = 5
 
 
 def record(arm: ArmConfig, cycle: TransferRequest, path: Path, *, seed: int = 0, period_s: float = 0.1) -> Path:
@@ -32,12 +33,9 @@ def record(arm: ArmConfig, cycle: TransferRequest, path: Path, *, seed: int = 0,
     note = json.dumps({"event": NOTED, "cycle": cycle.model_dump()})
     # A bound on free space is the daemon's business: this file is a few hundred kilobytes.
     context = LogContext(arm, robot, Config(log=LogConfig(free_bytes=0)), "loopback", period_s)
-    writer = LogWriter(path, context)
-    try:
-        for index, one in enumerate(records):
-            writer.write_tick(one)
+    with closing(LogWriter(path, context)) as writer:
+        for index, record in enumerate(records):
+            writer.write_tick(record)
             if index == begin:
-                writer.write_note(COMMAND, note, one.inputs.sample.time_ns)
-    finally:
-        writer.close()
+                writer.write_note(COMMAND, note, record.inputs.sample.time_ns)
     return path

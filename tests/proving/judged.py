@@ -5,6 +5,7 @@ from dataclasses import replace
 from armctl.dynamixel import ax12a
 from armctl.files import load_arm
 from armctl.messages import Mode
+from armctl.sim.faults import Fault
 from proving.duties import Sent, Servo
 from proving.invariants import Judge
 
@@ -39,6 +40,19 @@ class Bench:
         if mode is not None:
             self.judge.reported(self.now_s, mode, code)
 
+    def ticks(self, count: int, mode: Mode | None = None, code: str = "", *, heard: bool = True) -> None:
+        for _ in range(count):
+            self.tick(mode, code, heard=heard)
+
+    def ask(self, *kinds: str) -> None:
+        for kind in kinds:
+            self.judge.asked(self.now_s, kind)
+
+    def plan(self, kind: str, duration_s: float, servo_id: int | None = 1, **more: float) -> None:
+        """A fault that begins now."""
+        begin_s = self.now_s + more.pop("in_s", 0.0)
+        self.judge.plan(Fault(kind=kind, servo_id=servo_id, begin_s=begin_s, duration_s=duration_s, **more))
+
     def write(self, index: int, register: ax12a.Register, value: int, **after: float | bool) -> None:
         """One write, and what the servo holds then."""
         before = [replace(servo) for servo in self.servos]
@@ -67,7 +81,7 @@ class Bench:
 
 def running() -> Bench:
     bench = Bench()
-    bench.judge.asked(bench.now_s, "run")
+    bench.ask("run")
     bench.tick(Mode.MOVING)
     return bench
 

@@ -13,7 +13,7 @@ from tests.proving.judged import ARM, MIDDLE, Bench, advancing, running
 def test_6_goals_that_advance_on_after_a_fault(kind: str, bound_s: float) -> None:
     bench = running()
     one = None if kind in ("dead_bus", "unplug") else 3
-    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=1.5))
+    bench.plan(kind, 1.5, one)
     late_s = advancing(bench)
     assert late_s is not None
     assert bound_s + 0.3 < late_s <= bound_s + 0.51
@@ -22,13 +22,12 @@ def test_6_goals_that_advance_on_after_a_fault(kind: str, bound_s: float) -> Non
 @pytest.mark.parametrize(("late_s", "broken"), [(0.7, set()), (0.0, {"6"})])
 def test_6_a_silence_that_ends_while_the_program_is_late_is_a_short_one(late_s: float, broken: set[str]) -> None:
     bench = running()
-    bench.judge.plan(Fault(kind="mute", servo_id=3, begin_s=bench.now_s, duration_s=0.93))
-    for _ in range(3):
-        bench.tick(Mode.MOVING)
+    bench.plan("mute", 0.93, 3)
+    bench.ticks(3, Mode.MOVING)
     for _ in range(1 if late_s else 8):
         bench.now_s += late_s
         bench.tick(Mode.HOLDING)
-    bench.judge.asked(bench.now_s, "run")
+    bench.ask("run")
     bench.tick(Mode.MOVING)
     advancing(bench)
     assert bench.broken & {"6", "rows"} == (broken | {"rows"} if broken else broken)
@@ -42,12 +41,11 @@ def test_what_began_while_nobody_could_hear_it_is_reported_afterwards(
 ) -> None:
     bench = running()
     one = None if silent is None else ARM.servo_ids[silent]
-    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=0.45))
+    bench.plan(kind, 0.45, one)
     bench.tick(Mode.MOVING, heard=False)
     hot = Fault(kind="hot", servo_id=ARM.servo_ids[1], begin_s=bench.now_s, duration_s=2.0, value=68.9)
     bench.judge.plan(hot)
-    for _ in range(6):
-        bench.tick(Mode.MOVING)
+    bench.ticks(6, Mode.MOVING)
     bench.tick(Mode.FAULTED, "HOT")
     assert bench.broken & {"rows"} == broken
 
@@ -64,8 +62,7 @@ def test_what_was_silent_before_anybody_heard_it_is_reported_afterwards(
     ]
     for fault in both if planned_first else both[::-1]:
         bench.judge.plan(fault)
-    for _ in range(9):
-        bench.tick(Mode.HOLDING, heard=False)
+    bench.ticks(9, Mode.HOLDING, heard=False)
     bench.tick(Mode.FAULTED, "TRIPPED")
     assert bench.broken & {"rows"} == broken
 
@@ -73,15 +70,13 @@ def test_what_was_silent_before_anybody_heard_it_is_reported_afterwards(
 @pytest.mark.parametrize(("late_s", "broken"), [(1.3, set()), (0.0, {"7"})])
 def test_7_what_a_frozen_sensor_moves_may_come_back_after_a_late_tick(late_s: float, broken: set[str]) -> None:
     bench = running()
-    bench.judge.plan(Fault(kind="frozen_sensor", servo_id=1, begin_s=bench.now_s, duration_s=1.0))
+    bench.plan("frozen_sensor", 1.0)
     bench.tick(Mode.FAULTED, "BLOCKED")
     bench.at(MIDDLE + 100.0)
-    for _ in range(8):
-        bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.ticks(8, Mode.FAULTED, "BLOCKED")
     bench.now_s += late_s
     bench.at(MIDDLE + 10.0)
-    for _ in range(1 if late_s else 13):
-        bench.tick(Mode.FAULTED, "BLOCKED")
+    bench.ticks(1 if late_s else 13, Mode.FAULTED, "BLOCKED")
     bench.at(MIDDLE + 5.0)
     bench.tick(Mode.FAULTED, "BLOCKED")
     assert bench.broken == broken
@@ -90,10 +85,9 @@ def test_7_what_a_frozen_sensor_moves_may_come_back_after_a_late_tick(late_s: fl
 @pytest.mark.parametrize(("falls", "broken"), [(True, set()), (False, {"6"})])
 def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: set[str]) -> None:
     bench = running()
-    bench.judge.asked(bench.now_s, "hold")
+    bench.ask("hold")
     bench.at(MIDDLE + 8)
-    for _ in range(12):
-        bench.tick(Mode.HOLDING)
+    bench.ticks(12, Mode.HOLDING)
     bench.servos[1].torque = False
     bench.tick(Mode.HOLDING)
     bench.at(MIDDLE + 4)
@@ -104,20 +98,18 @@ def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: se
 
 def test_6_a_short_silence_obliges_only_while_it_lasts() -> None:
     bench = running()
-    bench.judge.plan(Fault(kind="mute", servo_id=3, begin_s=bench.now_s, duration_s=0.45))
-    for _ in range(5):
-        bench.tick(Mode.MOVING)
+    bench.plan("mute", 0.45, 3)
+    bench.ticks(5, Mode.MOVING)
     assert advancing(bench) is None
 
 
 @pytest.mark.parametrize(("duration_s", "broken"), [(0.15, set()), (0.6, {"6"})])
 def test_6_an_arm_on_its_way_to_rest_may_go_on_after_a_short_unplug_alone(duration_s: float, broken: set[str]) -> None:
     bench = Bench()
-    bench.judge.asked(bench.now_s, "run")
+    bench.ask("run")
     bench.tick(Mode.FAULTED, "OVERLOAD")
-    bench.judge.plan(Fault(kind="unplug", begin_s=bench.now_s + 0.02, duration_s=duration_s))
-    for _ in range(3):
-        bench.tick(Mode.FAULTED, "OVERLOAD")
+    bench.plan("unplug", duration_s, None, in_s=0.02)
+    bench.ticks(3, Mode.FAULTED, "OVERLOAD")
     bench.hear()
     advancing(bench, mode=Mode.FAULTED, code="OVERLOAD")
     assert bench.broken & {"6", "rows"} == broken
@@ -126,7 +118,7 @@ def test_6_an_arm_on_its_way_to_rest_may_go_on_after_a_short_unplug_alone(durati
 @pytest.mark.parametrize("word", ["hold", "pause", "host_lost"])
 def test_6_goals_that_advance_on_after_a_stop(word: str) -> None:
     bench = running()
-    bench.judge.asked(bench.now_s, word)
+    bench.ask(word)
     late_s = advancing(bench)
     assert late_s is not None
     assert late_s < 0.7
@@ -134,7 +126,7 @@ def test_6_goals_that_advance_on_after_a_stop(word: str) -> None:
 
 def test_6_a_resumed_run_may_advance() -> None:
     bench = running()
-    bench.judge.asked(bench.now_s, "pause")
+    bench.ask("pause")
     bench.judge.asked(bench.now_s + 0.2, "resume")
     assert advancing(bench) is None
 
@@ -148,13 +140,13 @@ def test_6_a_late_tick_stops_the_motion() -> None:
 
 def test_6_a_jog_without_heartbeats() -> None:
     bench = Bench()
-    bench.judge.asked(bench.now_s, "jog")
+    bench.ask("jog")
     assert advancing(bench, mode=Mode.JOGGING) is not None
 
 
 def test_6_an_arm_that_is_not_still_in_time() -> None:
     bench = Bench()
-    bench.judge.asked(bench.now_s, "hold")
+    bench.ask("hold")
     bench.servos[0].goal = MIDDLE + 39
     for k in range(10):
         bench.at(MIDDLE + 3.5 * k)
@@ -182,10 +174,8 @@ def test_7_a_goal_that_advances_while_a_fault_is_latched() -> None:
 @pytest.mark.parametrize(("code", "broken"), [("", set()), ("OTHER_WRITER", {"7"})])
 def test_7_a_motion_asked_for_together_with_a_clear_needs_the_clear_to_be_granted(code: str, broken: set[str]) -> None:
     bench = running()
-    for _ in range(5):
-        bench.tick(Mode.FAULTED, "OTHER_WRITER")
-    bench.judge.asked(bench.now_s, "clear")
-    bench.judge.asked(bench.now_s, "park")
+    bench.ticks(5, Mode.FAULTED, "OTHER_WRITER")
+    bench.ask("clear", "park")
     bench.goal(MIDDLE + 5)
     bench.tick(Mode.FAULTED if code else Mode.PARKING, code)
     assert bench.broken == broken
@@ -196,13 +186,10 @@ def test_6_a_motion_asked_for_together_with_a_clear_ends_an_older_hold(
     asked: tuple[str, ...], broken: set[str]
 ) -> None:
     bench = running()
-    bench.judge.asked(bench.now_s, "hold")
-    for _ in range(8):
-        bench.tick(Mode.HOLDING)
-    for _ in range(8):
-        bench.tick(Mode.FAULTED, "PORT_GONE")
-    for kind in asked:
-        bench.judge.asked(bench.now_s, kind)
+    bench.ask("hold")
+    bench.ticks(8, Mode.HOLDING)
+    bench.ticks(8, Mode.FAULTED, "PORT_GONE")
+    bench.ask(*asked)
     bench.goal(MIDDLE + 5)
     bench.tick(Mode.MOVING)
     bench.move(5)

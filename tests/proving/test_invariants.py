@@ -11,31 +11,28 @@ from hypothesis import strategies as st
 
 from armctl.dynamixel import ax12a
 from armctl.messages import Mode
-from armctl.sim.faults import Fault
 from proving.duties import Sent
 from tests.proving.judged import ARM, MIDDLE, Bench, N, running
 
 
 def test_a_motion_a_stop_and_a_torque_on_as_they_should_be_break_nothing() -> None:
     bench = Bench(torque=False)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     before = [replace(servo) for servo in bench.servos]
     for servo in bench.servos:
         servo.torque = True
     goal = MIDDLE.to_bytes(2, "little") + (16).to_bytes(2, "little")
     sent = [Sent(index, ax12a.GOAL.address, goal) for index in range(N)]
     bench.judge.wrote(bench.now_s, sent, before, bench.servos)
-    for _ in range(7):
-        bench.tick(Mode.ENERGISING)
+    bench.ticks(7, Mode.ENERGISING)
     bench.tick(Mode.HOLDING)
-    bench.judge.asked(bench.now_s, "run")
+    bench.ask("run")
     for _ in range(10):
         bench.move(15)
-    bench.judge.asked(bench.now_s, "hold")
+    bench.ask("hold")
     bench.move(12)
     bench.move(5)
-    for _ in range(20):
-        bench.tick(Mode.HOLDING)
+    bench.ticks(20, Mode.HOLDING)
     assert bench.judge.violations == []
 
 
@@ -70,7 +67,7 @@ def test_2_a_servo_that_missed_a_goal_may_get_two_steps_at_once_and_not_more() -
 
 def test_2_what_counts_is_where_the_servo_said_it_was_when_it_was_read() -> None:
     bench = running()
-    bench.judge.plan(Fault(kind="frozen_sensor", servo_id=ARM.servo_ids[0], begin_s=bench.now_s, duration_s=0.1))
+    bench.plan("frozen_sensor", 0.1)
     bench.tick(Mode.MOVING)
     bench.at(MIDDLE + 90)  # it sees again, just after it was read
     bench.goal(MIDDLE - 10)
@@ -80,7 +77,7 @@ def test_2_what_counts_is_where_the_servo_said_it_was_when_it_was_read() -> None
 @pytest.mark.parametrize(("steps", "broken"), [(2, set()), (3, {"2"})])
 def test_2_no_goal_goes_over_12_deg_ahead_even_of_a_joint_that_something_holds(steps: int, broken: set[str]) -> None:
     bench = running()
-    bench.judge.plan(Fault(kind="blocked_joint", servo_id=ARM.servo_ids[0], begin_s=bench.now_s, duration_s=5.0))
+    bench.plan("blocked_joint", 5.0)
     for _ in range(steps):
         bench.move(15, follow=False)
     assert bench.broken == broken
@@ -97,7 +94,7 @@ def test_2_beside_a_clear_a_goal_may_go_on_from_the_one_sent_or_the_one_held(ask
         bench.servos[0].goal = MIDDLE + 40  # another program's
         bench.at(MIDDLE + 20)
         bench.hear()
-        bench.judge.asked(bench.now_s, asked)
+        bench.ask(asked)
         bench.goal(known + 10)
         assert bench.broken == (broken if known > MIDDLE else set())
 
@@ -111,7 +108,7 @@ def test_2_a_joint_over_12_deg_from_its_goal() -> None:
 
 def test_2_a_joint_that_something_holds_is_excused_and_its_neighbour_is_not() -> None:
     bench = Bench()
-    bench.judge.plan(Fault(kind="blocked_joint", servo_id=1, begin_s=bench.now_s, duration_s=1.0))
+    bench.plan("blocked_joint", 1.0)
     bench.at(MIDDLE - 42.0)
     bench.tick()
     assert bench.broken == set()
@@ -123,12 +120,12 @@ def test_2_a_joint_that_something_holds_is_excused_and_its_neighbour_is_not() ->
 @pytest.mark.parametrize(("goal", "broken"), [(MIDDLE - 200, set()), (MIDDLE - 199, {"2"})])
 def test_2_a_goal_where_a_joint_that_something_moves_said_it_was_is_no_motion(goal: int, broken: set[str]) -> None:
     bench = Bench()
-    bench.judge.plan(Fault(kind="frozen_sensor", servo_id=1, begin_s=bench.now_s, duration_s=0.05))
+    bench.plan("frozen_sensor", 0.05)
     bench.at(MIDDLE - 200.0)
     bench.hear()
     bench.at(MIDDLE - 207.0)  # it has turned round since
     bench.tick(heard=False)
-    bench.judge.asked(bench.now_s, "hold")
+    bench.ask("hold")
     bench.goal(goal)
     assert bench.broken == broken
 
@@ -142,10 +139,9 @@ def test_2_and_3_a_speed_of_none_or_too_much(speed: int) -> None:
 
 def test_a_goal_at_the_servos_own_position_is_no_motion() -> None:
     bench = Bench()
-    bench.judge.asked(bench.now_s, "hold")
+    bench.ask("hold")
     bench.at(MIDDLE - 25.0)
-    for _ in range(8):
-        bench.tick()
+    bench.ticks(8)
     bench.goal(MIDDLE - 24)
     assert bench.broken == set()
 
@@ -160,14 +156,14 @@ def test_a_goal_at_the_servos_own_position_is_no_motion() -> None:
 )
 def test_3_torque_comes_on_softly_and_slowly(held: dict[str, int], broken: set[str]) -> None:
     bench = Bench(torque=False)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     bench.goal(MIDDLE, torque=True, **held)
     assert bench.broken == broken
 
 
 def test_3_torque_comes_on_with_a_goal_elsewhere() -> None:
     bench = Bench(torque=False)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     bench.goal(MIDDLE + 4, torque=True)
     assert bench.broken == {"3"}
 
@@ -177,9 +173,9 @@ def test_3_torque_comes_on_with_a_goal_elsewhere() -> None:
 )
 def test_3_another_programs_goal_at_torque_on_is_not_this_ones(servo: int | None, own: int, broken: set[str]) -> None:
     bench = Bench(torque=False)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     one = None if servo is None else ARM.servo_ids[servo]
-    bench.judge.plan(Fault(kind="second_writer", servo_id=one, begin_s=bench.now_s, duration_s=5.0))
+    bench.plan("second_writer", 5.0, one)
     bench.goal(own)
     bench.tick()
     bench.servos[0].goal = MIDDLE + 40
@@ -192,7 +188,7 @@ def test_3_a_joint_that_turns_to_its_goal_at_torque_on_jumps_and_one_that_turns_
     goal: int, broken: set[str]
 ) -> None:
     bench = Bench(torque=False)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     bench.goal(MIDDLE, torque=True)
     bench.servos[0].goal = goal
     bench.at(MIDDLE + 8.0)
@@ -208,7 +204,7 @@ def test_4_torque_comes_on_and_nobody_asked() -> None:
 
 def test_4_a_fault_voids_what_was_asked_before_it() -> None:
     bench = Bench(torque=False)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     bench.tick(Mode.FAULTED, "SERVO_SILENT")
     bench.goal(MIDDLE, torque=True)
     assert bench.broken == {"4"}
@@ -217,7 +213,7 @@ def test_4_a_fault_voids_what_was_asked_before_it() -> None:
 @pytest.mark.parametrize(("asked", "broken"), [("release", set()), ("teach", set()), ("park", {"5"}), ("hold", {"5"})])
 def test_5_torque_goes_off_on_request_alone(asked: str, broken: set[str]) -> None:
     bench = Bench()
-    bench.judge.asked(bench.now_s, asked)
+    bench.ask(asked)
     bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
     assert bench.broken == broken
 
@@ -225,7 +221,7 @@ def test_5_torque_goes_off_on_request_alone(asked: str, broken: set[str]) -> Non
 @pytest.mark.parametrize(("unheard", "broken"), [(12, set()), (0, {"5"})])
 def test_5_a_torque_on_that_waits_for_its_servos_may_be_undone_later(unheard: int, broken: set[str]) -> None:
     bench = Bench(torque=False)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     bench.goal(MIDDLE, torque=True)
     for k in range(25):
         lost = [(3, 2)] if k < unheard else []
@@ -242,7 +238,7 @@ def test_5_torque_goes_off_at_the_rest_pose_that_was_asked_for(away: int, broken
         bench.at(joint.tick(joint.rest_rad), index)
         bench.servos[index].goal = bench.servos[index].sensed_tick
     bench.servos[0].sensed_tick += away
-    bench.judge.asked(bench.now_s, "park")
+    bench.ask("park")
     bench.judge.reported(bench.now_s, Mode.PARKING, "")
     bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
     assert bench.broken == broken
@@ -250,7 +246,7 @@ def test_5_torque_goes_off_at_the_rest_pose_that_was_asked_for(away: int, broken
 
 def test_5_the_way_to_rest_is_slow() -> None:
     bench = Bench()
-    bench.judge.asked(bench.now_s, "park")
+    bench.ask("park")
     for _ in range(6):
         bench.move(7, mode=Mode.PARKING)
     assert bench.broken == set()

@@ -14,8 +14,7 @@ from tests.proving.judged import MIDDLE, Bench, N, running
 @pytest.mark.parametrize(("ticks", "broken"), [(2, set()), (3, {"8"})])
 def test_8_a_goal_computed_from_an_old_reading(ticks: int, broken: set[str]) -> None:
     bench = running()
-    for _ in range(ticks):
-        bench.tick(heard=False)
+    bench.ticks(ticks, heard=False)
     bench.goal(MIDDLE + 5)
     assert bench.broken == broken
 
@@ -41,7 +40,7 @@ def test_torque_never_comes_on_with_a_servo_whose_eeprom_was_left_wrong(mended: 
     bench.judge.tampered(3)
     if mended:
         bench.judge.mended(3)
-    bench.judge.asked(bench.now_s, "torque_on")
+    bench.ask("torque_on")
     bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)
     assert bench.broken == broken
 
@@ -72,11 +71,10 @@ def test_a_fault_that_nobody_reports_or_under_another_code(kind: str, code: str,
     bench = running()
     one = None if kind == "unplug" else 2
     value = {"hot": 70.0, "brown_out": 7.0}.get(kind)
-    bench.judge.plan(Fault(kind=kind, servo_id=one, begin_s=bench.now_s, duration_s=3.0, value=value))
+    bench.plan(kind, 3.0, one, value=value)
     bench.tick(Mode.MOVING)
     said = {"well": (Mode.FAULTED, code), "wrongly": (Mode.FAULTED, "OVERLOAD"), "not at all": (Mode.MOVING, "")}[told]
-    for _ in range(10):
-        bench.tick(*said)
+    bench.ticks(10, *said)
     assert bench.broken == (set() if told == "well" else {"rows"})
 
 
@@ -86,7 +84,7 @@ def test_every_unplug_however_short_stops_the_arm_and_is_reported(
     duration_s: float, told: bool, broken: set[str]
 ) -> None:
     bench = running()
-    bench.judge.plan(Fault(kind="unplug", begin_s=bench.now_s + 0.02, duration_s=duration_s))
+    bench.plan("unplug", duration_s, None, in_s=0.02)
     bench.tick(Mode.MOVING)
     for _ in range(8):
         if told:
@@ -123,8 +121,7 @@ def test_a_servo_that_shut_itself_down_is_not_just_without_torque(limit: int, br
 def test_a_joint_that_cannot_follow_and_nobody_reports_it() -> None:
     bench = Bench()
     bench.at(MIDDLE - 32.0)
-    for _ in range(12):
-        bench.tick(Mode.HOLDING)
+    bench.ticks(12, Mode.HOLDING)
     assert bench.broken == {"rows"}
 
 
@@ -132,11 +129,9 @@ def test_a_joint_far_from_its_goal_counts_from_when_a_program_watches() -> None:
     bench = Bench()
     bench.at(MIDDLE - 32.0)
     bench.judge.died(bench.now_s, bench.servos)
-    for _ in range(10):
-        bench.tick()
+    bench.ticks(10)
     bench.judge.back()
-    for _ in range(6):
-        bench.tick(Mode.HOLDING)
+    bench.ticks(6, Mode.HOLDING)
     bench.tick(Mode.FAULTED, "BLOCKED")
     assert bench.broken == set()
 
@@ -146,16 +141,15 @@ def test_6_an_arm_that_lost_torque_and_was_let_go_before_anybody_had_to_latch_ma
     mode: Mode, broken: set[str]
 ) -> None:
     bench = Bench()
-    bench.judge.plan(Fault(kind="trip", servo_id=1, begin_s=bench.now_s, duration_s=0.1))
+    bench.plan("trip", 0.1)
     bench.servos[0].torque, bench.servos[0].limit = False, 0
     bench.tick(Mode.HOLDING)
-    bench.judge.asked(bench.now_s, "release")
+    bench.ask("release")
     bench.tick(mode)
     bench.servos[0].torque, bench.servos[0].limit = True, 1023  # later
-    bench.judge.asked(bench.now_s, "torque_on")
-    for _ in range(20):
-        bench.tick(Mode.HOLDING)
-    bench.judge.asked(bench.now_s, "run")
+    bench.ask("torque_on")
+    bench.ticks(20, Mode.HOLDING)
+    bench.ask("run")
     bench.tick(Mode.MOVING)
     bench.move(15)
     assert bench.broken == broken
@@ -174,8 +168,7 @@ def test_4_torque_may_come_on_in_the_tick_of_a_clear_that_was_granted(
 ) -> None:
     bench = Bench(torque=False)
     bench.tick(Mode.FAULTED, "TRIPPED")
-    for kind in asked:
-        bench.judge.asked(bench.now_s, kind)
+    bench.ask(*asked)
     bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)
     bench.tick(Mode.FAULTED if code else Mode.ENERGISING, code)
     assert bench.broken == broken
@@ -184,9 +177,8 @@ def test_4_torque_may_come_on_in_the_tick_of_a_clear_that_was_granted(
 @pytest.mark.parametrize(("code", "broken"), [("HOT", set()), ("", {"6"}), ("BLOCKED", {"6"})])
 def test_6_after_a_hold_only_a_fault_that_sends_the_arm_to_rest_moves_it(code: str, broken: set[str]) -> None:
     bench = running()
-    bench.judge.asked(bench.now_s, "hold")
-    for _ in range(8):
-        bench.tick(Mode.HOLDING)
+    bench.ask("hold")
+    bench.ticks(8, Mode.HOLDING)
     bench.at(MIDDLE - 6.0)  # it droops: its goal is not its position
     bench.goal(MIDDLE + 1)
     bench.tick(Mode.FAULTED if code else Mode.HOLDING, code)
@@ -215,7 +207,7 @@ def test_a_write_of_two_registers_tells_both(where: Callable[[Sent], int | None]
 def test_another_writers_goal_that_is_read_back_and_not_reported(read_back: bool, told: bool) -> None:
     bench = running()
     bench.goal(MIDDLE)
-    bench.judge.plan(Fault(kind="second_writer", servo_id=1, begin_s=bench.now_s, duration_s=3.0))
+    bench.plan("second_writer", 3.0)
     for _ in range(8):
         bench.servos[0].goal = MIDDLE + 20
         if read_back:

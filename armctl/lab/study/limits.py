@@ -22,7 +22,7 @@ from armctl.lab.study import pareto
 from armctl.lab.study.case import Case, Found, Row
 from armctl.lab.study.workers import Workers
 from armctl.report import experiment as page
-from armctl.report.line import ExperimentReport, LineRun, errors_mm
+from armctl.report.line import ExperimentReport, errors_mm
 from armctl.trajectory.interpolate import columns_at, time_law
 from armctl.trajectory.line_path import onto
 from armctl.trajectory.plan import plan_positions
@@ -64,17 +64,18 @@ def run(case: Case) -> Found:
     shown = [drawn(rig, outcome) for outcome in outcomes]
     rows = []
     for outcome, paths in zip(outcomes, shown, strict=True):
-        before = _true_mm(paths.before, line)
-        after = np.array([_true_mm(run, line) for run in paths.runs])
+        # On a simulated arm the real path is the true one.
+        before, *after = (errors_mm(run.real_tool_m, line.A, line.B) for run in (paths.before, *paths.runs))
+        mean_mm, max_mm = np.array(after).T
         rows.append(
             {
                 "via": outcome.via,
                 "without": case.without,
                 "before_mm": before[0],
                 "before_max_mm": before[1],
-                "after_mm": float(after[:, 0].mean()),
-                "after_max_mm": float(after[:, 1].mean()),
-                "spread_mm": float(after[:, 0].std()),
+                "after_mm": float(mean_mm.mean()),
+                "after_max_mm": float(max_mm.mean()),
+                "spread_mm": float(mean_mm.std()),
                 "ticks_mm": tick_floor_mm(rig, outcome.best, line)[0],
                 "unseen_mm": unseen_mm(rig, outcome.best.plan)["zero_offset_mm"],
             }
@@ -124,8 +125,3 @@ def tick_floor_mm(rig: VirtualRig, best: Round, line: Line) -> tuple[float, floa
     along = line.A + time_law(time_s / line.duration_s)[:, None] * (line.B - line.A)
     straight = onto(chain, along, goals, np.tile([-np.pi, np.pi], (chain.n, 1)), 12)[0]
     return line.errors_mm(tool_position(chain, straight + rounding))
-
-
-def _true_mm(run: LineRun, line: Line) -> tuple[float, float]:
-    assert run.truth_tool_m is not None
-    return errors_mm(run.truth_tool_m, line.A, line.B)
