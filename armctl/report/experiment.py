@@ -9,35 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report import pareto, picture
-from armctl.report.line import (
-    ALONG,
-    COLOURS,
-    FAINT,
-    GREEN,
-    OFF,
-    PRINTED,
-    VIEWS,
-    ExperimentReport,
-    distance_curve,
-    errors_mm,
-    exact_line,
-    path_curve,
-    point_text,
-    space_figure,
-    via_markers,
-    wanted_curve,
-)
+from armctl.report import line, pareto, picture
 from armctl.report.page import Page, curve
 
 
-def write(report: ExperimentReport, path: Path) -> None:
+def write(report: line.ExperimentReport, path: Path) -> None:
     """Write the page; where `path` ends in .svg, a picture of the paths alone."""
     if path.suffix == ".svg":
         picture.write(report, path)
         return
     page = Page("Straight line: before and after correction")
-    begin, end = point_text(report.from_m), point_text(report.to_m)
+    begin, end = line.point_text(report.from_m), line.point_text(report.to_m)
     page.text(f"The tool was to move from ({begin}) to ({end}) m in a straight line.")
     for note in report.notes:
         page.text(note)
@@ -64,19 +46,21 @@ def _spread(pairs: Sequence[tuple[float, float]]) -> str:
     return f"{mean:.2f} ± {mean_spread:.2f} / {most:.2f} ± {most_spread:.2f}"
 
 
-def _table(page: Page, report: ExperimentReport) -> None:
+def _table(page: Page, report: line.ExperimentReport) -> None:
     rows = []
     for one in report.outcomes:
-        by_encoder = [errors_mm(run.tool_m, report.from_m, report.to_m) for run in one.runs]
+        by_encoder = [line.errors_mm(run.tool_m, report.from_m, report.to_m) for run in one.runs]
         truths = [
-            errors_mm(run.truth_tool_m, report.from_m, report.to_m) for run in one.runs if run.truth_tool_m is not None
+            line.errors_mm(run.truth_tool_m, report.from_m, report.to_m)
+            for run in one.runs
+            if run.truth_tool_m is not None
         ]
         durations = [run.duration_s for run in one.runs]
-        paper = PRINTED.get(one.via) if isinstance(one.via, int) else None
+        paper = line.PRINTED.get(one.via) if isinstance(one.via, int) else None
         rows.append(
             (
                 one.via,
-                "{:.1f} / {:.1f}".format(*errors_mm(one.before.real_tool_m, report.from_m, report.to_m)),
+                "{:.1f} / {:.1f}".format(*line.errors_mm(one.before.real_tool_m, report.from_m, report.to_m)),
                 f"{one.runs[0].predicted_mean_mm:.2f} / {one.runs[0].predicted_max_mm:.2f}",
                 _spread(by_encoder),
                 _spread(truths) if truths else "unknown",
@@ -96,44 +80,44 @@ def _table(page: Page, report: ExperimentReport) -> None:
     )
 
 
-def _paths(page: Page, report: ExperimentReport) -> None:
+def _paths(page: Page, report: line.ExperimentReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
-    ends, shown = (report.from_m, report.to_m), list(zip(report.outcomes, COLOURS, strict=False))
+    ends, shown = (report.from_m, report.to_m), list(zip(report.outcomes, line.COLOURS, strict=False))
     paths = []
     for one, colour in shown:
-        paths.append((f"{_name(one.via)}, before", one.before.real_tool_m, FAINT))
+        paths.append((f"{_name(one.via)}, before", one.before.real_tool_m, line.FAINT))
         paths.append((f"{_name(one.via)}, after", one.runs[0].real_tool_m, colour))
-    space_figure(page, ends, paths, "Tool paths in space before and after correction")
-    for axis, title in VIEWS:
-        with page.chart(f"Tool paths before and after correction, {title}", title, ALONG, OFF) as chart:
-            wanted_curve(chart, ends)
+    line.space_figure(page, ends, paths, "Tool paths in space before and after correction")
+    for axis, title in line.VIEWS:
+        with page.chart(f"Tool paths before and after correction, {title}", title, line.ALONG, line.OFF) as chart:
+            line.wanted_curve(chart, ends)
             for one, colour in shown:
                 before, after = one.before.real_tool_m, one.runs[0].real_tool_m
-                path_curve(chart, ends, axis, before, f"{_name(one.via)}, before", colour, width=1, dash="dot")
-                path_curve(chart, ends, axis, after, f"{_name(one.via)}, after", colour)
+                line.path_curve(chart, ends, axis, before, f"{_name(one.via)}, before", colour, width=1, dash="dot")
+                line.path_curve(chart, ends, axis, after, f"{_name(one.via)}, after", colour)
                 if isinstance(one.via, int) and one.via:
                     name = f"{one.via} via points as commanded"
-                    via_markers(chart, ends, axis, one.runs[0], colour, name, visible="legendonly")
+                    line.via_markers(chart, ends, axis, one.runs[0], colour, name, visible="legendonly")
 
 
-def _deviation(page: Page, report: ExperimentReport) -> None:
+def _deviation(page: Page, report: line.ExperimentReport) -> None:
     page.heading("Deviation along the path")
     description = "Distance of the tool from the line along the path, every repeat after correction"
     title = "Distance from the line after correction, every repeat"
-    with page.chart(description, title, ALONG, "distance, mm") as chart:
-        for one, colour in zip(report.outcomes, COLOURS, strict=False):
+    with page.chart(description, title, line.ALONG, "distance, mm") as chart:
+        for one, colour in zip(report.outcomes, line.COLOURS, strict=False):
             for number, run in enumerate(one.runs):
                 group = {"legendgroup": str(one.via), "showlegend": number == 0, "opacity": 0.35 if number else 1.0}
                 ends = (report.from_m, report.to_m)
-                distance_curve(chart, ends, run.real_tool_m, _name(one.via), colour, width=1.5, **group)
+                line.distance_curve(chart, ends, run.real_tool_m, _name(one.via), colour, width=1.5, **group)
 
 
-def _convergence(page: Page, report: ExperimentReport) -> None:
+def _convergence(page: Page, report: line.ExperimentReport) -> None:
     page.heading("Convergence")
     description = "Mean distance from the line by round of correction"
     title = "Mean distance by round of correction (0: before any)"
     with page.chart(description, title, "round", "mean distance, mm", yaxis_type="log") as chart:
-        for one, colour in zip(report.outcomes, COLOURS, strict=False):
+        for one, colour in zip(report.outcomes, line.COLOURS, strict=False):
             for label, dash, paths in (
                 ("true", "solid", [run.real_tool_m for run in one.rounds]),
                 ("by encoders", "dot", [run.tool_m for run in one.rounds]),
@@ -144,21 +128,21 @@ def _convergence(page: Page, report: ExperimentReport) -> None:
         description = "Best cost of the genetic algorithm by generation"
         with page.chart(description, "Genetic algorithm on recorded genes", "generation", "cost, mm") as chart:
             generations = list(range(1, len(report.best_cost_mm) + 1))
-            curve(chart, generations, list(report.best_cost_mm), "best individual", GREEN)
+            curve(chart, generations, list(report.best_cost_mm), "best individual", line.GREEN)
             if report.exact_mean_mm is not None:
-                exact_line(chart, report.exact_mean_mm)
+                line.exact_line(chart, report.exact_mean_mm)
 
 
-def _prediction(page: Page, report: ExperimentReport) -> None:
+def _prediction(page: Page, report: line.ExperimentReport) -> None:
     page.heading("Prediction against measurement")
     title = "Mean distance after correction, ± standard deviation over the repeats"
     with page.chart("Predicted, measured and true mean distance", title, "", "mean distance, mm") as chart:
         names = [_name(one.via) for one in report.outcomes]
         predicted = [one.runs[0].predicted_mean_mm for one in report.outcomes]
-        chart.add_bar(x=names, y=predicted, name="predicted", marker={"color": FAINT})
+        chart.add_bar(x=names, y=predicted, name="predicted", marker={"color": line.FAINT})
         for name, colour, paths in (
             ("by encoders", "#3a6ea5", [[run.tool_m for run in one.runs] for one in report.outcomes]),
-            ("true", GREEN, [[run.real_tool_m for run in one.runs] for one in report.outcomes]),
+            ("true", line.GREEN, [[run.real_tool_m for run in one.runs] for one in report.outcomes]),
         ):
             errors = [_mean_errors_mm(report, some) for some in paths]
             spread = {"type": "data", "array": [float(np.std(some)) for some in errors]}
@@ -166,17 +150,17 @@ def _prediction(page: Page, report: ExperimentReport) -> None:
             chart.add_bar(x=names, y=means, error_y=spread, name=name, marker={"color": colour})
 
 
-def _mean_errors_mm(report: ExperimentReport, paths: Sequence[FloatArray]) -> list[float]:
-    return [errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in paths]
+def _mean_errors_mm(report: line.ExperimentReport, paths: Sequence[FloatArray]) -> list[float]:
+    return [line.errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in paths]
 
 
-def _limits(page: Page, report: ExperimentReport) -> None:
+def _limits(page: Page, report: line.ExperimentReport) -> None:
     page.heading("What limits the rest")
     for stage, title in (("after_mm", "after correction"), ("before_mm", "before correction")):
         description = f"True mean distance {title} with one effect of the simulator switched off at a time"
         heading = f"True mean distance {title}, one effect switched off at a time"
         with page.chart(description, heading, "", "mean distance, mm") as chart:
-            for via, colour in zip(dict.fromkeys(row["via"] for row in report.limits), COLOURS, strict=False):
+            for via, colour in zip(dict.fromkeys(row["via"] for row in report.limits), line.COLOURS, strict=False):
                 some = [row for row in report.limits if row["via"] == via]
                 names = ["all effects" if row["without"] is None else f"without {row['without']}" for row in some]
                 spread = {"type": "data", "array": [row["spread_mm"] for row in some]} if stage == "after_mm" else None

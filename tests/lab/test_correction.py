@@ -31,6 +31,11 @@ def rig(seed: int = 2) -> VirtualRig:
     return VirtualRig(SimulatedArm(hand.arm(), seed=seed, spec=RANDOM_SPEC))
 
 
+@pytest.fixture
+def on() -> VirtualRig:
+    return rig()
+
+
 @cache
 def ways() -> np.ndarray:
     return line_paths(hand.arm(), ROBOT, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=24)
@@ -41,8 +46,7 @@ def true_mm(one: correction.Round) -> float:
 
 
 @pytest.mark.parametrize("via", [2, None])
-def test_an_arm_nobody_has_measured_gets_straight_by_its_own_encoders(via: int | None) -> None:
-    on = rig()
+def test_an_arm_nobody_has_measured_gets_straight_by_its_own_encoders(on: VirtualRig, via: int | None) -> None:
     first = correction.first_run(on, courses(on, LINE, via, None, ways()), None, 0)
     rounds = correction.refine(on, first, 4)
     assert [one.number for one in rounds] == list(range(len(rounds)))
@@ -51,16 +55,14 @@ def test_an_arm_nobody_has_measured_gets_straight_by_its_own_encoders(via: int |
     assert true_mm(correction.best_of(rounds)) < 1.6
 
 
-def test_the_plan_of_a_round_is_a_plain_plan_that_text_keeps() -> None:
-    on = rig()
+def test_the_plan_of_a_round_is_a_plain_plan_that_text_keeps(on: VirtualRig) -> None:
     for via in (None, 0, 3):
         plan = plan_of(on, next(courses(on, LINE, via, None, ways())), 7)
         assert plan.via == (49 if via is None else via)
         assert plan_from_text(plan_to_text(plan), "plan") == plan
 
 
-def test_a_stream_has_a_goal_for_every_tick_exactly() -> None:
-    on = rig()
+def test_a_stream_has_a_goal_for_every_tick_exactly(on: VirtualRig) -> None:
     course = next(courses(on, LINE, None, None, ways()))
     q = plan_positions(plan_of(on, course, 0), np.arange(51) * np.float64(0.1))
     np.testing.assert_allclose(q[:, :5], course.waypoints, atol=1e-9)
@@ -153,8 +155,7 @@ def test_the_repeat_noise_is_that_of_the_readings_of_one_plan() -> None:
     assert correction.repeat_noise_mm([]) == pytest.approx(correction.NOISE_MM)
 
 
-def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew() -> None:
-    on = rig()
+def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew(on: VirtualRig) -> None:
     nominal = sag_model.nominal(on.arm, ROBOT.chain)
     (outcome,) = experiment(on, LINE, [1], Budget(rounds=2, repeats=2, seed=0), nominal, ways=ways())
     assert [one.number for one in outcome.rounds] == [0, 1, 2]
@@ -163,8 +164,7 @@ def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew() -> None:
     assert outcome.runs[0] is not outcome.best.measured
 
 
-def test_a_model_that_does_harm_is_left_aside() -> None:
-    on = rig()
+def test_a_model_that_does_harm_is_left_aside(on: VirtualRig) -> None:
     other = sag_model.nominal(on.arm, ROBOT.chain)
     other = other.model_copy(update={"gravity_rad_m": tuple(tuple(-g for g in row) for row in other.gravity_rad_m)})
     rounds = run_rounds(on, LINE, None, Budget(rounds=3, repeats=0, seed=0), other, ways())
@@ -174,8 +174,7 @@ def test_a_model_that_does_harm_is_left_aside() -> None:
     assert correction.best_of(rounds).filtered_mm < 0.5 * rounds[0].filtered_mm
 
 
-def test_a_line_too_heavy_for_the_motors_is_refused_before_anything_moves() -> None:
-    on = rig()
+def test_a_line_too_heavy_for_the_motors_is_refused_before_anything_moves(on: VirtualRig) -> None:
     weak = sag_model.nominal(on.arm, ROBOT.chain)
     weak = weak.model_copy(update={"gravity_rad_m": tuple(tuple(8.0 * g for g in row) for row in weak.gravity_rad_m)})
     with pytest.raises(RequestRefused, match="behind its goal") as refusal:
@@ -198,8 +197,7 @@ def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_mor
     assert too_heavy(on, None, plan) == ""
 
 
-def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points() -> None:
-    on = rig()
+def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points(on: VirtualRig) -> None:
     model = sag_model.nominal(on.arm, ROBOT.chain)
     course = next(courses(on, LINE, 2, model, ways()))
     off = distance_to_line(tool_position(ROBOT.chain, course.expected_rad), LINE.A, LINE.B)
@@ -208,8 +206,7 @@ def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points() -> Non
     assert np.minimum(np.maximum(steps, 0.0).sum(axis=0), np.maximum(-steps, 0.0).sum(axis=0)).max() < np.radians(12.0)
 
 
-def test_a_tool_seen_beside_where_the_encoders_have_it_is_brought_to_the_line() -> None:
-    on = rig()
+def test_a_tool_seen_beside_where_the_encoders_have_it_is_brought_to_the_line(on: VirtualRig) -> None:
     aside = replace(LINE, unseen_m=np.tile([0.0, 0.0, 0.01], (5, 1)))
     course = next(courses(on, aside, None, None, ways()))
     tool = tool_position(ROBOT.chain, course.expected_rad)
@@ -251,8 +248,7 @@ def test_the_tool_does_not_slow_down_at_via_points_and_they_cost_no_time(seed: i
     assert durations_s == pytest.approx([LINE.duration_s] * 4, rel=0.02)
 
 
-def test_a_tool_that_stops_at_a_via_point_is_seen() -> None:
-    on = rig()
+def test_a_tool_that_stops_at_a_via_point_is_seen(on: VirtualRig) -> None:
     first = correction.first_run(on, courses(on, LINE, 1, None, ways()), None, 0)
     time_s, tool_m = first.measured.true_time_s, first.measured.true_tool_m
     assert time_s is not None

@@ -22,13 +22,17 @@ def rig(spec: ArmSpec = KIND, seed: int = 1) -> VirtualRig:
     return VirtualRig(SimulatedArm(hand.arm(), seed=seed, spec=spec))
 
 
+@pytest.fixture
+def on() -> VirtualRig:
+    return rig()
+
+
 def plan(on: VirtualRig, via: int | None = 4) -> Plan:
     ways = line_paths(on.arm, on.robot, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=12)
     return plan_of(on, next(courses(on, LINE, via, None, ways)), 0)
 
 
-def test_a_perfect_arm_is_measured_where_its_plan_says_and_in_its_time() -> None:
-    on = rig()
+def test_a_perfect_arm_is_measured_where_its_plan_says_and_in_its_time(on: VirtualRig) -> None:
     wanted = plan(on)
     measured = on.run(wanted)
     assert measured.duration_s == pytest.approx(3.0, abs=1e-3)
@@ -56,8 +60,7 @@ def test_looking_at_the_truth_changes_nothing_and_a_seed_repeats_a_run() -> None
     np.testing.assert_array_equal(first.true_tool_m, second.true_tool_m)
 
 
-def test_a_plan_that_must_not_run_is_refused_with_every_reason() -> None:
-    on = rig()
+def test_a_plan_that_must_not_run_is_refused_with_every_reason(on: VirtualRig) -> None:
     with pytest.raises(RequestRefused, match="made for arm") as refusal:
         on.run(plan(on).model_copy(update={"arm_id": "other"}))
     assert refusal.value.code == "PREFLIGHT"

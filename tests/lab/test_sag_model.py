@@ -11,16 +11,7 @@ from armctl.errors import ConfigError
 from armctl.files import load_arm
 from armctl.kinematics.chain import link_frames
 from armctl.lab import sag_model
-from armctl.lab.sag_model import (
-    SERVO_KG,
-    TOOL_KG,
-    directions,
-    fitted,
-    heaviest_rad,
-    nominal,
-    predict,
-    regressors,
-)
+from armctl.lab.sag_model import SERVO_KG, TOOL_KG, directions, heaviest_rad, nominal, predict, regressors
 from tests.genetic import hand
 
 ARM, CHAIN = hand.arm(), hand.robot().chain
@@ -46,7 +37,7 @@ def test_coefficients_are_found_again_in_what_they_make(seed: int) -> None:
         }
     )
     lags = [predict(truth, rows) + 0.3 * TICK_RAD * rng.standard_normal((51, 5)) for rows in X]
-    found = fitted(ARM, CHAIN, lags, X)
+    found = sag_model.fitted(ARM, CHAIN, lags, X)
     assert max(found.residual_tick) < 0.36
     for rows in X:
         assert np.abs(predict(found, rows) - predict(truth, rows)).mean() < 0.2 * TICK_RAD

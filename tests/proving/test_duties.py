@@ -10,11 +10,10 @@ from tests.proving.judged import ARM, MIDDLE, Bench, advancing, running
 @pytest.mark.parametrize(
     ("kind", "bound_s"), [("mute", 0.2), ("dead_bus", 0.2), ("unplug", 0.1), ("trip", 0.1), ("brown_out", 0.2)]
 )
-def test_6_goals_that_advance_on_after_a_fault(kind: str, bound_s: float) -> None:
-    bench = running()
+def test_6_goals_that_advance_on_after_a_fault(moving: Bench, kind: str, bound_s: float) -> None:
     one = None if kind in ("dead_bus", "unplug") else 3
-    bench.plan(kind, 1.5, one)
-    late_s = advancing(bench)
+    moving.plan(kind, 1.5, one)
+    late_s = advancing(moving)
     assert late_s is not None
     assert bound_s + 0.3 < late_s <= bound_s + 0.51
 
@@ -37,34 +36,32 @@ def test_6_a_silence_that_ends_while_the_program_is_late_is_a_short_one(late_s: 
     ("silent", "kind", "broken"), [(1, "mute", set()), (2, "mute", {"rows"}), (None, "dead_bus", set())]
 )
 def test_what_began_while_nobody_could_hear_it_is_reported_afterwards(
-    silent: int | None, kind: str, broken: set[str]
+    moving: Bench, silent: int | None, kind: str, broken: set[str]
 ) -> None:
-    bench = running()
     one = None if silent is None else ARM.servo_ids[silent]
-    bench.plan(kind, 0.45, one)
-    bench.tick(Mode.MOVING, heard=False)
-    hot = Fault(kind="hot", servo_id=ARM.servo_ids[1], begin_s=bench.now_s, duration_s=2.0, value=68.9)
-    bench.judge.plan(hot)
-    bench.ticks(6, Mode.MOVING)
-    bench.tick(Mode.FAULTED, "HOT")
-    assert bench.broken & {"rows"} == broken
+    moving.plan(kind, 0.45, one)
+    moving.tick(Mode.MOVING, heard=False)
+    hot = Fault(kind="hot", servo_id=ARM.servo_ids[1], begin_s=moving.now_s, duration_s=2.0, value=68.9)
+    moving.judge.plan(hot)
+    moving.ticks(6, Mode.MOVING)
+    moving.tick(Mode.FAULTED, "HOT")
+    assert moving.broken & {"rows"} == broken
 
 
 @pytest.mark.parametrize(("later_s", "broken"), [(0.0, set()), (0.04, set()), (0.16, {"rows"})])
 @pytest.mark.parametrize("planned_first", [True, False])
 def test_what_was_silent_before_anybody_heard_it_is_reported_afterwards(
-    planned_first: bool, later_s: float, broken: set[str]
+    moving: Bench, planned_first: bool, later_s: float, broken: set[str]
 ) -> None:
-    bench = running()
     both = [
-        Fault(kind="trip", servo_id=1, begin_s=bench.now_s, duration_s=0.2),
-        Fault(kind="dead_bus", begin_s=bench.now_s + later_s, duration_s=0.75),
+        Fault(kind="trip", servo_id=1, begin_s=moving.now_s, duration_s=0.2),
+        Fault(kind="dead_bus", begin_s=moving.now_s + later_s, duration_s=0.75),
     ]
     for fault in both if planned_first else both[::-1]:
-        bench.judge.plan(fault)
-    bench.ticks(9, Mode.HOLDING, heard=False)
-    bench.tick(Mode.FAULTED, "TRIPPED")
-    assert bench.broken & {"rows"} == broken
+        moving.judge.plan(fault)
+    moving.ticks(9, Mode.HOLDING, heard=False)
+    moving.tick(Mode.FAULTED, "TRIPPED")
+    assert moving.broken & {"rows"} == broken
 
 
 @pytest.mark.parametrize(("late_s", "broken"), [(1.3, set()), (0.0, {"7"})])
@@ -83,24 +80,22 @@ def test_7_what_a_frozen_sensor_moves_may_come_back_after_a_late_tick(late_s: fl
 
 
 @pytest.mark.parametrize(("falls", "broken"), [(True, set()), (False, {"6"})])
-def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(falls: bool, broken: set[str]) -> None:
-    bench = running()
-    bench.ask("hold")
-    bench.at(MIDDLE + 8)
-    bench.ticks(12, Mode.HOLDING)
-    bench.servos[1].torque = False
-    bench.tick(Mode.HOLDING)
-    bench.at(MIDDLE + 4)
-    bench.at(MIDDLE - (40 if falls else 1), 1)
-    bench.tick(Mode.HOLDING)
-    assert bench.broken == broken
+def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(moving: Bench, falls: bool, broken: set[str]) -> None:
+    moving.ask("hold")
+    moving.at(MIDDLE + 8)
+    moving.ticks(12, Mode.HOLDING)
+    moving.servos[1].torque = False
+    moving.tick(Mode.HOLDING)
+    moving.at(MIDDLE + 4)
+    moving.at(MIDDLE - (40 if falls else 1), 1)
+    moving.tick(Mode.HOLDING)
+    assert moving.broken == broken
 
 
-def test_6_a_short_silence_obliges_only_while_it_lasts() -> None:
-    bench = running()
-    bench.plan("mute", 0.45, 3)
-    bench.ticks(5, Mode.MOVING)
-    assert advancing(bench) is None
+def test_6_a_short_silence_obliges_only_while_it_lasts(moving: Bench) -> None:
+    moving.plan("mute", 0.45, 3)
+    moving.ticks(5, Mode.MOVING)
+    assert advancing(moving) is None
 
 
 @pytest.mark.parametrize(("duration_s", "broken"), [(0.15, set()), (0.6, {"6"})])
@@ -116,58 +111,51 @@ def test_6_an_arm_on_its_way_to_rest_may_go_on_after_a_short_unplug_alone(durati
 
 
 @pytest.mark.parametrize("word", ["hold", "pause", "host_lost"])
-def test_6_goals_that_advance_on_after_a_stop(word: str) -> None:
-    bench = running()
-    bench.ask(word)
-    late_s = advancing(bench)
+def test_6_goals_that_advance_on_after_a_stop(moving: Bench, word: str) -> None:
+    moving.ask(word)
+    late_s = advancing(moving)
     assert late_s is not None
     assert late_s < 0.7
 
 
-def test_6_a_resumed_run_may_advance() -> None:
-    bench = running()
-    bench.ask("pause")
-    bench.judge.asked(bench.now_s + 0.2, "resume")
-    assert advancing(bench) is None
+def test_6_a_resumed_run_may_advance(moving: Bench) -> None:
+    moving.ask("pause")
+    moving.judge.asked(moving.now_s + 0.2, "resume")
+    assert advancing(moving) is None
 
 
-def test_6_a_late_tick_stops_the_motion() -> None:
-    bench = running()
-    bench.now_s += 0.5
-    bench.tick(Mode.MOVING)
-    assert advancing(bench) is not None
+def test_6_a_late_tick_stops_the_motion(moving: Bench) -> None:
+    moving.now_s += 0.5
+    moving.tick(Mode.MOVING)
+    assert advancing(moving) is not None
 
 
-def test_6_a_jog_without_heartbeats() -> None:
-    bench = Bench()
-    bench.ask("jog")
-    assert advancing(bench, mode=Mode.JOGGING) is not None
+def test_6_a_jog_without_heartbeats(holding: Bench) -> None:
+    holding.ask("jog")
+    assert advancing(holding, mode=Mode.JOGGING) is not None
 
 
-def test_6_an_arm_that_is_not_still_in_time() -> None:
-    bench = Bench()
-    bench.ask("hold")
-    bench.servos[0].goal = MIDDLE + 39
+def test_6_an_arm_that_is_not_still_in_time(holding: Bench) -> None:
+    holding.ask("hold")
+    holding.servos[0].goal = MIDDLE + 39
     for k in range(10):
-        bench.at(MIDDLE + 3.5 * k)
-        bench.tick()
-    assert bench.broken == {"6"}
+        holding.at(MIDDLE + 3.5 * k)
+        holding.tick()
+    assert holding.broken == {"6"}
 
 
-def test_6_a_program_that_adopts_writes_no_goal() -> None:
-    bench = Bench()
-    bench.judge.died(bench.now_s, bench.servos)
-    bench.tick()
-    bench.judge.back()
-    bench.goal(MIDDLE)
-    assert bench.broken == {"6"}
+def test_6_a_program_that_adopts_writes_no_goal(holding: Bench) -> None:
+    holding.judge.died(holding.now_s, holding.servos)
+    holding.tick()
+    holding.judge.back()
+    holding.goal(MIDDLE)
+    assert holding.broken == {"6"}
 
 
-def test_7_a_goal_that_advances_while_a_fault_is_latched() -> None:
-    bench = running()
-    late_s = advancing(bench, mode=Mode.FAULTED, code="OTHER_WRITER")
+def test_7_a_goal_that_advances_while_a_fault_is_latched(moving: Bench) -> None:
+    late_s = advancing(moving, mode=Mode.FAULTED, code="OTHER_WRITER")
     assert late_s is not None
-    assert "7" in bench.broken
+    assert "7" in moving.broken
     assert late_s < 0.7
 
 
@@ -183,31 +171,28 @@ def test_7_a_motion_asked_for_together_with_a_clear_needs_the_clear_to_be_grante
 
 @pytest.mark.parametrize(("asked", "broken"), [(("clear", "run"), set()), (("clear",), {"6"})])
 def test_6_a_motion_asked_for_together_with_a_clear_ends_an_older_hold(
-    asked: tuple[str, ...], broken: set[str]
+    moving: Bench, asked: tuple[str, ...], broken: set[str]
 ) -> None:
-    bench = running()
-    bench.ask("hold")
-    bench.ticks(8, Mode.HOLDING)
-    bench.ticks(8, Mode.FAULTED, "PORT_GONE")
-    bench.ask(*asked)
-    bench.goal(MIDDLE + 5)
-    bench.tick(Mode.MOVING)
-    bench.move(5)
-    assert bench.broken == broken
+    moving.ask("hold")
+    moving.ticks(8, Mode.HOLDING)
+    moving.ticks(8, Mode.FAULTED, "PORT_GONE")
+    moving.ask(*asked)
+    moving.goal(MIDDLE + 5)
+    moving.tick(Mode.MOVING)
+    moving.move(5)
+    assert moving.broken == broken
 
 
-def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else() -> None:
-    bench = Bench()
-    bench.servos[0].goal = 400  # the base rests at 512
-    bench.at(400.0)
-    bench.tick(Mode.FAULTED, "HOT")
-    assert advancing(bench, mode=Mode.FAULTED, code="HOT") is None
-    bench.move(-5, mode=Mode.FAULTED, code="HOT")
-    assert bench.broken == {"7"}
+def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else(holding: Bench) -> None:
+    holding.servos[0].goal = 400  # the base rests at 512
+    holding.at(400.0)
+    holding.tick(Mode.FAULTED, "HOT")
+    assert advancing(holding, mode=Mode.FAULTED, code="HOT") is None
+    holding.move(-5, mode=Mode.FAULTED, code="HOT")
+    assert holding.broken == {"7"}
 
 
-def test_7_a_fault_that_is_cleared_though_its_cause_lasts() -> None:
-    bench = Bench()
-    bench.tick(Mode.FAULTED, "SERVO_SILENT")
-    bench.judge.reported(bench.now_s, Mode.HOLDING, "", "mute is in force")
-    assert bench.broken == {"7"}
+def test_7_a_fault_that_is_cleared_though_its_cause_lasts(holding: Bench) -> None:
+    holding.tick(Mode.FAULTED, "SERVO_SILENT")
+    holding.judge.reported(holding.now_s, Mode.HOLDING, "", "mute is in force")
+    assert holding.broken == {"7"}

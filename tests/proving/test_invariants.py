@@ -15,33 +15,31 @@ from proving.duties import Sent
 from tests.proving.judged import ARM, MIDDLE, Bench, N, running
 
 
-def test_a_motion_a_stop_and_a_torque_on_as_they_should_be_break_nothing() -> None:
-    bench = Bench(torque=False)
-    bench.ask("torque_on")
-    before = [replace(servo) for servo in bench.servos]
-    for servo in bench.servos:
+def test_a_motion_a_stop_and_a_torque_on_as_they_should_be_break_nothing(limp: Bench) -> None:
+    limp.ask("torque_on")
+    before = [replace(servo) for servo in limp.servos]
+    for servo in limp.servos:
         servo.torque = True
     goal = MIDDLE.to_bytes(2, "little") + (16).to_bytes(2, "little")
     sent = [Sent(index, ax12a.GOAL.address, goal) for index in range(N)]
-    bench.judge.wrote(bench.now_s, sent, before, bench.servos)
-    bench.ticks(7, Mode.ENERGISING)
-    bench.tick(Mode.HOLDING)
-    bench.ask("run")
+    limp.judge.wrote(limp.now_s, sent, before, limp.servos)
+    limp.ticks(7, Mode.ENERGISING)
+    limp.tick(Mode.HOLDING)
+    limp.ask("run")
     for _ in range(10):
-        bench.move(15)
-    bench.ask("hold")
-    bench.move(12)
-    bench.move(5)
-    bench.ticks(20, Mode.HOLDING)
-    assert bench.judge.violations == []
+        limp.move(15)
+    limp.ask("hold")
+    limp.move(12)
+    limp.move(5)
+    limp.ticks(20, Mode.HOLDING)
+    assert limp.judge.violations == []
 
 
 @pytest.mark.parametrize("ticks", [-1, 1])
-def test_1_a_goal_outside_the_limits_of_its_joint(ticks: int) -> None:
-    bench = Bench()
+def test_1_a_goal_outside_the_limits_of_its_joint(holding: Bench, ticks: int) -> None:
     low, high = ARM.joints[1].limits_tick
-    bench.goal(high + 1 if ticks > 0 else low - 1, 1)
-    assert "1" in bench.broken
+    holding.goal(high + 1 if ticks > 0 else low - 1, 1)
+    assert "1" in holding.broken
 
 
 @settings(deadline=None)
@@ -52,26 +50,24 @@ def test_2_a_goal_step_is_bounded_by_speed_and_period(step: int) -> None:
     assert ("2" in bench.broken) == (abs(step) > 60.0 / 10.0 / 300.0 * 1023.0 + 1.0)
 
 
-def test_2_a_servo_that_missed_a_goal_may_get_two_steps_at_once_and_not_more() -> None:
-    bench = running()
-    bench.goal(MIDDLE + 20)
-    bench.servos[0].goal = MIDDLE  # it did not hear
-    bench.tick()
-    bench.goal(MIDDLE + 40)
-    assert bench.broken == set()
-    bench.servos[0].goal = MIDDLE
-    bench.tick()
-    bench.goal(MIDDLE + 60)
-    assert bench.broken == {"2"}
+def test_2_a_servo_that_missed_a_goal_may_get_two_steps_at_once_and_not_more(moving: Bench) -> None:
+    moving.goal(MIDDLE + 20)
+    moving.servos[0].goal = MIDDLE  # it did not hear
+    moving.tick()
+    moving.goal(MIDDLE + 40)
+    assert moving.broken == set()
+    moving.servos[0].goal = MIDDLE
+    moving.tick()
+    moving.goal(MIDDLE + 60)
+    assert moving.broken == {"2"}
 
 
-def test_2_what_counts_is_where_the_servo_said_it_was_when_it_was_read() -> None:
-    bench = running()
-    bench.plan("frozen_sensor", 0.1)
-    bench.tick(Mode.MOVING)
-    bench.at(MIDDLE + 90)  # it sees again, just after it was read
-    bench.goal(MIDDLE - 10)
-    assert bench.broken == set()
+def test_2_what_counts_is_where_the_servo_said_it_was_when_it_was_read(moving: Bench) -> None:
+    moving.plan("frozen_sensor", 0.1)
+    moving.tick(Mode.MOVING)
+    moving.at(MIDDLE + 90)  # it sees again, just after it was read
+    moving.goal(MIDDLE - 10)
+    assert moving.broken == set()
 
 
 @pytest.mark.parametrize(("steps", "broken"), [(2, set()), (3, {"2"})])
@@ -99,22 +95,20 @@ def test_2_beside_a_clear_a_goal_may_go_on_from_the_one_sent_or_the_one_held(ask
         assert bench.broken == (broken if known > MIDDLE else set())
 
 
-def test_2_a_joint_over_12_deg_from_its_goal() -> None:
-    bench = Bench()
-    bench.at(MIDDLE - 42.0)
-    bench.tick()
-    assert bench.broken == {"2"}
+def test_2_a_joint_over_12_deg_from_its_goal(holding: Bench) -> None:
+    holding.at(MIDDLE - 42.0)
+    holding.tick()
+    assert holding.broken == {"2"}
 
 
-def test_2_a_joint_that_something_holds_is_excused_and_its_neighbour_is_not() -> None:
-    bench = Bench()
-    bench.plan("blocked_joint", 1.0)
-    bench.at(MIDDLE - 42.0)
-    bench.tick()
-    assert bench.broken == set()
-    bench.at(MIDDLE - 42.0, 1)
-    bench.tick()
-    assert bench.broken == {"2"}
+def test_2_a_joint_that_something_holds_is_excused_and_its_neighbour_is_not(holding: Bench) -> None:
+    holding.plan("blocked_joint", 1.0)
+    holding.at(MIDDLE - 42.0)
+    holding.tick()
+    assert holding.broken == set()
+    holding.at(MIDDLE - 42.0, 1)
+    holding.tick()
+    assert holding.broken == {"2"}
 
 
 @pytest.mark.parametrize(("goal", "broken"), [(MIDDLE - 200, set()), (MIDDLE - 199, {"2"})])
@@ -131,19 +125,17 @@ def test_2_a_goal_where_a_joint_that_something_moves_said_it_was_is_no_motion(go
 
 
 @pytest.mark.parametrize("speed", [0, 92])
-def test_2_and_3_a_speed_of_none_or_too_much(speed: int) -> None:
-    bench = Bench()
-    bench.write(0, ax12a.MOVING_SPEED, speed)
-    assert bench.broken == {"3" if speed == 0 else "2"}
+def test_2_and_3_a_speed_of_none_or_too_much(holding: Bench, speed: int) -> None:
+    holding.write(0, ax12a.MOVING_SPEED, speed)
+    assert holding.broken == {"3" if speed == 0 else "2"}
 
 
-def test_a_goal_at_the_servos_own_position_is_no_motion() -> None:
-    bench = Bench()
-    bench.ask("hold")
-    bench.at(MIDDLE - 25.0)
-    bench.ticks(8)
-    bench.goal(MIDDLE - 24)
-    assert bench.broken == set()
+def test_a_goal_at_the_servos_own_position_is_no_motion(holding: Bench) -> None:
+    holding.ask("hold")
+    holding.at(MIDDLE - 25.0)
+    holding.ticks(8)
+    holding.goal(MIDDLE - 24)
+    assert holding.broken == set()
 
 
 @pytest.mark.parametrize(
@@ -154,18 +146,16 @@ def test_a_goal_at_the_servos_own_position_is_no_motion() -> None:
         ({"speed": 16, "limit": 300}, {"3"}),
     ],
 )
-def test_3_torque_comes_on_softly_and_slowly(held: dict[str, int], broken: set[str]) -> None:
-    bench = Bench(torque=False)
-    bench.ask("torque_on")
-    bench.goal(MIDDLE, torque=True, **held)
-    assert bench.broken == broken
+def test_3_torque_comes_on_softly_and_slowly(limp: Bench, held: dict[str, int], broken: set[str]) -> None:
+    limp.ask("torque_on")
+    limp.goal(MIDDLE, torque=True, **held)
+    assert limp.broken == broken
 
 
-def test_3_torque_comes_on_with_a_goal_elsewhere() -> None:
-    bench = Bench(torque=False)
-    bench.ask("torque_on")
-    bench.goal(MIDDLE + 4, torque=True)
-    assert bench.broken == {"3"}
+def test_3_torque_comes_on_with_a_goal_elsewhere(limp: Bench) -> None:
+    limp.ask("torque_on")
+    limp.goal(MIDDLE + 4, torque=True)
+    assert limp.broken == {"3"}
 
 
 @pytest.mark.parametrize(
@@ -185,37 +175,33 @@ def test_3_another_programs_goal_at_torque_on_is_not_this_ones(servo: int | None
 
 @pytest.mark.parametrize(("goal", "broken"), [(MIDDLE + 9, {"3"}), (MIDDLE - 9, set())])
 def test_3_a_joint_that_turns_to_its_goal_at_torque_on_jumps_and_one_that_turns_from_it_sags(
-    goal: int, broken: set[str]
+    limp: Bench, goal: int, broken: set[str]
 ) -> None:
-    bench = Bench(torque=False)
-    bench.ask("torque_on")
-    bench.goal(MIDDLE, torque=True)
-    bench.servos[0].goal = goal
-    bench.at(MIDDLE + 8.0)
-    bench.tick()
-    assert bench.broken == broken
+    limp.ask("torque_on")
+    limp.goal(MIDDLE, torque=True)
+    limp.servos[0].goal = goal
+    limp.at(MIDDLE + 8.0)
+    limp.tick()
+    assert limp.broken == broken
 
 
-def test_4_torque_comes_on_and_nobody_asked() -> None:
-    bench = Bench(torque=False)
-    bench.goal(MIDDLE, torque=True)
-    assert bench.broken == {"4"}
+def test_4_torque_comes_on_and_nobody_asked(limp: Bench) -> None:
+    limp.goal(MIDDLE, torque=True)
+    assert limp.broken == {"4"}
 
 
-def test_4_a_fault_voids_what_was_asked_before_it() -> None:
-    bench = Bench(torque=False)
-    bench.ask("torque_on")
-    bench.tick(Mode.FAULTED, "SERVO_SILENT")
-    bench.goal(MIDDLE, torque=True)
-    assert bench.broken == {"4"}
+def test_4_a_fault_voids_what_was_asked_before_it(limp: Bench) -> None:
+    limp.ask("torque_on")
+    limp.tick(Mode.FAULTED, "SERVO_SILENT")
+    limp.goal(MIDDLE, torque=True)
+    assert limp.broken == {"4"}
 
 
 @pytest.mark.parametrize(("asked", "broken"), [("release", set()), ("teach", set()), ("park", {"5"}), ("hold", {"5"})])
-def test_5_torque_goes_off_on_request_alone(asked: str, broken: set[str]) -> None:
-    bench = Bench()
-    bench.ask(asked)
-    bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
-    assert bench.broken == broken
+def test_5_torque_goes_off_on_request_alone(holding: Bench, asked: str, broken: set[str]) -> None:
+    holding.ask(asked)
+    holding.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
+    assert holding.broken == broken
 
 
 @pytest.mark.parametrize(("unheard", "broken"), [(12, set()), (0, {"5"})])
@@ -232,23 +218,21 @@ def test_5_a_torque_on_that_waits_for_its_servos_may_be_undone_later(unheard: in
 
 
 @pytest.mark.parametrize(("away", "broken"), [(0, set()), (11, set()), (14, {"5"})])
-def test_5_torque_goes_off_at_the_rest_pose_that_was_asked_for(away: int, broken: set[str]) -> None:
-    bench = Bench()
+def test_5_torque_goes_off_at_the_rest_pose_that_was_asked_for(holding: Bench, away: int, broken: set[str]) -> None:
     for index, joint in enumerate(ARM.joints):
-        bench.at(joint.tick(joint.rest_rad), index)
-        bench.servos[index].goal = bench.servos[index].sensed_tick
-    bench.servos[0].sensed_tick += away
-    bench.ask("park")
-    bench.judge.reported(bench.now_s, Mode.PARKING, "")
-    bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
-    assert bench.broken == broken
+        holding.at(joint.tick(joint.rest_rad), index)
+        holding.servos[index].goal = holding.servos[index].sensed_tick
+    holding.servos[0].sensed_tick += away
+    holding.ask("park")
+    holding.judge.reported(holding.now_s, Mode.PARKING, "")
+    holding.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
+    assert holding.broken == broken
 
 
-def test_5_the_way_to_rest_is_slow() -> None:
-    bench = Bench()
-    bench.ask("park")
+def test_5_the_way_to_rest_is_slow(holding: Bench) -> None:
+    holding.ask("park")
     for _ in range(6):
-        bench.move(7, mode=Mode.PARKING)
-    assert bench.broken == set()
-    bench.move(9, mode=Mode.PARKING)
-    assert bench.broken == {"5"}
+        holding.move(7, mode=Mode.PARKING)
+    assert holding.broken == set()
+    holding.move(9, mode=Mode.PARKING)
+    assert holding.broken == {"5"}
