@@ -47,18 +47,27 @@ TAKES = 5
 
 
 @dataclass(frozen=True)
-class Asked:
+class Budget:
+    """How many runs an experiment may make."""
+
+    # Corrections at most; 0: the plain plan alone.
+    rounds: int
+    # Runs of the plan that was kept last.
+    repeats: int
+    seed: int
+    # Mean error that `auto` asks for.
+    tolerance_mm: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked(Budget):
     """What one call of `armctl experiment line` asks for."""
 
     from_m: tuple[float, float, float]
     to_m: tuple[float, float, float]
     via: tuple[Via, ...]
-    repeats: int
     duration_s: float
-    rounds: int
-    tolerance_mm: float
     objective: Objective
-    seed: int
     recordings: tuple[str, ...]
     profile: Profile
     # An external measurement of the tool, and the recording of the run it was made during.
@@ -110,8 +119,7 @@ def _report(
         ga, path = genetic(takes, rig, line, asked.via, asked.seed, asked.profile)
         if asked.recordings:
             ways = _held_as_taught(rig, line, path, ways)
-    budget = Budget(asked.rounds, asked.repeats, asked.seed, asked.tolerance_mm)
-    outcomes = experiment(rig, line, asked.via, budget, model, stage, ways)
+    outcomes = experiment(rig, line, asked.via, asked, model, stage, ways)
     if asked.report is not None:
         page.write(
             ExperimentReport(
@@ -132,19 +140,6 @@ def _report(
         "to_m": list(asked.to_m),
         "seed": asked.seed,
     }
-
-
-@dataclass(frozen=True)
-class Budget:
-    """How many runs an experiment may make."""
-
-    # Corrections at most; 0: the plain plan alone.
-    rounds: int
-    # Runs of the plan that was kept last.
-    repeats: int
-    seed: int
-    # Mean error that `auto` asks for.
-    tolerance_mm: float = 1.0
 
 
 def experiment(
