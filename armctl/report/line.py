@@ -283,7 +283,7 @@ def _joint_figures(page: Page, report: LineReport) -> None:
             measured, goals = np.degrees(run.positions_rad), np.degrees(run.goals_rad)
             for joint, (name, colour) in enumerate(zip(report.joint_names, cycle((*COLOURS, "#5a6878")), strict=False)):
                 for values, label, dash in ((measured, name, "solid"), (goals, f"{name} commanded", "dot")):
-                    group = {"legendgroup": name, "showlegend": values is measured}
+                    group: dict[str, Any] = {"legendgroup": name, "showlegend": values is measured}
                     curve(chart, run.time_s, values[:, joint], label, colour, dash=dash, **group)
 
 

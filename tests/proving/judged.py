@@ -48,10 +48,12 @@ class Bench:
         for kind in kinds:
             self.judge.asked(self.now_s, kind)
 
-    def plan(self, kind: str, duration_s: float, servo_id: int | None = 1, **more: float) -> None:
-        """A fault that begins now."""
-        begin_s = self.now_s + more.pop("in_s", 0.0)
-        self.judge.plan(Fault(kind=kind, servo_id=servo_id, begin_s=begin_s, duration_s=duration_s, **more))
+    def plan(
+        self, kind: str, duration_s: float, servo_id: int | None = 1, *, value: float | None = None, in_s: float = 0.0
+    ) -> None:
+        """A fault that begins now, or so much later."""
+        begin_s = self.now_s + in_s
+        self.judge.plan(Fault(kind=kind, servo_id=servo_id, begin_s=begin_s, duration_s=duration_s, value=value))
 
     def write(self, index: int, register: ax12a.Register, value: int, **after: float | bool) -> None:
         """One write, and what the servo holds then."""
