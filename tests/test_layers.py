@@ -1,7 +1,5 @@
 """Imports go down only: the layers of ARCHITECTURE.md, held by reading every import statement."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import re
@@ -61,8 +59,9 @@ IMPURE = {
     "os",
     "pathlib",
 }
+# The simulator itself meets the bus at the bytes; only the builder of a whole arm knows both.
 SIM = sorted(path.stem for path in (PACKAGE / "sim").glob("[a-z]*.py") if path.stem != "virtual_arm")
-"""The simulator itself meets the bus at the bytes; only the builder of a whole arm knows both."""
+# (who, what it must not know, not even through others), beyond what the layers say.
 FORBIDDEN = (
     *((f"armctl.sim.{name}", "armctl.dynamixel.bus") for name in SIM),
     *((f"armctl.sim.{name}", "armctl.control") for name in SIM),
@@ -73,7 +72,6 @@ FORBIDDEN = (
     ("armctl.client", "armctl.recording"),
     ("armctl.host", "armctl.sim"),
 )
-"""(who, what it must not know, not even through others), beyond what the layers say."""
 
 
 def modules() -> dict[str, Path]:

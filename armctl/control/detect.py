@@ -7,19 +7,19 @@ from armctl.control.machine import LATCHED, POWERED, Phase
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 
+# A servo unheard for this long is not just a lost reply.
 PAUSE_AGE_S = 0.2
-"""A servo unheard for this long is not just a lost reply."""
+# A servo unheard for this long latches a fault.
 SILENT_AGE_S = 0.5
-"""A servo unheard for this long latches a fault."""
 BLOCKED_RAD = math.radians(8.0)
 BLOCKED_NS = 300_000_000
 LOAD_RATIO = 0.8
+# Load above 80 % for this long: a servo's own trip is near.
 LOAD_NS = 2_000_000_000
-"""Load above 80 % for this long: a servo's own trip is near."""
 NOISE_S = 10.0
 NOISE_SHARE = 0.1
+# After so many ticks a servo that was switched off must show it.
 TORQUE_OFF_TICKS = 2
-"""After so many ticks a servo that was switched off must show it."""
 
 
 def detect_faults(s: Tick) -> None:

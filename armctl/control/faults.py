@@ -15,36 +15,36 @@ from armctl.messages import Fault, JointState
 class Cause(StrEnum):
     """What may keep a fault from being cleared, in the order in which it is looked at (see requests.py)."""
 
+    # The port is closed, or its servos are not identified.
     PORT = "port"
-    """The port is closed, or its servos are not identified."""
+    # Connecting found something that forbids motion.
     PROBLEM = "problem"
-    """Connecting found something that forbids motion."""
+    # A servo has not been heard just now.
     SILENCE = "silence"
-    """A servo has not been heard just now."""
     HEAT = "heat"
     SUPPLY = "supply"
+    # Some servos have full torque, others have not: neither limp nor holding.
     TORQUE = "torque"
-    """Some servos have full torque, others have not: neither limp nor holding."""
+    # Nothing: to be cleared as soon as the arm is still.
     NONE = "none"
-    """Nothing: to be cleared as soon as the arm is still."""
 
 
 class FaultKind(NamedTuple):
     """One row of the table."""
 
     code: str
+    # Whether one servo is named.
     of: Literal["servo", "bus"]
-    """Whether one servo is named."""
+    # What becomes of a motion under way: no goal follows, or it comes to rest on its path.
     motion: Literal["ends", "slows"]
-    """What becomes of a motion under way: no goal follows, or it comes to rest on its path."""
+    # Whether it would soon end in a dropped arm: the arm goes to rest while it can, and goes limp there.
     to_rest: bool
-    """Whether it would soon end in a dropped arm: the arm goes to rest while it can, and goes limp there."""
+    # What has to be over before `clear` is allowed; so have, for every fault, the causes of all others.
     until: Cause
-    """What has to be over before `clear` is allowed; so have, for every fault, the causes of all others."""
+    # In words that follow `what happened:`.
     what: str
-    """In words that follow `what happened:`."""
+    # The next command to type.
     remedy: str
-    """The next command to type."""
 
 
 # Where a motion ends at once, going on would be wrong or in vain: the port is gone, or a servo does not follow.

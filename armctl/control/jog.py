@@ -31,8 +31,8 @@ STOP_S = 0.1
 END_NS = 500_000_000
 SPEED_RAD_S = math.radians(20.0)
 ACCELERATION_RAD_S2 = math.radians(200.0)
+# Damping of the least squares that turn a tool velocity into joint velocities: (1 cm/rad)^2 keeps them finite.
 DAMPING_M2 = 1e-4
-"""Of the least squares that turn a tool velocity into joint velocities: (1 cm/rad)^2 keeps them finite."""
 
 
 def begin(s: Tick, command: Jog) -> None:

@@ -44,8 +44,8 @@ class ControlLoop:
         self._tick = 0
         self._deadline_ns = 0
         self._next_open_ns = 0
+        # Whether the latest sample told of a lost port, if one is lost.
         self._loss_told = True
-        """Whether the latest sample told of a lost port, if one is lost."""
         self._dropped = 0
         self._keyframe_due = True
 

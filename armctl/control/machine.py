@@ -31,18 +31,18 @@ from armctl.messages import Fault, JointTrajectory, Mode, Problem
 class Phase(StrEnum):
     """Where the machine is."""
 
+    # Just connected: what torque the servos have is still to be taken over.
     FOUND = "found"
-    """Just connected: what torque the servos have is still to be taken over."""
     OFF = "off"
 
+    # Settings, a soft torque limit and the present position as goal are written; to be read back.
     PREPARING = "preparing"
-    """Settings, a soft torque limit and the present position as goal are written; to be read back."""
+    # Torque is enabled; every servo has to show it.
     ENABLING = "enabling"
-    """Torque is enabled; every servo has to show it."""
+    # The torque limit rises from soft to full.
     RAMPING = "ramping"
-    """The torque limit rises from soft to full."""
+    # Every servo has to show its full torque limit.
     CONFIRMING = "confirming"
-    """Every servo has to show its full torque limit."""
 
     HOLDING = "holding"
     MOVING = "moving"
@@ -50,18 +50,18 @@ class Phase(StrEnum):
 
     PARK_STARTING = "park_starting"
     PARK_GOING = "park_going"
+    # The rest pose has to be seen before torque goes.
     PARK_CHECKING = "park_checking"
-    """The rest pose has to be seen before torque goes."""
+    # It was broken off; the arm slows down.
     PARK_ENDING = "park_ending"
-    """It was broken off; the arm slows down."""
 
+    # Torque is switched off for teaching; every servo has to show it.
     LETTING_GO = "letting_go"
-    """Torque is switched off for teaching; every servo has to show it."""
     TEACHING = "teaching"
 
     FAULTED = "faulted"
+    # Whatever moves comes to rest, before the arm sets off for its rest pose.
     FAULT_STOPPING = "fault_stopping"
-    """Whatever moves comes to rest, before the arm sets off for its rest pose."""
     FAULT_GOING = "fault_going"
     FAULT_CHECKING = "fault_checking"
 
@@ -95,14 +95,14 @@ class Trigger(StrEnum):
     GIVE_UP = "give_up"
 
     FAULT = "fault"
+    # A fault that would soon end in a dropped arm.
     STRAIN = "strain"
-    """A fault that would soon end in a dropped arm."""
 
 
 P, T = Phase, Trigger
 _FAULT = {T.FAULT: P.FAULTED}
+# Only an arm under torque can be on its way to being dropped.
 _STRAIN = _FAULT | {T.STRAIN: P.FAULT_STOPPING}
-"""Only an arm under torque can be on its way to being dropped."""
 _COMING_ON = _FAULT | {T.ENERGISE_FAILED: P.OFF, T.RELEASE: P.OFF}
 _PARKING = _STRAIN | {T.GIVE_UP: P.PARK_ENDING}
 _LATCHED = {T.RELEASE: P.FAULTED}
@@ -149,15 +149,15 @@ _SHOWN: dict[Mode, tuple[Phase, ...]] = {
     Mode.TEACHING: (P.LETTING_GO, P.TEACHING),
     Mode.FAULTED: (P.FAULTED, P.FAULT_STOPPING, P.FAULT_GOING, P.FAULT_CHECKING),
 }
+# What the outside sees of each phase.
 MODE: Mapping[Phase, Mode] = {phase: mode for mode, phases in _SHOWN.items() for phase in phases}
-"""What the outside sees of each phase."""
 
 ENERGISING = frozenset(_SHOWN[Mode.ENERGISING])
+# Every servo has torque and is watched for losing it.
 POWERED = frozenset(phase for mode in (Mode.HOLDING, Mode.MOVING, Mode.JOGGING, Mode.PARKING) for phase in _SHOWN[mode])
-"""Every servo has torque and is watched for losing it."""
 LATCHED = frozenset(_SHOWN[Mode.FAULTED])
+# On the way to rest.
 TO_REST = frozenset(phase for phase, row in TRANSITIONS.items() if T.GIVE_UP in row)
-"""On the way to rest."""
 
 _ADVICE: dict[Mode, str] = {
     Mode.OFF: "the arm is limp; `armctl torque on` first",
@@ -194,19 +194,19 @@ class Motion:
     """A trajectory under way."""
 
     trajectory: JointTrajectory
+    # Who hears of its end; None: nobody asked, a fault did.
     request_id: int | None
-    """Who hears of its end; None: nobody asked, a fault did."""
+    # Where along the trajectory the arm is commanded to be now.
     progress_s: float = 0.0
-    """Where along the trajectory the arm is commanded to be now."""
+    # Trajectory seconds per second; a stop or a pause lowers it to 0 along the path.
     rate: float = 1.0
-    """Trajectory seconds per second; a stop or a pause lowers it to 0 along the path."""
+    # Where `rate` goes while nothing holds it up.
     wanted_rate: float = 1.0
-    """Where `rate` goes while nothing holds it up."""
     paused: bool = False
+    # Why it is being stopped; empty while it runs.
     stop_code: str = ""
-    """Why it is being stopped; empty while it runs."""
+    # How often in a row a closing gripper has felt its load.
     resisted_ticks: int = 0
-    """How often in a row a closing gripper has felt its load."""
     begun: bool = False
     ended: bool = False
 
@@ -215,19 +215,19 @@ class Motion:
 class Jogging:
     """A jog under way."""
 
+    # Where the joints are commanded to be now; goals are its nearest ticks.
     position_rad: tuple[float, ...]
-    """Where the joints are commanded to be now; goals are its nearest ticks."""
+    # How fast they are commanded to move now.
     velocity_rad_s: tuple[float, ...]
-    """How fast they are commanded to move now."""
+    # What the last heartbeat asked for: one of the two, the other is empty.
     joints_rad_s: tuple[float, ...]
     tool_m_s: tuple[float, ...]
-    """What the last heartbeat asked for."""
+    # When the last heartbeat came.
     heard_ns: int
-    """When the last heartbeat came."""
+    # Falls from 1 to 0 once heartbeats cease or the jog is stopped.
     rate: float = 1.0
-    """Falls from 1 to 0 once heartbeats cease or the jog is stopped."""
+    # Why it is being stopped; empty while it goes on.
     stop_code: str = ""
-    """Why it is being stopped; empty while it goes on."""
 
 
 @dataclass
@@ -235,38 +235,38 @@ class State:
     """Everything the control step remembers from one tick to the next; plain values only."""
 
     phase: Phase = Phase.FOUND
+    # Spent in the present phase: for time-outs, and for how far the torque limit has risen.
     ticks: int = 0
-    """Spent in the present phase: for time-outs, and for how far the torque limit has risen."""
+    # Whether the servos of the open port have been identified.
     connected: bool = False
-    """Whether the servos of the open port have been identified."""
     problems: tuple[Problem, ...] = ()
     fault: Fault | None = None
+    # Whose reply is due when the present sequence ends.
     request_id: int | None = None
-    """Whose reply is due when the present sequence ends."""
+    # Who waits to hear that the arm is still.
     hold_request_ids: tuple[int, ...] = ()
-    """Who waits to hear that the arm is still."""
+    # Last goal sent, or taken over [tick]; empty: none yet. It is there whenever the arm is under torque.
     goal: tuple[int, ...] = ()
-    """Last goal sent, or taken over [tick]; empty: none yet. It is there whenever the arm is under torque."""
+    # The goal before it: what a servo shows that missed the last one.
     previous_goal: tuple[int, ...] = ()
-    """The goal before it: what a servo shows that missed the last one."""
+    # Where the servos' own speed ramps stood when the last goal was sent [tick]; empty: at it.
     ramp: tuple[float, ...] = ()
-    """Where the servos' own speed ramps stood when the last goal was sent [tick]; empty: at it."""
+    # When the last goal was sent.
     goal_ns: int = 0
-    """When that was."""
+    # Of each servo the registers that only torque-on writes (see ax12a.py), from when torque was taken over.
     settings: tuple[int, ...] = ()
-    """Of each servo the registers that only torque-on writes (see ax12a.py), from when torque was taken over."""
+    # Positions [tick] when energising began.
     anchor: tuple[int, ...] = ()
-    """Positions [tick] when energising began."""
     motion: Motion | None = None
     jog: Jogging | None = None
+    # Since when each joint has been farther from its goal than allowed; 0: it is not; empty: not looked at yet.
     error_since_ns: tuple[int, ...] = ()
-    """Since when each joint has been farther from its goal than allowed; 0: it is not; empty: not looked at yet."""
+    # Since when each servo's load has been above what it can bear; 0: it is not; empty: not looked at yet.
     load_since_ns: tuple[int, ...] = ()
-    """Since when each servo's load has been above what it can bear; 0: it is not; empty: not looked at yet."""
+    # Readings lost to noise in each of the latest ticks.
     noise: tuple[int, ...] = ()
-    """Readings lost to noise in each of the latest ticks."""
+    # Positions of the previous sample [tick].
     last_ticks: tuple[int, ...] = ()
-    """Positions of the previous sample [tick]."""
 
     @property
     def mode(self) -> Mode:

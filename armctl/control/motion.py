@@ -6,10 +6,10 @@ from armctl.control.machine import Motion
 from armctl.control.tick import Tick
 from armctl.messages import Event, Grip, JointTrajectory
 
+# Time in which a stop brings the trajectory's rate from 1 to 0: gentle to the gears, and yet hardly any way on.
 STOP_S = 0.2
-"""Time in which a stop brings the trajectory's rate from 1 to 0: gentle to the gears, and yet hardly any way on."""
+# A load felt once may be the servo setting off.
 GRIP_TICKS = 2
-"""A load felt once may be the servo setting off."""
 
 
 def duration_s(trajectory: JointTrajectory) -> float:

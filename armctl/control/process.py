@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from armctl.control.loop import ControlLoop
 
 SETTINGS_TIMEOUT_S = 10.0
+# How long a busy port is waited for: a control process whose host died comes to rest and leaves well within.
 BUSY_NS = 2 * NS_PER_S
-"""How long a busy port is waited for: a control process whose host died comes to rest and leaves well within."""
 BUSY_POLL_NS = NS_PER_S // 10
 
 
@@ -93,8 +93,8 @@ class Inbox:
     """
 
     def __init__(self, link: Link, loop: ControlLoop, clock: Clock) -> None:
+        # Whether the host is gone, or wants this process to be.
         self.leaving = False
-        """Whether the host is gone, or wants this process to be."""
         self._link, self._loop, self._clock = link, loop, clock
         self._commands: list[Command] = []
 

@@ -20,12 +20,12 @@ from armctl.errors import IllegalTransition, RequestRefused
 from armctl.messages import Command, Event, JointTrajectory, Mode
 
 START_TOLERANCE_RAD = math.radians(2.0)
+# How far outside its limits a joint may be found and still be energised, at the limit.
 EDGE_TICKS = 2
-"""How far outside its limits a joint may be found and still be energised, at the limit."""
 MAX_POINTS = 4000
 MINIMUM_RATE = 0.1
+# A servo that grips harder for good gets hotter than it may.
 MAX_GRIP_RATIO = 0.5
-"""A servo that grips harder for good gets hotter than it may."""
 
 
 def carry_out(s: Tick, command: Command) -> None:

@@ -13,22 +13,22 @@ from armctl.dynamixel import ax12a
 from armctl.messages import Event
 from armctl.trajectory.approach import approach_trajectory, lowest_link_m
 
+# Largest change between two samples of an arm that counts as still (noise is one tick).
 STILL_TICKS = 3
-"""Largest change between two samples of an arm that counts as still (noise is one tick)."""
+# Torque limit while torque comes on (12.5 %).
 SOFT_TORQUE = 128
-"""Torque limit while torque comes on (12.5 %)."""
+# No servo takes torque with a goal farther from its shaft (0.6 deg).
 ENERGISE_AWAY_TICKS = 2
-"""0.6 deg: no servo takes torque with a goal farther from its shaft."""
+# The torque limit rises in so many ticks.
 RAMP_TICKS = 5
-"""In which the torque limit rises."""
+# A servo that does not show its full torque limit by then refuses it.
 CONFIRM_TICKS = 8
-"""A servo that does not show its full torque limit by then refuses it."""
 JUMP_RAD = math.radians(6.0)
+# How long teaching waits for every servo to show that it is limp.
 LIMP_TICKS = 5
-"""How long teaching waits for every servo to show that it is limp."""
 REST_TOLERANCE_RAD = math.radians(3.0)
+# How long an arm that has arrived may take to settle at its rest pose.
 VERIFY_TICKS = 20
-"""How long an arm that has arrived may take to settle at its rest pose."""
 
 
 # ----------------------------------------------------------------------------------------------- adoption

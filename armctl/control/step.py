@@ -29,8 +29,8 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import quaternion_from_columns
 from armctl.messages import Event, Inputs, JointState, Outputs, ToolPose
 
+# A tick that comes later than this stops the motion: the servos have stood at their last goal meanwhile.
 LATE_NS = 250_000_000
-"""A tick that comes later than this stops the motion: the servos have stood at their last goal meanwhile."""
 
 
 def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: float) -> tuple[State, Outputs]:

@@ -13,17 +13,15 @@ from armctl.dynamixel.ax12a import Register, Status
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import NS_PER_S, Event, Fault, Goal, Inputs, JointState, Reply, Write
 
+# No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick.
+# An arm goes on by at most this much when its program dies; noise and overshoot make it 10 deg.
 LEAD_TICKS = math.radians(9.0) / ax12a.TICK_RAD
-"""No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick.
-
-So far an arm goes on at most when its program dies, noise and overshoot making it 10 deg.
-"""
+# What rounding may add to the goal sent last and to a part of the way to the next one.
 ROUNDING_TICKS = 1.0
-"""What rounding may add, of the goal sent last and of a part of the way to the next one."""
+# Share of a period: a tick that comes no sooner after the last one is in time.
 IN_TIME = 0.9
-"""Of a period: a tick that comes no sooner is one in time."""
+# Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal.
 MINIMUM_SPEED_UNITS = 16
-"""Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal."""
 
 
 class WireJoint(NamedTuple):
@@ -36,8 +34,8 @@ class WireJoint(NamedTuple):
     high_tick: int
     speed_limit_rad_s: float
     speed_limit_units: int
+    # Torque limit with which the servo holds.
     full_torque: int
-    """Torque limit with which it holds."""
 
 
 def _wire_joint(joint: JointConfig) -> WireJoint:
@@ -49,8 +47,8 @@ def _wire_joint(joint: JointConfig) -> WireJoint:
     )
 
 
+# The joints of the arm that was asked for last: a process has one. It only saves time; the step is as pure without it.
 _latest: tuple[ArmConfig, tuple[WireJoint, ...]] | None = None
-"""Of the arm that was asked for last: a process has one. It only saves time; the step is as pure without it."""
 
 
 def wire_joints(arm: ArmConfig) -> tuple[WireJoint, ...]:
@@ -75,14 +73,14 @@ class Tick:
     robot: Robot
     period_s: float
     joints: tuple[JointState, ...]
+    # What each servo says; None: it was never heard.
     servos: tuple[Status | None, ...]
-    """None: never heard."""
+    # Whether every servo was heard in this very sample.
     fresh: bool
-    """Whether every servo was heard in this very sample."""
     writes: list[Write] = field(default_factory=list)
     goal: Goal | None = None
+    # Where the servos' own speed ramps are when that goal is sent.
     ramp: tuple[float, ...] = ()
-    """Where the servos' own speed ramps are when that goal is sent."""
     replies: list[Reply] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 

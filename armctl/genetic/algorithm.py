@@ -36,25 +36,25 @@ class Settings:
     population: int
     generations: int
     crossover: Literal["one cut", "optimal"]
+    # Share of the chromosomes that take part in crossover (Pc).
     crossover_probability: float
-    """Share of the chromosomes that take part in crossover (Pc)."""
+    # Share of all genes of the population that change (Pm).
     mutation_probability: float
-    """Share of all genes of the population that change (Pm)."""
     selection: Literal["roulette", "truncation"]
+    # Charges for broken limits as shares of the true ones, one for each equal part of the generations, the last 1.
+    # While charges are low, evolution passes through paths that break a limit to better ones behind them.
     charge_shares: tuple[float, ...] = (1.0,)
-    """Charges for broken limits as shares of the true ones, one for each equal part of the generations, the last 1.
-    While charges are low, evolution passes through paths that break a limit to better ones behind them."""
+    # Children of a generation that are a survivor with one window re-chosen, half of them the best survivor.
     searches: int = 0
-    """Children of a generation that are a survivor with one window re-chosen, half of them the best survivor."""
+    # Length of that window; never more than a quarter of a chromosome.
     window_genes: int = 10
-    """Length of that window; never more than a quarter of a chromosome."""
+    # Generations without a better cost after which the run goes on to the next share of the charges, and from the
+    # last to the first again with the recordings anew; 0: never before its time.
     stall_generations: int = 0
-    """Generations without a better cost after which the run goes on to the next share of the charges, and from the
-    last to the first again with the recordings anew; 0: never before its time."""
+    # Fitness, relative to the best, from which on an individual is elite (roulette only).
     elite_threshold: float = 1.0
-    """Fitness, relative to the best, from which on an individual is elite (roulette only)."""
+    # Most of the population that may be elite (roulette only).
     elite_fraction: float = 0.1
-    """Most of the population that may be elite (roulette only)."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -67,6 +67,7 @@ class Settings:
             )
 
 
+# The paper's operators. It prints no numbers; these are common ones.
 PAPER = Settings(
     population=100,
     generations=300,
@@ -76,8 +77,8 @@ PAPER = Settings(
     selection="roulette",
     elite_threshold=0.95,
 )
-"""The paper's operators. It prints no numbers; these are common ones."""
 
+# What comes near the exact optimum.
 DEFAULT = Settings(
     population=100,
     generations=200,
@@ -90,12 +91,11 @@ DEFAULT = Settings(
     window_genes=10,
     stall_generations=8,
 )
-"""What comes near the exact optimum."""
 
 PROFILES = {"default": DEFAULT, "paper": PAPER}
 
+# Share of optimal crossovers whose donor comes from the first population.
 _FIRST_DONORS = 0.3
-"""Share of optimal crossovers whose donor comes from the first population."""
 
 
 class GeneticAlgorithm:

@@ -26,23 +26,23 @@ from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.line_path import REACHED_M, near_point, point_text
 from armctl.trajectory.straightness import progress_along_line
 
+# How near A and B a recording must come; a quarter of the line's length where that is less.
 REACH_M = 0.04
-"""How near A and B a recording must come; a quarter of the line's length where that is less."""
 SHORTEST_LINE_M = 0.01
+# Tables of the search grow with the third power: 40 recordings take 50 MB.
 MAX_RECORDINGS = 40
-"""Tables of the search grow with the third power: 40 recordings take 50 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """R aligned recordings at m stations."""
 
+    # Progress of the stations, 0 to 1, shape (m,).
     progress: FloatArray
-    """Progress of the stations, 0 to 1, shape (m,)."""
+    # Joint positions, shape (R, m, joints).
     positions_rad: FloatArray
-    """Joint positions, shape (R, m, joints)."""
+    # Tool points, shape (R, m, 3).
     tool_m: FloatArray
-    """Tool points, shape (R, m, 3)."""
 
 
 def align(

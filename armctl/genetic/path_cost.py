@@ -25,19 +25,19 @@ from armctl.trajectory.placement import POWER, Objective
 class PathCost:
     """Tables over m stations and R recordings."""
 
+    # Distance of each gene's tool point to AB, shape (m, R).
     distance_m: FloatArray
-    """Distance of each gene's tool point to AB, shape (m, R)."""
+    # 1 + relative excess per broken limit of each triple of neighbouring genes, 0 where all hold;
+    # shape (m - 2, R, R, R).
     breaks: FloatArray
-    """1 + relative excess per broken limit of each triple of neighbouring genes, 0 where all hold;
-    shape (m - 2, R, R, R)."""
+    # What each triple adds to the mean distance, every station counted once, shape (m - 2, R, R, R).
     straight_m: FloatArray
-    """What each triple adds to the mean distance, every station counted once, shape (m - 2, R, R, R)."""
+    # W in the text above.
     charge_m: float
-    """W above."""
+    # p of the p-norm. Tables can hold a sum over stations; the maximum is none, the 10-norm stands for it.
     power: float
-    """p of the p-norm. Tables can hold a sum over stations; the maximum is none, the 10-norm stands for it."""
+    # Largest distance of any gene: distances count as scale_m * (distance / scale_m)^power.
     scale_m: float
-    """Largest distance of any gene: distances count as scale_m * (distance / scale_m)^power."""
 
     def table(self, charge_share: float = 1.0) -> FloatArray:
         """Cost of each triple [m], with a share of the charges, shape (m - 2, R, R, R)."""

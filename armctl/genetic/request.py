@@ -16,29 +16,29 @@ from armctl.trajectory.placement import Objective
 MAX_VIA = 20
 LONGEST_DURATION_S = 600.0
 
+# Numbers of via points, one for each plan wanted.
 ViaCounts = Annotated[tuple[Annotated[int, Field(ge=0, le=MAX_VIA)], ...], Field(max_length=MAX_VIA + 1, strict=False)]
-"""Numbers of via points, one for each plan wanted."""
 
 
 class OptimizeRequest(Frozen):
     """A line, and how the straightest motion along it is looked for."""
 
+    # A, where the line begins.
     from_m: Point
-    """A, where the line begins."""
+    # B, where it ends.
     to_m: Point
-    """B, where it ends."""
     via: ViaCounts
+    # Nominal time from A to B.
     duration_s: float = Field(5.0, gt=0.0, le=LONGEST_DURATION_S)
-    """Nominal time from A to B."""
+    # Same seed, same result, bit for bit.
     seed: int = Field(0, ge=0, lt=2**63)
-    """Same seed, same result, bit for bit."""
     interpolation: Interpolation = "cubic"
+    # What is made small: the mean distance, its root mean square ("mix"), or the 10-norm ("max").
     objective: Objective = "mean"
-    """What is made small: the mean distance, its root mean square ("mix"), or the 10-norm ("max")."""
+    # Whether genes may leave the recordings, and via points the path that was found.
     free: bool = True
-    """Whether genes may leave the recordings, and via points the path that was found."""
+    # Settings of the genetic algorithm; a mapping names those that differ from its defaults.
     settings: Settings = DEFAULT
-    """Of the genetic algorithm; as a mapping those that differ from its defaults."""
 
     @field_validator("settings", mode="before")
     @classmethod

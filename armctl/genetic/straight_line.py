@@ -8,8 +8,6 @@ genes may leave the recordings (`free_path.py`) and via points the line (`placem
 procedure is wanted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -49,18 +47,18 @@ class LineError:
 class CandidatePath:
     """A path through the candidates."""
 
+    # Index of the recording used at each station, shape (m,).
     genes: IntArray
-    """Index of the recording used at each station, shape (m,)."""
+    # Joint positions, shape (m, joints).
     positions_rad: FloatArray
-    """Joint positions, shape (m, joints)."""
+    # Tool points, shape (m, 3).
     tool_m: FloatArray
-    """Tool points, shape (m, 3)."""
     mean_error_mm: float
     max_error_mm: float
+    # The error that was made small (mean, or p-norm), the charges for broken limits in it.
     cost_mm: float
-    """The error that was made small (mean, or p-norm), the charges for broken limits in it."""
+    # Whether the path keeps every joint's speed and acceleration limit in the nominal time, and never goes back.
     feasible: bool
-    """Whether the path keeps every joint's speed and acceleration limit in the nominal time, and never goes back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +68,10 @@ class GeneticRun:
     path: CandidatePath
     generations: int
     evaluations: int
+    # Least cost so far, charges in full, after each generation.
     best_cost_mm: tuple[float, ...]
-    """Least cost so far, charges in full, after each generation."""
+    # Mean cost, with the charges in force then, of the individuals that each generation's selection kept.
     mean_cost_mm: tuple[float, ...]
-    """Mean cost, with the charges in force then, of the individuals that each generation's selection kept."""
 
     @property
     def mean_error_mm(self) -> float:
@@ -84,15 +82,15 @@ class GeneticRun:
 class FreePath:
     """A path near recorded genes."""
 
+    # Joint positions, shape (m, joints).
     positions_rad: FloatArray
-    """Joint positions, shape (m, joints)."""
+    # Tool points, shape (m, 3).
     tool_m: FloatArray
-    """Tool points, shape (m, 3)."""
     mean_error_mm: float
     max_error_mm: float
     largest_offset_rad: float
+    # The same as in `CandidatePath`.
     feasible: bool
-    """As of `CandidatePath`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +98,19 @@ class StraightLineResult:
     """Everything a report shows."""
 
     candidates: Candidates
+    # Each recording by itself, at the same stations as the paths below.
     baseline: tuple[LineError, ...]
-    """Each recording by itself, at the same stations as the paths below."""
     ga: GeneticRun
     exact: CandidatePath
+    # Cost of the genetic algorithm's path over the exact least cost, minus 1.
     gap_ratio: float
-    """Cost of the genetic algorithm's path over the exact least cost, minus 1."""
+    # The genetic algorithm's path, its genes off the recordings; what the plans are made of, where it was wanted.
     free: FreePath | None
-    """The genetic algorithm's path, its genes off the recordings; what the plans are made of, where it was wanted."""
+    # One for each entry of `via`.
     plans: tuple[Plan, ...]
-    """One for each entry of `via`."""
+    # Where no path keeps the limits: the duration from which on one over recorded genes does; None: there is none
+    # within `LONGEST_DURATION_S`, or none is needed.
     least_duration_s: float | None
-    """Where no path keeps the limits: the duration from which on one over recorded genes does; None: there is none
-    within `LONGEST_DURATION_S`, or none is needed."""
 
     @property
     def feasible(self) -> bool:

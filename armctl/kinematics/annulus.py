@@ -14,8 +14,8 @@ import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 
+# Relative excess of a length that is rounding, not distance.
 ROUNDING = 1e-12
-"""Relative excess of a length that is rounding, not distance."""
 _GRID = 720
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
@@ -32,10 +32,10 @@ class PlaneReach:
 
     links_m: tuple[float, ...]
     a1: float
+    # Signed distance of the plane from the waist's axis: x sin(theta1) - y cos(theta1).
     offset: float
-    """Signed distance of the plane from the waist's axis: x sin(theta1) - y cos(theta1)."""
+    # Height of the shoulder.
     height: float
-    """Of the shoulder."""
 
     def nearest(self, point: FloatArray) -> tuple[FloatArray, float]:
         """The point of the workspace nearest to `point` [m], shape (3,), and its distance [m]; 0 if it is in it."""

@@ -19,14 +19,14 @@ import numpy as np
 from armctl.kinematics.sine import cos_sin, cos_sin_of_all
 from armctl.kinematics.transform import FloatArray
 
+# Poses computed together: they fit the processor's cache, and the cost of a call is small beside their work.
 BLOCK = 2048
-"""Poses computed together: they fit the processor's cache, and the cost of a call is small beside their work."""
 
+# Cosine and sine of 0, 90, 180 and 270 deg.
 QUARTER_TURNS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
-"""Cosine and sine of 0, 90, 180 and 270 deg."""
 
+# X, Y, Z and P of one frame, shape (3, m); (3, 1) while every pose has the same.
 Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""X, Y, Z and P of one frame, shape (3, m); (3, 1) while every pose has the same."""
 Axis = tuple[float, float, float]
 
 
@@ -46,8 +46,8 @@ class SerialChain:
 
     rows: tuple[DHRow, ...]
     convention: Literal["standard", "modified"] = "standard"
+    # How far the tool frame lies along x of the last link frame: the fixed last row of a modified table.
     tool_m: float = 0.0
-    """How far the tool frame lies along x of the last link frame: the fixed last row of a modified table."""
 
     @property
     def n(self) -> int:

@@ -14,11 +14,11 @@ import numpy as np
 from armctl.kinematics.chain import SerialChain, cross, jacobian, joint_axes
 from armctl.kinematics.transform import FloatArray
 
+# A singular value below this share of the largest counts as none.
 RANK_TOLERANCE = 1e-9
-"""A singular value below this share of the largest counts as none."""
+# Joint rates are damped where the smallest singular value [m/rad] is below the first; at a singularity by the second.
 DAMPING_REGION = 0.05
 MOST_DAMPING = 0.05
-"""Below which smallest singular value joint rates are damped, and by how much at a singularity; m/rad and rad/rad."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Dexterity:
     """What the Jacobian allows at one configuration."""
 
     rank: int
+    # Product of the singular values: sqrt(det(J J^T)), or sqrt(det(J^T J)) with fewer than six joints.
     manipulability: float
-    """Product of the singular values: sqrt(det(J J^T)), or sqrt(det(J^T J)) with fewer than six joints."""
     singular_values: FloatArray
 
 

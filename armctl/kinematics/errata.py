@@ -11,21 +11,21 @@ from dataclasses import dataclass
 PRINT_OFF = 1e-3
 TRUE_OFF = 1e-9
 
+# How far print and the correction are from what is computed.
 Residuals = Callable[[], tuple[float, float]]
-"""How far print and the correction are from what is computed."""
 
 
 @dataclass(frozen=True)
 class Erratum:
     """One statement of a paper that does not hold."""
 
+    # Number of the paper: 000 to 004.
     paper: str
-    """Number of the paper: 000 to 004."""
     where: str
     printed: str
     true: str
+    # What is computed to prove it.
     how: str
-    """What is computed to prove it."""
     residuals: Residuals
 
     @property

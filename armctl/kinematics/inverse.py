@@ -12,14 +12,14 @@ from armctl.errors import UnreachableTarget
 from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian, tool_position
 from armctl.kinematics.transform import FloatArray, rotation_error
 
+# A joint whose range is at least this wide has no ends.
 TURN_RAD = 2.0 * np.pi - 1e-9
-"""A joint whose range is at least this wide has no ends."""
+# Largest error, in arm lengths and radians, at which a pose is refined no further.
 REFINED = 1e-13
-"""Largest error, in arm lengths and radians, at which a pose is refined no further."""
+# A pose is tried from at most so many starts.
 MOST_STARTS = 40
-"""From so many starts a pose is tried."""
+# A pose is tried from no further start once its errors [m, rad] are no larger.
 SOLVED = 1e-9
-"""A pose is tried from no further start once its errors [m, rad] are no larger."""
 
 
 def solve_position(

@@ -22,11 +22,11 @@ from armctl.errors import ConfigError
 from armctl.kinematics.annulus import ROUNDING, PlaneReach, annulus
 from armctl.kinematics.transform import FloatArray, finite
 
+# Bends [rad] of the last joint that are tried where it is free: with the pitch free too, and with the pitch given.
 BENDS = np.radians(np.arange(-120.0, 121.0, 15.0))
 FINE_BENDS = np.radians(np.arange(-150.0, 151.0, 5.0))
-"""Bends of the last joint tried where one is free: with the pitch free too, and with the pitch given."""
+# Pitches [rad] that are tried where the tool's direction is free.
 PITCHES = np.radians(np.arange(-180.0, 180.0, 5.0))
-"""Pitches tried where the tool's direction is free."""
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,17 @@ import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 
+# Beyond this angle the product of a part of pi/2 and the quarter turns has too many digits; the C library is used.
 LARGEST_RAD = 1e6
-"""Beyond, the product of a part of pi/2 and the quarter turns has too many digits; the C library is used."""
+# Up to so many angles, one by one takes less time than numpy's calls do.
 FEW = 24
-"""So many angles take less time one by one than numpy's calls do."""
 QUARTERS_PER_RAD = 2.0 / math.pi
+# Of pi/2: its first 33 bits, the next 33 and the next 53.
 PARTS_RAD = (
     float.fromhex("0x1.921fb544p+0"),
     float.fromhex("0x1.0b4611a6p-34"),
     float.fromhex("0x1.3198a2e037073p-69"),
 )
-"""Of pi/2: its first 33 bits, the next 33 and the next 53."""
 
 
 @lru_cache(maxsize=8192)

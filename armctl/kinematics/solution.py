@@ -18,12 +18,12 @@ from armctl.kinematics.inverse import TURN_RAD, pose_errors, refine_poses, solve
 from armctl.kinematics.robots.robot import ClosedForm, Robot
 from armctl.kinematics.transform import FloatArray, finite
 
+# Errors up to which a pose or a point counts as reached.
 REACHED_M = 1e-6
 REACHED_RAD = 1e-6
-"""Errors up to which a pose or a point counts as reached."""
 LIMIT_SLACK_RAD = 1e-9
+# How far R R^T may be from 1, element by element: the rounding of numbers somebody typed.
 ROTATION_SLACK = 1e-4
-"""How far R R^T may be from 1, element by element: the rounding of numbers somebody typed."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Solution:
 
     q_rad: tuple[float, ...]
     position_error_m: float
+    # It is 0 where the target is a point.
     orientation_error_rad: float
-    """0 where the target is a point."""
     within_limits: bool
 
 
@@ -59,12 +59,12 @@ class Answer:
     """What there is to say about a target."""
 
     reachable: bool
+    # How near the tool can come: to a point in any direction; to a pose, with its rotation where the arm has a
+    # spherical wrist, else in any direction. 0 means that the position is no obstacle. Exact for robots with a closed
+    # form, else the least found.
     least_position_error_m: float
-    """How near the tool can come: to a point in any direction; to a pose, with its rotation where the arm has a
-    spherical wrist, else in any direction. 0 means that the position is no obstacle. Exact for robots with a closed
-    form, else the least found."""
+    # Best first; the nearest configurations where the target is out of reach.
     solutions: tuple[Solution, ...]
-    """Best first; the nearest configurations where the target is out of reach."""
 
 
 def point_target(xyz: tuple[float, float, float] | FloatArray) -> Target:

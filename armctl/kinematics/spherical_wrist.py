@@ -25,8 +25,8 @@ from armctl.kinematics.chain import blocks
 from armctl.kinematics.transform import FloatArray, finite
 
 BRANCHES = 8
+# Below this |sin theta5| the directions of axes 4 and 6 cannot be told apart.
 _STRAIGHT = 1e-12
-"""Below this |sin theta5| the directions of axes 4 and 6 cannot be told apart."""
 
 
 @dataclass(frozen=True)

@@ -21,18 +21,18 @@ from armctl.kinematics.transform import FloatArray
 STARTS = 256
 ROUNDS = 400
 SETTLED_M = 1e-15
+# Points of a map worked on together.
 GRID_BLOCK = 16
-"""Points of a map worked on together."""
 
 
 @dataclass(frozen=True)
 class ReachabilityMap:
     """For every point of a grid, which share of the configurations tried there keeps the joint ranges."""
 
+    # Shape (m, 3).
     points_m: FloatArray
-    """Shape (m, 3)."""
+    # Shape (m,); 0: out of reach.
     share: FloatArray
-    """Shape (m,); 0: out of reach."""
 
     @property
     def reachable(self) -> NDArray[np.bool_]:

@@ -9,9 +9,9 @@ from pydantic import Field
 
 Metre = Annotated[float, Field(ge=-10.0, le=10.0)]
 Radian = Annotated[float, Field(ge=-10.0, le=10.0)]
+# x, y, z in the base frame [m].
 Point = Annotated[tuple[Metre, Metre, Metre], Field(strict=False)]
-"""x, y, z in the base frame [m]."""
+# x, y, z [m], roll, pitch, yaw [rad] in the base frame, R = Rz(yaw) Ry(pitch) Rx(roll).
 Pose = Annotated[tuple[Metre, Metre, Metre, Radian, Radian, Radian], Field(strict=False)]
-"""x, y, z [m], roll, pitch, yaw [rad] in the base frame, R = Rz(yaw) Ry(pitch) Rx(roll)."""
+# One number for each joint, in the calibration file's order.
 Joints = Annotated[tuple[Radian, ...], Field(min_length=1, max_length=32, strict=False)]
-"""One number for each joint, in the calibration file's order."""

@@ -5,8 +5,8 @@ import numpy as np
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.kinematics.transform import FloatArray
 
+# A joint has moved once it is farther than this from where it stood: noise is one tick, and a hand never stays still.
 STILL_RAD = 4.0 * TICK_RAD
-"""Farther than this from where it stands, a joint has moved: noise is one tick, and a hand is never quite still."""
 
 
 def moving_part(positions_rad: FloatArray) -> slice:

@@ -10,8 +10,6 @@ Rules.
 4. A gripper closes evenly until its load says that it holds something (`messages.Grip`), or until it is closed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -38,17 +36,17 @@ from armctl.trajectory.target import joints_at_point
 Method = Literal["closed", "numeric", "ga", "ga-improved"]
 Along = Literal["above", "tool"]
 
+# Fastest the tool goes on the straight line.
 STRAIGHT_M_S = 0.05
-"""Fastest the tool goes on the straight line."""
 CLOSING_RAD_S = math.radians(20.0)
+# A loaded arm comes to rest within this time.
 SETTLE_S = 0.4
-"""A loaded arm comes to rest in it."""
+# Largest correction of a joint: a goal farther from its joint than 8 deg counts as blocked.
 MOST_OFFSET_RAD = math.radians(6.0)
-"""Largest correction of a joint: a goal farther from its joint than 8 deg counts as blocked."""
+# At so many places of the straight line the joints are computed; in between they follow a spline.
 PLACES = 13
-"""Of the straight line at which the joints are computed; in between they follow a spline."""
+# At so many places the speeds on the straight line are computed.
 LOOKS = 400
-"""At which the straight line's speeds are computed."""
 STRAIGHT_TOLERANCE_M = 1e-6
 STRAIGHT_TOLERANCE_RAD = 1e-5
 
@@ -56,17 +54,17 @@ STRAIGHT_TOLERANCE_RAD = 1e-5
 class ReachRequest(Frozen):
     """A point to reach for, and what the gripper does there."""
 
+    # Where the tool point goes, in the base frame.
     point_m: Point
-    """Where the tool point goes, in the base frame."""
     gripper: Literal["stay", "grip", "let_go"] = "stay"
+    # Which inverse kinematics chooses the pose.
     ik: Method = "closed"
-    """Which inverse kinematics chooses the pose."""
+    # Seed of the methods that draw lots.
     seed: int = Field(0, ge=0, lt=2**31)
-    """Of the methods that draw lots."""
+    # Length of the straight line that leads to the point.
     off_m: float = Field(0.05, ge=0.005, le=0.3)
-    """Length of the straight line that leads to the point."""
+    # Whether that line comes down from above or along the tool's axis.
     along: Along = "above"
-    """Whether that line comes down from above or along the tool's axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +72,8 @@ class Grasp:
     """The straight line to a point."""
 
     point_m: FloatArray
+    # Joint positions of the chain [rad], shape (PLACES, n): from off the point to the point.
     path_rad: FloatArray
-    """Joint positions of the chain [rad], shape (PLACES, n): from off the point to the point."""
 
 
 def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float) -> Grasp:

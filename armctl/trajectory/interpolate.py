@@ -14,13 +14,13 @@ from armctl.kinematics.transform import FloatArray
 
 Interpolation = Literal["linear", "cubic"]
 
+# Share of the duration in which the motion speeds up; as much in which it slows down.
 RAMP = 0.2
-"""Share of the duration spent speeding up, and again slowing down."""
+# Speed of the constant middle, as a multiple of the mean speed.
 PEAK_SPEED = 1.0 / (1.0 - RAMP)
-"""Speed of the constant middle, in mean speeds."""
+# Largest speed and acceleration of `quintic` over a unit distance in unit time.
 QUINTIC_PEAK_SPEED = 1.875
 QUINTIC_PEAK_ACCELERATION = 10.0 / 3.0**0.5
-"""Largest speed and acceleration of `quintic` over a unit distance in unit time."""
 
 
 def time_law(u: FloatArray) -> FloatArray:

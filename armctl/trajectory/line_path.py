@@ -22,18 +22,18 @@ from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.interpolate import PEAK_SPEED
 
 STATIONS = 41
+# How many postures are drawn at each end, and how many pairs of them are tried.
 POSTURES, PAIRS = 150, 1500
-"""How many postures are drawn at each end, and how many pairs of them are tried."""
+# This much is kept free before each joint limit: corrections for sag need room.
 MARGIN_RAD = math.radians(6.0)
-"""Kept free before each joint limit: corrections for sag need room."""
+# Share of each joint's speed limit that is used: corrections need room here too.
 SPEED_SHARE = 0.8
-"""Of each joint's speed limit: corrections need room here too."""
+# No joint but the first differs by more between the postures at A and B.
 FARTHEST_RAD = 1.2
-"""No joint but the first differs by more between the postures at A and B."""
+# Largest second difference between stations: a way that folds over on itself is none.
 SMOOTH_RAD = 0.02
-"""Largest second difference between stations: a way that folds over on itself is none."""
+# A joint that goes back by this much turns around for good; by less, in proportion.
 TURN_RAD = 0.03
-"""A joint that goes back by this much turns around for good; by less, in proportion."""
 REACHED_M = 1e-6
 DAMPING_M2 = 1e-6
 FLOOR_MARGIN_M = 0.003

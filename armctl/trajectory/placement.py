@@ -18,21 +18,21 @@ from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.straightness import distance_to_line
 
 Objective = Literal["mean", "mix", "max"]
+# The p-norm of the distances that is made small; the 10-norm stands for the maximum.
 POWER: dict[Objective, float] = {"mean": 1.0, "mix": 2.0, "max": 10.0}
-"""The p-norm of the distances that is made small; the 10-norm stands for the maximum."""
+# Weight of being early or late on the line, against being off it.
 ALONG = 0.05
-"""Weight of being early or late on the line, against being off it."""
+# Weight of the ends themselves, along the line as well.
 END = 1.0
-"""Weight of the ends themselves, along the line as well."""
+# The same weight where there are no points in between: the path bows, and a shorter one beside A and B bows less.
 HELD_END = 30.0
-"""That weight where there are no points in between: the path bows, and a shorter one beside A and B would bow less."""
+# What moving a waypoint by a radian without need would cost: keeps redundancy where it is.
 STAY_M_RAD = 0.002
-"""What moving a waypoint by a radian without need would cost: keeps redundancy where it is."""
 STEPS = 12
+# A step this small [rad, and of progress] is the last.
 SETTLED = 1e-5
-"""A step this small [rad, and of progress] is the last."""
+# Least progress between two waypoints.
 CLOSEST_KNOTS = 0.06
-"""Least progress between two waypoints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +41,15 @@ class StraightMotion:
 
     chain: SerialChain
     kind: Interpolation
+    # Ends of the line [m], shape (3,).
     A: FloatArray
     B: FloatArray
-    """Ends of the line [m], shape (3,)."""
+    # Joint limits [rad], shape (n, 2).
     limits: FloatArray
-    """Of the joints [rad], shape (n, 2)."""
+    # By how much each joint stays behind its goal [rad] at even times, shape (m, n); None: not at all.
     lag: FloatArray | None = None
-    """By how much each joint stays behind its goal [rad] at even times, shape (m, n); None: not at all."""
+    # Where the tool is, less where the joints would have it [m], shape (m, 3); None: the same place.
     offset_m: FloatArray | None = None
-    """Where the tool is, less where the joints would have it [m], shape (m, 3); None: the same place."""
     objective: Objective = "mix"
 
 

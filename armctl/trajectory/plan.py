@@ -27,16 +27,16 @@ from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.interpolate import Interpolation, joint_path, quintic, time_law
 from armctl.trajectory.preflight import preflight_motion
 
+# How far behind its first point a plan is approached: more than what play and friction of a loaded servo take.
 LEAD_RAD = math.radians(3.0)
-"""How far behind: more than what play and friction of a loaded servo swallow."""
+# In this share of the duration a joint moves by LEAD_RAD, or it has no direction of departure.
 LEAD_SHARE = 0.2
-"""Of the duration: a joint that does not move by LEAD_RAD in it has no direction of departure."""
+# The control step counts trajectory seconds up tick by tick: without this the plan might seem to begin a tick late.
 ROUNDING_S = 1e-9
-"""The control step counts trajectory seconds up tick by tick: without this the plan might seem to begin a tick late."""
 DWELL_S = 0.5
 SETTLE_S = 0.5
+# A goal every tick, a minute long at 50 Hz.
 MAX_VIA = 3000
-"""A goal every tick, a minute long at 50 Hz."""
 CHECK_PERIOD_S = 0.02
 
 Point = Annotated[tuple[float, float, float], Field(strict=False)]
@@ -51,13 +51,13 @@ class Plan(Frozen):
     from_m: Point
     to_m: Point
     duration_s: float = Field(gt=0.0, le=3600.0)
+    # Waypoints between the first and the last.
     via: int = Field(ge=0, le=MAX_VIA)
-    """Waypoints between the first and the last."""
     interpolation: Interpolation
+    # Joint positions, one row a waypoint, in the calibration file's joint order; shape (via + 2, joints).
     waypoints_rad: tuple[Joints, ...] = Field(strict=False)
-    """Joint positions, one row a waypoint, in the calibration file's joint order; shape (via + 2, joints)."""
+    # Progress of each waypoint, from 0 to 1.
     waypoint_progress: Joints
-    """Progress of each waypoint, from 0 to 1."""
     predicted_mean_error_mm: float = Field(ge=0.0)
     predicted_max_error_mm: float = Field(ge=0.0)
     seed: int = Field(ge=0)

@@ -23,8 +23,8 @@ from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clea
 
 START_TOLERANCE_RAD = math.radians(2.0)
 ACCELERATION_WINDOW_S = 0.1
+# Rounding may make a motion that holds a limit exactly seem this much faster, at most.
 ROUNDING = 1.001
-"""Limits held exactly come out of floating point this much above, at most."""
 LOOK_RAD = math.radians(1.0)
 BLOCK_ROWS = 4096
 SAME_M = 1e-6

@@ -43,16 +43,16 @@ class Curves:
     """A joint trajectory and what the tool does in it, sampled."""
 
     time_s: FloatArray
+    # Of the joints, shape (m, n).
     position_rad: FloatArray
     velocity_rad_s: FloatArray
     acceleration_rad_s2: FloatArray
-    """Shape (m, n)."""
+    # Of the tool in the base frame, shape (m, 3).
     tool_position_m: FloatArray
     tool_velocity_m_s: FloatArray
     tool_acceleration_m_s2: FloatArray
     tool_angular_velocity_rad_s: FloatArray
     tool_angular_acceleration_rad_s2: FloatArray
-    """Shape (m, 3), in the base frame."""
 
 
 def quintic(

@@ -31,8 +31,8 @@ class MoveRequest(Frozen):
     joints_rad: Joints | None = None
     point_m: Point | None = None
     pose: Pose | None = None
+    # How long the motion takes; None: as long as it needs at a slow speed.
     duration_s: float | None = Field(None, gt=0.0, le=600.0)
-    """None: as long as the way takes at a slow speed."""
 
     @model_validator(mode="after")
     def _one_target(self) -> MoveRequest:

@@ -10,8 +10,6 @@ Rules.
    further pose is the nearest to the one before.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,11 +33,11 @@ from armctl.trajectory.plan import DWELL_S, ROUNDING_S, SETTLE_S
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.quintic import Quintic, quintic
 
+# Event under which a log holds the parameters of the cycle that it records.
 NOTED = "TRANSFER"
-"""Event under which a log holds the parameters of the cycle that it records."""
 LIFT_PIECES = 4
+# No joint turns so far between two places of a lift unless the arm changes into another pose.
 JUMP_RAD = math.radians(60.0)
-"""No joint turns so far between two places of a lift unless the arm changes into another pose."""
 
 
 class TransferRequest(Frozen):
@@ -47,14 +45,14 @@ class TransferRequest(Frozen):
 
     pick_m: Point
     place_m: Point
+    # How high the tool lifts over each station.
     height_m: float = Field(0.06, ge=0.005, le=0.5)
-    """Of the lift over each station."""
+    # Time of each way down and each way up.
     lift_s: float = Field(2.0, gt=0.0, le=60.0)
-    """Of each way down and up."""
+    # Time of each way across.
     carry_s: float = Field(4.0, gt=0.0, le=60.0)
-    """Of each way across."""
+    # Time at each station.
     dwell_s: float = Field(0.5, ge=0.0, le=60.0)
-    """At each station."""
     cycles: int = Field(1, ge=1, le=20)
 
 

@@ -38,12 +38,12 @@ class IdealArm:
     tick: int = 0
     now_ns: int = 1_000_000_000
     silent: set[int] = field(default_factory=set)
+    # Joints that hear every write but do not turn.
     stuck: set[int] = field(default_factory=set)
-    """Joints that hear every write but do not turn."""
+    # Joints that answer but hear no goal.
     deaf: set[int] = field(default_factory=set)
-    """Joints that answer but hear no goal."""
+    # Joints whose replies come damaged.
     noisy: set[int] = field(default_factory=set)
-    """Joints whose replies come damaged."""
     port_open: bool = True
     late_ns: int = 0
     period_s: float = PERIOD_S

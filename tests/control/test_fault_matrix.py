@@ -130,8 +130,8 @@ two clients command: BUSY
 log of another arm: FOREIGN_LOG
     test_a_refused_preflight_tells_every_reason_and_moves_nothing
 """
+# Each a line with name and codes, and a line for each test.
 ROWS = [row.splitlines() for row in re.split(r"\n(?! )", MATRIX.strip())]
-"""Each a line with name and codes, and a line for each test."""
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])

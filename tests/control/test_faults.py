@@ -13,8 +13,8 @@ from armctl.messages import Clear, Connected, Fault, JointState, Mode, Problem
 from tests.control.ideal_arm import IdealArm, holding, running
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+# Calls that name a fault, and which of their arguments does.
 LATCHING = {"latch": 0, "latch_servo": 0, "Problem": 0}
-"""Calls that name a fault, and which of their arguments does."""
 
 
 def joints(*powered: bool) -> list[JointState]:
@@ -53,6 +53,7 @@ def test_a_row_says_whether_one_servo_is_named(code: str, calls: set[str]) -> No
         assert latched == {"latch_servo" if faults.KINDS[code].of == "servo" else "latch"}
 
 
+# What makes each cause persist.
 SPOILT: dict[faults.Cause, Callable[[IdealArm], object]] = {
     faults.Cause.PORT: lambda arm: setattr(arm, "port_open", False),
     faults.Cause.PROBLEM: lambda arm: arm.run_tick(Connected((Problem("WRONG_MODEL", "still there"),))),
@@ -61,7 +62,6 @@ SPOILT: dict[faults.Cause, Callable[[IdealArm], object]] = {
     faults.Cause.SUPPLY: lambda arm: arm.put(2, ax12a.PRESENT_VOLTAGE, 80),
     faults.Cause.TORQUE: lambda arm: arm.put(2, ax12a.TORQUE_LIMIT, 0),
 }
-"""What makes each cause persist."""
 
 
 @pytest.mark.parametrize("cause", sorted({kind.until for kind in faults.FAULTS}))

@@ -17,8 +17,8 @@ from armctl.trajectory.collision import floor_clearance, link_points
 from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line
 
 BASE = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
+# Of one goal step at full speed, rounding included.
 MOST_TICKS = math.ceil(SPEED_RAD_S * PERIOD_S / ax12a.TICK_RAD) + 1
-"""Of one goal step at full speed, rounding included."""
 
 
 def bent() -> IdealArm:

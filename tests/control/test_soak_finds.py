@@ -9,8 +9,8 @@ from armctl.dynamixel import ax12a
 from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach
 from tests.control.ideal_arm import IdealArm, energising, holding, line
 
+# 54 deg/s, the limit being 60.
 FAST_RAD, FAST_S = -1.9, 2.0
-"""54 deg/s, the limit being 60."""
 
 
 def test_a_servo_in_time_gets_a_full_step_each_tick() -> None:

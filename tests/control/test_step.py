@@ -78,8 +78,8 @@ def _readings(arm: IdealArm):  # type: ignore[no-untyped-def]
 
 
 REFUSED = {"ILLEGAL_TRANSITION", "NO_REPLY", "LIMIT", "START_MISMATCH", "NOT_CLEARED"}
+# It begins where the arm is not.
 UNFIT = JointTrajectory(PERIOD_S, ((0.5,) * 6, (0.6,) * 6))
-"""It begins where the arm is not."""
 
 
 @given(

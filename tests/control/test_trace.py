@@ -13,8 +13,8 @@ from tests.control.test_loop import Rig, holding
 
 PACKAGE = Path(armctl.__file__).parent
 FILES = 12
+# Between two rooms; a return counts as well. A reading of the clock by the bus is two.
 CHANGES = 60
-"""Between two rooms; a return counts as well. A reading of the clock by the bus is two."""
 
 
 @dataclass(frozen=True)

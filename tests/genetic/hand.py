@@ -16,8 +16,8 @@ from armctl.kinematics.transform import FloatArray
 A = np.array([0.18, -0.125, 0.10])
 B = np.array([0.18, 0.125, 0.10])
 POSTURE = (-0.6, 1.2, -1.6, -0.6, 0.0)
+# Two ways to hold the arm at A: elbow up, and bent the other way.
 FLIPPED = (-0.6, 0.4, 0.9, -1.9, -0.9)
-"""Two ways to hold the arm at A: elbow up, and bent the other way."""
 
 
 @cache

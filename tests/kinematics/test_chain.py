@@ -50,8 +50,8 @@ def some_q(chain: SerialChain, seed: int, *shape: int) -> FloatArray:
     return np.random.default_rng(seed).uniform(-math.pi, math.pi, (*shape, chain.n))
 
 
+# Twisted by less than anybody measures, and by more than a float of zero or 90 deg is off.
 NEARLY_PARALLEL = DHRow(a=0.0, alpha=1.5e-12, d=0.0)
-"""Twisted by less than anybody measures, and by more than a float of zero or 90 deg is off."""
 
 
 @given(chains, seeds)

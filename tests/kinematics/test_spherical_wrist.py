@@ -1,7 +1,5 @@
 """Closed form of arms with a spherical wrist."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The way to a point: straight, within limits, by every inverse kinematics; and what the gripper is told."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, get_args
 

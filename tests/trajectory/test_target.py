@@ -1,7 +1,5 @@
 """Where the joints have to be: on the target, inside the limits, near the present pose; or how far it is."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

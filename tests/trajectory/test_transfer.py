@@ -1,7 +1,5 @@
 """The transfer robot's cycle: through its stations, straight down, smooth, and as its parameters say."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

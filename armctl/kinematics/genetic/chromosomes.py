@@ -18,6 +18,7 @@ from armctl.kinematics.transform import FloatArray, IntArray
 
 Words = NDArray[np.uint32]
 MOST_BITS = 32
+# Least and greatest value of every setting of a genetic algorithm that has a bound of its own.
 BOUNDS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("population", "individuals"), (2, 100_000)),
     **dict.fromkeys(("generations", "migration_generations", "catastrophe_generations"), (1, 1_000_000)),
@@ -29,7 +30,6 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "window_genes": (1, 12),
     "stall_generations": (0, 1_000_000),
 }
-"""Least and greatest value of every setting of a genetic algorithm that has a bound of its own."""
 
 
 def check_settings(settings: object, **bounds: tuple[float, float]) -> None:
@@ -48,12 +48,12 @@ def check_settings(settings: object, **bounds: tuple[float, float]) -> None:
 class Coding:
     """What the bits mean."""
 
+    # Angle of all zeros and of the last code, shape (joints, 2).
     ranges_rad: FloatArray
-    """Angle of all zeros and of the last code, shape (joints, 2)."""
+    # How many bits one joint has.
     bits: int
-    """Of one joint."""
+    # Neighbouring angles differ in one bit (reflected Gray code); else the plain binary number.
     gray: bool = False
-    """Neighbouring angles differ in one bit (reflected Gray code); else the plain binary number."""
 
     def __post_init__(self) -> None:
         check_settings(self, bits=(1, MOST_BITS))

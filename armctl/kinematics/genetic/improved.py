@@ -31,23 +31,23 @@ class Settings:
     """What shapes a run."""
 
     populations: int = 4
+    # In each population.
     individuals: int = 60
-    """Of one population."""
     generations: int = 300
     crossover_probability: float = 0.6
+    # Share of all bits that flip in a generation.
     mutation_probability: float = 0.015
-    """Share of all bits that flip in a generation."""
     bits: int = 20
     niches: int = 4
+    # Hamming distance that still belongs to a niche, as a share of all bits.
     niche_radius: float = 0.15
-    """Hamming distance that still belongs to a niche, as a share of all bits."""
+    # The best has fitness 1. A copy of a head gives up this much beside the most distant member of the niche.
     sharing: float = 1.0
-    """Fitness, of 1 for the best, that a copy of a head would give up beside the most distant member."""
     migration_generations: int = 20
+    # Generations without progress after which a population dies out.
     catastrophe_generations: int = 40
-    """Generations without progress after which a population dies out."""
+    # Share by which the least error must fall to count as progress.
     progress: float = 1e-3
-    """Share by which the least error must fall to count as progress."""
 
     def __post_init__(self) -> None:
         check_settings(self, niches=(1, self.individuals))
@@ -60,12 +60,12 @@ DEFAULT = Settings()
 class Niches:
     """How populations are parted; k niches each."""
 
+    # Index of each niche's best individual, shape (populations, k).
     heads: IntArray
-    """Index of each niche's best individual, shape (populations, k)."""
+    # Niche of each individual, -1 for none, shape (populations, individuals).
     niche: IntArray
-    """Niche of each individual, -1 for none, shape (populations, individuals)."""
+    # Bits in which it differs from its head, shape as `niche`.
     distance: IntArray
-    """Bits in which it differs from its head, shape as `niche`."""
 
 
 def evolve(problem: Problem, settings: Settings, seeds: Sequence[int | Sequence[int]]) -> Evolution:

@@ -24,8 +24,8 @@ class Settings:
 
     population: int = 95
     crossover_probability: float = 0.6
+    # Share of all bits of the population that flip in a generation.
     mutation_probability: float = 0.01
-    """Share of all bits of the population that flip in a generation."""
     generations: int = 300
     bits: int = 16
 

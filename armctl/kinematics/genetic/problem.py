@@ -22,18 +22,18 @@ class Problem:
     """As many targets as runs, for one chain."""
 
     chain: SerialChain
+    # Wanted tool poses, shape (runs, 4, 4); of points the rotation is left out.
     T: FloatArray
-    """Wanted tool poses, shape (runs, 4, 4); of points the rotation is left out."""
+    # Whether the rotation counts.
     turned: bool
-    """Whether the rotation counts."""
+    # Joint ranges, shape (n, 2).
     limits_rad: FloatArray
-    """Joint ranges, shape (n, 2)."""
+    # Where the joints stand that are not searched, shape (runs, n).
     base_rad: FloatArray
-    """Where the joints stand that are not searched, shape (runs, n)."""
+    # Joints that are searched.
     free: tuple[int, ...]
-    """Joints that are searched."""
+    # k of eq. (4) [1/m^2].
     position_weight: float = 1.0
-    """k of eq. (4) [1/m^2]."""
 
     def configurations(self, angles: FloatArray) -> FloatArray:
         """Joint positions [rad], shape (runs, individuals, n), of the free joints' angles."""
@@ -55,16 +55,16 @@ class Problem:
 class Evolution:
     """What came out of every run."""
 
+    # Best configuration, shape (runs, n).
     q_rad: FloatArray
-    """Best configuration, shape (runs, n)."""
+    # Its error, shape (runs,).
     cost: FloatArray
-    """Its error, shape (runs,)."""
+    # Least error found so far, shape (generations, runs).
     best_cost: FloatArray
-    """Least error found so far, shape (generations, runs)."""
+    # Mean error of the population, shape (generations, runs).
     mean_cost: FloatArray
-    """Mean error of the population, shape (generations, runs)."""
+    # How many configurations one run judged.
     evaluations: int
-    """Of one run."""
 
 
 class Course:

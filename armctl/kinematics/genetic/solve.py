@@ -13,8 +13,8 @@ from armctl.kinematics.solution import Answer, Target
 from armctl.kinematics.transform import FloatArray
 
 Method = Literal["ga", "ga-improved"]
+# k of eq. (4) [1/m^2]: 0.1 m counts as much as a radian.
 POSITION_WEIGHT = 100.0
-"""k of eq. (4) [1/m^2]: 0.1 m counts as much as a radian."""
 
 
 def solve(

@@ -38,8 +38,8 @@ LENGTHS_M = {"d1": 0.0, "a2": 0.009, "d2": 0.042, "a3": 0.077, "a4": 0.097, "a5"
 RANGES_DEG = ((-90.0, 90.0), (7.0, 131.0), (-90.0, 123.0), (-90.0, 82.0))
 FIG_5_DEG = (0.0, 0.0, -90.0, 90.0)
 QZ_DEG = (60.0, 45.0, -90.0, 90.0)
+# In range, with a tool that points backwards (cos theta_234 < 0).
 SOME_Q = np.radians([20.0, 60.0, 70.0, 40.0])
-"""In range, with a tool that points backwards (cos theta_234 < 0)."""
 _T = forward_kinematics(_chain(LENGTHS_M), SOME_Q)
 _FIG_5_M = tool_position(_chain(LENGTHS_M), np.radians(FIG_5_DEG)).tolist()
 _THETA_1, _THETA_234 = float(SOME_Q[0]), float(SOME_Q[1:].sum())

@@ -34,10 +34,10 @@ def _closed_form(lengths: dict[str, float]) -> SphericalWrist:
     return SphericalWrist(a1=0.0, a2=lengths["a2"], a3=lengths["a3"], shoulder=lengths["d2"], d4=lengths["d4"], d6=0.0)
 
 
+# Table 2: the wanted pose, and those that its improved and its standard genetic algorithm reached [m, rad].
 WANTED_XYZ_RPY = (0.0968, -0.7558, 0.0972, -2.7913, 2.1047, -1.6016)
 IMPROVED_XYZ_RPY = (0.0922, -0.7533, 0.0963, -2.7902, 2.1027, -1.6005)
 STANDARD_XYZ_RPY = (0.07484, -0.3022, 0.05, -2.6551, 2.0468, -1.6058)
-"""Table 2: the wanted pose, and those its improved and its standard genetic algorithm reached [m, rad]."""
 
 ROBOT = Robot(
     name="puma560",

@@ -61,10 +61,10 @@ class Robot:
     lengths_m: dict[str, float]
     make_chain: Callable[[dict[str, float]], SerialChain]
     make_closed_form: Callable[[dict[str, float]], ClosedForm] | None = None
+    # Lowest and highest position of each joint of the chain; none given: a whole turn each.
     ranges_deg: tuple[tuple[float, float], ...] = ()
-    """Lowest and highest position of each joint of the chain; none given: a whole turn each."""
+    # They hold for the robot's own lengths.
     check_poses: tuple[CheckPose, ...] = ()
-    """With the robot's own lengths."""
     errata: tuple[Erratum, ...] = ()
 
     @cached_property

@@ -39,11 +39,11 @@ def _closed_form(lengths: dict[str, float]) -> PlanarArm:
 LENGTHS_M = {"d1": 0.101, "a2": 0.123, "a3": 0.138, "d5": 0.155}
 
 _A2, _A3, _A4 = 0.123, 0.138, 0.155
+# The arm of eqs. (2) to (7).
 _EQUATIONS = SerialChain(
     (DHRow(alpha=QUARTER), DHRow(a=_A2), DHRow(a=_A3), DHRow(a=_A4, alpha=-QUARTER), DHRow(alpha=QUARTER), DHRow()),
     "standard",
 )
-"""The arm of eqs. (2) to (7)."""
 _Q = (0.4, 0.7, -0.5, 0.9, 1.1, -0.6)
 _T = forward_kinematics(_EQUATIONS, np.array(_Q))
 _C1, _C2, _C3, _C4, _C5, _C6 = (math.cos(t) for t in _Q)
