@@ -6,25 +6,14 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, field
 
+from armctl import messages
 from armctl.config import ArmConfig
 from armctl.control.machine import State
 from armctl.control.step import step
 from armctl.dynamixel import ax12a
 from armctl.files import load_arm
 from armctl.kinematics import robots
-from armctl.messages import (
-    Command,
-    Connected,
-    Inputs,
-    JointTrajectory,
-    Mode,
-    Outputs,
-    Reply,
-    Run,
-    Sample,
-    ServoReading,
-    TorqueOn,
-)
+from armctl.messages import Command, Connected, Inputs, JointTrajectory, Mode, Outputs, Reply, Run, Sample, TorqueOn
 
 PERIOD_S = 0.1
 
@@ -93,7 +82,7 @@ class IdealArm:
             if fresh:
                 self.stamps[index], self.seen[index] = self.now_ns, bytes(self.blocks[index])
             readings.append(
-                ServoReading(
+                messages.ServoReading(
                     joint.servo_id,
                     self.seen[index] if self.stamps[index] else b"",
                     self.stamps[index],
@@ -126,6 +115,11 @@ class IdealArm:
                     self.put(index, ax12a.PRESENT_POSITION, tick)
         self.after_write(self)
         return outputs
+
+    def ask(self, command: messages.Request) -> Reply:
+        """What is answered to a command in the tick that it comes to."""
+        self.run_tick(command)
+        return self.replies[command.request_id]
 
     def run_ticks(self, count: int, *commands: Command) -> Outputs:
         """`count` ticks, the first one with the commands; what the last one said."""

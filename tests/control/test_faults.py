@@ -72,8 +72,7 @@ def test_whatever_a_row_waits_for_keeps_a_fault_from_being_cleared_while_it_last
     if cause is not faults.Cause.NONE:
         SPOILT[cause](arm)
         arm.run_ticks(3)
-    arm.run_tick(Clear(7))
-    assert arm.replies[7].ok == (cause is faults.Cause.NONE)
+    assert arm.ask(Clear(7)).ok == (cause is faults.Cause.NONE)
 
 
 @pytest.mark.parametrize("kind", faults.FAULTS, ids=lambda kind: kind.code)

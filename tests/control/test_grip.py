@@ -100,8 +100,7 @@ def test_a_motion_without_a_grip_minds_no_load() -> None:
 def test_a_grip_out_of_bounds_is_refused_and_nothing_moves(grip: Grip) -> None:
     arm = IdealArm().power().connect()
     before = arm.state.goal
-    arm.run_tick(Run(2, closing(arm, grip)))
-    assert (arm.mode(), arm.replies[2].code) == (Mode.HOLDING, "LIMIT")
+    assert (arm.ask(Run(2, closing(arm, grip))).code, arm.mode()) == ("LIMIT", Mode.HOLDING)
     assert arm.state.goal == before
     assert not arm.goals
 

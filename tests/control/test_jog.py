@@ -83,8 +83,7 @@ def test_a_heartbeat_that_was_only_late_starts_the_arm_again_from_rest() -> None
     jog(arm, 5, joints_rad_s=(SPEED_RAD_S, 0.0, 0.0, 0.0, 0.0, 0.0))
     arm.run_ticks(2)
     arm.goals.clear()
-    arm.run_tick(Jog(7, BASE))
-    assert arm.replies[7].ok
+    assert arm.ask(Jog(7, BASE)).ok
     assert len(arm.goals) == 1
 
 
@@ -105,11 +104,9 @@ def test_at_100_hz_a_jog_is_still_within_200_ms_of_its_last_heartbeat() -> None:
 def test_a_jog_that_has_ended_does_not_go_on_by_itself() -> None:
     arm = holding()
     jog(arm, 5, joints_rad_s=BASE)
-    arm.run_tick(Hold(6))
-    assert (arm.mode(), arm.replies[6].ok) == (Mode.HOLDING, True)
+    assert (arm.ask(Hold(6)).ok, arm.mode()) == (True, Mode.HOLDING)
     arm.goals.clear()
-    arm.run_tick(Jog(7, BASE))
-    assert arm.replies[7].code == "ILLEGAL_TRANSITION"
+    assert arm.ask(Jog(7, BASE)).code == "ILLEGAL_TRANSITION"
     assert not arm.goals
     jog(arm, 1, joints_rad_s=BASE)
 
@@ -233,5 +230,4 @@ def test_nothing_else_begins_while_jogging() -> None:
         assert arm.replies[request_id].code == "ILLEGAL_TRANSITION"
     assert "jogged" in arm.replies[5].message
     assert arm.mode() is Mode.JOGGING
-    arm.run_tick(Clear(9))
-    assert arm.replies[9].ok
+    assert arm.ask(Clear(9)).ok

@@ -5,26 +5,12 @@ from itertools import pairwise
 
 import pytest
 
+from armctl import messages
 from armctl.control.link import Link, LinkClosed, Ready
 from armctl.control.machine import State
 from armctl.dynamixel.packet import Instruction
 from armctl.files import load_arm
-from armctl.messages import (
-    Clear,
-    Command,
-    Connected,
-    Hold,
-    HostLost,
-    JointTrajectory,
-    Mode,
-    Release,
-    Reply,
-    Run,
-    Teach,
-    TickRecord,
-    TorqueOn,
-    from_json,
-)
+from armctl.messages import Clear, Command, Hold, JointTrajectory, Mode, Release, Reply, Run, Teach, TickRecord
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.loopback import LoopbackPort
 from armctl.sim.virtual_arm import VirtualArm
@@ -73,7 +59,7 @@ class Rig(VirtualArm):
 def holding(seed: int = 3) -> Rig:
     rig = Rig(seed)
     rig.ticks(3)
-    rig.ticks(15, TorqueOn(1))
+    rig.ticks(15, messages.TorqueOn(1))
     assert rig.mode() is Mode.HOLDING
     return rig
 
@@ -183,7 +169,7 @@ def test_leaving_waits_until_the_motion_has_come_to_rest() -> None:
         rig.records.append(record)
         return True
 
-    rig.loop.run(lambda: (HostLost(),), outbox, lambda: True)
+    rig.loop.run(lambda: (messages.HostLost(),), outbox, lambda: True)
     assert rig.mode() is Mode.HOLDING
     assert rig.replies()[2].code == "HOST_LOST"
 
@@ -199,7 +185,7 @@ def test_records_the_host_did_not_take_are_counted_and_followed_by_a_keyframe() 
     rig.loop.run(lambda: (), outbox, lambda: len(rig.records) == 5)
     assert [record.dropped for record in rig.records] == [0, 0, 1, 2, 0]
     assert [bool(record.keyframe) for record in rig.records] == [True, False, True, True, False]
-    assert from_json(State, rig.records[3].keyframe).connected
+    assert messages.from_json(State, rig.records[3].keyframe).connected
 
 
 def test_identification_happens_at_first_and_before_the_clear_of_a_fault_only() -> None:
@@ -211,7 +197,7 @@ def test_identification_happens_at_first_and_before_the_clear_of_a_fault_only() 
     rig.port.replug()
     rig.ticks(7)
     rig.ticks(1, Clear(2))
-    connected = [any(isinstance(c, Connected) for c in record.inputs.commands) for record in rig.records]
+    connected = [any(isinstance(c, messages.Connected) for c in record.inputs.commands) for record in rig.records]
     assert connected[:4] == [True, False, False, False], "at first; not for a clear of nothing"
     assert sum(connected[4:-1]) == 1, "once the port is back"
     assert connected[-1], "before a latched fault is cleared"

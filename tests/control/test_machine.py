@@ -7,18 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.control.machine import (
-    ENERGISING,
-    LATCHED,
-    MODE,
-    TO_REST,
-    TRANSITIONS,
-    Jogging,
-    Motion,
-    Phase,
-    State,
-    Trigger,
-)
+from armctl.control import machine
+from armctl.control.machine import ENERGISING, LATCHED, MODE, TO_REST, TRANSITIONS, Motion, Phase, State, Trigger
 from armctl.errors import IllegalTransition
 from armctl.messages import Fault, JointTrajectory, Mode, Problem, from_json, to_json
 
@@ -123,7 +113,7 @@ def test_state_survives_json_bit_for_bit() -> None:
             wanted_rate=0.1,
             paused=True,
         ),
-        jog=Jogging((0.1,), (1 / 3,), (), (0.1, 0.0, -0.2), 77, rate=0.3, stop_code="LATE"),
+        jog=machine.Jogging((0.1,), (1 / 3,), (), (0.1, 0.0, -0.2), 77, rate=0.3, stop_code="LATE"),
         error_since_ns=(0, 5),
     )
     assert from_json(State, to_json(state)) == state

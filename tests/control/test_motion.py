@@ -86,11 +86,9 @@ def test_losing_the_host_stops_the_arm() -> None:
 
 def test_hold_is_served_in_every_mode() -> None:
     arm = IdealArm().connect()
-    arm.run_tick(Hold(1))
-    assert "limp" in arm.replies[1].message
+    assert "limp" in arm.ask(Hold(1)).message
     arm = holding()
-    arm.run_tick(Hold(2))
-    assert arm.replies[2].ok
+    assert arm.ask(Hold(2)).ok
 
 
 def test_a_late_tick_stops_the_motion() -> None:
@@ -106,8 +104,7 @@ def test_a_late_tick_stops_the_motion() -> None:
 
 def test_release_is_refused_while_moving() -> None:
     arm = running()
-    arm.run_tick(Release(6))
-    assert (arm.mode(), arm.replies[6].code) == (Mode.MOVING, "ILLEGAL_TRANSITION")
+    assert (arm.ask(Release(6)).code, arm.mode()) == ("ILLEGAL_TRANSITION", Mode.MOVING)
 
 
 @pytest.mark.parametrize(
@@ -132,8 +129,7 @@ def test_a_run_that_must_not_be_is_refused_before_the_wire(
 ) -> None:
     arm = holding()
     arm.goals.clear()
-    arm.run_tick(Run(5, change(line(arm))))
-    assert arm.replies[5].code == code
+    assert arm.ask(Run(5, change(line(arm)))).code == code
     assert text in arm.replies[5].message
     assert arm.mode() is Mode.HOLDING
     assert not arm.goals
@@ -141,8 +137,7 @@ def test_a_run_that_must_not_be_is_refused_before_the_wire(
 
 def test_a_run_needs_torque() -> None:
     arm = IdealArm().connect()
-    arm.run_tick(Run(5, line(arm)))
-    assert "torque on" in arm.replies[5].message
+    assert "torque on" in arm.ask(Run(5, line(arm))).message
 
 
 def test_a_motion_pauses_for_a_stale_servo_and_goes_on() -> None:

@@ -18,8 +18,7 @@ def running(seconds: float = 4.0) -> IdealArm:
 
 def test_a_pause_rests_on_the_path_until_it_is_resumed() -> None:
     arm = running()
-    arm.run_tick(Pause(6))
-    assert arm.replies[6].ok
+    assert arm.ask(Pause(6)).ok
     arm.run_ticks(3)
     rest = arm.goals[-1]
     outputs = arm.run_ticks(100)
@@ -54,8 +53,7 @@ def test_at_half_rate_a_run_takes_twice_as_long() -> None:
 @pytest.mark.parametrize("rate", [0.0, 0.05, 1.01, -1.0, float("nan")])
 def test_a_rate_beyond_what_was_checked_is_refused(rate: float) -> None:
     arm = running()
-    arm.run_tick(SetRate(6, rate))
-    assert arm.replies[6].code == "LIMIT"
+    assert arm.ask(SetRate(6, rate)).code == "LIMIT"
 
 
 @pytest.mark.parametrize("command", [Pause(6), Resume(6), SetRate(6, 0.5)])

@@ -15,24 +15,7 @@ from armctl import messages
 from armctl.config import Config
 from armctl.kinematics import robots
 from armctl.kinematics.sine import cos_sin
-from armctl.messages import (
-    Clear,
-    Command,
-    Hold,
-    Jog,
-    Mode,
-    Park,
-    Pause,
-    Release,
-    Resume,
-    Run,
-    SetRate,
-    Teach,
-    TeachEnd,
-    TorqueOn,
-    command_from_json,
-    to_json,
-)
+from armctl.messages import Clear, Hold, Jog, Mode, Park, Pause, Resume, Run, SetRate, Teach, command_from_json, to_json
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter
 from tests.control.test_loop import ARM, Rig
@@ -44,7 +27,7 @@ TURN = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
     "command",
     [Pause(1), Resume(2), SetRate(3, 1 / 3), Jog(4, TURN, begin=True), Jog(5, tool_m_s=(0.1 + 0.2, -0.0, 1e-300))],
 )
-def test_a_command_survives_json_bit_for_bit(command: Command) -> None:
+def test_a_command_survives_json_bit_for_bit(command: messages.Command) -> None:
     assert command_from_json(to_json(command)) == command
 
 
@@ -62,7 +45,7 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     """The log of a story with every command, and its ticks."""
     rig = Rig()
     rig.ticks(3)
-    rig.ticks(15, TorqueOn(1))
+    rig.ticks(15, messages.TorqueOn(1))
     rig.ticks(8, Run(2, rig.line()))
     for command, ticks in ((Pause(3), 6), (SetRate(4, 0.5), 2), (Resume(5), 8), (Hold(6), 5)):
         rig.ticks(ticks, command)
@@ -78,10 +61,10 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     rig.simulated.servos[2].protect(overloaded=True)
     rig.ticks(5)
     assert rig.mode() is Mode.FAULTED
-    rig.ticks(3, Release(42))
+    rig.ticks(3, messages.Release(42))
     rig.ticks(3, Clear(43))
     rig.ticks(4, Teach(44))
-    rig.ticks(2, TeachEnd(45))
+    rig.ticks(2, messages.TeachEnd(45))
     assert {code for code in rig.codes() if code.startswith("JOG")} == {"JOG_BEGIN", "JOG_END"}
 
     robot = robots.get(ARM.robot, ARM.lengths_m)

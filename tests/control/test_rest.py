@@ -87,8 +87,7 @@ def test_strain_sends_the_arm_to_rest_before_a_servo_trips(
     cleared = code == "OVERLOAD"  # the load went with the torque; heat and voltage are still what they were
     assert arm.replies[7].ok is cleared
     arm.put(2, register, 120 if register is ax12a.PRESENT_VOLTAGE else 40)
-    arm.run_tick(Clear(8))
-    assert (arm.mode(), arm.replies[8].ok) == (Mode.OFF, True)
+    assert (arm.ask(Clear(8)).ok, arm.mode()) == (True, Mode.OFF)
 
 
 @pytest.mark.parametrize("register", [ax12a.TORQUE_ENABLE, ax12a.TORQUE_LIMIT])
@@ -133,8 +132,7 @@ def test_release_on_the_way_to_rest_is_limp_at_once() -> None:
 def test_clear_waits_for_the_arm_to_come_to_rest() -> None:
     arm = running(5)
     arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
-    arm.run_tick(Clear(1))
-    assert "coming to rest" in arm.replies[1].message
+    assert "coming to rest" in arm.ask(Clear(1)).message
 
 
 def test_release_while_a_fault_decelerates_ends_the_motion() -> None:

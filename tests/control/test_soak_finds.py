@@ -97,12 +97,10 @@ def test_an_arm_whose_torque_on_was_interrupted_is_not_taken_for_one_that_holds(
         arm.put(index, ax12a.TORQUE_LIMIT, 307)
     arm.connect()
     assert (arm.mode(), arm.code()) == (Mode.FAULTED, "LOST_TORQUE")
-    arm.run_tick(Clear(1))
-    assert "armctl release" in arm.replies[1].message
+    assert "armctl release" in arm.ask(Clear(1)).message
     arm.run_tick(Release(2))
     arm.run_tick()
-    arm.run_tick(Clear(3))
-    assert (arm.mode(), arm.replies[3].ok) == (Mode.OFF, True)
+    assert (arm.ask(Clear(3)).ok, arm.mode()) == (True, Mode.OFF)
 
 
 def test_a_servo_that_falls_silent_during_torque_on_leaves_a_fault_that_release_resolves() -> None:
@@ -111,12 +109,10 @@ def test_a_servo_that_falls_silent_during_torque_on_leaves_a_fault_that_release_
     arm.silent = {2}
     arm.run_ticks(8)
     arm.silent = set()
-    arm.run_tick(Clear(2))
-    assert "without full torque" in arm.replies[2].message
+    assert "without full torque" in arm.ask(Clear(2)).message
     arm.run_tick(Release(3))
     arm.run_tick()
-    arm.run_tick(Clear(4))
-    assert (arm.mode(), arm.replies[4].ok) == (Mode.OFF, True)
+    assert (arm.ask(Clear(4)).ok, arm.mode()) == (True, Mode.OFF)
 
 
 @pytest.mark.parametrize("enabled", [0, 1])

@@ -8,27 +8,10 @@ from itertools import pairwise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from armctl import messages
 from armctl.control.step import step
 from armctl.dynamixel import ax12a
-from armctl.messages import (
-    Clear,
-    Command,
-    Hold,
-    Inputs,
-    Jog,
-    JointTrajectory,
-    Park,
-    Pause,
-    Release,
-    Resume,
-    Run,
-    Sample,
-    ServoReading,
-    SetRate,
-    Teach,
-    TeachEnd,
-    TorqueOn,
-)
+from armctl.messages import Clear, Command, Inputs, Jog, Park, Release, Run, Sample, SetRate, Teach, TeachEnd, TorqueOn
 from tests.control.ideal_arm import PERIOD_S, IdealArm, energising, holding, line, running
 
 COMMANDS = st.sampled_from(["park", "hold", "release", "torque", "teach", "end", "run", "clear"])
@@ -42,7 +25,7 @@ def test_any_command_sequence_keeps_goals_inside_limits_and_answers_everyone(sto
     for name, ticks in story:
         asked += 1
         commands: dict[str, Command] = {
-            "hold": Hold(asked),
+            "hold": messages.Hold(asked),
             "park": Park(asked),
             "release": Release(asked),
             "torque": TorqueOn(asked),
@@ -71,15 +54,14 @@ def test_the_same_inputs_give_the_same_outputs() -> None:
 
 
 def _readings(arm: IdealArm):  # type: ignore[no-untyped-def]
-
     return tuple(
-        ServoReading(i, bytes(b), arm.now_ns, True) for i, b in zip(arm.arm.servo_ids, arm.blocks, strict=True)
+        messages.ServoReading(i, bytes(b), arm.now_ns, True) for i, b in zip(arm.arm.servo_ids, arm.blocks, strict=True)
     )
 
 
 REFUSED = {"ILLEGAL_TRANSITION", "NO_REPLY", "LIMIT", "START_MISMATCH", "NOT_CLEARED"}
 # It begins where the arm is not.
-UNFIT = JointTrajectory(PERIOD_S, ((0.5,) * 6, (0.6,) * 6))
+UNFIT = messages.JointTrajectory(PERIOD_S, ((0.5,) * 6, (0.6,) * 6))
 
 
 @given(
@@ -87,8 +69,9 @@ UNFIT = JointTrajectory(PERIOD_S, ((0.5,) * 6, (0.6,) * 6))
     st.sampled_from(["", "teach", "heat", "park", "jog"]),
     st.integers(0, 8),
     st.sampled_from([
-        TorqueOn(9), Release(9), Teach(9), TeachEnd(9), Run(9, UNFIT), Pause(9), Resume(9), SetRate(9, 0.5), Park(9),
-        SetRate(9, 2.0), Jog(9, (0.1,)), Jog(9, (0.1,) * 6, begin=True), Jog(9, (), (0.1, 0.0), True), Clear(9),
+        TorqueOn(9), Release(9), Teach(9), TeachEnd(9), Run(9, UNFIT), messages.Pause(9), messages.Resume(9),
+        SetRate(9, 0.5), SetRate(9, 2.0), Park(9), Clear(9),
+        Jog(9, (0.1,)), Jog(9, (0.1,) * 6, begin=True), Jog(9, (), (0.1, 0.0), True),
     ]),
 )  # fmt: skip
 @settings(deadline=None, max_examples=150)

@@ -141,12 +141,10 @@ def test_torque_comes_on_at_the_goal_that_a_limp_shaft_has_not_left_by_more_than
 def test_torque_on_is_refused_for_a_moving_arm_and_outside_the_limits() -> None:
     arm = IdealArm().connect()
     arm.put(0, ax12a.PRESENT_POSITION, 600)
-    arm.run_tick(TorqueOn(1))
-    assert "joint base is moving" in arm.replies[1].message
+    assert "joint base is moving" in arm.ask(TorqueOn(1)).message
     arm.put(1, ax12a.PRESENT_POSITION, 900)
     arm.run_tick()
-    arm.run_tick(TorqueOn(2))
-    assert arm.replies[2].code == "LIMIT"
+    assert arm.ask(TorqueOn(2)).code == "LIMIT"
     assert "joint shoulder" in arm.replies[2].message
     assert not arm.goals
 
@@ -248,5 +246,4 @@ def test_torque_that_appears_or_stays_on_a_limp_arm_is_a_fault(release: bool) ->
         arm.put(1, ax12a.TORQUE_ENABLE, 1)
     arm.run_ticks(4)
     assert arm.fault() == ("NOT_LIMP", 2)
-    arm.run_tick(Clear(6))
-    assert "armctl release" in arm.replies[6].message
+    assert "armctl release" in arm.ask(Clear(6)).message

@@ -5,16 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from armctl.kinematics import robots
+from armctl.kinematics import differential, robots
 from armctl.kinematics.chain import forward_kinematics, jacobian, tool_position
-from armctl.kinematics.differential import (
-    MOST_DAMPING,
-    dexterity,
-    jacobian_rate,
-    joint_rates,
-    tool_acceleration,
-    tool_velocity,
-)
+from armctl.kinematics.differential import MOST_DAMPING, dexterity, jacobian_rate, joint_rates, tool_velocity
 from armctl.kinematics.transform import FloatArray, rotation_error
 
 H = 1e-5
@@ -28,7 +21,7 @@ def test_tool_velocity_and_acceleration_are_the_derivatives_of_its_motion(name: 
     def at(t: float) -> FloatArray:
         return np.asarray(q + rate * t + 0.5 * rate2 * t * t)
 
-    velocity, acceleration = tool_velocity(chain, q, rate), tool_acceleration(chain, q, rate, rate2)
+    velocity, acceleration = tool_velocity(chain, q, rate), differential.tool_acceleration(chain, q, rate, rate2)
     before, now, after = (forward_kinematics(chain, at(t)) for t in (-H, 0.0, H))
     np.testing.assert_allclose(velocity[:3], (after - before)[:3, 3] / (2.0 * H), atol=1e-8)
     np.testing.assert_allclose(velocity[3:], rotation_error(before[:3, :3], after[:3, :3]) / (2.0 * H), atol=1e-8)

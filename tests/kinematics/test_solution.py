@@ -12,13 +12,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots import puma560
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import (
-    point_target,
-    pose_target,
-    solve,
-    weighted_travel,
-    within_limits,
-)
+from armctl.kinematics.solution import point_target, pose_target, solve, weighted_travel, within_limits
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 
 METHODS: tuple[Literal["closed", "numeric"], ...] = ("closed", "numeric")

@@ -5,20 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.kinematics.transform import (
-    FloatArray,
-    matrix_from_quaternion,
-    matrix_from_rpy,
-    quaternion_from_matrix,
-    rotation_error,
-    rotation_vector,
-    rpy_from_matrix,
-)
+from armctl.kinematics import transform
+from armctl.kinematics.transform import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix, rpy_from_matrix
 
 angle = st.floats(-math.pi, math.pi)
 
 
-def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
+def rotation(roll: float, pitch: float, yaw: float) -> transform.FloatArray:
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
@@ -79,7 +72,7 @@ def test_rotation_vector_is_axis_times_angle(x: float, y: float, z: float, turn:
     axis /= np.linalg.norm(axis)
     half = math.sin(turn / 2.0)
     R = matrix_from_quaternion((axis[0] * half, axis[1] * half, axis[2] * half, math.cos(turn / 2.0)))
-    found = rotation_vector(R)
+    found = transform.rotation_vector(R)
     if turn > math.pi - 1e-6:
         found = found * np.sign(found @ axis)  # half a turn either way is the same
     np.testing.assert_allclose(found, axis * turn, atol=1e-7 if turn > 3.0 else 1e-12)
@@ -88,7 +81,7 @@ def test_rotation_vector_is_axis_times_angle(x: float, y: float, z: float, turn:
 def test_rotation_error_turns_one_rotation_into_the_other() -> None:
     rng = np.random.default_rng(0)
     A, B = (np.array([matrix_from_rpy(*rng.uniform(-1.5, 1.5, 3)) for _ in range(20)]) for _ in range(2))
-    error = rotation_error(A, B)
+    error = transform.rotation_error(A, B)
     angle = np.linalg.norm(error, axis=-1, keepdims=True)
     half = error / angle * np.sin(angle / 2.0)
     for R, wanted, v, w in zip(A, B, half, np.cos(angle[:, 0] / 2.0), strict=True):

@@ -6,16 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.interpolate import (
-    PEAK_SPEED,
-    QUINTIC_PEAK_ACCELERATION,
-    QUINTIC_PEAK_SPEED,
-    Interpolation,
-    joint_path,
-    quintic,
-    time_law,
-    time_of_progress,
-)
+from armctl.trajectory import interpolate
+from armctl.trajectory.interpolate import PEAK_SPEED, Interpolation, joint_path, quintic, time_law, time_of_progress
 
 seeds = st.integers(0, 2**32 - 1)
 kinds = st.sampled_from(["linear", "cubic"])
@@ -58,8 +50,8 @@ def test_quintic_rests_at_both_ends_with_the_stated_peaks() -> None:
     assert q[0].tolist() == [1.0, 0.0]
     assert q[-1].tolist() == [2.0, -3.0]
     speed = np.diff(q[:, 0]) * 4000.0
-    assert speed.max() == pytest.approx(QUINTIC_PEAK_SPEED, rel=1e-5)
-    assert np.abs(np.diff(speed)).max() * 4000.0 == pytest.approx(QUINTIC_PEAK_ACCELERATION, rel=1e-4)
+    assert speed.max() == pytest.approx(interpolate.QUINTIC_PEAK_SPEED, rel=1e-5)
+    assert np.abs(np.diff(speed)).max() * 4000.0 == pytest.approx(interpolate.QUINTIC_PEAK_ACCELERATION, rel=1e-4)
     np.testing.assert_allclose(q[:, 1], -3.0 * (q[:, 0] - 1.0), atol=1e-12)
 
 
