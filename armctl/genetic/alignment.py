@@ -23,7 +23,7 @@ from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.line_path import REACHED_M, near_point, point_text
+from armctl.trajectory.line_path import out_of_reach, point_text
 from armctl.trajectory.straightness import progress_along_line
 
 # How near A and B a recording must come; a quarter of the line's length where that is less.
@@ -126,11 +126,6 @@ def _out_of_reach(arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArr
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
     reasons = []
     for name, end in (("A", A), ("B", B)):
-        q, missed = near_point(chain, end, limits, np.random.default_rng(0))
-        if missed.min() > REACHED_M:
-            nearest = point_text(tool_position(chain, q[missed.argmin()]), arm.floor_m)
-            reasons.append(
-                f"{name} {point_text(end)} is {missed.min() * 1e3:.0f} mm out of reach; the nearest point within the "
-                f"joint limits is {nearest}"
-            )
+        if missing := out_of_reach(chain, end, limits, arm.floor_m, np.random.default_rng(0)):
+            reasons.append(f"{name} {point_text(end)} is {missing}")
     return reasons

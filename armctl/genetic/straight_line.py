@@ -35,7 +35,7 @@ STATIONS_PER_S = 10.0
 FEWEST_STATIONS, MOST_STATIONS = 10, 100
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LineError:
     """How far a tool path is off the line."""
 
@@ -44,21 +44,25 @@ class LineError:
 
 
 @dataclass(frozen=True, eq=False)
-class CandidatePath:
+class StationPath(LineError):
+    """Where the arm is at each of the m stations."""
+
+    # Joint positions [rad], shape (m, joints).
+    positions_rad: FloatArray
+    # Tool points [m], shape (m, 3).
+    tool_m: FloatArray
+    # Whether the path keeps every joint's speed and acceleration limit in the nominal time, and never goes back.
+    feasible: bool
+
+
+@dataclass(frozen=True, eq=False)
+class CandidatePath(StationPath):
     """A path through the candidates."""
 
     # Index of the recording used at each station, shape (m,).
     genes: IntArray
-    # Joint positions, shape (m, joints).
-    positions_rad: FloatArray
-    # Tool points, shape (m, 3).
-    tool_m: FloatArray
-    mean_error_mm: float
-    max_error_mm: float
     # The error that was made small (mean, or p-norm), the charges for broken limits in it.
     cost_mm: float
-    # Whether the path keeps every joint's speed and acceleration limit in the nominal time, and never goes back.
-    feasible: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,18 +83,10 @@ class GeneticRun:
 
 
 @dataclass(frozen=True, eq=False)
-class FreePath:
+class FreePath(StationPath):
     """A path near recorded genes."""
 
-    # Joint positions, shape (m, joints).
-    positions_rad: FloatArray
-    # Tool points, shape (m, 3).
-    tool_m: FloatArray
-    mean_error_mm: float
-    max_error_mm: float
     largest_offset_rad: float
-    # The same as in `CandidatePath`.
-    feasible: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +111,7 @@ class StraightLineResult:
     @property
     def feasible(self) -> bool:
         """Whether the path that the plans are made of keeps the limits."""
-        return self.ga.path.feasible if self.free is None else self.free.feasible
+        return (self.free or self.ga.path).feasible
 
 
 def optimize(
@@ -144,15 +140,8 @@ def optimize(
 
     def cost_of(some: Candidates, nominal_s: float = request.duration_s) -> PathCost:
         distance, along = distance_to_line(some.tool_m, A, B), progress_along_line(some.tool_m, A, B)
-        return path_cost(
-            some,
-            distance,
-            time_of_progress(some.progress) * nominal_s,
-            speed_limits,
-            acceleration_limits,
-            along,
-            request.objective,
-        )
+        time_s = time_of_progress(some.progress) * nominal_s
+        return path_cost(some, distance, time_s, speed_limits, acceleration_limits, along, request.objective)
 
     def kept(nominal_s: float) -> bool:
         # With as many stations as an optimisation for that duration would have.
@@ -181,10 +170,7 @@ def optimize(
     genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, request.settings, rng, progress)
     found, exact = path(genes), path(shortest_path(table))
     freed = _freed(found, candidates, arm, chain, A, B, cost_of) if request.free else None
-    base = found.positions_rad if freed is None else freed.positions_rad
-    plans = [_plan(base, candidates.progress, arm, chain, request, count) for count in request.via]
-    feasible = found.feasible if freed is None else freed.feasible
-    least_s = None if feasible else _least_duration_s(kept, request.duration_s)
+    chosen = freed or found
     alone = costs.distance_m.T * 1e3
     return StraightLineResult(
         candidates=candidates,
@@ -193,9 +179,9 @@ def optimize(
         exact=exact,
         # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
         gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
-        plans=tuple(plans),
         free=freed,
-        least_duration_s=least_s,
+        plans=tuple(_plan(chosen.positions_rad, candidates.progress, arm, chain, request, via) for via in request.via),
+        least_duration_s=None if chosen.feasible else _least_duration_s(kept, request.duration_s),
     )
 
 
@@ -242,9 +228,21 @@ def _freed(
 def _plan(
     path: FloatArray, progress: FloatArray, arm: ArmConfig, chain: SerialChain, request: OptimizeRequest, count: int
 ) -> Plan:
-    """The plan with so many via points."""
-    waypoints, knots, tool_m = _waypoints(path, progress, arm, chain, request, count)
-    line = np.array(request.from_m), np.array(request.to_m)
+    """The plan with `count` via points through a path, joint positions [rad] of shape (m, joints), at its progress."""
+    n, interpolation = chain.n, request.interpolation
+    A, B = np.array(request.from_m), np.array(request.to_m)
+    kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, A, B), len(path) - 1]
+    waypoints, knots = path[kept], progress[kept]
+    tool_m = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
+    if request.free and count > 0:
+        limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
+        motion = StraightMotion(chain, interpolation, A, B, limits, objective=request.objective)
+        off_line = place(motion, waypoints[:, :n], knots)
+        moved = waypoints.copy()
+        moved[1:-1, :n] = off_line.waypoints[1:-1]  # A and B are held exactly
+        moved_tool_m = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
+        if mean_error(moved_tool_m, A, B) < mean_error(tool_m, A, B):
+            waypoints, knots, tool_m = moved, off_line.knots, moved_tool_m
     return Plan(
         arm_id=arm.arm_id,
         calibration_hash=arm.calibration_hash,
@@ -252,39 +250,13 @@ def _plan(
         to_m=request.to_m,
         duration_s=request.duration_s,
         via=count,
-        interpolation=request.interpolation,
+        interpolation=interpolation,
         waypoints_rad=tuple(map(tuple, waypoints.tolist())),
         waypoint_progress=tuple(knots.tolist()),
-        predicted_mean_error_mm=float(mean_error(tool_m, *line)) * 1e3,
-        predicted_max_error_mm=float(max_error(tool_m, *line)) * 1e3,
+        predicted_mean_error_mm=float(mean_error(tool_m, A, B)) * 1e3,
+        predicted_max_error_mm=float(max_error(tool_m, A, B)) * 1e3,
         seed=request.seed,
     )
-
-
-def _waypoints(
-    path: FloatArray,
-    progress: FloatArray,
-    arm: ArmConfig,
-    chain: SerialChain,
-    request: OptimizeRequest,
-    count: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Waypoints [rad], shape (count + 2, joints), their progress, and the predicted tool points [m]."""
-    n, interpolation = chain.n, request.interpolation
-    A, B = np.array(request.from_m), np.array(request.to_m)
-    kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, A, B), len(path) - 1]
-    waypoints, knots = path[kept], progress[kept]
-    tool = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
-    if request.free and count > 0:
-        limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
-        motion = StraightMotion(chain, interpolation, A, B, limits, objective=request.objective)
-        off_line = place(motion, waypoints[:, :n], knots)
-        moved = waypoints.copy()
-        moved[1:-1, :n] = off_line.waypoints[1:-1]  # A and B are held exactly
-        moved_tool = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
-        if mean_error(moved_tool, A, B) < mean_error(tool, A, B):
-            return moved, off_line.knots, moved_tool
-    return waypoints, knots, tool
 
 
 def _stations(duration_s: float, via: Sequence[int]) -> int:

@@ -14,7 +14,7 @@ from armctl.kinematics.chain import link_frames, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
-from armctl.trajectory.interpolate import QUINTIC_PEAK_ACCELERATION, QUINTIC_PEAK_SPEED, quintic
+from armctl.trajectory.interpolate import QUINTIC_PEAK_ACCELERATION, QUINTIC_PEAK_SPEED, rest_to_rest
 
 APPROACH_SPEED_RAD_S = math.radians(20.0)
 SHORTEST_APPROACH_S = 0.5
@@ -34,7 +34,7 @@ def approach_duration_s(q0: FloatArray, q1: FloatArray, arm: ArmConfig, robot: R
     by_speed = float((QUINTIC_PEAK_SPEED * distance / speed).max())
     by_acceleration = math.sqrt(float((QUINTIC_PEAK_ACCELERATION * distance / acceleration).max()))
     duration_s = max(SHORTEST_APPROACH_S, by_speed, by_acceleration)
-    points = tool_position(robot.chain, quintic(q0, q1, np.linspace(0.0, 1.0, 201))[:, : robot.chain.n])
+    points = tool_position(robot.chain, rest_to_rest(q0, q1, np.linspace(0.0, 1.0, 201))[:, : robot.chain.n])
     peak_m_s = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max()) * 200.0 / duration_s
     # The margin covers what 200 chords miss of the true peak.
     return duration_s * max(1.0, 1.02 * peak_m_s / arm.tool_speed_limit_m_s)
@@ -58,7 +58,7 @@ def approach_trajectory(
     if duration_s is None:
         duration_s = approach_duration_s(start, end, arm, robot)
     rows = max(1, math.ceil(duration_s / period_s - 1e-9))
-    positions = quintic(start, end, np.arange(rows + 1) / rows)
+    positions = rest_to_rest(start, end, np.arange(rows + 1) / rows)
     return JointTrajectory(period_s, tuple(map(tuple, positions.tolist())), label=label)
 
 

@@ -29,7 +29,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.bounds import Point
-from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, quintic, time_law
+from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import peak_rates, preflight_motion
 from armctl.trajectory.target import joints_at_point
 
@@ -162,7 +162,7 @@ def straight(
     offset = np.asarray(q_now[:n]) - path_rad[0]
 
     def rows(count: int) -> FloatArray:
-        place = quintic(np.zeros(1), np.ones(1), np.arange(count + 1) / count)[:, 0]
+        place = rest_to_rest(np.zeros(1), np.ones(1), np.arange(count + 1) / count)[:, 0]
         return np.asarray(np.clip(joint_path(path_rad, knots, place, "cubic") + offset, low, high))
 
     speed, acceleration = peak_rates(rows(LOOKS), duration_s / LOOKS)

@@ -18,7 +18,7 @@ Interpolation = Literal["linear", "cubic"]
 RAMP = 0.2
 # Speed of the constant middle, as a multiple of the mean speed.
 PEAK_SPEED = 1.0 / (1.0 - RAMP)
-# Largest speed and acceleration of `quintic` over a unit distance in unit time.
+# Largest speed and acceleration of `rest_to_rest` over a unit distance in unit time.
 QUINTIC_PEAK_SPEED = 1.875
 QUINTIC_PEAK_ACCELERATION = 10.0 / 3.0**0.5
 
@@ -43,7 +43,7 @@ def time_of_progress(s: FloatArray) -> FloatArray:
     return np.interp(s, time_law(u), u)
 
 
-def quintic(q0: FloatArray, q1: FloatArray, u: FloatArray) -> FloatArray:
+def rest_to_rest(q0: FloatArray, q1: FloatArray, u: FloatArray) -> FloatArray:
     """Synchronised rest-to-rest motion of all joints, fifth-order polynomial in time.
 
     Args:

@@ -176,13 +176,8 @@ def _out_of_reach(
     """Why there is no way, and the nearest line that can be reached."""
     reasons = []
     for name, X in (("A", A), ("B", B)):
-        q, missed = near_point(chain, X, limits, rng)
-        if missed.min() >= REACHED_M:
-            nearest = point_text(tool_position(chain, q[missed.argmin()]), floor_m)
-            reasons.append(
-                f"{name} ({point_text(X)}) m is {missed.min() * 1e3:.0f} mm out of reach; the nearest point within the "
-                f"joint limits is {nearest}"
-            )
+        if missing := out_of_reach(chain, X, limits, floor_m, rng):
+            reasons.append(f"{name} ({point_text(X)}) m is {missing}")
     if reasons:
         return reasons
     middle = (A + B) / 2.0
@@ -192,6 +187,17 @@ def _out_of_reach(
             nearest = f"the line from {point_text(a)} to {point_text(b)} can be followed"
             return [f"both ends can be reached, but not every point between them in one go; {nearest}"]
     return ["both ends can be reached, but not every point between them in one go; move the line away from the base"]
+
+
+def out_of_reach(
+    chain: SerialChain, point: FloatArray, limits: FloatArray, floor_m: float, rng: np.random.Generator
+) -> str:
+    """How far a point is out of reach, and the nearest one that is not; empty: some posture reaches it."""
+    q, missed = near_point(chain, point, limits, rng)
+    if missed.min() < REACHED_M:
+        return ""
+    nearest = point_text(tool_position(chain, q[missed.argmin()]), floor_m)
+    return f"{missed.min() * 1e3:.0f} mm out of reach; the nearest point within the joint limits is {nearest}"
 
 
 def _followed(chain: SerialChain, limits: FloatArray, a: FloatArray, b: FloatArray, rng: np.random.Generator) -> bool:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -24,7 +25,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
-from armctl.trajectory.interpolate import Interpolation, joint_path, quintic, time_law
+from armctl.trajectory.interpolate import Interpolation, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import preflight_motion
 
 # How far behind its first point a plan is approached: more than what play and friction of a loaded servo take.
@@ -136,24 +137,39 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
     robot = robots.get(arm.robot, arm.lengths_m)
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     behind = np.where((low <= start) & (start <= high), np.clip(start - lead(plan), low, high), start)
-    approach_s = approach_duration_s(q0, behind, arm, robot)
-    there_s = approach_s + approach_duration_s(behind, start, arm, robot)
-    begin = math.ceil((there_s + DWELL_S) / period_s - 1e-9)
-    rows = begin + math.ceil((plan.duration_s + SETTLE_S) / period_s - 1e-9)
+    ways = [(a, b, approach_duration_s(a, b, arm, robot)) for a, b in ((q0, behind), (behind, start))]
+    return approached(ways, partial(plan_positions, plan), plan.duration_s, period_s, f"line via {plan.via}")
+
+
+def approached(
+    ways: Sequence[tuple[FloatArray, FloatArray, float]],
+    motion: Callable[[FloatArray], FloatArray],
+    duration_s: float,
+    period_s: float,
+    label: str,
+) -> JointTrajectory:
+    """Slow ways one after the other, dwell, a motion in [begin_s, end_s], settle.
+
+    Args:
+        ways: From where [rad], to where [rad], each of shape (joints,), and how long [s].
+        motion: Joint positions [rad], shape (m, joints), at times [s] since its start, shape (m,); the start before it.
+    """
+    begin = math.ceil((sum(way_s for _, _, way_s in ways) + DWELL_S) / period_s - 1e-9)
+    rows = begin + math.ceil((duration_s + SETTLE_S) / period_s - 1e-9)
     time_s: FloatArray = np.arange(rows + 1) * np.float64(period_s)
-    positions = plan_positions(plan, time_s - begin * period_s)
-    catching_up = time_s < there_s
-    positions[catching_up] = quintic(
-        behind, start, (time_s[catching_up] - approach_s) / max(there_s - approach_s, 1e-9)
-    )
-    approach = time_s < approach_s
-    positions[approach] = quintic(q0, behind, time_s[approach] / max(approach_s, 1e-9))
+    positions = motion(time_s - begin * period_s)
+    set_off_s = 0.0
+    for q0, q1, way_s in ways:
+        there_s = set_off_s + way_s
+        going = (time_s >= set_off_s) & (time_s < there_s)
+        positions[going] = rest_to_rest(q0, q1, (time_s[going] - set_off_s) / max(there_s - set_off_s, 1e-9))
+        set_off_s = there_s
     return JointTrajectory(
         period_s=period_s,
         positions_rad=tuple(map(tuple, positions.tolist())),
         begin_s=begin * period_s - ROUNDING_S,
-        end_s=begin * period_s + plan.duration_s - ROUNDING_S,
-        label=f"line via {plan.via}",
+        end_s=begin * period_s + duration_s - ROUNDING_S,
+        label=label,
     )
 
 

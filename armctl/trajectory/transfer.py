@@ -28,8 +28,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.bounds import Point
-from armctl.trajectory.interpolate import quintic as from_rest_to_rest
-from armctl.trajectory.plan import DWELL_S, ROUNDING_S, SETTLE_S
+from armctl.trajectory.plan import approached
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.quintic import Quintic, quintic
 
@@ -123,22 +122,15 @@ def transfer_trajectory(
     q0 = np.asarray(q_now, dtype=np.float64)
     start = np.concatenate([model.sample(np.zeros(1))[0][0], q0[n:]])
     approach_s = approach_duration_s(q0, start, arm, robot)
-    begin = math.ceil((approach_s + DWELL_S) / period_s - 1e-9)
-    rows = begin + math.ceil((model.duration_s + SETTLE_S) / period_s - 1e-9)
-    time_s: FloatArray = np.arange(rows + 1) * np.float64(period_s)
-    positions = np.tile(q0, (rows + 1, 1))
-    positions[:, :n] = model.sample(time_s - begin * period_s)[0]
-    near = time_s < approach_s
-    positions[near] = from_rest_to_rest(q0, start, time_s[near] / max(approach_s, 1e-9))
-    if reasons := preflight_motion(positions, period_s, arm, robot, start_rad=q_now):
+
+    def positions(time_s: FloatArray) -> FloatArray:
+        others = np.tile(q0[n:], (len(time_s), 1))
+        return np.concatenate([model.sample(time_s)[0], others], axis=1)
+
+    trajectory = approached([(q0, start, approach_s)], positions, model.duration_s, period_s, "transfer")
+    if reasons := preflight_motion(np.array(trajectory.positions_rad), period_s, arm, robot, start_rad=q_now):
         raise RequestRefused("PREFLIGHT", reasons)
-    return JointTrajectory(
-        period_s=period_s,
-        positions_rad=tuple(map(tuple, positions.tolist())),
-        begin_s=begin * period_s - ROUNDING_S,
-        end_s=begin * period_s + model.duration_s - ROUNDING_S,
-        label="transfer",
-    )
+    return trajectory
 
 
 def _down_and_up(lift: list[Quintic], cycle: TransferRequest) -> list[Quintic]:

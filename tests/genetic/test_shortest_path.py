@@ -1,3 +1,5 @@
+"""Tables of triple costs, and the cheapest chromosome that they allow."""
+
 from itertools import product
 
 import numpy as np
@@ -39,3 +41,15 @@ def test_a_window_is_the_best_of_all_while_every_other_gene_stays(
     assert (chromosome == before).all()
     assert (np.delete(found, np.r_[window]) == np.delete(chromosome, np.r_[window])).all()
     assert float(evaluate(table, found)) == pytest.approx(float(evaluate(table, every).min()), abs=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 8), st.integers(1, 4))
+@settings(deadline=None)
+def test_cost_is_the_sum_over_triples(seed: int, genes: int, choices: int) -> None:
+    rng = np.random.default_rng(seed)
+    table = rng.random((genes - 2, choices, choices, choices))
+    chromosomes = rng.integers(0, choices, (5, genes))
+    for chromosome, cost in zip(chromosomes, evaluate(table, chromosomes), strict=True):
+        by_hand = sum(table[k, *chromosome[k : k + 3]] for k in range(genes - 2))
+        assert cost == pytest.approx(by_hand)
+        assert evaluate(table, chromosome) == cost

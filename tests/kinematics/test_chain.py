@@ -5,9 +5,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from armctl.kinematics.chain import BLOCK, DHRow, SerialChain, forward_kinematics, jacobian, link_frames
+from armctl.kinematics import robots
+from armctl.kinematics.chain import BLOCK, DHRow, SerialChain, forward_kinematics, jacobian, link_frames, tool_pose
 from armctl.kinematics.chain import tool_position as tool
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, quaternion_from_columns, quaternion_from_matrix
 
 length = st.floats(-0.5, 0.5)
 alpha = st.one_of(st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
@@ -129,3 +130,14 @@ def test_no_pose_in_no_pose_out() -> None:
     chain = SerialChain((DHRow(a=0.1),))
     assert forward_kinematics(chain, np.zeros((0, 1))).shape == (0, 4, 4)
     assert jacobian(chain, np.zeros((0, 1))).shape == (0, 6, 1)
+
+
+@pytest.mark.parametrize("name", robots.names())
+def test_plain_floats_give_the_bits_of_forward_kinematics(name: str) -> None:
+    chain = robots.get(name).chain
+    rng = np.random.default_rng(7)
+    for q in rng.uniform(-np.pi, np.pi, (200, chain.n)):
+        T = forward_kinematics(chain, q)
+        columns = tool_pose(chain, q.tolist())
+        np.testing.assert_array_equal(np.array(columns).T, T[:3])
+        assert quaternion_from_columns(*columns[:3]) == quaternion_from_matrix(T[:3, :3])

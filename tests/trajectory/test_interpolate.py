@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import interpolate
-from armctl.trajectory.interpolate import PEAK_SPEED, Interpolation, joint_path, quintic, time_law, time_of_progress
+from armctl.trajectory.interpolate import (
+    PEAK_SPEED,
+    Interpolation,
+    joint_path,
+    rest_to_rest,
+    time_law,
+    time_of_progress,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 kinds = st.sampled_from(["linear", "cubic"])
@@ -44,9 +51,9 @@ def test_time_of_progress_inverts_the_time_law(s: float) -> None:
     assert float(time_law(time_of_progress(np.array(s)))) == pytest.approx(s, abs=1e-5)
 
 
-def test_quintic_rests_at_both_ends_with_the_stated_peaks() -> None:
+def test_a_way_from_rest_to_rest_rests_at_both_ends_with_the_stated_peaks() -> None:
     u = np.linspace(0.0, 1.0, 4001)
-    q = quintic(np.array([1.0, 0.0]), np.array([2.0, -3.0]), u)
+    q = rest_to_rest(np.array([1.0, 0.0]), np.array([2.0, -3.0]), u)
     assert q[0].tolist() == [1.0, 0.0]
     assert q[-1].tolist() == [2.0, -3.0]
     speed = np.diff(q[:, 0]) * 4000.0

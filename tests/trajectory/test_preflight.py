@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from armctl.config import ArmConfig
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.approach import approach_trajectory
-from armctl.trajectory.interpolate import quintic
+from armctl.trajectory.interpolate import rest_to_rest
 from armctl.trajectory.preflight import peak_rates, preflight_motion
 from tests.genetic import hand
 from tests.genetic.hand import changed
@@ -78,16 +78,16 @@ def test_limits_name_joint_value_and_bound_and_the_dead_zone_where_it_is_one() -
 
 def test_speed_and_acceleration_name_a_duration_that_suffices() -> None:
     way = np.stack([UP, UP + np.radians([40.0, 0, 0, 0, 0, 40.0])])
-    rows = quintic(way[0], way[1], np.linspace(0.0, 1.0, 11))
+    rows = rest_to_rest(way[0], way[1], np.linspace(0.0, 1.0, 11))
     told = reasons(rows)
     assert [reason.split(" would")[0] for reason in told] == ["base"] * 2 + ["roll"] * 2 + ["the tool"]
     needed_s = max(float(reason.split("duration of ")[1].split(" s")[0]) for reason in told)
-    rows = quintic(way[0], way[1], np.linspace(0.0, 1.0, round(needed_s / PERIOD_S) + 3))
+    rows = rest_to_rest(way[0], way[1], np.linspace(0.0, 1.0, round(needed_s / PERIOD_S) + 3))
     assert reasons(rows) == ()
 
 
 def test_advice_is_about_the_duration_its_maker_can_change() -> None:
-    rows = quintic(UP, UP + np.radians([0, 0, 0, 0, 0, 40.0]), np.linspace(0.0, 1.0, 11))
+    rows = rest_to_rest(UP, UP + np.radians([0, 0, 0, 0, 0, 40.0]), np.linspace(0.0, 1.0, 11))
     whole, part = (
         float(reasons(rows, duration_s=duration_s)[0].split("of ")[1].split(" s")[0]) for duration_s in (None, 5.0)
     )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
-from armctl.trajectory.interpolate import quintic as rest_to_rest
+from armctl.trajectory.interpolate import rest_to_rest
 from armctl.trajectory.quintic import curves, quintic
 
 states = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6)

@@ -21,26 +21,21 @@ class ClosedForm(Protocol):
 
     def poses(self, T: FloatArray) -> FloatArray:
         """Every configuration [rad] of poses (m, 4, 4), shape (m, branches, n); NaN where a branch does not exist."""
-        ...
 
     def pose_families(self, T: FloatArray) -> FloatArray:
         """Configurations [rad] of one pose (4, 4), over what a pose leaves free, shape (branches, k, n)."""
-        ...
 
     def positions(self, points: FloatArray) -> FloatArray:
         """Configurations [rad] with the tool on points [m] (m, 3), over what a point leaves free.
 
         Shape (m, branches, k, n); NaN where one does not exist.
         """
-        ...
 
     def nearest_pose(self, T: FloatArray) -> tuple[FloatArray, float]:
         """Configurations [rad] (k, n) near a pose that is out of reach, and the least distance [m]."""
-        ...
 
     def nearest_position(self, point: FloatArray) -> tuple[FloatArray, float]:
         """Configurations [rad] (k, n) of the tool's place nearest to a point, and its distance [m]."""
-        ...
 
 
 @dataclass(frozen=True)
