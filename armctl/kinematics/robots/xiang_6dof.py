@@ -51,14 +51,9 @@ _S1, _S2, _S3, _S4, _S5, _S6 = (math.sin(t) for t in _Q)
 _C23, _S23 = math.cos(_Q[1] + _Q[2]), math.sin(_Q[1] + _Q[2])
 _C34, _S34 = math.cos(_Q[2] + _Q[3]), math.sin(_Q[2] + _Q[3])
 _C234, _S234 = math.cos(sum(_Q[1:4])), math.sin(sum(_Q[1:4]))
+# The bracket of o_x and o_y in eq. (9), and row 1, column 2 of eq. (11): printed and corrected.
+_O_PRINTED, _O_TRUE = -_C234 * _C5 * _C6 - _S234 * _C6, -_C234 * _C5 * _S6 - _S234 * _C6
 _N, _O, _A, _P = (_T[:3, i].tolist() for i in range(4))
-
-
-def _row(c1: bool, sign: float) -> tuple[float, float]:
-    """o_x (c1) or o_y of eq. (9), printed and corrected."""
-    lead = _C1 if c1 else _S1
-    tail = sign * (_S1 if c1 else _C1) * _S5 * _S6
-    return lead * (-_C234 * _C5 * _C6 - _S234 * _C6) + tail, lead * (-_C234 * _C5 * _S6 - _S234 * _C6) + tail
 
 
 def _fig_9(q: tuple[float, ...]) -> FloatArray:
@@ -114,14 +109,14 @@ ERRATA = errata(
         "C1 (-C234 C5 C6 - S234 C6) + S1 S5 S6",
         "C1 (-C234 C5 S6 - S234 C6) + S1 S5 S6",
         "A1 to A6 multiplied at one configuration",
-        lambda: off(_O[0], *_row(True, 1.0)),
+        lambda: off(_O[0], _C1 * _O_PRINTED + _S1 * _S5 * _S6, _C1 * _O_TRUE + _S1 * _S5 * _S6),
     ),
     (
         "eq. (9), o_y",
         "S1 (-C234 C5 C6 - S234 C6) - C1 S5 S6",
         "S1 (-C234 C5 S6 - S234 C6) - C1 S5 S6",
         "A1 to A6 multiplied at one configuration",
-        lambda: off(_O[1], *_row(False, -1.0)),
+        lambda: off(_O[1], _S1 * _O_PRINTED - _C1 * _S5 * _S6, _S1 * _O_TRUE - _C1 * _S5 * _S6),
     ),
     (
         "eq. (9), n_z",
@@ -163,7 +158,7 @@ ERRATA = errata(
         "-C234 C5 C6 - S234 C6",
         "-C234 C5 S6 - S234 C6",
         "A1^-1 T at one configuration",
-        lambda: off(float(_base_turned()[0, 1]), -_C234 * _C5 * _C6 - _S234 * _C6, -_C234 * _C5 * _S6 - _S234 * _C6),
+        lambda: off(float(_base_turned()[0, 1]), _O_PRINTED, _O_TRUE),
     ),
     (
         "eq. (11), right, row 2",
