@@ -25,27 +25,27 @@ class ServoReading:
     """What one servo said, and when. A servo that missed this tick keeps its last registers and their old stamp."""
 
     servo_id: int
+    # Control table 24..49 (26 bytes) of the last good reply; empty if it never answered.
     registers: bytes
-    """Control table 24..49 (26 bytes) of the last good reply; empty if it never answered."""
+    # When `registers` arrived; 0 if never.
     stamp_ns: int
-    """When `registers` arrived; 0 if never."""
+    # Whether `registers` were read in this very sample.
     fresh: bool
-    """Whether `registers` were read in this very sample."""
+    # Error byte of the last good reply.
     error: int = 0
-    """Error byte of the last good reply."""
+    # Why this sample got no good reply: NO_REPLY, BUS_NOISE, PORT_GONE or nothing.
     problem: str = ""
-    """Why this sample got no good reply: NO_REPLY, BUS_NOISE, PORT_GONE or nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
     """One reading of every servo."""
 
+    # The instant the reading began; the time of every message of this tick.
     time_ns: int
-    """The instant the reading began; the time of every message of this tick."""
     servos: tuple[ServoReading, ...]
+    # Duration of the whole reading [us].
     bus_us: int = 0
-    """Duration of the whole reading [us]."""
     retries: int = 0
     port_open: bool = True
 
@@ -57,8 +57,8 @@ class Sample:
 class Grip:
     """What a closing gripper feels for: the motion ends early, and well, where the joint's load says that it holds."""
 
+    # Index of the gripper's joint.
     joint: int
-    """Index of the gripper's joint."""
     load_ratio: float
 
 
@@ -163,12 +163,12 @@ class Jog:
     """
 
     request_id: int
+    # One velocity for each joint.
     joints_rad_s: tuple[float, ...] = ()
-    """One velocity for each joint."""
+    # Velocity of the tool point in the base frame, (x, y, z).
     tool_m_s: tuple[float, ...] = ()
-    """Velocity of the tool point in the base frame, (x, y, z)."""
+    # True for the first heartbeat alone: a jog that has ended does not go on by itself.
     begin: bool = False
-    """True for the first heartbeat alone: a jog that has ended does not go on by itself."""
     kind: Literal["jog"] = "jog"
 
 
@@ -194,8 +194,8 @@ class Connected:
 
     problems: tuple[Problem, ...] = ()
     restarted: bool = False
+    # Firmware version of every servo; -1: it could not be read.
     firmware: tuple[int, ...] = ()
-    """Firmware version of every servo; -1: it could not be read."""
     kind: Literal["connected"] = "connected"
 
 
@@ -206,8 +206,8 @@ class HostLost:
     kind: Literal["host_lost"] = "host_lost"
 
 
+# What a client asks for; its `request_id` stands in the reply.
 Request = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Pause | Resume | SetRate | Jog | Park | Clear
-"""What a client asks for; its `request_id` stands in the reply."""
 Command = Request | Connected | HostLost
 
 
@@ -228,8 +228,8 @@ class Inputs:
     now_ns: int
     sample: Sample
     commands: tuple[Command, ...] = ()
+    # How far behind its deadline this tick began.
     late_ns: int = 0
-    """How far behind its deadline this tick began."""
 
 
 # ------------------------------------------------------------------------------------------ step -> outside
@@ -325,17 +325,17 @@ class Outputs:
     mode: Mode
     fault: Fault | None
     joints: tuple[JointState, ...]
+    # None until every joint is known.
     tool: ToolPose | None
-    """None until every joint is known."""
     writes: tuple[Write, ...] = ()
+    # None: nothing is sent, the servos keep the goal they have.
     goal: Goal | None = None
-    """None: nothing is sent, the servos keep the goal they have."""
     replies: tuple[Reply, ...] = ()
     events: tuple[Event, ...] = ()
+    # Fraction of the running trajectory, None when none runs.
     progress: float | None = None
-    """Fraction of the running trajectory, None when none runs."""
+    # Trajectory seconds per second asked for, 0 while paused; None when none runs.
     rate: float | None = None
-    """Trajectory seconds per second asked for, 0 while paused; None when none runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,10 +346,10 @@ class TickRecord:
     outputs: Outputs
     lateness_us: int = 0
     write_us: int = 0
+    # JSON of the step's state after this tick, on some ticks: where a replay can begin.
     keyframe: str = ""
-    """JSON of the step's state after this tick, on some ticks: where a replay can begin."""
+    # Tick records lost before this one because the host did not take them.
     dropped: int = 0
-    """Tick records lost before this one because the host did not take them."""
 
 
 # -------------------------------------------------------------------------------------------------- as JSON
@@ -394,5 +394,5 @@ def command_from_json(text: str) -> Command:
     return command
 
 
+# One object for all calls: another one would be another type, with an adapter of its own that is kept for ever.
 _BY_KIND = Annotated[Command, Field(discriminator="kind")]
-"""One object for all calls: another one would be another type, with an adapter of its own that is kept for ever."""

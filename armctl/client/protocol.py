@@ -15,8 +15,8 @@ from armctl.files import socket_path
 MAX_WAITING_NOTIFICATIONS = 64
 
 Message = dict[str, Any]
+# Method and parameters.
 Notification = tuple[str, Message]
-"""Method and parameters."""
 
 
 class Protocol:

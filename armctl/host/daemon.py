@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 
     MakeRecorder = Callable[[LogContext, Path, Path], DaemonRecorder]
 
+# Longest wait for the first tick.
 START_S = 20.0
-"""Longest wait for the first tick."""
+# Longest wait for the arm to come to rest at the end.
 STILL_S = 1.0
-"""Longest wait for the arm to come to rest at the end."""
 LEAVE_S = 0.5
 MAX_DEATHS = 5
 DEATHS_WINDOW_NS = 60 * NS_PER_S
@@ -85,8 +85,8 @@ class Outside:
     """What the daemon is given of the world; tests give it another one."""
 
     start_control: StartControl = ControlProcess.start
+    # None: a `Recorder`.
     make_recorder: MakeRecorder | None = None
-    """None: a `Recorder`."""
     clock: Clock = field(default_factory=MonotonicClock)
 
 

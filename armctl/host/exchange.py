@@ -8,8 +8,8 @@ from typing import Protocol
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.messages import Command, Hold, Reply
 
+# Longest wait for the control process's answer to anything but the end of a motion.
 ANSWER_S = 10.0
-"""Longest wait for the control process's answer to anything but the end of a motion."""
 
 
 class Sender(Protocol):
@@ -32,13 +32,13 @@ class Exchange:
 
     def __init__(self) -> None:
         self.control: Control | None = None
+        # Commands sent so far that may move something: all but `Hold`.
         self.asked = 0
-        """Commands sent so far that may move something: all but `Hold`."""
         self._ids = itertools.count(1)
         self._pending: dict[int, asyncio.Future[Reply]] = {}
         self._hold: asyncio.Task[Reply] | None = None
+        # When it was sent [ns], and how much had been asked by then.
         self._held_at = 0, 0
-        """When it was sent [ns], and how much had been asked by then."""
 
     def lost(self) -> None:
         """The control process is gone: what it still owed an answer fails."""

@@ -58,19 +58,19 @@ from armctl.recording.channels import COMMAND
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.target import MoveRequest
 
+# How long a motion may go without any progress, unless somebody paused it, before it is given up.
 STUCK_S = 60.0
-"""How long a motion may go without any progress, unless somebody paused it, before it is given up."""
+# Longest way to rest: half a turn of every joint at 20 deg/s takes a quarter of it.
 PARK_S = 60.0
-"""Longest way to rest: half a turn of every joint at 20 deg/s takes a quarter of it."""
+# What a run's recording keeps after the motion has ended.
 TAIL_NS = 300_000_000
-"""What a run's recording keeps after the motion has ended."""
+# What a commander asks for in one word; each makes the command of a request id.
 COMMANDS: dict[str, Callable[[int], Command]] = {
     "release": Release,
     "torque_on": TorqueOn,
     "park": Park,
     "clear": Clear,
 }
-"""What a commander asks for in one word; each makes the command of a request id."""
 
 logger = logging.getLogger(__name__)
 

@@ -31,15 +31,15 @@ from armctl.recording import recordings
 from armctl.trajectory.plan import plan_to_text
 
 PROGRESS_PERIOD_S = 0.1
+# A computation must not take the processor from the control process.
 NICENESS = 10
-"""A computation must not take the processor from the control process."""
 
 logger = logging.getLogger(__name__)
 
 A = TypeVar("A")
 R = TypeVar("R")
+# Called with generation, best and mean cost [mm].
 Progress = Callable[[int, float, float], None]
-"""Called with generation, best and mean cost [mm]."""
 Task = Callable[[A, Progress], R]
 
 

@@ -10,11 +10,11 @@ from typing import Protocol
 
 from armctl.errors import IllegalTransition, RequestRefused
 
+# What the commander itself may ask while it holds a lasting lease.
 _DURING = {
     "teach": frozenset({"release", "torque_on", "clear", "park"}),
     "jogging": frozenset({"jog"}),
 }
-"""What the commander itself may ask while it holds a lasting lease."""
 
 
 class Client(Protocol):
@@ -32,10 +32,10 @@ class Lease:
 
     client: Client
     what: str
+    # Whether that client has gone.
     lost: bool = False
-    """Whether that client has gone."""
+    # Whether somebody asked the arm to stop meanwhile.
     stopped: bool = False
-    """Whether somebody asked the arm to stop meanwhile."""
 
 
 class Leases:

@@ -81,8 +81,8 @@ class JogBeat(Frozen):
     begin: bool = False
 
 
+# Heartbeats of a jog are logged as commands of the control step; an optimisation moves nothing.
 UNNOTED = ("jog", "optimize")
-"""Heartbeats of a jog are logged as commands of the control step; an optimisation moves nothing."""
 
 
 def _observed(look: Callable[[], dict[str, Any]]) -> Method:

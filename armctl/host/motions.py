@@ -21,13 +21,13 @@ from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.straightness import max_error, mean_error
 from armctl.trajectory.target import MoveRequest, joints_at_point, joints_at_pose
 
+# How far ahead of a jog collisions are looked for: heartbeat, stop and then some.
 JOG_LOOK_S = 0.5
-"""How far ahead of a jog collisions are looked for: heartbeat, stop and then some."""
 JOG_LOOKS = 11
 SAME_M = 1e-6
 
+# Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run.
 Leg = Callable[[Sequence[float], Sequence[float]], JointTrajectory]
-"""Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run."""
 
 
 @dataclass

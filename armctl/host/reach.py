@@ -16,10 +16,10 @@ from armctl.messages import JointTrajectory
 from armctl.trajectory import grasp
 from armctl.trajectory.grasp import Grasp, ReachRequest
 
+# Of the load asked for: with less the gripper has lost what it held.
 HELD_SHARE = 0.5
-"""Of the load asked for: with less the gripper has lost what it held."""
+# The leg after which the tool is at the point.
 _THERE = 4
-"""The leg after which the tool is at the point."""
 
 
 async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, Any]:

@@ -137,8 +137,8 @@ class Method:
     params: type[BaseModel]
     handle: Callable[[Connection, Any], Awaitable[dict[str, Any]]]
     always: bool = False
+    # Whether it changes nothing.
     observes: bool = False
-    """Whether it changes nothing."""
 
 
 class Server:

@@ -15,11 +15,11 @@ from armctl.messages import Fault, JointState, TickRecord, ToolPose
 from armctl.recording.channels import OVERRUN_NS
 
 STATISTICS_TICKS = 600
+# Time over which the tool's speed is measured: a tick of a potentiometer is 2 mm at the tool.
 SPEED_S = 0.2
-"""Time over which the tool's speed is measured: a tick of a potentiometer is 2 mm at the tool."""
 
+# What is told of a joint; all of them are null until its servo has answered once.
 JOINT_KEYS = tuple(name for name in JointState.__slots__ if name != "known")
-"""What is told of a joint; all of them are null until its servo has answered once."""
 
 Point = tuple[float, float, float]
 
@@ -28,8 +28,8 @@ class Statistics:
     """What is remembered of the latest ticks: how they went, and how the tool moved."""
 
     def __init__(self) -> None:
+        # Ticks the host was too slow for.
         self.dropped = 0
-        """Ticks the host was too slow for."""
         self._ticks: deque[tuple[int, int, int]] = deque(maxlen=STATISTICS_TICKS)
         self._places: deque[tuple[int, Point]] = deque()
 

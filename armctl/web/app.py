@@ -49,13 +49,13 @@ COMMANDS: tuple[tuple[str, str, type[Frozen], str], ...] = (
         "Switch torque off: the arm drops unless it is supported, which `confirm` says.",
     ),
 )
+# What is handed to the daemon as it is: path, method of the socket, its parameters, and what it does.
 TEACHING: tuple[tuple[str, str, type[Frozen], str], ...] = (
     ("/teach/begin", "teach_begin", Nothing, "Make the arm limp for guiding by hand."),
     ("/teach/end", "teach_end", Nothing, "Leave teaching; the arm stays limp."),
     ("/take/begin", "take_begin", Named, "Record a candidate."),
     ("/take/end", "take_end", Nothing, "The candidate is complete."),
 )
-"""What is handed to the daemon as it is: path, method of the socket, its parameters, and what it does."""
 
 
 def create_app(arm: ArmConfig, config: Config, *, socket: Path, token: str, port: int) -> tuple[FastAPI, Guard]:

@@ -18,10 +18,10 @@ from armctl.client.asynchronous import AsyncClient
 from armctl.errors import ArmctlError, NoDaemon
 
 RETRY_S = 0.5
+# How long a page may be away, as while it is loaded again, before it counts as left.
 LEAVE_S = 3.0
-"""How long a page may be away, as while it is loaded again, before it counts as left."""
+# Messages a slow page may lag behind; then it loses the oldest.
 MAX_WAITING = 4
-"""Messages a slow page may lag behind; then it loses the oldest."""
 
 Enrich = Callable[[dict[str, Any]], dict[str, Any]]
 

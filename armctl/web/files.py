@@ -22,8 +22,8 @@ from armctl.trajectory.plan import plan_positions
 from armctl.web import plans
 from armctl.web.connections import Connections
 
+# Of a curve sent to a page.
 MOST_POINTS = 1000
-"""Of a curve sent to a page."""
 
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
 Seconds = Annotated[float, Query(ge=0.0, allow_inf_nan=False)]

@@ -54,8 +54,8 @@ _TOLD = (
     channels.ROSOUT,
     channels.ROBOT_DESCRIPTION,
 )
+# Every topic of the stream.
 PUBLISHED: dict[str, Topic] = {**{name: TOPICS[name] for name in _TOLD}, STATUS.name: STATUS}
-"""Every topic of the stream."""
 
 
 class Encoder:

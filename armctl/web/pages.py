@@ -11,6 +11,7 @@ import plotly
 from fastapi import APIRouter, Request, Response
 
 STATIC = Path(__file__).parent / "static"
+# Where each file is served, and as what.
 PAGES = {
     "/": (STATIC / "index.html", "text/html"),
     "/app.js": (STATIC / "app.js", "text/javascript"),
@@ -18,7 +19,6 @@ PAGES = {
     "/icon.svg": (STATIC / "icon.svg", "image/svg+xml"),
     "/plotly.js": (Path(plotly.__file__).parent / "package_data" / "plotly.min.js", "text/javascript"),
 }
-"""Where each file is served, and as what."""
 
 
 def pages() -> APIRouter:

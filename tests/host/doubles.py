@@ -116,8 +116,8 @@ class MemoryRecorder:
     dropped_records: int = 0
     records: list[TickRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    # Number of ticks in each take that has ended.
     takes: dict[str, int] = field(default_factory=dict)
-    """Number of ticks in each take that has ended."""
     begun: tuple[str, int] | None = None
     on_begin: Callable[[], None] = lambda: None
     closed: bool = False

@@ -47,8 +47,8 @@ class Bench:
         self.controls: list[IdealControl] = []
         self.ready = asyncio.Event()
         self.failing_start: StartFailed | None = None
+        # Whether a motion waits where it is for the next command.
         self.frozen = False
-        """Whether a motion waits where it is for the next command."""
         self.status = 0
         self.lines: list[str] = []
         self.threads = ThreadPoolExecutor()

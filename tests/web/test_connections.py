@@ -21,8 +21,8 @@ class Stub:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        # Which connection asked for what.
         self.asked: list[tuple[int, str]] = []
-        """Which connection asked for what."""
         self.left: list[int] = []
         self.changed = asyncio.Event()
         self.writers: list[asyncio.StreamWriter] = []
