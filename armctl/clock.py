@@ -4,8 +4,6 @@ Two kinds of time exist inside armctl: monotonic nanoseconds (everything that me
 epoch nanoseconds (what log files and people read). A `Clock` deals in monotonic time only.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

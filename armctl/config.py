@@ -9,13 +9,11 @@ without its surprises: no aliases, tags or duplicate keys, no `.nan`, no `1:30` 
 16 levels deep.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re
 from functools import cached_property
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -76,7 +74,7 @@ class JointConfig(Frozen):
     """How stiffly the servo holds."""
 
     @model_validator(mode="after")
-    def _check(self) -> JointConfig:
+    def _check(self) -> Self:
         low, high = self.limits_deg
         if not low < high:
             raise ValueError(f"limits_deg [{low}, {high}]: the first must be below the second")
@@ -159,7 +157,7 @@ class ArmConfig(Frozen):
     """What `reach --grip` closes."""
 
     @model_validator(mode="after")
-    def _check_gripper(self) -> ArmConfig:
+    def _check_gripper(self) -> Self:
         gripper = self.gripper
         if gripper is None:
             return self
@@ -182,7 +180,7 @@ class ArmConfig(Frozen):
         return self
 
     @model_validator(mode="after")
-    def _check(self) -> ArmConfig:
+    def _check(self) -> Self:
         for what in ("name", "servo_id"):
             seen: set[object] = set()
             for joint in self.joints:

@@ -4,8 +4,6 @@ A message says what is wrong, where, the value found, the bound it broke and wha
 status of the command line is a property of the error, so that no caller has to guess it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -52,25 +50,31 @@ class BusError(ArmctlError):
         super().__init__(message)
 
 
-class PortMissing(BusError):
+class PortError(BusError):
+    """The port itself failed; each way to fail is a class with its own fault code."""
+
+    port_code: ClassVar[str]
+
+    def __init__(self, message: str) -> None:
+        super().__init__(self.port_code, message)
+
+
+class PortMissing(PortError):
     """The port does not exist or is no serial port."""
 
-    def __init__(self, message: str) -> None:
-        super().__init__("PORT_MISSING", message)
+    port_code = "PORT_MISSING"
 
 
-class PortBusy(BusError):
+class PortBusy(PortError):
     """Another process holds the port."""
 
-    def __init__(self, message: str) -> None:
-        super().__init__("PORT_BUSY", message)
+    port_code = "PORT_BUSY"
 
 
-class PortGone(BusError):
+class PortGone(PortError):
     """The port vanished while in use (unplugged)."""
 
-    def __init__(self, message: str) -> None:
-        super().__init__("PORT_GONE", message)
+    port_code = "PORT_GONE"
 
 
 class RequestRefused(ArmctlError):

@@ -1,7 +1,5 @@
 """Where configuration, data and sockets are, and the configuration read from there."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

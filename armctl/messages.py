@@ -5,8 +5,6 @@ written as JSON without loss (`to_json`, `from_json`; Python's float text round-
 the calibration file's order everywhere; positions are radians, time is monotonic nanoseconds.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -189,6 +187,15 @@ class Clear:
 
 
 @dataclass(frozen=True, slots=True)
+class Problem:
+    """One reason why a connected bus is not fit for motion."""
+
+    code: str
+    text: str
+    servo_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Connected:
     """The bus was (re)opened and every servo identified; `problems` are what forbids torque."""
 
@@ -209,15 +216,6 @@ class HostLost:
 # What a client asks for; its `request_id` stands in the reply.
 Request = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Pause | Resume | SetRate | Jog | Park | Clear
 Command = Request | Connected | HostLost
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One reason why a connected bus is not fit for motion."""
-
-    code: str
-    text: str
-    servo_id: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ Rules.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import signal
 import socket
@@ -23,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import LinkClosed, Ready, StartFailed
+from armctl.control.link import Link, LinkClosed, Ready, StartFailed
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.files import data_dir
@@ -55,21 +56,13 @@ PATIENT_WAIT_S = 5.0
 logger = logging.getLogger(__name__)
 
 
-class ControlLink(Protocol):
-    """The host's end of a link."""
-
-    def fileno(self) -> int: ...
-    def send(self, message: object) -> bool: ...
-    def receive(self) -> list[object]: ...
-
-
 class ControlHandle(Protocol):
     """A control process as its supervisor needs it."""
 
     @property
     def pid(self) -> int: ...
     @property
-    def link(self) -> ControlLink: ...
+    def link(self) -> Link: ...
     def poll(self) -> int | None: ...
     def terminate(self, timeout_s: float) -> None: ...
 
@@ -145,8 +138,8 @@ async def run_daemon(
             server.publish(host.status)
             service_manager.notify("WATCHDOG=1")
 
-        supervisor = Supervisor(lambda: start_control(settings, restarted=True), host, tick, clock)
-        supervising = asyncio.create_task(supervisor.run(control))
+        restart = partial(start_control, settings, restarted=True)
+        supervising = asyncio.create_task(supervise(control, restart, host, tick, clock))
         try:
             await _first_tick(host, supervising, ending)
             await server.start(listening)
@@ -195,73 +188,71 @@ async def _parts(
     return host, server, recorder
 
 
-class Supervisor:
-    """Keeps a control process alive: takes in what it sends, and starts another when it is gone."""
+async def supervise(
+    control: ControlHandle,
+    restart: Callable[[], ControlHandle],
+    host: Host,
+    tick: Callable[[TickRecord], None],
+    clock: Clock,
+) -> None:
+    """Keep a control process alive, beginning with `control`, until cancelled: when it is gone, another is started.
 
-    def __init__(
-        self,
-        start: Callable[[], ControlHandle],
-        host: Host,
-        tick: Callable[[TickRecord], None],
-        clock: Clock,
-    ) -> None:
-        self._start, self._host, self._tick, self._clock = start, host, tick, clock
-        self._deaths_ns: deque[int] = deque(maxlen=MAX_DEATHS + 1)
+    Args:
+        tick: Takes each tick record in.
+    Raises:
+        BusError: the very first process could not take the port.
+    """
+    first = True
+    deaths_ns: deque[int] = deque(maxlen=MAX_DEATHS + 1)
+    while True:
+        failed = await _until_gone(control, host, tick)
+        if failed is not None and first:
+            raise start_error(failed)
+        first = False
+        deaths_ns.append(clock.now_ns())
+        wait_s = restart_wait_s(deaths_ns)
+        why = f"exit status {control.poll()}" if failed is None else failed.message
+        logger.error("RESTARTED: the control process is gone (%s); starting another in %g s", why, wait_s)
+        host.note({"event": "RESTARTED", "text": f"the control process is gone ({why})"})
+        await asyncio.sleep(wait_s)
+        control = restart()
 
-    async def run(self, control: ControlHandle) -> None:
-        """Supervise, beginning with `control`, until cancelled.
 
-        Raises:
-            BusError: the very first process could not take the port.
-        """
-        first = True
-        while True:
-            failed = await self._serve(control)
-            if failed is not None and first:
-                raise start_error(failed)
-            first = False
-            self._deaths_ns.append(self._clock.now_ns())
-            wait_s = restart_wait_s(self._deaths_ns)
-            why = f"exit status {control.poll()}" if failed is None else failed.message
-            logger.error("RESTARTED: the control process is gone (%s); starting another in %g s", why, wait_s)
-            self._host.note({"event": "RESTARTED", "text": f"the control process is gone ({why})"})
-            await asyncio.sleep(wait_s)
-            control = self._start()
+async def _until_gone(control: ControlHandle, host: Host, tick: Callable[[TickRecord], None]) -> StartFailed | None:
+    """Take in what the process sends until it is gone; returns why it could not start, if so."""
+    loop = asyncio.get_running_loop()
+    descriptor = control.link.fileno()
+    gone = asyncio.Event()
+    failed: StartFailed | None = None
 
-    async def _serve(self, control: ControlHandle) -> StartFailed | None:
-        """Take in what the process sends until it is gone; returns why it could not start, if so."""
-        loop = asyncio.get_running_loop()
-        descriptor = control.link.fileno()
-        gone = asyncio.Event()
-        failed: StartFailed | None = None
-
-        def receive() -> None:
-            nonlocal failed
-            try:
-                messages = control.link.receive()
-            except LinkClosed:
-                loop.remove_reader(descriptor)
-                gone.set()
-                return
-            for message in messages:
-                if isinstance(message, TickRecord):
-                    self._tick(message)
-                elif isinstance(message, Reply):
-                    self._host.answer(message)
-                elif isinstance(message, Ready):
-                    self._host.attach(control)
-                elif isinstance(message, StartFailed):
+    def receive() -> None:
+        nonlocal failed
+        try:
+            messages = control.link.receive()
+        except LinkClosed:
+            loop.remove_reader(descriptor)
+            gone.set()
+            return
+        for message in messages:
+            match message:
+                case TickRecord():
+                    tick(message)
+                case Reply():
+                    host.answer(message)
+                case Ready():
+                    host.attach(control)
+                case StartFailed():
                     failed = message
 
-        loop.add_reader(descriptor, receive)
-        try:
-            await gone.wait()
-            self._host.control_lost()
-        finally:
-            loop.remove_reader(descriptor)
-            # The next one can have the port only when this one has let go of it.
-            await asyncio.to_thread(control.terminate, LEAVE_S)
-        return failed
+    loop.add_reader(descriptor, receive)
+    try:
+        await gone.wait()
+        host.control_lost()
+    finally:
+        loop.remove_reader(descriptor)
+        # The next one can have the port only when this one has let go of it.
+        await asyncio.to_thread(control.terminate, LEAVE_S)
+    return failed
 
 
 def restart_wait_s(deaths_ns: deque[int]) -> float:
@@ -272,13 +263,10 @@ def restart_wait_s(deaths_ns: deque[int]) -> float:
 
 def start_error(failed: StartFailed) -> BusError:
     """The error that a control process met when it started."""
-    kinds: dict[str, Callable[[str], BusError]] = {
-        "PORT_MISSING": PortMissing,
-        "PORT_BUSY": PortBusy,
-        "PORT_GONE": PortGone,
-    }
-    kind = kinds.get(failed.code)
-    return BusError(failed.code, failed.message) if kind is None else kind(failed.message)
+    for kind in (PortMissing, PortBusy, PortGone):
+        if failed.code == kind.port_code:
+            return kind(failed.message)
+    return BusError(failed.code, failed.message)
 
 
 def listen(path: Path) -> socket.socket:
@@ -290,24 +278,22 @@ def listen(path: Path) -> socket.socket:
         RequestRefused: code BUSY, another daemon answers there.
         ConfigError: there can be no socket at that path.
     """
-    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        if not path.parent.exists():
-            path.parent.mkdir(parents=True)
-            path.parent.chmod(0o750)
-        if path.is_socket():
-            _refuse_second(path)
-            path.unlink()
-        listening.bind(str(path))
-        path.chmod(0o660)  # before anybody can connect
-        listening.listen()
-    except OSError as error:
-        listening.close()
-        problem = error.strerror or str(error)
-        raise ConfigError(str(path), "socket", f"cannot be made: {problem}", "choose another with --socket") from None
-    except ArmctlError:
-        listening.close()
-        raise
+    with contextlib.ExitStack() as undo:
+        listening = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+        try:
+            if not path.parent.exists():
+                path.parent.mkdir(parents=True)
+                path.parent.chmod(0o750)
+            if path.is_socket():
+                _refuse_second(path)
+                path.unlink()
+            listening.bind(str(path))
+            path.chmod(0o660)  # before anybody can connect
+            listening.listen()
+        except OSError as error:
+            why = f"cannot be made: {error.strerror or error}"
+            raise ConfigError(str(path), "socket", why, "choose another with --socket") from None
+        undo.pop_all()
     return listening
 
 

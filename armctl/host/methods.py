@@ -1,14 +1,12 @@
 """What clients can ask for: names, parameters, and which part of the daemon answers."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -54,7 +52,7 @@ class Show(Frozen):
     to_m: Point | None = None
 
     @model_validator(mode="after")
-    def _both_ends(self) -> Show:
+    def _both_ends(self) -> Self:
         if (self.from_m is None) != (self.to_m is None):
             raise ValueError("from_m, to_m: a line has both ends; give both or neither")
         return self

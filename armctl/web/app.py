@@ -5,8 +5,6 @@ answered with its code, message and reasons. Only files of recordings and logs a
 elsewhere is ever parsed in the daemon.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping

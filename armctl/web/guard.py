@@ -10,18 +10,16 @@ Rules.
 5. Every answer forbids scripts, frames and connections from elsewhere, and is not kept unless it says how it may be.
 """
 
+import contextlib
 import hmac
 import json
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
+
+from starlette.datastructures import MutableHeaders
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from armctl.host.jsonrpc import MAX_LINE_BYTES, ProtocolError, strict_json
-
-Scope = MutableMapping[str, Any]
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 TOKEN_HEADER = "x-armctl-token"
 HEADERS = {
@@ -48,7 +46,7 @@ class Refused(Exception):
 class Guard:
     """ASGI middleware that lets through what keeps the rules."""
 
-    def __init__(self, app: App, *, token: str, port: int) -> None:
+    def __init__(self, app: ASGIApp, *, token: str, port: int) -> None:
         self._app, self._token = app, token.encode()
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
         self._origins = {f"http://{host}" for host in self._hosts}
@@ -70,10 +68,10 @@ class Guard:
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                own = [*message.get("headers", ())]
-                said = {name.lower() for name, _ in own}
-                added = ((name.encode(), value.encode()) for name, value in HEADERS.items())
-                message["headers"] = own + [(name, value) for name, value in added if name not in said]
+                message.setdefault("headers", [])
+                sent = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    sent.setdefault(name, value)
             await send(message)
 
         await self._app(scope, receive, send_with_headers)
@@ -100,15 +98,11 @@ class Guard:
 async def _checked_body(scope: Scope, headers: dict[str, str], receive: Receive) -> Receive:
     """The request's body, read and checked, as a receiver that gives it once more."""
     body = b""
-    while True:
-        message = await receive()
-        if message["type"] == "http.disconnect":
-            break
-        body += message.get("body", b"")
-        if len(body) > MAX_LINE_BYTES:
-            raise Refused(413, "TOO_LARGE", f"a body is at most {MAX_LINE_BYTES} bytes")
-        if not message.get("more_body", False):
-            break
+    with contextlib.suppress(ClientDisconnect):
+        async for chunk in Request(scope, receive).stream():
+            body += chunk
+            if len(body) > MAX_LINE_BYTES:
+                raise Refused(413, "TOO_LARGE", f"a body is at most {MAX_LINE_BYTES} bytes")
     if scope["method"] in ("POST", "PUT", "PATCH", "DELETE") and (body or scope["method"] != "DELETE"):
         if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
             raise Refused(415, "NOT_JSON", "send application/json")
@@ -131,7 +125,5 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, refused: Refused) 
         return
     error = {"code": refused.code, "message": refused.reason, "reasons": [refused.reason]}
     body = json.dumps({"error": error}).encode()
-    headers = {**HEADERS, "content-type": "application/json", "content-length": str(len(body)), "connection": "close"}
-    encoded = [(name.encode(), value.encode()) for name, value in headers.items()]
-    await send({"type": "http.response.start", "status": refused.status, "headers": encoded})
-    await send({"type": "http.response.body", "body": body})
+    answer = Response(body, refused.status, {**HEADERS, "connection": "close"}, "application/json")
+    await answer(scope, receive, send)

@@ -15,7 +15,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -239,7 +239,7 @@ def serve(
         ArmctlError: as `Stream` and `publish`.
     """
     client = Client(socket)
-    with _closing(Stream(port)) as stream:
+    with closing(Stream(port)) as stream:
         ready(stream.port)
         while True:
             try:
@@ -257,11 +257,3 @@ def _reconnected(socket: str | None) -> Client:
             return Client(socket)
         except NoDaemon:
             time.sleep(RETRY_S)
-
-
-@contextmanager
-def _closing(stream: Stream) -> Iterator[Stream]:
-    try:
-        yield stream
-    finally:
-        stream.close()

@@ -1,11 +1,9 @@
 """A host over ideal servos behind the real control step, on a virtual clock; nothing happens but by its ticks."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import pytest
 
@@ -66,7 +64,7 @@ class Bench:
             await self.served(work)
         return caught.value
 
-    async def holding(self) -> Bench:
+    async def holding(self) -> Self:
         self.tick()
         self.tick()
         assert await self.served(self.host.command(self.anna, "torque_on")) == {"state": "holding"}

@@ -1,13 +1,11 @@
 """Stand-ins for what the host talks to: ideal servos behind the real control step, and a recorder in memory."""
 
-from __future__ import annotations
-
 import select
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import ParamSpec, Self, TypeVar, cast
 
 from armctl.clock import VirtualClock
 from armctl.config import ArmConfig, Config
@@ -38,7 +36,7 @@ class IdealControl:
         self.alive = True
         self.terminated = False
 
-    def ready(self) -> IdealControl:
+    def ready(self) -> Self:
         self._theirs.send(Ready(self.pid))
         return self
 

@@ -1,7 +1,5 @@
 """A server with a few methods of its own, and clients that write and read lines."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket
@@ -26,6 +24,46 @@ class Nothing(BaseModel):
 
 class Numbered(Nothing):
     number: int = Field(ge=0, le=10)
+
+
+class Peer:
+    """A client that writes and reads lines."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+
+    def send(self, method: str, request_id: int | None = 1, **params: Any) -> None:
+        request = {"jsonrpc": "2.0", "method": method, "params": params}
+        self.send_raw(json.dumps(request | ({} if request_id is None else {"id": request_id})).encode() + b"\n")
+
+    def send_raw(self, data: bytes) -> None:
+        self.writer.write(data)
+
+    async def receive(self) -> dict[str, Any]:
+        async with asyncio.timeout(PATIENCE_S):
+            line = await self.reader.readline()
+        assert line, "the connection was closed"
+        message: dict[str, Any] = json.loads(line)
+        return message
+
+    async def call(self, method: str, **params: Any) -> dict[str, Any]:
+        self.send(method, **params)
+        return await self.receive()
+
+    async def ended(self) -> bool:
+        """Read until the other side closes."""
+        async with asyncio.timeout(PATIENCE_S):
+            try:
+                while await self.reader.read(1 << 16):
+                    pass
+            except ConnectionError:
+                pass
+        return True
+
+    async def close(self) -> None:
+        self.writer.transport.abort()
+        with suppress(ConnectionError):
+            await self.writer.wait_closed()
 
 
 class Bench:
@@ -79,46 +117,6 @@ class Bench:
         peer = Peer(*await asyncio.open_unix_connection(str(self.path), limit=1 << 20))
         self.peers.append(peer)
         return peer
-
-
-class Peer:
-    """A client that writes and reads lines."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.reader, self.writer = reader, writer
-
-    def send(self, method: str, request_id: int | None = 1, **params: Any) -> None:
-        request = {"jsonrpc": "2.0", "method": method, "params": params}
-        self.send_raw(json.dumps(request | ({} if request_id is None else {"id": request_id})).encode() + b"\n")
-
-    def send_raw(self, data: bytes) -> None:
-        self.writer.write(data)
-
-    async def receive(self) -> dict[str, Any]:
-        async with asyncio.timeout(PATIENCE_S):
-            line = await self.reader.readline()
-        assert line, "the connection was closed"
-        message: dict[str, Any] = json.loads(line)
-        return message
-
-    async def call(self, method: str, **params: Any) -> dict[str, Any]:
-        self.send(method, **params)
-        return await self.receive()
-
-    async def ended(self) -> bool:
-        """Read until the other side closes."""
-        async with asyncio.timeout(PATIENCE_S):
-            try:
-                while await self.reader.read(1 << 16):
-                    pass
-            except ConnectionError:
-                pass
-        return True
-
-    async def close(self) -> None:
-        self.writer.transport.abort()
-        with suppress(ConnectionError):
-            await self.writer.wait_closed()
 
 
 @asynccontextmanager

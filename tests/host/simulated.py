@@ -1,7 +1,5 @@
 """A host over simulated servos: the real control loop and bus in virtual time, everything in one process."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Awaitable, Callable

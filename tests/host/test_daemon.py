@@ -1,7 +1,5 @@
 """The daemon as a whole, on ideal servos that tick as fast as the host takes it, spoken to by the real client."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

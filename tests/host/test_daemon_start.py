@@ -1,7 +1,5 @@
 """Where a daemon listens, and what it tells the service manager that started it."""
 
-from __future__ import annotations
-
 import os
 import socket
 from pathlib import Path

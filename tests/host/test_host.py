@@ -1,7 +1,5 @@
 """Requests, stops and leases: who commands the arm its clients share, and what becomes of a request."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Jobs in a process of their own: results, progress, errors with their fields, cancelling; and the optimisation."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

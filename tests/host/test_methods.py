@@ -1,7 +1,5 @@
 """What clients can ask for: parameters held to their bounds, recordings, and the one optimisation at a time."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Awaitable

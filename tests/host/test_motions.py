@@ -1,7 +1,5 @@
 """Runs, moves and jogs: checked before they begin, recorded, measured, stopped, paused."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from dataclasses import replace

@@ -1,12 +1,10 @@
 """One type for each request: no field changes its name between the command line, the socket, the job and the plan."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import pickle
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import click
 import pytest
@@ -60,7 +58,7 @@ class Daemon:
     def __init__(self, folder: Path, seen: list[dict[str, Any]]) -> None:
         self._folder, self._seen = folder, seen
 
-    def __enter__(self) -> Daemon:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Reaching and gripping through the host, on simulated servos in virtual time; judged by the simulator's truth."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from pathlib import Path

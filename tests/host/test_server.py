@@ -1,7 +1,5 @@
 """Connections: refusals by name, floods, slow readers, gaps, and the end of a client."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 from typing import Any

@@ -1,7 +1,5 @@
 """The snapshot every client sees."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Teaching: the lease while it lasts, takes, marks, and a hand that is too fast."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 

@@ -1,7 +1,5 @@
 """The application behind the guard: what it keeps, what it refuses, and what a page's stream begins with."""
 
-from __future__ import annotations
-
 import asyncio
 import gzip
 import json
@@ -13,11 +11,12 @@ import httpx
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from starlette.types import Message
 
 from armctl.config import Config
 from armctl.files import load_arm
 from armctl.web.app import create_app
-from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard, Message
+from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
 
 TOKEN = "the-token"
 PAGES = ("/", "/app.js", "/style.css", "/icon.svg", "/plotly.js")

@@ -7,9 +7,10 @@ import httpx
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from starlette.types import Message, Receive, Scope, Send
 
 from armctl.host.jsonrpc import MAX_LINE_BYTES
-from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard, Message, Receive, Scope, Send
+from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
 
 TOKEN = "the-token"
 OWN = {"host": "127.0.0.1:8080", TOKEN_HEADER: TOKEN}

@@ -1,7 +1,5 @@
 """The live view: what a viewer is sent equals what the daemon says."""
 
-from __future__ import annotations
-
 import builtins
 import json
 import select
@@ -12,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -281,7 +279,7 @@ class Restarted:
     def __init__(self, socket: str | None) -> None:
         Restarted.connections += 1
 
-    def __enter__(self) -> Restarted:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None: ...
