@@ -84,15 +84,13 @@ class Host:
         self._clock = clock
         self._period_ns = round(period_s * NS_PER_S)
         self._lost_ns: int | None = None
-        self._exchange = Exchange()
-        self._latest: TickRecord | None = None
+        self.exchange = Exchange()
+        self.latest: TickRecord | None = None
         self._statistics = Statistics()
         self._ticked = asyncio.Event()
-        self._leases = Leases()
-        self._takes = Takes(recorder)
-        self.teaching = Teaching(
-            self._exchange, self._leases, self._takes, lambda: self._latest, self.note, arm.tool_speed_limit_m_s
-        )
+        self.leases = Leases()
+        self.takes = Takes(recorder)
+        self.teaching = Teaching(self)
         self._watch: Watch | None = None
         self._background: set[asyncio.Task[Any]] = set()
 
@@ -100,25 +98,25 @@ class Host:
 
     def attach(self, control: Control) -> None:
         """Commands go to this control process from now on."""
-        self._exchange.control = control
+        self.exchange.control = control
 
     def control_lost(self) -> None:
         """The control process is gone: what it still owed an answer fails."""
         self._lost_ns = self._clock.now_ns()
-        self._exchange.lost()
+        self.exchange.lost()
 
     def receive(self, record: TickRecord) -> None:
         """Take one tick record in: to the recorder, to whoever waits, and as the present state."""
         self.recorder.put(record)
-        self._latest, self._lost_ns = record, None
+        self.latest, self._lost_ns = record, None
         self._statistics.see(record)
         self.teaching.mind_the_hand(record.outputs.mode, self._statistics.tool_speed_m_s())
         if record.outputs.mode is not Mode.JOGGING:
-            self._leases.end("jogging")
+            self.leases.end("jogging")
         if self._watch is not None:
             self._watch.see(record)
         for reply in record.outputs.replies:
-            self._exchange.answer(reply)
+            self.exchange.answer(reply)
         for event in record.outputs.events:
             if event.severity != "info":
                 logger.warning("%s: %s", event.code, event.text)
@@ -127,7 +125,7 @@ class Host:
 
     def answer(self, reply: Reply) -> None:
         """Take in what the control process answers between two ticks."""
-        self._exchange.answer(reply)
+        self.exchange.answer(reply)
 
     async def tick(self) -> None:
         """Wait for the next tick record."""
@@ -137,19 +135,19 @@ class Host:
 
     def client_gone(self, client: Client) -> None:
         """End what the client leaves behind, safely."""
-        lease = self._leases.current
+        lease = self.leases.current
         if lease is None or lease.client is not client:
             return
         lease.lost = True
         if lease.what in ("jog", "jogging"):
-            self._leases.current = None  # its heartbeats have ceased
+            self.leases.current = None  # its heartbeats have ceased
         elif lease.what in ("run", "move", "park", "reach", "transfer"):
             self.note(
                 {"event": "LEASE_LOST", "who": client.name, "text": f"the client left during its {lease.what}: hold"}
             )
             self._in_background(self.stop())
         elif lease.what == "teach":
-            self._leases.current = None
+            self.leases.current = None
             self._in_background(self.teaching.abandon(client))
 
     def _in_background(self, work: Any) -> None:
@@ -175,35 +173,35 @@ class Host:
         Requests share one command while it is under way, and for half a period more where nothing else was asked since.
         A motion that is still being checked does not begin any more.
         """
-        if self._leases.current is not None:
-            self._leases.current.stopped = True
-        await self._exchange.hold(self._clock.now_ns(), self._period_ns // 2)
-        return self._state()
+        if self.leases.current is not None:
+            self.leases.current.stopped = True
+        await self.exchange.hold(self._clock.now_ns(), self._period_ns // 2)
+        return self.state()
 
     async def command(self, client: Client, what: str) -> dict[str, Any]:
         """One of `COMMANDS`; returns when the control process has carried it out, or refused it.
 
         `park` goes slowly to rest, limp once there; a client that leaves meanwhile stops the arm.
         """
-        with self._leases.commanding(client, what):
-            await self._exchange.request(COMMANDS[what], PARK_S if what == "park" else ANSWER_S)
-            return self._state()
+        with self.leases.commanding(client, what):
+            await self.exchange.request(COMMANDS[what], PARK_S if what == "park" else ANSWER_S)
+            return self.state()
 
     async def pause(self) -> dict[str, Any]:
         """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is."""
-        await self._exchange.request(Pause)
-        return self._state()
+        await self.exchange.request(Pause)
+        return self.state()
 
     async def resume(self, client: Client) -> dict[str, Any]:
-        self._leases.refuse_others(client, "resume")
-        await self._exchange.request(Resume)
-        return self._state()
+        self.leases.refuse_others(client, "resume")
+        await self.exchange.request(Resume)
+        return self.state()
 
     async def rate(self, client: Client, rate: float) -> dict[str, Any]:
         """Run at this many trajectory seconds a second."""
-        self._leases.refuse_others(client, "rate")
-        await self._exchange.request(partial(SetRate, rate=rate))
-        return {**self._state(), "rate": rate}
+        self.leases.refuse_others(client, "rate")
+        await self.exchange.request(partial(SetRate, rate=rate))
+        return {**self.state(), "rate": rate}
 
     async def jog(
         self, client: Client, joints_rad_s: tuple[float, ...], tool_m_s: tuple[float, ...], begin: bool
@@ -213,31 +211,21 @@ class Host:
         Raises:
             RequestRefused: BUSY, a link would touch another, or the jog has ended.
         """
-        with self._leases.commanding(client, "jog") as lease:
+        with self.leases.commanding(client, "jog") as lease:
             if begin:
                 q_now = self._commanded_joints("jog")
-            elif self._latest is None or self._latest.outputs.mode is not Mode.JOGGING:
+            elif self.latest is None or self.latest.outputs.mode is not Mode.JOGGING:
                 raise IllegalTransition("the jog has ended; begin another one")
             else:
-                q_now = self._goals(self._latest)
-            self._exchange.forget_hold()  # a stop from now on is a new one
+                q_now = self._goals(self.latest)
+            self.exchange.forget_hold()  # a stop from now on is a new one
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
                 ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
                 refuse_collision(q_now, ahead, self.arm, self.robot)
-            await self._exchange.request(lambda request_id: Jog(request_id, joints_rad_s, tool_m_s, begin))
-        if not lease.lost and self._latest is not None and self._latest.outputs.mode is Mode.JOGGING:
-            self._leases.keep(client, "jogging")
-        return self._state()
-
-    async def teach_begin(self, client: Client) -> dict[str, Any]:
-        """Make the arm limp; the client keeps the lease until `teach_end`."""
-        await self.teaching.begin(client)
-        return self._state()
-
-    async def teach_end(self, client: Client) -> dict[str, Any]:
-        """Leave teach mode, keeping a take that is still open; the arm stays limp."""
-        await self.teaching.end(client)
-        return self._state()
+            await self.exchange.request(lambda request_id: Jog(request_id, joints_rad_s, tool_m_s, begin))
+        if not lease.lost and self.latest is not None and self.latest.outputs.mode is Mode.JOGGING:
+            self.leases.keep(client, "jogging")
+        return self.state()
 
     async def run(self, client: Client, plan: Plan) -> dict[str, Any]:
         """Pre-flight, slow approach, the plan itself; recorded, and compared with the line it was made for.
@@ -283,10 +271,10 @@ class Host:
             RequestRefused: a leg cannot be made (before the first one nothing has moved), or was stopped, or failed.
             LogError: the recording cannot be made.
         """
-        with self._leases.commanding(client, what) as lease:
+        with self.leases.commanding(client, what) as lease:
             trajectory = await self._made(legs[0], what)
             name = run_name(trajectory.label)
-            await self._takes.begin(name)
+            await self.takes.begin(name)
             done: list[Done] = []
             try:
                 if note is not None:
@@ -300,7 +288,7 @@ class Host:
                     if lease.stopped:
                         raise RequestRefused("STOPPED", f"the {what} was stopped before it {when}")
                     self._watch = watch = Watch()
-                    self._exchange.forget_hold()  # a stop from now on is a new one
+                    self.exchange.forget_hold()  # a stop from now on is a new one
                     reply = await self._run_to_its_end(trajectory)
                     done.append(Done(trajectory, watch, reply))
                     end_ns = watch.time_ns[-1] + TAIL_NS
@@ -308,21 +296,21 @@ class Host:
                         await self.tick()
             finally:
                 self._watch = None
-                await self._takes.end()
+                await self.takes.end()
             return name, done
 
     async def _made(self, leg: Leg, what: str) -> JointTrajectory:
         q_now = self._commanded_joints(what)
-        assert self._latest is not None
-        q_measured = tuple(joint.position_rad for joint in self._latest.outputs.joints)
+        assert self.latest is not None
+        q_measured = tuple(joint.position_rad for joint in self.latest.outputs.joints)
         return await asyncio.to_thread(leg, q_now, q_measured)
 
     async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
-        request = asyncio.ensure_future(self._exchange.request(lambda request_id: Run(request_id, trajectory), None))
+        request = asyncio.ensure_future(self.exchange.request(lambda request_id: Run(request_id, trajectory), None))
         try:
             before = None
             while not (await asyncio.wait({request}, timeout=STUCK_S))[0]:
-                outputs = None if self._latest is None else self._latest.outputs
+                outputs = None if self.latest is None else self.latest.outputs
                 here = None if outputs is None else outputs.progress
                 if here == before and (outputs is None or outputs.rate != 0.0):
                     self._in_background(self.stop())
@@ -336,8 +324,8 @@ class Host:
 
     def _commanded_joints(self, what: str) -> tuple[float, ...]:
         """Where the servos of a holding arm are told to be now [rad], one a joint."""
-        latest = self._latest
-        if self._exchange.control is None or latest is None:
+        latest = self.latest
+        if self.exchange.control is None or latest is None:
             raise restarting()
         if (mode := latest.outputs.mode) is not Mode.HOLDING:
             raise IllegalTransition(f"{what}: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")
@@ -352,13 +340,11 @@ class Host:
 
     # --------------------------------------------------------------------------------------------- status
 
-    def _state(self) -> dict[str, Any]:
-        return {"state": self._state_name()}
-
-    def _state_name(self) -> str:
-        if self._latest is None or self._exchange.control is None:
-            return "restarting" if self._lost_ns is not None else "starting"
-        return self._latest.outputs.mode.value
+    def state(self) -> dict[str, Any]:
+        """What the arm does now: the answer to most requests."""
+        if self.latest is None or self.exchange.control is None:
+            return {"state": "restarting" if self._lost_ns is not None else "starting"}
+        return {"state": self.latest.outputs.mode.value}
 
     def log(self) -> dict[str, Any]:
         """Where the log goes, why it does not, and how many ticks the host was too slow for."""
@@ -373,13 +359,13 @@ class Host:
     def status(self) -> dict[str, Any]:
         """The snapshot every client sees, as of now."""
         now_ns = self._clock.now_ns()
-        commander, control = self._leases.current, self._exchange.control
+        commander, control = self.leases.current, self.exchange.control
         return {
-            "state": self._state_name(),
-            "fault": fault_snapshot(self._latest, self._lost_ns, now_ns),
+            **self.state(),
+            "fault": fault_snapshot(self.latest, self._lost_ns, now_ns),
             "period_s": self.period_s,
-            **arm_snapshot(self.arm, self._latest, self._statistics, now_ns),
-            "recording": self._takes.name,
+            **arm_snapshot(self.arm, self.latest, self._statistics, now_ns),
+            "recording": self.takes.name,
             "commander": None if commander is None else f"{commander.client.name}: {commander.what}",
             "log": self.log(),
             "arm_id": self.arm.arm_id,

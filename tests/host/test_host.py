@@ -166,10 +166,10 @@ async def test_a_stop_after_anything_else_was_asked_is_a_command_of_its_own(benc
 
 async def test_a_stop_that_found_no_control_process_is_asked_again(bench: Bench) -> None:
     await bench.holding()
-    control, bench.host._exchange.control = bench.host._exchange.control, None
+    control, bench.host.exchange.control = bench.host.exchange.control, None
     with pytest.raises(RequestRefused, match="started again"):
         await bench.host.stop()
-    bench.host._exchange.control = control
+    bench.host.exchange.control = control
     await stopped_at_rest(bench)
     assert len(holds(bench)) == 1
 
@@ -189,7 +189,7 @@ async def test_a_stop_after_a_run_was_sent_is_a_command_of_its_own(bench: Bench)
     await bench.holding()
     early = asyncio.ensure_future(bench.host.stop())
     await asyncio.sleep(0)
-    bench.host._exchange.forget_hold()  # what sending a run does
+    bench.host.exchange.forget_hold()  # what sending a run does
     late = asyncio.ensure_future(bench.host.stop())
     await bench.until(lambda: early.done() and late.done())
     assert sum(isinstance(command, Hold) for command in bench.control.commands) == 2
@@ -206,7 +206,7 @@ async def test_one_client_commands_and_the_other_is_told_who(bench: Bench) -> No
         host.command(ben, "release"),
         host.command(ben, "torque_on"),
         host.command(ben, "clear"),
-        host.teach_begin(ben),
+        host.teaching.begin(ben),
         host.run(ben, bench.plan()),
         host.run(bench.anna, bench.plan()),
         host.command(bench.anna, "release"),

@@ -14,7 +14,7 @@ from tests.host.bench import Bench
 async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
     await bench.holding()
     host, anna = bench.host, bench.anna
-    assert await bench.served(host.teach_begin(anna)) == {"state": "teaching"}
+    assert await bench.served(host.teaching.begin(anna)) == {"state": "teaching"}
     first = await bench.served(host.teaching.take_begin(anna, "first"))
     assert first == {"recording": "first", "path": "/recordings/first.mcap"}
     assert host.status()["recording"] == "first"
@@ -22,28 +22,28 @@ async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
         bench.tick()
     assert await bench.served(host.teaching.take_end(anna)) == first
     assert bench.recorder.takes["first"] >= 5
-    assert await bench.served(host.teach_end(anna)) == {"state": "off"}
+    assert await bench.served(host.teaching.end(anna)) == {"state": "off"}
     assert await bench.served(host.command(bench.ben, "torque_on")) == {"state": "holding"}
 
 
 async def test_takes_belong_to_whoever_teaches(bench: Bench) -> None:
     bench.tick()
     host, anna, ben = bench.host, bench.anna, bench.ben
-    for work in (host.teaching.take_begin(anna, "x"), host.teaching.take_end(anna), host.teach_end(anna)):
+    for work in (host.teaching.take_begin(anna, "x"), host.teaching.take_end(anna), host.teaching.end(anna)):
         assert isinstance(await bench.refused(work), IllegalTransition)
-    await bench.served(host.teach_begin(anna))
+    await bench.served(host.teaching.begin(anna))
     assert isinstance(await bench.refused(host.teaching.take_end(anna)), IllegalTransition)
     await bench.served(host.teaching.take_begin(anna, "x"))
     assert isinstance(await bench.refused(host.teaching.take_begin(anna, "y")), IllegalTransition)
-    for work in (host.teaching.take_begin(ben, "y"), host.teaching.take_end(ben), host.teach_end(ben)):
+    for work in (host.teaching.take_begin(ben, "y"), host.teaching.take_end(ben), host.teaching.end(ben)):
         assert isinstance(await bench.refused(work), IllegalTransition)
-    for work in (host.command(ben, "torque_on"), host.teach_begin(anna), host.run(anna, bench.plan())):
+    for work in (host.command(ben, "torque_on"), host.teaching.begin(anna), host.run(anna, bench.plan())):
         assert (await bench.refused(work)).code == "BUSY"
 
 
 async def test_a_refused_take_is_no_take(bench: Bench) -> None:
     bench.tick()
-    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.teaching.begin(bench.anna))
     bench.recorder.takes["old"] = 1
     with pytest.raises(LogError):
         await bench.served(bench.host.teaching.take_begin(bench.anna, "old"))
@@ -57,13 +57,13 @@ async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
     assert (await bench.refused(task)).code == "STOPPED"
     bench.arm.silent = {1}
     await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
-    assert isinstance(await bench.refused(bench.host.teach_begin(bench.anna)), IllegalTransition)
+    assert isinstance(await bench.refused(bench.host.teaching.begin(bench.anna)), IllegalTransition)
     assert bench.host.status()["commander"] is None
 
 
 async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_take(bench: Bench) -> None:
     await bench.holding()
-    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.teaching.begin(bench.anna))
     await bench.served(bench.host.teaching.take_begin(bench.anna, "orphan"))
     for _ in range(3):
         bench.tick()
@@ -72,12 +72,12 @@ async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_tak
     assert bench.recorder.takes["orphan"] >= 3
     assert any("ORPHAN_TAKE" in note for note in bench.recorder.notes)
     assert not any(bench.arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
-    assert await bench.served(bench.host.teach_begin(bench.ben)) == {"state": "teaching"}
+    assert await bench.served(bench.host.teaching.begin(bench.ben)) == {"state": "teaching"}
 
 
 async def test_a_client_that_leaves_while_the_arm_becomes_limp_keeps_no_lease(bench: Bench) -> None:
     await bench.holding()
-    task = asyncio.ensure_future(bench.host.teach_begin(bench.anna))
+    task = asyncio.ensure_future(bench.host.teaching.begin(bench.anna))
     await asyncio.sleep(0)
     bench.host.client_gone(bench.anna)
     await bench.until(task.done)
@@ -87,11 +87,11 @@ async def test_a_client_that_leaves_while_the_arm_becomes_limp_keeps_no_lease(be
 
 async def test_teaching_that_a_fault_has_ended_can_be_ended(bench: Bench) -> None:
     bench.tick()
-    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.teaching.begin(bench.anna))
     await bench.served(bench.host.teaching.take_begin(bench.anna, "cut"))
     bench.arm.silent = {1}
     await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
-    assert await bench.served(bench.host.teach_end(bench.anna)) == {"state": "faulted"}
+    assert await bench.served(bench.host.teaching.end(bench.anna)) == {"state": "faulted"}
     assert "cut" in bench.recorder.takes
     assert not any(isinstance(command, TeachEnd) for command in bench.control.commands)
 
@@ -99,7 +99,7 @@ async def test_teaching_that_a_fault_has_ended_can_be_ended(bench: Bench) -> Non
 async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_kept(bench: Bench) -> None:
     bench.tick()
     host, anna = bench.host, bench.anna
-    await bench.served(host.teach_begin(anna))
+    await bench.served(host.teaching.begin(anna))
     await bench.served(host.teaching.take_begin(anna, "kept"))
     for _ in range(3):
         bench.tick()
@@ -109,14 +109,14 @@ async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_
     bench.control.connect_again()
     bench.tick()
     assert host.status()["state"] == "off"
-    assert await bench.served(host.teach_end(anna)) == {"state": "off"}
+    assert await bench.served(host.teaching.end(anna)) == {"state": "off"}
     assert bench.recorder.takes["kept"] >= 3
 
 
 async def test_a_mark_stands_in_the_take_with_where_the_tool_is(bench: Bench) -> None:
     bench.tick()
     host, anna = bench.host, bench.anna
-    await bench.served(host.teach_begin(anna))
+    await bench.served(host.teaching.begin(anna))
     assert isinstance(await bench.refused(host.teaching.take_mark(anna)), IllegalTransition)
     await bench.served(host.teaching.take_begin(anna, "x"))
     marked = await bench.served(host.teaching.take_mark(anna))
@@ -135,7 +135,7 @@ async def test_a_hand_faster_than_the_arm_s_tool_speed_limit_is_shown_and_noted_
     bench: Bench, limit_m_s: float, noted: int
 ) -> None:
     bench.tick()
-    await bench.served(bench.host.teach_begin(bench.anna))
+    await bench.served(bench.host.teaching.begin(bench.anna))
     tick = bench.arm.get(0, ax12a.PRESENT_POSITION)
     bench.arm.put(1, ax12a.PRESENT_POSITION, 512)  # arm stretched out: the tool is far from the base axis
     for _ in range(10):
