@@ -4,7 +4,7 @@ import os
 import re
 from pathlib import Path
 
-from armctl.config import NAME_PATTERN, ArmConfig, Config, parse_yaml, validate
+from armctl.config import NAME_PATTERN, ArmConfig, Config, M, parse_yaml, validate
 from armctl.errors import ConfigError
 
 
@@ -22,12 +22,20 @@ def read_text(path: Path, what: str) -> str:
         raise ConfigError(str(path), "", f"the {what} is not UTF-8 text") from None
 
 
+def _user_dir(variable: str, below_home: str) -> Path:
+    """One of the user's XDG base folders."""
+    return Path(os.environ.get(variable) or Path.home() / below_home)
+
+
+def _loaded(model: type[M], path: Path, what: str) -> M:
+    return validate(model, parse_yaml(read_text(path, what), str(path)), str(path))
+
+
 def calibration_dirs() -> tuple[Path, ...]:
     """Folders searched for an arm's name, first hit wins."""
     package = Path(__file__).resolve().parent
-    config_home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
     return (
-        config_home / "armctl" / "calibration",
+        _user_dir("XDG_CONFIG_HOME", ".config") / "armctl" / "calibration",
         Path("/etc/armctl/calibration"),
         package / "calibration",
         package.parent / "calibration",
@@ -55,27 +63,20 @@ def find_arm_file(arm: str) -> Path:
 
 def load_arm(arm: str) -> ArmConfig:
     """The arm of that name or path."""
-    path = find_arm_file(arm)
-    return validate(ArmConfig, parse_yaml(read_text(path, "calibration"), str(path)), str(path))
+    return _loaded(ArmConfig, find_arm_file(arm), "calibration")
 
 
 def load_config(path: str | None = None) -> Config:
     """The daemon's configuration: `path`, else `ARMCTL_CONFIG`, else the user's or the system's file, else defaults."""
     chosen = path or os.environ.get("ARMCTL_CONFIG")
-    if chosen:
-        return validate(Config, parse_yaml(read_text(Path(chosen), "configuration"), chosen), chosen)
-    config_home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
-    for candidate in (config_home / "armctl" / "armctl.yaml", Path("/etc/armctl/armctl.yaml")):
-        if candidate.is_file():
-            return validate(Config, parse_yaml(read_text(candidate, "configuration"), str(candidate)), str(candidate))
-    return Config()
+    places = (_user_dir("XDG_CONFIG_HOME", ".config") / "armctl" / "armctl.yaml", Path("/etc/armctl/armctl.yaml"))
+    file = Path(chosen) if chosen else next(filter(Path.is_file, places), None)
+    return Config() if file is None else _loaded(Config, file, "configuration")
 
 
 def data_dir(config: Config) -> Path:
     """Folder that holds `logs/`, `recordings/` and `plans/`."""
-    if config.data_dir:
-        return Path(config.data_dir)
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "armctl"
+    return Path(config.data_dir) if config.data_dir else _user_dir("XDG_DATA_HOME", ".local/share") / "armctl"
 
 
 def socket_path(override: str | None = None) -> Path:

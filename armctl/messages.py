@@ -80,87 +80,84 @@ class JointTrajectory:
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
-    """Decelerate along the path and freeze the last goal. Served in every state; `stop` is this."""
+class Answered:
+    """What is answered by one `Reply` with the same `request_id`."""
 
     request_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class Hold(Answered):
+    """Decelerate along the path and freeze the last goal. Served in every state; `stop` is this."""
+
     kind: Literal["hold"] = "hold"
 
 
 @dataclass(frozen=True, slots=True)
-class Release:
+class Release(Answered):
     """Switch torque off. The caller has done the countdown and warned that the arm drops."""
 
-    request_id: int
     kind: Literal["release"] = "release"
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueOn:
+class TorqueOn(Answered):
     """Carefully energise the arm where it is."""
 
-    request_id: int
     kind: Literal["torque_on"] = "torque_on"
 
 
 @dataclass(frozen=True, slots=True)
-class Teach:
+class Teach(Answered):
     """Make the arm limp and verified so, for hand guiding; from holding or off."""
 
-    request_id: int
     kind: Literal["teach"] = "teach"
 
 
 @dataclass(frozen=True, slots=True)
-class TeachEnd:
+class TeachEnd(Answered):
     """Leave teach mode; the arm stays limp (off)."""
 
-    request_id: int
     kind: Literal["teach_end"] = "teach_end"
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class Run(Answered):
     """Execute a trajectory that starts where the arm is commanded to be now."""
 
-    request_id: int
     trajectory: JointTrajectory
     kind: Literal["run"] = "run"
 
 
 @dataclass(frozen=True, slots=True)
-class Pause:
+class Pause(Answered):
     """Bring a run to rest on its path, to be resumed there."""
 
-    request_id: int
     kind: Literal["pause"] = "pause"
 
 
 @dataclass(frozen=True, slots=True)
-class Resume:
+class Resume(Answered):
     """Go on with a paused run."""
 
-    request_id: int
     kind: Literal["resume"] = "resume"
 
 
 @dataclass(frozen=True, slots=True)
-class SetRate:
+class SetRate(Answered):
     """Run at `rate` trajectory seconds per second, 0.1 to 1: never faster than what was checked."""
 
-    request_id: int
     rate: float
     kind: Literal["set_rate"] = "set_rate"
 
 
 @dataclass(frozen=True, slots=True)
-class Jog:
+class Jog(Answered):
     """One heartbeat of a jog: the velocity wanted until the next one; without a next one the arm stops.
 
     Either of the two velocities is given, the other one is empty.
     """
 
-    request_id: int
     # One velocity for each joint.
     joints_rad_s: tuple[float, ...] = ()
     # Velocity of the tool point in the base frame, (x, y, z).
@@ -171,18 +168,16 @@ class Jog:
 
 
 @dataclass(frozen=True, slots=True)
-class Park:
+class Park(Answered):
     """Go slowly to the rest pose, and switch torque off there."""
 
-    request_id: int
     kind: Literal["park"] = "park"
 
 
 @dataclass(frozen=True, slots=True)
-class Clear:
+class Clear(Answered):
     """Acknowledge the latched fault; refused while its cause persists."""
 
-    request_id: int
     kind: Literal["clear"] = "clear"
 
 
@@ -213,7 +208,6 @@ class HostLost:
     kind: Literal["host_lost"] = "host_lost"
 
 
-# What a client asks for; its `request_id` stands in the reply.
 Request = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Pause | Resume | SetRate | Jog | Park | Clear
 Command = Request | Connected | HostLost
 

@@ -14,11 +14,13 @@ import contextlib
 import json
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from armctl.client.protocol import MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
 
 MAX_LINE_BYTES = 16 * 2**20
+
+T = TypeVar("T")
 
 
 class AsyncClient(Protocol):
@@ -112,7 +114,7 @@ class AsyncClient(Protocol):
             while line := await self._reader.readline():
                 message: Message = json.loads(line)
                 if (told := self.notification(message)) is not None:
-                    self._put(told)
+                    put_newest(self._notifications, told)
                 elif (answer := self._waiting.get(message["id"])) is not None and not answer.done():
                     answer.set_result(message)
         except (OSError, ValueError):
@@ -121,9 +123,11 @@ class AsyncClient(Protocol):
             for answer in self._waiting.values():
                 if not answer.done():
                     answer.set_exception(self.no_daemon("it closed the connection"))
-            self._put(None)
+            put_newest(self._notifications, None)
 
-    def _put(self, told: Notification | None) -> None:
-        if self._notifications.full():
-            self._notifications.get_nowait()
-        self._notifications.put_nowait(told)
+
+def put_newest(queue: asyncio.Queue[T], item: T) -> None:
+    """Put something into a queue, which loses its oldest where it is full."""
+    if queue.full():
+        queue.get_nowait()
+    queue.put_nowait(item)

@@ -29,6 +29,7 @@ from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.files import data_dir
 from armctl.host import service_manager
+from armctl.host.exchange import Control
 from armctl.messages import Reply, TickRecord
 
 if TYPE_CHECKING:
@@ -56,11 +57,9 @@ PATIENT_WAIT_S = 5.0
 logger = logging.getLogger(__name__)
 
 
-class ControlHandle(Protocol):
+class ControlHandle(Control, Protocol):
     """A control process as its supervisor needs it."""
 
-    @property
-    def pid(self) -> int: ...
     @property
     def link(self) -> Link: ...
     def poll(self) -> int | None: ...

@@ -11,7 +11,7 @@ from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.control.faults import card
 from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
-from armctl.messages import Fault, JointState, TickRecord, ToolPose
+from armctl.messages import Fault, JointState, TickRecord
 from armctl.recording.channels import OVERRUN_NS
 
 STATISTICS_TICKS = 600
@@ -68,7 +68,12 @@ def arm_snapshot(arm: ArmConfig, latest: TickRecord | None, statistics: Statisti
     """Tick, joints, tool and motion, as of now."""
     age_s = None if latest is None else max(0, now_ns - latest.inputs.now_ns) / NS_PER_S
     states = (None,) * len(arm.joints) if latest is None else latest.outputs.joints
-    tool = None if latest is None else latest.outputs.tool
+    pose = None if latest is None else latest.outputs.tool
+    tool = pose and {
+        "position_m": list(pose.position_m),
+        "rpy_rad": list(rpy_from_matrix(matrix_from_quaternion(pose.quaternion))),
+        "speed_m_s": statistics.tool_speed_m_s(),
+    }
     return {
         "tick": None if latest is None else latest.inputs.tick,
         "age_s": age_s,
@@ -76,7 +81,7 @@ def arm_snapshot(arm: ArmConfig, latest: TickRecord | None, statistics: Statisti
             {"name": joint.name, "servo_id": joint.servo_id, "limits_rad": joint.limits_rad, **_joint(state, age_s)}
             for joint, state in zip(arm.joints, states, strict=True)
         ],
-        "tool": None if tool is None else _tool(tool, statistics.tool_speed_m_s()),
+        "tool": tool,
         "cycle": statistics.cycle(),
         "progress": None if latest is None else latest.outputs.progress,
         "rate": None if latest is None else latest.outputs.rate,
@@ -114,11 +119,6 @@ def _joint(state: JointState | None, tick_age_s: float | None) -> dict[str, Any]
     if state is None or tick_age_s is None or not state.known:
         return dict.fromkeys(JOINT_KEYS)
     return {**{key: getattr(state, key) for key in JOINT_KEYS}, "age_s": state.age_s + tick_age_s}
-
-
-def _tool(pose: ToolPose, speed_m_s: float | None) -> dict[str, Any]:
-    rpy = rpy_from_matrix(matrix_from_quaternion(pose.quaternion))
-    return {"position_m": list(pose.position_m), "rpy_rad": list(rpy), "speed_m_s": speed_m_s}
 
 
 def _percentile(values: tuple[int, ...], percent: int) -> int:

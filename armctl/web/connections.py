@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
-from armctl.client.asynchronous import AsyncClient
+from armctl.client.asynchronous import AsyncClient, put_newest
 from armctl.errors import ArmctlError, NoDaemon
 
 RETRY_S = 0.5
@@ -82,7 +82,7 @@ class Connections:
         """Messages for one page, as JSON texts, while inside."""
         queue: asyncio.Queue[str] = asyncio.Queue(MAX_WAITING)
         self._pages.add(queue)
-        _put(queue, json.dumps({"kind": "snapshot", "snapshot": self.snapshot}))
+        put_newest(queue, json.dumps({"kind": "snapshot", "snapshot": self.snapshot}))
         try:
             yield queue
         finally:
@@ -109,7 +109,7 @@ class Connections:
     def _tell(self, message: dict[str, Any]) -> None:
         text = json.dumps(message, separators=(",", ":"))
         for page in self._pages:
-            _put(page, text)
+            put_newest(page, text)
 
     async def _forward(self, commander: AsyncClient) -> None:
         """Tell the pages how far an optimisation is."""
@@ -132,9 +132,3 @@ class Connections:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-
-
-def _put(queue: asyncio.Queue[str], text: str) -> None:
-    if queue.full():
-        queue.get_nowait()
-    queue.put_nowait(text)

@@ -9,7 +9,7 @@ from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.trajectory.plan import Plan, plan_from_text
 
 
-def save(folder: Path, name: str, text: str) -> Path:
+def save(folder: Path, name: str, text: str) -> None:
     """Keep a plan under a name that is still free.
 
     Raises:
@@ -25,7 +25,6 @@ def save(folder: Path, name: str, text: str) -> Path:
         raise RequestRefused("EXISTS", f"a plan {name} exists; choose another name, or delete it") from None
     except OSError as error:
         raise LogError(f"{path}: cannot write the plan: {error.strerror}") from None
-    return path
 
 
 def load(folder: Path, name: str) -> Plan:

@@ -5,15 +5,13 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Any, Self
 
-import pytest
-
 from armctl.clock import VirtualClock
 from armctl.errors import RequestRefused
 from armctl.host.host import Host
 from armctl.messages import Mode, TickRecord
 from armctl.trajectory.plan import Plan
 from tests.control.ideal_arm import PERIOD_S
-from tests.host.doubles import IdealControl, MemoryRecorder, NamedClient, small_plan
+from tests.host.doubles import IdealControl, MemoryRecorder, NamedClient, refused, small_plan
 
 
 class Bench:
@@ -59,13 +57,13 @@ class Bench:
             self.tick()
         return await task
 
-    async def refused(self, work: Awaitable[dict[str, Any]]) -> RequestRefused:
-        with pytest.raises(RequestRefused) as caught:
+    async def refused(self, work: Awaitable[dict[str, Any]], code: str) -> RequestRefused:
+        """The refusal, of that code, that the work ends with."""
+        with refused(code) as caught:
             await self.served(work)
         return caught.value
 
     async def holding(self) -> Self:
-        self.tick()
         self.tick()
         assert await self.served(self.host.command(self.anna, "torque_on")) == {"state": "holding"}
         return self

@@ -1,5 +1,6 @@
 """The arm as all clients share it, ready for a test."""
 
+import asyncio
 from collections.abc import Iterator
 
 import pytest
@@ -14,9 +15,22 @@ def executor() -> InlineExecutor:
 
 
 @pytest.fixture
-def bench(request: pytest.FixtureRequest, executor: InlineExecutor) -> Iterator[Bench]:
-    """A host over ideal servos; indirect parameters are changes of the arm's calibration."""
+def fresh(request: pytest.FixtureRequest, executor: InlineExecutor) -> Iterator[Bench]:
+    """A host over ideal servos before its first tick; indirect parameters are changes of the arm's calibration."""
     found = Bench(**getattr(request, "param", {}))
     yield found
     found.control.die()
     found.control.link.close()
+
+
+@pytest.fixture
+def limp(fresh: Bench) -> Bench:
+    """A host over ideal servos without torque, after its first tick."""
+    fresh.tick()
+    return fresh
+
+
+@pytest.fixture
+def bench(limp: Bench) -> Bench:
+    """A host over ideal servos that hold."""
+    return asyncio.run(limp.holding())

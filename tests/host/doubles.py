@@ -1,17 +1,20 @@
 """Stand-ins for what the host talks to: ideal servos behind the real control step, and a recorder in memory."""
 
 import select
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ParamSpec, Self, TypeVar, cast
+
+import pytest
 
 from armctl.clock import VirtualClock
 from armctl.config import ArmConfig, Config
 from armctl.control.link import Link, LinkClosed, Ready
 from armctl.dynamixel import ax12a
-from armctl.errors import LogError
+from armctl.errors import IllegalTransition, LogError, RequestRefused
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Command, Connected, Inputs, Mode, Run, Sample, ServoReading, TickRecord
 from armctl.recording.writer import LogContext, LogWriter
@@ -154,6 +157,14 @@ class NamedClient:
 
     name: str
     uid: int = 1000
+
+
+@contextmanager
+def refused(code: str, match: str | None = None) -> Iterator[pytest.ExceptionInfo[RequestRefused]]:
+    """Something inside is refused with that code, in words that `match`."""
+    with pytest.raises(RequestRefused, match=match) as caught:
+        yield caught
+    assert (caught.value.code, isinstance(caught.value, IllegalTransition)) == (code, code == "ILLEGAL_TRANSITION")
 
 
 def write_take(path: Path, samples: FloatArray, arm: ArmConfig) -> None:

@@ -140,3 +140,12 @@ async def until(condition: Callable[[], bool]) -> None:
     async with asyncio.timeout(PATIENCE_S):
         while not condition():
             await asyncio.sleep(0)
+
+
+@asynccontextmanager
+async def connected(
+    clock: Clock | None = None, stall_s: float = 5.0, may_command: bool = True
+) -> AsyncIterator[tuple[Bench, Peer]]:
+    """A bench, and a first client of it."""
+    async with bench(clock, stall_s, may_command) as found:
+        yield found, await found.connect()

@@ -2,7 +2,8 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -109,16 +110,13 @@ class SimulatedBench:
         self.link.close()
 
 
-def on_arm(name: str, test: Callable[[SimulatedBench], Awaitable[None]], seed: int = 0) -> None:
-    """Run an async test on a fresh bench with that arm, holding."""
-
-    async def run() -> None:
-        asyncio.get_running_loop().set_default_executor(InlineExecutor())
-        bench = SimulatedBench(load_arm(name), seed)
-        try:
-            await bench.holding()
-            await test(bench)
-        finally:
-            bench.close()
-
-    asyncio.run(run())
+@asynccontextmanager
+async def on_arm(name: str, seed: int = 0) -> AsyncIterator[SimulatedBench]:
+    """A fresh bench with that arm, holding."""
+    asyncio.get_running_loop().set_default_executor(InlineExecutor())
+    bench = SimulatedBench(load_arm(name), seed)
+    try:
+        await bench.holding()
+        yield bench
+    finally:
+        bench.close()

@@ -1,7 +1,8 @@
 import asyncio
 import contextlib
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,21 +10,22 @@ import pytest
 
 from armctl.client.asynchronous import AsyncClient
 from armctl.errors import NoDaemon, RequestRefused
+from tests.host.doubles import refused
 
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
-def with_server(tmp_path: Path, serve: Serve, test: Callable[[AsyncClient], Awaitable[None]]) -> None:
-    async def run() -> None:
-        async def closing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            await serve(reader, writer)
-            writer.close()
+@asynccontextmanager
+async def served(tmp_path: Path, serve: Serve) -> AsyncIterator[AsyncClient]:
+    """A client of a daemon that does this with its connection and then closes it."""
 
-        server = await asyncio.start_unix_server(closing, tmp_path / "sock")
-        async with server, await AsyncClient.connect(tmp_path / "sock") as client:
-            await test(client)
+    async def closing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await serve(reader, writer)
+        writer.close()
 
-    asyncio.run(run())
+    server = await asyncio.start_unix_server(closing, tmp_path / "sock")
+    async with server, await AsyncClient.connect(tmp_path / "sock") as client:
+        yield client
 
 
 def line(message: dict[str, Any]) -> bytes:
@@ -34,20 +36,18 @@ async def requests(reader: asyncio.StreamReader, count: int) -> list[dict[str, A
     return [json.loads(await reader.readline()) for _ in range(count)]
 
 
-def test_answers_find_their_calls_in_any_order(tmp_path: Path) -> None:
+async def test_answers_find_their_calls_in_any_order(tmp_path: Path) -> None:
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         for request in reversed(await requests(reader, 2)):
             writer.write(line({"id": request["id"], "result": {"method": request["method"]}}))
         await writer.drain()
 
-    async def test(client: AsyncClient) -> None:
+    async with served(tmp_path, serve) as client:
         answers = await asyncio.gather(client.call("run"), client.call("stop"))
         assert [answer["method"] for answer in answers] == ["run", "stop"]
 
-    with_server(tmp_path, serve, test)
 
-
-def test_what_fails_in_the_daemon_is_raised_here(tmp_path: Path) -> None:
+async def test_what_fails_in_the_daemon_is_raised_here(tmp_path: Path) -> None:
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         [request] = await requests(reader, 1)
         data = {"type": "RequestRefused", "code": "BUSY", "reasons": ["another commands"], "fields": {"code": "BUSY"}}
@@ -55,20 +55,17 @@ def test_what_fails_in_the_daemon_is_raised_here(tmp_path: Path) -> None:
         writer.write(line({"id": request["id"], "error": error}))
         await writer.drain()
 
-    async def test(client: AsyncClient) -> None:
-        with pytest.raises(RequestRefused) as caught:
+    async with served(tmp_path, serve) as client:
+        with refused("BUSY"):
             await client.call("run")
-        assert caught.value.code == "BUSY"
-
-    with_server(tmp_path, serve, test)
 
 
-def test_a_daemon_that_goes_ends_calls_and_notifications(tmp_path: Path) -> None:
+async def test_a_daemon_that_goes_ends_calls_and_notifications(tmp_path: Path) -> None:
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(line({"method": "snapshot", "params": {"tick": 1}}))
         await requests(reader, 1)
 
-    async def test(client: AsyncClient) -> None:
+    async with served(tmp_path, serve) as client:
         with pytest.raises(NoDaemon, match="closed the connection"):
             await client.call("status")
         seen = client.notifications()
@@ -78,10 +75,8 @@ def test_a_daemon_that_goes_ends_calls_and_notifications(tmp_path: Path) -> None
         with pytest.raises(NoDaemon, match="closed"):
             await client.call("status")
 
-    with_server(tmp_path, serve, test)
 
-
-def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
+async def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         [request] = await requests(reader, 1)
         writer.write(line({"id": request["id"], "result": {"subscribed": True}}))
@@ -90,7 +85,7 @@ def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
         writer.write(line({"id": None, "result": {}}))
         await writer.drain()
 
-    async def test(client: AsyncClient) -> None:
+    async with served(tmp_path, serve) as client:
         snapshots = client.subscribe()
         first = await anext(snapshots)
         while not client.closed:
@@ -102,23 +97,16 @@ def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
         assert rest[-1] == 99
         assert rest == sorted(set(rest))
 
-    with_server(tmp_path, serve, test)
+
+async def test_nobody_there_is_said_with_the_remedy(tmp_path: Path) -> None:
+    with pytest.raises(NoDaemon, match="armctl daemon --port"):
+        await AsyncClient.connect(tmp_path / "nobody")
 
 
-def test_nobody_there_is_said_with_the_remedy(tmp_path: Path) -> None:
-    async def run() -> None:
-        with pytest.raises(NoDaemon, match="armctl daemon --port"):
-            await AsyncClient.connect(tmp_path / "nobody")
-
-    asyncio.run(run())
-
-
-def test_a_number_that_is_none_is_not_sent(tmp_path: Path) -> None:
+async def test_a_number_that_is_none_is_not_sent(tmp_path: Path) -> None:
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read()
 
-    async def test(client: AsyncClient) -> None:
+    async with served(tmp_path, serve) as client:
         with pytest.raises(RequestRefused, match="finite"):
             await client.call("move", x=float("nan"))
-
-    with_server(tmp_path, serve, test)

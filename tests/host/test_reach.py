@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.errors import RequestRefused
 from armctl.host.reach import reach
 from armctl.kinematics.chain import tool_position
 from armctl.messages import Mode, TickRecord
 from armctl.trajectory.grasp import Method, ReachRequest
 from armctl.trajectory.target import MoveRequest
-from tests.host.simulated import SimulatedBench, on_arm
+from tests.host.doubles import refused
+from tests.host.simulated import on_arm
 
 POINT = (0.20, 0.05, 0.06)
 AWAY_DEG = {
@@ -27,8 +27,8 @@ SAG_DEG = 6.0
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("name", AWAY_DEG)
-def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name: str, seed: int) -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name: str, seed: int) -> None:
+    async with on_arm(name, seed) as bench:
         rest_deg = [joint.rest_deg for joint in bench.arm.joints]
         assert len(bench.simulated.servos) == len(bench.arm.joints) == len(AWAY_DEG[name])
         for goal_deg in (AWAY_DEG[name], rest_deg):
@@ -40,15 +40,13 @@ def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name: str, 
         assert not any(servo.torque_enabled for servo in bench.simulated.servos)
         assert Mode.FAULTED not in bench.modes
 
-    on_arm(name, test, seed)
-
 
 @pytest.mark.parametrize(
     ("name", "point"),
     [("xiang-6dof", POINT), ("ax12-line", POINT), ("lanzhou-4dof", (0.15, 0.1, -0.2)), ("transfer-6dof", POINT)],
 )
-def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tuple[float, float, float]) -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tuple[float, float, float]) -> None:
+    async with on_arm(name) as bench:
         result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=point)))
         assert result["position_error_mm"] < 5.0
         assert bench.off_mm(point) < 6.0
@@ -61,21 +59,17 @@ def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tuple[flo
         assert list(bench.recorder.takes) == [result["recording"]]
         assert Mode.FAULTED not in bench.modes
 
-    on_arm(name, test)
-
 
 @pytest.mark.parametrize("method", ["numeric", "ga", "ga-improved"])
-def test_other_inverse_kinematics_get_there_too(method: Method) -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_other_inverse_kinematics_get_there_too(method: Method) -> None:
+    async with on_arm("xiang-6dof") as bench:
         result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, ik=method, seed=1)))
         assert result["method"] == method
         assert bench.off_mm(POINT) < 6.0
 
-    on_arm("xiang-6dof", test)
 
-
-def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_replays(tmp_path: Path) -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_replays(tmp_path: Path) -> None:
+    async with on_arm("xiang-6dof") as bench:
         bench.place_object(math.radians(40.0))
         result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
         assert result["gripped"] is True
@@ -88,20 +82,16 @@ def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_r
         assert (replayed.mismatches, replayed.first_mismatch) == (0, "")
         assert replayed.ticks > 200
 
-    on_arm("xiang-6dof", test)
 
-
-def test_a_gripper_that_closes_on_nothing_says_so() -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_a_gripper_that_closes_on_nothing_says_so() -> None:
+    async with on_arm("xiang-6dof") as bench:
         result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
         assert result["gripped"] is False
         assert result["gripper"]["position_rad"] == pytest.approx(math.radians(90.0), abs=math.radians(3.0))
 
-    on_arm("xiang-6dof", test)
 
-
-def test_what_is_lost_on_the_way_up_is_not_gripped() -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_what_is_lost_on_the_way_up_is_not_gripped() -> None:
+    async with on_arm("xiang-6dof") as bench:
         take_away = bench.place_object(math.radians(40.0))
         met = bench.on_tick
 
@@ -114,11 +104,9 @@ def test_what_is_lost_on_the_way_up_is_not_gripped() -> None:
         result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
         assert result["gripped"] is False
 
-    on_arm("xiang-6dof", test)
 
-
-def test_what_was_gripped_is_let_go_elsewhere() -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_what_was_gripped_is_let_go_elsewhere() -> None:
+    async with on_arm("xiang-6dof") as bench:
         take_away = bench.place_object(math.radians(40.0))
         assert (await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip"))))[
             "gripped"
@@ -132,8 +120,6 @@ def test_what_was_gripped_is_let_go_elsewhere() -> None:
         assert result["gripped"] is False
         assert bench.true_deg()[5] == pytest.approx(0.0, abs=3.0)
 
-    on_arm("xiang-6dof", test)
-
 
 @pytest.mark.parametrize(
     ("name", "asked", "code", "says"),
@@ -143,31 +129,27 @@ def test_what_was_gripped_is_let_go_elsewhere() -> None:
         ("xiang-6dof", ReachRequest(point_m=(0.2, 0.0, -0.05)), "PREFLIGHT", "below the floor"),
     ],
 )
-def test_what_cannot_be_done_is_refused_and_nothing_moves(name: str, asked: ReachRequest, code: str, says: str) -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_what_cannot_be_done_is_refused_and_nothing_moves(
+    name: str, asked: ReachRequest, code: str, says: str
+) -> None:
+    async with on_arm(name) as bench:
         before = bench.true_deg()
-        with pytest.raises(RequestRefused, match=says) as caught:
+        with refused(code, says):
             await bench.served(reach(bench.host, bench.anna, asked))
-        assert caught.value.code == code
         assert bench.true_deg() == before
         assert not bench.recorder.takes
 
-    on_arm(name, test)
 
-
-def test_a_stop_ends_the_whole_reach_and_not_only_the_leg_under_way() -> None:
-    async def test(bench: SimulatedBench) -> None:
+async def test_a_stop_ends_the_whole_reach_and_not_only_the_leg_under_way() -> None:
+    async with on_arm("xiang-6dof") as bench:
         work = asyncio.ensure_future(bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT))))
         while Mode.MOVING not in bench.modes:
             await asyncio.sleep(0)
         await bench.host.stop()
-        with pytest.raises(RequestRefused) as caught:
+        with refused("STOPPED"):
             await work
-        assert caught.value.code == "STOPPED"
         assert bench.loop.state.mode is Mode.HOLDING
         assert len(bench.recorder.takes) == 1
         assert (
             sum(command.kind == "run" for record in bench.recorder.records for command in record.inputs.commands) == 1
         )
-
-    on_arm("xiang-6dof", test)

@@ -9,19 +9,17 @@ import pytest
 from armctl.clock import MonotonicClock, VirtualClock
 from armctl.host import jsonrpc, server
 from armctl.host.server import BURST, MAX_SNAPSHOTS
-from tests.host.peers import PATIENCE_S, bench, until
+from tests.host.peers import PATIENCE_S, bench, connected, until
 
 
 async def test_requests_are_answered_by_their_id() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (_, peer):
         peer.send("echo", 7, number=3)
         assert await peer.receive() == {"jsonrpc": "2.0", "id": 7, "result": {"number": 3}}
 
 
 async def test_a_long_request_does_not_hold_up_the_next_one() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         peer.send("wait", 1)
         peer.send("stop", 2)
         assert (await peer.receive())["id"] == 2
@@ -30,8 +28,7 @@ async def test_a_long_request_does_not_hold_up_the_next_one() -> None:
 
 
 async def test_a_wrong_parameter_is_named_with_value_and_bound() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (_, peer):
         for params, words in (
             ({"number": 11}, ("number", "11", "10")),
             ({"number": "3"}, ("number", "'3'")),
@@ -47,8 +44,7 @@ async def test_a_wrong_parameter_is_named_with_value_and_bound() -> None:
 
 
 async def test_an_unknown_method_is_answered_with_the_known_ones() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (_, peer):
         error = (await peer.call("dance"))["error"]
         assert error["code"] == jsonrpc.METHOD_NOT_FOUND
         assert "dance" in error["message"]
@@ -56,8 +52,7 @@ async def test_an_unknown_method_is_answered_with_the_known_ones() -> None:
 
 
 async def test_errors_keep_their_reasons_and_a_defect_ends_nothing() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (_, peer):
         error = (await peer.call("refuse"))["error"]
         assert error["code"] == jsonrpc.ARMCTL_ERROR
         assert error["data"]["reasons"] == ["too fast", "too low"]
@@ -66,8 +61,7 @@ async def test_errors_keep_their_reasons_and_a_defect_ends_nothing() -> None:
 
 
 async def test_notifications_are_carried_out_and_not_answered() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         peer.send("subscribe", None)
         peer.send("echo", None, number=99)
         peer.send("echo", 5, number=1)
@@ -76,8 +70,7 @@ async def test_notifications_are_carried_out_and_not_answered() -> None:
 
 
 async def test_what_is_no_request_is_answered_and_the_next_line_is_served() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (_, peer):
         peer.send_raw(b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1e999}}\n')
         assert (await peer.receive())["error"]["code"] == jsonrpc.PARSE_ERROR
         assert (await peer.call("echo", number=1))["result"] == {"number": 1}
@@ -85,8 +78,7 @@ async def test_what_is_no_request_is_answered_and_the_next_line_is_served() -> N
 
 @pytest.mark.parametrize("ended", [True, False])
 async def test_an_overlong_line_is_answered_and_the_connection_closed(ended: bool) -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         peer.send_raw(b"x" * (jsonrpc.MAX_LINE_BYTES + 2) + b"\n" * ended)
         answer = await peer.receive()
         assert answer["error"]["code"] == jsonrpc.PARSE_ERROR
@@ -118,8 +110,7 @@ async def test_a_flood_is_refused_and_stop_is_served_to_the_flooder_and_to_other
 
 async def test_the_allowance_comes_back_with_time() -> None:
     clock = VirtualClock()
-    async with bench(clock) as b:
-        peer = await b.connect()
+    async with connected(clock) as (_, peer):
         for _ in range(int(BURST)):
             assert "result" in await peer.call("echo", number=1)
         assert "error" in await peer.call("echo", number=1)
@@ -128,8 +119,7 @@ async def test_the_allowance_comes_back_with_time() -> None:
 
 
 async def test_requests_under_way_are_bounded() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         for number in range(server.MAX_REQUESTS + 1):
             peer.send("wait", number)
         answer = await peer.receive()
@@ -160,8 +150,7 @@ async def test_snapshots_reach_subscribers_only_and_are_made_only_for_them() -> 
 
 
 async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         await peer.call("subscribe")
         count = MAX_SNAPSHOTS + 36
         for tick in range(count):  # without a turn for the sender in between
@@ -173,8 +162,7 @@ async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many() -> None
 
 
 async def test_a_subscriber_that_takes_nothing_is_cut() -> None:
-    async with bench(stall_s=0.05) as b:
-        peer = await b.connect()
+    async with connected(stall_s=0.05) as (b, peer):
         await peer.call("subscribe")
         peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
         text = "x" * 100_000
@@ -186,8 +174,7 @@ async def test_a_subscriber_that_takes_nothing_is_cut() -> None:
 
 
 async def test_a_client_that_reads_no_answers_is_cut_before_they_fill_the_memory() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         await peer.call("subscribe")
         peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
         for number in range(20):
@@ -196,8 +183,7 @@ async def test_a_client_that_reads_no_answers_is_cut_before_they_fill_the_memory
 
 
 async def test_a_client_that_leaves_is_told_of_once_and_its_requests_end() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         peer.send("wait", 1)
         await peer.call("stop")
         await peer.close()
@@ -209,8 +195,7 @@ async def test_a_client_that_leaves_is_told_of_once_and_its_requests_end() -> No
 
 
 async def test_a_half_closed_client_gets_its_answers() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (_, peer):
         peer.send("echo", 1, number=1)
         peer.writer.write_eof()
         assert (await peer.receive())["id"] == 1
@@ -228,15 +213,13 @@ async def test_too_many_clients_are_refused_in_words() -> None:
 
 
 async def test_clients_are_known_by_process_and_user() -> None:
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         await peer.call("subscribe")
         assert b.seen[0].name == f"pid {os.getpid()} (uid {os.getuid()})"
 
 
 async def test_who_may_not_command_may_look_and_stop() -> None:
-    async with bench(may_command=False) as on:
-        peer = await on.connect()
+    async with connected(may_command=False) as (_, peer):
         error = (await peer.call("echo", number=1))["error"]
         assert error["data"]["code"] == "NOT_A_COMMANDER"
         assert f"uid {os.getuid()}" in error["message"]
@@ -248,8 +231,7 @@ async def test_who_may_not_command_may_look_and_stop() -> None:
 async def test_closing_the_server_cancels_what_does_not_end_without_a_word() -> None:
     complaints: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
-    async with bench() as b:
-        peer = await b.connect()
+    async with connected() as (b, peer):
         peer.send("wait", 1)
         await peer.call("stop")
         await b.server.close()

@@ -31,16 +31,16 @@ FAULT_KEYS = {"code", "servo_id", "since_s", "arm", "next", "text"}
 CYCLE_KEYS = {"bus_us_p50", "bus_us_p99", "lateness_us_p99", "overruns", "retries"}
 
 
-async def test_the_snapshot_has_the_keys_of_the_contract_before_and_after_the_first_tick(bench: Bench) -> None:
+async def test_the_snapshot_has_the_keys_of_the_contract_before_and_after_the_first_tick(fresh: Bench) -> None:
     for state in ("starting", "off"):
-        status = bench.host.status()
+        status = fresh.host.status()
         json.dumps(status, allow_nan=False)
         assert status.keys() >= STATUS_KEYS
         assert status["state"] == state
         assert status["fault"] is None
         assert all(joint.keys() == JOINT_KEYS for joint in status["joints"])
         assert status["cycle"].keys() == CYCLE_KEYS
-        bench.tick()
+        fresh.tick()
     assert status["arm_id"] == "ax12-line"
     assert status["pids"]["control"] == 4242
     assert status["tool"].keys() == {"position_m", "rpy_rad", "speed_m_s"}
@@ -48,10 +48,9 @@ async def test_the_snapshot_has_the_keys_of_the_contract_before_and_after_the_fi
     assert status["cycle"]["bus_us_p50"] == status["cycle"]["bus_us_p99"] == 2500
 
 
-async def test_the_tool_is_given_in_roll_pitch_yaw(bench: Bench) -> None:
-    bench.tick()
-    tool = bench.host.status()["tool"]
-    T = forward_kinematics(bench.arm.robot.chain, _positions(bench))
+async def test_the_tool_is_given_in_roll_pitch_yaw(limp: Bench) -> None:
+    tool = limp.host.status()["tool"]
+    T = forward_kinematics(limp.arm.robot.chain, _positions(limp))
     assert tool["position_m"] == pytest.approx(T[:3, 3].tolist())
     assert tool["rpy_rad"] == pytest.approx(rpy_from_matrix(T[:3, :3]), abs=1e-9)
 
@@ -60,69 +59,66 @@ def _positions(bench: Bench) -> Any:
     return np.array(bench.arm.positions_rad()[: bench.arm.robot.chain.n])
 
 
-async def test_ages_grow_when_no_tick_comes(bench: Bench) -> None:
-    bench.tick()
-    before = bench.host.status()
-    bench.clock.advance_ns(700_000_000)
-    after = bench.host.status()
+async def test_ages_grow_when_no_tick_comes(limp: Bench) -> None:
+    before = limp.host.status()
+    limp.clock.advance_ns(700_000_000)
+    after = limp.host.status()
     assert after["age_s"] - before["age_s"] == pytest.approx(0.7)
     for old, new in zip(before["joints"], after["joints"], strict=True):
         assert new["age_s"] - old["age_s"] == pytest.approx(0.7)
 
 
-async def test_a_joint_that_never_answered_has_no_values(bench: Bench) -> None:
-    bench.arm.silent = {2}
-    bench.tick()
-    joint = bench.host.status()["joints"][2]
+async def test_a_joint_that_never_answered_has_no_values(fresh: Bench) -> None:
+    fresh.arm.silent = {2}
+    fresh.tick()
+    joint = fresh.host.status()["joints"][2]
     assert joint["name"] == "elbow"
     assert all(joint[key] is None for key in JOINT_KEYS - {"name", "servo_id", "limits_rad"})
-    assert bench.host.status()["tool"] is None
+    assert fresh.host.status()["tool"] is None
 
 
-async def test_a_fault_tells_code_servo_time_what_the_arm_does_and_what_to_type(bench: Bench) -> None:
-    bench.tick()
-    bench.arm.silent = {1}
-    await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
-    bench.clock.advance_ns(2_000_000_000)
-    fault = bench.host.status()["fault"]
+async def test_a_fault_tells_code_servo_time_what_the_arm_does_and_what_to_type(limp: Bench) -> None:
+    limp.arm.silent = {1}
+    await limp.until(lambda: limp.arm.mode() is Mode.FAULTED)
+    limp.clock.advance_ns(2_000_000_000)
+    fault = limp.host.status()["fault"]
     assert fault.keys() == FAULT_KEYS
     assert (fault["code"], fault["servo_id"]) == ("SERVO_SILENT", 2)
     assert fault["since_s"] == pytest.approx(2.0, abs=0.01)
     assert "armctl clear" in fault["next"]
 
 
-async def test_a_dead_control_process_is_a_fault_until_the_next_one_ticks(bench: Bench) -> None:
-    bench.tick()
-    bench.host.control_lost()
-    status = bench.host.status()
+async def test_a_dead_control_process_is_a_fault_until_the_next_one_ticks(limp: Bench) -> None:
+    limp.host.control_lost()
+    status = limp.host.status()
     assert (status["state"], status["fault"]["code"]) == ("restarting", "RESTARTED")
     assert status["fault"].keys() == FAULT_KEYS
     assert status["pids"]["control"] is None
-    bench.host.attach(bench.control)
-    bench.tick()
-    assert bench.host.status()["fault"] is None
-    assert bench.host.status()["state"] == "off"
+    limp.host.attach(limp.control)
+    limp.tick()
+    assert limp.host.status()["fault"] is None
+    assert limp.host.status()["state"] == "off"
 
 
-async def test_the_cycle_figures_cover_the_last_600_ticks(bench: Bench) -> None:
-    record = bench.tick(lateness_us=90_000)
-    assert bench.host.status()["cycle"]["overruns"] == 1
-    assert bench.host.status()["cycle"]["lateness_us_p99"] == 90_000
+async def test_the_cycle_figures_cover_the_last_600_ticks(fresh: Bench) -> None:
+    record = fresh.tick(lateness_us=90_000)
+    assert fresh.host.status()["cycle"]["overruns"] == 1
+    assert fresh.host.status()["cycle"]["lateness_us_p99"] == 90_000
     for _ in range(600):
-        bench.host.receive(record := replace(record, lateness_us=5))
-    assert bench.host.status()["cycle"]["overruns"] == 0
-    assert bench.host.status()["cycle"]["lateness_us_p99"] == 5
+        fresh.host.receive(record := replace(record, lateness_us=5))
+    assert fresh.host.status()["cycle"]["overruns"] == 0
+    assert fresh.host.status()["cycle"]["lateness_us_p99"] == 5
 
 
-async def test_ticks_the_host_was_too_slow_for_are_counted(bench: Bench) -> None:
-    bench.tick(dropped=3)
-    bench.tick(dropped=2)
-    bench.recorder.dropped_records = 2
-    assert bench.host.status()["log"] == {
+async def test_ticks_the_host_was_too_slow_for_are_counted(limp: Bench) -> None:
+    limp.tick(dropped=3)
+    limp.tick(dropped=2)
+    limp.recorder.dropped_records = 2
+    assert limp.host.status()["log"] == {
         "path": "/logs/log.mcap",
         "problem": "",
         "dropped": 5,
         "recorder_dropped": 2,
     }
-    bench.recorder.log_path = None
-    assert bench.host.log()["path"] is None
+    limp.recorder.log_path = None
+    assert limp.host.log()["path"] is None
