@@ -17,11 +17,9 @@ class Clock(Protocol):
 
     def now_ns(self) -> int:
         """Monotonic time [ns]."""
-        ...
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         """Return at `deadline_ns` or, if it has passed, at once."""
-        ...
 
 
 class MonotonicClock:

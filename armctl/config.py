@@ -182,12 +182,10 @@ class ArmConfig(Frozen):
     @model_validator(mode="after")
     def _check(self) -> Self:
         for what in ("name", "servo_id"):
-            seen: set[object] = set()
-            for joint in self.joints:
-                value = getattr(joint, what)
-                if value in seen:
+            values = [getattr(joint, what) for joint in self.joints]
+            for index, value in enumerate(values):
+                if value in values[:index]:
                     raise ValueError(f"two joints have {what} {value}")
-                seen.add(value)
         return self
 
     @cached_property

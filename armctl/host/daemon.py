@@ -38,12 +38,7 @@ if TYPE_CHECKING:
     from armctl.host.teaching import TakeRecorder
     from armctl.recording.writer import LogContext
 
-    class DaemonRecorder(TakeRecorder, Protocol):
-        """A recorder as the daemon needs it."""
-
-        def close(self) -> None: ...
-
-    MakeRecorder = Callable[[LogContext, Path, Path], DaemonRecorder]
+    MakeRecorder = Callable[[LogContext, Path, Path], TakeRecorder]
 
 # Longest wait for the first tick.
 START_S = 20.0
@@ -160,7 +155,7 @@ async def run_daemon(
 
 async def _parts(
     config: Config, arm: ArmConfig, port: str, folders: tuple[Path, Path], outside: Outside
-) -> tuple[Host, Server, DaemonRecorder]:
+) -> tuple[Host, Server, TakeRecorder]:
     """Import and make what serves clients, once what a crash left in the folders is whole again."""
     from armctl.host.host import Host
     from armctl.host.jobs import optimize_task, run_job

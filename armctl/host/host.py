@@ -24,17 +24,7 @@ from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, Control, Exchange, restarting
 from armctl.host.lease import Client, Leases
-from armctl.host.motions import (
-    Done,
-    Leg,
-    Watch,
-    line_result,
-    move_result,
-    move_trajectory,
-    refuse_collision,
-    run_name,
-    within_limits,
-)
+from armctl.host.motions import Done, Leg, Watch, refuse_collision, run_name
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshot
 from armctl.host.teaching import TakeRecorder, Takes, Teaching
 from armctl.kinematics.robots.robot import Robot
@@ -55,8 +45,6 @@ from armctl.messages import (
     TorqueOn,
 )
 from armctl.recording.channels import COMMAND
-from armctl.trajectory.plan import Plan, joint_trajectory, preflight
-from armctl.trajectory.target import MoveRequest
 
 # How long a motion may go without any progress, unless somebody paused it, before it is given up.
 STUCK_S = 60.0
@@ -82,7 +70,6 @@ class Host:
         self.arm, self.robot, self.period_s = arm, robot, period_s
         self.recorder = recorder
         self._clock = clock
-        self._period_ns = round(period_s * NS_PER_S)
         self._lost_ns: int | None = None
         self.exchange = Exchange()
         self.latest: TickRecord | None = None
@@ -175,7 +162,7 @@ class Host:
         """
         if self.leases.current is not None:
             self.leases.current.stopped = True
-        await self.exchange.hold(self._clock.now_ns(), self._period_ns // 2)
+        await self.exchange.hold(self._clock.now_ns(), round(self.period_s * NS_PER_S) // 2)
         return self.state()
 
     async def command(self, client: Client, what: str) -> dict[str, Any]:
@@ -226,37 +213,6 @@ class Host:
         if not lease.lost and self.latest is not None and self.latest.outputs.mode is Mode.JOGGING:
             self.leases.keep(client, "jogging")
         return self.state()
-
-    async def run(self, client: Client, plan: Plan) -> dict[str, Any]:
-        """Pre-flight, slow approach, the plan itself; recorded, and compared with the line it was made for.
-
-        Raises:
-            RequestRefused: pre-flight (every reason), BUSY, stopped or failed on the way.
-            LogError: the recording cannot be made.
-        """
-
-        def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
-            if reasons := preflight(plan, self.arm, self.robot, q_now):
-                inside = all(within_limits(q, self.arm) for q in plan.waypoints_rad)
-                raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
-            return joint_trajectory(plan, self.arm, q_now, self.period_s)
-
-        name, [done] = await self.execute(client, "run", [make])
-        return {"recording": name, **line_result(plan, done.watch, self.robot)}
-
-    async def move(self, client: Client, request: MoveRequest) -> dict[str, Any]:
-        """Go to a target, all joints arriving at once; recorded, and compared with the target.
-
-        Raises:
-            RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
-            LogError: the recording cannot be made.
-        """
-
-        def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
-            return move_trajectory(request, q_now, self.arm, self.robot, self.period_s)
-
-        name, [done] = await self.execute(client, "move", [make])
-        return {"recording": name, **move_result(done.watch, done.trajectory, self.robot)}
 
     async def execute(
         self, client: Client, what: str, legs: Sequence[Leg], note: dict[str, Any] | None = None

@@ -20,10 +20,8 @@ _DURING = {
 class Client(Protocol):
     """Whoever asks; one connection."""
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def uid(self) -> int: ...
+    name: str
+    uid: int
 
 
 @dataclass(eq=False)

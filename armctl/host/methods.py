@@ -15,9 +15,9 @@ from armctl.errors import ArmctlError, RequestRefused
 from armctl.host.host import COMMANDS, Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
+from armctl.host.motions import move, run, transfer
 from armctl.host.reach import reach
 from armctl.host.server import Connection, Method
-from armctl.host.transfer import transfer
 from armctl.recording import recordings
 from armctl.recording.recordings import describe, listing
 from armctl.trajectory.bounds import Metre, Point, Radian
@@ -120,8 +120,8 @@ class Methods:
             "take_mark": Method(Nothing, lambda client, _: teaching.take_mark(client)),
             "take_end": Method(Nothing, lambda client, _: teaching.take_end(client)),
             "teach_end": Method(Nothing, lambda client, _: teaching.end(client)),
-            "run": Method(RunRequest, lambda client, p: host.run(client, p.plan)),
-            "move": Method(MoveRequest, host.move),
+            "run": Method(RunRequest, lambda client, p: run(host, client, p.plan)),
+            "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
             "pause": Method(Nothing, lambda _, __: host.pause(), always=True),

@@ -1,10 +1,12 @@
 """Motions as clients ask for them: where a move goes, what is seen of a motion, and what it is judged by."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +18,15 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.messages import JointTrajectory, Reply, TickRecord
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.collision import judged_pairs, link_clearance, link_points
-from armctl.trajectory.plan import Plan
+from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.straightness import max_error, mean_error
 from armctl.trajectory.target import MoveRequest, joints_at_point, joints_at_pose
+from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
+
+if TYPE_CHECKING:
+    from armctl.host.host import Host
+    from armctl.host.lease import Client
 
 # How far ahead of a jog collisions are looked for: heartbeat, stop and then some.
 JOG_LOOK_S = 0.5
@@ -53,6 +60,55 @@ class Done:
     trajectory: JointTrajectory
     watch: Watch
     reply: Reply
+
+
+async def run(host: Host, client: Client, plan: Plan) -> dict[str, Any]:
+    """Pre-flight, slow approach, the plan itself; recorded, and compared with the line it was made for.
+
+    Raises:
+        RequestRefused: pre-flight (every reason), BUSY, stopped or failed on the way.
+        LogError: the recording cannot be made.
+    """
+
+    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+        if reasons := preflight(plan, host.arm, host.robot, q_now):
+            inside = all(within_limits(q, host.arm) for q in plan.waypoints_rad)
+            raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
+        return joint_trajectory(plan, host.arm, q_now, host.period_s)
+
+    name, [done] = await host.execute(client, "run", [make])
+    return {"recording": name, **line_result(plan, done.watch, host.robot)}
+
+
+async def move(host: Host, client: Client, request: MoveRequest) -> dict[str, Any]:
+    """Go to a target, all joints arriving at once; recorded, and compared with the target.
+
+    Raises:
+        RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
+        LogError: the recording cannot be made.
+    """
+
+    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+        return move_trajectory(request, q_now, host.arm, host.robot, host.period_s)
+
+    name, [done] = await host.execute(client, "move", [make])
+    return {"recording": name, **move_result(done, host.robot)}
+
+
+async def transfer(host: Host, client: Client, request: TransferRequest) -> dict[str, Any]:
+    """Approach slowly, run a pick-and-transfer cycle, record it; the recording says itself what the cycle was.
+
+    Raises:
+        RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
+        LogError: the recording cannot be made.
+    """
+
+    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+        return transfer_trajectory(request, q_now, host.arm, host.robot, host.period_s)
+
+    name, [done] = await host.execute(client, "transfer", [make], {"event": NOTED, "cycle": request.model_dump()})
+    cycle_s = done.trajectory.end_s - done.trajectory.begin_s
+    return {"recording": name, **move_result(done, host.robot), "cycle_s": cycle_s}
 
 
 def move_trajectory(
@@ -89,17 +145,18 @@ def within_limits(q: Sequence[float], arm: ArmConfig) -> bool:
     )
 
 
-def move_result(watch: Watch, trajectory: JointTrajectory, robot: Robot) -> dict[str, Any]:
+def move_result(done: Done, robot: Robot) -> dict[str, Any]:
     """How far from its target the tool came to rest, by the encoders."""
     n = robot.chain.n
-    wanted, reached = np.array([trajectory.positions_rad[-1][:n], watch.positions_rad[-1][:n]])
+    target_rad, joints_rad = done.trajectory.positions_rad[-1], done.watch.positions_rad[-1]
+    wanted, reached = np.array([target_rad[:n], joints_rad[:n]])
     place = tool_position(robot.chain, reached)
     return {
         "position_error_mm": 1e3 * float(np.linalg.norm(place - tool_position(robot.chain, wanted))),
         "position_m": place.tolist(),
-        "joints_rad": list(watch.positions_rad[-1]),
-        "target_rad": list(trajectory.positions_rad[-1]),
-        "duration_s": trajectory.duration_s,
+        "joints_rad": list(joints_rad),
+        "target_rad": list(target_rad),
+        "duration_s": done.trajectory.duration_s,
     }
 
 

@@ -13,9 +13,11 @@ from armctl.messages import Mode, Teach, TeachEnd, TickRecord
 if TYPE_CHECKING:
     from armctl.host.host import Host
 
+_NO_TAKE = "no take is being recorded; take_begin comes first"
+
 
 class TakeRecorder(Protocol):
-    """The recorder as far as requests need it."""
+    """The recorder as far as the host needs it."""
 
     @property
     def log_path(self) -> Path | None: ...
@@ -27,6 +29,7 @@ class TakeRecorder(Protocol):
     def note(self, topic: str, text: str, time_ns: int) -> None: ...
     def begin_take(self, name: str) -> Path: ...
     def end_take(self) -> Path | None: ...
+    def close(self) -> None: ...
 
 
 class Takes:
@@ -85,7 +88,7 @@ class Teaching:
         self._taking(client)
         latest = self._host.latest
         if latest is None or latest.outputs.tool is None:
-            raise _no_take()
+            raise IllegalTransition(_NO_TAKE)
         marked = {
             "tick": latest.inputs.tick,
             "position_m": list(latest.outputs.tool.position_m),
@@ -122,7 +125,7 @@ class Teaching:
         """The name of the take that this teaching client records."""
         self._host.leases.teaching(client)
         if self._host.takes.name is None:
-            raise _no_take()
+            raise IllegalTransition(_NO_TAKE)
         return self._host.takes.name
 
     async def _end(self) -> None:
@@ -140,7 +143,3 @@ class Teaching:
             text = f"the tool moves at {1e3 * speed_m_s:.0f} mm/s (bound {1e3 * limit_m_s:.0f})"
             self._host.note({"event": "TEACHING_FAST", "text": text})
         self._hurried = hurried
-
-
-def _no_take() -> IllegalTransition:
-    return IllegalTransition("no take is being recorded; take_begin comes first")

@@ -8,6 +8,7 @@ from typing import Any, Self
 from armctl.clock import VirtualClock
 from armctl.errors import RequestRefused
 from armctl.host.host import Host
+from armctl.host.motions import run
 from armctl.messages import Mode, TickRecord
 from armctl.trajectory.plan import Plan
 from tests.control.ideal_arm import PERIOD_S
@@ -73,6 +74,6 @@ class Bench:
 
     async def running(self) -> asyncio.Task[dict[str, Any]]:
         """Anna's run, under way."""
-        task = asyncio.ensure_future(self.host.run(self.anna, self.plan()))
+        task = asyncio.ensure_future(run(self.host, self.anna, self.plan()))
         await self.until(lambda: self.arm.mode() is Mode.MOVING)
         return task

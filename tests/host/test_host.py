@@ -8,6 +8,7 @@ import pytest
 from armctl.control.link import Link
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host import exchange
+from armctl.host.motions import run
 from armctl.messages import Hold, Mode, Reply, Run
 from tests.host.bench import Bench
 from tests.host.doubles import refused
@@ -34,7 +35,7 @@ async def test_park_is_answered_when_the_arm_is_limp_at_rest(bench: Bench) -> No
 
 
 async def test_a_client_that_leaves_during_its_park_stops_the_arm(bench: Bench) -> None:
-    task = asyncio.ensure_future(bench.host.run(bench.anna, bench.plan()))
+    task = asyncio.ensure_future(run(bench.host, bench.anna, bench.plan()))
     await bench.until(task.done)
     task = asyncio.ensure_future(bench.host.command(bench.anna, "park"))
     await bench.until(lambda: bench.arm.mode() is Mode.PARKING)
@@ -74,7 +75,7 @@ async def test_a_full_link_delays_a_command_and_loses_nothing(limp: Bench) -> No
 
 async def test_a_request_to_a_dead_control_process_fails_at_once(limp: Bench) -> None:
     limp.host.control_lost()
-    for work in (limp.host.stop(), limp.host.command(limp.anna, "clear"), limp.host.run(limp.anna, limp.plan())):
+    for work in (limp.host.stop(), limp.host.command(limp.anna, "clear"), run(limp.host, limp.anna, limp.plan())):
         with refused("RESTARTED"):
             await work
 
@@ -159,7 +160,7 @@ async def test_a_stop_that_found_no_control_process_is_asked_again(bench: Bench)
 async def test_a_run_that_is_stopped_while_it_is_being_checked_does_not_begin(bench: Bench) -> None:
     stops: list[asyncio.Task[dict[str, Any]]] = []
     bench.recorder.on_begin = lambda: stops.append(asyncio.ensure_future(bench.host.stop()))
-    await bench.refused(bench.host.run(bench.anna, bench.plan()), "STOPPED")
+    await bench.refused(run(bench.host, bench.anna, bench.plan()), "STOPPED")
     await bench.until(stops[0].done)
     assert stops[0].result() == {"state": "holding"}
     assert not any(isinstance(command, Run) for command in bench.control.commands)
@@ -185,8 +186,8 @@ async def test_one_client_commands_and_the_other_is_told_who(bench: Bench) -> No
         host.command(ben, "torque_on"),
         host.command(ben, "clear"),
         host.teaching.begin(ben),
-        host.run(ben, bench.plan()),
-        host.run(bench.anna, bench.plan()),
+        run(host, ben, bench.plan()),
+        run(host, bench.anna, bench.plan()),
         host.command(bench.anna, "release"),
     ):
         await bench.refused(work, "BUSY")

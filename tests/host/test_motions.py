@@ -11,6 +11,7 @@ import pytest
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, LogError, RequestRefused
 from armctl.host import host as host_module
+from armctl.host.motions import move, run
 from armctl.kinematics.chain import tool_position
 from armctl.messages import Hold, Mode, Run
 from armctl.trajectory.plan import Plan
@@ -26,7 +27,7 @@ async def test_a_run_is_recorded_and_compared_with_its_line(bench: Bench) -> Non
     plan = bench.plan()
     start, end = tool_position(bench.arm.robot.chain, _chain_joints(bench.arm, plan))
     plan = bench.plan(from_m=tuple(start.tolist()), to_m=tuple(end.tolist()))
-    result = await bench.served(bench.host.run(bench.anna, plan))
+    result = await bench.served(run(bench.host, bench.anna, plan))
     assert result["recording"].startswith("run-line-via-0-")
     assert list(bench.recorder.takes) == [result["recording"]]
     # A servo resolves 0.29 deg, 1 to 2 mm at the tool; straight in joint space is not straight in space.
@@ -43,7 +44,7 @@ def _chain_joints(arm: IdealArm, plan: Plan) -> Any:
 
 
 async def test_a_refused_preflight_tells_every_reason_and_moves_nothing(bench: Bench) -> None:
-    error = await bench.refused(bench.host.run(bench.anna, bench.plan(arm_id="other", duration_s=0.05)), "PREFLIGHT")
+    error = await bench.refused(run(bench.host, bench.anna, bench.plan(arm_id="other", duration_s=0.05)), "PREFLIGHT")
     assert len(error.reasons) > 1
     assert "other" in error.reasons[0]
     assert not any(isinstance(command, Run) for command in bench.control.commands)
@@ -53,7 +54,7 @@ async def test_a_refused_preflight_tells_every_reason_and_moves_nothing(bench: B
 async def test_a_plan_outside_the_limits_is_refused_as_such(bench: Bench) -> None:
     start = bench.arm.positions_rad()
     far = (math.radians(149.0), *start[1:])
-    await bench.refused(bench.host.run(bench.anna, bench.plan(waypoints_rad=(start, far), duration_s=20.0)), "LIMIT")
+    await bench.refused(run(bench.host, bench.anna, bench.plan(waypoints_rad=(start, far), duration_s=20.0)), "LIMIT")
 
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.TEACHING, Mode.FAULTED, Mode.ENERGISING, Mode.MOVING])
@@ -61,7 +62,7 @@ async def test_a_run_needs_a_holding_arm_and_says_how_to_get_there(limp: Bench, 
     record = limp.control.tick()
     limp.host.receive(replace(record, outputs=replace(record.outputs, mode=mode)))
     with pytest.raises(IllegalTransition, match=mode.value):
-        await limp.host.run(limp.anna, limp.plan())
+        await run(limp.host, limp.anna, limp.plan())
     assert not limp.recorder.takes
 
 
@@ -71,7 +72,7 @@ async def test_a_run_that_cannot_be_recorded_does_not_start(bench: Bench) -> Non
 
     bench.recorder.on_begin = full
     with pytest.raises(LogError):
-        await bench.served(bench.host.run(bench.anna, bench.plan()))
+        await bench.served(run(bench.host, bench.anna, bench.plan()))
     assert not any(isinstance(command, Run) for command in bench.control.commands)
     assert bench.host.status()["recording"] is None
 
@@ -88,7 +89,7 @@ async def test_a_client_that_leaves_during_its_run_stops_the_arm(bench: Bench) -
 
 async def test_a_client_that_leaves_before_its_run_begins_moves_nothing(bench: Bench) -> None:
     bench.recorder.on_begin = lambda: bench.host.client_gone(bench.anna)
-    await bench.refused(bench.host.run(bench.anna, bench.plan()), "LEASE_LOST")
+    await bench.refused(run(bench.host, bench.anna, bench.plan()), "LEASE_LOST")
     assert not any(isinstance(command, Run) for command in bench.control.commands)
 
 
@@ -107,7 +108,7 @@ async def test_a_run_that_does_not_end_is_stopped(bench: Bench) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(host_module, "STUCK_S", -1e6)
         with pytest.raises(RequestRefused) as caught:
-            await bench.host.run(bench.anna, bench.plan())
+            await run(bench.host, bench.anna, bench.plan())
     assert caught.value.code == "NO_ANSWER"
     await bench.until(lambda: any(isinstance(command, Hold) for command in bench.control.commands))
 
@@ -117,7 +118,7 @@ async def test_a_run_that_does_not_end_is_stopped(bench: Bench) -> None:
 
 async def test_a_move_to_joints_is_recorded_and_measured(bench: Bench) -> None:
     goal = tuple(q - 0.3 * (i == 1) for i, q in enumerate(bench.arm.positions_rad()))
-    result = await bench.served(bench.host.move(bench.anna, MoveRequest(joints_rad=goal)))
+    result = await bench.served(move(bench.host, bench.anna, MoveRequest(joints_rad=goal)))
     assert list(bench.recorder.takes) == [result["recording"]]
     assert result["recording"].startswith("run-move-")
     assert 0.0 <= result["position_error_mm"] < 2.0
@@ -130,13 +131,13 @@ async def test_a_move_to_joints_is_recorded_and_measured(bench: Bench) -> None:
 
 async def test_a_move_to_a_point_takes_the_tool_there(bench: Bench) -> None:
     point = (0.15, 0.05, 0.2)
-    result = await bench.served(bench.host.move(bench.anna, MoveRequest(point_m=point)))
+    result = await bench.served(move(bench.host, bench.anna, MoveRequest(point_m=point)))
     assert result["position_m"] == pytest.approx(point, abs=0.004)
     assert math.dist(result["position_m"], point) == pytest.approx(result["position_error_mm"] / 1e3, abs=1e-5)
 
 
 async def test_a_point_out_of_reach_is_refused_with_the_nearest_distance(bench: Bench) -> None:
-    error = await bench.refused(bench.host.move(bench.anna, MoveRequest(point_m=(0.9, 0.0, 0.2))), "UNREACHABLE")
+    error = await bench.refused(move(bench.host, bench.anna, MoveRequest(point_m=(0.9, 0.0, 0.2))), "UNREACHABLE")
     assert "no nearer than" in str(error)
     assert not bench.recorder.takes
 
@@ -144,16 +145,16 @@ async def test_a_point_out_of_reach_is_refused_with_the_nearest_distance(bench: 
 async def test_a_move_is_refused_with_every_reason_before_it_starts(bench: Bench) -> None:
     here = bench.arm.positions_rad()
     fast = MoveRequest(joints_rad=(here[0] + 1.0, here[1] - 1.0, *here[2:]), duration_s=0.3)
-    error = await bench.refused(bench.host.move(bench.anna, fast), "PREFLIGHT")
+    error = await bench.refused(move(bench.host, bench.anna, fast), "PREFLIGHT")
     assert len(error.reasons) > 2
-    await bench.refused(bench.host.move(bench.anna, MoveRequest(joints_rad=(2.6, *here[1:]))), "LIMIT")
-    await bench.refused(bench.host.move(bench.anna, MoveRequest(joints_rad=here[:5])), "LIMIT")
+    await bench.refused(move(bench.host, bench.anna, MoveRequest(joints_rad=(2.6, *here[1:]))), "LIMIT")
+    await bench.refused(move(bench.host, bench.anna, MoveRequest(joints_rad=here[:5])), "LIMIT")
     assert not any(isinstance(command, Run) for command in bench.control.commands)
 
 
 async def test_a_client_that_leaves_during_its_move_stops_the_arm(bench: Bench) -> None:
     goal = tuple(q - 0.3 * (i == 1) for i, q in enumerate(bench.arm.positions_rad()))
-    task = asyncio.ensure_future(bench.host.move(bench.anna, MoveRequest(joints_rad=goal)))
+    task = asyncio.ensure_future(move(bench.host, bench.anna, MoveRequest(joints_rad=goal)))
     await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
     bench.host.client_gone(bench.anna)
     await bench.refused(task, "STOPPED")
@@ -205,7 +206,7 @@ async def test_a_jog_is_one_client_s_until_it_ends(bench: Bench) -> None:
     host, anna, ben = bench.host, bench.anna, bench.ben
     assert await bench.beat(anna, turn=TURN, begin=True) == {"state": "jogging"}
     assert host.status()["commander"] == "anna: jogging"
-    for work in (bench.beat(ben, turn=TURN), host.run(ben, bench.plan()), host.run(anna, bench.plan())):
+    for work in (bench.beat(ben, turn=TURN), run(host, ben, bench.plan()), run(host, anna, bench.plan())):
         with refused("BUSY"):
             await work
     assert await bench.beat(anna, turn=TURN) == {"state": "jogging"}

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armctl.host.motions import move
 from armctl.host.reach import reach
 from armctl.kinematics.chain import tool_position
 from armctl.messages import Mode, TickRecord
@@ -33,7 +34,7 @@ async def test_every_paper_s_arm_takes_torque_moves_out_and_back_and_parks(name:
         assert len(bench.simulated.servos) == len(bench.arm.joints) == len(AWAY_DEG[name])
         for goal_deg in (AWAY_DEG[name], rest_deg):
             there = MoveRequest(joints_rad=tuple(np.radians(goal_deg).tolist()))
-            await bench.served(bench.host.move(bench.anna, there))
+            await bench.served(move(bench.host, bench.anna, there))
             assert bench.true_deg() == pytest.approx(goal_deg, abs=SAG_DEG)
         assert await bench.served(bench.host.command(bench.anna, "park")) == {"state": "off"}
         assert bench.true_deg() == pytest.approx(rest_deg, abs=4.0)

@@ -7,6 +7,7 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.errors import LogError
+from armctl.host.motions import run
 from armctl.messages import Mode, TeachEnd
 from tests.host.bench import Bench
 
@@ -35,7 +36,7 @@ async def test_takes_belong_to_whoever_teaches(limp: Bench) -> None:
     await limp.refused(host.teaching.take_begin(anna, "y"), "ILLEGAL_TRANSITION")
     for work in (host.teaching.take_begin(ben, "y"), host.teaching.take_end(ben), host.teaching.end(ben)):
         await limp.refused(work, "ILLEGAL_TRANSITION")
-    for work in (host.command(ben, "torque_on"), host.teaching.begin(anna), host.run(anna, limp.plan())):
+    for work in (host.command(ben, "torque_on"), host.teaching.begin(anna), run(host, anna, limp.plan())):
         await limp.refused(work, "BUSY")
 
 

@@ -138,6 +138,9 @@ class _Recorder:
         name, self.begun = self.begun, None
         return None if name is None else Path(f"/takes/{name}.mcap")
 
+    def close(self) -> None:
+        pass
+
 
 class _Inline(ThreadPoolExecutor):
     """Does at once what is given to a thread: the same seed then meets the same states."""
