@@ -119,12 +119,6 @@ def test_a_method_that_is_not_served_says_which_are(guard: Guard) -> None:
     assert (answer.headers["allow"], answer.json()["error"]["code"]) == ("POST", "WRONG_METHOD")
 
 
-def test_half_a_surrogate_pair_is_refused(guard: Guard) -> None:
-    body = b'{"confirm": "\\ud800"}'
-    answer = ask(guard, "POST", "/api/release", {"content-type": "application/json"}, content=body)
-    assert (answer.status_code, answer.json()["error"]["code"]) == (400, "NOT_JSON")
-
-
 def stream(guard: Guard, said: list[Message]) -> list[Message]:
     """What a page that says this is sent, which leaves after the second message."""
     sent: list[Message] = []
