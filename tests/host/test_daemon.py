@@ -221,14 +221,6 @@ async def test_release_has_to_be_confirmed() -> None:
             assert await b.call(client, "release", confirm=True) == {"state": "off"}
 
 
-async def test_a_plan_with_a_fault_is_refused_by_its_key() -> None:
-    async with running() as b:
-        with await holding(b) as client:
-            plan = small_plan(b.arm).model_dump(mode="json") | {"duration_s": -1.0}
-            with pytest.raises(ConfigError, match=r"plan\.duration_s"):
-                await b.call(client, "run", plan=plan)
-
-
 async def test_subscribers_see_every_tick() -> None:
     async with running() as b:
         with await b.client() as client:

@@ -150,6 +150,7 @@ async def test_a_wrong_parameter_is_refused_by_name(bench: Bench, changes: dict[
         ("move", {"point_m": [0.1, 0.0, math.inf]}, "point_m"),
         ("move", {"pose": [0.1, 0.0, 0.1]}, "pose"),
         ("move", {"point_m": [0.1, 0.0, 0.1], "duration_s": 0.0}, "duration_s"),
+        ("run", {"plan": {"duration_s": -1.0}}, r"plan\.duration_s"),
         ("rate", {"rate": 1.1}, "rate"),
         ("rate", {"rate": 0.05}, "rate"),
         ("jog", {"joints_rad_s": [math.nan]}, "joints_rad_s"),
