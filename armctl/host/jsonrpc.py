@@ -2,8 +2,8 @@
 
 Rules.
 1. A line is at most 64 KiB of UTF-8 and holds one request object; batches are refused.
-2. Numbers are finite (`NaN`, `Infinity` and 1e999 are refused), a key stands once, nesting is at most 16 deep, and a
-   text is one that can be written: no half of a surrogate pair.
+2. Numbers are finite (`NaN`, `Infinity` and 1e999 are refused), no key appears twice, nesting is at most 16 deep, and a
+   text holds no half of a surrogate pair, so that it can be written again.
 3. A request without `id` is a notification: it is carried out and not answered.
 4. Failures of the protocol have the standard's codes; failures of armctl are -32000. Both carry in `data` what
    a client needs to raise the same error: `code`, `reasons`, `exit_status`, and `type` and `fields` of the class.
