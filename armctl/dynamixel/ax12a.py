@@ -4,8 +4,6 @@ Source: ROBOTIS e-manual, AX-12A control table. Everything outside this module a
 ticks, percent and degrees stop here.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterable
@@ -15,20 +13,20 @@ from typing import NamedTuple
 
 MODEL_NUMBER = 12
 TABLE_SIZE = 50
+# First RAM address; everything below is EEPROM and writable only with torque off.
 EEPROM_END = 24
-"""First RAM address; everything below is EEPROM and writable only with torque off."""
 
+# Angle of one position tick; 0..1023 spans 300 deg.
 TICK_RAD = math.radians(300.0) / 1023.0
-"""Angle of one position tick; 0..1023 spans 300 deg."""
 TICK_MAX = 1023
+# One unit of moving or present speed (0.111 rpm).
 SPEED_UNIT_RAD_S = 0.111 * 2.0 * math.pi / 60.0
-"""One unit of moving or present speed (0.111 rpm)."""
 LOAD_MAX = 1023
 STALL_TORQUE_NM = 1.5
 NO_LOAD_SPEED_RAD_S = 59.0 * 2.0 * math.pi / 60.0
 STATUS_BEGIN = 24
+# Bytes 24..49: everything that tells position, load, heat and every kind of lost torque, in one read.
 STATUS_SIZE = 26
-"""Bytes 24..49: everything that tells position, load, heat and every kind of lost torque, in one read."""
 
 
 class ErrorBit(IntFlag):
@@ -98,13 +96,13 @@ MOVING = Register("moving", 46, 1, False, 0, 0, 1)
 LOCK = Register("lock", 47, 1, True, 0, 0, 1)
 PUNCH = Register("punch", 48, 2, True, 32)
 
+# The control table in address order.
 REGISTERS: tuple[Register, ...] = (
     MODEL, FIRMWARE, ID, BAUD, RETURN_DELAY, CW_LIMIT, CCW_LIMIT, TEMPERATURE_LIMIT, MIN_VOLTAGE,
     MAX_VOLTAGE, MAX_TORQUE, RETURN_LEVEL, ALARM_LED, SHUTDOWN, TORQUE_ENABLE, LED, CW_MARGIN,
     CCW_MARGIN, CW_SLOPE, CCW_SLOPE, GOAL, MOVING_SPEED, TORQUE_LIMIT, PRESENT_POSITION, PRESENT_SPEED,
     PRESENT_LOAD, PRESENT_VOLTAGE, PRESENT_TEMPERATURE, REGISTERED, MOVING, LOCK, PUNCH,
 )  # fmt: skip
-"""The control table in address order."""
 
 
 def register_value(register: Register, block: bytes, begin: int = STATUS_BEGIN) -> int:
@@ -151,32 +149,32 @@ class Status(NamedTuple):
     """What the block 24..49 of a servo says, as far as the control step reads it."""
 
     torque_enabled: int
+    # Goal position [tick].
     goal: int
-    """Goal position [tick]."""
     torque_limit: int
+    # Present position [tick].
     position: int
-    """Present position [tick]."""
+    # CCW positive, as is the load.
     speed_rad_s: float
-    """CCW positive, as is the load."""
     load_ratio: float
     voltage_V: float
     temperature_degC: float
+    # What only torque-on writes, margins, slopes, punch and torque limit, as one number to compare.
     settings: int
-    """What only torque-on writes, margins, slopes, punch and torque limit, as one number to compare."""
 
 
+# Bytes 24..49 in the order of the control table; 45 has no register.
 _BLOCK = struct.Struct("<6B6H6BH")
-"""Bytes 24..49 in the order of the control table; 45 has no register."""
 
 
 def _settings(cw_margin: int, ccw_margin: int, cw_slope: int, ccw_slope: int, punch: int, torque_limit: int) -> int:
     return cw_margin << 50 | ccw_margin << 40 | cw_slope << 30 | ccw_slope << 20 | punch << 10 | torque_limit
 
 
+# Settings of a servo that has just restarted.
 POWER_ON_SETTINGS = _settings(*(
     register.default for register in (CW_MARGIN, CCW_MARGIN, CW_SLOPE, CCW_SLOPE, PUNCH, TORQUE_LIMIT)
 ))  # fmt: skip
-"""Settings of a servo that has just restarted."""
 
 
 def decode(block: bytes) -> Status | None:
@@ -222,8 +220,8 @@ def _impossible_bits() -> int:
 IMPOSSIBLE_BITS = _impossible_bits()
 
 
+# Where a servo was [tick], and when [ns].
 Seen = tuple[int, int]
-"""Where a servo was [tick], and when [ns]."""
 
 
 def position_tick(block: bytes) -> int:

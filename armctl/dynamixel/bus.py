@@ -18,8 +18,6 @@ Rules:
    adapter) is believed by `identify` only if it shows again and again.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -42,31 +40,31 @@ BUS_NOISE = "BUS_NOISE"
 PORT_GONE = "PORT_GONE"
 
 SAMPLE_RETRIES = 2
+# Long enough (0.5 s at 10 Hz) that a servo which restarts after a brown-out, 0.3 s, is heard as soon as it speaks.
 SILENT_MISSES = 5
-"""Long enough (0.5 s at 10 Hz) that a servo which restarts after a brown-out, 0.3 s, is heard as soon as it speaks."""
 PROBE_EVERY = 5
 
+# How far into a sample a busy machine may make replies late: half a tick of 100 ms.
 SAMPLE_PATIENCE_NS = 50 * NS_PER_MS
-"""How far into a sample a busy machine may make replies late: half a tick of 100 ms."""
 IDENTIFY_PATIENCE_NS = 300 * NS_PER_MS
 
+# Allowance while identifying: an adapter with the 16 ms latency timer is slow, not silent.
 IDENTIFY_LATENCY_MS = 20.0
-"""Allowance while identifying: an adapter with the 16 ms latency timer is slow, not silent."""
+# Six reads with this much each fit half a tick of 100 ms; the usual timers are 1 and 16 ms.
 SLOW_ADAPTER_MS = 8.0
-"""Six reads with this much each fit half a tick of 100 ms; the usual timers are 1 and 16 ms."""
+# Reads of changing registers per servo that tell two servos with one id.
 DUPLICATE_PROBES = 3
-"""Reads of changing registers per servo that tell two servos with one id."""
+# How long the line is to be silent before each reading that confirms a suspicion.
 CONFIRM_QUIET_MS = (20.0, 40.0, 80.0)
-"""How long the line is to be silent before each reading that confirms a suspicion."""
+# Further readings of an adapter that seems slow.
 LATENCY_PROBES = 6
-"""Further readings of an adapter that seems slow."""
 
 ID_MAX = ax12a.ID.maximum
 ERROR_AT = 4
 DATA_AT = 5
 STATUS_BLOCK = (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+# Error bits that say the very request was not carried out.
 REFUSED = ErrorBit.RANGE | ErrorBit.CHECKSUM | ErrorBit.INSTRUCTION
-"""Error bits that say the very request was not carried out."""
 
 _log = logging.getLogger(__name__)
 
@@ -84,15 +82,15 @@ class Reply(NamedTuple):
 class _Track:
     """What the bus remembers of one servo between samples."""
 
+    # The packet that reads its status; its last byte is the checksum, which the SDK puts there.
     request: list[int]
-    """The packet that reads its status; its last byte is the checksum, which the SDK puts there."""
     reading: ServoReading
+    # Its position in the reading; None: it was never read.
     seen: Seen | None = None
-    """Its position in the reading; None: it was never read."""
+    # Samples in a row without any answer.
     misses: int = 0
-    """Samples in a row without any answer."""
+    # A position that no servo could have moved to; believed if the next read agrees.
     suspect: Seen | None = None
-    """A position that no servo could have moved to; believed if the next read agrees."""
 
 
 class ServoBus:
@@ -100,11 +98,11 @@ class ServoBus:
 
     def __init__(self, port: ServoPort, servo_ids: Sequence[int]) -> None:
         self.is_open = False
+        # The transport; its user is this bus.
         self.port = port
-        """The transport; its user is this bus."""
         self.servo_ids = tuple(servo_ids)
+        # Firmware version of every servo as `identify` read it; -1: it did not answer.
         self.firmware: tuple[int, ...] = ()
-        """Firmware version of every servo as `identify` read it; -1: it did not answer."""
         self._handler = PacketHandler()
         self._tracks = [
             _Track(_packet(servo_id, INST_READ, STATUS_BLOCK), ServoReading(servo_id, b"", 0, False))

@@ -1,7 +1,5 @@
 """What makes servos unfit for an arm, in words that say what to do about it."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from armctl.dynamixel import ax12a

@@ -6,8 +6,6 @@ priority. A reply that is kept back so looks like a servo that does not answer. 
 order: a byte sent through a terminal of one's own arrives behind every reply that has come before.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import tty

@@ -9,22 +9,20 @@ limit of ROBOTIS' SDK). Both kinds have one shape, so one decoder serves both; w
 an error byte, only the direction tells.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
 HEADER = b"\xff\xff"
+# Sum of a whole packet, checksum and header included.
 _WHOLE_SUM = (sum(HEADER) + 0xFF) & 0xFF
-"""Sum of a whole packet, checksum and header included."""
 BROADCAST_ID = 0xFE
 MIN_LENGTH = 2
 MAX_LENGTH = 246
+# Bytes of a packet without parameters.
 OVERHEAD_BYTES = 6
-"""Bytes of a packet without parameters."""
+# On the wire: a start bit, eight data bits, a stop bit.
 BITS_PER_BYTE = 10
-"""On the wire: a start bit, eight data bits, a stop bit."""
 
 
 class Instruction(IntEnum):
@@ -43,8 +41,8 @@ class Packet(NamedTuple):
     """One packet with a good checksum."""
 
     servo_id: int
+    # Instruction of an instruction packet, error byte of a status packet.
     code: int
-    """Instruction of an instruction packet, error byte of a status packet."""
     parameters: bytes = b""
 
 

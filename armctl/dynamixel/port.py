@@ -21,8 +21,6 @@ What a port promises:
    that was never opened. The text says what to do.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
@@ -33,13 +31,13 @@ from armctl.dynamixel.packet import OVERHEAD_BYTES
 
 NS_PER_MS = 1_000_000
 BITS_PER_BYTE = 10
+# Largest value of the servo's return delay register, 254 units of 2 us.
 RETURN_DELAY_WORST_US = 508.0
-"""Largest value of the servo's return delay register, 254 units of 2 us."""
+# What a USB adapter in low-latency mode may add to a round trip: two frames of 1 ms.
 ADAPTER_LATENCY_MS = 2.0
-"""What a USB adapter in low-latency mode may add to a round trip: two frames of 1 ms."""
 MARGIN_MS = 1.5
+# A line silent for this long, and four bytes more, carries no reply.
 QUIET_MS = 0.5
-"""A line silent for this long, and four bytes more, carries no reply."""
 HEARD_MAX = 256
 DRAIN_BYTES = 64
 DRAIN_ROUNDS = 8
@@ -55,29 +53,29 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
     is_using: bool
     baudrate: int
     port_name: str
+    # Wire time of one byte [ns].
     byte_ns: int
-    """Wire time of one byte [ns]."""
+    # The driver's low-latency flag, read back after opening; None: the driver has none (a pty, for one).
     low_latency: bool | None = None
-    """The driver's low-latency flag, read back after opening; None: the driver has none (a pty, for one)."""
 
     def __init__(self, name: str, baud: int, clock: Clock) -> None:
         super().__init__(name)
         self.clock = clock
+        # Bytes read since the last request.
         self.heard = 0
-        """Bytes read since the last request."""
         self.allow_latency(ADAPTER_LATENCY_MS)
+        # Bytes that have arrived and were not read.
         self._received = b""
-        """Bytes that have arrived and were not read."""
         self._patient_until_ns = 0
+        # Whether nothing can have come in this round that was not asked for.
         self._clean = False
-        """Whether nothing can have come in this round that was not asked for."""
+        # When the clock was looked at for the last reply, if the next request follows at once; 0: look again.
         self._begin_ns = 0
-        """When the clock was looked at for the last reply, if the next request follows at once; 0: look again."""
         self._deadline_ns = 0
+        # How long the reply may take; 0: none is due.
         self._allowed_ns = 0
-        """How long the reply may take; 0: none is due."""
+        # Bytes of the reply that is due.
         self._due = 0
-        """Bytes of the reply that is due."""
         self._request_size = 0
         self.setBaudRate(baud)
 
@@ -218,8 +216,8 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
         return drained
 
 
+# What the SDK takes for the begin of a status packet.
 ID_MAX, LENGTH_MAX, ERROR_MAX = 0xFD, 250, 0x7F
-"""What the SDK takes for the begin of a status packet."""
 
 
 class PacketHandler(Protocol1PacketHandler):  # type: ignore[misc]  # the SDK has no types

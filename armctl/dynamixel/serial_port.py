@@ -10,8 +10,6 @@ Two rules more than the contract has:
    later one looks for that adapter, whatever name the kernel gave it after a replug, and takes no other.
 """
 
-from __future__ import annotations
-
 import array
 import errno
 import fcntl
@@ -31,8 +29,8 @@ from armctl.dynamixel.kernel_worker import KernelWorker
 from armctl.dynamixel.port import HEARD_MAX, NS_PER_MS, QUIET_MS, ServoPort
 from armctl.errors import BusError, PortBusy, PortGone, PortMissing
 
+# A kernel worker that is not held up takes a twentieth of it.
 KEEPS_UP_NS = NS_PER_MS
-"""A kernel worker that is not held up takes a twentieth of it."""
 LATELY_NS = NS_PER_S
 BY_ID = Path("/dev/serial/by-id")
 
@@ -48,15 +46,15 @@ class SerialPort(ServoPort):
 
     ser: serial.Serial | None
     _fd = -1
+    # Tells of arrived bytes once, and asks the terminal for nothing until it has told of some (rule 1).
     _arrivals: select.epoll
-    """Tells of arrived bytes once, and asks the terminal for nothing until it has told of some (rule 1)."""
     _worker: KernelWorker | None
+    # When the worker was last seen to be late.
     _late_ns = -NS_PER_S
-    """When the worker was last seen to be late."""
+    # Whether the terminal may hold bytes that it has told of already.
     _unread = True
-    """Whether the terminal may hold bytes that it has told of already."""
+    # Whether this reply was waited for once more already.
     _asked_again = False
-    """Whether this reply was waited for once more already."""
     _ASYNC_LOW_LATENCY: ClassVar[int] = 0x2000
 
     def __init__(self, name: str, baud: int, clock: Clock) -> None:

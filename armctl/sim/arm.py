@@ -26,8 +26,8 @@ from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
 STEP_NS = 1_000_000
+# So much before a step's instant counts as at it: what a sum of decimal seconds may be off.
 FAULT_TOLERANCE_S = 1e-6
-"""So much before a step's instant counts as at it: what a sum of decimal seconds may be off."""
 
 
 class SimulatedArm:
@@ -43,24 +43,24 @@ class SimulatedArm:
         """
         self.config, self.spec = arm, spec
         self.faults = Faults(seed=seed) if faults is None else faults
+        # The true geometry, link length errors included.
         self.chain: SerialChain
-        """The true geometry, link length errors included."""
         self.chain, self._joints, masses = build(arm, spec, seed)
+        # As `PointMasses` has them.
         self.points_kg = masses.points_kg
-        """As `PointMasses` has them."""
         self._body = Body(self._joints, masses, spec)
+        # In the order of the calibration's joints.
         self.servos: tuple[SimulatedServo, ...] = tuple(joint.servo for joint in self._joints)
-        """In the order of the calibration's joints."""
         self._origin_ns: int | None = None
+        # When a servo will be too hot if the arm stays at rest; None: not known yet.
         self._overheat_step: int | None = None
-        """When a servo will be too hot if the arm stays at rest; None: not known yet."""
+        # What each second writer (by its fault) tells each servo.
         self._writer_goals: dict[tuple[int, int], int] = {}
-        """What each second writer (by its fault) tells each servo."""
+        # What the joints know of the hand's aim.
         self._aims: tuple[list[float], list[float]] | None = None
-        """What the joints know of the hand's aim."""
         self.hand = Hand(self)
+        # Whether time is held, see `Lockstep` in sim/pty.py.
         self.standing = False
-        """Whether time is held, see `Lockstep` in sim/pty.py."""
 
     @property
     def eeprom_writes(self) -> int:

@@ -15,11 +15,11 @@ from armctl.sim.joint import STEP_S, Joint
 from armctl.sim.spec import ArmSpec
 
 CHUNK_STEPS = 20
+# Steps of a chunk while a joint turns faster than `FAST_RAD_S`, as those of a falling arm do.
 FAST_CHUNK_STEPS = 2
-"""Steps of a chunk while a joint turns faster than `FAST_RAD_S`, as those of a falling arm do."""
 FAST_RAD_S = 1.0
+# Gravity and inertia stay those of a configuration until a joint is further from it than this, or all stand still.
 GRAVITY_RAD = 0.004
-"""Gravity and inertia stay those of a configuration until a joint is further from it than this, or all stand still."""
 
 
 class Body:
@@ -27,23 +27,23 @@ class Body:
 
     def __init__(self, joints: Sequence[Joint], masses: PointMasses, spec: ArmSpec) -> None:
         self.joints, self.masses, self.spec = joints, masses, spec
+        # How far all joints are integrated, at least.
         self.step = 0
-        """How far all joints are integrated, at least."""
         self.chunk_begin = self.chunk_end = 0
+        # What the supply gives without load.
         self.supply_V = spec.supply_V
-        """What the supply gives without load."""
+        # Under the present load.
         self.voltage_V = spec.supply_V
-        """Under the present load."""
+        # Whether a hand pulls the joints to their aims.
         self.pulled = False
-        """Whether a hand pulls the joints to their aims."""
+        # Nothing but temperatures will change until something from outside does.
         self.resting = False
-        """Nothing but temperatures will change until something from outside does."""
+        # Whether gravity and inertia belong to the very configuration of now.
         self._gravity_is_current = False
-        """Whether gravity and inertia belong to the very configuration of now."""
+        # Whether anything did in this chunk.
         self._changed = False
-        """Whether anything did in this chunk."""
+        # Whether nothing did in the chunk before.
         self._still = True
-        """Whether nothing did in the chunk before."""
 
     def advance(self, until_step: int, only: int | None) -> bool:
         """Let time pass to a step, or to the end of the chunk if that comes first.

@@ -8,8 +8,6 @@ carries the bitwise AND. What goes wrong on the way is up to `faults`. Not model
 adapter's 62-byte packets.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import zip_longest
@@ -24,8 +22,8 @@ from armctl.sim.faults import Faults
 from armctl.sim.servo import SimulatedServo
 
 BYTE_GAP_NS = 100_000_000
+# Bytes farther apart than this reach the host one after another; a byte at 57,600 baud takes 174 us.
 PAUSE_NS = 200_000
-"""Bytes farther apart than this reach the host one after another; a byte at 57,600 baud takes 174 us."""
 BAUD_TOLERANCE = 0.03
 
 
@@ -54,27 +52,27 @@ class SimulatedBus:
         self._servo_ids = arm.config.servo_ids
         if faults is not None:
             arm.faults = faults
+        # The host's setting; may change at any time.
         self.baud = baud
-        """The host's setting; may change at any time."""
+        # The port that has this bus for itself, if there is one.
         self.user: object = None
-        """The port that has this bus for itself, if there is one."""
         self._latency_ns = round(latency_ms * 1e6)
         self._phase_ns = int(np.random.default_rng(seed).integers(self._latency_ns)) if self._latency_ns else 0
         self._decoder = Decoder()
+        # When the servos had the last byte of the host.
         self._last_byte_ns: int | None = None
-        """When the servos had the last byte of the host."""
+        # When the last reply leaves the wire.
         self._quiet_ns = 0
-        """When the last reply leaves the wire."""
+        # The bytes under way to the host.
         self._replies = b""
-        """The bytes under way to the host."""
+        # When each of them gets there.
         self._arrivals_ns: Sequence[int] = ()
-        """When each of them gets there."""
+        # Which servos hear a packet, by whom it is to.
         self._hearers: dict[int, list[int]] = {}
-        """Which servos hear a packet, by whom it is to."""
+        # At how many writes to EEPROMs, and at which baud, that was so.
         self._listed_for = (-1, 0)
-        """At how many writes to EEPROMs, and at which baud, that was so."""
+        # The second servos with an id that is taken, by the number of their fault.
         self._strangers: dict[int, SimulatedServo] = {}
-        """The second servos with an id that is taken, by the number of their fault."""
 
     @property
     def faults(self) -> Faults:

@@ -73,6 +73,7 @@ class Controls:
 
     def __init__(self, arm: SimulatedArm, ring: TruthRing, plug: Plug, now_ns: Callable[[], int]) -> None:
         self._arm, self._ring, self._plug, self._now_ns = arm, ring, plug, now_ns
+        # What gives the result of each method, and the parameters it knows (None: it checks them itself).
         self._methods: dict[str, tuple[Callable[[Params], Params | Iterator[str] | None], tuple[str, ...] | None]] = {
             "guide": (self._guide, ("from", "to", "seed", "duration_s")),
             "let_go": (lambda _: arm.hand.release(), ()),
@@ -84,7 +85,6 @@ class Controls:
             "fault_end": (self._fault_end, ("id",)),
             "faults": (self._faults, ()),
         }
-        """What gives the result of each method, and the parameters it knows (None: it checks them itself)."""
 
     def answer(self, line: bytes) -> Iterator[str]:
         """Pieces of the line that answers a request line; refusals are answers too."""

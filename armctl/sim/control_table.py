@@ -5,8 +5,8 @@ from functools import cache
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 
+# Addresses that stay writable after LOCK.
 LOCKED_WRITABLE = range(24, 36)
-"""Addresses that stay writable after LOCK."""
 
 
 def value(table: bytes | bytearray, register: Register) -> int:

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 from armctl.dynamixel import ax12a
 
+# Of the table: angle limits; max torque; torque enable; margins, slopes; goal, moving speed, torque limit; punch.
 DRIVING = Struct("<6xHH4xH8xBx4BHHH12xH")
-"""Of the table: angle limits; max torque; torque enable; margins, slopes; goal, moving speed, torque limit; punch."""
 
 
 class Drive(NamedTuple):
@@ -28,17 +28,17 @@ class Drive(NamedTuple):
 
     enabled: bool
     goal_tick: int
+    # Speed of the reference; 0: the reference jumps to the goal.
     ramp_tick_s: float
-    """Speed of the reference; 0: the reference jumps to the goal."""
     output_limit: float
     punch: float
     cw_margin: int
     ccw_margin: int
+    # Output per tick beyond the margin.
     cw_gain: float
-    """Output per tick beyond the margin."""
     ccw_gain: float
+    # Output in wheel mode, which knows no goal; None: not in wheel mode.
     spin: float | None
-    """Output in wheel mode, which knows no goal; None: not in wheel mode."""
 
     def output(self, error_tick: int) -> float:
         """Output at an error, which is reference less shaft; both have the same sign."""
@@ -67,10 +67,10 @@ class Ramp(NamedTuple):
 
     begin_tick: float
     goal_tick: float
+    # Way in one step, with its sign.
     step_tick: float
-    """Way in one step, with its sign."""
+    # The step in which the reference reaches the goal; 0: it is there.
     arrival: int
-    """The step in which the reference reaches the goal; 0: it is there."""
 
     def at(self, step: int) -> float:
         """The reference [tick] after so many steps."""

@@ -28,15 +28,15 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from armctl.config import parse_yaml, validate
 from armctl.errors import ConfigError
 
+# From one write of the second writer to its next.
 WRITER_PERIOD_S = 0.1
-"""From one write of the second writer to its next."""
 
 
 @dataclass(frozen=True)
 class _Value:
     what: str
+    # None: drawn each time.
     default: float | None
-    """None: drawn each time."""
     low: float
     high: float
     whole: bool = False
@@ -45,8 +45,8 @@ class _Value:
 @dataclass(frozen=True)
 class _Kind:
     what: str
+    # On what it happens; empty: a state.
     occasion: str = ""
-    """On what it happens; empty: a state."""
     value: _Value | None = None
     bus_wide: bool = False
     one_servo: bool = False
@@ -91,12 +91,12 @@ class Fault(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     kind: str
+    # By the calibration; None: every servo.
     servo_id: int | None = Field(None, ge=0, le=253)
-    """By the calibration; None: every servo."""
     probability: float = Field(1.0, ge=0.0, le=1.0)
     count: int | None = Field(None, ge=1)
+    # Seconds of simulator time; for a live fault, from now.
     begin_s: float = Field(0.0, ge=0.0)
-    """Seconds of simulator time; for a live fault, from now."""
     duration_s: float | None = Field(None, gt=0.0)
     value: float | None = None
 
@@ -161,8 +161,8 @@ class Planned:
 
     id: int
     fault: Fault
+    # Absolute.
     begin_s: float
-    """Absolute."""
     end_s: float
     rng: np.random.Generator
     begun: bool = False
@@ -205,12 +205,12 @@ class Faults:
         self._seed = seed
         self._last_id = 0
         self._planned: list[Planned] = []
+        # When something changes next.
         self.due_s = math.inf
-        """When something changes next."""
+        # How many are planned or in force.
         self.pending = 0
-        """How many are planned or in force."""
+        # How often the adapter was pulled out of the host so far.
         self.unplugs = 0
-        """How often the adapter was pulled out of the host so far."""
         for fault in script:
             self.begin(fault, 0.0)
 

@@ -20,25 +20,25 @@ from armctl.kinematics.chain import SerialChain
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
 
+# Fastest joint while the arm is carried to the start.
 CARRY_SPEED_RAD_S = 0.8
-"""Fastest joint while the arm is carried to the start."""
 CARRY_MIN_S = 1.0
 DWELL_BEFORE_S = 0.7
 DWELL_AFTER_S = 1.2
+# Range of the time along the line when none is asked for.
 DURATION_S = (4.2, 5.8)
-"""Range of the time along the line when none is asked for."""
+# Inverse kinematics is solved this often; straight joint-space lines in between.
 KNOT_S = 0.04
-"""Inverse kinematics is solved this often; straight joint-space lines in between."""
+# Range of the wobble's amplitude along each axis.
 WOBBLE_M = (0.005, 0.015)
-"""Range of the wobble's amplitude along each axis."""
+# Waves of wobble along the line, each weaker than the one before.
 WOBBLE_CYCLES = (0.4, 1.0, 1.7)
-"""Waves of wobble along the line, each weaker than the one before."""
+# Standard deviation of the posture among takes.
 POSTURE_RAD = 0.05
-"""Standard deviation of the posture among takes."""
 STIFFNESS_NM_RAD = 60.0
 DAMPING_NM_S = 0.6
+# Of the hand at one joint.
 MAX_TORQUE_NM = 2.0
-"""Of the hand at one joint."""
 
 
 def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
@@ -66,12 +66,12 @@ class Limb(Protocol):
 class Guided:
     """When a take happens, in seconds from its acceptance."""
 
+    # Everything: carrying, both dwells and the line.
     duration_s: float
-    """Everything: carrying, both dwells and the line."""
+    # The tool leaves for the line's end.
     begin_s: float
-    """The tool leaves for the line's end."""
+    # It has arrived there.
     end_s: float
-    """It has arrived there."""
 
 
 @dataclass
@@ -79,14 +79,14 @@ class _Take:
     seed: int
     start_s: float
     when: Guided
+    # Where the arm was taken up.
     from_rad: list[float]
-    """Where the arm was taken up."""
     line_m: tuple[FloatArray, FloatArray]
+    # Shape (waves, 3).
     amplitude_m: FloatArray
-    """Shape (waves, 3)."""
     phase_rad: FloatArray
+    # Weights of the sines that vary the speed.
     pace: FloatArray
-    """Weights of the sines that vary the speed."""
     knots_rad: list[list[float]]
 
 
@@ -97,8 +97,8 @@ class Hand:
         self._arm = arm
         self._take: _Take | None = None
         self._aimed_at: tuple[_Take | None, float] = None, 0.0
+        # The aim of this moment of this take.
         self._aimed: tuple[list[float], list[float]] = [], []
-        """The aim of this moment of this take."""
         limits = np.array([joint.limits_rad for joint in arm.config.joints])
         self._limits = limits[: arm.chain.n]
         span = self._limits[:, 1] - self._limits[:, 0]

@@ -27,58 +27,58 @@ from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
 
 STEP_S = 1e-3
+# The supply at which stall torque and no-load speed are stated.
 RATED_V = 12.0
-"""The supply at which stall torque and no-load speed are stated."""
 
 
 @dataclass(slots=True, eq=False)
 class Joint:
     """One joint and its servo: angles are the servo's, angle = tick * TICK_RAD."""
 
+    # Knows the shaft: its angle, velocity and all else that a register reports.
     servo: SimulatedServo
-    """Knows the shaft: its angle, velocity and all else that a register reports."""
     spec: ArmSpec
+    # 1.0 or -1.0: the joint position grows with the shaft angle, or falls.
     direction: float
-    """1.0 or -1.0: the joint position grows with the shaft angle, or falls."""
+    # Shaft angle at joint position 0, the zero offset included.
     zero_rad: float
-    """Shaft angle at joint position 0, the zero offset included."""
+    # The joint position in the rest pose.
     rest_rad: float
-    """The joint position in the rest pose."""
     coulomb_Nm: float
     stiction_Nm: float
     half_play_rad: float
     stops_rad: tuple[float, float]
+    # Torque at the rated supply.
     stall_Nm: float
-    """Torque at the rated supply."""
 
+    # The motor's angle behind its gears; the shaft's differs by the play.
     motor_rad: float = field(init=False)
-    """The motor's angle behind its gears; the shaft's differs by the play."""
     gravity_Nm: float = 0.0
+    # How much velocity a torque gives in a step [rad/s per N m].
     step_over_inertia: float = STEP_S
-    """How much velocity a torque gives in a step [rad/s per N m]."""
+    # The shaft angle for which gravity and inertia were computed.
     gravity_shaft_rad: float = math.inf
-    """The shaft angle for which gravity and inertia were computed."""
+    # Motor current, as a fraction of the stall current.
     effort: float = 0.0
-    """Motor current, as a fraction of the stall current."""
+    # How far it is integrated: steps since the arm's begin.
     step: int = 0
-    """How far it is integrated: steps since the arm's begin."""
     drive: Drive = field(init=False)
+    # The servo's count of writes when its drive was taken over.
     writes: int = field(init=False)
-    """The servo's count of writes when its drive was taken over."""
     ramp: Ramp = field(init=False)
+    # Steps since the ramp's begin.
     ramp_steps: int = 0
-    """Steps since the ramp's begin."""
+    # Where the ramp left the servo's reference. If the servo says otherwise, a new ramp begins.
     reference_tick: float = math.nan
-    """Where the ramp left the servo's reference. If the servo says otherwise, a new ramp begins."""
+    # For how long the effort has been too high.
     overload_steps: int = 0
-    """For how long the effort has been too high."""
+    # When the firmware will have started.
     boot_end_step: int = 0
-    """When the firmware will have started."""
     dead_motor: bool = False
+    # Where something holds the shaft.
     blocked_rad: float | None = None
-    """Where something holds the shaft."""
+    # Where a hand wanted the shaft when the chunk began.
     aim_rad: float = 0.0
-    """Where a hand wanted the shaft when the chunk began."""
     aim_rad_s: float = 0.0
 
     def __post_init__(self) -> None:

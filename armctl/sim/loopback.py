@@ -9,8 +9,6 @@ Rules:
 Not modelled: the kernel's buffers, scheduling delays, and an adapter that drops what it is sent.
 """
 
-from __future__ import annotations
-
 from armctl.clock import VirtualClock
 from armctl.dynamixel.port import ServoPort
 from armctl.errors import PortBusy, PortGone, PortMissing
@@ -25,8 +23,8 @@ class LoopbackPort(ServoPort):
     def __init__(self, bus: SimulatedBus, clock: VirtualClock, baud: int = 1_000_000) -> None:
         self._bus = bus
         self._plugged = True
+        # How often the adapter had been pulled out when the port was opened.
         self._unplugs = 0
-        """How often the adapter had been pulled out when the port was opened."""
         super().__init__("loopback", baud, clock)
 
     def unplug(self) -> None:

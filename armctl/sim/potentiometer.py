@@ -9,8 +9,8 @@ import math
 from armctl.dynamixel.ax12a import TICK_MAX, TICK_RAD
 
 TURN_TICK = 2.0 * math.pi / TICK_RAD
+# The track ends this far beyond 0 and 1023: a guess.
 EDGE_TICK = 10.0
-"""The track ends this far beyond 0 and 1023: a guess."""
 
 
 def sensed_tick(position_tick: float) -> int:

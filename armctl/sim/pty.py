@@ -10,8 +10,6 @@ Not modelled: what a UART does to bytes (overrun, framing), and modem lines. A h
 right behind a packet without reply (pypot does after SYNC_WRITE) may lose it before it ever arrives here.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os
@@ -37,12 +35,12 @@ from armctl.sim.faults import Fault, Faults
 from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
 MAX_RETURN_DELAY_US = 2 * ax12a.RETURN_DELAY.maximum
+# More than a terminal holds.
 TERMINAL_BYTES = 65536
-"""More than a terminal holds."""
+# So long before a reply is due it is waited for awake: from idle a processor wakes late, and a wire is never late.
 WAKE_NS = 200_000
-"""So long before a reply is due it is waited for awake: from idle a processor wakes late, and a wire is never late."""
+# Linux: the terminal's settings with the baud as a plain number, also where no Bxxx constant exists.
 _TCGETS2 = 0x802C542A
-"""Linux: the terminal's settings with the baud as a plain number, also where no Bxxx constant exists."""
 _TERMIOS2 = struct.Struct("4I20B2I")
 
 
@@ -54,8 +52,8 @@ class PseudoTerminal:
         self._link = link
         self._master = self._slave = -1
         self._name = ""
+        # Tells of the host's bytes without asking the terminal, which would wait for the kernel's worker.
         self._arrivals = select.epoll()
-        """Tells of the host's bytes without asking the terminal, which would wait for the kernel's worker."""
 
     @property
     def plugged(self) -> bool:

@@ -39,26 +39,26 @@ _REGISTERED_AT = ax12a.REGISTERED.address
 _TORQUE_ENABLE_AT, _GOAL_AT, _MOVING_AT = ax12a.TORQUE_ENABLE.address, ax12a.GOAL.address, ax12a.MOVING.address
 _GOAL = Struct("<H")
 _MEASURED_AT = ax12a.PRESENT_POSITION.address
+# Position, speed, load, voltage and temperature, which follow one another in the table.
 _MEASURED = Struct("<3H2B")
-"""Position, speed, load, voltage and temperature, which follow one another in the table."""
+# Of the table: temperature limit, lowest and highest voltage.
 _ALARM_LIMITS = Struct("<11x3B")
-"""Of the table: temperature limit, lowest and highest voltage."""
+# Plain numbers: operations on flags take ten times longer, and every reading looks at the alarms.
 _VOLTAGE, _OVERHEAT, _OVERLOAD = int(ErrorBit.VOLTAGE), int(ErrorBit.OVERHEAT), int(ErrorBit.OVERLOAD)
-"""Plain numbers: operations on flags take ten times longer, and every reading looks at the alarms."""
 
 
 @dataclass(frozen=True)
 class ServoVariants:
     """Behaviour that is unconfirmed on hardware; the defaults are the ones that surprise a careless program."""
 
+    # Writing a goal to a limp servo switches its torque on.
     goal_write_energises: bool = True
-    """Writing a goal to a limp servo switches its torque on."""
+    # Writing a moving speed to a limp servo switches its torque on.
     speed_write_energises: bool = True
-    """Writing a moving speed to a limp servo switches its torque on."""
+    # The goal register follows the position while torque is off; otherwise it keeps the old goal.
     goal_follows_when_limp: bool = True
-    """The goal register follows the position while torque is off; otherwise it keeps the old goal."""
+    # A new goal continues the speed ramp from the reference in force; otherwise from the present position.
     ramp_from_reference: bool = True
-    """A new goal continues the speed ramp from the reference in force; otherwise from the present position."""
 
 
 class SimulatedServo:
@@ -80,25 +80,25 @@ class SimulatedServo:
             noise_tick: Standard deviation of the reported position.
             draws_at_once: How many numbers of `rng` are drawn ahead for it; 1 if others draw from it too.
         """
+        # The control table; what is measured is brought up to date by whoever asks for it.
         self.table = bytearray(ax12a.TABLE_SIZE)
-        """The control table; what is measured is brought up to date by whoever asks for it."""
+        # Angle of the output shaft; position 0 of the table is 0.
         self.shaft_rad = position_tick * TICK_RAD
-        """Angle of the output shaft; position 0 of the table is 0."""
         self.velocity_rad_s = 0.0
+        # Motor output, -1..1, CCW positive.
         self.output = 0.0
-        """Motor output, -1..1, CCW positive."""
+        # Where the speed ramp is.
         self.reference_tick = position_tick
-        """Where the speed ramp is."""
         self.voltage_V, self.temperature_degC = 12.0, 30.0
+        # What a frozen position sensor reads; None: it works.
         self.frozen_tick: int | None = None
-        """What a frozen position sensor reads; None: it works."""
         self.overloaded = False
+        # Deaf and mute: its firmware has not started yet.
         self.booting = False
-        """Deaf and mute: its firmware has not started yet."""
+        # Noise of every position reading, in standard deviations; None: each reading has its own.
         self.noise: float | None = None
-        """Noise of every position reading, in standard deviations; None: each reading has its own."""
+        # Counts whatever may change `drive`, and whatever changes the EEPROM.
         self.writes = self.eeprom_writes = 0
-        """Counts whatever may change `drive`, and whatever changes the EEPROM."""
         self._draws = _standard_normals(rng, draws_at_once)
         self._noise_tick = noise_tick
         self._variants = variants
@@ -331,6 +331,7 @@ class SimulatedServo:
             self.output = 0.0
 
 
+# What each instruction but READ does with its parameters: the error bits of the request.
 _REACTIONS: dict[int, Callable[[SimulatedServo, bytes], int]] = {
     Instruction.PING: lambda _servo, _parameters: 0,
     Instruction.WRITE: SimulatedServo._write,
@@ -339,7 +340,6 @@ _REACTIONS: dict[int, Callable[[SimulatedServo, bytes], int]] = {
     Instruction.RESET: SimulatedServo._reset,
     Instruction.SYNC_WRITE: SimulatedServo._sync_write,
 }
-"""What each instruction but READ does with its parameters: the error bits of the request."""
 
 
 def _signed_magnitude(value: int) -> int:

@@ -19,56 +19,56 @@ class ArmSpec:
     servo_kg: float = 0.0546
     bracket_kg: float = 0.020
     tool_kg: tuple[float, float] = (0.060, 0.100)
+    # Each servo with its bracket is lighter or heavier by up to this share.
     mass_spread: float = 0.0
-    """Each servo with its bracket is lighter or heavier by up to this share."""
     stall_torque_Nm: float = ax12a.STALL_TORQUE_NM
+    # Each motor is weaker or stronger by up to this share.
     stall_spread: float = 0.0
-    """Each motor is weaker or stronger by up to this share."""
     no_load_speed_rad_s: float = ax12a.NO_LOAD_SPEED_RAD_S
+    # Coulomb friction at the output shaft.
     friction_Nm: tuple[float, float] = (0.08, 0.16)
-    """Coulomb friction at the output shaft."""
+    # Break-away torque over Coulomb friction.
     stiction_ratio: float = 1.2
-    """Break-away torque over Coulomb friction."""
+    # Of motor and gears, seen from the output shaft.
     rotor_inertia_kg_m2: float = 0.002
-    """Of motor and gears, seen from the output shaft."""
+    # Whole width of the play between motor and shaft.
     play_deg: tuple[float, float] = (0.25, 0.5)
-    """Whole width of the play between motor and shaft."""
+    # How fast a pushed shaft crosses its play.
     play_speed_rad_s: float = 0.2
-    """How fast a pushed shaft crosses its play."""
+    # Less than this on the shaft does not move it within its play.
     shaft_friction_Nm: float = 0.01
-    """Less than this on the shaft does not move it within its play."""
+    # Standard deviation of the error of each zero_tick; no register shows it.
     zero_offset_tick: float = 0.5
-    """Standard deviation of the error of each zero_tick; no register shows it."""
+    # If given, that error is drawn evenly from within this, both ways, instead.
     zero_offset_within_tick: float | None = None
-    """If given, that error is drawn evenly from within this, both ways, instead."""
+    # Standard deviation of the error of each link length.
     length_error_m: float = 0.0
-    """Standard deviation of the error of each link length."""
+    # Standard deviation of a reported position.
     noise_tick: float = 0.5
-    """Standard deviation of a reported position."""
+    # The mechanical stops lie this far beyond the calibration's limits.
     stop_deg: float = 2.0
-    """The mechanical stops lie this far beyond the calibration's limits."""
+    # With every joint this near its rest pose the arm leans on something that carries its weight.
     rest_support_deg: float = 4.0
-    """With every joint this near its rest pose the arm leans on something that carries its weight."""
     overload_output: float = 0.8
+    # A servo whose output stays over `overload_output` for this long reports an overload.
     overload_s: float = 4.0
-    """A servo whose output stays over `overload_output` for this long reports an overload."""
+    # At the servos while no motor works.
     supply_V: float = 12.0
-    """At the servos while no motor works."""
+    # Of supply and cables together.
     supply_ohm: float = 0.15
-    """Of supply and cables together."""
     stall_current_A: float = 1.5
+    # Where a servo's temperature settles while its motor rests.
     idle_degC: float = 30.0
-    """Where a servo's temperature settles while its motor rests."""
+    # How far above that it would settle at stall torque; as the square of the torque below.
     stall_heating_degC: float = 120.0
-    """How far above that it would settle at stall torque; as the square of the torque below."""
+    # Time constant of heating and cooling.
     heating_s: float = 400.0
-    """Time constant of heating and cooling."""
+    # A servo is deaf for this long after its firmware restarts.
     boot_s: float = 0.3
-    """A servo is deaf for this long after its firmware restarts."""
     variants: ServoVariants = field(default_factory=ServoVariants)
 
 
 DEFAULT_SPEC = ArmSpec()
 
+# Arms as different as one batch of servos and one pair of hands may make them: for experiments over many seeds.
 RANDOM_SPEC = replace(DEFAULT_SPEC, mass_spread=0.15, stall_spread=0.2, zero_offset_within_tick=0.5)
-"""Arms as different as one batch of servos and one pair of hands may make them: for experiments over many seeds."""

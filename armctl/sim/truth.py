@@ -15,12 +15,12 @@ TRUTH_PERIOD_NS = 10_000_000
 class Truth:
     """What really happened, every 10 ms."""
 
+    # Monotonic, shape (m,).
     time_ns: NDArray[np.int64]
-    """Monotonic, shape (m,)."""
+    # Shape (m, 3).
     tool_m: FloatArray
-    """Shape (m, 3)."""
+    # Shape (m, n).
     joints_rad: FloatArray
-    """Shape (m, n)."""
 
 
 class TruthRing:

@@ -4,8 +4,6 @@ Experiments, rehearsals, proofs and tests all build their arm here. Nothing in i
 the system's or the daemon, so the same seeds and the same commands give the same bytes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from armctl.clock import VirtualClock
@@ -18,10 +16,10 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
 
+# So long an arm is looked at before it is known to stand still.
 FIRST_TICKS = 3
-"""So long an arm is looked at before it is known to stand still."""
+# How long a command may take, beside the duration of its own trajectory.
 PATIENCE_S = 10.0
-"""How long a command may take, beside the duration of its own trajectory."""
 
 
 class VirtualArm:
@@ -49,8 +47,8 @@ class VirtualArm:
         self.wire = wire or SimulatedBus(simulated)
         self._make_port = make_port
         self._request_id = 0
+        # Sees every record.
         self.on_tick: Callable[[TickRecord], None] = lambda record: None
-        """Sees every record."""
         self._connect(restarted=False)
 
     def _connect(self, restarted: bool) -> None:

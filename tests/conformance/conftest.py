@@ -7,8 +7,6 @@
 On hardware the servos must be limp, and what only a power cycle or a wizard could undo is left out.
 """
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import sys
@@ -29,14 +27,14 @@ from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
 
 BAUD = 1_000_000
+# Where servos are looked for on hardware.
 SCANNED_IDS = range(30)
-"""Where servos are looked for on hardware."""
+# How long a line must say nothing to count as silent; a real adapter may hold bytes back for 16 ms.
 QUIET_MS = {"loopback": 20.0, "pty": 8.0, "hardware": 40.0}
-"""How long a line must say nothing to count as silent; a real adapter may hold bytes back for 16 ms."""
+# How long a reply that is due may take.
 PATIENCE_NS = 2 * NS_PER_S
-"""How long a reply that is due may take."""
+# Addresses put back after each test: all that is writable and neither id, goal nor speed.
 UNDONE = (*range(4, 19), *range(24, 30), 34, 35, 48, 49)
-"""Addresses put back after each test: all that is writable and neither id, goal nor speed."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -1,7 +1,5 @@
 """The AX-12A's control table over the wire: access, ranges, whole writes, and what torque and LOCK forbid."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.dynamixel import ax12a
@@ -9,6 +7,7 @@ from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instruction
 from tests.conformance.conftest import Wire
 
+# Writable without moving anything, heating alarms or losing contact; slopes are left out, being quantised.
 HARMLESS = (
     ax12a.RETURN_DELAY,
     ax12a.ALARM_LED,
@@ -17,7 +16,7 @@ HARMLESS = (
     ax12a.CCW_MARGIN,
     ax12a.PUNCH,
 )
-"""Writable without moving anything, heating alarms or losing contact; slopes are left out, being quantised."""
+# Registers that can hold more than they may.
 BOUNDED = (
     ax12a.RETURN_DELAY,
     ax12a.TEMPERATURE_LIMIT,
@@ -29,7 +28,6 @@ BOUNDED = (
     ax12a.CCW_SLOPE,
     ax12a.PUNCH,
 )
-"""Registers that can hold more than they may."""
 
 
 def name(register: Register) -> str:

@@ -1,7 +1,5 @@
 """The contract of `armctl/dynamixel/port.py`, rule by rule, the same for every transport that the bus may be given."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -23,8 +21,8 @@ from tests.conformance.conftest import BAUD, simulator
 
 PING, PONG = encode_instruction(1, Instruction.PING), encode_status(1, 0)
 LONG_READ, LONG_REPLY_SIZE = encode_instruction(1, Instruction.READ, bytes((0, 50))), 56
+# How long a machine that runs other tests may hold back a reply that is sure to come.
 PATIENCE_MS = 2000.0
-"""How long a machine that runs other tests may hold back a reply that is sure to come."""
 
 
 @dataclass
@@ -32,8 +30,8 @@ class Line:
     """A line to servos with one port, which is open, and a hand on the adapter's plug."""
 
     port: ServoPort
+    # Makes a second port on the same line, not yet open.
     another: Callable[[], ServoPort]
-    """Makes a second port on the same line, not yet open."""
     unplug: Callable[[], object]
     replug: Callable[[], object]
 

@@ -1,7 +1,5 @@
 """Protocol 1.0 as an AX-12A speaks it: packets, answers, silence, and the shape of time on the wire."""
 
-from __future__ import annotations
-
 import statistics
 
 import pytest

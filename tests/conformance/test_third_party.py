@@ -1,7 +1,5 @@
 """pyax12, a protocol 1.0 client with packets and timing of its own, unchanged on the simulator's pseudo terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

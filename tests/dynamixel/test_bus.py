@@ -1,7 +1,5 @@
 """ServoBus against a scripted transport that answers real protocol bytes in virtual time."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 
@@ -23,8 +21,8 @@ BYTE_NS = 10_000
 MS = 1_000_000
 TICK_NS = 100 * MS
 
+# (request, good reply) -> what arrives instead: pairs of extra delay [us] and bytes.
 Spoil = Callable[[bytes, bytes], list[tuple[int, bytes]]]
-"""(request, good reply) -> what arrives instead: pairs of extra delay [us] and bytes."""
 
 
 READ_STATUS = bytes((ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE))
@@ -50,8 +48,8 @@ class ScriptedPort(ServoPort):
         self.spoils: dict[int, list[Spoil]] = {}
         self.adapter_us = 0
         self.requests: list[bytes] = []
+        # Requests until the port vanishes.
         self.gone_after: int | None = None
-        """Requests until the port vanishes."""
         self.stuck = False
         self.flushes = 0
         self._line: list[tuple[int, int]] = []

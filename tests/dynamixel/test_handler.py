@@ -1,7 +1,5 @@
 """The short cut past the SDK's loops gives what the SDK gives, at the same instant, whatever comes down the line."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler

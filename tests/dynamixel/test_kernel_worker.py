@@ -1,7 +1,5 @@
 """The byte that overtakes no other: how late the kernel is, on real pseudo terminals."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

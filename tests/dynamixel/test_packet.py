@@ -1,7 +1,5 @@
 """Protocol 1.0 packets: laws of the codec, and equality with ROBOTIS' own bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import dynamixel_sdk

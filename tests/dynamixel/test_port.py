@@ -1,7 +1,5 @@
 """SerialPort on real pseudo terminals, and the timing every ServoPort shares."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import grp

@@ -183,8 +183,8 @@ def test_late_reply_holds_up_what_follows_it(bench: Bench) -> None:
     assert heard[8][0] >= heard[7][0]
 
 
+# The reply of servo 2 that names its model.
 GOOD = b"\xff\xff\x02\x04\x00\x0c\x00\xed"
-"""The reply of servo 2 that names its model."""
 
 
 @pytest.mark.parametrize(

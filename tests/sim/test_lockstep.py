@@ -1,7 +1,5 @@
 """Lockstep: the world is a function of the bytes, not of the wall clock."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.dynamixel.packet import Instruction, encode_instruction

@@ -1,7 +1,5 @@
 """The stock SDK and ServoBus against the simulated bus, in virtual time."""
 
-from __future__ import annotations
-
 import pytest
 
 from armctl.config import ArmConfig

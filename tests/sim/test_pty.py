@@ -1,7 +1,5 @@
 """Programs that armctl did not write, on the simulated arm's pseudo terminal, in real time."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
