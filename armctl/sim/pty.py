@@ -175,10 +175,7 @@ def run(
         ready(str(link))
         pulled = False
         while not stop:
-            readers: list[socket.socket | PseudoTerminal] = [
-                *server.readers(),
-                terminal,
-            ]
+            readers: list[socket.socket | PseudoTerminal] = [*server.readers(), terminal]
             readable, writable, _ = select.select(readers, server.writers(), [], world.patience_s())
             heard = b""
             if terminal in readable and terminal.plugged:

@@ -8,14 +8,7 @@ from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instructio
 from tests.conformance.conftest import Wire
 
 # Writable without moving anything, heating alarms or losing contact; slopes are left out, being quantised.
-HARMLESS = (
-    ax12a.RETURN_DELAY,
-    ax12a.ALARM_LED,
-    ax12a.LED,
-    ax12a.CW_MARGIN,
-    ax12a.CCW_MARGIN,
-    ax12a.PUNCH,
-)
+HARMLESS = (ax12a.RETURN_DELAY, ax12a.ALARM_LED, ax12a.LED, ax12a.CW_MARGIN, ax12a.CCW_MARGIN, ax12a.PUNCH)
 # Registers that can hold more than they may.
 BOUNDED = (
     ax12a.RETURN_DELAY,

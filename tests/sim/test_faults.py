@@ -158,10 +158,7 @@ def test_physical_faults_do_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces
 
 
 def test_planned_but_not_begun_faults_change_no_byte(arm: ArmConfig) -> None:
-    plain, waiting = (
-        Bench(arm),
-        Bench(arm, *(Fault(kind=kind, servo_id=1, begin_s=1e6) for kind in (*REPLY, "mute"))),
-    )
+    plain, waiting = (Bench(arm), Bench(arm, *(Fault(kind=kind, servo_id=1, begin_s=1e6) for kind in (*REPLY, "mute"))))
     assert [plain.ask(read(i)) for i in range(1, 7)] == [waiting.ask(read(i)) for i in range(1, 7)]
 
 
