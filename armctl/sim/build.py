@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from armctl.config import ArmConfig
+from armctl.config import ArmConfig, JointConfig
 from armctl.dynamixel import ax12a
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain
@@ -30,7 +30,7 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
     chain = robot.with_lengths(lengths_m).chain
     tool_kg = float(rng.uniform(*spec.tool_kg))
     servo_rngs = rng.spawn(len(arm.joints))
-    joints = [_joint(arm, i, spec, rng, servo_rng) for i, servo_rng in enumerate(servo_rngs)]
+    joints = [_joint(config, spec, rng, own_rng) for config, own_rng in zip(arm.joints, servo_rngs, strict=True)]
     for joint in joints:
         joint.stall_Nm = spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
     servo_kg = spec.servo_kg + spec.bracket_kg
@@ -39,18 +39,29 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
     return chain, joints, PointMasses(chain, (*servos_kg[: chain.n], sum(servos_kg[chain.n :]), tool_kg))
 
 
-def _joint(arm: ArmConfig, i: int, spec: ArmSpec, rng: np.random.Generator, servo_rng: np.random.Generator) -> Joint:
-    config = arm.joints[i]
+def _joint(config: JointConfig, spec: ArmSpec, rng: np.random.Generator, servo_rng: np.random.Generator) -> Joint:
     if spec.zero_offset_within_tick is None:
         zero_offset_tick = spec.zero_offset_tick * float(rng.standard_normal())
     else:
         zero_offset_tick = spec.zero_offset_within_tick * float(rng.uniform(-1.0, 1.0))
     zero_rad = (config.zero_tick + zero_offset_tick) * ax12a.TICK_RAD
+    rest_rad = zero_rad + config.direction * config.rest_rad
+    # The calibration's id and angle limits; the rest of the EEPROM is the factory's.
+    servo = SimulatedServo(
+        config.servo_id,
+        servo_rng,
+        position_tick=rest_rad / ax12a.TICK_RAD,
+        noise_tick=spec.noise_tick,
+        variants=spec.variants,
+    )
+    servo.shaft_rad, servo.voltage_V, servo.temperature_degC = rest_rad, spec.supply_V, spec.idle_degC
+    for register, limit_tick in zip((ax12a.CW_LIMIT, ax12a.CCW_LIMIT), config.limits_tick, strict=True):
+        servo.set(register, limit_tick)
     coulomb_Nm = float(rng.uniform(*spec.friction_Nm))
     low_rad, high_rad = sorted(zero_rad + config.direction * limit for limit in config.limits_rad)
     beyond_rad = math.radians(spec.stop_deg)
     return Joint(
-        servo=_servo(arm, i, spec, servo_rng, zero_rad + config.direction * config.rest_rad),
+        servo=servo,
         spec=spec,
         direction=config.direction,
         zero_rad=zero_rad,
@@ -61,19 +72,3 @@ def _joint(arm: ArmConfig, i: int, spec: ArmSpec, rng: np.random.Generator, serv
         stops_rad=(low_rad - beyond_rad, high_rad + beyond_rad),
         stall_Nm=spec.stall_torque_Nm,
     )
-
-
-def _servo(arm: ArmConfig, i: int, spec: ArmSpec, rng: np.random.Generator, shaft_rad: float) -> SimulatedServo:
-    """Its EEPROM is set up as the calibration asks: id and angle limits; the rest is the factory's."""
-    joint = arm.joints[i]
-    servo = SimulatedServo(
-        joint.servo_id,
-        rng,
-        position_tick=shaft_rad / ax12a.TICK_RAD,
-        noise_tick=spec.noise_tick,
-        variants=spec.variants,
-    )
-    servo.shaft_rad, servo.voltage_V, servo.temperature_degC = shaft_rad, spec.supply_V, spec.idle_degC
-    servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
-    servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
-    return servo

@@ -18,7 +18,6 @@ from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BITS_PER_BYTE, BROADCAST_ID, BadChecksum, Decoder, Packet, encode_status
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.faults import Faults
 from armctl.sim.servo import SimulatedServo
 
 BYTE_GAP_NS = 100_000_000
@@ -37,12 +36,9 @@ class SimulatedBus:
         baud: int = 1_000_000,
         latency_ms: float = 0.0,
         seed: int = 0,
-        faults: Faults | None = None,
     ) -> None:
         """A quiet bus; the seed draws the phase of the adapter's timer.
 
-        Args:
-            faults: Of this bus and its arm; None: those the arm has.
         Raises:
             ValueError: the baud is not positive or the latency negative.
         """
@@ -50,8 +46,6 @@ class SimulatedBus:
             raise ValueError(f"baud {baud} must be above 0, latency_ms {latency_ms} at least 0")
         self.arm = arm
         self._servo_ids = arm.config.servo_ids
-        if faults is not None:
-            arm.faults = faults
         # The host's setting; may change at any time.
         self.baud = baud
         # The port that has this bus for itself, if there is one.
@@ -74,17 +68,12 @@ class SimulatedBus:
         # The second servos with an id that is taken, by the number of their fault.
         self._strangers: dict[int, SimulatedServo] = {}
 
-    @property
-    def faults(self) -> Faults:
-        """What goes wrong here and with the arm."""
-        return self.arm.faults
-
     def plugged(self, now_ns: int) -> bool:
         """Whether the adapter is in the host."""
-        if not self.arm.faults.pending:
+        if not self.arm.faults.planned:
             return True
         self.arm.advance(now_ns)
-        return self.faults.in_force("unplug") is None
+        return self.arm.faults.in_force("unplug") is None
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes of the host.
@@ -101,9 +90,9 @@ class SimulatedBus:
             if time_ns - self._last_byte_ns > BYTE_GAP_NS:
                 decoder.reset()
         echo = False
-        if self.arm.faults.pending:
+        if self.arm.faults.planned:
             self.arm.advance(now_ns)
-            echo = self.faults.in_force("echo") is not None
+            echo = self.arm.faults.in_force("echo") is not None
         if not echo and (whole := decoder.whole(data)) is not None:
             self._last_byte_ns = time_ns = time_ns + len(data) * byte_ns
             self._dispatch(whole, time_ns, byte_ns)
@@ -119,10 +108,6 @@ class SimulatedBus:
                 self._dispatch(packet, time_ns, byte_ns)
         self._last_byte_ns = time_ns
 
-    def next_transmit_ns(self) -> int | None:
-        """When the next reply byte arrives at the host; None: nothing is under way."""
-        return self.arrival_ns(1)
-
     def burst_end_ns(self) -> int | None:
         """When the last of the reply bytes arrives that follow one another without a pause; None: there are none."""
         arrivals_ns = self._arrivals_ns
@@ -133,7 +118,7 @@ class SimulatedBus:
             end_ns = at_ns
         return end_ns
 
-    def arrival_ns(self, count: int) -> int | None:
+    def arrival_ns(self, count: int = 1) -> int | None:
         """When so many reply bytes will have arrived at the host; None: fewer are under way."""
         return self._arrivals_ns[count - 1] if count <= len(self._arrivals_ns) else None
 
@@ -156,7 +141,7 @@ class SimulatedBus:
             self._list_hearers()
         hearers = self._hearers.get(to, ())
         faults = arm.faults
-        if not faults.pending and (len(hearers) == 1 or to == BROADCAST_ID):  # nearly all: one reply at most
+        if not faults.planned and (len(hearers) == 1 or to == BROADCAST_ID):  # nearly all: one reply at most
             arm.advance(time_ns, hearers[0] if len(hearers) == 1 else None)
             for i in hearers:
                 servo = arm.servos[i]
@@ -209,7 +194,7 @@ class SimulatedBus:
 
     def _spoil(self, status: bytes, servo_id: int) -> tuple[bytes | None, int]:
         """What the faults leave of a reply, and how much later [ns] it reaches the host."""
-        faults = self.faults
+        faults = self.arm.faults
         if faults.happening("lost", servo_id):
             return None, 0
         if struck := faults.happening("wrong_id", servo_id):
@@ -229,21 +214,14 @@ class SimulatedBus:
 
     def _stranger(self, servo_id: int, servo: SimulatedServo) -> SimulatedServo | None:
         """The second servo with this id, if there is one: alike but for its position."""
-        planned = self.faults.in_force("same_id", servo_id)
+        planned = self.arm.faults.in_force("same_id", servo_id)
         if planned is None:
             return None
         if planned.id not in self._strangers:
             away_tick = -100.0 if servo.position_tick > ax12a.TICK_MAX / 2 else 100.0
-            stranger = SimulatedServo(
-                servo_id,
-                planned.rng,
-                position_tick=servo.position_tick + away_tick,
-                noise_tick=self.arm.spec.noise_tick,
-                draws_at_once=1,
-            )
-            for register in ax12a.REGISTERS:
-                if register.eeprom:
-                    stranger.set(register, servo.get(register))
+            position_tick, noise_tick = servo.position_tick + away_tick, self.arm.spec.noise_tick
+            stranger = SimulatedServo(servo_id, planned.rng, position_tick=position_tick, noise_tick=noise_tick)
+            stranger.table[: ax12a.EEPROM_END] = servo.table[: ax12a.EEPROM_END]
             self._strangers[planned.id] = stranger
         return self._strangers[planned.id]
 
@@ -256,7 +234,7 @@ class SimulatedBus:
         """Let bytes that come to the adapter one after another from `time_ns` on reach the host, after those before."""
         arrivals_ns: Sequence[int] = range(time_ns + byte_ns, time_ns + len(data) * byte_ns + 1, byte_ns)
         latency_ns = self._latency_ns
-        if self.arm.faults.pending and (other := self.arm.faults.in_force("latency")):
+        if self.arm.faults.planned and (other := self.arm.faults.in_force("latency")):
             latency_ns = round(other.amount * 1e6)
         if latency_ns:  # the adapter hands on what it has when its timer fires
             phase_ns = self._phase_ns

@@ -28,7 +28,7 @@ import json
 import math
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -40,13 +40,12 @@ from armctl.dynamixel import ax12a
 from armctl.errors import ArmctlError, PortMissing, RequestRefused
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.control_server import ControlServer
 from armctl.sim.faults import Fault, check_servo
 from armctl.sim.hand import Guided
-from armctl.sim.truth import TRUTH_PERIOD_NS, Truth, TruthRing
 
-__all__ = ("TRUTH_PERIOD_NS", "ControlServer", "Controls", "SimulatorClient", "Truth", "TruthRing", "control_path")
-
+# So much of the truth is kept [s], a sample every so many nanoseconds.
+TRUTH_S = 1200
+TRUTH_PERIOD_NS = 10_000_000
 PIECE_SAMPLES = 100
 
 Params = dict[str, Any]
@@ -55,6 +54,44 @@ Params = dict[str, Any]
 def control_path(link: Path) -> Path:
     """The control socket of the simulator that publishes `link`."""
     return link.with_name(f"{link.name}.control")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really happened, every 10 ms."""
+
+    # Monotonic, shape (m,).
+    time_ns: NDArray[np.int64]
+    # Shape (m, 3).
+    tool_m: FloatArray
+    # Shape (m, n).
+    joints_rad: FloatArray
+
+
+class TruthRing:
+    """True joint positions, the newest `TRUTH_S` of them."""
+
+    def __init__(self, joints: int) -> None:
+        size = TRUTH_S * 1_000_000_000 // TRUTH_PERIOD_NS
+        self._time_ns = np.zeros(size, dtype=np.int64)
+        self._joints_rad = np.zeros((size, joints))
+        self._count = 0
+
+    def add(self, time_ns: int, joints_rad: FloatArray) -> None:
+        """Keep one sample; times must not decrease."""
+        at = self._count % self._time_ns.size
+        self._time_ns[at] = time_ns
+        self._joints_rad[at] = joints_rad
+        self._count += 1
+
+    def between(self, begin_ns: int, end_ns: int) -> tuple[NDArray[np.int64], FloatArray]:
+        """Times [ns], shape (m,), and joint positions [rad], shape (m, n), with begin_ns <= time <= end_ns."""
+        size = self._time_ns.size
+        oldest = max(0, self._count - size)
+        order = np.arange(oldest, self._count) % size
+        times = self._time_ns[order]
+        chosen = order[np.searchsorted(times, begin_ns) : np.searchsorted(times, end_ns, side="right")]
+        return self._time_ns[chosen], self._joints_rad[chosen]
 
 
 class Plug(Protocol):
@@ -243,9 +280,8 @@ class SimulatorClient:
         """True motion between two monotonic instants, as far as it is kept."""
         result = self._call("truth", begin_ns=begin_ns, end_ns=end_ns)
         time_ns = np.array(result["time_ns"], dtype=np.int64)
-        tool_m = np.array(result["tool_m"], dtype=np.float64).reshape(len(time_ns), 3)
-        joints_rad = np.array(result["joints_rad"], dtype=np.float64).reshape(len(time_ns), -1 if len(time_ns) else 0)
-        return Truth(time_ns, tool_m, joints_rad)
+        tool_m, joints_rad = (np.array(result[key], dtype=np.float64) for key in ("tool_m", "joints_rad"))
+        return Truth(time_ns, tool_m.reshape(-1, 3), joints_rad.reshape(len(time_ns), -1 if len(time_ns) else 0))
 
     def state(self) -> dict[str, Any]:
         """True joints, tool, and what each servo's registers hold."""
@@ -259,23 +295,15 @@ class SimulatorClient:
         """Put the adapter back; the link names a new port."""
         self._call("replug")
 
-    def fault_begin(
-        self,
-        kind: str,
-        *,
-        servo_id: int | None = None,
-        probability: float = 1.0,
-        count: int | None = None,
-        duration_s: float | None = None,
-        value: float | None = None,
-    ) -> int:
-        """Let a fault begin now, see `faults.Fault`; its number.
+    def fault_begin(self, kind: str, **fields: float | None) -> int:
+        """Let a fault begin, now unless a `begin_s` is among its fields; its number.
 
+        Args:
+            fields: The other fields of `faults.Fault`, by name.
         Raises:
-            RequestRefused: no such kind or servo, or a parameter out of range.
+            RequestRefused: no such kind, field or servo, or a value out of range.
         """
-        params = {"kind": kind, "servo_id": servo_id, "probability": probability, "count": count}
-        return int(self._call("fault_begin", **params, duration_s=duration_s, value=value)["id"])
+        return int(self._call("fault_begin", kind=kind, **fields)["id"])
 
     def fault_end(self, id: int) -> None:
         """End a fault; one that is over already is left so.

@@ -204,11 +204,10 @@ class Faults:
         """Plan the faults of a script, whose `begin_s` count from the arm's begin."""
         self._seed = seed
         self._last_id = 0
-        self._planned: list[Planned] = []
+        # Those planned or in force; empty nearly always, and asked for with every byte.
+        self.planned: list[Planned] = []
         # When something changes next.
         self.due_s = math.inf
-        # How many are planned or in force.
-        self.pending = 0
         # How often the adapter was pulled out of the host so far.
         self.unplugs = 0
         for fault in script:
@@ -220,8 +219,7 @@ class Faults:
         begin_s = now_s + fault.begin_s
         end_s = math.inf if fault.duration_s is None else begin_s + fault.duration_s
         rng = np.random.default_rng((self._seed, self._last_id))
-        self._planned.append(Planned(self._last_id, fault, begin_s, end_s, rng))
-        self.pending = len(self._planned)
+        self.planned.append(Planned(self._last_id, fault, begin_s, end_s, rng))
         self.due_s = min(self.due_s, begin_s)
         return self._last_id
 
@@ -233,7 +231,7 @@ class Faults:
         """
         if not 1 <= id <= self._last_id:
             raise ValueError(f"fault {id}: there never was one; the numbers so far are 1..{self._last_id}")
-        for planned in self._planned:
+        for planned in self.planned:
             if planned.id == id:
                 planned.end_s = self.due_s = -math.inf
 
@@ -243,10 +241,9 @@ class Faults:
         Returns:
             What the arm has to do now: faults that begin, and second writers whose write is due.
         """
-        self._planned = [planned for planned in self._planned if planned.end_s > now_s]
-        self.pending = len(self._planned)
+        self.planned = [planned for planned in self.planned if planned.end_s > now_s]
         due = []
-        for planned in self._planned:
+        for planned in self.planned:
             if planned.begin_s <= now_s and not planned.begun:
                 planned.begun = True
                 self.unplugs += planned.fault.kind == "unplug"
@@ -257,17 +254,17 @@ class Faults:
             while planned.next_write_s <= now_s:
                 planned.next_write_s += WRITER_PERIOD_S
         self.due_s = min(
-            (min(p.end_s, p.next_write_s) if p.begun else p.begin_s for p in self._planned), default=math.inf
+            (min(p.end_s, p.next_write_s) if p.begun else p.begin_s for p in self.planned), default=math.inf
         )
         return due
 
     def in_force(self, kind: str, servo_id: int | None = None) -> Planned | None:
         """The newest fault of a kind in force for a servo (None: whichever)."""
-        return next((p for p in reversed(self._planned) if p.concerns(kind, servo_id)), None)
+        return next((p for p in reversed(self.planned) if p.concerns(kind, servo_id)), None)
 
     def happening(self, kind: str, servo_id: int) -> Planned | None:
         """The oldest fault of a kind that happens on this occasion, a servo's."""
-        return next((p for p in self._planned if p.concerns(kind, servo_id) and p.happens()), None)
+        return next((p for p in self.planned if p.concerns(kind, servo_id) and p.happens()), None)
 
     def listing(self) -> list[dict[str, Any]]:
         """Everything planned or in force, as plain values; times are absolute, `end_s` None: not before it is ended."""
@@ -280,5 +277,5 @@ class Faults:
                 "active": planned.begun,
                 "struck": planned.struck,
             }
-            for planned in self._planned
+            for planned in self.planned
         ]

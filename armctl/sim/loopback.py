@@ -45,7 +45,7 @@ class LoopbackPort(ServoPort):
             raise PortMissing("loopback: unplugged; call replug(), or wait for the end of the fault")
         if self._bus.user not in (None, self):
             raise PortBusy("loopback: another port has this bus; close that one, one program at a time can drive it")
-        self._bus.user, self._unplugs = self, self._bus.faults.unplugs
+        self._bus.user, self._unplugs = self, self._bus.arm.faults.unplugs
         self.is_open = True
         self.begin_round()
         self.clearPort()
@@ -81,6 +81,10 @@ class LoopbackPort(ServoPort):
 
     def _check(self) -> None:
         # Whether it is plugged in is asked first: that may move the arm over faults that began and ended meanwhile.
-        if not self.is_open or not self._bus.plugged(self.clock.now_ns()) or self._bus.faults.unplugs != self._unplugs:
+        if (
+            not self.is_open
+            or not self._bus.plugged(self.clock.now_ns())
+            or self._bus.arm.faults.unplugs != self._unplugs
+        ):
             self.closePort()
             raise PortGone("loopback: the port vanished; plug the adapter in again")

@@ -30,9 +30,9 @@ from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet
 from armctl.errors import ConfigError
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
-from armctl.sim.control import TRUTH_PERIOD_NS, Controls, ControlServer, TruthRing, control_path
+from armctl.sim.control import TRUTH_PERIOD_NS, Controls, TruthRing, control_path
+from armctl.sim.control_server import ControlServer
 from armctl.sim.faults import Fault, Faults
-from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
 MAX_RETURN_DELAY_US = 2 * ax12a.RETURN_DELAY.maximum
 # More than a terminal holds.
@@ -133,7 +133,6 @@ def run(
     return_delay_us: int | None = None,
     lockstep: bool = False,
     faults: Sequence[Fault] = (),
-    spec: ArmSpec = DEFAULT_SPEC,
 ) -> None:
     """Simulate an arm until SIGTERM or SIGINT; from the main thread only.
 
@@ -152,7 +151,7 @@ def run(
         raise ConfigError("return_delay_us", str(return_delay_us), f"outside 0..{MAX_RETURN_DELAY_US}")
     if not 0.0 <= latency_ms <= 1000.0:
         raise ConfigError("latency_ms", str(latency_ms), "outside 0..1000")
-    simulated = SimulatedArm(arm, seed=seed, spec=spec, faults=Faults(faults, seed=seed))
+    simulated = SimulatedArm(arm, seed=seed, faults=Faults(faults, seed=seed))
     if return_delay_us is not None:
         for servo in simulated.servos:
             servo.set(ax12a.RETURN_DELAY, return_delay_us // 2)
@@ -183,18 +182,29 @@ def run(
                 heard = terminal.read()
             if (replies := world.pass_on(heard)) and terminal.plugged:
                 terminal.write(replies)
-            if (bus.faults.in_force("unplug") is not None) != pulled:
+            if (simulated.faults.in_force("unplug") is not None) != pulled:
                 pulled = not pulled
                 (terminal.unplug if pulled else terminal.replug)()
             server.serve([*(s for s in readable if isinstance(s, socket.socket)), *writable])
 
 
-class RealTime:
-    """The world's time is the wall clock's; replies wait for their bytes' time on the wire."""
+class _World:
+    """A simulated arm in its time, and what the host and the truth learn of it."""
 
     def __init__(self, arm: SimulatedArm, bus: SimulatedBus, ring: TruthRing) -> None:
         self._arm, self._bus, self._ring = arm, bus, ring
         self._truth_ns = time.monotonic_ns()
+
+    def _keep_truth(self, until_ns: int, ahead_ns: int = 0) -> None:
+        """Let the arm go on, sample by sample; the stamps are so much ahead of its own time."""
+        while self._truth_ns <= until_ns:
+            self._arm.advance(self._truth_ns)
+            self._ring.add(self._truth_ns + ahead_ns, self._arm.true_positions())
+            self._truth_ns += TRUTH_PERIOD_NS
+
+
+class RealTime(_World):
+    """The world's time is the wall clock's; replies wait for their bytes' time on the wire."""
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
@@ -214,16 +224,13 @@ class RealTime:
     def pass_on(self, heard: bytes) -> bytes:
         """Let the world go on to now, with the host's bytes; the bytes that reach the host by now."""
         now_ns = time.monotonic_ns()
-        while self._truth_ns <= now_ns:
-            self._arm.advance(self._truth_ns)
-            self._ring.add(self._truth_ns, self._arm.true_positions())
-            self._truth_ns += TRUTH_PERIOD_NS
+        self._keep_truth(now_ns)
         if heard:
             self._bus.receive(heard, now_ns)
         return self._bus.transmit(now_ns)
 
 
-class Lockstep:
+class Lockstep(_World):
     """The world's time is the bus master's: `PERIOD_NS` from one cycle to the next, and none within.
 
     A cycle begins with the read that turns back: of a servo before the one read last, in the arm's order. Reading one
@@ -238,8 +245,8 @@ class Lockstep:
     PERIOD_NS = 100_000_000
 
     def __init__(self, arm: SimulatedArm, bus: SimulatedBus, ring: TruthRing) -> None:
-        self._arm, self._bus, self._ring = arm, bus, ring
-        self._now_ns = self._truth_ns = time.monotonic_ns()
+        super().__init__(arm, bus, ring)
+        self._now_ns = self._truth_ns
         self._order = {servo_id: index for index, servo_id in enumerate(arm.config.servo_ids)}
         self._decoder = Decoder()
         self._last_read = -1
@@ -259,7 +266,7 @@ class Lockstep:
         """Let the world go on by the host's bytes; their replies."""
         wall_ns = time.monotonic_ns()
         if not heard:
-            if self._bus.faults.in_force("unplug") and wall_ns - self._heard_ns >= self.PERIOD_NS:
+            if self._arm.faults.in_force("unplug") and wall_ns - self._heard_ns >= self.PERIOD_NS:
                 self._heard_ns = wall_ns
                 self._begin_cycle(wall_ns)
             return b""
@@ -283,17 +290,14 @@ class Lockstep:
     def _answer(self, heard: bytes) -> bytes:
         self._bus.receive(heard, self._now_ns)
         replies = bytearray()
-        while (reply_ns := self._bus.next_transmit_ns()) is not None:
+        while (reply_ns := self._bus.arrival_ns()) is not None:
             replies += self._bus.transmit(reply_ns)
         return bytes(replies)
 
     def _begin_cycle(self, wall_ns: int) -> None:
         self._now_ns += self.PERIOD_NS
         self._arm.standing = False
-        while self._truth_ns <= self._now_ns:
-            self._arm.advance(self._truth_ns)
-            self._ring.add(self._truth_ns + wall_ns - self._now_ns, self._arm.true_positions())
-            self._truth_ns += TRUTH_PERIOD_NS
+        self._keep_truth(self._now_ns, wall_ns - self._now_ns)
         self._arm.advance(self._now_ns)
         self._arm.draw_noise()
         self._arm.standing = True

@@ -46,6 +46,9 @@ _ALARM_LIMITS = Struct("<11x3B")
 # Plain numbers: operations on flags take ten times longer, and every reading looks at the alarms.
 _VOLTAGE, _OVERHEAT, _OVERLOAD = int(ErrorBit.VOLTAGE), int(ErrorBit.OVERHEAT), int(ErrorBit.OVERLOAD)
 
+# Numbers for the noise that are drawn ahead.
+DRAWS_AT_ONCE = 64
+
 
 @dataclass(frozen=True)
 class ServoVariants:
@@ -71,14 +74,13 @@ class SimulatedServo:
         *,
         position_tick: float = 512.0,
         noise_tick: float = 0.0,
-        draws_at_once: int = 64,
         variants: ServoVariants = ServoVariants(),
     ) -> None:
         """A servo just powered up, with the factory's registers except its id.
 
         Args:
+            rng: Its own; nobody else may draw from it, since its numbers are drawn ahead.
             noise_tick: Standard deviation of the reported position.
-            draws_at_once: How many numbers of `rng` are drawn ahead for it; 1 if others draw from it too.
         """
         # The control table; what is measured is brought up to date by whoever asks for it.
         self.table = bytearray(ax12a.TABLE_SIZE)
@@ -99,7 +101,7 @@ class SimulatedServo:
         self.noise: float | None = None
         # Counts whatever may change `drive`, and whatever changes the EEPROM.
         self.writes = self.eeprom_writes = 0
-        self._draws = _standard_normals(rng, draws_at_once)
+        self._draws = _standard_normals(rng)
         self._noise_tick = noise_tick
         self._variants = variants
         self._registered: bytes | None = None
@@ -347,7 +349,7 @@ def _signed_magnitude(value: int) -> int:
     return min(-value, 1023) | 0x400 if value < 0 else min(value, 1023)
 
 
-def _standard_normals(rng: np.random.Generator, at_once: int) -> Iterator[float]:
+def _standard_normals(rng: np.random.Generator) -> Iterator[float]:
     """The same numbers as one draw after another; a draw by itself costs more than what it is for."""
     while True:
-        yield from rng.standard_normal(at_once).tolist()
+        yield from rng.standard_normal(DRAWS_AT_ONCE).tolist()

@@ -28,8 +28,8 @@ class Bench:
     """A simulated arm on its bus; time begins at 1 s and moves when told to."""
 
     def __init__(self, arm: ArmConfig, *script: Fault, seed: int = 0, spec: ArmSpec = DEFAULT_SPEC) -> None:
-        self.arm = SimulatedArm(arm, seed=seed, spec=spec)
-        self.bus = SimulatedBus(self.arm, faults=Faults(script, seed=seed), seed=seed)
+        self.arm = SimulatedArm(arm, seed=seed, spec=spec, faults=Faults(script, seed=seed))
+        self.bus = SimulatedBus(self.arm, seed=seed)
         self.now_ns = NS_PER_S
         self.arm.advance(self.now_ns)
 
@@ -62,7 +62,7 @@ class Bench:
         self.bus.receive(request, begin_ns)
         self.wait(0.05)
         heard = []
-        while (at := self.bus.next_transmit_ns()) is not None and at <= self.now_ns:
+        while (at := self.bus.arrival_ns()) is not None and at <= self.now_ns:
             heard += [(at - begin_ns, value) for value in self.bus.transmit(at)]
         return heard
 
@@ -71,12 +71,12 @@ class Bench:
 
     def begin(self, kind: str, servo_id: int | None = None, value: float | None = None) -> int:
         """Let a fault begin now; its number."""
-        number = self.bus.faults.begin(Fault(kind=kind, servo_id=servo_id, value=value), self.arm.time_s)
+        number = self.arm.faults.begin(Fault(kind=kind, servo_id=servo_id, value=value), self.arm.time_s)
         self.arm.advance(self.now_ns)
         return number
 
     def end(self, number: int) -> None:
-        self.bus.faults.end(number)
+        self.arm.faults.end(number)
         self.wait(0.001)
 
 

@@ -26,7 +26,7 @@ def bus(arm: ArmConfig) -> SimulatedBus:
 def arrivals(bus: SimulatedBus) -> list[tuple[int, int]]:
     """Every byte under way: when it arrives and what it is."""
     found = []
-    while (at := bus.next_transmit_ns()) is not None:
+    while (at := bus.arrival_ns()) is not None:
         assert bus.transmit(at - 1) == b""
         found += [(at, byte) for byte in bus.transmit(at)]
     return found
@@ -92,7 +92,7 @@ def test_adapter_latency_delivers_in_batches(arm: ArmConfig) -> None:
 def test_servo_at_another_baud_hears_nothing(arm: ArmConfig) -> None:
     bus = SimulatedBus(SimulatedArm(arm), baud=57_600)
     bus.receive(PING, BEGIN_NS)
-    assert bus.next_transmit_ns() is None
+    assert bus.arrival_ns() is None
     bus.baud = 1_000_000
     bus.receive(PING, 2 * BEGIN_NS)
     assert replies(bus) == [Packet(1, 0)]
@@ -149,7 +149,7 @@ def test_same_seed_same_bytes_on_the_wire(arm: ArmConfig) -> None:
 
 def test_nothing_received_is_nothing(bus: SimulatedBus) -> None:
     bus.receive(b"", BEGIN_NS)
-    assert bus.next_transmit_ns() is None
+    assert bus.arrival_ns() is None
     assert bus.transmit(FAR_NS) == b""
 
 

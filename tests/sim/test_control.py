@@ -15,9 +15,8 @@ from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, PortBusy, PortMissing
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.control import Controls, ControlServer, SimulatorClient, control_path
-from armctl.sim.control_server import MAX_LINE_BYTES
-from armctl.sim.truth import TRUTH_PERIOD_NS, TRUTH_S, TruthRing
+from armctl.sim.control import TRUTH_PERIOD_NS, TRUTH_S, Controls, SimulatorClient, TruthRing, control_path
+from armctl.sim.control_server import MAX_LINE_BYTES, ControlServer
 
 
 class FakePlug:

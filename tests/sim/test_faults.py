@@ -83,8 +83,8 @@ def test_fault_is_in_force_from_its_begin_for_its_duration(arm: ArmConfig) -> No
     bench = Bench(arm, Fault(kind="mute", servo_id=2, begin_s=1.0, duration_s=0.5))
     answers = [bool(bench.hear(read(2))) for _ in range(40)]
     assert answers == [True] * 20 + [False] * 10 + [True] * 10
-    assert not bench.bus.faults.pending
-    assert bench.bus.faults.due_s == math.inf
+    assert not bench.arm.faults.planned
+    assert bench.arm.faults.due_s == math.inf
 
 
 @settings(deadline=None)
@@ -101,12 +101,12 @@ def test_active_faults_are_those_whose_time_it_is(times: list[tuple[float, float
 def test_live_fault_ends_when_ended_and_ending_twice_is_no_error(bench: Bench) -> None:
     number = bench.begin("mute", 2)
     assert bench.hear(read(2)) == b""
-    bench.bus.faults.end(number)
+    bench.arm.faults.end(number)
     bench.end(number)
     assert bench.hear(read(2))
-    bench.bus.faults.end(number)
+    bench.arm.faults.end(number)
     with pytest.raises(ValueError, match=r"fault 7: there never was one"):
-        bench.bus.faults.end(7)
+        bench.arm.faults.end(7)
 
 
 def test_count_and_probability_bound_the_strikes(arm: ArmConfig) -> None:
@@ -114,7 +114,7 @@ def test_count_and_probability_bound_the_strikes(arm: ArmConfig) -> None:
     assert [bool(bench.hear(read(1))) for _ in range(6)] == [False] * 3 + [True] * 3
     lost = sum(not bench.hear(read(2)) for _ in range(300))
     assert 60 < lost < 120
-    assert [entry["struck"] for entry in bench.bus.faults.listing()] == [3, lost]
+    assert [entry["struck"] for entry in bench.arm.faults.listing()] == [3, lost]
 
 
 def test_same_seed_same_bytes_and_other_seed_other_bytes(arm: ArmConfig) -> None:
@@ -171,7 +171,7 @@ def test_lost_reply_was_still_acted_on(bench: Bench) -> None:
 
 def test_late_reply_holds_up_what_follows_it(bench: Bench) -> None:
     on_time = bench.ask(read(2))
-    bench.bus.faults.begin(Fault(kind="late", servo_id=2, count=1, value=12.0), bench.arm.time_s)
+    bench.arm.faults.begin(Fault(kind="late", servo_id=2, count=1, value=12.0), bench.arm.time_s)
     bench.wait(0.001)
     bench.bus.receive(read(2), bench.now_ns)
     heard = bench.ask(read(3))
@@ -267,7 +267,7 @@ def test_latency_changes_and_changes_back(bench: Bench) -> None:
 def test_unplugged_port_vanishes_and_comes_back(arm: ArmConfig) -> None:
     clock = VirtualClock()
     faults = Faults([Fault(kind="unplug", duration_s=1.0), Fault(kind="unplug", begin_s=2.0, duration_s=2.0)])
-    port = LoopbackPort(SimulatedBus(SimulatedArm(arm), faults=faults), clock)
+    port = LoopbackPort(SimulatedBus(SimulatedArm(arm, faults=faults)), clock)
     with pytest.raises(PortMissing, match="unplugged"):
         port.openPort()
     clock.advance_ns(NS_PER_S)
@@ -296,7 +296,7 @@ def test_brown_out_restarts_servos_and_sags_the_supply(held: Bench) -> None:
     assert reply.code == ErrorBit.VOLTAGE
     held.wait(0.4)
     assert held.hear(read(2))
-    held.bus.faults.end(number)
+    held.arm.faults.end(number)
     held.wait(0.01)
     assert shoulder.voltage_V > 11.5
     assert not shoulder.torque_enabled
@@ -379,7 +379,7 @@ def test_second_writer_keeps_writing_its_own_goal(held: Bench) -> None:
     held.wait(0.1)
     assert held.arm.servos[0].get(ax12a.GOAL) == written
     assert held.arm.servos[5].get(ax12a.GOAL) != written
-    held.bus.faults.end(number)
+    held.arm.faults.end(number)
     held.goto(WORKING_RAD, wait_s=0.5)
     assert held.arm.servos[0].get(ax12a.GOAL) == own
 
