@@ -96,13 +96,8 @@ MOVING = Register("moving", 46, 1, False, 0, 0, 1)
 LOCK = Register("lock", 47, 1, True, 0, 0, 1)
 PUNCH = Register("punch", 48, 2, True, 32)
 
-# The control table in address order.
-REGISTERS: tuple[Register, ...] = (
-    MODEL, FIRMWARE, ID, BAUD, RETURN_DELAY, CW_LIMIT, CCW_LIMIT, TEMPERATURE_LIMIT, MIN_VOLTAGE,
-    MAX_VOLTAGE, MAX_TORQUE, RETURN_LEVEL, ALARM_LED, SHUTDOWN, TORQUE_ENABLE, LED, CW_MARGIN,
-    CCW_MARGIN, CW_SLOPE, CCW_SLOPE, GOAL, MOVING_SPEED, TORQUE_LIMIT, PRESENT_POSITION, PRESENT_SPEED,
-    PRESENT_LOAD, PRESENT_VOLTAGE, PRESENT_TEMPERATURE, REGISTERED, MOVING, LOCK, PUNCH,
-)  # fmt: skip
+# The control table in address order, which is the order above.
+REGISTERS: tuple[Register, ...] = tuple(found for found in list(vars().values()) if isinstance(found, Register))
 
 
 def register_value(register: Register, block: bytes, begin: int = STATUS_BEGIN) -> int:

@@ -27,10 +27,9 @@ from collections.abc import Sequence
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, PortHandler, Protocol1PacketHandler
 
 from armctl.clock import NS_PER_S, Clock
-from armctl.dynamixel.packet import OVERHEAD_BYTES
+from armctl.dynamixel.packet import BITS_PER_BYTE, OVERHEAD_BYTES
 
 NS_PER_MS = 1_000_000
-BITS_PER_BYTE = 10
 # Largest value of the servo's return delay register, 254 units of 2 us.
 RETURN_DELAY_WORST_US = 508.0
 # What a USB adapter in low-latency mode may add to a round trip: two frames of 1 ms.

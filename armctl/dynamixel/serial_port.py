@@ -13,13 +13,14 @@ Two rules more than the contract has:
 import array
 import errno
 import fcntl
-import grp
 import os
 import select
 import termios
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from functools import wraps
 from pathlib import Path
-from typing import ClassVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 import serial
 from serial.tools import list_ports
@@ -32,13 +33,37 @@ from armctl.errors import BusError, PortBusy, PortGone, PortMissing
 # A kernel worker that is not held up takes a twentieth of it.
 KEEPS_UP_NS = NS_PER_MS
 LATELY_NS = NS_PER_S
+# Linux: the flag in the fifth number that TIOCGSERIAL tells.
+ASYNC_LOW_LATENCY = 0x2000
 BY_ID = Path("/dev/serial/by-id")
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def _usb_identity(path: str) -> Path | None:
     """The name under /dev/serial/by-id of the adapter at `path`; None for a port that has none (a pty)."""
     device = Path(path).resolve()
     return next((link for link in sorted(BY_ID.glob("*")) if link.resolve() == device), None)
+
+
+def _use(use: Callable[Concatenate["SerialPort", P], T]) -> Callable[Concatenate["SerialPort", P], T]:
+    """A use of the terminal: `PortGone` if the port is not open, or vanishes meanwhile.
+
+    Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them).
+    """
+
+    @wraps(use)
+    def checked(port: "SerialPort", /, *args: P.args, **kwargs: P.kwargs) -> T:
+        if port._fd < 0:
+            raise PortGone(f"{port.port_name}: the port is not open; open it first")
+        try:
+            return use(port, *args, **kwargs)
+        except (OSError, termios.error) as error:
+            text = f"{port.port_name}: the port vanished ({_reason(error)}); plug the adapter in again"
+            raise PortGone(text) from None
+
+    return checked
 
 
 class SerialPort(ServoPort):
@@ -55,7 +80,6 @@ class SerialPort(ServoPort):
     _unread = True
     # Whether this reply was waited for once more already.
     _asked_again = False
-    _ASYNC_LOW_LATENCY: ClassVar[int] = 0x2000
 
     def __init__(self, name: str, baud: int, clock: Clock) -> None:
         self._identity: Path | None = None
@@ -98,51 +122,40 @@ class SerialPort(ServoPort):
                 self.ser.close()
             self.ser = None
 
+    @_use
     def getBytesAvailable(self) -> int:
-        if self.ser is None:
-            raise self._closed()
-        try:
-            return len(self._received) + self.ser.in_waiting
-        except (OSError, termios.error) as error:
-            raise self._gone(error) from None
+        assert self.ser is not None  # or there would be no descriptor
+        return len(self._received) + self.ser.in_waiting
 
+    @_use
     def _discard(self) -> None:
-        if self._fd < 0:
-            raise self._closed()
         if not self._arrivals.poll(0) and not self._unread:  # nothing has come since the last read
             return
         self._unread = False
-        try:
-            termios.tcflush(self._fd, termios.TCIFLUSH)
-        except (OSError, termios.error) as error:
-            raise self._gone(error) from None
+        termios.tcflush(self._fd, termios.TCIFLUSH)
 
+    @_use
     def _fill(self, length: int) -> None:
-        if self._fd < 0:
-            raise self._closed()
         if self._allowed_ns and not (self._received or self.heard):
             # The request has just left: until something comes, there is no need to look at the clock.
             wait_ns, self._asked_again = self._allowed_ns, False
         else:
             wait_ns = self._wait_ns(length)
-        try:
-            while len(self._received) < length:
-                # `poll` waits whole milliseconds only, `select` waits for what is left of them.
-                if self._arrivals.poll(wait_ns // NS_PER_MS / 1000.0):
-                    arrived = os.read(self._fd, HEARD_MAX)
-                    if not arrived:
-                        raise OSError(errno.EIO, "end of file")
-                    self._received += arrived
-                    self._unread = len(arrived) == HEARD_MAX
-                    if len(self._received) >= length:
-                        return
-                elif not select.select((self._arrivals,), (), (), wait_ns % NS_PER_MS / NS_PER_S)[0]:
-                    if not self._allowed_ns or not self._kept_back():
-                        return
-                    self._deadline_ns = self.clock.now_ns() + self._allowed_ns
-                wait_ns = self._wait_ns(length)
-        except (OSError, termios.error) as error:
-            raise self._gone(error) from None
+        while len(self._received) < length:
+            # `poll` waits whole milliseconds only, `select` waits for what is left of them.
+            if self._arrivals.poll(wait_ns // NS_PER_MS / 1000.0):
+                arrived = os.read(self._fd, HEARD_MAX)
+                if not arrived:
+                    raise OSError(errno.EIO, "end of file")
+                self._received += arrived
+                self._unread = len(arrived) == HEARD_MAX
+                if len(self._received) >= length:
+                    return
+            elif not select.select((self._arrivals,), (), (), wait_ns % NS_PER_MS / NS_PER_S)[0]:
+                if not self._allowed_ns or not self._kept_back():
+                    return
+                self._deadline_ns = self.clock.now_ns() + self._allowed_ns
+            wait_ns = self._wait_ns(length)
 
     def _wait_ns(self, length: int) -> int:
         """How long to wait for what is missing of `length` bytes."""
@@ -172,26 +185,15 @@ class SerialPort(ServoPort):
         first, self._asked_again = not self._asked_again, True
         return first and now_ns - self._late_ns < LATELY_NS
 
+    @_use
     def _send(self, packet: bytes) -> int:
-        if self._fd < 0:
-            raise self._closed()
         try:
-            try:
-                sent = os.write(self._fd, packet)
-            except BlockingIOError:
-                sent = 0
-            if sent < len(packet):  # nothing that waits here may reach the servos later, in a burst
-                termios.tcflush(self._fd, termios.TCOFLUSH)
-        except (OSError, termios.error) as error:
-            raise self._gone(error) from None
+            sent = os.write(self._fd, packet)
+        except BlockingIOError:
+            sent = 0
+        if sent < len(packet):  # nothing that waits here may reach the servos later, in a burst
+            termios.tcflush(self._fd, termios.TCOFLUSH)
         return sent
-
-    def _closed(self) -> PortGone:
-        return PortGone(f"{self.port_name}: the port is not open; open it first")
-
-    def _gone(self, error: Exception) -> PortGone:
-        """Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them)."""
-        return PortGone(f"{self.port_name}: the port vanished ({_reason(error)}); plug the adapter in again")
 
     def _ask_low_latency(self, ser: serial.Serial) -> bool | None:
         state = array.array("i", [0] * 32)
@@ -200,7 +202,7 @@ class SerialPort(ServoPort):
             fcntl.ioctl(ser.fileno(), termios.TIOCGSERIAL, state)
         except (ValueError, OSError):
             return None
-        return bool(state[4] & self._ASYNC_LOW_LATENCY)
+        return bool(state[4] & ASYNC_LOW_LATENCY)
 
 
 def _is_pty(fd: int) -> bool:
@@ -225,10 +227,12 @@ def _open_error(path: str, baud: int, error: Exception) -> BusError:
         holders = ", ".join(_holders(path)) or "another process (of another user)"
         return PortBusy(f"{path}: in use by {holders}; stop it, one program at a time can drive the bus")
     if number in (errno.EACCES, errno.EPERM):
-        group = _group(path)
-        return PortMissing(
-            f"{path}: no permission; it belongs to group {group}: sudo usermod -aG {group} $USER, then log in again"
-        )
+        try:
+            group = Path(path).group()
+        except KeyError:  # it has no name here
+            group = str(os.stat(path).st_gid)
+        remedy = f"sudo usermod -aG {group} $USER, then log in again"
+        return PortMissing(f"{path}: no permission; it belongs to group {group}: {remedy}")
     if isinstance(error, ValueError):
         return PortMissing(f"{path}: the adapter cannot do {baud} baud ({error}); set another baud rate")
     return PortMissing(f"{path}: no usable serial port ({_reason(error)}); name another one with --port")
@@ -246,11 +250,3 @@ def _holders(path: str) -> list[str]:
         except OSError:  # ended meanwhile, or not ours to see
             continue
     return list(found.values())
-
-
-def _group(path: str) -> str:
-    gid = os.stat(path).st_gid
-    try:
-        return grp.getgrgid(gid).gr_name
-    except KeyError:
-        return str(gid)

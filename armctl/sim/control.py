@@ -22,15 +22,13 @@ kept every 10 ms for `TRUTH_S`. Long answers leave in small pieces between the b
 wait for a program to write JSON.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,7 +248,7 @@ class SimulatorClient:
             ) from None
         self._stream = self._socket.makefile("rb")
 
-    def __enter__(self) -> SimulatorClient:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

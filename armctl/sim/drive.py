@@ -10,8 +10,6 @@ reference. Its output depends on the error, in whole ticks:
          --+-----+-----------> error
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from struct import Struct
@@ -21,6 +19,31 @@ from armctl.dynamixel import ax12a
 
 # Of the table: angle limits; max torque; torque enable; margins, slopes; goal, moving speed, torque limit; punch.
 DRIVING = Struct("<6xHH4xH8xBx4BHHH12xH")
+
+
+class Ramp(NamedTuple):
+    """The way of the reference to the goal at constant speed; its steps count from 1."""
+
+    begin_tick: float
+    goal_tick: float
+    # Way in one step, with its sign.
+    step_tick: float
+    # The step in which the reference reaches the goal; 0: it is there.
+    arrival: int
+
+    def at(self, step: int) -> float:
+        """The reference [tick] after so many steps."""
+        return self.goal_tick if step >= self.arrival else self.begin_tick + self.step_tick * step
+
+    def last_step_at(self, whole_tick: int, step: int, end: int) -> int:
+        """The last step, from `step` to at most `end`, in which the reference still rounds to a tick."""
+        if step >= self.arrival or whole_tick == self.goal_tick:
+            return end
+        if self.step_tick > 0.0:
+            last = math.ceil((whole_tick + 0.5 - self.begin_tick) / self.step_tick) - 1
+        else:
+            last = math.floor((whole_tick - 0.5 - self.begin_tick) / self.step_tick)
+        return min(end, max(step, last))
 
 
 class Drive(NamedTuple):
@@ -60,31 +83,6 @@ class Drive(NamedTuple):
         if way_tick != 0.0 and step_tick != 0.0:
             arrival = math.ceil(abs(way_tick) / step_tick)
         return Ramp(reference_tick, goal_tick, step_tick if way_tick > 0.0 else -step_tick, arrival)
-
-
-class Ramp(NamedTuple):
-    """The way of the reference to the goal at constant speed; its steps count from 1."""
-
-    begin_tick: float
-    goal_tick: float
-    # Way in one step, with its sign.
-    step_tick: float
-    # The step in which the reference reaches the goal; 0: it is there.
-    arrival: int
-
-    def at(self, step: int) -> float:
-        """The reference [tick] after so many steps."""
-        return self.goal_tick if step >= self.arrival else self.begin_tick + self.step_tick * step
-
-    def last_step_at(self, whole_tick: int, step: int, end: int) -> int:
-        """The last step, from `step` to at most `end`, in which the reference still rounds to a tick."""
-        if step >= self.arrival or whole_tick == self.goal_tick:
-            return end
-        if self.step_tick > 0.0:
-            last = math.ceil((whole_tick + 0.5 - self.begin_tick) / self.step_tick) - 1
-        else:
-            last = math.floor((whole_tick - 0.5 - self.begin_tick) / self.step_tick)
-        return min(end, max(step, last))
 
 
 def drive_of(registers: Sequence[int]) -> Drive:

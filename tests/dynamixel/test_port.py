@@ -185,7 +185,7 @@ def test_baud_rate_the_adapter_refuses_is_named(monkeypatch: pytest.MonkeyPatch)
 def test_low_latency_is_read_back_from_the_driver(
     monkeypatch: pytest.MonkeyPatch, port: SerialPort, flags: int, low_latency: bool
 ) -> None:
-    def driver(fd: int, request: int, state: array[int]) -> None:
+    def driver(fd: int, request: int, state: "array[int]") -> None:
         if request == termios.TIOCGSERIAL:
             state[4] = flags
 
