@@ -1,0 +1,188 @@
+"""A scripted transport that answers real protocol bytes in virtual time, the bus over it, and ways to spoil a reply."""
+
+from collections.abc import Callable
+
+import pytest
+
+from armctl.clock import VirtualClock
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.packet import encode_status
+from armctl.dynamixel.port import ServoPort
+from armctl.errors import PortGone
+from armctl.files import load_arm
+from armctl.messages import Sample
+
+BYTE_NS = 10_000
+TICK_NS = 100_000_000
+
+# (request, good reply) -> what arrives instead: pairs of extra delay [us] and bytes.
+Spoil = Callable[[bytes, bytes], list[tuple[int, bytes]]]
+
+
+def servo_table(servo_id: int) -> bytearray:
+    table = bytearray(ax12a.TABLE_SIZE)
+    for register in ax12a.REGISTERS:
+        table[register.address : register.address + register.size] = register.default.to_bytes(register.size, "little")
+    table[ax12a.ID.address] = servo_id
+    return table
+
+
+class ScriptedPort(ServoPort):
+    """A half-duplex line in virtual time with one register table a servo; `spoils` queues damage per servo."""
+
+    def __init__(self, servo_ids: tuple[int, ...], clock: VirtualClock) -> None:
+        super().__init__("scripted", 1_000_000, clock)
+        self.virtual_clock = clock
+        self.tables = {servo_id: servo_table(servo_id) for servo_id in servo_ids}
+        self.errors: dict[int, int] = {}
+        self.silent: set[int] = set()
+        self.spoils: dict[int, list[Spoil]] = {}
+        self.adapter_us = 0
+        self.requests: list[bytes] = []
+        # Requests until the port vanishes.
+        self.gone_after: int | None = None
+        self.stuck = False
+        self.flushes = 0
+        # The bytes under way to the host, each with its instant.
+        self._line: list[tuple[int, int]] = []
+
+    def openPort(self) -> bool:
+        self.is_open, self.gone_after = True, None
+        return True
+
+    def closePort(self) -> None:
+        self.is_open = False
+
+    def _discard(self) -> None:
+        self.flushes += 1
+        now_ns = self.clock.now_ns()
+        self._line = [item for item in self._line if item[0] > now_ns]
+
+    def getBytesAvailable(self) -> int:
+        return sum(at_ns <= self.clock.now_ns() for at_ns, _ in self._line)
+
+    def _fill(self, length: int) -> None:
+        self._check(self.gone_after == 0)
+        missing = length - len(self._received)
+        due_ns = self._line[missing - 1][0] if len(self._line) >= missing else self._deadline_ns
+        self.clock.sleep_until_ns(min(due_ns, self._deadline_ns))
+        ready = [item for item in self._line[:missing] if item[0] <= self.clock.now_ns()]
+        self._line = self._line[len(ready) :]
+        self._received += bytes(byte for _, byte in ready)
+
+    def _send(self, packet: bytes) -> int:
+        if self.gone_after is not None:
+            self.gone_after -= 1
+            self._check(self.gone_after < 0)
+        if self.stuck:
+            return 0
+        self.requests.append(packet)
+        good = self._reply(packet)
+        arrivals = [(0, good)] if good else []
+        if queue := self.spoils.get(packet[2]):
+            arrivals = queue.pop(0)(packet, good)
+        at_ns = self.clock.now_ns() + len(packet) * BYTE_NS + 500_000 + self.adapter_us * 1000
+        for delay_us, data in arrivals:
+            for index, byte in enumerate(data):
+                self._line.append((at_ns + delay_us * 1000 + (index + 1) * BYTE_NS, byte))
+        self._line.sort(key=lambda item: item[0])
+        return len(packet)
+
+    def _check(self, gone: bool) -> None:
+        if gone:
+            raise PortGone("scripted: the port vanished; plug the adapter in again")
+
+    def _reply(self, request: bytes) -> bytes:
+        servo_id, instruction, parameters = request[2], request[4], request[5:-1]
+        if servo_id in self.silent or servo_id not in self.tables:
+            return b""
+        table, error = self.tables[servo_id], self.errors.get(servo_id, 0)
+        if instruction == 2:
+            begin, size = parameters
+            return encode_status(servo_id, error, bytes(table[begin : begin + size]))
+        table[parameters[0] : parameters[0] + len(parameters) - 1] = parameters[1:]
+        return encode_status(servo_id, error)
+
+    def place(self, servo_id: int, register: ax12a.Register, value: int) -> None:
+        end = register.address + register.size
+        self.tables[servo_id][register.address : end] = value.to_bytes(register.size, "little")
+
+
+def scripted(*servo_ids: int) -> tuple[ScriptedPort, ServoBus]:
+    """A line with these servos, and its bus, open."""
+    port = ScriptedPort(servo_ids, VirtualClock())
+    bus = ServoBus(port, servo_ids)
+    bus.open()
+    return port, bus
+
+
+@pytest.fixture
+def arm() -> ArmConfig:
+    return load_arm("ax12-line")
+
+
+@pytest.fixture
+def bus(arm: ArmConfig) -> ServoBus:
+    return scripted(*arm.servo_ids)[1]
+
+
+@pytest.fixture
+def port(bus: ServoBus) -> ScriptedPort:
+    assert isinstance(bus.port, ScriptedPort)
+    return bus.port
+
+
+def sample_next_tick(bus: ServoBus, port: ScriptedPort) -> Sample:
+    port.virtual_clock.advance_ns(TICK_NS)
+    return bus.read_sample()
+
+
+def tick_of(sample: Sample, servo_id: int) -> int:
+    """The position that a sample has of a servo."""
+    return ax12a.register_value(ax12a.PRESENT_POSITION, sample.servos[servo_id - 1].registers)
+
+
+# --------------------------------------------------------------------------------------- ways to spoil a reply
+
+
+def fine(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
+    return [(0, good)]
+
+
+def lost(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
+    return []
+
+
+def echo(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
+    return [(-500, request)]
+
+
+def bad_checksum(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
+    return [(0, good[:-1] + bytes((good[-1] ^ 1,)))]
+
+
+def late(delay_us: int) -> Spoil:
+    return lambda request, good: [(delay_us, good)]
+
+
+def twice(delay_us: int) -> Spoil:
+    return lambda request, good: [(0, good), (delay_us, good)]
+
+
+def these(data: bytes) -> Spoil:
+    """Other bytes in its stead."""
+    return lambda request, good: [(0, data)]
+
+
+def at(position_tick: int) -> Spoil:
+    """The status of a servo that claims to be there."""
+    place = slice(5 + ax12a.POSITION_AT, 7 + ax12a.POSITION_AT)
+
+    def spoil(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
+        data = bytearray(good)
+        data[place] = position_tick.to_bytes(2, "little")
+        return [(0, encode_status(good[2], 0, bytes(data[5:-1])))]
+
+    return spoil

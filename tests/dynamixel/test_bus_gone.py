@@ -1,0 +1,102 @@
+"""A port that vanishes is data to whoever uses the bus, and leaves nothing locked."""
+
+from collections.abc import Callable
+
+import pytest
+
+from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.bus import NO_REPLY, PORT_GONE, ServoBus
+from armctl.messages import Goal, Write
+from tests.dynamixel.conftest import ScriptedPort, at, sample_next_tick
+
+GOAL = Goal((512,) * 6, (50,) * 6)
+TORQUE_ON = Write(1, 24, 1, 1)
+
+
+@pytest.mark.parametrize("requests", range(7))
+def test_port_that_vanishes_within_a_sample_is_data(bus: ServoBus, port: ScriptedPort, requests: int) -> None:
+    before = bus.read_sample()
+    port.gone_after = requests
+    sample = sample_next_tick(bus, port)
+    if requests == 6:  # it vanished only after the last answer was in
+        sample = sample_next_tick(bus, port)
+    assert (sample.port_open, bus.is_open, port.is_using) == (False, False, False)
+    assert [(reading.fresh, reading.problem) for reading in sample.servos] == [(False, PORT_GONE)] * 6
+    assert all(new.stamp_ns >= old.stamp_ns > 0 for new, old in zip(sample.servos, before.servos, strict=True))
+
+
+def test_port_that_vanishes_while_draining_closes_the_bus(bus: ServoBus, port: ScriptedPort) -> None:
+    bus.read_sample()
+    port.spoils[1] = [at(16384)]
+    drain = port.drain
+
+    def gone(quiet_ms: float = 0.5) -> int:
+        port.gone_after = 0
+        return drain(quiet_ms)
+
+    port.drain = gone  # type: ignore[method-assign]
+    assert not sample_next_tick(bus, port).port_open
+    assert not bus.is_open
+
+
+def test_closed_bus_answers_everything_with_data(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
+    bus.close()
+    assert not bus.read_sample().port_open
+    assert not bus.write_goal(GOAL)
+    assert not bus.write(TORQUE_ON)
+    assert bus.read(1, ax12a.MODEL) is None
+    assert [problem.code for problem in bus.identify(arm.joints)] == [PORT_GONE]
+    assert port.requests == []
+
+
+def test_reopened_bus_reads_again(bus: ServoBus, port: ScriptedPort) -> None:
+    bus.read_sample()
+    port.gone_after = 0
+    bus.read_sample()
+    bus.close()
+    bus.open()
+    sample = sample_next_tick(bus, port)
+    assert sample.port_open
+    assert all(reading.fresh for reading in sample.servos)
+
+
+def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
+    calls: list[Callable[[], object]] = [
+        bus.read_sample,
+        lambda: bus.write_goal(GOAL),
+        lambda: bus.write(TORQUE_ON),
+        lambda: bus.read(1, ax12a.GOAL),
+        lambda: bus.identify(arm.joints),
+    ]
+    for call in calls:
+        bus.open()
+        port.gone_after = 0
+        call()
+        assert (port.is_using, bus.is_open) == (False, False)
+
+
+def test_unexpected_error_in_the_transport_leaves_is_using_false(bus: ServoBus, port: ScriptedPort) -> None:
+    def broken(length: int) -> None:
+        raise RuntimeError("broken")
+
+    fill, port._fill = port._fill, broken  # type: ignore[method-assign]
+    with pytest.raises(RuntimeError):
+        bus.read_sample()
+    assert not port.is_using
+    port._fill = fill  # type: ignore[method-assign]
+    assert bus.read_sample().servos[0].fresh
+
+
+def test_line_that_takes_no_bytes_is_no_reply(bus: ServoBus, port: ScriptedPort) -> None:
+    port.stuck = True
+    assert {reading.problem for reading in bus.read_sample().servos} == {NO_REPLY}
+    assert not bus.write_goal(GOAL)
+    assert bus.is_open
+
+
+def test_block_of_a_vanished_port_is_data(bus: ServoBus, port: ScriptedPort) -> None:
+    port.gone_after = 0
+    assert bus.read_block(1, 0, 3).problem == PORT_GONE
+    assert not bus.is_open
+    assert not bus.answers_twice(1)
