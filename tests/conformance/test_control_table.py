@@ -100,6 +100,7 @@ def test_eeprom_is_refused_while_torque_is_on_and_ram_is_not(wire: Wire, servo: 
     assert wire.put(servo, ax12a.TORQUE_LIMIT, 100) == 0
     assert wire.put(servo, ax12a.TORQUE_ENABLE, 1) == 0
     assert wire.put(servo, ax12a.RETURN_DELAY, before - 1) == ErrorBit.RANGE
+    assert wire.value(servo, ax12a.RETURN_DELAY) == before
     assert wire.put(servo, ax12a.CW_MARGIN, 3) == 0
     assert wire.put(servo, ax12a.TORQUE_ENABLE, 0) == 0
     assert wire.put(servo, ax12a.RETURN_DELAY, before - 1) == 0

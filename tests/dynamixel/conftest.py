@@ -29,6 +29,38 @@ def servo_table(servo_id: int) -> bytearray:
     return table
 
 
+class Line(ServoPort):
+    """Answers with the same bytes whatever it is asked, one right behind the other, and notes what it was asked."""
+
+    def __init__(self, answer: bytes = b"", baud: int = 1_000_000, clock: VirtualClock | None = None) -> None:
+        super().__init__("line", baud, clock or VirtualClock())
+        self.left, self.sent = answer, b""
+
+    def openPort(self) -> bool:
+        return True
+
+    def closePort(self) -> None:
+        pass
+
+    def getBytesAvailable(self) -> int:
+        return len(self._received)
+
+    def _discard(self) -> None:
+        pass
+
+    def _send(self, packet: bytes) -> int:
+        self.sent = packet
+        return len(packet)
+
+    def _fill(self, length: int) -> None:
+        missing = length - len(self._received)
+        in_time = max(0, (self._deadline_ns - self.clock.now_ns()) // self.byte_ns)
+        arrived, self.left = self.left[: min(missing, in_time)], self.left[min(missing, in_time) :]
+        self._received += arrived
+        whole_ns = self.clock.now_ns() + len(arrived) * self.byte_ns
+        self.clock.sleep_until_ns(whole_ns if len(arrived) == missing else self._deadline_ns)
+
+
 class ScriptedPort(ServoPort):
     """A half-duplex line in virtual time with one register table a servo; `spoils` queues damage per servo."""
 

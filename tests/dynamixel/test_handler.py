@@ -6,42 +6,11 @@ from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from armctl.clock import VirtualClock
 from armctl.dynamixel.packet import encode_status
-from armctl.dynamixel.port import PacketHandler, ServoPort
+from armctl.dynamixel.port import PacketHandler
+from tests.dynamixel.conftest import Line
 
 READ = (0xFF, 0xFF, 1, 4, 2, 24, 26, 0)
-
-
-class Line(ServoPort):
-    """Answers with the same bytes whatever it is asked, 10 us apart."""
-
-    def __init__(self, answer: bytes) -> None:
-        super().__init__("line", 1_000_000, VirtualClock())
-        self.left = answer
-
-    def openPort(self) -> bool:
-        return True
-
-    def closePort(self) -> None:
-        pass
-
-    def getBytesAvailable(self) -> int:
-        return len(self._received)
-
-    def _discard(self) -> None:
-        pass
-
-    def _send(self, packet: bytes) -> int:
-        return len(packet)
-
-    def _fill(self, length: int) -> None:
-        missing = length - len(self._received)
-        in_time = max(0, (self._deadline_ns - self.clock.now_ns()) // self.byte_ns)
-        arrived, self.left = self.left[: min(missing, in_time)], self.left[min(missing, in_time) :]
-        self._received += arrived
-        whole_ns = self.clock.now_ns() + len(arrived) * self.byte_ns
-        self.clock.sleep_until_ns(whole_ns if len(arrived) == missing else self._deadline_ns)
 
 
 def outcome(handler: Any, answer: bytes) -> tuple[object, ...]:

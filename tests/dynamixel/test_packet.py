@@ -17,6 +17,7 @@ from armctl.dynamixel.packet import (
     encode_instruction,
     encode_status,
 )
+from tests.dynamixel.conftest import Line
 
 packets = st.builds(Packet, st.integers(0, BROADCAST_ID), st.integers(0, 255), st.binary(max_size=40))
 garbage = st.binary(max_size=20).map(lambda data: data.replace(b"\xff", b"\x00"))
@@ -136,44 +137,23 @@ def test_what_no_packet_can_hold_is_refused(make: Callable[[], bytes], message: 
         make()
 
 
-class WirePort:
-    """What the SDK's packet handler needs of a port: it keeps what is written and reads what it is given."""
-
-    def __init__(self, incoming: bytes = b"") -> None:
-        self.is_using = False
-        self.written = b""
-        self.incoming = incoming
-
-    def clearPort(self) -> None:
-        pass
-
-    def writePort(self, packet: list[int]) -> int:
-        self.written = bytes(packet)
-        return len(packet)
-
-    def readPort(self, length: int) -> list[int]:
-        data, self.incoming = self.incoming[:length], self.incoming[length:]
-        return list(data)
-
-    def isPacketTimeout(self) -> bool:
-        return not self.incoming
-
-
 @settings(deadline=None)
 @given(st.integers(0, 253), st.sampled_from(list(Instruction)), st.binary(max_size=60))
 def test_instruction_packets_are_the_sdks_bytes(servo_id: int, instruction: Instruction, parameters: bytes) -> None:
-    port = WirePort()
+    port = Line()
     packet = [0, 0, servo_id, len(parameters) + 2, instruction, *parameters, 0]
     result = dynamixel_sdk.Protocol1PacketHandler().txPacket(port, packet)
     assert result == dynamixel_sdk.COMM_SUCCESS
-    assert port.written == encode_instruction(servo_id, instruction, parameters)
+    assert port.sent == encode_instruction(servo_id, instruction, parameters)
 
 
 @settings(deadline=None)
 @given(st.integers(0, 253), st.integers(0, 127), st.binary(max_size=60))
 def test_the_sdk_accepts_status_packets(servo_id: int, error: int, parameters: bytes) -> None:
     status = encode_status(servo_id, error, parameters)
-    received, result = dynamixel_sdk.Protocol1PacketHandler().rxPacket(WirePort(status))
+    line = Line(status)
+    line.setPacketTimeout(len(status))
+    received, result = dynamixel_sdk.Protocol1PacketHandler().rxPacket(line)
     assert result == dynamixel_sdk.COMM_SUCCESS
     assert bytes(received) == status
 

@@ -24,34 +24,13 @@ from hypothesis import strategies as st
 from armctl.clock import Clock, MonotonicClock, VirtualClock
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.kernel_worker import KernelWorker
-from armctl.dynamixel.port import HEARD_MAX, ServoPort
+from armctl.dynamixel.port import ServoPort
 from armctl.dynamixel.serial_port import SerialPort
 from armctl.errors import PortBusy, PortMissing
 from armctl.messages import Goal
+from tests.dynamixel.conftest import Line
 
 BAUD = 1_000_000
-
-
-class EndlessPort(ServoPort):
-    """A line that always has another byte."""
-
-    def openPort(self) -> bool:
-        return True
-
-    def closePort(self) -> None:
-        pass
-
-    def getBytesAvailable(self) -> int:
-        return HEARD_MAX
-
-    def _fill(self, length: int) -> None:
-        self._received = b"\x55" * length
-
-    def _discard(self) -> None:
-        pass
-
-    def _send(self, packet: bytes) -> int:
-        return len(packet)
 
 
 class Pty:
@@ -89,7 +68,7 @@ def port(pty: Pty) -> Iterator[SerialPort]:
 
 def test_status_read_is_waited_for_about_5_ms() -> None:
     clock = VirtualClock()
-    port = EndlessPort("line", BAUD, clock)
+    port = Line(b"", BAUD, clock)
     port.writePort([0] * 8)
     port.setPacketTimeout(32)
     clock.advance_ns(4_400_000)
@@ -111,7 +90,7 @@ def test_timeout_covers_wire_return_delay_and_adapter(
     baud: int, request: int, reply: int, delay_us: float, latency_ms: float
 ) -> None:
     clock = VirtualClock()
-    port = EndlessPort("line", baud, clock)
+    port = Line(b"", baud, clock)
     port.allow_latency(latency_ms)
     port.writePort([0] * request)
     port.setPacketTimeout(reply)
@@ -124,7 +103,7 @@ def test_timeout_covers_wire_return_delay_and_adapter(
 
 def test_timeout_in_milliseconds_is_exact_and_by_the_clock() -> None:
     clock = VirtualClock(start_ns=10**15 + 7)
-    port = EndlessPort("line", BAUD, clock)
+    port = Line(b"", BAUD, clock)
     assert port.getCurrentTime() == pytest.approx(1e9)
     port.setPacketTimeoutMillis(3)
     clock.advance_ns(2_999_999)

@@ -4,10 +4,8 @@ import pytest
 
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import NO_REPLY, PORT_GONE
-from armctl.errors import PortMissing
 from armctl.files import load_arm
-from armctl.messages import Goal, Sample, Write
+from armctl.messages import Goal, Sample
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import Fault
@@ -77,23 +75,8 @@ def test_same_seed_same_calls_same_samples() -> None:
     assert run() == run()
 
 
-def test_silent_servo_costs_at_most_10_ms_of_virtual_time(bench: Bench) -> None:
-    whole_us = bench.tick().bus_us
-    bench.arm.servos[3].set(ax12a.ID, 99)
-    sample = bench.tick()
-    assert sample.servos[3].problem == NO_REPLY
-    assert sample.bus_us - whole_us <= 10_000
-
-
 def test_registers_of_the_simulated_arm_are_fit(bench: Bench) -> None:
     assert bench.bus.identify(bench.config.joints) == ()
-
-
-def test_write_is_confirmed_and_a_locked_servo_refuses(bench: Bench) -> None:
-    assert bench.bus.write(Write(1, ax12a.TORQUE_LIMIT.address, 2, 150))
-    assert bench.bus.read(1, ax12a.TORQUE_LIMIT) == 150
-    assert bench.bus.write(Write(1, ax12a.LOCK.address, 1, 1))
-    assert not bench.bus.write(Write(1, ax12a.PUNCH.address, 2, 40))
 
 
 def test_two_servos_with_one_id_are_told(bench: Bench) -> None:
@@ -130,22 +113,6 @@ def test_adapter_with_1_ms_timer_is_fit(seed: int) -> None:
     sample = bench.tick()
     assert all(reading.fresh for reading in sample.servos)
     assert sample.retries == 0
-
-
-def test_unplugged_port_is_data_and_replugged_is_read_again(bench: Bench) -> None:
-    bench.tick()
-    bench.port.unplug()
-    sample = bench.tick()
-    assert not sample.port_open
-    assert not bench.bus.is_open
-    assert {reading.problem for reading in sample.servos} == {PORT_GONE}
-    assert not bench.bus.write_goal(Goal((512,) * 6, (50,) * 6))
-    bench.bus.close()
-    with pytest.raises(PortMissing, match="unplugged"):
-        bench.bus.open()
-    bench.port.replug()
-    bench.bus.open()
-    assert all(reading.fresh for reading in bench.tick().servos)
 
 
 def test_port_that_was_out_between_two_uses_is_gone_though_the_adapter_is_back(bench: Bench) -> None:

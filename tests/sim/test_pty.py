@@ -110,16 +110,6 @@ def test_group_reply_time_is_the_wires(port: dynamixel_sdk.PortHandler) -> None:
     assert time.monotonic() - begin >= 6 * 900e-6
 
 
-def test_host_at_another_baud_hears_nothing(link: Path) -> None:
-    ping = b"\xff\xff\x01\x02\x01\xfb"
-    with serial.Serial(str(link), 57_600, timeout=0.05) as wrong:
-        wrong.write(ping)
-        assert wrong.read(6) == b""
-    with serial.Serial(str(link), 1_000_000, timeout=1.0) as right:
-        right.write(ping)
-        assert right.read(6) == b"\xff\xff\x01\x02\x00\xfc"
-
-
 def test_pypot_scans_reads_and_moves(link: Path, control: SimulatorClient) -> None:
     from pypot.dynamixel import DxlIO
 
