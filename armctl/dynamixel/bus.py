@@ -63,6 +63,7 @@ ID_MAX = ax12a.ID.maximum
 ERROR_AT = 4
 DATA_AT = 5
 STATUS_BLOCK = (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+EEPROM = (0, ax12a.EEPROM_END)
 # Error bits that say the very request was not carried out.
 REFUSED = ErrorBit.RANGE | ErrorBit.CHECKSUM | ErrorBit.INSTRUCTION
 
@@ -208,18 +209,20 @@ class ServoBus:
     def read(self, servo_id: int, register: Register) -> int | None:
         """Value of one register; None: no good reply."""
         begin = max(0, register.address - 1)  # three bytes, never two: rule 6
-        reply = self._ask(servo_id, INST_READ, (begin, 3), 3)
+        reply = self.read_block(servo_id, begin, 3)
         return None if reply.problem else ax12a.register_value(register, reply.data, begin)
 
-    def read_block(self, servo_id: int, begin: int, size: int) -> Reply:
+    def read_block(self, servo_id: int, begin: int, size: int, *, tries: int = 2) -> Reply:
         """Bytes of a servo's control table, with its error bits and the time it took; trouble is in the reply.
 
+        Args:
+            tries: How often it is asked until a reply is good.
         Raises:
             ValueError: two bytes asked for (rule 6), or no such servo id.
         """
         if size == 2:
             raise ValueError("a read of two bytes looks like a reply to itself; read three")
-        return self._ask(servo_id, INST_READ, (begin, size), size)
+        return self._ask(servo_id, INST_READ, (begin, size), size, tries)
 
     def answers_twice(self, servo_id: int) -> bool:
         """Whether more than one servo answers to an id: replies with changing content collide, or follow each other.
@@ -236,7 +239,7 @@ class ServoBus:
         return doubled > len(CONFIRM_QUIET_MS) // 2
 
     def _is_doubled(self, servo_id: int) -> bool:
-        reply = self._ask(servo_id, INST_READ, STATUS_BLOCK, ax12a.STATUS_SIZE, tries=1)
+        reply = self.read_block(servo_id, *STATUS_BLOCK, tries=1)
         return reply.problem == BUS_NOISE or self._drain() > 0
 
     # ------------------------------------------------------------------------------------------- connecting
@@ -253,7 +256,7 @@ class ServoBus:
         port = self.port
         port.allow_latency(IDENTIFY_LATENCY_MS)
         port.begin_round(IDENTIFY_PATIENCE_NS)
-        tables = [self._read_eeprom(joint.servo_id) for joint in joints]
+        tables = [self.read_block(joint.servo_id, *EEPROM) for joint in joints]
         if all(table.problem for table in tables):
             port.allow_latency(ADAPTER_LATENCY_MS)
             garbled = any(table.problem == BUS_NOISE for table in tables)
@@ -263,7 +266,7 @@ class ServoBus:
                 break
             self._drain(quiet_ms)
             tables = [
-                self._read_eeprom(joint.servo_id, tries=1) if table.problem else table
+                self.read_block(joint.servo_id, *EEPROM, tries=1) if table.problem else table
                 for joint, table in zip(joints, tables, strict=True)
             ]
         self.firmware = tuple(
@@ -278,9 +281,6 @@ class ServoBus:
             else:
                 problems += table_problems(joint, table.data)
         return problems
-
-    def _read_eeprom(self, servo_id: int, tries: int = 2) -> Reply:
-        return self._ask(servo_id, INST_READ, (0, ax12a.EEPROM_END), ax12a.EEPROM_END, tries)
 
     def _adapter_problems(self, joints: Sequence[ServoJoint], tables: Sequence[Reply]) -> list[Problem]:
         """Judge the adapter by its faster replies, less wire time and that servo's own return delay.
@@ -301,7 +301,7 @@ class ServoBus:
         latencies_ms = added_ms(tables)
         if median(latencies_ms) > SLOW_ADAPTER_MS:
             answering = next(joint for joint, table in zip(joints, tables, strict=True) if not table.problem)
-            probes = [self._read_eeprom(answering.servo_id, tries=1) for _ in range(LATENCY_PROBES)]
+            probes = [self.read_block(answering.servo_id, *EEPROM, tries=1) for _ in range(LATENCY_PROBES)]
             latencies_ms = added_ms([*tables, *probes])
         latency_ms, allowance_ms = latencies_ms[len(latencies_ms) // 4], max(ADAPTER_LATENCY_MS, median(latencies_ms))
         if latency_ms > SLOW_ADAPTER_MS:

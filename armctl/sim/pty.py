@@ -277,8 +277,10 @@ class Lockstep(_World):
             if any(self._turns_back(packet) for packet in packets):
                 self._begin_cycle(wall_ns)
             if packets or end == len(heard):
-                replies += self._answer(heard[begin:end])
+                self._bus.receive(heard[begin:end], self._now_ns)
                 begin = end
+                while (reply_ns := self._bus.arrival_ns()) is not None:
+                    replies += self._bus.transmit(reply_ns)
         return bytes(replies)
 
     def _turns_back(self, packet: Packet | BadChecksum) -> bool:
@@ -286,13 +288,6 @@ class Lockstep(_World):
             return False
         before, self._last_read = self._last_read, self._order[packet.servo_id]
         return self._last_read < before
-
-    def _answer(self, heard: bytes) -> bytes:
-        self._bus.receive(heard, self._now_ns)
-        replies = bytearray()
-        while (reply_ns := self._bus.arrival_ns()) is not None:
-            replies += self._bus.transmit(reply_ns)
-        return bytes(replies)
 
     def _begin_cycle(self, wall_ns: int) -> None:
         self._now_ns += self.PERIOD_NS

@@ -292,21 +292,22 @@ class SimulatedServo:
 
     def _reset(self, _: bytes = b"") -> int:
         """Restore the factory's table."""
-        for register in ax12a.REGISTERS:
-            if register.eeprom:
-                self.set(register, register.default)
+        self._restore(eeprom=True)
         self.reboot()
         return 0
 
     def reboot(self) -> None:
         """Restart the firmware: the RAM forgets, the EEPROM stays, the torque is off."""
-        for register in ax12a.REGISTERS:
-            if not register.eeprom:
-                self.set(register, register.default)
+        self._restore(eeprom=False)
         self.set(ax12a.GOAL, self.sensed_tick())
         self.set(ax12a.TORQUE_LIMIT, value(self.table, ax12a.MAX_TORQUE))
         self._registered, self._last_error = None, 0
         self.overloaded, self.output = False, 0.0
+
+    def _restore(self, *, eeprom: bool) -> None:
+        for register in ax12a.REGISTERS:
+            if register.eeprom is eeprom:
+                self.set(register, register.default)
 
     # --------------------------------------------------------------------------------------------- alarms
 

@@ -26,6 +26,7 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
 
+SIMULATOR = (sys.executable, "-m", "armctl", "sim", "--seed", "1", "--link")
 BAUD = 1_000_000
 # Where servos are looked for on hardware.
 SCANNED_IDS = range(30)
@@ -142,13 +143,14 @@ def serial_wire(kind: str, path: str) -> Iterator[Wire]:
 
 
 @contextlib.contextmanager
-def simulator(link: Path) -> Iterator[None]:
-    command = [sys.executable, "-m", "armctl", "sim", "--link", str(link), "--seed", "1"]
+def simulator(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """The simulator as a program, until the end of the block."""
+    command = [*SIMULATOR, str(link), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == f"ready {link}\n"
-            yield
+            yield process
         finally:
             process.terminate()
             process.wait(10.0)

@@ -19,6 +19,11 @@ from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
 
 
+def turned(base_rad: float) -> FloatArray:
+    """The working pose with its base turned."""
+    return WORKING_RAD + np.array([base_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
 @pytest.fixture(scope="session")
 def arm() -> ArmConfig:
     return load_arm("ax12-line")
@@ -78,6 +83,15 @@ class Bench:
     def end(self, number: int) -> None:
         self.arm.faults.end(number)
         self.wait(0.001)
+
+
+def cut(at_once: Bench, in_pieces: Bench, pieces_ns: Sequence[int]) -> None:
+    """Let the same time pass on two benches that go to the working pose, on one of them in pieces."""
+    for bench in (at_once, in_pieces):
+        bench.goto(WORKING_RAD)
+    for piece in pieces_ns:
+        in_pieces.wait(piece / 1e9)
+    at_once.wait(sum(pieces_ns) / 1e9)
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.servo import ServoVariants, SimulatedServo
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
-from tests.sim.conftest import WORKING_RAD, Bench
+from tests.sim.conftest import WORKING_RAD, Bench, cut, turned
 
 CHAIN = robots.get("ax12-line").chain
 
@@ -39,11 +39,8 @@ def test_servos_carry_the_calibrations_ids_and_limits(arm: ArmConfig) -> None:
 def test_result_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
     at_once, in_pieces = Bench(arm, seed=3), Bench(arm, seed=3)
     for bench in (at_once, in_pieces):
-        bench.goto(WORKING_RAD)
         bench.arm.hand.guide(np.array([0.2, 0.0, 0.1]), np.array([0.2, 0.1, 0.1]), seed=1)
-    for piece in pieces_ns:
-        in_pieces.wait(piece / 1e9)
-    at_once.wait(sum(pieces_ns) / 1e9)
+    cut(at_once, in_pieces, pieces_ns)
     assert in_pieces.arm.true_positions().tolist() == at_once.arm.true_positions().tolist()
 
 
@@ -88,23 +85,14 @@ def test_limp_arm_falls_to_its_stops_and_not_beyond(arm: ArmConfig) -> None:
         assert low - margin <= position <= high + margin
 
 
-def test_moving_speed_bounds_the_speed_of_the_base(bench: Bench) -> None:
+@pytest.mark.parametrize(("speed", "wait_s", "way_rad"), [(60, 1.0, 60 * ax12a.SPEED_UNIT_RAD_S), (0, 0.5, 1.0)])
+def test_moving_speed_bounds_the_speed_of_the_base_and_zero_does_not(
+    bench: Bench, speed: int, wait_s: float, way_rad: float
+) -> None:
     bench.goto(WORKING_RAD, 60, 6.0)
-    target = WORKING_RAD.copy()
-    target[0] = 1.0
-    begin = bench.arm.true_positions()[0]
-    bench.goto(target, 60, 0.0)
-    bench.wait(1.0)
-    travelled = bench.arm.true_positions()[0] - begin
-    assert travelled == pytest.approx(60 * ax12a.SPEED_UNIT_RAD_S, rel=0.1)
-
-
-def test_speed_zero_means_as_fast_as_the_motor_can(bench: Bench) -> None:
-    bench.goto(WORKING_RAD, 60, 6.0)
-    target = WORKING_RAD.copy()
-    target[0] = 1.0
-    bench.goto(target, 0, 0.5)
-    assert bench.arm.true_positions()[0] > 0.9
+    begin_rad = bench.arm.true_positions()[0]
+    bench.goto(turned(1.0), speed, wait_s)
+    assert bench.arm.true_positions()[0] - begin_rad == pytest.approx(way_rad, rel=0.1)
 
 
 def test_shaft_never_leaves_its_play(arm: ArmConfig) -> None:
@@ -127,18 +115,13 @@ def test_gravity_decides_the_flank_of_the_play(bench: Bench) -> None:
 
 
 def test_reported_position_hides_the_zero_offset(arm: ArmConfig) -> None:
-    bench = Bench(arm, spec=ArmSpec(noise_tick=0.0, zero_offset_tick=5.0))
-    bench.hold()
-    reported = [
-        joint.position_rad(servo.get(ax12a.PRESENT_POSITION))
-        for joint, servo in zip(arm.joints, bench.arm.servos, strict=True)
-    ]
-    off_tick = np.abs(bench.arm.true_positions() - reported) / ax12a.TICK_RAD
-    assert off_tick.max() > 2.0
-    exact = Bench(arm, spec=ArmSpec(noise_tick=0.0, zero_offset_tick=0.0))
-    exact.hold()
-    for joint, servo, true in zip(arm.joints, exact.arm.servos, exact.arm.true_positions(), strict=True):
-        assert joint.position_rad(servo.get(ax12a.PRESENT_POSITION)) == pytest.approx(true, abs=0.51 * ax12a.TICK_RAD)
+    for offset_tick, least_tick, most_tick in ((5.0, 2.0, 20.0), (0.0, 0.0, 0.51)):
+        bench = Bench(arm, spec=ArmSpec(noise_tick=0.0, zero_offset_tick=offset_tick))
+        bench.hold()
+        ticks = [servo.get(ax12a.PRESENT_POSITION) for servo in bench.arm.servos]
+        reported = [joint.position_rad(tick) for joint, tick in zip(arm.joints, ticks, strict=True)]
+        off_tick = np.abs(bench.arm.true_positions() - reported) / ax12a.TICK_RAD
+        assert least_tick <= off_tick.max() <= most_tick
 
 
 def test_length_errors_move_the_tool_and_are_off_by_default(arm: ArmConfig) -> None:
@@ -285,7 +268,7 @@ def test_ramp_that_restarts_at_the_position_sags_more_when_streamed(arm: ArmConf
     for continues in (True, False):
         bench = Bench(arm, spec=ArmSpec(variants=ServoVariants(ramp_from_reference=continues)))
         bench.goto(WORKING_RAD, 60, 8.0)
-        target = WORKING_RAD.copy()
+        target = WORKING_RAD
         for _ in range(30):
             target = target + np.radians([1.0, 0.3, 0.0, 0.0, 0.0, 0.0])
             bench.goto(target, [ax12a.moving_speed_units(math.radians(10.0))] * 6, 0.1)
@@ -299,8 +282,7 @@ def test_voltage_falls_under_load_and_comes_back(bench: Bench) -> None:
     held_V = bench.arm.servos[0].voltage_V
     assert 11.8 < held_V < 12.0
     bench.begin("blocked_joint", 1)
-    target = WORKING_RAD + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    bench.goto(target, 0, 1.0)
+    bench.goto(turned(1.0), 0, 1.0)
     stall_V = bench.arm.spec.supply_ohm * bench.arm.spec.stall_current_A
     assert bench.arm.servos[5].voltage_V == pytest.approx(held_V - stall_V, abs=0.02)
     bench.limp()
@@ -344,13 +326,9 @@ def test_arm_left_holding_too_much_overheats_when_its_time_has_come(arm: ArmConf
 @given(st.lists(st.integers(1, 200_000_000_000), max_size=5))
 def test_temperature_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
     at_once, in_pieces = Bench(arm), Bench(arm)
-    for bench in (at_once, in_pieces):
-        bench.goto(WORKING_RAD)
-    for piece in pieces_ns:
-        in_pieces.wait(piece / 1e9)
-    at_once.wait(sum(pieces_ns) / 1e9)
-    cut, whole = ([servo.temperature_degC for servo in bench.arm.servos] for bench in (in_pieces, at_once))
-    assert cut == pytest.approx(whole, abs=1e-9)
+    cut(at_once, in_pieces, pieces_ns)
+    warm, whole = ([servo.temperature_degC for servo in bench.arm.servos] for bench in (in_pieces, at_once))
+    assert warm == pytest.approx(whole, abs=1e-9)
 
 
 def wheel(bench: Bench, index: int, speed: int) -> SimulatedServo:

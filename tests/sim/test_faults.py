@@ -3,7 +3,6 @@
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,7 +19,7 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import _KINDS, DESCRIPTIONS, KINDS, Fault, Faults, parse
 from armctl.sim.loopback import LoopbackPort
-from tests.sim.conftest import WORKING_RAD, Bench
+from tests.sim.conftest import WORKING_RAD, Bench, cut, turned
 
 REPLY = ("lost", "late", "duplicated", "corrupted", "truncated", "wrong_id")
 
@@ -145,11 +144,7 @@ def test_physical_faults_do_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces
         Fault(kind="brown_out", begin_s=1.1003, duration_s=0.7, probability=0.5),
     )
     at_once, in_pieces = Bench(arm, *script), Bench(arm, *script)
-    for bench in (at_once, in_pieces):
-        bench.goto(WORKING_RAD)
-    for piece in pieces_ns:
-        in_pieces.wait(piece / 1e9)
-    at_once.wait(sum(pieces_ns) / 1e9)
+    cut(at_once, in_pieces, pieces_ns)
     assert in_pieces.arm.true_positions().tolist() == at_once.arm.true_positions().tolist()
     assert [s.torque_enabled for s in in_pieces.arm.servos] == [s.torque_enabled for s in at_once.arm.servos]
 
@@ -334,8 +329,7 @@ def test_hot_servo_says_so_and_shuts_down(held: Bench) -> None:
 def test_blocked_joint_stays_and_its_servo_strains(held: Bench) -> None:
     held.begin("blocked_joint", 1)
     before = held.arm.true_positions()[0]
-    target = WORKING_RAD + np.radians([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    held.goto(target, wait_s=3.0)
+    held.goto(turned(math.radians(40.0)), wait_s=3.0)
     assert held.arm.true_positions()[0] == pytest.approx(before, abs=1e-6)
     assert held.arm.servos[0].output == 1.0
     held.wait(4.0)
@@ -345,7 +339,7 @@ def test_blocked_joint_stays_and_its_servo_strains(held: Bench) -> None:
 
 def test_blocked_joint_let_go_moves_again(held: Bench) -> None:
     number = held.begin("blocked_joint", 1)
-    held.goto(WORKING_RAD + np.radians([40.0, 0.0, 0.0, 0.0, 0.0, 0.0]), wait_s=2.0)
+    held.goto(turned(math.radians(40.0)), wait_s=2.0)
     held.end(number)
     held.wait(2.0)
     assert held.arm.true_positions()[0] == pytest.approx(math.radians(40.0), abs=0.05)
@@ -362,8 +356,7 @@ def test_stuck_joints_motor_strains_in_vain(held: Bench) -> None:
 def test_frozen_sensor_reads_one_tick_while_the_joint_runs_away(held: Bench) -> None:
     held.begin("frozen_sensor", 1)
     frozen = {held.hear(read(1)) for _ in range(5)}
-    target = WORKING_RAD + np.radians([20.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    held.goto(target, wait_s=1.0)
+    held.goto(turned(math.radians(20.0)), wait_s=1.0)
     assert {held.hear(read(1))} == frozen
     assert held.arm.servos[0].get(ax12a.PRESENT_SPEED) == 0
     assert held.arm.true_positions()[0] > math.radians(40.0)

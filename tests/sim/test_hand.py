@@ -79,12 +79,6 @@ def test_next_take_begins_where_the_last_one_ended(simulated: SimulatedArm) -> N
     assert np.linalg.norm(second[0] - first[-1]) < 1e-3
 
 
-def test_duration_asked_for_is_kept(simulated: SimulatedArm) -> None:
-    simulated.advance(NS_PER_S)
-    guided = simulated.hand.guide(FROM_M, TO_M, seed=1, duration_s=3.0)
-    assert guided.end_s - guided.begin_s == pytest.approx(3.0)
-
-
 def test_line_out_of_reach_is_refused_and_nobody_holds_the_arm(simulated: SimulatedArm) -> None:
     with pytest.raises(UnreachableTarget):
         simulated.hand.guide(FROM_M, np.array([0.6, 0.0, 0.1]), seed=1)

@@ -1,11 +1,9 @@
 """Programs that armctl did not write, on the simulated arm's pseudo terminal, in real time."""
 
-import contextlib
 import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,32 +19,9 @@ from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, RequestRefused
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.sim.pty import PseudoTerminal, run
+from tests.conformance.conftest import SIMULATOR, simulator
 
 pytestmark = pytest.mark.pty
-
-PROGRAM = """
-import sys
-from pathlib import Path
-from armctl.files import load_arm
-from armctl.sim.pty import run
-run(load_arm("ax12-line"), link=Path(sys.argv[1]), ready=lambda link: print("ready", link, flush=True))
-"""
-
-
-@contextlib.contextmanager
-def simulator(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """The simulator as a program: `run` alone or, with options, `armctl sim`."""
-    command = [sys.executable, "-c", PROGRAM, str(link)]
-    if options:
-        command = [sys.executable, "-m", "armctl", "sim", "--link", str(link), *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == f"ready {link}\n"
-            yield process
-        finally:
-            process.terminate()
-            process.wait(10.0)
 
 
 @pytest.fixture(scope="module")
@@ -236,11 +211,9 @@ def test_signal_ends_it_cleanly_and_nothing_is_left(tmp_path: Path, number: sign
 
 def test_second_simulator_on_the_same_link_is_refused(link: Path) -> None:
     before = os.readlink(link)
-    second = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(link)], capture_output=True, text=True, timeout=30.0, check=False
-    )
+    second = subprocess.run([*SIMULATOR, str(link)], capture_output=True, text=True, timeout=30.0, check=False)
     assert second.returncode != 0
-    assert "another simulator runs here" in second.stderr
+    assert "another simulator runs here" in " ".join(second.stderr.split())
     assert os.readlink(link) == before
 
 

@@ -154,14 +154,6 @@ def test_trip_drops_torque_and_needs_limit_and_enable_to_recover(one: SimulatedS
     assert one.torque_enabled
 
 
-def test_alarm_without_its_shutdown_bit_does_not_trip(one: SimulatedServo) -> None:
-    write(one, ax12a.SHUTDOWN, 0)
-    write(one, ax12a.GOAL, 600)
-    one.protect(overloaded=True)
-    assert one.torque_enabled
-    assert tell(one, Instruction.PING) == Packet(5, ErrorBit.OVERLOAD)
-
-
 def test_heat_and_voltage_stand_in_every_reply_while_they_last(one: SimulatedServo) -> None:
     one.temperature_degC = 71.0
     one.voltage_V = 5.9
@@ -228,11 +220,6 @@ def test_wheel_mode_turns_by_speed_with_bit_10_for_the_direction(
     assert write(one, ax12a.MOVING_SPEED, speed) == 0
     assert one.torque_enabled
     assert one.drive.spin == pytest.approx(spin)
-
-
-def test_outside_wheel_mode_nothing_spins_and_bit_10_is_out_of_range(one: SimulatedServo) -> None:
-    assert one.drive.spin is None
-    assert write(one, ax12a.MOVING_SPEED, 1024) == ErrorBit.RANGE
 
 
 def test_baud_register_means_2_mbps_over_one_more(one: SimulatedServo) -> None:
