@@ -7,6 +7,7 @@ import pytest
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import NO_REPLY, PORT_GONE, ServoBus
+from armctl.errors import PortGone
 from armctl.messages import Goal, Write
 from tests.dynamixel.conftest import ScriptedPort, at, sample_next_tick
 
@@ -26,16 +27,16 @@ def test_port_that_vanishes_within_a_sample_is_data(bus: ServoBus, port: Scripte
     assert all(new.stamp_ns >= old.stamp_ns > 0 for new, old in zip(sample.servos, before.servos, strict=True))
 
 
-def test_port_that_vanishes_while_draining_closes_the_bus(bus: ServoBus, port: ScriptedPort) -> None:
+def test_port_that_vanishes_while_draining_closes_the_bus(
+    bus: ServoBus, port: ScriptedPort, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bus.read_sample()
     port.spoils[1] = [at(16384)]
-    drain = port.drain
 
-    def gone(quiet_ms: float = 0.5) -> int:
-        port.gone_after = 0
-        return drain(quiet_ms)
+    def gone(quiet_ms: float) -> int:
+        raise PortGone("scripted: the port vanished; plug the adapter in again")
 
-    port.drain = gone  # type: ignore[method-assign]
+    monkeypatch.setattr(port, "drain", gone)
     assert not sample_next_tick(bus, port).port_open
     assert not bus.is_open
 
@@ -46,6 +47,8 @@ def test_closed_bus_answers_everything_with_data(bus: ServoBus, port: ScriptedPo
     assert not bus.write_goal(GOAL)
     assert not bus.write(TORQUE_ON)
     assert bus.read(1, ax12a.MODEL) is None
+    assert bus.read_block(1, 0, 3).problem == PORT_GONE
+    assert not bus.answers_twice(1)
     assert [problem.code for problem in bus.identify(arm.joints)] == [PORT_GONE]
     assert port.requests == []
 
@@ -67,6 +70,7 @@ def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ServoBus, port
         lambda: bus.write_goal(GOAL),
         lambda: bus.write(TORQUE_ON),
         lambda: bus.read(1, ax12a.GOAL),
+        lambda: bus.answers_twice(1),
         lambda: bus.identify(arm.joints),
     ]
     for call in calls:
@@ -76,15 +80,14 @@ def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ServoBus, port
         assert (port.is_using, bus.is_open) == (False, False)
 
 
-def test_unexpected_error_in_the_transport_leaves_is_using_false(bus: ServoBus, port: ScriptedPort) -> None:
-    def broken(length: int) -> None:
-        raise RuntimeError("broken")
-
-    fill, port._fill = port._fill, broken  # type: ignore[method-assign]
-    with pytest.raises(RuntimeError):
-        bus.read_sample()
+def test_unexpected_error_in_the_transport_leaves_is_using_false(
+    bus: ServoBus, port: ScriptedPort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as broken:
+        broken.setattr(port, "_fill", None)
+        with pytest.raises(TypeError):
+            bus.read_sample()
     assert not port.is_using
-    port._fill = fill  # type: ignore[method-assign]
     assert bus.read_sample().servos[0].fresh
 
 
@@ -93,10 +96,3 @@ def test_line_that_takes_no_bytes_is_no_reply(bus: ServoBus, port: ScriptedPort)
     assert {reading.problem for reading in bus.read_sample().servos} == {NO_REPLY}
     assert not bus.write_goal(GOAL)
     assert bus.is_open
-
-
-def test_block_of_a_vanished_port_is_data(bus: ServoBus, port: ScriptedPort) -> None:
-    port.gone_after = 0
-    assert bus.read_block(1, 0, 3).problem == PORT_GONE
-    assert not bus.is_open
-    assert not bus.answers_twice(1)

@@ -43,12 +43,6 @@ def test_goal_of_another_arm_is_refused(bus: ServoBus) -> None:
         bus.write_goal(Goal((512,) * 6, (50,) * 5))
 
 
-def test_write_is_confirmed_and_read_back(bus: ServoBus, port: ScriptedPort) -> None:
-    assert bus.write(Write(2, ax12a.TORQUE_LIMIT.address, 2, 300))
-    assert bus.read(2, ax12a.TORQUE_LIMIT) == 300
-    assert bus.read(2, ax12a.MODEL) == 12
-
-
 @given(register=st.sampled_from([register for register in ax12a.REGISTERS if register.writable]), data=st.data())
 @settings(deadline=None)
 def test_read_returns_what_write_wrote_for_every_register(register: ax12a.Register, data: st.DataObject) -> None:

@@ -16,7 +16,7 @@ from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import Fault, Faults
 from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
-WORKING_RAD = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
+WORKING_RAD: FloatArray = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
 
 
 def turned(base_rad: float) -> FloatArray:
