@@ -56,8 +56,6 @@ class SimulatedArm:
         self._overheat_step: int | None = None
         # What each second writer (by its fault) tells each servo.
         self._writer_goals: dict[tuple[int, int], int] = {}
-        # What the joints know of the hand's aim.
-        self._aims: tuple[list[float], list[float]] | None = None
         self.hand = Hand(self)
         # Whether time is held, see `Lockstep` in sim/pty.py.
         self.standing = False
@@ -135,11 +133,8 @@ class SimulatedArm:
             return
         body.resting = False
         begin = body.chunk_begin if body.step < body.chunk_end else body.step
-        aims = self.hand.aim(begin * STEP_S)
-        if aims is not self._aims:
-            self._aims = aims
-            for joint, aim_rad, speed_rad_s in zip(self._joints, *aims, strict=True):
-                joint.take_aim(aim_rad, speed_rad_s)
+        for joint, aim_rad, speed_rad_s in zip(self._joints, *self.hand.aim(begin * STEP_S), strict=True):
+            joint.take_aim(aim_rad, speed_rad_s)
 
     def _take_drive(self, joint: Joint) -> None:
         """Take note of what was written to a joint's servo; writes that change nothing do not wake an arm at rest."""

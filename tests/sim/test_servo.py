@@ -29,15 +29,18 @@ def tell(one: SimulatedServo, instruction: int, parameters: bytes = b"", servo_i
     return reply
 
 
-def write(one: SimulatedServo, register: Register, value: int, instruction: int = Instruction.WRITE) -> int:
-    reply = tell(one, instruction, bytes((register.address,)) + value.to_bytes(register.size, "little"))
+def ask(one: SimulatedServo, instruction: int, parameters: bytes = b"") -> Packet:
+    reply = tell(one, instruction, parameters)
     assert reply is not None
-    return reply.code
+    return reply
+
+
+def write(one: SimulatedServo, register: Register, value: int, instruction: int = Instruction.WRITE) -> int:
+    return ask(one, instruction, bytes((register.address,)) + value.to_bytes(register.size, "little")).code
 
 
 def read(one: SimulatedServo, register: Register) -> int:
-    reply = tell(one, Instruction.READ, bytes((register.address, register.size)))
-    assert reply is not None
+    reply = ask(one, Instruction.READ, bytes((register.address, register.size)))
     assert reply.code == 0
     return int.from_bytes(reply.parameters, "little")
 
@@ -66,8 +69,7 @@ def test_every_register_keeps_its_access_and_range(register: Register, value: in
 @settings(deadline=None)
 @given(st.integers(0, 255), st.integers(0, 255))
 def test_a_read_beyond_the_table_is_a_range_error(begin: int, size: int) -> None:
-    reply = tell(servo(), Instruction.READ, bytes((begin, size)))
-    assert reply is not None
+    reply = ask(servo(), Instruction.READ, bytes((begin, size)))
     if 0 < size <= ax12a.TABLE_SIZE - begin:
         assert reply.code == 0
         assert len(reply.parameters) == size
@@ -158,9 +160,7 @@ def test_heat_and_voltage_stand_in_every_reply_while_they_last(one: SimulatedSer
     one.temperature_degC = 71.0
     one.voltage_V = 5.9
     assert tell(one, Instruction.PING) == Packet(5, ErrorBit.OVERHEAT | ErrorBit.VOLTAGE)
-    reply = tell(one, Instruction.READ, bytes((42, 2)))
-    assert reply is not None
-    assert reply.parameters == bytes((59, 71))
+    assert ask(one, Instruction.READ, bytes((42, 2))).parameters == bytes((59, 71))
     write(one, ax12a.TORQUE_ENABLE, 1)
     one.protect()
     assert not one.torque_enabled
