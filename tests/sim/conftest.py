@@ -21,7 +21,9 @@ WORKING_RAD: FloatArray = np.radians([0.0, 75.0, -60.0, -45.0, -45.0, 0.0])
 
 def turned(base_rad: float) -> FloatArray:
     """The working pose with its base turned."""
-    return WORKING_RAD + np.array([base_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
+    pose = WORKING_RAD.copy()
+    pose[0] += base_rad
+    return pose
 
 
 @pytest.fixture(scope="session")
