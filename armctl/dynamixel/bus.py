@@ -209,20 +209,18 @@ class ServoBus:
     def read(self, servo_id: int, register: Register) -> int | None:
         """Value of one register; None: no good reply."""
         begin = max(0, register.address - 1)  # three bytes, never two: rule 6
-        reply = self.read_block(servo_id, begin, 3)
+        reply = self._read(servo_id, begin, 3)
         return None if reply.problem else ax12a.register_value(register, reply.data, begin)
 
-    def read_block(self, servo_id: int, begin: int, size: int, *, tries: int = 2) -> Reply:
+    def read_block(self, servo_id: int, begin: int, size: int) -> Reply:
         """Bytes of a servo's control table, with its error bits and the time it took; trouble is in the reply.
 
-        Args:
-            tries: How often it is asked until a reply is good.
         Raises:
             ValueError: two bytes asked for (rule 6), or no such servo id.
         """
         if size == 2:
             raise ValueError("a read of two bytes looks like a reply to itself; read three")
-        return self._ask(servo_id, INST_READ, (begin, size), size, tries)
+        return self._read(servo_id, begin, size)
 
     def answers_twice(self, servo_id: int) -> bool:
         """Whether more than one servo answers to an id: replies with changing content collide, or follow each other.
@@ -239,7 +237,7 @@ class ServoBus:
         return doubled > len(CONFIRM_QUIET_MS) // 2
 
     def _is_doubled(self, servo_id: int) -> bool:
-        reply = self.read_block(servo_id, *STATUS_BLOCK, tries=1)
+        reply = self._read(servo_id, *STATUS_BLOCK, tries=1)
         return reply.problem == BUS_NOISE or self._drain() > 0
 
     # ------------------------------------------------------------------------------------------- connecting
@@ -256,7 +254,7 @@ class ServoBus:
         port = self.port
         port.allow_latency(IDENTIFY_LATENCY_MS)
         port.begin_round(IDENTIFY_PATIENCE_NS)
-        tables = [self.read_block(joint.servo_id, *EEPROM) for joint in joints]
+        tables = [self._read(joint.servo_id, *EEPROM) for joint in joints]
         if all(table.problem for table in tables):
             port.allow_latency(ADAPTER_LATENCY_MS)
             garbled = any(table.problem == BUS_NOISE for table in tables)
@@ -266,7 +264,7 @@ class ServoBus:
                 break
             self._drain(quiet_ms)
             tables = [
-                self.read_block(joint.servo_id, *EEPROM, tries=1) if table.problem else table
+                self._read(joint.servo_id, *EEPROM, tries=1) if table.problem else table
                 for joint, table in zip(joints, tables, strict=True)
             ]
         self.firmware = tuple(
@@ -301,7 +299,7 @@ class ServoBus:
         latencies_ms = added_ms(tables)
         if median(latencies_ms) > SLOW_ADAPTER_MS:
             answering = next(joint for joint, table in zip(joints, tables, strict=True) if not table.problem)
-            probes = [self.read_block(answering.servo_id, *EEPROM, tries=1) for _ in range(LATENCY_PROBES)]
+            probes = [self._read(answering.servo_id, *EEPROM, tries=1) for _ in range(LATENCY_PROBES)]
             latencies_ms = added_ms([*tables, *probes])
         latency_ms, allowance_ms = latencies_ms[len(latencies_ms) // 4], max(ADAPTER_LATENCY_MS, median(latencies_ms))
         if latency_ms > SLOW_ADAPTER_MS:
@@ -336,6 +334,9 @@ class ServoBus:
     def _miss(self, track: _Track, problem: str) -> None:
         track.misses = track.misses + 1 if problem == NO_REPLY else 0
         track.reading = replace(track.reading, fresh=False, problem=problem)
+
+    def _read(self, servo_id: int, begin: int, size: int, tries: int = 2) -> Reply:
+        return self._ask(servo_id, INST_READ, (begin, size), size, tries)
 
     def _ask(
         self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int, tries: int = 2

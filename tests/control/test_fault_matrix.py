@@ -30,8 +30,7 @@ bad checksum, garbage, echo, wrong id, late reply: BUS_NOISE
     test_motion_no_servo_can_make_is_noise
     test_damaged_replies_above_a_tenth_latch_and_below_do_not
 two servos with one id: DUPLICATE_ID
-    test_second_reply_hints_at_two_servos_with_one_id
-    test_colliding_replies_hint_at_two_servos_with_one_id
+    test_doubled_replies_hint_at_two_servos_with_one_id
     test_problems_found_at_connection_forbid_torque_until_they_are_gone
 a servo silent: SERVO_SILENT
     test_a_silent_servo_latches_and_the_others_hold
@@ -52,7 +51,7 @@ another program on the port: OTHER_WRITER
     test_settings_that_change_by_themselves_latch_in_one_tick
 adapter latency 16 ms: SLOW_ADAPTER
     test_low_latency_is_read_back_from_the_driver
-    test_slow_adapter_is_told_from_a_dead_bus_and_still_read
+    test_slow_adapter_is_told_from_a_usual_one_and_from_a_dead_bus_and_still_read
     test_problems_found_at_connection_forbid_torque_until_they_are_gone
 brown-out, servo reboot: LOST_TORQUE
     test_what_a_servo_reports_against_us_latches_in_one_tick
@@ -68,7 +67,7 @@ tripped (torque limit 0): TRIPPED
 blocked joint, stuck sensor: BLOCKED
     test_a_blocked_joint_latches_and_its_goal_becomes_its_position_once
 EEPROM differs from the calibration, wheel mode: EEPROM_MISMATCH WRONG_MODEL
-    test_eeprom_that_forbids_motion_is_shown
+    test_eeprom_that_forbids_motion_is_shown_and_no_other
     test_other_model_is_named_and_its_table_not_judged
     test_servo_of_another_model_is_named_and_torque_refused
 goal outside limits, NaN, inf: LIMIT
