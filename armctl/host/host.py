@@ -24,9 +24,9 @@ from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, Control, Exchange, restarting
 from armctl.host.lease import Client, Leases
-from armctl.host.motions import Done, Leg, Watch, refuse_collision, run_name
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshot
 from armctl.host.teaching import TakeRecorder, Takes, Teaching
+from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (
     Clear,

@@ -1,65 +1,27 @@
-"""Motions as clients ask for them: where a move goes, what is seen of a motion, and what it is judged by."""
+"""Motions as clients ask for them: run, move and transfer, where they go and what they are judged by."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.host.host import Host
+from armctl.host.lease import Client
+from armctl.host.watch import Done, Watch
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import JointTrajectory, Reply, TickRecord
+from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
-from armctl.trajectory.collision import judged_pairs, link_clearance, link_points
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.straightness import max_error, mean_error
 from armctl.trajectory.target import MoveRequest, joints_at_point, joints_at_pose
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
-
-if TYPE_CHECKING:
-    from armctl.host.host import Host
-    from armctl.host.lease import Client
-
-# How far ahead of a jog collisions are looked for: heartbeat, stop and then some.
-JOG_LOOK_S = 0.5
-JOG_LOOKS = 11
-SAME_M = 1e-6
-
-# Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run.
-Leg = Callable[[Sequence[float], Sequence[float]], JointTrajectory]
-
-
-@dataclass
-class Watch:
-    """What is seen of the arm while it moves."""
-
-    time_ns: list[int] = field(default_factory=list)
-    positions_rad: list[tuple[float, ...]] = field(default_factory=list)
-    marks_ns: dict[str, int] = field(default_factory=dict)
-
-    def see(self, record: TickRecord) -> None:
-        self.time_ns.append(record.inputs.sample.time_ns)
-        self.positions_rad.append(tuple(joint.position_rad for joint in record.outputs.joints))
-        for event in record.outputs.events:
-            if event.code in ("PLAN_BEGIN", "PLAN_END"):
-                self.marks_ns[event.code] = record.inputs.sample.time_ns
-
-
-@dataclass(frozen=True)
-class Done:
-    """A leg that was run to its end."""
-
-    trajectory: JointTrajectory
-    watch: Watch
-    reply: Reply
 
 
 async def run(host: Host, client: Client, plan: Plan) -> dict[str, Any]:
@@ -182,31 +144,3 @@ def line_result(plan: Plan, watch: Watch, robot: Robot) -> dict[str, Any]:
         "begin_ns": begin_ns,
         "end_ns": end_ns,
     }
-
-
-def refuse_collision(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, robot: Robot) -> None:
-    """Look where a jog of the joints leads within `JOG_LOOK_S`; links that overlap already may come apart.
-
-    Limits and floor are the control step's; here it is the links that must not touch each other.
-
-    Raises:
-        RequestRefused: code PREFLIGHT, naming the links.
-    """
-    n, radius_m = robot.chain.n, arm.link_radius_m
-    time_s = np.linspace(0.0, JOG_LOOK_S, JOG_LOOKS)[:, None]
-    low, high = np.array([joint.limits_rad for joint in arm.joints[:n]]).T
-    here = np.array(q_now[:n])
-    ahead = np.clip(here + time_s * np.array(joints_rad_s[:n]), np.minimum(low, here), np.maximum(high, here))
-    points = link_points(robot.chain, ahead)
-    pairs = judged_pairs(points[0], radius_m)
-    gap_m = link_clearance(points, pairs, radius_m)
-    closing = (gap_m < np.minimum(gap_m[0], 0.0) - SAME_M).any(axis=0)
-    if closing.any():
-        first, second = pairs[int(closing.argmax())].tolist()
-        raise RequestRefused("PREFLIGHT", f"links {first + 1} and {second + 1} would touch; jog another way")
-
-
-def run_name(label: str) -> str:
-    """A recording's name: what ran, and when."""
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%f")[:-3]
-    return f"run-{re.sub('[^A-Za-z0-9._-]', '-', label)[:32]}-{stamp}Z"

@@ -9,7 +9,7 @@ from armctl.clock import NS_PER_S
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.host.host import Host
 from armctl.host.lease import Client
-from armctl.host.motions import Leg
+from armctl.host.watch import Leg
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory

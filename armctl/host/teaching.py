@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from armctl.config import ArmConfig
 from armctl.errors import IllegalTransition
-from armctl.host.lease import Client
+from armctl.host.exchange import Exchange
+from armctl.host.lease import Client, Leases
 from armctl.messages import Mode, Teach, TeachEnd, TickRecord
-
-if TYPE_CHECKING:
-    from armctl.host.host import Host
 
 _NO_TAKE = "no take is being recorded; take_begin comes first"
 
@@ -54,10 +53,23 @@ class Takes:
                 self.name = None
 
 
+class TeachingHost(Protocol):
+    """The host as far as teaching needs it."""
+
+    arm: ArmConfig
+    exchange: Exchange
+    leases: Leases
+    takes: Takes
+    latest: TickRecord | None
+
+    def note(self, message: dict[str, Any]) -> None: ...
+    def state(self) -> dict[str, Any]: ...
+
+
 class Teaching:
     """What a teaching client asks for; it holds the lease until `end`, and leaves a limp arm however it goes."""
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: TeachingHost) -> None:
         self._host = host
         self._hurried = False
 
