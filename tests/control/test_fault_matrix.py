@@ -101,7 +101,8 @@ SIGKILL of any process: RESTARTED
     test_killed_control_process_stops_the_arm_and_another_adopts_it
     test_killed_host_stops_the_arm_and_the_next_recovers_log_and_arm
 power lost while logging:
-    test_a_cut_anywhere_yields_only_true_values_and_everything_flushed
+    test_a_cut_loses_the_chunk_it_hits_and_nothing_else
+    test_recovery_of_cuts_at_random_places_is_finished_true_and_says_what_was_lost
     test_the_start_recovers_every_part_but_those_being_written
 disk full, folder unwritable: NO_SPACE
     test_a_full_disk_stops_recording_and_nothing_else
