@@ -1,4 +1,4 @@
-// The dashboard. Everything that comes from the daemon is put into text nodes, never into markup.
+// The dashboard. Everything that comes from the daemon goes into text nodes and never into markup, so it cannot run as code.
 
 const token = takeToken();
 const $ = (id) => document.getElementById(id);
@@ -43,7 +43,7 @@ function tell(text) {
   $("message").hidden = !text;
 }
 
-// Carries out what a button asks for; a refusal is shown, and the button rests meanwhile.
+// Does what a button asks for. The button is disabled until it is done. A refusal is shown.
 async function act(button, work) {
   tell("");
   if (button) button.disabled = true;
@@ -65,7 +65,7 @@ async function stop() {
   try {
     await post("/stop");
   } catch (error) {
-    tell(`STOP WAS NOT SERVED (${error.message}). Use the power switch if the arm must stop; support it first.`);
+    tell(`STOP FAILED (${error.message}). If the arm must stop, support it first, then use the power switch.`);
   } finally {
     setTimeout(() => delete button.dataset.sent, 600);
   }
@@ -77,7 +77,7 @@ function confirmed(text, yes) {
   const dialog = $("confirm");
   if (dialog.open) dialog.close("no");
   dialog.returnValue = "no";
-  dialog.show();  // never modal: STOP has to stay within reach
+  dialog.show();  // not modal: STOP must work while a question is open
   return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
 }
 
@@ -258,7 +258,7 @@ function around(paths) {
   return Object.fromEntries(bounds.map(([name, low, high]) => [name, [(low + high) / 2 - half, (low + high) / 2 + half]]));
 }
 
-// Charts that stand get the colours of the page anew.
+// Charts that are already drawn take the page's new colours.
 function repaint() {
   const look = layout();
   const flat = { "font.color": ink() };
@@ -346,7 +346,7 @@ async function toggleTake() {
     const name = taking;
     await post("/take/end");
     taking = null;
-    $("teach-figures").textContent = `${name} is kept`;
+    $("teach-figures").textContent = `${name} is saved`;
     await loadTakes();
   } else {
     const name = freeName($("take-name").value || "take");
@@ -376,7 +376,7 @@ async function drawGenerations() {
 
 async function optimise(form) {
   const line = wantedLine();
-  if (!line) throw new Refused("the line needs two different points of three numbers each");
+  if (!line) throw new Refused("the line needs two different points; each point has three numbers");
   const chosen = takes.filter((take) => take.chosen).map((take) => take.name);
   if (!chosen.length) throw new Refused("choose at least one take above");
   Object.values(generations).forEach((list) => { list.length = 0; });
@@ -389,13 +389,13 @@ async function optimise(form) {
     name: stem, recordings: chosen, from_m: line[0], to_m: line[1], via: [via], duration_s: Number(form.elements.duration_s.value), seed: 0,
   });
   const [plan] = result.plans;
-  generations.best = result.history.best_cost_mm;  // all of them: on the way only some were told
+  generations.best = result.history.best_cost_mm;  // all generations: progress messages contained only some of them
   generations.mean = result.history.mean_cost_mm;
   generations.x = generations.best.map((_, i) => i);
   await drawGenerations();
   $("optimise-figures").textContent = `genetic algorithm ${millimetres(result.ga.mean_error_mm)}, exact optimum ` +
-    `${millimetres(result.exact.mean_error_mm)}; with ${plan.via} points the motion is predicted ` +
-    `${millimetres(plan.predicted_mean_error_mm)} off on average, ${millimetres(plan.predicted_max_error_mm)} at most`;
+    `${millimetres(result.exact.mean_error_mm)}; predicted distance from the line with ${plan.via} points: ` +
+    `${millimetres(plan.predicted_mean_error_mm)} on average, ${millimetres(plan.predicted_max_error_mm)} at most`;
   await loadPlanChoice(plan.name);
 }
 
@@ -423,7 +423,7 @@ async function run() {
   try {
     result = await post(`/plans/${encodeURIComponent(name)}/run`);
   } catch (error) {
-    $("run-figures").textContent = "the run did not end well";
+    $("run-figures").textContent = "the run failed";
     throw error;
   }
   $("run-figures").textContent = `${result.recording}: ${millimetres(result.mean_error_mm)} off the line on average, ` +
@@ -435,7 +435,7 @@ async function run() {
   drawDeviation("run-plot", [["predicted", plan.tool_m], ["measured", proper(recording)]], A, B);
 }
 
-// The tool path of a run's plan proper, of a take everything.
+// The tool path to compare: of a run only the part that the plan describes, of a take everything.
 function proper(recording) {
   if (!recording.plan_s) return recording.tool_m;
   const [begin, end] = recording.plan_s;
@@ -607,7 +607,7 @@ function wire() {
   $("line-form").addEventListener("submit", (event) => event.preventDefault());
   $("line-form").addEventListener("input", () => {
     const line = wantedLine();
-    $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "three numbers each, separated by commas";
+    $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "write three numbers for each point, separated by commas";
   });
   $("plan-choice").addEventListener("change", controls);
   $("run").addEventListener("click", (event) => act(event.target, run));
