@@ -72,7 +72,7 @@ def test_the_proof_notices_a_name_removed_before_the_new_one_is_on_the_disk(monk
         disk.sync_folder(new.parent)
 
     monkeypatch.setattr(Disk, "name", careless)
-    assert any(powercut.cut(seed=1, shard=shard, runs=80, after_kinds=("remove",)).violations for shard in range(5))
+    assert powercut.cut(seed=1, shard=1, runs=80, after_kinds=("remove",)).violations > 0
 
 
 def test_a_cut_keeps_what_was_synced_and_may_lose_or_keep_the_rest(tmp_path: Path) -> None:
