@@ -248,29 +248,15 @@ def diagnostics(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Message:
     """Mode and fault of the arm, and the health of every servo."""
     outputs, sample = record.outputs, record.inputs.sample
     fault = outputs.fault
-    status = [
-        _status(
-            2 if fault is not None else 0,
-            "armctl: arm",
-            f"{outputs.mode}" if fault is None else f"{outputs.mode}: {fault.code}: {fault.text}",
-            arm.arm_id,
-            {"mode": outputs.mode, "fault": "" if fault is None else fault.code, "port_open": sample.port_open},
-        )
-    ]
+    facts = {"mode": outputs.mode, "fault": fault.code if fault else "", "port_open": sample.port_open}
+    message = f"{outputs.mode}: {fault.code}: {fault.text}" if fault else f"{outputs.mode}"
+    status = [_status(2 if fault else 0, "arm", message, arm.arm_id, facts)]
     for config, joint, reading in zip(arm.joints, outputs.joints, sample.servos, strict=True):
-        values = {key: getattr(joint, key) for key in _HEALTH}
-        errors = " ".join(ax12a.ErrorBit.names(reading.error)) if reading.error else ""
-        message = reading.problem or errors or "ok"
-        level = 3 if not joint.known else 1 if message != "ok" else 0
-        status.append(
-            _status(
-                level,
-                f"armctl: {config.name}",
-                message if joint.known else "never answered",
-                f"servo {config.servo_id}",
-                values if joint.known else {},
-            )
-        )
+        level, message, facts = 3, "never answered", {}
+        if joint.known:
+            message = reading.problem or " ".join(ax12a.ErrorBit.names(reading.error)) or "ok"
+            level, facts = int(message != "ok"), {key: getattr(joint, key) for key in _HEALTH}
+        status.append(_status(level, config.name, message, f"servo {config.servo_id}", facts))
     return DIAGNOSTICS, {"header": _header(anchor.epoch_ns(sample.time_ns), BASE), "status": status}
 
 
@@ -352,24 +338,22 @@ def _servos(readings: Sequence[ServoReading], names: Sequence[str], header: Valu
 
 
 def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig) -> Value:
+    unsaid: Value = {key: [] for key in ("velocities", "accelerations", "effort")}
+
     def point(index: int, positions: tuple[float, ...]) -> Value:
-        return {
-            "positions": list(positions),
-            "velocities": [],
-            "accelerations": [],
-            "effort": [],
-            "time_from_start": _stamp(round(index * trajectory.period_s * NS_PER_S)),
-        }
+        time_ns = round(index * trajectory.period_s * NS_PER_S)
+        return unsaid | {"positions": list(positions), "time_from_start": _stamp(time_ns)}
 
     points = [point(index, positions) for index, positions in enumerate(trajectory.positions_rad)]
     return {"header": header, "joint_names": list(arm.joint_names), "points": points}
 
 
-def _status(level: int, name: str, message: str, hardware_id: str, values: dict[str, object]) -> Value:
+def _status(level: int, name: str, message: str, hardware_id: str, facts: dict[str, Any]) -> Value:
+    values = [{"key": key, "value": str(value)} for key, value in facts.items()]
     return {
         "level": level,
-        "name": name,
+        "name": f"armctl: {name}",
         "message": message,
         "hardware_id": hardware_id,
-        "values": [{"key": key, "value": str(value)} for key, value in values.items()],
+        "values": values,
     }

@@ -20,8 +20,11 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
+from armctl import __version__
 from armctl.errors import LogError
 
+PROFILE = "ros2"
+LIBRARY = f"armctl {__version__}"
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 2**20
 MAX_CHUNK_BYTES = 16 * 2**20
@@ -52,9 +55,7 @@ class ChunkWriter:
         chunk_bytes: A chunk is ended when it holds this much, inflated; below `MAX_CHUNK_BYTES`.
     """
 
-    def __init__(
-        self, stream: BinaryIO, profile: str, library: str, *, level: int = LEVEL, chunk_bytes: int = CHUNK_BYTES
-    ) -> None:
+    def __init__(self, stream: BinaryIO, *, level: int = LEVEL, chunk_bytes: int = CHUNK_BYTES) -> None:
         self._stream, self._chunk_bytes = stream, chunk_bytes
         self._pack = MESSAGE.pack
         self._compress = zstandard.ZstdCompressor(level=level).compress
@@ -65,7 +66,7 @@ class ChunkWriter:
         self._body = bytearray()
         self._entries: dict[int, list[int]] = {}
         self._begin_ns, self._end_ns = 2**64 - 1, 0
-        self._write(MAGIC + _bytes(records.Header(profile, library)))
+        self._write(MAGIC + _bytes(records.Header(PROFILE, LIBRARY)))
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Number of a new schema."""

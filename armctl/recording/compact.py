@@ -20,7 +20,6 @@ from armctl.recording.disk import DISK, Disk, new_file, owned
 from armctl.recording.log_file import LogFile
 from armctl.recording.quota import stored_logs
 from armctl.recording.rewrite import Rewrite
-from armctl.recording.writer import LIBRARY, PROFILE
 
 # Metadata record of a file that needs no more compacting.
 COMPACTED = "compacted"
@@ -43,7 +42,7 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
         if COMPACTED in log.metadata:
             return False
         with new_file(path, disk, suffix=_UNFINISHED, replacing=True) as stream:
-            writer = ChunkWriter(stream, PROFILE, LIBRARY, level=LEVEL, chunk_bytes=CHUNK_BYTES)
+            writer = ChunkWriter(stream, level=LEVEL, chunk_bytes=CHUNK_BYTES)
             writer.add_metadata(COMPACTED, {"from_bytes": str(path.stat().st_size)})
             Rewrite(log, writer).add_all()
             writer.finish()

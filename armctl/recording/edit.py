@@ -28,7 +28,6 @@ from armctl.recording.disk import PART, new_file
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.replay import MERGED, LogSetup, Rerun, log_setup
 from armctl.recording.rewrite import Rewrite
-from armctl.recording.writer import LIBRARY, PROFILE
 
 TRIMMED = "trimmed"
 # Most messages kept since the last keyframe, to compute the state at a cut; several times what is between two.
@@ -260,7 +259,7 @@ class _Before:
 def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str]) -> Iterator[Rewrite]:
     """A new file that begins with the head of `log`; it ends with what else the last log has shown by then."""
     with new_file(out) as stream:
-        writer = ChunkWriter(stream, PROFILE, LIBRARY)
+        writer = ChunkWriter(stream)
         rewrite = Rewrite(log, writer, name, facts)
         yield rewrite
         rewrite.keep()
@@ -272,9 +271,7 @@ def _stamped(value: Value, epoch_ns: int) -> Value:
     stamp = {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
     if "header" in value:
         return value | {"header": value["header"] | {"stamp": stamp}}
-    return {
-        key: [_stamped(transform, epoch_ns) for transform in part]
-        if isinstance(part, list) and key == "transforms"
-        else part
-        for key, part in value.items()
-    }
+    transforms = value.get("transforms")
+    if isinstance(transforms, list):
+        return value | {"transforms": [_stamped(transform, epoch_ns) for transform in transforms]}
+    return value

@@ -42,12 +42,9 @@ _CHUNK, _MESSAGE_INDEX, _DATA_END = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
 _PRIVATE = 0x80
 # Records whose content is kept; messages and chunks are read apart.
 _KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
-    Opcode.HEADER: Header,
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.METADATA: Metadata,
-    Opcode.SCHEMA: Schema,
+    Opcode.HEADER: Header, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata, Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
-}
+}  # fmt: skip
 _INDEX_LENGTH = struct.Struct("<I")
 
 

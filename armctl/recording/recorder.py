@@ -71,7 +71,7 @@ class Recorder:
         self.dropped_records = 0
         self._closing = False
         # The thread's own.
-        compactor = compactor or Compaction()
+        compactor = compactor or Compaction().start
         self._files = Files(context, log_dir, clock=self._clock, wall_ns=wall_ns, disk=disk, compactor=compactor)
         self._flushed_ns, self._flush_took_ns = self._clock.now_ns(), 0
         self._slow_problem = ""

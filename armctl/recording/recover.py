@@ -18,7 +18,6 @@ from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, PART, Disk, PartInUse, new_file, owned, writing
 from armctl.recording.log_file import LogFile
 from armctl.recording.rewrite import Rewrite
-from armctl.recording.writer import LIBRARY, PROFILE
 
 BROKEN = ".broken"
 # Metadata record of a recovered file: what it was made from, and what was lost.
@@ -52,7 +51,7 @@ def recover(path: Path, target: Path | None = None, *, disk: Disk = DISK) -> Rec
     target = target or _free_name(path)
     with owned(path), LogFile(path) as log:
         with new_file(target, disk, suffix=_UNFINISHED) as stream:
-            writer = ChunkWriter(stream, PROFILE, LIBRARY)
+            writer = ChunkWriter(stream)
             messages = Rewrite(log, writer).add_all()
             if messages == 0:
                 raise LogError(f"{path}: holds no intact message; nothing to recover")

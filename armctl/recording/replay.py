@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig, parse_yaml, validate
@@ -34,14 +34,11 @@ PROGRESS_TICKS = 500
 # Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic.
 MERGED = "merged"
 _COMPARED = (
-    channels.JOINT_STATES,
-    channels.JOINT_COMMANDS,
-    channels.TF,
-    channels.TCP_POSE,
-    channels.JOINT_TRAJECTORY,
-    channels.COMMAND,
-    channels.ROSOUT,
-)
+    channels.JOINT_STATES, channels.JOINT_COMMANDS, channels.TF, channels.TCP_POSE, channels.JOINT_TRAJECTORY,
+    channels.COMMAND, channels.ROSOUT,
+)  # fmt: skip
+# A control step (see control/step.py); the last argument is its period [s].
+Step = Callable[[State, Inputs, ArmConfig, Robot, float], tuple[State, Outputs]]
 
 
 @dataclass(frozen=True)
@@ -56,14 +53,6 @@ class ReplayResult:
     first_mismatch: str
     # Of the armctl that made the log: another one may decide otherwise.
     version: str
-
-
-class Step(Protocol):
-    """A control step (see control/step.py)."""
-
-    def __call__(
-        self, state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: float, /
-    ) -> tuple[State, Outputs]: ...
 
 
 @dataclass(frozen=True)

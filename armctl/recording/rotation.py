@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
-from typing import Protocol
 
 from armctl.clock import NS_PER_S, Clock
 from armctl.errors import LogError
@@ -36,13 +35,9 @@ MAX_RECORDS = 2000
 CLOCK_STEP_NS = NS_PER_S // 2
 LOG, TAKE, SNAPSHOT = "log", "take", "snapshot"
 Ticks = tuple[TickRecord, ...]
+# Compacts the finished logs of a folder, some time.
+Compactor = Callable[[Path], object]
 _log = logging.getLogger(__name__)
-
-
-class Compactor(Protocol):
-    """Compacts the finished logs of a folder, some time."""
-
-    def start(self, folder: Path) -> None: ...
 
 
 class History:
@@ -193,7 +188,7 @@ class Files:
         if age_s >= limits.rotate_s or log.size_bytes >= limits.rotate_bytes:
             self.close(LOG)
             try:
-                self._compactor.start(self._folder)
+                self._compactor(self._folder)
             except OSError as error:
                 _log.warning("%s: not compacted: %s", log.path, error)
 
@@ -244,15 +239,8 @@ class Files:
         paths = (self._folder / name for name in names)
         path = next(path for path in paths if not path.exists() and not path.with_name(path.name + PART).exists())
         keyframe, inputs_only, records = self._history.beginning(begin_ns)
-        self._open[kind] = LogWriter(
-            path,
-            self._context,
-            keyframe=keyframe,
-            previous=previous,
-            anchor=anchor,
-            inputs_only=inputs_only,
-            disk=self._disk,
-        )
+        self._open[kind] = LogWriter(path, self._context, previous=previous, anchor=anchor, disk=self._disk)
+        self._open[kind].begin(keyframe, inputs_only)
         return records
 
     # ------------------------------------------------------------------------------------------ failures

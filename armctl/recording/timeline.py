@@ -35,14 +35,9 @@ _TORQUE, _VOLTAGE, _TEMPERATURE = (
     for register in (ax12a.TORQUE_ENABLE, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
 )
 _TOPICS = (
-    channels.SERVOS,
-    channels.JOINT_STATES,
-    channels.TCP_POSE,
-    channels.DIAGNOSTICS,
-    channels.ROSOUT,
-    channels.COMMAND,
-    channels.CYCLE,
-)
+    channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE, channels.DIAGNOSTICS, channels.ROSOUT,
+    channels.COMMAND, channels.CYCLE,
+)  # fmt: skip
 _UNKNOWN_TOOL = (math.nan,) * 7
 
 

@@ -34,8 +34,6 @@ from armctl.recording.disk import DISK, PART, Disk, publish, writing
 from armctl.recording.schemas import schema_text, short_name
 from armctl.recording.templates import Encoded, TickEncoder
 
-LIBRARY = f"armctl {__version__}"
-PROFILE = "ros2"
 # Attachment: schemas, channels and everything of the metadata record, with a checksum over it.
 SEED = "armctl.json"
 DIAGNOSTICS_PERIOD_NS = NS_PER_S
@@ -59,11 +57,8 @@ class LogWriter:
 
     Args:
         path: Final name.
-        keyframe: State of the control step (JSON) before the first tick that is written; empty: not known.
         previous: Name of the file before this one.
         anchor: Clock anchor of the file; now, if none is given.
-        inputs_only: Ticks between the keyframe and the file's own beginning. Only their inputs are written, so
-            that a replay can begin at the keyframe although the file begins later.
         disk: Where the file goes.
     Raises:
         LogError: the name is taken, or the file cannot be written. After an error of any method the only
@@ -75,10 +70,8 @@ class LogWriter:
         path: Path,
         context: LogContext,
         *,
-        keyframe: str = "",
         previous: str = "",
         anchor: Anchor | None = None,
-        inputs_only: Sequence[TickRecord] = (),
         disk: Disk = DISK,
     ) -> None:
         self.path, self.part = path, path.with_name(path.name + PART)
@@ -87,7 +80,8 @@ class LogWriter:
         self.begin_ns = self.anchor.monotonic_ns
         self._disk = disk
         self._encoder = TickEncoder(context.arm, context.robot)
-        self._keyframe, self._inputs_only = keyframe, inputs_only
+        self._keyframe = ""
+        self._inputs_only: Sequence[TickRecord] = ()
         self._begun = self._named = False
         self._sequence = 0
         self._diagnosed: tuple[object, ...] = ()
@@ -98,7 +92,7 @@ class LogWriter:
             self._stream = disk.create(self.part)
         try:
             with writing(self.part):
-                self._writer = ChunkWriter(self._stream, PROFILE, LIBRARY)
+                self._writer = ChunkWriter(self._stream)
                 self._channels = self._head(previous)
                 self._stream.flush()
                 self._head_bytes = self._writer.offset
@@ -113,8 +107,14 @@ class LogWriter:
         """What has gone to the file since its head."""
         return self._writer.offset - self._head_bytes
 
-    def begin(self, keyframe: str, inputs_only: Sequence[TickRecord]) -> None:
-        """Give keyframe and earlier ticks after the construction but before the first tick."""
+    def begin(self, keyframe: str, inputs_only: Sequence[TickRecord] = ()) -> None:
+        """Say before the first tick where a replay can begin.
+
+        Args:
+            keyframe: State of the control step (JSON) before the first tick that is written; empty: not known.
+            inputs_only: Ticks between the keyframe and the file's own beginning. Only their inputs are written, so
+                that a replay can begin at the keyframe although the file begins later.
+        """
         assert not self._begun
         self._keyframe, self._inputs_only = keyframe, inputs_only
 

@@ -1,6 +1,6 @@
 """Log files for tests: written from tick records, and read back as they are."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,11 +26,14 @@ def write(
     flush_ticks: int = 10,
     finish: bool = True,
     context: LogContext = CONTEXT,
+    keyframe: str = "",
+    inputs_only: Sequence[TickRecord] = (),
     **options: Any,
 ) -> Path:
     """A file of these records, flushed every so many ticks; the part that is left where it is not finished."""
     arguments: dict[str, Any] = {"anchor": ANCHOR, "disk": DISK} | options
     writer = LogWriter(path, context, **arguments)
+    writer.begin(keyframe, inputs_only)
     for record in records:
         writer.write_tick(record)
         if record.inputs.tick % flush_ticks == flush_ticks - 1:

@@ -16,31 +16,22 @@ from tests.recording.factory import CONTEXT
 WALL_NS = 1_750_000_000 * NS_PER_S
 
 
-class Compactor:
-    """Notes what it is asked to do."""
-
-    def __init__(self) -> None:
-        self.folders: list[Path] = []
-
-    def start(self, folder: Path) -> None:
-        self.folders.append(folder)
-
-
 class Rig:
     """A recorder on a clock of the test's own, in step with its thread through `settle`."""
 
-    def __init__(self, folder: Path, **log: Any) -> None:
+    def __init__(self, folder: Path, compactor: Callable[[Path], object] | None = None, **log: Any) -> None:
         self.logs, self.takes = folder / "logs", folder / "recordings"
         self.clock = VirtualClock(5 * NS_PER_S)
         self.wall_offset_ns = WALL_NS
-        self.compactor = Compactor()
+        # Folders that were to be compacted.
+        self.compacted: list[Path] = []
         self.recorder = Recorder(
             replace(CONTEXT, config=Config(log=LogConfig(free_bytes=log.pop("free_bytes", 0), **log))),
             self.logs,
             self.takes,
             clock=self.clock,
             wall_ns=lambda: self.clock.now_ns() + self.wall_offset_ns,
-            compactor=self.compactor,
+            compactor=compactor or self.compacted.append,
         )
 
     def settle(self) -> None:

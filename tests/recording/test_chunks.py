@@ -22,7 +22,7 @@ def test_the_mcap_package_reads_what_was_written_and_seeks_in_it(tmp_path: Path)
     rng, path = random.Random(1), tmp_path / "a.mcap"
     written = []
     with path.open("wb") as stream:
-        writer = ChunkWriter(stream, "ros2", "tests")
+        writer = ChunkWriter(stream)
         schema = writer.add_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
         numbers = [writer.add_channel(f"/c{i}", "cdr", schema, {"key": str(i)}) for i in range(3)]
         writer.add_attachment(Attachment(7, 7, "a.txt", "text/plain", b"attached"))
@@ -59,7 +59,7 @@ def test_the_mcap_package_reads_what_was_written_and_seeks_in_it(tmp_path: Path)
 
 def test_a_file_without_messages_is_a_file() -> None:
     stream = io.BytesIO()
-    ChunkWriter(stream, "", "").finish()
+    ChunkWriter(stream).finish()
     stream.seek(0)
     assert list(make_reader(stream, validate_crcs=True).iter_messages()) == []
 

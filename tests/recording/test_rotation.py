@@ -15,7 +15,7 @@ from armctl.recording.reader import info, read
 from armctl.recording.replay import check
 from tests.recording.factory import make_records
 from tests.recording.logs import ticks
-from tests.recording.rig import Compactor, Rig, failing
+from tests.recording.rig import Rig, failing
 
 RECORDS = make_records(100, keyframe_ticks=40)
 
@@ -103,13 +103,12 @@ def test_a_snapshot_that_cannot_be_written_disturbs_nothing(tmp_path: Path, monk
 def test_a_rotated_log_is_handed_to_the_compactor(tmp_path: Path) -> None:
     rig = Rig(tmp_path, rotate_s=2.0)
     rig.put(make_records(50))
-    assert rig.compactor.folders == [rig.logs] * 2
+    assert rig.compacted == [rig.logs] * 2
     rig.close()
 
 
-def test_a_compactor_that_cannot_start_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Compactor, "start", failing(errno.EAGAIN))
-    rig = Rig(tmp_path, rotate_s=2.0)
+def test_a_compactor_that_cannot_start_stops_nothing(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, failing(errno.EAGAIN), rotate_s=2.0)
     rig.put(make_records(50))
     assert [tick for path in rig.close() for tick in ticks(path)] == list(range(50))
     assert rig.recorder.problem == ""

@@ -100,7 +100,7 @@ def _file(records: bytes) -> bytes:
 
 def _seeded(seed: bytes) -> bytes:
     stream = io.BytesIO()
-    writer = ChunkWriter(stream, "ros2", "hostile")
+    writer = ChunkWriter(stream)
     writer.add_attachment(Attachment(0, 0, SEED, "application/json", seed))
     writer.finish()
     return stream.getvalue()
@@ -109,7 +109,7 @@ def _seeded(seed: bytes) -> bytes:
 def _schema(text: str, data: bytes) -> bytes:
     """A log with one message of a type T0."""
     stream = io.BytesIO()
-    writer = ChunkWriter(stream, "ros2", "hostile")
+    writer = ChunkWriter(stream)
     for topic in ("/joint_states", "/rosout"):
         channel = writer.add_channel(topic, "cdr", writer.add_schema("pkg/msg/T0", "ros2msg", text.encode()), {})
         writer.add_message(channel, 1, 1, data)

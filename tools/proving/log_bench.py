@@ -32,14 +32,14 @@ from armctl.messages import TickRecord
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import JOINT_STATES, TOPICS, Anchor
-from armctl.recording.chunks import ChunkWriter
+from armctl.recording.chunks import PROFILE, ChunkWriter
 from armctl.recording.columns import Texts
 from armctl.recording.compact import compact
 from armctl.recording.reader import info, read, read_columns, read_topic
 from armctl.recording.recover import recover
 from armctl.recording.schemas import fields, schema_text, short_name
 from armctl.recording.templates import Template, TickEncoder
-from armctl.recording.writer import LIBRARY, PROFILE, LogWriter
+from armctl.recording.writer import LogWriter
 from proving.figures import Row, check, row
 from proving.hostile import WAYS, files, read_all
 from proving.log_rig import log_context, repeated, simulated_records
@@ -178,7 +178,7 @@ def _numbers(name: str, value: Value) -> list[Any]:
 
 def _write_armctl(path: Path, messages: _Messages) -> None:
     with path.open("wb") as stream:
-        writer = ChunkWriter(stream, PROFILE, LIBRARY)
+        writer = ChunkWriter(stream)
         ids = {
             topic: writer.add_channel(
                 topic, "cdr", writer.add_schema(TOPICS[topic].type, "ros2msg", _schema(topic)), {}

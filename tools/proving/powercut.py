@@ -25,7 +25,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,6 @@ from armctl.errors import LogError
 from armctl.messages import Fault, TickRecord
 from armctl.recording.channels import CYCLE, JOINT_COMMANDS, JOINT_STATES, SERVOS, TCP_POSE, TF
 from armctl.recording.compact import compact_folder
-from armctl.recording.disk import Disk
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.recorder import Recorder
 from armctl.recording.recover import recover_folder
@@ -103,16 +102,6 @@ class Tally(damage.Tally):
         self.add_findings(other)
         for name in ("runs", "recoveries_cut", "faults", "faults_told"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
-
-
-class _CompactAtOnce:
-    """Compacts where the recorder asks for it, on the recorder's disk."""
-
-    def __init__(self, disk: Disk) -> None:
-        self._disk = disk
-
-    def start(self, folder: Path) -> None:
-        compact_folder(folder, disk=self._disk)
 
 
 def prove(seed: int, cuts: int = CUTS) -> dict[str, Any]:
@@ -223,7 +212,7 @@ def _tell(seed: int, root: Path, failing: Any) -> Story:
         clock=clock,
         wall_ns=lambda: WALL_NS + clock.now_ns(),
         disk=disk,
-        compactor=_CompactAtOnce(disk),
+        compactor=partial(compact_folder, disk=disk),  # at once, where the recorder asks for it
     )
     truth: set[LogMessage] = set()
     for record in story.records:
