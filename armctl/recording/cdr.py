@@ -6,15 +6,16 @@ Rules.
 3. A sequence is a uint32 count, then its elements; an empty one is followed by no padding.
 4. A message is a dict with exactly the declared keys: a missing or misspelled one is an error, never a zero.
 
-A type is compiled once into a list of steps. Neighbouring primitives, across nested messages, become one
-precompiled `struct` for each of the eight positions its first byte can have.
+A type is compiled once into a list of steps. Neighbouring primitives become one precompiled `struct` for each of the
+eight positions its first byte can have.
 """
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from itertools import groupby
+from typing import Any, NamedTuple
 
 from armctl.errors import LogError
 from armctl.recording.schemas import MESSAGES, PRIMITIVES, Field, fields, parse_schema, short_name
@@ -24,43 +25,24 @@ HEADER = b"\x00\x01\x00\x00"
 MAX_DEPTH = 16
 MAX_NESTED = 1000
 MAX_FIELDS = 10_000
+_SIMPLE = {*PRIMITIVES, "string"}
 
 Value = dict[str, Any]
-_Place = tuple[int, str]  # which of the message's (flattened) dicts, and the key in it
-_Encode = Callable[[bytearray, list[Value]], None]
-_Decode = Callable[[bytes, int, list[Value]], int]
-_Put = Callable[[bytearray, Any], None]  # the same for one value alone
+# What puts a value behind the bytes so far, and what gets one from its place on: the value, and where it ends.
+_Put = Callable[[bytearray, Any], None]
 _Get = Callable[[bytes, int], tuple[Any, int]]
+# The same for some fields of a message; decoding enters them into it.
+_Encode = Callable[[bytearray, Value], None]
+_Decode = Callable[[bytes, int, Value], int]
 
 
-@dataclass
-class _Layout:
-    """A compiled type: the dicts its nested messages live in, and the steps over them."""
+class _Type(NamedTuple):
+    """A compiled type, with the number of messages and fields inside it; those in lists do not count."""
 
-    keys: frozenset[str]
-    nested: list[tuple[_Place, frozenset[str]]] = field(default_factory=list)
-    encoders: list[_Encode] = field(default_factory=list)
-    decoders: list[_Decode] = field(default_factory=list)
-
-    def encode(self, out: bytearray, value: Value) -> None:
-        _check(value, self.keys)
-        dicts = [value]
-        for (owner, key), keys in self.nested:
-            child = dicts[owner][key]
-            _check(child, keys)
-            dicts.append(child)
-        for step in self.encoders:
-            step(out, dicts)
-
-    def decode(self, data: bytes, at: int) -> tuple[Value, int]:
-        dicts: list[Value] = [{}]
-        for (owner, key), _ in self.nested:
-            child: Value = {}
-            dicts[owner][key] = child
-            dicts.append(child)
-        for step in self.decoders:
-            at = step(data, at, dicts)
-        return dicts[0], at
+    put: _Put
+    get: _Get
+    nested: int
+    fields: int
 
 
 @dataclass(frozen=True)
@@ -68,7 +50,7 @@ class Codec:
     """Bytes of one message type, both ways."""
 
     name: str
-    _layout: _Layout
+    _type: _Type
 
     def encode(self, value: Value) -> bytes:
         """CDR bytes of a message.
@@ -78,7 +60,7 @@ class Codec:
         """
         out = bytearray(HEADER)
         try:
-            self._layout.encode(out, value)
+            self._type.put(out, value)
         except (struct.error, TypeError, AttributeError, ValueError) as error:
             raise ValueError(f"{self.name}: {error}") from None
         return bytes(out)
@@ -92,7 +74,8 @@ class Codec:
         if data[:4] != HEADER:
             raise LogError(f"{self.name}: not little-endian CDR (header {bytes(data[:4]).hex()})")
         try:
-            return self._layout.decode(data, 4)[0]
+            message: Value = self._type.get(data, len(HEADER))[0]
+            return message
         except (struct.error, UnicodeDecodeError, IndexError) as error:
             raise LogError(f"{self.name}: damaged message of {len(data)} bytes ({error})") from None
 
@@ -113,64 +96,53 @@ def schema_codec(name: str, text: str) -> Codec:
     return Codec(short_name(name), _compile(short_name(name), parse_schema(name, text), 0, {}))
 
 
-def _check(value: Value, keys: frozenset[str]) -> None:
-    if value.keys() != keys:
-        wrong = sorted(keys ^ value.keys())
-        raise ValueError(f"missing or unknown fields: {', '.join(wrong)}")
-
-
-def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str, _Layout]) -> _Layout:
+def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str, _Type]) -> _Type:
     if name in known:
         return known[name]
-    layout = _Layout(_keys(name, messages))
-    run: list[tuple[_Place, str]] = []
-    count = 0
+    too_much = LogError(f"message type {name}: nested deeper than {MAX_DEPTH} or wider than {MAX_NESTED}")
+    if depth > MAX_DEPTH:
+        raise too_much
+    members = fields(name, messages)
+    keys = frozenset(item.name for item in members)
+    inside = {item: _compile(item.type, messages, depth + 1, known) for item in members if item.type not in _SIMPLE}
+    single = {item.name: part for item, part in inside.items() if not item.is_array}
+    nested = sum(1 + part.nested for part in single.values())
+    count = len(members) + sum(part.fields for part in single.values())
+    if nested > MAX_NESTED:
+        raise too_much
+    if count > MAX_FIELDS:
+        raise LogError(f"message type {name}: over {MAX_FIELDS} fields")
+    steps: list[tuple[_Encode, _Decode]] = []
+    for are_numbers, group in groupby(members, lambda item: item.type in PRIMITIVES and not item.is_array):
+        if are_numbers:
+            steps.append(_run(list(group)))
+        else:
+            steps += [_field(item.name, *_value_of(item, inside.get(item))) for item in group]
 
-    def add(steps: tuple[_Encode, _Decode]) -> None:
-        layout.encoders.append(steps[0])
-        layout.decoders.append(steps[1])
+    def put(out: bytearray, value: Value) -> None:
+        if value.keys() != keys:
+            raise ValueError(f"missing or unknown fields: {', '.join(sorted(keys ^ value.keys()))}")
+        for encode, _ in steps:
+            encode(out, value)
 
-    def flush() -> None:
-        if run:
-            add(_run(tuple(run)))
-            run.clear()
+    def get(data: bytes, at: int) -> tuple[Value, int]:
+        value: Value = dict.fromkeys(single)  # messages come first, then all other fields
+        for _, decode in steps:
+            at = decode(data, at, value)
+        return value, at
 
-    def visit(current: str, index: int, level: int) -> None:
-        if level > MAX_DEPTH or len(layout.nested) > MAX_NESTED:
-            raise LogError(f"message type {current}: nested deeper than {MAX_DEPTH} or wider than {MAX_NESTED}")
-        nonlocal count
-        for item in fields(current, messages):
-            count += 1
-            if count > MAX_FIELDS:
-                raise LogError(f"message type {current}: over {MAX_FIELDS} fields")
-            place = index, item.name
-            if not item.is_array and item.type in PRIMITIVES:
-                run.append((place, PRIMITIVES[item.type]))
-            elif not item.is_array and item.type != "string":
-                layout.nested.append((place, _keys(item.type, messages)))
-                visit(item.type, len(layout.nested), level + 1)
-            else:
-                flush()
-                add(_field(place, *value_of(item, level)))
-
-    def value_of(item: Field, level: int) -> tuple[_Put, _Get]:
-        if item.type == "string":
-            return _list(_put_string, _get_string) if item.is_array else (_put_string, _get_string)
-        if item.type in ("byte", "uint8"):
-            return _put_blob, _get_blob
-        if item.type in PRIMITIVES:
-            return _numbers(PRIMITIVES[item.type])
-        layout = _compile(item.type, messages, level + 1, known)
-        return _list(layout.encode, layout.decode)
-
-    visit(name, 0, depth)
-    flush()
-    known[name] = layout
-    return layout
+    known[name] = _Type(put, get, nested, count)
+    return known[name]
 
 
-def _keys(name: str, messages: Mapping[str, str]) -> frozenset[str]:
-    return frozenset(item.name for item in fields(name, messages))
+def _value_of(item: Field, part: _Type | None) -> tuple[_Put, _Get]:
+    """How the value of a field that is no plain number goes into bytes; `part`: its type, if that is a message."""
+    if item.is_array and item.type in ("byte", "uint8"):
+        return _put_blob, _get_blob
+    if item.type in PRIMITIVES:
+        return _numbers(PRIMITIVES[item.type])
+    put, get = (_put_string, _get_string) if part is None else part[:2]
+    return _list(put, get) if item.is_array else (put, get)
 
 
 def _packers(formats: str) -> tuple[struct.Struct, ...]:
@@ -189,31 +161,30 @@ def _packers(formats: str) -> tuple[struct.Struct, ...]:
 _COUNT = _packers("I")
 
 
-def _run(run: tuple[tuple[_Place, str], ...]) -> tuple[_Encode, _Decode]:
-    places = tuple(place for place, _ in run)
-    packers = _packers("".join(character for _, character in run))
+def _run(items: list[Field]) -> tuple[_Encode, _Decode]:
+    """The step of neighbouring numbers."""
+    keys = [item.name for item in items]
+    packers = _packers("".join(PRIMITIVES[item.type] for item in items))
 
-    def encode(out: bytearray, dicts: list[Value]) -> None:
-        out += packers[len(out) & 7].pack(*[dicts[index][key] for index, key in places])
+    def encode(out: bytearray, message: Value) -> None:
+        out += packers[len(out) & 7].pack(*[message[key] for key in keys])
 
-    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
+    def decode(data: bytes, at: int, message: Value) -> int:
         packer = packers[at & 7]
-        for (index, key), value in zip(places, packer.unpack_from(data, at), strict=True):
-            dicts[index][key] = value
+        message.update(zip(keys, packer.unpack_from(data, at), strict=True))
         return at + packer.size
 
     return encode, decode
 
 
-def _field(place: _Place, put: _Put, get: _Get) -> tuple[_Encode, _Decode]:
+def _field(key: str, put: _Put, get: _Get) -> tuple[_Encode, _Decode]:
     """The step of a field that is no plain number."""
-    index, key = place
 
-    def encode(out: bytearray, dicts: list[Value]) -> None:
-        put(out, dicts[index][key])
+    def encode(out: bytearray, message: Value) -> None:
+        put(out, message[key])
 
-    def decode(data: bytes, at: int, dicts: list[Value]) -> int:
-        dicts[index][key], at = get(data, at)
+    def decode(data: bytes, at: int, message: Value) -> int:
+        message[key], at = get(data, at)
         return at
 
     return encode, decode
