@@ -1,8 +1,8 @@
 """What a tick becomes in the log: topics, types, and the values of their messages.
 
 Rules.
-1. `tick_messages` is pure: a tick record, the file's clock anchor, arm and robot give the messages, bit for bit.
-   Replay calls the same function with outputs it computed itself, and compares bytes.
+1. All is pure: a tick record, the file's clock anchor, arm and robot give the messages, bit for bit.
+   Replay calls `output_messages` with outputs it computed itself, and compares bytes.
 2. Every message of a tick carries the instant of its sample, as log time, publish time and header stamp;
    its sequence number is the tick.
 3. Inputs come first, outputs after them, and `/armctl/cycle` is last: a tick whose cycle is missing was cut.
@@ -219,16 +219,6 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
         "inputs_only": inputs_only,
     }
     return Row(CYCLE, (), [*fields.values()], lambda header: {"header": header, **fields})
-
-
-def tick_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
-    """Every message of one tick in file order, without state and diagnostics, which do not come every tick."""
-    return [
-        row_message(servos_row(record, arm), record, anchor),
-        *command_messages(record),
-        *output_messages(record, anchor, arm, robot),
-        row_message(cycle_row(record), record, anchor),
-    ]
 
 
 def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:

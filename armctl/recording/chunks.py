@@ -37,13 +37,9 @@ MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing enumeration members costs more
 _ZSTD = b"zstd"
 # The groups of records that a file ends with, in their order.
 _SUMMARY = (
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.STATISTICS,
-    Opcode.CHUNK_INDEX,
-    Opcode.ATTACHMENT_INDEX,
+    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
-)
+)  # fmt: skip
 
 
 class ChunkWriter:

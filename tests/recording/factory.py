@@ -24,6 +24,7 @@ from armctl.messages import (
     TorqueOn,
     to_json,
 )
+from armctl.recording import channels
 from armctl.recording.channels import Anchor
 from armctl.recording.writer import LogContext
 
@@ -103,6 +104,17 @@ def make_records(
         servos.follow(record)
         records.append(record)
     return records
+
+
+def tick_messages(record: TickRecord) -> list[channels.Message]:
+    """Every message of one tick in file order, without state and diagnostics, which do not come every tick."""
+    servos, cycle = channels.servos_row(record, ARM), channels.cycle_row(record)
+    return [
+        channels.row_message(servos, record, ANCHOR),
+        *channels.command_messages(record),
+        *channels.output_messages(record, ANCHOR, ARM, ROBOT),
+        channels.row_message(cycle, record, ANCHOR),
+    ]
 
 
 def without_first_joint(record: TickRecord) -> TickRecord:

@@ -13,7 +13,7 @@ from armctl.messages import Event, Fault, Reply, TickRecord, command_from_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor, Topic
-from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command, without_first_joint
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command, tick_messages, without_first_joint
 
 RECORDS = make_records(60)
 MOVING = RECORDS[30]
@@ -21,18 +21,10 @@ MOVING = RECORDS[30]
 
 def messages(record: TickRecord) -> dict[str, list[Value]]:
     found: dict[str, list[Value]] = {}
-    for topic, value in channels.tick_messages(record, ANCHOR, ARM, ROBOT):
+    for topic, value in tick_messages(record):
         data = TOPICS[topic].codec.encode(value)
         found.setdefault(topic, []).append(TOPICS[topic].codec.decode(data))
     return found
-
-
-def test_joint_states_are_those_of_the_outputs() -> None:
-    (states,) = messages(MOVING)["/joint_states"]
-    assert states["name"] == list(ARM.joint_names)
-    assert states["position"] == [joint.position_rad for joint in MOVING.outputs.joints]
-    assert states["velocity"] == [joint.velocity_rad_s for joint in MOVING.outputs.joints]
-    assert states["effort"] == [joint.load_ratio for joint in MOVING.outputs.joints]
 
 
 def test_a_joint_that_never_answered_is_left_out() -> None:
@@ -75,33 +67,9 @@ def test_tf_is_forward_kinematics() -> None:
         np.testing.assert_allclose(R, T[:3, :3], atol=1e-12)
 
 
-def test_tcp_pose_is_the_tool_of_the_outputs() -> None:
-    (pose,) = messages(MOVING)["/tcp_pose"]
-    assert MOVING.outputs.tool is not None
-    assert tuple(pose["pose"]["position"].values()) == MOVING.outputs.tool.position_m
-    assert tuple(pose["pose"]["orientation"].values()) == MOVING.outputs.tool.quaternion
-
-
-def test_servo_registers_are_logged_bit_for_bit() -> None:
-    (servos,) = messages(MOVING)["/armctl/servos"]
-    for logged, reading in zip(servos["servos"], MOVING.inputs.sample.servos, strict=True):
-        assert logged["registers"] == reading.registers
-        assert (logged["id"], logged["stamp_ns"]) == (reading.servo_id, reading.stamp_ns)
-        assert logged["fresh"] == reading.fresh
-
-
-def test_every_header_carries_the_instant_of_the_sample() -> None:
-    epoch_ns = ANCHOR.epoch_ns(MOVING.inputs.sample.time_ns)
-    for values in messages(MOVING).values():
-        for value in values:
-            if "header" in value:
-                stamp = value["header"]["stamp"]
-                assert stamp["sec"] * 10**9 + stamp["nanosec"] == epoch_ns
-
-
 def test_the_cycle_is_the_last_message_of_a_tick() -> None:
     for record in RECORDS:
-        assert channels.tick_messages(record, ANCHOR, ARM, ROBOT)[-1][0] == "/armctl/cycle"
+        assert tick_messages(record)[-1][0] == "/armctl/cycle"
 
 
 def test_commands_and_replies_stand_in_the_log_with_their_tick() -> None:

@@ -35,11 +35,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory, part: bytes) -> list[LogMess
     return messages(path)
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("log") / "a.mcap", make_records(100, keyframe_ticks=40))
-
-
 def test_a_cut_loses_the_chunk_it_hits_and_nothing_else(tmp_path: Path, part: bytes) -> None:
     """The short form: the edges of every chunk of the last 64 KiB and every 250th byte; 120 places in all of it."""
     last = range(len(part) - 2**16, len(part) + 1)

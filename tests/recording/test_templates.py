@@ -13,7 +13,7 @@ from armctl.recording.cdr import Value, codec
 from armctl.recording.channels import TOPICS
 from armctl.recording.schemas import MESSAGES, fields
 from armctl.recording.templates import MAX_TEMPLATES, Template, TickEncoder
-from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, without_first_joint
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, tick_messages, without_first_joint
 from tests.recording.test_cdr import NAMES, values
 
 RECORDS = make_records(60)
@@ -70,8 +70,7 @@ def test_every_tick_is_encoded_as_channels_says() -> None:
     encoder = TickEncoder(ARM, ROBOT)
     for record in [*RECORDS, *map(odd, RECORDS), *RECORDS[:3]]:
         encoded = [*encoder.inputs(record, ANCHOR), *encoder.outputs(record, ANCHOR), encoder.cycle(record, ANCHOR)]
-        plain = channels.tick_messages(record, ANCHOR, ARM, ROBOT)
-        assert encoded == [(topic, TOPICS[topic].codec.encode(value)) for topic, value in plain]
+        assert encoded == [(topic, TOPICS[topic].codec.encode(value)) for topic, value in tick_messages(record)]
         topic, data = encoder.cycle(record, ANCHOR, inputs_only=True)
         _, value = channels.row_message(channels.cycle_row(record, inputs_only=True), record, ANCHOR)
         assert data == TOPICS[topic].codec.encode(value)

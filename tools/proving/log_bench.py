@@ -117,11 +117,10 @@ def _write(records: list[TickRecord], root: Path, rounds: int, rows: list[Row], 
     encoder, messages = TickEncoder(context.arm, context.robot), _Messages()
     for record in records:
         encoded = [*encoder.inputs(record, anchor), *encoder.outputs(record, anchor), encoder.cycle(record, anchor)]
-        plain = channels.tick_messages(record, anchor, context.arm, context.robot)
         time_ns = anchor.epoch_ns(record.inputs.sample.time_ns)
-        for (topic, value), (_, data) in zip(plain, encoded, strict=True):
+        for topic, data in encoded:
             if topic in _TICK:
-                messages.add(topic, time_ns, value, data)
+                messages.add(topic, time_ns, TOPICS[topic].codec.decode(data), data)
     peers: dict[str, Callable[[], None]] = {
         "armctl": lambda: _write_armctl(path, messages),
         "foxglove-sdk, CDR given": lambda: _write_foxglove(path, messages),
