@@ -2,7 +2,6 @@
 
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig, Config, LogConfig
@@ -115,9 +114,3 @@ def tick_messages(record: TickRecord) -> list[channels.Message]:
         *channels.output_messages(record, ANCHOR, ARM, ROBOT),
         channels.row_message(cycle, record, ANCHOR),
     ]
-
-
-def without_first_joint(record: TickRecord) -> TickRecord:
-    """The tick as it is while the first servo has never answered."""
-    joints = (replace(record.outputs.joints[0], known=False), *record.outputs.joints[1:])
-    return replace(record, outputs=replace(record.outputs, joints=joints, tool=None))

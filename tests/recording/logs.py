@@ -1,8 +1,9 @@
 """Log files for tests: written from tick records, and read back as they are."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from mcap.writer import CompressionType, Writer
@@ -23,6 +24,7 @@ def write(
     path: Path,
     records: Iterable[TickRecord] = (),
     *,
+    notes: Mapping[int, Sequence[str]] = MappingProxyType({}),
     flush_ticks: int = 10,
     finish: bool = True,
     context: LogContext = CONTEXT,
@@ -30,12 +32,18 @@ def write(
     inputs_only: Sequence[TickRecord] = (),
     **options: Any,
 ) -> Path:
-    """A file of these records, flushed every so many ticks; the part that is left where it is not finished."""
+    """A file of these records, flushed every so many ticks; the part that is left where it is not finished.
+
+    Args:
+        notes: What is noted after a tick, by its number.
+    """
     arguments: dict[str, Any] = {"anchor": ANCHOR, "disk": DISK} | options
     writer = LogWriter(path, context, **arguments)
     writer.begin(keyframe, inputs_only)
     for record in records:
         writer.write_tick(record)
+        for text in notes.get(record.inputs.tick, ()):
+            writer.write_note("/armctl/command", text, record.inputs.now_ns)
         if record.inputs.tick % flush_ticks == flush_ticks - 1:
             writer.flush()
     if finish:

@@ -47,6 +47,12 @@ class Rig:
             self.recorder.put(record)
             self.settle()
 
+    @property
+    def part(self) -> Path:
+        """The log being written."""
+        assert self.recorder.log_path is not None
+        return self.recorder.log_path.with_name(f"{self.recorder.log_path.name}.part")
+
     def close(self) -> list[Path]:
         self.recorder.close()
         return sorted(self.logs.glob("*"))

@@ -13,7 +13,8 @@ from armctl.messages import Event, Fault, Reply, TickRecord, command_from_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor, Topic
-from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command, tick_messages, without_first_joint
+from tests.recording.altered import with_outputs, with_sample, without_first_joint
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command, tick_messages
 
 RECORDS = make_records(60)
 MOVING = RECORDS[30]
@@ -73,8 +74,7 @@ def test_the_cycle_is_the_last_message_of_a_tick() -> None:
 
 
 def test_commands_and_replies_stand_in_the_log_with_their_tick() -> None:
-    record = RECORDS[20]
-    record = replace(record, outputs=replace(record.outputs, replies=(Reply(9, False, "BUSY", "no"),)))
+    record = with_outputs(RECORDS[20], replies=(Reply(9, False, "BUSY", "no"),))
     texts = [value["data"] for value in messages(record)["/armctl/command"]]
     parsed = [channels.parse_record(text) for text in texts]
     assert parsed[0] is not None
@@ -99,14 +99,9 @@ def test_an_event_keeps_its_code_and_severity() -> None:
 
 
 def test_diagnostics_tell_fault_and_silent_servos() -> None:
-    record = without_first_joint(MOVING)
-    servos = list(record.inputs.sample.servos)
-    servos[1] = replace(servos[1], error=0x24)
-    record = replace(
-        record,
-        inputs=replace(record.inputs, sample=replace(record.inputs.sample, servos=tuple(servos))),
-        outputs=replace(record.outputs, fault=Fault("TRIPPED", "it tripped", 5, 2)),
-    )
+    first, second, *others = MOVING.inputs.sample.servos
+    record = with_sample(without_first_joint(MOVING), servos=(first, replace(second, error=0x24), *others))
+    record = with_outputs(record, fault=Fault("TRIPPED", "it tripped", 5, 2))
     topic, value = channels.diagnostics(record, ANCHOR, ARM)
     assert topic == "/diagnostics"
     assert [status["level"] for status in value["status"]] == [2, 3, 1, 0, 0, 0, 0]

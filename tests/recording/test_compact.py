@@ -101,15 +101,12 @@ def test_a_log_somebody_holds_is_left_alone(log: Path) -> None:
 
 
 def test_the_process_compacts_the_logs_of_a_folder_and_nothing_else(log: Path) -> None:
-    take, fault = (
-        write(log.with_name("take.mcap"), RECORDS),
-        write(log.with_name("fault-20250615T150645Z-HOT.mcap"), RECORDS),
-    )
-    others = take.read_bytes(), fault.read_bytes()
+    names = ("take.mcap", "fault-20250615T150645Z-HOT.mcap")
+    others = {path: path.read_bytes() for path in (write(log.with_name(name), RECORDS) for name in names)}
     size = log.stat().st_size
     subprocess.run([sys.executable, "-m", "armctl.recording.compact", log.parent], check=True, timeout=100)
     assert log.stat().st_size < size
-    assert (take.read_bytes(), fault.read_bytes()) == others
+    assert others == {path: path.read_bytes() for path in others}
 
 
 def test_one_compaction_runs_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from armctl.recording.edit import merge, trim
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.writer import LogContext
 from proving.damage import chunk_places
+from tests.recording.altered import with_outputs
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
 from tests.recording.logs import add_string_channel, foreign, messages, replayed, write
 
@@ -98,9 +99,9 @@ def test_trimming_to_everything_keeps_everything(log: Path, tmp_path: Path) -> N
 
 
 def test_where_the_log_does_not_replay_no_state_is_made_up(tmp_path: Path) -> None:
-    outputs = replace(RECORDS[5].outputs, mode=RECORDS[40].outputs.mode, joints=RECORDS[40].outputs.joints)
-    wrong = [*RECORDS[:5], replace(RECORDS[5], outputs=outputs), *RECORDS[6:]]
-    log = write(tmp_path / "a.mcap", wrong)
+    later = RECORDS[40].outputs
+    wrong = with_outputs(RECORDS[5], mode=later.mode, joints=later.joints)
+    log = write(tmp_path / "a.mcap", [*RECORDS[:5], wrong, *RECORDS[6:]])
     result = trim(log, tmp_path / "b.mcap", 1.0, 4.0)
     assert result.begins_with_state is False
     # from the keyframe of tick 25 on
@@ -229,21 +230,16 @@ def test_files_of_another_daemon_are_refused(tmp_path: Path, context: LogContext
     assert not (tmp_path / "c.mcap").exists()
 
 
-def test_files_that_overlap_are_refused(log: Path, tmp_path: Path) -> None:
-    trim(log, tmp_path / "1.mcap", 0.0, 4.0)
-    trim(log, tmp_path / "2.mcap", 3.0, 6.0)
+def test_files_that_overlap_or_do_not_follow_each_other_are_refused(log: Path, tmp_path: Path) -> None:
+    for name, begin_s, end_s in (("1", 0.0, 4.0), ("2", 3.0, 6.0), ("3", 7.0, 8.0)):
+        trim(log, tmp_path / f"{name}.mcap", begin_s, end_s)
     with pytest.raises(LogError, match=r"begins 0\.9 s before .*1\.mcap ends"):
         merge([tmp_path / "1.mcap", tmp_path / "2.mcap"], tmp_path / "c.mcap")
     with pytest.raises(LogError, match="overlap"):
         merge([log, log], tmp_path / "c.mcap")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["1.mcap", "2.mcap"]
-
-
-def test_files_that_do_not_follow_each_other_are_refused(log: Path, tmp_path: Path) -> None:
-    trim(log, tmp_path / "1.mcap", 0.0, 2.0)
-    trim(log, tmp_path / "2.mcap", 3.0, 6.0)
     with pytest.raises(LogError, match="does not follow"):
-        merge([tmp_path / "1.mcap", tmp_path / "2.mcap"], tmp_path / "c.mcap")
+        merge([tmp_path / "1.mcap", tmp_path / "3.mcap"], tmp_path / "c.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["1.mcap", "2.mcap", "3.mcap"]
 
 
 def test_one_file_and_damaged_files_are_refused(log: Path, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from armctl.errors import ArmctlError, LogError
 from armctl.recording import export as exporting
 from armctl.recording.channels import TOPICS
 from armctl.recording.export import Format, Seconds, export
-from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, without_first_joint
+from tests.recording.altered import without_first_joint
+from tests.recording.factory import ANCHOR, ARM
 from tests.recording.logs import write
 from tests.recording.simulated import simulated_records
 
@@ -44,6 +44,11 @@ def sheet(path: Path, index: int) -> tuple[list[str], list[list[Any]]]:
     book.close()
     # Empty cells at the end of a row are not in the file.
     return [str(name) for name in header], [row + [None] * (len(header) - len(row)) for row in rows]
+
+
+def column(path: Path, name: str) -> list[Any]:
+    header, rows = table(path)
+    return [row[header.index(name)] for row in rows]
 
 
 def number(cell: Any) -> float | None:
@@ -76,12 +81,9 @@ def test_the_table_of_ticks_holds_what_rosbags_reads(log: Path, tmp_path: Path, 
         cells = dict(zip(header, row, strict=True))
         times = [number(cells["time_s"]), number(cells["time_epoch_s"])]
         assert same(times, [(time_ns - states[0][0]) / NS_PER_S, time_ns / NS_PER_S], kind)
-        for quantity, values in (
-            ("position_rad", state.position),
-            ("velocity_rad_s", state.velocity),
-            ("load_ratio", state.effort),
-        ):
-            assert same([number(cells[f"{name}.{quantity}"]) for name in state.name], values.tolist(), kind)
+        for quantity, field in (("position_rad", "position"), ("velocity_rad_s", "velocity"), ("load_ratio", "effort")):
+            found = [number(cells[f"{name}.{quantity}"]) for name in state.name]
+            assert same(found, getattr(state, field).tolist(), kind)
         place = pose.pose.position
         assert same([number(cells[f"tool.{axis}_m"]) for axis in "xyz"], [place.x, place.y, place.z], kind)
 
@@ -122,23 +124,21 @@ def test_every_topic_can_be_exported_and_no_two_columns_share_a_name(log: Path, 
 
 
 def test_csv_keeps_every_nanosecond_and_every_bit(log: Path, tmp_path: Path) -> None:
-    export(log, tmp_path / "t.csv", "csv")
-    header, rows = table(tmp_path / "t.csv")
-    epoch, position = header.index("time_epoch_s"), header.index("elbow.position_rad")
-    times = [int(row[epoch].replace(".", "")) for row in rows]
+    path = tmp_path / "t.csv"
+    export(log, path, "csv")
+    times = [int(cell.replace(".", "")) for cell in column(path, "time_epoch_s")]
     assert times == [ANCHOR.epoch_ns(record.inputs.sample.time_ns) for record in RECORDS]
-    assert [float(row[position]) for row in rows] == [record.outputs.joints[2].position_rad for record in RECORDS]
+    positions = [record.outputs.joints[2].position_rad for record in RECORDS]
+    assert list(map(float, column(path, "elbow.position_rad"))) == positions
 
 
 def test_registers_are_told_in_units_and_raw(log: Path, tmp_path: Path) -> None:
     export(log, tmp_path / "t.csv", "csv", ("/armctl/servos",))
-    header, rows = table(tmp_path / "t.csv")
-    raw = [row[header.index("shoulder.registers")] for row in rows]
-    assert raw == [record.inputs.sample.servos[1].registers.hex() for record in RECORDS]
+    raw = [record.inputs.sample.servos[1].registers.hex() for record in RECORDS]
+    assert column(tmp_path / "t.csv", "shoulder.registers") == raw
     export(log, tmp_path / "u.csv", "csv")
-    header, rows = table(tmp_path / "u.csv")
     for quantity in ("voltage_V", "temperature_degC"):
-        found = [float(row[header.index(f"shoulder.{quantity}")]) for row in rows]
+        found = list(map(float, column(tmp_path / "u.csv", f"shoulder.{quantity}")))
         assert found == [getattr(record.outputs.joints[1], quantity) for record in RECORDS]
 
 
@@ -158,27 +158,18 @@ def test_an_excel_sheet_ends_at_its_limit_and_the_next_goes_on(log: Path, tmp_pa
     book.close()
     assert [len(rows) for rows in sheets] == [26, 26, 11]
     assert sheets[0][0] == sheets[1][0] == sheets[2][0]
-    column = sheets[0][0].index("tick")
-    assert [row[column] for rows in sheets for row in rows[1:]] == list(range(60))
-
-
-def test_the_limit_is_excels() -> None:
-    assert exporting.EXCEL_ROWS == 2**20
+    assert exporting.EXCEL_ROWS == 2**20, "without one given"
+    place = sheets[0][0].index("tick")
+    assert [row[place] for rows in sheets for row in rows[1:]] == list(range(60))
 
 
 def test_text_is_never_a_formula_and_never_breaks_the_file(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
     texts = ["=1+1", "bell \x07", "x" * 40_000, '"quoted", and\nbroken']
-    for text in texts:
-        writer.write_note("/armctl/command", text, ANCHOR.monotonic_ns)
-    writer.close()
+    log = write(tmp_path / "a.mcap", RECORDS[:1], notes={0: texts})
     for kind in FORMATS:
-        export(writer.path, tmp_path / f"t.{kind}", kind, ("/armctl/command",))
-        header, rows = table(tmp_path / f"t.{kind}")
-        found = [row[header.index("data")] for row in rows]
-        assert found == (
-            ["=1+1", "bell \N{REPLACEMENT CHARACTER}", "x" * 32_767, texts[3]] if kind == "xlsx" else texts
-        )
+        export(log, tmp_path / f"t.{kind}", kind, ("/armctl/command",))
+        excel = ["=1+1", "bell \N{REPLACEMENT CHARACTER}", "x" * 32_767, texts[3]]
+        assert column(tmp_path / f"t.{kind}", "data")[-4:] == (excel if kind == "xlsx" else texts)
     book = openpyxl.load_workbook(tmp_path / "t.xlsx")
     assert book.worksheets[0]["C2"].data_type == "s"
 
@@ -197,16 +188,13 @@ def test_parquet_has_types_and_says_where_it_is_from(log: Path, tmp_path: Path) 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_what_is_not_known_is_empty(tmp_path: Path, kind: Format) -> None:
     export(write(tmp_path / "a.mcap", [without_first_joint(RECORDS[0]), *RECORDS[1:3]]), tmp_path / f"t.{kind}", kind)
-    header, rows = table(tmp_path / f"t.{kind}")
-    column, tool = header.index("base.position_rad"), header.index("tool.x_m")
-    assert [number(row[column]) is None for row in rows] == [True, False, False]
-    assert [number(row[tool]) is None for row in rows] == [True, False, False]
+    for name in ("base.position_rad", "tool.x_m"):
+        assert [number(cell) is None for cell in column(tmp_path / f"t.{kind}", name)] == [True, False, False]
 
 
 def test_nested_lists_are_json(log: Path, tmp_path: Path) -> None:
     export(log, tmp_path / "t.csv", "csv", ("/joint_trajectory",))
-    header, rows = table(tmp_path / "t.csv")
-    points = json.loads(rows[0][header.index("points")])
+    points = json.loads(column(tmp_path / "t.csv", "points")[0])
     ((_, message),) = ros(log, "/joint_trajectory")
     assert [point["positions"] for point in points] == [point.positions.tolist() for point in message.points]
 

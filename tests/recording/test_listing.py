@@ -15,8 +15,9 @@ from armctl.kinematics import robots
 from armctl.messages import Event
 from armctl.recording import recordings
 from armctl.recording.recordings import describe, listing
-from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records
+from tests.recording.altered import with_outputs, with_sample
+from tests.recording.factory import ARM, ROBOT, make_records
+from tests.recording.logs import write
 
 RECORDS = make_records(6, {})
 N = len(ARM.joints)
@@ -25,21 +26,16 @@ ANY = st.floats(allow_nan=False, allow_infinity=False)
 
 def write_take(path: Path, rows: Sequence[Sequence[float]], *, plan: bool = False, note: str = "") -> Path:
     """A finished take of these joint positions [rad]; `plan`: with a window of a plan that holds no sample."""
-    writer = LogWriter(path, CONTEXT, anchor=ANCHOR)
+    records = []
     for record, row in zip(RECORDS, rows, strict=False):
         joints = tuple(replace(joint, position_rad=q) for joint, q in zip(record.outputs.joints, row, strict=True))
-        writer.write_tick(replace(record, outputs=replace(record.outputs, joints=joints)))
-    if note:
-        writer.write_note("/armctl/command", note, RECORDS[-1].inputs.now_ns)
+        records.append(with_outputs(record, joints=joints))
     if plan:
-        for code in ("PLAN_BEGIN", "PLAN_END"):
-            event = replace(RECORDS[0], outputs=replace(RECORDS[0].outputs, events=(Event("info", code, ""),)))
-            later = replace(event.inputs.sample, time_ns=RECORDS[-1].inputs.sample.time_ns + 1)
-            joints = tuple(replace(joint, known=False) for joint in event.outputs.joints)
-            outputs = replace(event.outputs, joints=joints, tool=None)
-            writer.write_tick(replace(event, inputs=replace(event.inputs, sample=later), outputs=outputs))
-    writer.close()
-    return writer.path
+        joints = tuple(replace(joint, known=False) for joint in RECORDS[0].outputs.joints)
+        later = with_sample(RECORDS[0], time_ns=RECORDS[-1].inputs.sample.time_ns + 1)
+        marks = [(Event("info", code, ""),) for code in ("PLAN_BEGIN", "PLAN_END")]
+        records += [with_outputs(later, joints=joints, tool=None, events=mark) for mark in marks]
+    return write(path, records, notes={1: [note]} if note else {})
 
 
 @settings(deadline=None, max_examples=80)

@@ -27,7 +27,8 @@ from armctl.recording.log_file import LogFile
 from armctl.recording.recover import recover, recover_folder
 from armctl.recording.replay import check, log_setup
 from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S, ROBOT, make_records, without_first_joint
+from tests.recording.altered import without_first_joint
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S, ROBOT, make_records
 from tests.recording.logs import add_string_channel, foreign, messages, write
 from tests.recording.rig import failing
 

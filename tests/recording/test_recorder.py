@@ -15,7 +15,7 @@ import pytest
 
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
-from armctl.messages import Connected, Fault, TickRecord
+from armctl.messages import Connected, TickRecord
 from armctl.recording import recorder as module
 from armctl.recording import recordings
 from armctl.recording.disk import Disk
@@ -23,6 +23,7 @@ from armctl.recording.reader import info, read
 from armctl.recording.recorder import Recorder
 from armctl.recording.recover import recover_folder
 from armctl.recording.writer import LogWriter
+from tests.recording.altered import faulty
 from tests.recording.factory import make_records
 from tests.recording.logs import recorder_lines, replayed, ticks
 from tests.recording.rig import Rig, failing
@@ -67,17 +68,12 @@ def test_no_file_is_begun_before_there_is_something_to_record(rig: Rig) -> None:
 def test_what_was_put_a_second_ago_is_on_the_disk(rig: Rig) -> None:
     for record in RECORDS[:35]:
         rig.put([record])
-        assert rig.recorder.log_path is not None
-        on_disk = ticks(rig.recorder.log_path.with_name(rig.recorder.log_path.name + ".part"))
-        assert len(on_disk) >= record.inputs.tick - 9
+        assert len(ticks(rig.part)) >= record.inputs.tick - 9
 
 
 def test_a_fault_reaches_the_disk_at_once(rig: Rig) -> None:
-    rig.put(RECORDS[:3])
-    fault = replace(RECORDS[3], outputs=replace(RECORDS[3].outputs, fault=Fault("TRIPPED", "it did", 1, 2)))
-    rig.put([fault])
-    assert rig.recorder.log_path is not None
-    assert ticks(rig.recorder.log_path.with_name(rig.recorder.log_path.name + ".part")) == [0, 1, 2, 3]
+    rig.put(faulty(RECORDS[:4], 3, 3))
+    assert ticks(rig.part) == [0, 1, 2, 3]
 
 
 def test_an_idle_recorder_flushes_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

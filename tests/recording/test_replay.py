@@ -14,6 +14,7 @@ from armctl.recording import reader, recordings, replay
 from armctl.recording.channels import Anchor
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import LogSetup, Rerun, check, log_setup
+from tests.recording.altered import with_sample
 from tests.recording.factory import ANCHOR, ARM, PERIOD_S, ROBOT, RUN_SCRIPT, make_records
 from tests.recording.logs import recorder_lines, replayed, write
 
@@ -71,9 +72,8 @@ def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
     def other(state: Any, inputs: Inputs, arm: ArmConfig, robot: Any, period_s: float) -> tuple[Any, Outputs]:
         state, outputs = step(state, inputs, arm, robot, period_s)
         if inputs.tick == 50:
-            first = outputs.joints[0]
-            joints = (replace(first, load_ratio=first.load_ratio + 1e-15), *outputs.joints[1:])
-            outputs = replace(outputs, joints=joints)
+            first, *others = outputs.joints
+            outputs = replace(outputs, joints=(replace(first, load_ratio=first.load_ratio + 1e-15), *others))
         return state, outputs
 
     result = check(log, step=other)
@@ -114,10 +114,7 @@ def test_a_log_of_other_servos_or_states_is_a_log_error(tmp_path: Path, monkeypa
     with pytest.raises(LogError, match="cannot be understood"):
         check(path)
     servos = tuple(replace(reading, servo_id=reading.servo_id + 1) for reading in RECORDS[41].inputs.sample.servos)
-    odd = replace(
-        RECORDS[41], inputs=replace(RECORDS[41].inputs, sample=replace(RECORDS[41].inputs.sample, servos=servos))
-    )
-    path = write(tmp_path / "b.mcap", [odd], keyframe=RECORDS[40].keyframe)
+    path = write(tmp_path / "b.mcap", [with_sample(RECORDS[41], servos=servos)], keyframe=RECORDS[40].keyframe)
     with pytest.raises(LogError, match="servos"):
         check(path)
     monkeypatch.setattr(replay, "validate", lambda *_: (_ for _ in ()).throw(ValueError("no")))

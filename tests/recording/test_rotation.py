@@ -3,27 +3,21 @@
 import errno
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from armctl.messages import Fault, TickRecord
 from armctl.recording.disk import Disk
 from armctl.recording.reader import info, read
 from armctl.recording.replay import check
+from tests.recording.altered import faulty
 from tests.recording.factory import make_records
 from tests.recording.logs import ticks
 from tests.recording.rig import Rig, failing
 
 RECORDS = make_records(100, keyframe_ticks=40)
-
-
-class Usage(NamedTuple):
-    total: int
-    used: int
-    free: int
 
 
 @pytest.mark.parametrize("limit", [{"rotate_s": 2.0}, {"rotate_bytes": 2**16}])
@@ -45,15 +39,6 @@ def test_files_of_the_same_second_get_a_number(tmp_path: Path) -> None:
     first.put(RECORDS[:1])
     first.close()
     assert [path.name for path in rig.close()] == ["armctl-20250615T150645Z-2.mcap", "armctl-20250615T150645Z.mcap"]
-
-
-def faulty(records: list[TickRecord], first: int, last: int, code: str = "TRIPPED") -> list[TickRecord]:
-    """The records with a fault from one tick to another."""
-    fault = Fault(code, "it did", first, 2)
-    return [
-        replace(record, outputs=replace(record.outputs, fault=fault)) if first <= record.inputs.tick <= last else record
-        for record in records
-    ]
 
 
 def test_the_seconds_around_a_fault_are_kept_in_a_file_of_its_own(tmp_path: Path) -> None:
@@ -135,7 +120,7 @@ def test_recording_ends_before_the_disk_is_full_and_begins_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     free = [2**30]
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(2**40, 0, free[0]))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free[0]))
     rig = Rig(tmp_path, free_bytes=2**28)
     take = rig.recorder.begin_take("first")
     rig.put(RECORDS[:20])

@@ -13,7 +13,8 @@ from armctl.recording.cdr import Value, codec
 from armctl.recording.channels import TOPICS
 from armctl.recording.schemas import MESSAGES, fields
 from armctl.recording.templates import MAX_TEMPLATES, Template, TickEncoder
-from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, tick_messages, without_first_joint
+from tests.recording.altered import with_outputs, with_sample, without_first_joint
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, tick_messages
 from tests.recording.test_cdr import NAMES, values
 
 RECORDS = make_records(60)
@@ -61,9 +62,9 @@ def odd(record: TickRecord) -> TickRecord:
     servos = list(record.inputs.sample.servos)
     servos[1] = replace(servos[1], fresh=False, problem="NO_REPLY", error=0x24)
     servos[2] = replace(servos[2], registers=b"", stamp_ns=0, fresh=False, problem="PORT_GONE")
-    sample = replace(record.inputs.sample, servos=tuple(servos), port_open=False, retries=3)
-    outputs = replace(without_first_joint(record).outputs, goal=None, fault=Fault("HOT", "it is", 5, 2))
-    return replace(record, inputs=replace(record.inputs, sample=sample, late_ns=10**9), outputs=outputs, dropped=2)
+    record = with_sample(record, servos=tuple(servos), port_open=False, retries=3)
+    record = with_outputs(without_first_joint(record), goal=None, fault=Fault("HOT", "it is", 5, 2))
+    return replace(record, inputs=replace(record.inputs, late_ns=10**9), dropped=2)
 
 
 def test_every_tick_is_encoded_as_channels_says() -> None:
@@ -80,9 +81,9 @@ def test_shapes_without_end_are_not_kept() -> None:
     encoder = TickEncoder(ARM, ROBOT)
     record = RECORDS[30]
     for index in range(3 * MAX_TEMPLATES):
-        first = replace(record.inputs.sample.servos[0], problem=f"PROBLEM_{index}")
-        sample = replace(record.inputs.sample, servos=(first, *record.inputs.sample.servos[1:]))
-        encoder.inputs(replace(record, inputs=replace(record.inputs, sample=sample)), ANCHOR)
+        first, *others = record.inputs.sample.servos
+        servos = (replace(first, problem=f"PROBLEM_{index}"), *others)
+        encoder.inputs(with_sample(record, servos=servos), ANCHOR)
         assert len(encoder._templates) <= MAX_TEMPLATES
 
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ from armctl.recording import timeline
 from armctl.recording.cdr import codec
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import check
-from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records, without_first_joint
+from tests.recording.altered import with_outputs, without_first_joint
+from tests.recording.factory import ANCHOR, ARM, make_records
 from tests.recording.logs import add_string_channel, foreign, write
 from tests.recording.simulated import simulated_records
 
@@ -59,11 +58,8 @@ def test_states_are_right_at_every_tick(log: Path) -> None:
 
 def test_a_fault_is_known_from_its_first_tick_on(tmp_path: Path) -> None:
     fault = Fault("HOT", "servo 3 (elbow): 66 degC (bound 65)", 0, 3)
-    outputs = [
-        replace(r.outputs, mode=Mode.FAULTED, fault=fault) if r.inputs.tick >= 7 else r.outputs for r in RECORDS[:20]
-    ]
-    records = [replace(record, outputs=output) for record, output in zip(RECORDS[:20], outputs, strict=True)]
-    found = timeline.load(write(tmp_path / "a.mcap", records))
+    later = [with_outputs(record, mode=Mode.FAULTED, fault=fault) for record in RECORDS[7:20]]
+    found = timeline.load(write(tmp_path / "a.mcap", [*RECORDS[:7], *later]))
     assert found.faults == ((0, ""), (7, "HOT: servo 3 (elbow): 66 degC (bound 65)"))
     assert (found.state(6), found.state(7)) == ("energising", "faulted")
 
@@ -79,15 +75,8 @@ def test_a_run_is_found_with_its_window_and_its_ends(log: Path) -> None:
 
 
 def test_requests_and_events_are_told_in_order(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
-    for record in RECORDS[:5]:
-        writer.write_tick(record)
-        note = {"request": "torque_on", "who": "uid 1", "outcome": "BUSY", "reasons": ["taken"]}
-        if record.inputs.tick == 2:
-            writer.write_note("/armctl/command", json.dumps(note), record.inputs.now_ns)
-            writer.write_note("/armctl/command", "no JSON", record.inputs.now_ns)
-    writer.close()
-    found = timeline.load(writer.path)
+    note = {"request": "torque_on", "who": "uid 1", "outcome": "BUSY", "reasons": ["taken"]}
+    found = timeline.load(write(tmp_path / "a.mcap", RECORDS[:5], notes={2: [json.dumps(note), "no JSON"]}))
     assert [one.code for one in found.happenings] == ["CONNECTED", "REQUEST", "STATE"]
     assert found.happenings[1].text == "torque_on by uid 1: BUSY: taken"
 

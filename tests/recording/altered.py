@@ -1,0 +1,29 @@
+"""Ticks with something else seen or decided than there was."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from armctl.messages import Fault, TickRecord
+
+
+def with_outputs(record: TickRecord, **changes: Any) -> TickRecord:
+    """The tick with something else decided."""
+    return replace(record, outputs=replace(record.outputs, **changes))
+
+
+def with_sample(record: TickRecord, **changes: Any) -> TickRecord:
+    """The tick with something else seen."""
+    return replace(record, inputs=replace(record.inputs, sample=replace(record.inputs.sample, **changes)))
+
+
+def without_first_joint(record: TickRecord) -> TickRecord:
+    """The tick as it is while the first servo has never answered."""
+    first, *others = record.outputs.joints
+    return with_outputs(record, joints=(replace(first, known=False), *others), tool=None)
+
+
+def faulty(records: Sequence[TickRecord], first: int, last: int, code: str = "TRIPPED") -> list[TickRecord]:
+    """The records with a fault from one tick to another."""
+    fault = Fault(code, "it did", first, 2)
+    return [with_outputs(r, fault=fault) if first <= r.inputs.tick <= last else r for r in records]
