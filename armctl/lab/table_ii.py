@@ -23,7 +23,7 @@ from armctl.lab.rig import Measured, VirtualRig
 from armctl.lab.stage import Stage
 from armctl.lab.study.case import Case, Found
 from armctl.recording.disk import new_file
-from armctl.recording.export import missing_extra
+from armctl.recording.export import extra
 from armctl.report.line import PRINTED
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
@@ -97,10 +97,7 @@ def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[F
         LogError: the file exists or cannot be written.
         ArmctlError: openpyxl is not installed; names the extra that brings it.
     """
-    try:
-        import openpyxl
-    except ImportError:
-        raise missing_extra("Excel files", "openpyxl") from None
+    openpyxl = extra("Excel files", "openpyxl")
     # The file first: a book whose sheets are begun has to be saved.
     with new_file(path) as stream:
         book = openpyxl.Workbook(write_only=True)

@@ -17,6 +17,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Self
@@ -258,13 +259,10 @@ def _by_name(parts: list[Any]) -> dict[str, Any]:
     return {}
 
 
-def _cell(value: Any) -> Cell:
+def _cell(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.hex()
-    if isinstance(value, list):
-        return json.dumps(value, default=bytes.hex)
-    cell: Cell = value
-    return cell
+    return json.dumps(value, default=bytes.hex) if isinstance(value, list) else value
 
 
 # ------------------------------------------------------------------------------------------------------ files
@@ -280,10 +278,7 @@ def _write_csv(stream: BinaryIO, tables: Iterator[_Table]) -> None:
 
 
 def _write_excel(stream: BinaryIO, tables: Iterator[_Table], most_rows: int) -> None:
-    try:
-        import openpyxl
-    except ImportError:
-        raise missing_extra("Excel files", "openpyxl") from None
+    openpyxl = extra("Excel files", "openpyxl")
     book = openpyxl.Workbook(write_only=True)
     sheet: Any = None
     try:
@@ -315,28 +310,30 @@ def _excel_cell(sheet: Any, cell: Cell) -> Any:
 
 
 def _write_parquet(stream: BinaryIO, tables: Iterator[_Table]) -> None:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise missing_extra("Parquet files", "pyarrow") from None
+    pyarrow, parquet = extra("Parquet files", "pyarrow"), import_module("pyarrow.parquet")
     types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
     for table in tables:
         schema = pyarrow.schema([(name, types[kind]) for name, kind in table.columns.items()], metadata=table.facts)
         rows = table.rows()
-        with pyarrow.parquet.ParquetWriter(stream, schema, compression="zstd") as file:
+        with parquet.ParquetWriter(stream, schema, compression="zstd") as file:
             while batch := list(islice(rows, BATCH_ROWS)):
                 columns = zip(table.columns.values(), zip(*batch, strict=True), strict=True)
-                arrays = [
-                    pyarrow.array(_texts(cells) if kind is str else cells, types[kind]) for kind, cells in columns
-                ]
+                arrays = [pyarrow.array(_of_type(kind, cells), types[kind]) for kind, cells in columns]
                 file.write_batch(pyarrow.record_batch(arrays, schema=schema))
 
 
-def _texts(cells: Sequence[Cell]) -> list[str | None]:
-    return [None if cell is None else str(cell) for cell in cells]
+def _of_type(kind: type, cells: Sequence[Cell]) -> Sequence[Cell]:
+    """The cells of a column; in one of texts other values become texts."""
+    return [None if cell is None else str(cell) for cell in cells] if kind is str else cells
 
 
-def missing_extra(what: str, package: str) -> ArmctlError:
-    """The error that tells how to get a package."""
-    return ArmctlError(f"{what} need {package}; install it with: pip install 'armctl[export]'")
+def extra(what: str, package: str) -> Any:
+    """A package that the extra `export` brings.
+
+    Raises:
+        ArmctlError: it is missing; the message tells how to get it.
+    """
+    try:
+        return import_module(package)
+    except ImportError:
+        raise ArmctlError(f"{what} need {package}; install it with: pip install 'armctl[export]'") from None

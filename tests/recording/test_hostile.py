@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import zstandard
 
 from armctl.errors import LogError
 from armctl.recording import reader
@@ -15,6 +14,8 @@ from proving import hostile
 
 FILES = dict(hostile.files())
 MIB = 2**20
+# A file that claims to inflate to more than is ever read.
+REFUSED = "many chunks of 16 MiB"
 
 _PEAK = """
 import resource, sys
@@ -34,9 +35,13 @@ def test_a_hostile_file_yields_no_message_that_is_not_in_it_and_no_error_but_one
     path.write_bytes(FILES[name])
     in_it = 2 if FILES[name].startswith(MAGIC) and b"pkg/msg/T0" in FILES[name] else 0
     assert hostile.read_all(path) in (0, in_it)
+    if name == REFUSED:
+        with pytest.raises(LogError, match="such a file is not read"):
+            reader.info(path)
+        return
+    info = reader.info(path)
+    assert (info.messages, info.complete) == (in_it, in_it > 0)
     if in_it:
-        info = reader.info(path)
-        assert (info.messages, info.complete) == (2, True)
         with pytest.raises(LogError):
             list(reader.read(path))
 
@@ -56,23 +61,6 @@ def test_all_of_them_together_take_less_than_256_mib(tmp_path: Path) -> None:
     )
     assert result.returncode == 0, result.stderr
     assert int(result.stdout) * 1024 < 256 * MIB
-
-
-def test_a_file_that_inflates_beyond_all_measure_is_refused_as_a_whole(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    path.write_bytes(FILES["many chunks of 16 MiB"])
-    with pytest.raises(LogError, match="such a file is not read"):
-        reader.info(path)
-
-
-@pytest.mark.parametrize("claimed", [2**30, 1000])
-def test_a_chunk_is_never_inflated_beyond_its_bound(tmp_path: Path, claimed: int) -> None:
-    bomb = zstandard.compress(bytes(2**27))
-    body = struct.pack("<QQQII", 0, 1, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(bomb)) + bomb
-    path = tmp_path / "bomb.mcap"
-    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(body)) + body)
-    info = reader.info(path)
-    assert (info.messages, info.complete) == (0, False)
 
 
 @pytest.mark.parametrize("body", [b"\x05" + bytes(8), b"\x04" + struct.pack("<Q", 2) + b"ab", b"\x0e" + bytes(8)])
