@@ -22,7 +22,8 @@ from armctl.recording.player import Player
 from armctl.recording.writer import LogWriter
 from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import ANCHOR, CONTEXT
-from tests.recording.simulated import simulated_records, write_log
+from tests.recording.logs import write as write_log
+from tests.recording.simulated import simulated_records
 
 RECORDS = simulated_records()
 REPLAY_KEYS = {"ticks", "messages", "mismatches", "seconds", "realtime_ratio"}

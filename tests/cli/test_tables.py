@@ -26,7 +26,8 @@ from armctl.lab.study.limits import WITHOUT
 from armctl.papers.page import PaperReport, Row
 from armctl.recording import timeline
 from armctl.recording.player import Player
-from tests.recording.simulated import simulated_records, write_log
+from tests.recording.logs import write as write_log
+from tests.recording.simulated import simulated_records
 
 COLUMNS = 80
 FIGURE = re.compile(r"-?\d+\.\d+(?:e[-+]\d+)?|-?\d+")

@@ -17,7 +17,8 @@ from armctl.recording import timeline
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
 from tests.recording.factory import ARM, PERIOD_S
-from tests.recording.simulated import simulated_records, write_log
+from tests.recording.logs import write as write_log
+from tests.recording.simulated import simulated_records
 
 RECORDS = simulated_records()
 

@@ -1,16 +1,14 @@
-"""A log of a simulated arm: the real control loop and bus in virtual time, written by the real writer."""
+"""Ticks of a simulated arm: the real control loop and bus in virtual time."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.messages import JointTrajectory, Run, TickRecord, TorqueOn
-from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, PERIOD_S
+from tests.recording.factory import ARM, PERIOD_S
 
 
 def nod(q: Sequence[float], seconds: float = 2.0) -> JointTrajectory:
@@ -27,12 +25,3 @@ def simulated_records(ticks: int = 60, *, arm: ArmConfig = ARM, seed: int = 3) -
     virtual.start()
     records = [*virtual.ticks(3), *virtual.ticks(17, TorqueOn(1))]
     return records + virtual.ticks(ticks - len(records), Run(2, nod(virtual.goals_rad)))
-
-
-def write_log(path: Path, records: Sequence[TickRecord], context: LogContext = CONTEXT) -> Path:
-    """A finished file of these records."""
-    writer = LogWriter(path, context, anchor=ANCHOR)
-    for record in records:
-        writer.write_tick(record)
-    writer.close()
-    return path

@@ -15,7 +15,7 @@ from armctl.recording import columns
 from armctl.recording.cdr import HEADER, Value, codec
 from armctl.recording.columns import Payloads, Table, Texts
 from armctl.recording.reader import read, read_columns, read_topic
-from armctl.recording.schemas import MESSAGES, fields
+from armctl.recording.schemas import MESSAGES, PRIMITIVES, fields
 from tests.recording.factory import make_records
 from tests.recording.logs import write
 from tests.recording.test_cdr import NAMES, values
@@ -27,28 +27,27 @@ def payloads(data: list[bytes]) -> Payloads:
 
 def message(name: str, table: Table, row: int, prefix: str = "") -> Value:
     """One message of a table as the codec gives it."""
+
+    def element(kind: str, place: str) -> Any:
+        if kind in MESSAGES:
+            return message(kind, table, row, f"{place}.")
+        texts = table.columns[place]
+        assert isinstance(texts, Texts)
+        return texts[row]
+
     value: Value = {}
     for item in fields(name):
         path = prefix + item.name
-        if item.type in MESSAGES or item.type == "string":
-            count = 0
-            while item.is_array and any(key.startswith(f"{path}[{count}]") for key in table.columns):
-                count += 1
-            places = [f"{path}[{index}]" for index in range(count)] if item.is_array else [path]
-            found: list[Any] = []
-            for place in places:
-                if item.type == "string":
-                    texts = table.columns[place]
-                    assert isinstance(texts, Texts)
-                    found.append(texts[row])
-                else:
-                    found.append(message(item.type, table, row, f"{place}."))
-            value[item.name] = found if item.is_array else found[0]
-        else:
+        if item.type in PRIMITIVES:
             column = table.columns[path]
             assert isinstance(column, np.ndarray)
             is_blob = item.is_array and item.type in ("byte", "uint8")
             value[item.name] = bytes(column[row]) if is_blob else column[row].tolist()
+        elif item.is_array:
+            held = len({key[len(path) :].split("]")[0] for key in table.columns if key.startswith(f"{path}[")})
+            value[item.name] = [element(item.type, f"{path}[{index}]") for index in range(held)]
+        else:
+            value[item.name] = element(item.type, path)
     return value
 
 

@@ -166,6 +166,12 @@ def rotated(folder: Path, cut: int = 50, *, anchor: Anchor = ANCHOR, context: Lo
     return [write(folder / "a.mcap", RECORDS[:cut]), write(folder / "b.mcap", RECORDS[cut:], **later)]
 
 
+def pieces(path: Path, folder: Path, *stretches_s: tuple[float, float]) -> list[Path]:
+    """Stretches of a log, as files 1.mcap, 2.mcap and so on."""
+    numbered = enumerate(stretches_s, 1)
+    return [trim(path, folder / f"{number}.mcap", begin_s, end_s).path for number, (begin_s, end_s) in numbered]
+
+
 DRIFTED = Anchor(ANCHOR.wall_ns + 123_456, ANCHOR.monotonic_ns)
 
 
@@ -188,19 +194,17 @@ def test_files_around_a_rotation_become_the_log_they_would_have_been(tmp_path: P
 
 
 def test_the_pieces_of_a_log_make_the_log_again(log: Path, tmp_path: Path) -> None:
-    for name, begin_s, end_s in (("1", 0.0, 3.05), ("2", 3.05, 5.55), ("3", 5.55, 100.0)):
-        trim(log, tmp_path / f"{name}.mcap", begin_s, end_s)
-    merge([tmp_path / f"{name}.mcap" for name in "312"], tmp_path / "whole.mcap")
+    first, second, third = pieces(log, tmp_path, (0.0, 3.05), (3.05, 5.55), (5.55, 100.0))
+    merge([third, first, second], tmp_path / "whole.mcap")
     assert own(tmp_path / "whole.mcap") == own(log)
     assert replay.check(tmp_path / "whole.mcap").mismatches == 0
 
 
 def test_a_merged_file_can_be_trimmed_and_merged_again(tmp_path: Path) -> None:
     merge(rotated(tmp_path, anchor=DRIFTED), tmp_path / "c.mcap")
-    for name, begin_s, end_s in (("1", 0.0, 3.05), ("2", 3.05, 100.0)):
-        trim(tmp_path / "c.mcap", tmp_path / f"{name}.mcap", begin_s, end_s)
-        assert replay.check(tmp_path / f"{name}.mcap").mismatches == 0
-    merge([tmp_path / "1.mcap", tmp_path / "2.mcap"], tmp_path / "d.mcap")
+    paths = pieces(tmp_path / "c.mcap", tmp_path, (0.0, 3.05), (3.05, 100.0))
+    assert [replay.check(path).mismatches for path in paths] == [0, 0]
+    merge(paths, tmp_path / "d.mcap")
     assert own(tmp_path / "d.mcap") == own(tmp_path / "c.mcap")
     assert replay.check(tmp_path / "d.mcap").mismatches == 0
 
@@ -231,14 +235,13 @@ def test_files_of_another_daemon_are_refused(tmp_path: Path, context: LogContext
 
 
 def test_files_that_overlap_or_do_not_follow_each_other_are_refused(log: Path, tmp_path: Path) -> None:
-    for name, begin_s, end_s in (("1", 0.0, 4.0), ("2", 3.0, 6.0), ("3", 7.0, 8.0)):
-        trim(log, tmp_path / f"{name}.mcap", begin_s, end_s)
+    first, overlapping, later = pieces(log, tmp_path, (0.0, 4.0), (3.0, 6.0), (7.0, 8.0))
     with pytest.raises(LogError, match=r"begins 0\.9 s before .*1\.mcap ends"):
-        merge([tmp_path / "1.mcap", tmp_path / "2.mcap"], tmp_path / "c.mcap")
+        merge([first, overlapping], tmp_path / "c.mcap")
     with pytest.raises(LogError, match="overlap"):
         merge([log, log], tmp_path / "c.mcap")
     with pytest.raises(LogError, match="does not follow"):
-        merge([tmp_path / "1.mcap", tmp_path / "3.mcap"], tmp_path / "c.mcap")
+        merge([first, later], tmp_path / "c.mcap")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["1.mcap", "2.mcap", "3.mcap"]
 
 

@@ -236,14 +236,11 @@ def test_any_bytes_behind_the_magic_are_read_or_are_a_log_error(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("content", [b"", b"not a log at all", b"\x89MCAP0\r"])
-def test_what_is_no_log_is_a_log_error(tmp_path: Path, content: bytes) -> None:
+def test_what_is_no_log_or_missing_is_a_log_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
     with pytest.raises(LogError, match=r"x\.mcap"):
         reader.info(path)
-
-
-def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="No such file"):
         reader.info(tmp_path / "none.mcap")
     with pytest.raises(LogError, match="No such file"):

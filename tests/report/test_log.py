@@ -17,7 +17,8 @@ from armctl.recording import timeline
 from armctl.recording.timeline import Happening, Timeline
 from armctl.report import log as page
 from armctl.report.log import thinned, write
-from tests.recording.simulated import simulated_records, write_log
+from tests.recording.logs import write as write_log
+from tests.recording.simulated import simulated_records
 
 RECORDS = simulated_records()
 
