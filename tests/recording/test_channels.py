@@ -9,12 +9,12 @@ import yaml
 
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import link_frames
-from armctl.messages import Event, Fault, Reply, TickRecord, command_from_json
+from armctl.messages import Event, Fault, Reply, Run, TickRecord, command_from_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor, Topic
 from tests.recording.altered import with_outputs, with_sample, without_first_joint
-from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, run_command, tick_messages
+from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, tick_messages
 
 RECORDS = make_records(60)
 MOVING = RECORDS[30]
@@ -79,11 +79,13 @@ def test_commands_and_replies_stand_in_the_log_with_their_tick() -> None:
     parsed = [channels.parse_record(text) for text in texts]
     assert parsed[0] is not None
     assert parsed[0][:2] == (20, "command")
-    assert command_from_json(json.dumps(parsed[0][2])) == run_command()
+    (run,) = record.inputs.commands
+    assert isinstance(run, Run)
+    assert command_from_json(json.dumps(parsed[0][2])) == run
     assert parsed[1] == (20, "reply", {"request_id": 9, "ok": False, "code": "BUSY", "message": "no"})
     (trajectory,) = messages(record)["/joint_trajectory"]
     assert trajectory["points"][10]["time_from_start"] == {"sec": 1, "nanosec": 0}
-    assert trajectory["points"][10]["positions"] == list(run_command().trajectory.positions_rad[10])
+    assert trajectory["points"][10]["positions"] == list(run.trajectory.positions_rad[10])
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"tick":1}', '{"request":1}', "[" * 100_000])

@@ -16,7 +16,7 @@ from armctl.messages import Event
 from armctl.recording import recordings
 from armctl.recording.recordings import describe, listing
 from tests.recording.altered import with_outputs, with_sample
-from tests.recording.factory import ARM, ROBOT, make_records
+from tests.recording.factory import ARM, ROBOT, make_records, times_s
 from tests.recording.logs import write
 
 RECORDS = make_records(6, {})
@@ -62,7 +62,7 @@ def test_every_take_is_listed_with_its_figures_or_with_what_is_wrong(
     (entry,) = found["recordings"]
     assert "unreadable" not in found
     assert (entry["name"], entry["path"], entry["samples"]) == ("a", str(path), len(rows))
-    assert entry["duration_s"] == pytest.approx((len(rows) - 1) / 10.0)
+    assert entry["duration_s"] == pytest.approx(times_s(RECORDS)[len(rows) - 1])
     figures = entry["mean_error_mm"], entry["max_error_mm"]
     if same or plan or len(rows) == 1:
         assert figures == (None, None)

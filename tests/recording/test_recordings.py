@@ -9,7 +9,7 @@ from armctl.errors import LogError
 from armctl.recording import recordings
 from armctl.recording.recordings import listing
 from armctl.recording.writer import LogWriter
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records, times_s
 from tests.recording.logs import write
 
 RECORDS = make_records(70)
@@ -21,10 +21,11 @@ def take(folder: Path, name: str, *, finish: bool = True) -> Path:
 
 def test_a_take_loads_as_joint_positions(tmp_path: Path) -> None:
     loaded = recordings.load(take(tmp_path, "first"))
+    begin_ns = ANCHOR.epoch_ns(RECORDS[0].inputs.sample.time_ns)
     assert (loaded.name, loaded.arm_id, loaded.calibration_hash) == ("first", ARM.arm_id, ARM.calibration_hash)
     assert loaded.joint_names == ARM.joint_names
-    assert (loaded.samples, loaded.complete, loaded.start_ns) == (70, True, ANCHOR.wall_ns)
-    assert loaded.duration_s == pytest.approx(6.9)
+    assert (loaded.samples, loaded.complete, loaded.start_ns) == (70, True, begin_ns)
+    assert loaded.duration_s == pytest.approx(times_s(RECORDS)[-1])
     expected = [[joint.position_rad for joint in record.outputs.joints] for record in RECORDS]
     np.testing.assert_array_equal(loaded.positions_rad, expected)
 
@@ -32,7 +33,8 @@ def test_a_take_loads_as_joint_positions(tmp_path: Path) -> None:
 def test_the_window_of_the_plan_comes_from_the_events(tmp_path: Path) -> None:
     loaded = recordings.load(take(tmp_path, "run"))
     marks = {event.code: r.inputs.tick for r in RECORDS for event in r.outputs.events if event.code.startswith("PLAN_")}
-    assert loaded.plan_s == pytest.approx((marks["PLAN_BEGIN"] * 0.1, marks["PLAN_END"] * 0.1))
+    window_s = tuple(times_s(RECORDS)[marks[code]] for code in ("PLAN_BEGIN", "PLAN_END"))
+    assert loaded.plan_s == pytest.approx(window_s)
     assert loaded.plan_positions_rad.shape == (marks["PLAN_END"] - marks["PLAN_BEGIN"] + 1, 6)
 
 

@@ -20,19 +20,20 @@ from armctl.recording.columns import Texts
 from armctl.recording.compact import compact
 from armctl.recording.log_file import LogFile
 from proving.log_rig import repeated
-from tests.recording.factory import make_records
+from tests.recording.factory import make_records, times_s
 from tests.recording.logs import write
 
 NODE = Path(__file__).parent / "node"
 P = 2**31 - 1
 TICKS = 36_000
+MINUTE = make_records(600)
 
 
 @pytest.fixture(scope="module")
 def hour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A compacted log of an hour at 10 Hz: a minute of the control step, repeated at later times."""
     path = tmp_path_factory.mktemp("hour") / "armctl-20250615T150645Z.mcap"
-    assert compact(write(path, repeated(make_records(600), TICKS), flush_ticks=9))
+    assert compact(write(path, repeated(MINUTE, TICKS), flush_ticks=9))
     return path
 
 
@@ -40,7 +41,7 @@ def hour(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def held(hour: Path) -> reader.LogInfo:
     info = reader.info(hour)
     assert info.complete
-    assert info.duration_s == pytest.approx((TICKS - 1) / 10.0)
+    assert info.duration_s == pytest.approx(times_s(MINUTE)[1] + (TICKS - 2) / 10.0)
     assert info.topics[CYCLE] == TICKS
     return info
 
