@@ -51,6 +51,8 @@ ROBOT_DESCRIPTION = "/robot_description"
 
 # Fields that the message of a servo and its `ServoReading` have in common.
 READING = ("registers", "stamp_ns", "fresh", "error", "problem")
+# What /joint_states says of each joint: position, velocity and effort, as ROS calls them.
+_QUANTITIES = ("position_rad", "velocity_rad_s", "load_ratio")
 # What /diagnostics says of each joint.
 _HEALTH = ("temperature_degC", "voltage_V", "load_ratio", "torque_enabled", "age_s")
 Message = tuple[str, Value]
@@ -164,11 +166,7 @@ def output_rows(record: TickRecord, arm: ArmConfig, robot: Robot) -> list[Row]:
     """Those outputs that come every tick: joints, and goal, frames and tool where there are some."""
     outputs = record.outputs
     known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
-    numbers = [
-        *[joint.position_rad for _, joint in known],
-        *[joint.velocity_rad_s for _, joint in known],
-        *[joint.load_ratio for _, joint in known],
-    ]
+    numbers = [getattr(joint, quantity) for quantity in _QUANTITIES for _, joint in known]
     names = tuple([name for name, _ in known])
     rows = [Row(JOINT_STATES, names, numbers, partial(_joints, names, numbers))]
     if (goal := outputs.goal) is not None:

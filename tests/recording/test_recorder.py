@@ -128,8 +128,7 @@ def test_closing_keeps_the_take_under_way(rig: Rig) -> None:
     assert ticks(path) == list(range(10))
 
 
-def test_putting_never_waits_and_a_full_queue_is_told(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
+def test_putting_never_waits_and_a_full_queue_is_told(rig: Rig) -> None:
     rig.recorder._queue_records = 20
     with held(rig.recorder):
         for record in RECORDS[:30]:
@@ -263,8 +262,7 @@ def test_a_slow_disk_is_told_and_flushed_sooner(rig: Rig, monkeypatch: pytest.Mo
     assert ticks(log) == list(range(100))
 
 
-def test_the_firmware_of_the_servos_stands_in_the_file(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
+def test_the_firmware_of_the_servos_stands_in_the_file(rig: Rig) -> None:
     first = RECORDS[0]
     told = replace(first, inputs=replace(first.inputs, commands=(Connected(firmware=(24, 24, -1, 24, 24, 24)),)))
     rig.put([told, *RECORDS[1:5]])

@@ -69,7 +69,7 @@ def test_faults_that_follow_each_other_make_one_snapshot_and_it_has_a_longest_le
     assert sorted({tick for path in snapshots for tick in ticks(path)}) == list(range(40, 400))
 
 
-def test_a_snapshot_that_cannot_be_written_disturbs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_snapshot_that_cannot_be_written_disturbs_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     create = Disk.create
 
     def refuse(disk: Disk, path: Path) -> Any:
@@ -78,7 +78,6 @@ def test_a_snapshot_that_cannot_be_written_disturbs_nothing(tmp_path: Path, monk
         return create(disk, path)
 
     monkeypatch.setattr(Disk, "create", refuse)
-    rig = Rig(tmp_path)
     rig.put(faulty(RECORDS, 30, 40))
     (log,) = rig.close()
     assert ticks(log) == list(range(100))
