@@ -18,45 +18,10 @@ if TYPE_CHECKING:
 # A chart; plotly itself is imported by `plotly`, when the first one is drawn.
 Figure: TypeAlias = "go.Figure"
 
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1d2733; --paper: #fff; --quiet: #5a6878; --rule: #d5dbe3; --edge: #8794a5; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #dde4ec; --paper: #12171d; --quiet: #93a1b1; --rule: #2b3541; --edge: #5a6878; }
-}
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 0 auto; padding: 1rem 1.25rem 3rem;
-  color: var(--ink); background: var(--paper); }
-h1 { font-size: 1.7rem; margin: .5rem 0; } h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem; }
-p { max-width: 46rem; } .wide { overflow-x: auto; }
-table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; }
-th, td { padding: .3rem .8rem; border-bottom: 1px solid var(--rule); text-align: right; }
-th:first-child, td:first-child, .words th, .words td { text-align: left; } th { border-bottom-color: var(--edge); }
-.note { color: var(--quiet); font-size: .87rem; margin: .2rem 0 .6rem; max-width: none; }
-@media (max-width: 44rem) { body { padding: .7rem .8rem 3rem; } th, td { padding: .3rem .4rem; }
-  .wide td { white-space: nowrap; } .wide .words td { white-space: normal; } }
-"""
-
+# Looks of a page.
+_STYLE = Path(__file__).with_name("page.css")
 # Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves.
-_CHART_COLOURS = """
-(() => {
-  const dark = matchMedia("(prefers-color-scheme: dark)");
-  const paint = () => {
-    const of = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-    const axis = (name, key) => ({[`${name}.gridcolor`]: of("--rule"), [`${name}.zerolinecolor`]: of("--edge"),
-      [`${name}.linecolor`]: of("--edge"), ...key});
-    for (const chart of document.querySelectorAll(".js-plotly-plot")) {
-      const change = {paper_bgcolor: of("--paper"), plot_bgcolor: of("--paper"), "font.color": of("--ink"),
-        ...axis("xaxis"), ...axis("yaxis")};
-      if (chart.layout.scene) for (const letter of "xyz") Object.assign(change, axis(`scene.${letter}axis`,
-        {[`scene.${letter}axis.backgroundcolor`]: of("--paper")}));
-      if (innerWidth < 700) Object.assign(change, {"legend.orientation": "h", "legend.x": 0, "legend.xanchor": "left",
-        "legend.y": -0.3, "legend.yanchor": "top", "margin.l": 50, "margin.r": 12, "title.font.size": 14});
-      Plotly.relayout(chart, change);
-    }
-  };
-  paint();
-  dark.addEventListener("change", paint);
-})();
-"""
+_CHART_COLOURS = Path(__file__).with_name("page.js")
 
 
 def plotly() -> type[Figure]:
@@ -145,10 +110,11 @@ class Page:
 
     def html(self) -> str:
         """The whole page."""
-        script = f"<script>{_CHART_COLOURS}</script>" if self._has_script else ""
+        script = f"<script>\n{_CHART_COLOURS.read_text(encoding='utf-8')}</script>" if self._has_script else ""
+        style = _STYLE.read_text(encoding="utf-8")
         return (
             f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(self._title)}</title>'
-            f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{_STYLE}</style></head>'
+            f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>\n{style}</style></head>'
             f"<body>{''.join(self._blocks)}{script}</body></html>\n"
         )
 

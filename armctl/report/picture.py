@@ -20,19 +20,7 @@ LEAST_HALF_HEIGHT_MM = 6.0
 RULER_MM = 50
 # Points of a curve: more cannot be told apart.
 POINTS = 300
-STYLE = """
-text { font: 15px system-ui, sans-serif; fill: #1d2733; } .quiet { fill: #5a6878; }
-.paper { fill: #ffffff; } path { fill: none; stroke-linejoin: round; stroke-linecap: round; }
-.wanted { stroke: #5a6878; stroke-width: 1; stroke-dasharray: 6 5; }
-.before { stroke: #b0413e; stroke-width: 2; } text.before { stroke: none; fill: #b0413e; }
-.after { stroke: #2a7f62; stroke-width: 3; } text.after { stroke: none; fill: #2a7f62; }
-.end { fill: #5a6878; } .ruler { stroke: #5a6878; stroke-width: 1.5; }
-@media (prefers-color-scheme: dark) {
-  text { fill: #dde4ec; } .quiet { fill: #93a1b1; } .paper { fill: #12171d; } .wanted, .ruler { stroke: #93a1b1; }
-  .before { stroke: #f0857f; } text.before { fill: #f0857f; } .after { stroke: #58c98f; } text.after { fill: #58c98f; }
-  .end { fill: #93a1b1; }
-}
-"""
+STYLE = Path(__file__).with_name("picture.css")
 
 
 def write(report: ExperimentReport, path: Path) -> None:
@@ -55,9 +43,10 @@ def svg(report: ExperimentReport) -> str:
             blocks += drawn
             top += height
     top += LINE_HEIGHT
+    style = STYLE.read_text(encoding="utf-8")
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {top:.0f}" role="img">'
-        f"<title>The tool's path before and after correction</title><style>{STYLE}</style>"
+        f"<title>The tool's path before and after correction</title><style>\n{style}</style>"
         f'<rect class="paper" width="{WIDTH}" height="{top:.0f}" rx="10"/>{"".join(blocks)}</svg>\n'
     )
 

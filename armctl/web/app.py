@@ -89,11 +89,10 @@ def create_app(arm: ArmConfig, config: Config, *, socket: Path, token: str, port
     app.add_exception_handler(HTTPException, _not_served)
     guard = Guard(app, token=token, port=port)
     app.include_router(_live(daemon, guard))
-    files = Files(daemon, arm, config)
     for tag, routes in (
         ("commands", _commands(daemon)),
         ("teaching", _handed_on(daemon, TEACHING)),
-        *(("files", routes) for routes in (files.recordings(), files.plans(), files.logs())),
+        ("files", Files(daemon, arm, config).routes()),
     ):
         app.include_router(routes, prefix="/api", tags=[tag], responses=REFUSALS)
     app.include_router(pages())

@@ -42,108 +42,48 @@ class Files:
         self._daemon, self._arm = daemon, arm
         self._chain = robots.get(arm.robot, arm.lengths_m).chain
         self._folder = data_dir(config)
+        self._plans, self._logs = self._folder / "plans", self._folder / "logs"
 
-    def recordings(self) -> APIRouter:
-        router, daemon, arm = APIRouter(), self._daemon, self._arm
-
-        @router.get("/arm")
-        async def arm_() -> dict[str, Any]:
-            """The arm's joints and their limits."""
-            return {
-                "arm_id": arm.arm_id,
-                "robot": arm.robot,
-                "joints": [{"name": joint.name, "limits_rad": joint.limits_rad} for joint in arm.joints],
-                "temperature_limit_degC": arm.temperature_limit_degC,
-                "voltage_V": arm.voltage_V,
-                "version": __version__,
-            }
-
-        @router.get("/recordings")
-        async def list_recordings() -> dict[str, Any]:
-            """The candidates, and every run that was recorded."""
-            return await daemon.call("recordings_list")
-
-        @router.get("/recordings/{name}")
-        async def recording(name: NamePath) -> dict[str, Any]:
-            """One recording with its tool path."""
-            return await asyncio.to_thread(self._recording, name)
-
-        @router.delete("/recordings/{name}")
-        async def delete_recording(name: NamePath) -> dict[str, Any]:
-            """Delete a recording."""
-            return await daemon.call("recordings_delete", name=name)
-
+    def routes(self) -> APIRouter:
+        """Every route. What does not await is run in a thread by the framework: files are read there."""
+        router = APIRouter()
+        for method, path, handler in (
+            ("GET", "/arm", self.arm_),
+            ("GET", "/recordings", self.list_recordings),
+            ("GET", "/recordings/{name}", self.recording),
+            ("DELETE", "/recordings/{name}", self.delete_recording),
+            ("POST", "/optimize", self.optimize),
+            ("GET", "/plans", self.list_plans),
+            ("GET", "/plans/{name}", self.plan),
+            ("DELETE", "/plans/{name}", self.delete_plan),
+            ("POST", "/plans/{name}/run", self.run),
+            ("GET", "/logs", self.list_logs),
+            ("GET", "/logs/{name}", self.log),
+            ("GET", "/logs/{name}/file", self.log_file),
+        ):
+            router.add_api_route(path, handler, methods=[method])
         return router
 
-    def plans(self) -> APIRouter:
-        router, daemon, folder = APIRouter(), self._daemon, self._folder / "plans"
+    def arm_(self) -> dict[str, Any]:
+        """The arm's joints and their limits."""
+        arm = self._arm
+        return {
+            "arm_id": arm.arm_id,
+            "robot": arm.robot,
+            "joints": [{"name": joint.name, "limits_rad": joint.limits_rad} for joint in arm.joints],
+            "temperature_limit_degC": arm.temperature_limit_degC,
+            "voltage_V": arm.voltage_V,
+            "version": __version__,
+        }
 
-        @router.post("/optimize")
-        async def optimize(body: OptimizeBody) -> dict[str, Any]:
-            """Straighten recordings; answers when it is done, progress comes over the stream."""
-            result = await daemon.call("optimize", **body.model_dump(mode="json", exclude={"name"}))
-            for plan in result["plans"]:
-                plan["name"] = f"{body.name}-via{plan['via']}"
-                await asyncio.to_thread(plans.save, folder, plan["name"], plan.pop("text"))
-            return result
+    # ------------------------------------------------------------------------------------------------- recordings
 
-        @router.get("/plans")
-        async def list_plans() -> dict[str, Any]:
-            """Plans kept here, the newest first."""
-            return {"plans": await asyncio.to_thread(plans.listed, folder)}
+    async def list_recordings(self) -> dict[str, Any]:
+        """The candidates, and every run that was recorded."""
+        return await self._daemon.call("recordings_list")
 
-        @router.get("/plans/{name}")
-        async def plan(name: NamePath) -> dict[str, Any]:
-            """One plan with its predicted tool path."""
-            found = await asyncio.to_thread(plans.load, folder, name)
-            positions_rad = plan_positions(found, np.linspace(0.0, found.duration_s, 201))
-            return {"name": name, "plan": found.model_dump(mode="json"), "tool_m": self._tool_m(positions_rad)}
-
-        @router.delete("/plans/{name}")
-        async def delete_plan(name: NamePath) -> dict[str, Any]:
-            """Delete a plan."""
-            await asyncio.to_thread(plans.delete, folder, name)
-            return {"name": name}
-
-        @router.post("/plans/{name}/run")
-        async def run(name: NamePath, _: Nothing) -> dict[str, Any]:
-            """Pre-flight, approach, run and record a plan; answers when it has ended."""
-            found = await asyncio.to_thread(plans.load, folder, name)
-            return await daemon.call("run", plan=found.model_dump(mode="json"))
-
-        return router
-
-    def logs(self) -> APIRouter:
-        router, folder = APIRouter(), self._folder / "logs"
-
-        @router.get("/logs")
-        async def list_logs() -> dict[str, Any]:
-            """The daemon's logs, the newest first."""
-
-            def listed() -> list[dict[str, Any]]:
-                found = [(path.stat(), path.name) for path in folder.glob("*.mcap*")]
-                found.sort(key=lambda log: (log[0].st_mtime_ns, log[1]), reverse=True)
-                return [{"name": name, "bytes": about.st_size} for about, name in found]
-
-            return {"logs": await asyncio.to_thread(listed)}
-
-        @router.get("/logs/{name}")
-        async def log(name: NamePath, from_s: Seconds = 0.0, to_s: Seconds | None = None) -> dict[str, Any]:
-            """Joint angles, links and the tool of one log over a span of time, thinned out for drawing."""
-            return await asyncio.to_thread(lambda: self._log(_log_path(folder, name), from_s, to_s))
-
-        @router.get("/logs/{name}/file")
-        async def log_file(name: NamePath) -> Response:
-            """The MCAP file itself."""
-            return FileResponse(_log_path(folder, name), media_type="application/octet-stream", filename=name)
-
-        return router
-
-    def _tool_m(self, positions_rad: FloatArray) -> list[list[float]]:
-        tool_m: list[list[float]] = tool_position(self._chain, positions_rad[:, : self._chain.n]).round(6).tolist()
-        return tool_m
-
-    def _recording(self, name: str) -> dict[str, Any]:
+    def recording(self, name: NamePath) -> dict[str, Any]:
+        """One recording with its tool path."""
         found = recordings.load(recordings.find(self._folder / "recordings", name))
         kept = _thinned(len(found.time_s))
         return {
@@ -154,15 +94,58 @@ class Files:
             "plan_s": found.plan_s,
         }
 
-    def _log(self, path: FilePath, from_s: float, to_s: float | None) -> dict[str, Any]:
-        track = reader.ticks(path)
+    async def delete_recording(self, name: NamePath) -> dict[str, Any]:
+        """Delete a recording."""
+        return await self._daemon.call("recordings_delete", name=name)
+
+    # ------------------------------------------------------------------------------------------------------ plans
+
+    async def optimize(self, body: OptimizeBody) -> dict[str, Any]:
+        """Straighten recordings; answers when it is done, progress comes over the stream."""
+        result = await self._daemon.call("optimize", **body.model_dump(mode="json", exclude={"name"}))
+        for plan in result["plans"]:
+            plan["name"] = f"{body.name}-via{plan['via']}"
+            await asyncio.to_thread(plans.save, self._plans, plan["name"], plan.pop("text"))
+        return result
+
+    def list_plans(self) -> dict[str, Any]:
+        """Plans kept here, the newest first."""
+        return {"plans": plans.listed(self._plans)}
+
+    def plan(self, name: NamePath) -> dict[str, Any]:
+        """One plan with its predicted tool path."""
+        found = plans.load(self._plans, name)
+        positions_rad = plan_positions(found, np.linspace(0.0, found.duration_s, 201))
+        return {"name": name, "plan": found.model_dump(mode="json"), "tool_m": self._tool_m(positions_rad)}
+
+    def delete_plan(self, name: NamePath) -> dict[str, Any]:
+        """Delete a plan."""
+        plans.delete(self._plans, name)
+        return {"name": name}
+
+    async def run(self, name: NamePath, _: Nothing) -> dict[str, Any]:
+        """Pre-flight, approach, run and record a plan; answers when it has ended."""
+        found = await asyncio.to_thread(plans.load, self._plans, name)
+        return await self._daemon.call("run", plan=found.model_dump(mode="json"))
+
+    # ------------------------------------------------------------------------------------------------------- logs
+
+    def list_logs(self) -> dict[str, Any]:
+        """The daemon's logs, the newest first."""
+        found = [(path.stat(), path.name) for path in self._logs.glob("*.mcap*")]
+        found.sort(key=lambda log: (log[0].st_mtime_ns, log[1]), reverse=True)
+        return {"logs": [{"name": name, "bytes": about.st_size} for about, name in found]}
+
+    def log(self, name: NamePath, from_s: Seconds = 0.0, to_s: Seconds | None = None) -> dict[str, Any]:
+        """Joint angles, links and the tool of one log over a span of time, thinned out for drawing."""
+        track = reader.ticks(_log_path(self._logs, name))
         time_s = track.time_s - (track.time_s[0] if len(track.time_s) else 0.0)
         inside = np.flatnonzero((time_s >= from_s) & (time_s <= (np.inf if to_s is None else to_s)))
         kept = inside[_thinned(len(inside))]
         links = link_frames(self._chain, track.position_rad[kept][:, : self._chain.n])[:, 1:, :3, 3].round(5)
         base = np.zeros((len(kept), 1, 3))
         return {
-            "name": path.name,
+            "name": name,
             "names": list(track.names),
             "duration_s": float(time_s[-1]) if len(time_s) else 0.0,
             "time_s": time_s[kept].round(4).tolist(),
@@ -170,6 +153,14 @@ class Files:
             "links_m": np.concatenate([base, links], axis=1).tolist(),
             "tool_m": links[:, -1].tolist(),
         }
+
+    def log_file(self, name: NamePath) -> Response:
+        """The MCAP file itself."""
+        return FileResponse(_log_path(self._logs, name), media_type="application/octet-stream", filename=name)
+
+    def _tool_m(self, positions_rad: FloatArray) -> list[list[float]]:
+        tool_m: list[list[float]] = tool_position(self._chain, positions_rad[:, : self._chain.n]).round(6).tolist()
+        return tool_m
 
 
 def _log_path(folder: FilePath, name: str) -> FilePath:
