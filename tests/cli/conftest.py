@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from armctl.cli import main
 from tests.genetic import hand
@@ -23,6 +24,12 @@ class Said:
 
 Typed = Callable[..., Said]
 Answer = Callable[..., dict[str, Any]]
+
+
+def refusals(where: str) -> list[tuple[int, str, str]]:
+    """Exit status, line and words of everything in `refusals.yaml` that is refused there."""
+    table = yaml.safe_load(Path(__file__).with_name("refusals.yaml").read_text(encoding="utf-8"))[where]
+    return [(status, line, words) for status, rows in table.items() for line, words in rows.items()]
 
 
 @pytest.fixture

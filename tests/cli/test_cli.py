@@ -15,7 +15,7 @@ from armctl.cli.output import HOLDS, POINT, Output, next_command
 from armctl.client import Client
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import find_arm_file
-from tests.cli.conftest import Answer, Typed
+from tests.cli.conftest import Answer, Typed, refusals
 
 COMMANDS = cli.list_commands(click.Context(cli))
 
@@ -174,78 +174,13 @@ def test_every_command_explains_itself_and_can_answer_in_json(typed: Typed) -> N
             assert "--json" in said.out, path
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["status", "stop", "hold", "clear", "torque on", "recordings list", "watch", "pause", "resume", "rate 0.5"],
-)
-def test_without_a_daemon_the_status_is_3_and_the_remedy_is_named(command: str, typed: Typed) -> None:
-    said = typed(*command.split(), status=3)
-    assert said.out == ""
-    assert "armctl daemon --port" in said.err
-
-
 def test_a_failure_in_json_is_one_object_too(typed: Typed, answer: Answer) -> None:
     assert answer("status", status=3)["error"]["code"] == "NoDaemon"
     assert typed("status", "--json", status=3).err.startswith("armctl: ")
 
 
-WRONG_USAGE = [
-    ("nonsense", "No such command"),
-    ("teach", "Missing argument"),
-    ("optimize a --from 1,2 --to 1,2,3", "not three numbers"),
-    ("optimize a --from nan,0,0 --to 1,2,3", "finite"),
-    ("optimize a --from 180,0,0 --to 1,2,3", "the unit is metres"),
-    ("optimize a --from 0.1,0,0 --to 0.2,0,0 --via 99", "range"),
-    ("sim --latency-ms -1", "range"),
-    ("demo --seed x", "not a valid integer"),
-    ("move --joints 1,x", "not a list of numbers"),
-    ("move --joints 1,nan", "must be finite"),
-    ("move --pose 1,2,3", "it has 3 numbers, not 6"),
-    ("move --xyz 0.1,0,0.2 --duration 0", "range"),
-    ("jog --axis w --speed 1", "'w' is not one of"),
-    ("jog --axis x", "Missing option '--speed'"),
-    ("rate 1.5", "range"),
-    ("daemon", "no serial port named"),
-    ("daemon --port /dev/null --arm nobodys", "known: ax12-line"),
-    ("daemon --port /dev/null --config /nonexistent.yaml", "cannot read the configuration"),
-    ("sim --arm nobodys", "known: ax12-line"),
-    ("run /nonexistent.json", "cannot read the plan"),
-    ("teach x --from 0.18,-0.1,0.1", "one end of the line is missing"),
-    ("move", "give just one of them"),
-    ("move --xyz 0.1,0,0.2 --joints 0,0", "give just one of them"),
-    ("jog --speed 1", "one thing to jog is wanted"),
-    ("jog --axis x --speed inf", "is no speed"),
-    ("fk --robot hal --q 0", "known: xiang-6dof, puma560, ax12-line, lanzhou-4dof, transfer-6dof"),
-    ("fk --robot puma560 --q 0,0", "this robot has 6 joints"),
-    ("fk --robot puma560 --q nan,0,0,0,0,0", "must be finite"),
-    ("fk --robot puma560 --q a", "not a list of numbers"),
-    ("fk --robot puma560 --q 0,0,0,0,0,0 --set a9=1", "no such length; known: a2"),
-    ("fk --robot puma560 --q 0,0,0,0,0,0 --set a2", "not a length"),
-    ("ik --robot puma560", "give one of --xyz, --pose and --T"),
-    ("ik --robot puma560 --xyz 1,2,3 --pose 0.0968,-0.7558,0.0972,-2.7913,2.1047,-1.6016", "give one of"),
-    ("ik --robot puma560 --pose 1,2,3", "x,y,z,roll,pitch,yaw"),
-    ("ik --robot puma560 --T 1,2,3", "give 16"),
-    ("ik --robot puma560 --T 1,0,0,0,0,1,0,0,0,0,2,0,0,0,0,1", "not a rotation"),
-    ("ik --robot puma560 --T " + ",".join(["nan"] * 16), "must be finite"),
-    ("ik --robot puma560 --xyz nan,0,0", "finite"),
-    ("ik --robot ax12-line --set a2=-0.1 --xyz 0.1,0,0", "longer than 0 m"),
-    ("jacobian --robot puma560 --q 0", "this robot has 6 joints"),
-    ("trajectory --robot lanzhou-4dof --q0 0,0,0,0 --q1 0,0 --duration 1", "4 joints"),
-    ("trajectory --robot lanzhou-4dof --q0 0,0,0,0 --q1 0,0,0,1 --duration 0", "above 0"),
-]
-CANNOT_BE_DONE = [
-    ("hand --link /nonexistent/link", "start one with `armctl sim"),
-    ("replay /nonexistent.mcap --check", "cannot be read"),
-    ("log info /nonexistent.mcap", "cannot be read"),
-    ("optimize none --from 0.18,-0.1,0.1 --to 0.18,0.1,0.1", "none"),
-    ("teach x", "type `armctl teach x --yes`"),
-]
-
-
-@pytest.mark.parametrize(
-    ("status", "line", "text"), [(2, *row) for row in WRONG_USAGE] + [(1, *row) for row in CANNOT_BE_DONE]
-)
-def test_wrong_usage_is_2_what_cannot_be_done_is_1_and_each_is_one_clear_sentence(
+@pytest.mark.parametrize(("status", "line", "text"), refusals("anywhere"))
+def test_what_is_refused_is_one_clear_sentence_and_an_exit_status(
     status: int, line: str, text: str, typed: Typed
 ) -> None:
     said = typed(*line.split(), status=status)

@@ -4,7 +4,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.cli import main
 from armctl.config import Config
 from armctl.files import load_arm
 from armctl.lab import line_results, sag_model
@@ -60,28 +59,6 @@ def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_t
         assert row["predicted_mean_error_mm"] < tolerance_mm
         chosen.append(row["via"])
     assert 0 <= chosen[0] < chosen[1] < 8
-
-
-@pytest.mark.parametrize(
-    ("arguments", "match"),
-    [
-        (["--to", "0.18,-0.1,0.10"], "nearly the same point"),
-        (["--to", "0.8,0.1,0.10"], "out of reach; the nearest point"),
-        (["--duration", "0.6"], "s or more"),
-    ],
-)
-def test_a_line_that_cannot_be_followed_is_refused_at_once(answer: Answer, arguments: list[str], match: str) -> None:
-    assert match in str(answer(*LINE, *arguments, "--virtual", status=1)["error"])
-
-
-@pytest.mark.parametrize("via", ["", "one", "21", "-1", "2.5", "2,,3"])
-def test_a_number_of_via_points_that_is_none_is_wrong_usage(via: str) -> None:
-    assert main([*LINE, "--via", via, "--virtual"]) == 2
-
-
-def test_without_a_daemon_an_experiment_on_the_arm_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ARMCTL_SOCKET", "/nonexistent/socket")
-    assert main(LINE) == 3
 
 
 @pytest.fixture

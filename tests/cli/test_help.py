@@ -18,10 +18,6 @@ def test_every_topic_is_explained(topic: str, typed: Typed, answer: Answer) -> N
     assert len(typed("help", topic).out) > 300
 
 
-def test_an_unknown_topic_is_wrong_usage_and_names_the_topics(typed: Typed) -> None:
-    assert "topics: start" in typed("help", "nothing", status=2).err
-
-
 @pytest.mark.parametrize("command", _COMMANDS)
 def test_every_command_explains_itself_within_80_columns(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):

@@ -180,10 +180,6 @@ def test_export_writes_a_file_and_tells_its_rows(log: Path, tmp_path: Path, kind
     assert "exists already" in again["error"]["message"]
 
 
-def test_an_unknown_format_is_wrong_usage(log: Path, tmp_path: Path, typed: Typed) -> None:
-    typed("log", "export", log, "--format", "ods", "--out", tmp_path / "t", status=2)
-
-
 def test_trim_and_merge_tell_what_they_wrote(log: Path, tmp_path: Path, answer: Answer) -> None:
     parts = [tmp_path / "1.mcap", tmp_path / "2.mcap"]
     first = answer("log", "trim", log, "--from", "0", "--to", "2.55", "--out", parts[0])

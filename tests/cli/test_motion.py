@@ -53,24 +53,6 @@ def test_a_grip_that_found_nothing_fails(
     assert ("gripped: yes" if gripped else "gripped: nothing") in said.out
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "reach",
-        "reach --xyz 0.2,0.05",
-        "reach --xyz 0.2,0.05,0.06 --grip --let-go",
-        "reach --xyz 0.2,0.05,0.06 --method guess",
-        "reach --xyz 0.2,0.05,0.06 --off 0",
-        "transfer --virtual transfer-6dof",
-        "transfer --log x.mcap",
-        "transfer --pick nan,0,0",
-        "transfer --virtual no-such-arm --log x.mcap",
-    ],
-)
-def test_wrong_usage_is_told_with_status_2(line: str, typed: Typed) -> None:
-    typed(*line.split(), status=2)
-
-
 def test_a_virtual_transfer_leaves_a_log_a_page_and_a_table(tmp_path: Path, typed: Typed, answer: Answer) -> None:
     log, page = tmp_path / "cycle.mcap", tmp_path / "cycle.html"
     command = ("transfer", "--virtual", "transfer-6dof", "--log", log, "--out", page, "--lift", "1.5")

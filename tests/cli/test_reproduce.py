@@ -37,7 +37,3 @@ def test_an_erratum_that_does_not_hold_is_1(monkeypatch: pytest.MonkeyPatch, typ
     wrong = Erratum("003", "somewhere", "a", "b", "nothing", lambda: (0.0, 0.0))
     monkeypatch.setattr(errata, "errata", lambda _papers: [wrong])
     assert "1 errata, 0 of them proven" in typed("reproduce", "003", "--quick", status=1).out
-
-
-def test_unknown_paper_is_2_and_the_message_lists_the_known_ones(typed: Typed) -> None:
-    assert "'000', '001', '002', '003', '004', 'all'" in typed("reproduce", "005", status=2).err

@@ -17,7 +17,7 @@ from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.files import find_arm_file, load_arm
 from armctl.lab.demo import program
-from tests.cli.conftest import Answer, Typed
+from tests.cli.conftest import Answer, Typed, refusals
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
 
 pytestmark = pytest.mark.usefixtures("own_folders")
@@ -118,26 +118,12 @@ def test_servo_commands_write_and_say_so(bench: Bench, answer: Answer, typed: Ty
     assert not any(servo.torque_enabled for servo in bench.servos)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "text"),
-    [
-        ("servo set-id 1 2", 1, "servo 2 already answers"),
-        ("servo set-id 1 300", 2, "range"),
-        ("servo set-baud 1 1234", 2, "no rate of an AX-12A"),
-        ("servo set 1 goal_position 3", 2, "one of: return_delay_time"),
-        ("servo set-return-delay x 3", 2, "neither an id nor"),
-        ("scan --baud x", 2, "neither a number nor"),
-        ("scan --baud 12", 2, "outside 9000..1000000"),
-        ("servo set-id 1 9 --baud 0", 2, "outside 9000..1000000"),
-        ("calibrate", 2, "give one of --points"),
-        ("calibrate --zero-at rest", 2, "needs a terminal"),
-        ("calibrate --readings /nonexistent.yaml", 2, "cannot read the readings"),
-        ("servo eeprom diff /nonexistent.yaml", 2, "cannot read the EEPROM file"),
-    ],
-)
-def test_refusals_are_one_clear_sentence(bench: Bench, arguments: str, status: int, text: str, typed: Typed) -> None:
+@pytest.mark.parametrize(("status", "line", "text"), refusals("at the bench"))
+def test_what_is_refused_is_one_clear_sentence_and_nothing_is_written(
+    bench: Bench, status: int, line: str, text: str, typed: Typed
+) -> None:
     before = [servo.writes for servo in bench.servos]
-    assert text in typed(*arguments.split(), "--port", "x", status=status).err
+    assert text in typed(*line.split(), "--port", "x", status=status).err
     assert [servo.writes for servo in bench.servos] == before
     assert not bench.port.is_open
 

@@ -1,8 +1,5 @@
 from pathlib import Path
 
-import pytest
-
-from armctl.cli import main
 from armctl.cli.study import COMMANDS
 from armctl.lab.study.studies import STUDIES
 from tests.cli.conftest import Answer, Typed
@@ -46,21 +43,3 @@ def test_fronts_are_told_and_drawn(answer: Answer, tmp_path: Path) -> None:
 def test_the_tables_for_people_come_out_too(typed: Typed) -> None:
     said = typed("study", "arms", *LINE, "--via", "1", "--arms", "1", "--refine", "0", "--workers", "1")
     assert "True distance from the line on 1 arms" in said.out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status"),
-    [
-        (["arms", "--via", "1"], 2),
-        (["ga", *LINE, "--population", "2.5"], 2),
-        (["pareto", *LINE, "--via", "1.5"], 2),
-        (["limits", *LINE, "--via", "21"], 2),
-        (["ga", *LINE, "--pc", "1.5"], 2),
-        (["ga", *LINE, "--pm", "often"], 2),
-        (["pareto", "--from", "0.18,-0.1,0.10", "--to", "0.18,-0.1,0.10", "--workers", "1", "--via", "1"], 1),
-        (["ga", "no-such-recording", *LINE, "--workers", "1"], 1),
-        (["arms", "/no/such/plan.json"], 2),
-    ],
-)
-def test_what_cannot_be_done_is_refused(arguments: list[str], status: int) -> None:
-    assert main(["study", *arguments]) == status

@@ -299,10 +299,6 @@ def test_a_daemon_that_was_restarted_is_found_again(monkeypatch: pytest.MonkeyPa
     assert len(ports) == 1
 
 
-def test_without_a_daemon_the_status_is_3(tmp_path: Path) -> None:
-    assert main(["live", "--socket", str(tmp_path / "nobody.sock")]) == 3
-
-
 def test_a_layout_is_written_and_never_over_another_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "layout.json"
     assert main(["live", "--layout", str(path), "--json"]) == 0
