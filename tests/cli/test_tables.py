@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
@@ -31,7 +32,8 @@ from tests.recording.simulated import simulated_records
 
 COLUMNS = 80
 FIGURE = re.compile(r"-?\d+\.\d+(?:e[-+]\d+)?|-?\d+")
-LONGEST_NAME = "candidate-" + "n" * 54
+WIDEST: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("widest.yaml").read_text(encoding="utf-8"))
+LONGEST_NAME = WIDEST["recording"]["name"]
 
 
 class Tables(Output):
@@ -58,47 +60,6 @@ def assert_whole(show: Callable[[Output], object]) -> str:
     return text
 
 
-ERRORS = {"mean_error_mm": 123.456, "max_error_mm": 234.567}
-PREDICTED = {"predicted_mean_error_mm": 123.456, "predicted_max_error_mm": 234.567}
-LINE_ROW = {"via": "stream", "runs": 100, "duration_s": 600.0, "spread": ERRORS, "truth": ERRORS, **ERRORS, **PREDICTED}
-EXPERIMENT = {
-    "rows": [LINE_ROW, {**LINE_ROW, "via": 20, "truth": None}],
-    "before": [ERRORS, ERRORS],
-    "refined": [{"round": 20, "rows": [{"via": "stream"}, {"via": 20}]}],
-    "ga": None,
-    "report": None,
-    "unseen": {"stream": {"zero_offset_mm": 12.3}},
-}
-DEMO = {
-    "rows": [{**LINE_ROW, "via": via} for via in (0, 1, 2)],
-    "ga": ERRORS,
-    "gap_ratio": 0.12345,
-    "replay": {"ticks": 123456, "messages": 1234567, "mismatches": 12345},
-    "report": "armctl-demo/report.html",
-}
-SPREAD = {"median": 123.456, "worst": 234.567, "spread": 100.123}
-BOTH = dict.fromkeys(ERRORS, SPREAD)
-ARMS: list[dict[str, Any]] = [
-    {"via": "stream", "arms": 10000, "refused": 9999, "before": BOTH, "truth": BOTH},
-    {"via": 20, "arms": 0, "refused": 10000, "before": None, "truth": None},
-]  # fmt: skip
-SETTING = {
-    "population": 100000, "crossover_probability": 0.123456, "mutation_probability": 0.000123456, "repeats": 1000,
-    "mean_error_mm": 123.456, "spread_mm": 100.123, "best_mm": 123.456, "exact_mean_error_mm": 123.456,
-    "gap_ratio": 12.3456, "settled_generation": 100000.0,
-}  # fmt: skip
-FRONT = {
-    "duration_s": 1234.5, "via": 20, "recorded_mean_error_mm": 123.456, "feasible": True, **PREDICTED,
-    "truth": {"mean_error_mm": 123.456, "spread_mm": 100.123}, "front_duration": True, "front_via": True,
-}  # fmt: skip
-LIMIT = {
-    "via": "stream", "before_mm": 123.456, "after_mm": 123.456, "spread_mm": 100.123, "after_share_mm": -100.123,
-    "ticks_mm": 12.34, "unseen_mm": 12.34,
-}  # fmt: skip
-PAPER = {
-    "experiment": 3, "via": 2, "recorded_mean_error_mm": 123.456, "spread_mm": 100.123, "duration_s": 600.0, **ERRORS,
-    "paper": {**ERRORS, "duration_s": 600.0},
-}  # fmt: skip
 REPORT = PaperReport(
     paper="004",
     title="a title that is as long as the longest of the five papers' titles, and then some more of it",
@@ -115,12 +76,6 @@ REPORT = PaperReport(
 ERRATUM = Erratum(
     "002", "eqs. (19), (20)", "C1 (a2 C2 + a3 C23)", "S1 (a2 C2 + a3 C23) + ...", "[m]", lambda: (0.1, 0.0)
 )
-RECORDING = {"name": LONGEST_NAME, "duration_s": 3600.0, "samples": 36000, **ERRORS}
-OPTIMUM = {"baseline": [RECORDING], "ga": ERRORS, "exact": ERRORS, "free": ERRORS, "gap_ratio": 123.456}
-CURVE = {
-    "figure": "Fig. 10", "quantity": "angular acceleration", "model_peak": 12345.6789, "recorded_peak": 12345.6789,
-    "rms_difference": 12345.6789, "unit": "rad/s^2",
-}  # fmt: skip
 SERVOS = [FoundServo(253, 1_000_000, None, None, 123456, True), FoundServo(1, 57_600, 65535, 255, 123456, False)]
 CHECKS = [
     Check("return delay", True, "0 us", "", servo_id=1),
@@ -139,21 +94,21 @@ FIT = Fit(
     rms_mm=12.3,
 )
 TABLES: dict[str, Callable[[Output], object]] = {
-    "demo": lambda out: demo.show(out, DEMO),
-    "experiment": lambda out: experiment.show(out, EXPERIMENT),
-    "study arms": lambda out: study.show(out, "arms", {"rows": [], "summary": ARMS}),
-    "study ga": lambda out: study.show(out, "ga", {"rows": [SETTING]}),
-    "study pareto": lambda out: study.show(
-        out, "pareto", {"rows": [FRONT, {**FRONT, "feasible": False, "truth": None}]}
-    ),
+    "demo": lambda out: demo.show(out, WIDEST["demo"]),
+    "experiment": lambda out: experiment.show(out, WIDEST["experiment"]),
+    "study arms": lambda out: study.show(out, "arms", WIDEST["study arms"]),
+    "study ga": lambda out: study.show(out, "ga", WIDEST["study ga"]),
+    "study pareto": lambda out: study.show(out, "pareto", WIDEST["study pareto"]),
     "study limits": lambda out: study.show(
-        out, "limits", {"rows": [{**LIMIT, "without": effect} for effect in WITHOUT]}
+        out, "limits", {"rows": [{**WIDEST["study limits"], "without": effect} for effect in WITHOUT]}
     ),
-    "study paper": lambda out: study.show(out, "paper", {"rows": [PAPER]}),
+    "study paper": lambda out: study.show(out, "paper", WIDEST["study paper"]),
     "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
-    "recordings": lambda out: jobs.show_recordings(out, [RECORDING, {**RECORDING, "mean_error_mm": None}]),
-    "optimize": lambda out: jobs.show_optimum(out, OPTIMUM, {"via": 20, "path": "plan.json", **PREDICTED}),
-    "transfer": lambda out: motion.show_curves(out, [CURVE]),
+    "recordings": lambda out: jobs.show_recordings(
+        out, [WIDEST["recording"], {**WIDEST["recording"], "mean_error_mm": None}]
+    ),
+    "optimize": lambda out: jobs.show_optimum(out, WIDEST["optimum"], WIDEST["plan"]),
+    "transfer": lambda out: motion.show_curves(out, WIDEST["transfer"]),
     "scan": lambda out: setup.show_servos(out, SERVOS),
     "doctor": lambda out: setup.show_checks(out, CHECKS),
     "servo eeprom": lambda out: servo.show_differences(out, DIFFERENCES, "file", "servo"),
