@@ -5,6 +5,7 @@ import fcntl
 import os
 import pty
 import select
+import socket
 import subprocess
 import sys
 import termios
@@ -17,6 +18,13 @@ PATIENCE_S = 60.0
 # Where `armctl` is the one that is tested.
 PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 CTRL_C, CTRL_Z = b"\x03", b"\x1a"
+
+
+def free_port() -> int:
+    """A port of the loopback interface that nobody has."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 @dataclass

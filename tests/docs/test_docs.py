@@ -8,7 +8,6 @@ ports become the simulator's.
 import os
 import re
 import shlex
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -26,7 +25,7 @@ from armctl.cli.processes import DEFAULT_LINK
 from armctl.control.faults import CODES, NEXT, WHAT
 from armctl.files import load_arm
 from armctl.lab.demo import program
-from tests.terminal import CTRL_C, PATH, shell
+from tests.terminal import CTRL_C, PATH, free_port, shell
 
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 README = (DOCS.parent.parent / "README.md").read_text()
@@ -68,9 +67,7 @@ class Stand:
 
     def _serve(self, log: Path) -> None:
         """The dashboard on a free port; what it printed stands in the file `address`."""
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.web_port = int(probe.getsockname()[1])
+        self.web_port = free_port()
         with log.open("a") as words:
             command = [sys.executable, "-m", "armctl", "web", "--port", str(self.web_port)]
             served = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True)

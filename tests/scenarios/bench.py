@@ -58,6 +58,8 @@ class Program:
 
     process: subprocess.Popen[str]
     stderr: Path
+    # The line that said that it is ready.
+    said: str = ""
 
     @classmethod
     def start(cls, folder: Path, name: str, *command: str) -> "Program":
@@ -70,8 +72,9 @@ class Program:
             )
         program = cls(process, stderr)
         assert process.stdout is not None
-        said = process.stdout.readline() if select.select([process.stdout], [], [], DEADLINE_S)[0] else ""
-        if not said.startswith("ready "):
+        if select.select([process.stdout], [], [], DEADLINE_S)[0]:
+            program.said = process.stdout.readline()
+        if not program.said.startswith("ready "):
             program.end()
             raise AssertionError(f"{name} did not become ready: {stderr.read_text()}")
         return program

@@ -2,19 +2,13 @@
 
 import contextlib
 import json
-import os
 import re
 import shutil
-import socket
-import subprocess
-import sys
 import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,9 +16,9 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from armctl.client import Client
 from armctl.errors import RequestRefused
-from armctl.lab.demo import program
 from armctl.lab.table_ii import FROM_M, TO_M
 from armctl.sim.control import SimulatorClient, control_path
+from proving.dashboard import Dashboard, dashboard
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = [
@@ -45,18 +39,13 @@ FLAGS = (
 PATIENCE_MS = 60_000
 
 
-@dataclass
 class Stand:
-    """Everything that runs, and where."""
+    """A dashboard that runs, its daemon, and the simulator behind both."""
 
-    port: int
-    address: str
-    socket: Path
-    simulator: SimulatorClient
-
-    @property
-    def token(self) -> str:
-        return self.address.partition("#token=")[2]
+    def __init__(self, running: Dashboard, simulator: SimulatorClient) -> None:
+        self.port, self.token, self.socket = running.port, running.token, running.socket
+        self.address = f"{running.address}/#token={running.token}"
+        self.simulator = simulator
 
     def ticks(self, seconds: float) -> None:
         """Let so much of the daemon's time pass."""
@@ -71,30 +60,8 @@ class Stand:
 @pytest.fixture(scope="module")
 def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     folder = tmp_path_factory.mktemp("web")
-    with contextlib.ExitStack() as cleanup:
-        patch = cleanup.enter_context(pytest.MonkeyPatch.context())
-        for name in list(os.environ):
-            if name.startswith(("ARMCTL_", "NOTIFY_")):
-                patch.delenv(name)
-        patch.setenv("XDG_DATA_HOME", str(folder / "data"))
-        patch.setenv("XDG_CONFIG_HOME", str(folder / "config"))
-        patch.setenv("ARMCTL_SOCKET", str(folder / "daemon.sock"))
-        servos, log = folder / "servos", folder / "programs.log"
-        cleanup.enter_context(program(log, "sim", "--link", str(servos), "--seed", "4"))
-        cleanup.enter_context(program(log, "daemon", "--port", str(servos)))
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
-        web = subprocess.Popen(
-            [sys.executable, "-m", "armctl", "web", "--port", str(port)], stdout=subprocess.PIPE, text=True
-        )
-        cleanup.callback(web.wait)
-        cleanup.callback(web.terminate)
-        assert web.stdout is not None
-        cleanup.callback(web.stdout.close)
-        ready, _, address = web.stdout.readline().strip().partition(" ")
-        assert ready == "ready"
-        yield Stand(port, address, folder / "daemon.sock", cleanup.enter_context(SimulatorClient(control_path(servos))))
+    with dashboard(folder, seed=4) as running, SimulatorClient(control_path(folder / "servos")) as simulator:
+        yield Stand(running, simulator)
 
 
 def acknowledge(stand: Stand) -> None:

@@ -2,10 +2,7 @@
 
 import builtins
 import json
-import select
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +22,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
 from armctl.recording.cdr import schema_codec
 from armctl.web import live
-from tests.scenarios.bench import DEADLINE_S, bench, environment, simulator
+from tests.scenarios.bench import DEADLINE_S, Program, bench, simulator
 
 ARM = load_arm("ax12-line")
 MESSAGE = struct.Struct("<BIQ")
@@ -213,23 +210,13 @@ def test_the_server_offers_nothing_that_writes_and_announces_the_schemas_of_the_
 @contextmanager
 def live_view(folder: Path, socket: Path) -> Iterator[int]:
     """`armctl live` as a person starts it; its port."""
-    with (folder / "live.err").open("w") as words:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "armctl", "live", "--port", "0", "--socket", str(socket), "--arm", "ax12-line"],
-            env=environment(folder),
-            stdout=subprocess.PIPE,
-            stderr=words,
-            text=True,
-        )
-    assert process.stdout is not None
+    command = ("live", "--port", "0", "--socket", str(socket), "--arm", "ax12-line")
+    running = Program.start(folder, "live", "-m", "armctl", *command)
     try:
-        said = process.stdout.readline() if select.select([process.stdout], [], [], DEADLINE_S)[0] else ""
-        assert said.startswith("ready ws://127.0.0.1:"), (folder / "live.err").read_text()
-        yield int(said.rpartition(":")[2])
+        assert running.said.startswith("ready ws://127.0.0.1:")
+        yield int(running.said.rpartition(":")[2])
     finally:
-        process.terminate()
-        process.wait(DEADLINE_S)
-        process.stdout.close()
+        running.end()
 
 
 @pytest.mark.pty

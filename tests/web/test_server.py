@@ -20,6 +20,7 @@ from armctl.errors import ConfigError
 from armctl.files import load_arm
 from armctl.web import server
 from armctl.web.guard import TOKEN_HEADER
+from tests.terminal import free_port
 
 
 @pytest.fixture
@@ -68,9 +69,7 @@ def test_the_token_is_for_owner_and_group_and_goes_with_the_server(
         await serve(self, sockets)
 
     monkeypatch.setattr(uvicorn.Server, "serve", remembered)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_port()
     file = tmp_path / "run" / "address"
     seen: dict[str, Any] = {}
 
