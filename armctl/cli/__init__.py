@@ -92,9 +92,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = list(argv) if argv is not None else None
         result = cli.main(arguments, prog_name="armctl", obj=output, standalone_mode=False)
-    except click.UsageError as error:
-        error.show()
-        return 2
     except click.ClickException as error:
         error.show()
         return error.exit_code

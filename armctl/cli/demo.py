@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from armctl.cli.output import FOLDER, Output, command
-from armctl.cli.tables import Column, show_rows
+from armctl.cli.tables import show_rows
 
 
 @command("demo")
@@ -32,16 +32,8 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
 def show(output: Output, result: dict[str, Any]) -> None:
     from armctl.report.line import PRINTED
 
-    columns: tuple[Column, ...] = (
-        ("via", "{via}"),
-        ("predicted", "{predicted_mean_error_mm:.1f} / {predicted_max_error_mm:.1f}"),
-        ("encoders", "{mean_error_mm:.1f} / {max_error_mm:.1f}"),
-        ("true", "{truth[mean_error_mm]:.1f} / {truth[max_error_mm]:.1f}"),
-        ("s", "{duration_s:.1f}"),
-        ("paper", lambda row: PRINTED[row["via"]].errors),
-        ("s", lambda row: f"{PRINTED[row['via']].duration_s:.1f}"),
-    )
-    show_rows(output.console, "Distance of the tool from the line, mean / maximum, mm", columns, result["rows"])
+    rows = [{**row, "paper": PRINTED[row["via"]]} for row in result["rows"]]
+    show_rows(output.console, "demo", "Distance of the tool from the line, mean / maximum, mm", rows)
     replayed = result["replay"]
     output.say(
         "Predicted: perfect servos. True: the tool's real place, sag under gravity included.\n"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, SOCKET, START, Output, command
-from armctl.cli.tables import Column, show_rows
+from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -98,26 +98,13 @@ def line_command(output: Output, virtual: bool, period_s: float | None, **asked:
     output.answer(result, lambda: show(output, result))
 
 
-ERRORS = "{mean_error_mm:.2f} / {max_error_mm:.2f}"
-COLUMNS: tuple[Column, ...] = (
-    ("via", "{via}"),
-    ("predicted", "{predicted_mean_error_mm:.2f} / {predicted_max_error_mm:.2f}"),
-    ("before", "{before[mean_error_mm]:.1f} / {before[max_error_mm]:.1f}"),
-    ("after", ERRORS),
-    ("+-", lambda row: f"{row['spread']['mean_error_mm']:.2f}" if row["runs"] > 1 else "-"),
-    ("true", lambda row: ERRORS.format_map(row["truth"]) if row["truth"] else "unknown"),
-    ("s", "{duration_s:.1f}"),
-    ("rounds", "{rounds}"),
-)
-
-
 def show(output: Output, result: dict[str, Any]) -> None:
     rounds = {row["via"]: corrected["round"] for corrected in result["refined"] for row in corrected["rows"]}
     rows = [
-        {**row, "before": before, "rounds": rounds[row["via"]]}
+        {**row, "before": before, "rounds": rounds[row["via"]], "repeated": row["runs"] > 1}
         for row, before in zip(result["rows"], result["before"], strict=True)
     ]
-    show_rows(output.console, "Distance of the tool from the line, mean / maximum, mm", COLUMNS, rows)
+    show_rows(output.console, "experiment", "Distance of the tool from the line, mean / maximum, mm", rows)
     if (ga := result["ga"]) is not None:
         output.say(
             f"Genetic algorithm over {len(ga['baseline'])} recordings: {ga['mean_error_mm']:.2f} mm mean on their own "

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import yaml
 
 from armctl.cli.output import Output, command
 from armctl.errors import ConfigError
@@ -20,19 +21,8 @@ if TYPE_CHECKING:
 
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-TOPICS = {
-    "start": "five minutes without an arm",
-    "arm": "the first hour with a real arm",
-    "concepts": "the words, and what stands behind them",
-    "safety": "what armctl does for safety, and what it does not",
-    "faults": "every fault code and what to do",
-    "configuration": "every key of the configuration and of a calibration file",
-    "api": "Python, socket and HTTP",
-    "logs": "what is in a log, and what can be done with it",
-    "new-arm": "how to add an arm",
-    "ros2": "a log in ROS 2 tools",
-    "simulator": "what is simulated, and what is not",
-}
+# Each page, and what it explains.
+TOPICS: dict[str, str] = yaml.safe_load((DOCS / "topics.yaml").read_text(encoding="utf-8"))
 
 
 @command("help")
@@ -88,23 +78,17 @@ def configuration_page() -> str:
     """Every key with its type, default and bounds, from the types that check the files."""
     from armctl.config import ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig
 
-    blocks = [
-        "# Configuration\n\nTwo YAML files, checked as a whole when they are read; wrong keys are named.\n",
-        "## armctl.yaml\n\n`~/.config/armctl/armctl.yaml`, or `/etc/armctl/armctl.yaml` for the service. Every key "
-        "has a default.\n",
-        _keys(Config),
-        "## log:\n",
-        _keys(LogConfig),
-        "## calibration/NAME.yaml\n\nOne file an arm; see `armctl help new-arm`.\n",
-        _keys(ArmConfig),
-        "## joints: one entry a servo, from the base up\n",
-        _keys(JointConfig),
-        "## compliance:\n",
-        _keys(Compliance),
-        "## gripper: the joint that grips, where the arm has one\n",
-        _keys(GripperConfig),
-    ]
-    return "\n".join(blocks)
+    sections: dict[str, type[BaseModel]] = {
+        "armctl.yaml\n\n`~/.config/armctl/armctl.yaml`, or `/etc/armctl/armctl.yaml` for the service. Every key has a "
+        "default.\n": Config,
+        "log:\n": LogConfig,
+        "calibration/NAME.yaml\n\nOne file an arm; see `armctl help new-arm`.\n": ArmConfig,
+        "joints: one entry a servo, from the base up\n": JointConfig,
+        "compliance:\n": Compliance,
+        "gripper: the joint that grips, where the arm has one\n": GripperConfig,
+    }
+    intro = "# Configuration\n\nTwo YAML files, checked as a whole when they are read; wrong keys are named.\n"
+    return "\n".join([intro, *(f"## {heading}\n{_keys(model)}" for heading, model in sections.items())])
 
 
 # Type in JSON's words -> what a person calls it.

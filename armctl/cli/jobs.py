@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from armctl.cli.output import CONFIG, DURATION, END, FILE, JSON, SOCKET, START, Output, command
-from armctl.cli.tables import Column, show_rows, show_table
+from armctl.cli.tables import show_rows, show_table
 from armctl.errors import LogError, NoDaemon
 
 if TYPE_CHECKING:
@@ -62,18 +62,8 @@ def _show_list(output: Output, found: dict[str, Any]) -> None:
         output.say(f"not shown: {entry['problem']}")
 
 
-RECORDINGS: tuple[Column, ...] = (
-    ("name", "{name}"),
-    ("s", "{duration_s:.1f}"),
-    ("samples", "{samples}"),
-    ("mean", "{mean_error_mm:.1f}", "mean_error_mm"),
-    ("maximum", "{max_error_mm:.1f}", "max_error_mm"),
-)
-
-
 def show_recordings(output: Output, recordings: Sequence[dict[str, Any]]) -> None:
-    title = "Recordings; how far off the line the tool was, mm"
-    show_rows(output.console, title, RECORDINGS, recordings, words=("name",))
+    show_rows(output.console, "recordings", "Recordings; how far off the line the tool was, mm", recordings)
 
 
 def _on_recording(output: Output, method: str, words: Callable[[dict[str, Any]], str], **params: Any) -> None:

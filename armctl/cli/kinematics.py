@@ -62,9 +62,7 @@ def robots_command(output: Output) -> None:
 
     known = [robots.get(name) for name in robots.names()]
     rows = [{"name": r.name, "joints": r.chain.n, "convention": r.chain.convention, "source": r.source} for r in known]
-    columns = (("robot", "{name}"), ("joints", "{joints}"), ("convention", "{convention} DH"), ("source", "{source}"))
-    words = ("robot", "convention", "source")
-    output.answer({"robots": rows}, lambda: show_rows(output.console, "", columns, rows, words))
+    output.answer({"robots": rows}, lambda: show_rows(output.console, "robots", "", rows))
 
 
 @command("fk")

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from armctl.cli.output import FILE, HOLDS, IK_METHODS, POINT, SOCKET, Numbers, Output, command, millimetres
-from armctl.cli.tables import Column, show_rows
+from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
 POSE = Numbers(6, "six numbers x,y,z,roll,pitch,yaw")
@@ -191,12 +191,4 @@ def transfer_command(
 
 
 def show_curves(output: Output, rows: Sequence[dict[str, Any]]) -> None:
-    columns: tuple[Column, ...] = (
-        ("figure", "{figure}"),
-        ("quantity", "{quantity}"),
-        ("model", "{model_peak:.4f}"),
-        ("recorded", "{recorded_peak:.4f}"),
-        ("rms apart", "{rms_difference:.4f}"),
-        ("unit", "{unit}"),
-    )
-    show_rows(output.console, "Peaks of the paw's midpoint", columns, rows, words=("figure", "quantity", "unit"))
+    show_rows(output.console, "transfer", "Peaks of the paw's midpoint", rows)

@@ -9,17 +9,17 @@ import contextlib
 import os
 import shlex
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from armctl.cli.output import ARM, BAUD, CONFIG, FILE, FOLDER, PORT, SOCKET, Output, command
-from armctl.cli.tables import Column, show_rows
+from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError, NoDaemon
 
 if TYPE_CHECKING:
@@ -91,19 +91,11 @@ def scan_command(output: Output, baud: str | None) -> int:
 
 
 def show_servos(output: Output, found: Sequence[FoundServo]) -> None:
-    columns: tuple[Column, ...] = (
-        ("id", "{servo_id}"),
-        ("baud", "{baud}"),
-        ("model", "{model}", "model"),
-        ("firmware", "{firmware}", "firmware"),
-        ("round trip, us", "{round_trip_us}"),
-        ("trouble", _trouble),
-    )
-    show_rows(output.console, "", columns, map(asdict, found), words=("trouble",))
+    show_rows(output.console, "servos", "", [{**asdict(servo), "trouble": _trouble(servo)} for servo in found])
 
 
-def _trouble(servo: Mapping[str, Any]) -> str:
-    return "; ".join(["answers no READ"] * (servo["model"] is None) + ["two servos have this id"] * servo["clash"])
+def _trouble(servo: FoundServo) -> str:
+    return "; ".join(["answers no READ"] * (servo.model is None) + ["two servos have this id"] * servo.clash)
 
 
 # --------------------------------------------------------------------------------------------------------- doctor

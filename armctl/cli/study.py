@@ -1,6 +1,7 @@
-"""`armctl study`: the command line of every study, in one table: what may be asked, and what a person is shown.
+"""`armctl study`: the command line of every study, in one table: what may be asked, and what a person is told.
 
-What a study does stands in a second table by the same names, `armctl/lab/study/studies.py`.
+What a study does stands in a second table by the same names, `armctl/lab/study/studies.py`; its columns stand in
+`armctl/cli/tables.yaml`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import click
 from armctl.cli.experiment import VIA
 from armctl.cli.output import CONFIG, DURATION, END, FILE, POINT, START, Numbers, Output
 from armctl.cli.output import command as answering
-from armctl.cli.tables import Cell, Column, Row, filled, show_rows
+from armctl.cli.tables import Row, show_rows
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -56,9 +57,8 @@ class Command:
     help: str
     # What is asked beside `WORK`: fields of `Case`, what varies, and the file.
     options: tuple[Option, ...]
-    # Of the table for people; filled in by its first row.
-    title: Cell
-    columns: tuple[Column, ...]
+    # Of the table for people, from its first row.
+    title: Callable[[Row], str]
     # Options that say which cases there are.
     varied: tuple[str, ...] = ()
     # Options whose numbers must be whole.
@@ -67,13 +67,10 @@ class Command:
     file: str | None = None
     # What of the result the table shows.
     table: str = "rows"
-    # Columns that hold words.
-    words: tuple[str, ...] = ()
     # Sentences below the table.
     notes: Callable[[Mapping[str, Sequence[Row]]], Iterable[str]] = field(default=lambda _result: ())
 
 
-MEDIAN_WORST = "{{{0}[{1}][median]:.2f}} / {{{0}[{1}][worst]:.2f}}"
 COMMANDS = {
     "ga": Command(
         "Settings of the genetic algorithm compared on RECORDINGS, or on takes of the simulated hand.\n\n"
@@ -90,18 +87,7 @@ COMMANDS = {
             repeats(1000, "Seeds of each setting."),
             DURATION,
         ),
-        "Mean distance from the line over {repeats} seeds, mm",
-        (
-            ("population", "{population}"),
-            ("Pc", "{crossover_probability:g}"),
-            ("Pm", "{mutation_probability:g}"),
-            ("mean", "{mean_error_mm:.3f}"),
-            ("+-", "{spread_mm:.3f}"),
-            ("best", "{best_mm:.3f}"),
-            ("exact", "{exact_mean_error_mm:.3f}"),
-            ("gap", "{gap_ratio:.1%}"),
-            ("settled", "{settled_generation:.0f}"),
-        ),
+        "Mean distance from the line over {repeats} seeds, mm".format_map,
         varied=("population", "pc", "pm", "repeats"),
         whole=("population",),
     ),
@@ -122,15 +108,6 @@ COMMANDS = {
             ),
         ),
         lambda first: f"True distance from the line on {first['arms'] + first['refused']} arms, median / worst, mm",
-        (
-            ("via", "{via}"),
-            ("before, mean", MEDIAN_WORST.format("before", "mean_error_mm"), "before"),
-            ("mean", MEDIAN_WORST.format("truth", "mean_error_mm"), "truth"),
-            ("+-", "{truth[mean_error_mm][spread]:.2f}", "truth"),
-            ("max", MEDIAN_WORST.format("truth", "max_error_mm"), "truth"),
-            ("arms", "{arms}"),
-            ("refused", "{refused}"),
-        ),
         varied=("arms",),
         table="summary",
         notes=lambda result: (
@@ -153,16 +130,7 @@ COMMANDS = {
             objective("mean"),
             click.option("--report", type=FILE, metavar="HTML", help="Write a page with the fronts drawn."),
         ),
-        "Distance from the line, mm; * no other is better in both",
-        (
-            ("s", "{duration_s:g}"),
-            ("via", "{via}"),
-            ("recorded", lambda row: f"{row['recorded_mean_error_mm']:.2f}" if row["feasible"] else "too fast"),
-            ("predicted", "{predicted_mean_error_mm:.2f}"),
-            ("true", "{truth[mean_error_mm]:.2f} +- {truth[spread_mm]:.2f}", "truth"),
-            ("by time", lambda row: "*" if row["front_duration"] else ""),
-            ("by via", lambda row: "*" if row["front_via"] else ""),
-        ),
+        "Distance from the line, mm; * no other is better in both".format_map,
         varied=("durations", "arms"),
         whole=("via",),
         file="report",
@@ -181,17 +149,8 @@ COMMANDS = {
             objective("mix"),
             click.option("--report", type=FILE, metavar="HTML", help="Write the page with all the evidence."),
         ),
-        "True mean distance from the line, mm, one effect off",
-        (
-            ("via", "{via}"),
-            ("without", lambda row: row["without"] or "nothing"),
-            ("before", "{before_mm:.2f}"),
-            ("after", "{after_mm:.2f}"),
-            ("+-", "{spread_mm:.2f}"),
-            ("its share", "{after_share_mm:+.2f}"),
-        ),
+        "True mean distance from the line, mm, one effect off".format_map,
         file="report",
-        words=("without",),
         notes=lambda result: (
             f"via {row['via']}: whole ticks alone {row['ticks_mm']:.2f} mm, zero offsets no encoder sees "
             f"{row['unseen_mm']:.2f} mm"
@@ -208,16 +167,7 @@ COMMANDS = {
             DURATION,
             click.option("--xlsx", type=FILE, metavar="FILE", help="Write the recorded angles of all runs."),
         ),
-        "Distance from the line by the encoders, mean / maximum, mm",
-        (
-            ("experiment", "{experiment}"),
-            ("via", "{via}"),
-            ("recorded, mean", "{recorded_mean_error_mm:.1f} +- {spread_mm:.1f}"),
-            ("found", "{mean_error_mm:.1f} / {max_error_mm:.1f}"),
-            ("s", "{duration_s:.1f}"),
-            ("paper", "{paper[mean_error_mm]:.1f} / {paper[max_error_mm]:.1f}"),
-            ("s", "{paper[duration_s]:.1f}"),
-        ),
+        "Distance from the line by the encoders, mean / maximum, mm".format_map,
         file="xlsx",
     ),
 }
@@ -310,6 +260,6 @@ def show(output: Output, name: str, result: Mapping[str, Sequence[Row]]) -> None
     """The table of a study's result, and the sentences below it."""
     command = COMMANDS[name]
     rows = result[command.table]
-    show_rows(output.console, filled(rows[0], command.title), command.columns, rows, words=command.words)
+    show_rows(output.console, f"study {name}", command.title(rows[0]), rows)
     for note in command.notes(result):
         output.say(note)

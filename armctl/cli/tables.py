@@ -6,19 +6,19 @@ Rules.
 3. Columns move together before anything is wrapped that need not be.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import yaml
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 Row = Mapping[str, Any]
-# A template that a row fills in, or a function of the row.
-Cell = str | Callable[[Row], str]
-# Heading, text of a cell, and the key without which the cell is left open.
-Column = tuple[str, Cell] | tuple[str, str, str]
+# What stands in the tables that are made from rows of data, by their names.
+TABLES = Path(__file__).with_name("tables.yaml")
 # Characters between two columns, the first that fits is taken.
 GAPS = (3, 2, 1)
 
@@ -51,19 +51,18 @@ def show_table(
     console.print(shown)
 
 
-def show_rows(
-    console: Console, title: str, columns: Sequence[Column], rows: Iterable[Row], words: Collection[str] = ()
-) -> None:
-    """Print a table whose cells are made from rows of data."""
-    cells = [[filled(row, *cell) for _, *cell in columns] for row in rows]
-    show_table(console, title, [heading for heading, *_ in columns], cells, words)
+def show_rows(console: Console, table: str, title: str, rows: Iterable[Row]) -> None:
+    """Print one of `tables.yaml` with a line for each row of data."""
+    about = yaml.safe_load(TABLES.read_text(encoding="utf-8"))[table]
+    cells = [[_filled(row, *cell) for _, *cell in about["columns"]] for row in rows]
+    show_table(console, title, [heading for heading, *_ in about["columns"]], cells, about.get("words", ()))
 
 
-def filled(row: Row, cell: Cell, needed: str | None = None) -> str:
-    """The text of one cell; `needed` names what the row must hold, or the cell is left open."""
-    if needed is not None and row.get(needed) is None:
-        return "-"
-    return cell.format_map(row) if isinstance(cell, str) else cell(row)
+def _filled(row: Row, template: str, needed: str | None = None, otherwise: str = "-") -> str:
+    """The text of one cell; `needed` names what the row must hold for it."""
+    if needed is not None and (row.get(needed) is None or row[needed] is False):
+        return otherwise
+    return template.format_map(row)
 
 
 def layout(cells: Sequence[Sequence[str]], worded: Sequence[bool], total: int) -> tuple[int, list[int]]:
