@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, SOCKET, START, Output, command
+from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, PROFILE, SOCKET, START, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
@@ -19,12 +19,10 @@ def via_counts(text: str) -> tuple[Via, ...]:
     found: list[Via] = []
     for part in text.split(","):
         word = part.strip()
-        if word == "auto":
-            found.append("auto")
-        elif word == "stream":
-            found.append("stream")
-        elif word.isdecimal() and int(word) <= 20:
+        if word.isdecimal() and int(word) <= 20:
             found.append(int(word))
+        elif word in ("auto", "stream"):
+            found.append(cast("Via", word))
         else:
             raise click.BadParameter(f"{part!r} is not a number of via points from 0 to 20, auto or stream")
     return tuple(found)
@@ -54,10 +52,7 @@ def experiment_command() -> None:
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats an experiment.")
 @click.option("--recordings", multiple=True, metavar="NAME", help="Candidates for the genetic algorithm.")
 @click.option(
-    "--profile",
-    type=click.Choice(("default", "paper")),
-    default="default",
-    help="Of the genetic algorithm; paper: its operators as published.",
+    "--profile", type=PROFILE, default="default", help="Of the genetic algorithm; paper: its operators as published."
 )
 @click.option(
     "--measured",

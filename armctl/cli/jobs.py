@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from armctl.cli.output import CONFIG, DURATION, END, FILE, JSON, SOCKET, START, Output, command
+from armctl.cli.output import CONFIG, DURATION, END, FILE, JSON, PROFILE, SOCKET, START, Output, command
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import LogError, NoDaemon
 
@@ -112,10 +112,7 @@ def recordings_delete(output: Output, name: str) -> None:
 @DURATION
 @click.option("--seed", type=click.IntRange(0), default=0)
 @click.option(
-    "--profile",
-    type=click.Choice(("default", "paper")),
-    default="default",
-    help="paper: the operators as published, and only recorded genes.",
+    "--profile", type=PROFILE, default="default", help="paper: the operators as published, and only recorded genes."
 )
 @click.option(
     "--objective",

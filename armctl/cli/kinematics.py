@@ -114,22 +114,15 @@ def ik_command(
     solve = genetic.solve if method.startswith("ga") else solution.solve
     found = solve(robot, target, method=method, present=present, **asked)
     solutions = found.solutions if every else found.solutions[:1]
-    answer = {
-        "reachable": found.reachable,
-        "least_position_error_m": found.least_position_error_m,
-        "solutions": [asdict(solution) for solution in solutions],
-    }
+    answer = asdict(found) | {"solutions": [asdict(solution) for solution in solutions]}
     output.answer(answer, lambda: show_solutions(output, found, solutions, deg))
 
 
 def show_solutions(output: Output, found: Answer, solutions: Sequence[Solution], deg: bool) -> None:
     if not found.reachable:
         gap = found.least_position_error_m
-        output.say(
-            f"out of reach by {gap * 1000.0:.6g} mm; the nearest:"
-            if gap > 0.0
-            else "the position is in reach, this rotation is not; the nearest:"
-        )
+        far = f"out of reach by {gap * 1000.0:.6g} mm"
+        output.say(f"{far if gap > 0.0 else 'the position is in reach, this rotation is not'}; the nearest:")
     for solution in solutions:
         missed = f"{solution.position_error_m * 1000.0:.3g} mm, {solution.orientation_error_rad:.3g} rad off"
         output.say(_angles(solution.q_rad, deg))
@@ -150,12 +143,7 @@ def jacobian_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bo
 
     J = jacobian(robot.chain, _configuration(robot, "--q", q, deg))
     found = dexterity(J)
-    result = {
-        "J": J.tolist(),
-        "rank": found.rank,
-        "manipulability": found.manipulability,
-        "singular_values": found.singular_values.tolist(),
-    }
+    result = {"J": J.tolist(), **asdict(found), "singular_values": found.singular_values.tolist()}
     singular = "" if found.rank == min(J.shape) else "   singular"
     told = f"rank {found.rank}, manipulability {found.manipulability:.6g}{singular}"
     output.answer(result, f"{_matrix(J.tolist())}\n{told}")
@@ -239,12 +227,9 @@ def show_curves(output: Output, result: dict[str, Any], deg: bool, out: Path | N
     import numpy as np
 
     unit, factor = ("deg", math.degrees(1.0)) if deg else ("rad", 1.0)
-    speeds, accelerations = (
-        factor * np.abs(result[key]).max(axis=0) for key in ("velocity_rad_s", "acceleration_rad_s2")
-    )
+    peaks = [factor * np.abs(result[key]).max(axis=0) for key in ("velocity_rad_s", "acceleration_rad_s2")]
     shown = [
-        (str(joint), f"{speed:.6f}", f"{acceleration:.6f}")
-        for joint, (speed, acceleration) in enumerate(zip(speeds, accelerations, strict=True), start=1)
+        (str(joint), *(f"{peak:.6f}" for peak in both)) for joint, both in enumerate(zip(*peaks, strict=True), start=1)
     ]
     show_table(output.console, "", ("joint", f"peak velocity, {unit}/s", f"peak acceleration, {unit}/s^2"), shown)
     tool_m = result["tool_position_m"]

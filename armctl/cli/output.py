@@ -133,12 +133,8 @@ class Output:
         """
         if not self.messages.is_terminal:
             self.warn(f"{label} ...")
-        columns = (
-            TextColumn("{task.description:<24}"),
-            BarColumn(30),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
-        )
+        words, note = TextColumn("{task.description:<24}"), TextColumn("{task.fields[note]}")
+        columns = (words, BarColumn(30), TimeRemainingColumn(), note)
         with Progress(*columns, console=self.messages, disable=not self.messages.is_terminal) as bars:
             bar = bars.add_task(label, total=total, note="")
 
@@ -249,6 +245,8 @@ PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the ar
 
 
 FILE = click.Path(path_type=Path, dir_okay=False)
+# Operators of the genetic algorithm.
+PROFILE = click.Choice(("default", "paper"))
 IK_METHODS = click.Choice(("closed", "numeric", "ga", "ga-improved"))
 FOLDER = click.Path(path_type=Path, file_okay=False)
 

@@ -79,9 +79,8 @@ def sim_command(
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
         faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
-    pty.run(
-        played, link=(link or default_link()).absolute(), faults=faults, ready=partial(output.ready, "port"), **servos
-    )
+    link = (link or default_link()).absolute()
+    pty.run(played, link=link, faults=faults, ready=partial(output.ready, "port"), **servos)
     return 0
 
 
@@ -204,9 +203,8 @@ def live_command(output: Output, port: int, layout: Path | None) -> None:
         said = f"{layout}: import it in Foxglove or Lichtblick (Layouts, Import from file)"
         output.answer({"layout": str(layout)}, said)
         return
-    live.serve(
-        output.socket, output.arm, port, lambda found: output.ready("url", f"ws://{live.HOST}:{found}"), output.warn
-    )
+    ready = partial(output.ready, "url")
+    live.serve(output.socket, output.arm, port, lambda found: ready(f"ws://{live.HOST}:{found}"), output.warn)
 
 
 @command("web", SOCKET, CONFIG)
@@ -224,16 +222,10 @@ def web_command(output: Output, port: int) -> None:
     from armctl.web.server import serve
 
     runtime = os.environ.get("RUNTIME_DIRECTORY")
+    socket, token_file = socket_path(output.socket), Path(runtime) / "address" if runtime else None
 
     def ready(address: str) -> None:
         notify("READY=1")
         output.ready("address", address)
 
-    serve(
-        output.arm,
-        output.config,
-        socket=socket_path(output.socket),
-        port=port,
-        token_file=Path(runtime) / "address" if runtime else None,
-        ready=ready,
-    )
+    serve(output.arm, output.config, socket=socket, port=port, token_file=token_file, ready=ready)

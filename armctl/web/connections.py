@@ -100,11 +100,9 @@ class Connections:
             await asyncio.sleep(RETRY_S)
 
     def _see(self, snapshot: dict[str, Any] | None) -> None:
+        self.snapshot = self._enrich(snapshot) if self._pages and snapshot is not None else snapshot
         if self._pages:
-            self.snapshot = None if snapshot is None else self._enrich(snapshot)
             self._tell({"kind": "snapshot", "snapshot": self.snapshot})
-        else:
-            self.snapshot = snapshot
 
     def _tell(self, message: dict[str, Any]) -> None:
         text = json.dumps(message, separators=(",", ":"))

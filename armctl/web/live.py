@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from foxglove.websocket import Client as Viewer
 
 HOST = "127.0.0.1"
-PORT = 8765
 RETRY_S = 1.0
 STATUS = Topic("/armctl/status", full_name("std_msgs/String"))
 SOURCE = "armctl.live"
@@ -104,12 +103,8 @@ class Encoder:
     def _check(self, snapshot: dict[str, Any]) -> None:
         servos = [(joint["name"], joint["servo_id"]) for joint in snapshot["joints"]]
         if snapshot["arm_id"] != self._arm.arm_id or servos != [(j.name, j.servo_id) for j in self._arm.joints]:
-            raise ConfigError(
-                self._arm.arm_id,
-                "",
-                f"is not the arm of the daemon, {snapshot['arm_id']}",
-                "name its calibration with --arm NAME|FILE",
-            )
+            problem = f"is not the arm of the daemon, {snapshot['arm_id']}"
+            raise ConfigError(self._arm.arm_id, "", problem, "name its calibration with --arm NAME|FILE")
 
     def _record(self, snapshot: dict[str, Any]) -> TickRecord:
         """The tick a snapshot is of, as far as it tells."""
@@ -155,7 +150,7 @@ class Stream:
         ArmctlError: foxglove-sdk is missing, or the port is taken.
     """
 
-    def __init__(self, port: int = PORT) -> None:
+    def __init__(self, port: int) -> None:
         try:
             import foxglove
             from foxglove.websocket import ServerListener
@@ -206,12 +201,7 @@ class Stream:
         self._server.stop()
 
 
-def publish(
-    stream: Stream,
-    arm: ArmConfig,
-    snapshots: Iterator[dict[str, Any]],
-    wall_ns: Callable[[], int] = time.time_ns,
-) -> None:
+def publish(stream: Stream, arm: ArmConfig, snapshots: Iterator[dict[str, Any]]) -> None:
     """Pass snapshots on until there are no more.
 
     Raises:
@@ -220,7 +210,7 @@ def publish(
     """
     encoder = Encoder(arm)
     for snapshot in snapshots:
-        epoch_ns = wall_ns() - round((snapshot["age_s"] or 0.0) * NS_PER_S)
+        epoch_ns = time.time_ns() - round((snapshot["age_s"] or 0.0) * NS_PER_S)
         wanted = stream.newly_wanted()
         stream.send([message for message in encoder.latched(epoch_ns) if message[0] in wanted], epoch_ns)
         stream.send(encoder.messages(snapshot, epoch_ns), epoch_ns)
