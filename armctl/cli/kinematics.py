@@ -213,7 +213,8 @@ def trajectory_command(
         end: _configuration(robot, f"--{end}", values, deg) for end, values in ends.items() if values is not None
     }
     motion = quintic.quintic(known.pop("q0"), known.pop("q1"), duration, **known)
-    curves = quintic.curves(robot.chain, motion, np.linspace(0.0, duration, samples))
+    time_s = np.linspace(0.0, duration, samples)
+    curves = quintic.curves(robot.chain, time_s, *motion.sample(time_s))
     if out is not None:
         from armctl.report import kinematics as report
 

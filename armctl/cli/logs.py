@@ -281,16 +281,9 @@ def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, .
 @command("trim", group=log_command)
 @LOG
 @click.option("--from", "begin_s", type=float, default=0.0, help="Seconds since the beginning.")
-@click.option(
-    "--to",
-    "end_s",
-    type=float,
-    default=math.inf,
-    show_default=False,
-    help="Seconds since the beginning; the end if left out.",
-)
+@click.option("--to", "end_s", type=float, help="Seconds since the beginning; the end if left out.")
 @NEW_FILE
-def trim(output: Output, log: Path, begin_s: float, end_s: float, out: Path) -> None:
+def trim(output: Output, log: Path, begin_s: float, end_s: float | None, out: Path) -> None:
     """Write a part of LOG as a log of its own, which opens and replays alone.
 
     Example: armctl log trim armctl-20250615T120000Z.mcap --from 60 --to 75 --out lift.mcap
@@ -298,7 +291,7 @@ def trim(output: Output, log: Path, begin_s: float, end_s: float, out: Path) -> 
     from armctl.recording import edit
 
     with output.progress("trimming", 1.0) as show:
-        result = edit.trim(log, out, begin_s, end_s, show)
+        result = edit.trim(log, out, begin_s, math.inf if end_s is None else end_s, show)
     _edited(output, result)
     if result.begins_with_state is False:
         output.warn("no state is known where it begins; a replay starts at the first keyframe in it")

@@ -220,7 +220,6 @@ def _write_report(
         joint_names=arm.joint_names,
         candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
         candidate_errors_mm=[(one["name"], one["mean_error_mm"], one["max_error_mm"]) for one in optimised["baseline"]],
-        ga_tool_m=np.array(optimised["ga"]["tool_m"]),
         ga_mean_mm=optimised["ga"]["mean_error_mm"],
         exact_mean_mm=optimised["exact"]["mean_error_mm"],
         gap_ratio=optimised["gap_ratio"],

@@ -44,7 +44,8 @@ def round_trip(robot: Robot, poses: int, rng: np.random.Generator) -> tuple[floa
 def trajectory(robot: Robot) -> Curves:
     """The quintic motion of Figs. 6 to 8."""
     motion = quintic(np.radians(START_DEG), np.radians(END_DEG), DURATION_S)
-    return curves(robot.chain, motion, np.linspace(0.0, DURATION_S, 201))
+    time_s = np.linspace(0.0, DURATION_S, 201)
+    return curves(robot.chain, time_s, *motion.sample(time_s))
 
 
 def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:

@@ -49,18 +49,14 @@ def _spread(pairs: Sequence[tuple[float, float]]) -> str:
 def _table(page: Page, report: line.ExperimentReport) -> None:
     rows = []
     for one in report.outcomes:
-        by_encoder = [line.errors_mm(run.tool_m, report.from_m, report.to_m) for run in one.runs]
-        truths = [
-            line.errors_mm(run.truth_tool_m, report.from_m, report.to_m)
-            for run in one.runs
-            if run.truth_tool_m is not None
-        ]
+        by_encoder = [line.errors_mm(run.tool_m, *report.ends) for run in one.runs]
+        truths = [line.errors_mm(run.truth_tool_m, *report.ends) for run in one.runs if run.truth_tool_m is not None]
         durations = [run.duration_s for run in one.runs]
         paper = line.PRINTED.get(one.via) if isinstance(one.via, int) else None
         rows.append(
             (
                 one.via,
-                "{:.1f} / {:.1f}".format(*line.errors_mm(one.before.real_tool_m, report.from_m, report.to_m)),
+                "{:.1f} / {:.1f}".format(*line.errors_mm(one.before.real_tool_m, *report.ends)),
                 f"{one.runs[0].predicted_mean_mm:.2f} / {one.runs[0].predicted_max_mm:.2f}",
                 _spread(by_encoder),
                 _spread(truths) if truths else "unknown",
@@ -82,7 +78,7 @@ def _table(page: Page, report: line.ExperimentReport) -> None:
 
 def _paths(page: Page, report: line.ExperimentReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
-    ends, shown = (report.from_m, report.to_m), list(zip(report.outcomes, line.COLOURS, strict=False))
+    ends, shown = report.ends, list(zip(report.outcomes, line.COLOURS, strict=False))
     paths = []
     for one, colour in shown:
         paths.append((f"{_name(one.via)}, before", one.before.real_tool_m, line.FAINT))
@@ -108,8 +104,7 @@ def _deviation(page: Page, report: line.ExperimentReport) -> None:
         for one, colour in zip(report.outcomes, line.COLOURS, strict=False):
             for number, run in enumerate(one.runs):
                 group = {"legendgroup": str(one.via), "showlegend": number == 0, "opacity": 0.35 if number else 1.0}
-                ends = (report.from_m, report.to_m)
-                line.distance_curve(chart, ends, run.real_tool_m, _name(one.via), colour, width=1.5, **group)
+                line.distance_curve(chart, report.ends, run.real_tool_m, _name(one.via), colour, width=1.5, **group)
 
 
 def _convergence(page: Page, report: line.ExperimentReport) -> None:
@@ -151,7 +146,7 @@ def _prediction(page: Page, report: line.ExperimentReport) -> None:
 
 
 def _mean_errors_mm(report: line.ExperimentReport, paths: Sequence[FloatArray]) -> list[float]:
-    return [line.errors_mm(tool_m, report.from_m, report.to_m)[0] for tool_m in paths]
+    return [line.errors_mm(tool_m, *report.ends)[0] for tool_m in paths]
 
 
 def _limits(page: Page, report: line.ExperimentReport) -> None:

@@ -78,12 +78,26 @@ class DrawnOutcome:
     rounds: Sequence[LineRun]
 
 
+# Of a line AB [m], each shape (3,).
+Ends = tuple[FloatArray, FloatArray]
+
+
 @dataclass(frozen=True, eq=False)
-class ExperimentReport:
-    """Everything the page shows. Parts without data are left out."""
+class AboutLine:
+    """What every page about a line tells."""
 
     from_m: FloatArray
     to_m: FloatArray
+
+    @property
+    def ends(self) -> Ends:
+        return self.from_m, self.to_m
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentReport(AboutLine):
+    """Everything the page shows. Parts without data are left out."""
+
     outcomes: Sequence[DrawnOutcome]
     # Of the genetic algorithm, by generation.
     best_cost_mm: Sequence[float] = ()
@@ -96,17 +110,14 @@ class ExperimentReport:
     notes: Sequence[str] = ()
 
 
-@dataclass(frozen=True)
-class LineReport:
+@dataclass(frozen=True, eq=False)
+class LineReport(AboutLine):
     """Everything the page shows."""
 
-    from_m: FloatArray
-    to_m: FloatArray
     joint_names: Sequence[str]
     candidates_m: Sequence[FloatArray]
     # Name, mean and maximum error of each candidate.
     candidate_errors_mm: Sequence[tuple[str, float, float]]
-    ga_tool_m: FloatArray
     ga_mean_mm: float
     exact_mean_mm: float
     gap_ratio: float
@@ -148,8 +159,8 @@ def point_text(point: FloatArray) -> str:
 def _table(page: Page, report: LineReport) -> None:
     rows = []
     for run in report.runs:
-        encoder = errors_mm(run.tool_m, report.from_m, report.to_m)
-        truth = None if run.truth_tool_m is None else errors_mm(run.truth_tool_m, report.from_m, report.to_m)
+        encoder = errors_mm(run.tool_m, *report.ends)
+        truth = None if run.truth_tool_m is None else errors_mm(run.truth_tool_m, *report.ends)
         paper = PRINTED.get(run.via)
         rows.append(
             (
@@ -198,7 +209,7 @@ def along_and_off(
 
 def _path_figures(page: Page, report: LineReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
-    ends, runs = (report.from_m, report.to_m), list(zip(report.runs, COLOURS, strict=False))
+    ends, runs = report.ends, list(zip(report.runs, COLOURS, strict=False))
     paths = [(f"{run.via} via", run.real_tool_m, colour) for run, colour in runs]
     space_figure(page, ends, paths, "Tool paths in space against the line AB")
     for axis, title in VIEWS:
@@ -213,10 +224,6 @@ def _path_figures(page: Page, report: LineReport) -> None:
                 judge = "by encoders" if run.truth_tool_m is None else "true"
                 path_curve(chart, ends, axis, run.real_tool_m, f"{run.via} via, {judge}", colour)
                 via_markers(chart, ends, axis, run, colour, f"{run.via} via points", showlegend=False)
-
-
-# Of the line AB [m], each shape (3,).
-Ends = tuple[FloatArray, FloatArray]
 
 
 def wanted_curve(chart: Any, ends: Ends) -> None:
@@ -259,8 +266,7 @@ def _deviation_figure(page: Page, report: LineReport) -> None:
                 (run.truth_tool_m, "solid", "true"),
             ):
                 if tool_m is not None:
-                    ends = (report.from_m, report.to_m)
-                    distance_curve(chart, ends, tool_m, f"{run.via} via, {label}", colour, dash=dash)
+                    distance_curve(chart, report.ends, tool_m, f"{run.via} via, {label}", colour, dash=dash)
 
 
 def _convergence_figure(page: Page, report: LineReport) -> None:

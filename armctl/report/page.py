@@ -99,11 +99,8 @@ class Page:
 
     def figure(self, figure: Figure, description: str) -> None:
         """Add a plotly figure; `description` says in words what it shows."""
-        markup = figure.to_html(
-            full_html=False,
-            include_plotlyjs="inline" if not self._has_script else False,
-            config={"displaylogo": False, "responsive": True},
-        )
+        library, config = False if self._has_script else "inline", {"displaylogo": False, "responsive": True}
+        markup = figure.to_html(full_html=False, include_plotlyjs=library, config=config)
         self._has_script = True
         label = html.escape(description, quote=True)
         self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{markup}</figure>')

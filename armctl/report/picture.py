@@ -52,7 +52,7 @@ def svg(report: ExperimentReport) -> str:
 
 
 def _told(report: ExperimentReport, when: str, run: LineRun) -> str:
-    mean_mm, max_mm = errors_mm(run.real_tool_m, report.from_m, report.to_m)
+    mean_mm, max_mm = errors_mm(run.real_tool_m, *report.ends)
     judge = "" if run.truth_tool_m is not None else " by the encoders"
     return f"{when}: {mean_mm:.1f} mm off the line on average, {max_mm:.1f} mm at most{judge}"
 
@@ -67,7 +67,7 @@ def _view(
     report: ExperimentReport, named: Sequence[tuple[str, LineRun]], axis: int, view: str, top: float
 ) -> tuple[list[str], float]:
     """Paths seen along one direction, and the height that takes."""
-    paths = [(kind, along_and_off(_thinned(run.real_tool_m), report.from_m, report.to_m)) for kind, run in named]
+    paths = [(kind, along_and_off(_thinned(run.real_tool_m), *report.ends)) for kind, run in named]
     length = float(np.linalg.norm(report.to_m - report.from_m)) * 1000.0
     along = np.concatenate([[0.0, length], *(seen[0] for _, seen in paths)])
     off = np.concatenate([[-LEAST_HALF_HEIGHT_MM, LEAST_HALF_HEIGHT_MM], *(seen[axis] for _, seen in paths)])

@@ -18,7 +18,6 @@ from armctl.clock import NS_PER_S
 from armctl.errors import LogError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray
 from armctl.recording import channels, timeline
 from armctl.recording.reader import read
 from armctl.report.kinematics import COLOURS
@@ -81,7 +80,8 @@ def load(log: Path) -> Transfer:
         smooth = local_cubics(since_s[known], seen.position_rad[known, : robot.chain.n], at_s, HALF_WIDTH_S)
     except ValueError as error:
         raise LogError(f"{log}: too many readings of the cycle are missing ({error})") from None
-    return Transfer(log, robot, cycle, curves(robot.chain, _Sampled(smooth), at_s), curves(robot.chain, model, at_s))
+    recorded, wanted = (curves(robot.chain, at_s, *sampled) for sampled in (smooth, model.sample(at_s)))
+    return Transfer(log, robot, cycle, recorded, wanted)
 
 
 def draw(transfer: Transfer, title: str) -> Figure:
@@ -130,17 +130,6 @@ def write(transfer: Transfer, path: Path) -> None:
         page.heading(title)
         page.figure(draw(transfer, title), f"{title} over time, recorded and by the model, in x, y and z")
     page.write(path)
-
-
-@dataclass(frozen=True, eq=False)
-class _Sampled:
-    """Position, velocity and acceleration that were sampled before."""
-
-    values: tuple[FloatArray, FloatArray, FloatArray]
-
-    def sample(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        assert len(time_s) == len(self.values[0])
-        return self.values
 
 
 def _cycle(log: Path) -> TransferRequest:

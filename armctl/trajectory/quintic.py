@@ -8,7 +8,6 @@ whose six coefficients are fixed by the two states. Velocities and accelerations
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -91,15 +90,12 @@ def quintic(
     return Quintic(np.stack((q0, V0, 0.5 * A0, c3, c4, c5)), duration_s)
 
 
-class Sampled(Protocol):
-    """Any joint motion that tells its position, velocity and acceleration at times, as `Quintic.sample` does."""
+def curves(chain: SerialChain, time_s: FloatArray, q: FloatArray, q_rate: FloatArray, q_rate2: FloatArray) -> Curves:
+    """Joint and tool curves of a motion sampled at times [s], shape (m,).
 
-    def sample(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]: ...
-
-
-def curves(chain: SerialChain, trajectory: Sampled, time_s: FloatArray) -> Curves:
-    """Joint and tool curves of a trajectory at times [s], shape (m,)."""
-    q, q_rate, q_rate2 = trajectory.sample(time_s)
+    Args:
+        q, q_rate, q_rate2: Position, velocity and acceleration of the joints then, as `Quintic.sample` tells them.
+    """
     velocity, acceleration = tool_velocity(chain, q, q_rate), tool_acceleration(chain, q, q_rate, q_rate2)
     time_s, tool_m = np.asarray(time_s, dtype=np.float64), tool_position(chain, q)
     linear, angular = (velocity[:, :3], acceleration[:, :3]), (velocity[:, 3:], acceleration[:, 3:])

@@ -88,15 +88,21 @@ def test_every_refusal_tells_the_next_command(error: ArmctlError, capsys: pytest
     assert told["next"].split("armctl ")[1].split()[0].rstrip(",") in COMMANDS
 
 
-def test_a_missing_extra_is_the_next_command_and_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
-    error = ArmctlError("the dashboard needs uvicorn; install it with: pip install 'armctl[web]'")
+@pytest.mark.parametrize(
+    ("error", "following"),
+    [
+        (
+            ArmctlError("the dashboard needs uvicorn; install it with: pip install 'armctl[web]'"),
+            "pip install 'armctl[web]'",
+        ),
+        (RequestRefused("BUSY", "wait, or `armctl stop`"), "armctl status"),
+    ],
+)
+def test_an_error_that_names_its_remedy_gets_no_second_one(
+    error: ArmctlError, following: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     shown, told = failure(error, capsys)
-    assert (shown, told["next"]) == (f"armctl: {error}\n", "pip install 'armctl[web]'")
-
-
-def test_a_refusal_that_names_its_remedy_gets_no_second_one(capsys: pytest.CaptureFixture[str]) -> None:
-    error = RequestRefused("BUSY", "wait, or `armctl stop`")
-    assert failure(error, capsys)[0] == "armctl: wait, or `armctl stop`\n"
+    assert (shown, told["next"]) == (f"armctl: {error}\n", following)
 
 
 @pytest.mark.parametrize(
@@ -166,12 +172,17 @@ def test_the_shell_is_told_how_a_word_may_end(
     assert capsys.readouterr().out == "plain,recordings\n"
 
 
-def test_every_command_explains_itself_and_can_answer_in_json(typed: Typed) -> None:
-    for path, command in _every([], cli):
-        said = typed(*path, "--help")
-        assert command.help, path
-        if not isinstance(command, click.Group):
-            assert "--json" in said.out, path
+@pytest.mark.parametrize(("path", "command"), [pytest.param(*one, id=" ".join(one[0])) for one in _every([], cli)])
+def test_every_command_explains_itself_within_80_columns_and_can_answer_in_json(
+    path: list[str], command: click.Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        cli.main([*path, "--help"], terminal_width=80)
+    told = capsys.readouterr().out
+    assert told.startswith("Usage: ")
+    assert max(map(len, told.splitlines())) <= 80
+    assert command.help
+    assert isinstance(command, click.Group) or "--json" in told
 
 
 def test_a_failure_in_json_is_one_object_too(typed: Typed, answer: Answer) -> None:

@@ -42,7 +42,6 @@ REPORT = LineReport(
     joint_names=("base", "shoulder"),
     candidates_m=[path(0.01)],
     candidate_errors_mm=[("take <1>", 10.0, 10.0)],
-    ga_tool_m=path(0.005),
     ga_mean_mm=5.0,
     exact_mean_mm=4.9,
     gap_ratio=0.02,

@@ -48,9 +48,9 @@ def test_the_tool_curves_belong_to_the_joint_curves() -> None:
     chain = robots.get("transfer-6dof").chain
     motion = quintic(np.zeros(6), np.array([0.5, -0.7, 0.4, 0.3, 0.8, -0.2]), 1.5, v0=0.1)
     t, h = np.linspace(0.0, 1.5, 16), 1e-5
-    found = curves(chain, motion, t)
+    found = curves(chain, t, *motion.sample(t))
     inner = t[1:-1]
-    after, before = curves(chain, motion, inner + h), curves(chain, motion, inner - h)
+    after, before = (curves(chain, time_s, *motion.sample(time_s)) for time_s in (inner + h, inner - h))
     velocity = (after.tool_position_m - before.tool_position_m) / (2.0 * h)
     np.testing.assert_allclose(found.tool_velocity_m_s[1:-1], velocity, atol=1e-8)
     acceleration = (after.tool_velocity_m_s - before.tool_velocity_m_s) / (2.0 * h)

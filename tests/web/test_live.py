@@ -5,7 +5,7 @@ import json
 import struct
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -59,8 +59,7 @@ def snapshot(**changes: Any) -> dict[str, Any]:
     }
 
 
-def told(said: list[tuple[str, Any]]) -> dict[str, Any]:
-    return dict(said)
+FAULT = {"code": "HOT", "text": "servo 3 at 66 degC", "servo_id": 3, "since_s": 1.0, "arm": "", "next": ""}
 
 
 # ------------------------------------------------------------------------------------------------- the encoder
@@ -68,7 +67,7 @@ def told(said: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def test_a_snapshot_becomes_the_messages_of_a_tick() -> None:
     data = snapshot()
-    messages = told(live.Encoder(ARM).messages(data, EPOCH_NS))
+    messages = dict(live.Encoder(ARM).messages(data, EPOCH_NS))
     assert json.loads(messages["/armctl/status"]["data"]) == data
     assert messages["/joint_states"]["name"] == list(ARM.joint_names)
     assert messages["/joint_states"]["position"] == [joint["position_rad"] for joint in data["joints"]]
@@ -82,8 +81,7 @@ def test_a_snapshot_becomes_the_messages_of_a_tick() -> None:
 
 def test_every_message_fits_the_schema_it_is_announced_with() -> None:
     encoder = live.Encoder(ARM)
-    fault = {"code": "HOT", "text": "servo 3 at 66 degC", "servo_id": 3, "since_s": 1.0, "arm": "", "next": ""}
-    messages = [*encoder.latched(EPOCH_NS), *encoder.messages(snapshot(fault=fault, state="faulted"), EPOCH_NS)]
+    messages = [*encoder.latched(EPOCH_NS), *encoder.messages(snapshot(fault=FAULT, state="faulted"), EPOCH_NS)]
     assert {topic for topic, _ in messages} == set(live.PUBLISHED)
     for topic, value in messages:
         codec = live.PUBLISHED[topic].codec
@@ -92,15 +90,9 @@ def test_every_message_fits_the_schema_it_is_announced_with() -> None:
 
 def test_a_change_of_state_and_a_fault_are_told_once() -> None:
     encoder = live.Encoder(ARM)
-    fault = {"code": "HOT", "text": "servo 3 at 66 degC", "servo_id": 3, "since_s": 1.0, "arm": "", "next": ""}
     said = [
         [value["msg"] for topic, value in encoder.messages(data, EPOCH_NS) if topic == "/rosout"]
-        for data in (
-            snapshot(),
-            snapshot(),
-            snapshot(state="faulted", fault=fault),
-            snapshot(state="faulted", fault=fault),
-        )
+        for data in [snapshot()] * 2 + [snapshot(state="faulted", fault=FAULT)] * 2
     ]
     assert said == [
         ["STATE: first seen -> holding"],
@@ -112,11 +104,11 @@ def test_a_change_of_state_and_a_fault_are_told_once() -> None:
 
 def test_what_is_not_known_is_not_sent() -> None:
     unknown = [{**joint, **dict.fromkeys(list(joint)[2:])} for joint in snapshot()["joints"]]
-    messages = told(live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="off"), EPOCH_NS))
+    messages = dict(live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="off"), EPOCH_NS))
     assert messages["/joint_states"]["name"] == []
     assert not {"/tf", "/tcp_pose"} & messages.keys()
     assert [status["message"] for status in messages["/diagnostics"]["status"]][1:] == ["never answered"] * 6
-    starting = told(
+    starting = dict(
         live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="starting", tick=None), EPOCH_NS)
     )
     assert starting.keys() == {"/armctl/status", "/rosout"}
@@ -125,7 +117,7 @@ def test_what_is_not_known_is_not_sent() -> None:
 def test_a_servo_that_stopped_answering_is_shown_as_such() -> None:
     data = snapshot()
     data["joints"][2]["age_s"] = 3.0
-    status = told(live.Encoder(ARM).messages(data, EPOCH_NS))["/diagnostics"]["status"]
+    status = dict(live.Encoder(ARM).messages(data, EPOCH_NS))["/diagnostics"]["status"]
     assert (status[3]["level"], status[3]["message"]) == (1, "no reply for 3.0 s")
 
 
@@ -185,21 +177,13 @@ def viewer(port: int) -> ClientConnection:
 
 
 def test_a_taken_port_is_refused_with_a_remedy() -> None:
-    stream = live.Stream(0)
-    try:
-        with pytest.raises(ArmctlError, match="--port"):
-            live.Stream(stream.port)
-    finally:
-        stream.close()
+    with closing(live.Stream(0)) as stream, pytest.raises(ArmctlError, match="--port"):
+        live.Stream(stream.port)
 
 
 def test_the_server_offers_nothing_that_writes_and_announces_the_schemas_of_the_log() -> None:
-    stream = live.Stream(0)
-    try:
-        with viewer(stream.port) as socket:
-            found = Viewer(socket)
-    finally:
-        stream.close()
+    with closing(live.Stream(0)) as stream, viewer(stream.port) as socket:
+        found = Viewer(socket)
     assert found.info["capabilities"] == []
     assert set(found.channels) == set(live.PUBLISHED)
     for topic, channel in found.channels.items():
