@@ -8,32 +8,12 @@ import numpy as np
 import pytest
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.line import LineReport, LineRun, along_and_off, write
-
-A, B = np.array([0.18, -0.1, 0.1]), np.array([0.18, 0.1, 0.1])
+from armctl.report.line import LineReport, along_and_off, write
+from tests.report.runs import A, B, beside, run
 
 
 def path(up_m: float) -> FloatArray:
-    points: FloatArray = A + np.linspace(0.0, 1.0, 11)[:, None] * (B - A)
-    points[:, 2] += up_m
-    return points
-
-
-def run(via: int) -> LineRun:
-    time_s = np.linspace(0.0, 5.0, 11)
-    return LineRun(
-        via=via,
-        duration_s=5.0,
-        predicted_mean_mm=1.0,
-        predicted_max_mm=2.0,
-        predicted_tool_m=path(0.001),
-        via_tool_m=path(0.001)[1 : 1 + via],
-        time_s=time_s,
-        positions_rad=np.zeros((11, 2)),
-        goals_rad=np.zeros((11, 2)),
-        tool_m=path(-0.0123),
-        truth_tool_m=path(-0.0456),
-    )
+    return beside(np.array([0.0, 0.0, up_m]))
 
 
 REPORT = LineReport(
@@ -47,7 +27,7 @@ REPORT = LineReport(
     gap_ratio=0.02,
     best_mm=np.array([6.0, 5.0]),
     mean_mm=np.array([8.0, 7.0]),
-    runs=[run(0), run(2)],
+    runs=[run(via, path(0.001), path(-0.0123), path(-0.0456)) for via in (0, 2)],
 )
 
 

@@ -10,30 +10,17 @@ import pytest
 from armctl.kinematics.transform import FloatArray
 from armctl.report import experiment, picture
 from armctl.report.line import DrawnOutcome, ExperimentReport, LineRun
+from tests.report import runs
+from tests.report.runs import A, B, beside
 
-A, B = np.array([0.18, -0.1, 0.1]), np.array([0.18, 0.1, 0.1])
 SVG = "{http://www.w3.org/2000/svg}"
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(off_m: FloatArray, *, true: bool = True) -> LineRun:
-    """Along the line, and beside it by so much."""
-    share = np.linspace(0.0, 1.0, 21)[:, None]
-    path = A + share * (B - A) + off_m
-    nothing = np.zeros((21, 6))
-    return LineRun(
-        via=2,
-        duration_s=5.0,
-        predicted_mean_mm=0.0,
-        predicted_max_mm=0.0,
-        predicted_tool_m=path,
-        via_tool_m=path[5:7],
-        time_s=share[:, 0],
-        positions_rad=nothing,
-        goals_rad=nothing,
-        tool_m=path if not true else path + 0.5,
-        truth_tool_m=path if true else None,
-    )
+    """Beside the line by so much; where that is known, the encoders are far off."""
+    path = beside(off_m)
+    return runs.run(2, path, path + 0.5 if true else path, path if true else None)
 
 
 def report(before: LineRun, after: LineRun) -> ExperimentReport:
