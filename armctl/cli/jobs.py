@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -49,21 +49,18 @@ def recordings_list(output: Output) -> None:
     """
     with output.client() as client:
         found = client.call("recordings_list")
-    output.answer(found, partial(_show_list, output, found))
+    output.answer(found, partial(show_list, output, found))
 
 
-def _show_list(output: Output, found: dict[str, Any]) -> None:
+def show_list(output: Output, found: dict[str, Any]) -> None:
     unreadable = found.get("unreadable", ())
     if found["recordings"]:
-        show_recordings(output, found["recordings"])
+        title = "Recordings; how far off the line the tool was, mm"
+        show_rows(output.console, "recordings", title, found["recordings"])
     elif not unreadable:
         output.say("no recordings; make some with `armctl teach NAME`")
     for entry in unreadable:
         output.say(f"not shown: {entry['problem']}")
-
-
-def show_recordings(output: Output, recordings: Sequence[dict[str, Any]]) -> None:
-    show_rows(output.console, "recordings", "Recordings; how far off the line the tool was, mm", recordings)
 
 
 def _on_recording(output: Output, method: str, words: Callable[[dict[str, Any]], str], **params: Any) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -34,16 +35,10 @@ WORK = (
 )
 
 
-def numbers(name: str, default: str, **more: Any) -> Option:
-    return click.option(name, type=Numbers(), default=default, **more)
-
-
-def via(default: str, help: str) -> Option:
-    return click.option("--via", **VIA, default=default, help=help)
-
-
-def objective(default: str) -> Option:
-    return click.option("--objective", type=click.Choice(("mean", "mix", "max")), default=default)
+# Options that several studies have, each with its own default.
+numbers = partial(click.option, type=Numbers())
+via = partial(click.option, "--via", **VIA)
+objective = partial(click.option, "--objective", type=click.Choice(("mean", "mix", "max")))
 
 
 def repeats(most: int, help: str) -> Option:
@@ -79,9 +74,9 @@ COMMANDS = {
             RECORDINGS,
             START,
             END,
-            numbers("--population", "50,95,200"),
-            numbers("--pc", "0.4,0.6,0.8", help="Crossover probabilities."),
-            numbers("--pm", "0.001,0.01,0.05", help="Mutation probabilities."),
+            numbers("--population", default="50,95,200"),
+            numbers("--pc", default="0.4,0.6,0.8", help="Crossover probabilities."),
+            numbers("--pm", default="0.001,0.01,0.05", help="Mutation probabilities."),
             click.option("--generations", type=click.IntRange(10, 100_000), default=300),
             click.option("--profile", type=click.Choice(("paper", "default")), default="paper"),
             repeats(1000, "Seeds of each setting."),
@@ -98,11 +93,11 @@ COMMANDS = {
             click.argument("plan", required=False, type=FILE),
             click.option("--from", "from_m", type=POINT, help="Start of the line, metres; not with a plan."),
             click.option("--to", "to_m", type=POINT, help="End of the line, metres; not with a plan."),
-            via("2", "Numbers of via points; auto; stream."),
+            via(default="2", help="Numbers of via points; auto; stream."),
             click.option("--arms", type=click.IntRange(1, 10_000), default=20),
             REFINE,
             DURATION,
-            objective("mix"),
+            objective(default="mix"),
             click.option(
                 "--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the arms.  [default: 0.1]"
             ),
@@ -123,11 +118,11 @@ COMMANDS = {
             RECORDINGS,
             START,
             END,
-            numbers("--via", "0,1,2,3,5,8", help="Numbers of via points."),
-            numbers("--durations", "1,1.5,2,3,5,8", help="Seconds."),
+            numbers("--via", default="0,1,2,3,5,8", help="Numbers of via points."),
+            numbers("--durations", default="1,1.5,2,3,5,8", help="Seconds."),
             click.option("--arms", type=click.IntRange(0, 1000), default=0, help="Simulated arms."),
             REFINE,
-            objective("mean"),
+            objective(default="mean"),
             click.option("--report", type=FILE, metavar="HTML", help="Write a page with the fronts drawn."),
         ),
         "Distance from the line, mm; * no other is better in both".format_map,
@@ -142,11 +137,11 @@ COMMANDS = {
         (
             START,
             END,
-            via("1,2,8,stream", "Via points; auto; stream."),
+            via(default="1,2,8,stream", help="Via points; auto; stream."),
             REFINE,
             repeats(100, "Runs of each final plan."),
             DURATION,
-            objective("mix"),
+            objective(default="mix"),
             click.option("--report", type=FILE, metavar="HTML", help="Write the page with all the evidence."),
         ),
         "True mean distance from the line, mm, one effect off".format_map,
@@ -220,8 +215,7 @@ def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> N
     if command.file is not None:
         path = asked[command.file]
         told[command.file] = None if path is None else str(path)
-        if path is not None:
-            assert study.write is not None
+        if path is not None and study.write is not None:
             study.write(path, cases, found, result["rows"], workers)
     output.answer(told, lambda: show(output, name, result))
 

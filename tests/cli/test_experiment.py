@@ -24,9 +24,9 @@ def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_aft
     answer: Answer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("ARMCTL_SOCKET", "/nonexistent/socket")
-    told = ["--via", "2,stream", "--repeats", "2", "--refine", "2", "--seed", "3", "--profile", "paper", "--virtual"]
+    told = ["--via", "2,stream", "--duration", "3", "--repeats", "2", "--refine", "2", "--seed", "3"]
     page = tmp_path / "line.html"
-    found = answer(*LINE, *told, "--report", page)
+    found = answer(*LINE, *told, "--profile", "paper", "--virtual", "--report", page)
     text = page.read_text(encoding="utf-8")
     assert "Mean distance by round of correction" in text
     assert "Best cost of the genetic algorithm by generation" in text
@@ -36,7 +36,7 @@ def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_aft
     assert before == refined[0]["rows"]
     for row, worse in zip(rows, before, strict=True):
         assert row["runs"] == 2
-        assert row["duration_s"] == pytest.approx(5.0, rel=0.05)
+        assert row["duration_s"] == pytest.approx(3.0, rel=0.05)
         assert row["truth"]["mean_error_mm"] < 2.0 < 5.0 < worse["truth"]["mean_error_mm"]
         assert row["truth"]["mean_error_mm"] < row["truth"]["max_error_mm"]
     assert all(0.01 < noise < 0.3 for noise in found["repeat_noise_mm"].values())

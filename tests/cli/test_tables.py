@@ -33,7 +33,7 @@ from tests.recording.simulated import simulated_records
 COLUMNS = 80
 FIGURE = re.compile(r"-?\d+\.\d+(?:e[-+]\d+)?|-?\d+")
 WIDEST: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("widest.yaml").read_text(encoding="utf-8"))
-LONGEST_NAME = WIDEST["recording"]["name"]
+LONGEST_NAME = WIDEST["recordings"]["recordings"][0]["name"]
 
 
 class Tables(Output):
@@ -104,9 +104,7 @@ TABLES: dict[str, Callable[[Output], object]] = {
     ),
     "study paper": lambda out: study.show(out, "paper", WIDEST["study paper"]),
     "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
-    "recordings": lambda out: jobs.show_recordings(
-        out, [WIDEST["recording"], {**WIDEST["recording"], "mean_error_mm": None}]
-    ),
+    "recordings": lambda out: jobs.show_list(out, WIDEST["recordings"]),
     "optimize": lambda out: jobs.show_optimum(out, WIDEST["optimum"], WIDEST["plan"]),
     "transfer": lambda out: motion.show_curves(out, WIDEST["transfer"]),
     "scan": lambda out: setup.show_servos(out, SERVOS),
