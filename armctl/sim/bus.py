@@ -29,14 +29,7 @@ BAUD_TOLERANCE = 0.03
 class SimulatedBus:
     """The servos of one arm at the far end of a serial adapter."""
 
-    def __init__(
-        self,
-        arm: SimulatedArm,
-        *,
-        baud: int = 1_000_000,
-        latency_ms: float = 0.0,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, arm: SimulatedArm, *, baud: int = 1_000_000, latency_ms: float = 0.0, seed: int = 0) -> None:
         """A quiet bus; the seed draws the phase of the adapter's timer.
 
         Raises:

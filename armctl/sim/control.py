@@ -25,14 +25,19 @@ wait for a program to write JSON.
 import json
 import math
 import socket
+from bisect import bisect_left, bisect_right
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.clock import NS_PER_S
 from armctl.config import validate
 from armctl.dynamixel import ax12a
 from armctl.errors import ArmctlError, PortMissing, RequestRefused
@@ -47,6 +52,8 @@ TRUTH_PERIOD_NS = 10_000_000
 PIECE_SAMPLES = 100
 
 Params = dict[str, Any]
+# A monotonic instant [ns], and the true joint positions [rad] of then, shape (n,).
+Sample = tuple[int, FloatArray]
 
 
 def control_path(link: Path) -> Path:
@@ -69,27 +76,18 @@ class Truth:
 class TruthRing:
     """True joint positions, the newest `TRUTH_S` of them."""
 
-    def __init__(self, joints: int) -> None:
-        size = TRUTH_S * 1_000_000_000 // TRUTH_PERIOD_NS
-        self._time_ns = np.zeros(size, dtype=np.int64)
-        self._joints_rad = np.zeros((size, joints))
-        self._count = 0
+    def __init__(self) -> None:
+        self._samples: deque[Sample] = deque(maxlen=TRUTH_S * NS_PER_S // TRUTH_PERIOD_NS)
 
     def add(self, time_ns: int, joints_rad: FloatArray) -> None:
         """Keep one sample; times must not decrease."""
-        at = self._count % self._time_ns.size
-        self._time_ns[at] = time_ns
-        self._joints_rad[at] = joints_rad
-        self._count += 1
+        self._samples.append((time_ns, joints_rad))
 
-    def between(self, begin_ns: int, end_ns: int) -> tuple[NDArray[np.int64], FloatArray]:
-        """Times [ns], shape (m,), and joint positions [rad], shape (m, n), with begin_ns <= time <= end_ns."""
-        size = self._time_ns.size
-        oldest = max(0, self._count - size)
-        order = np.arange(oldest, self._count) % size
-        times = self._time_ns[order]
-        chosen = order[np.searchsorted(times, begin_ns) : np.searchsorted(times, end_ns, side="right")]
-        return self._time_ns[chosen], self._joints_rad[chosen]
+    def between(self, begin_ns: int, end_ns: int) -> list[Sample]:
+        """Those kept with begin_ns <= time <= end_ns."""
+        begin = bisect_left(self._samples, begin_ns, key=itemgetter(0))
+        end = bisect_right(self._samples, end_ns, key=itemgetter(0))
+        return list(islice(self._samples, begin, end))
 
 
 class Plug(Protocol):
@@ -196,19 +194,19 @@ class Controls:
 
     def _truth(self, params: Params) -> Iterator[str]:
         begin_ns, end_ns = (round(_number(params.get(key), key)) for key in ("begin_ns", "end_ns"))
-        return self._truth_pieces(*self._ring.between(begin_ns, end_ns))
+        return self._truth_pieces(self._ring.between(begin_ns, end_ns))
 
-    def _truth_pieces(self, times_ns: NDArray[np.int64], joints_rad: FloatArray) -> Iterator[str]:
-        columns: tuple[tuple[str, Callable[[slice], list[Any]]], ...] = (
-            ("time_ns", lambda part: times_ns[part].tolist()),
-            ("tool_m", lambda part: self._arm.tool_positions(joints_rad[part]).tolist()),
-            ("joints_rad", lambda part: joints_rad[part].tolist()),
-        )
+    def _truth_pieces(self, samples: list[Sample]) -> Iterator[str]:
+        columns: dict[str, Callable[[list[Sample]], list[Any]]] = {
+            "time_ns": lambda part: [time_ns for time_ns, _ in part],
+            "tool_m": lambda part: self._arm.tool_positions(np.array([joints for _, joints in part])).tolist(),
+            "joints_rad": lambda part: [joints.tolist() for _, joints in part],
+        }
         opening = '{"result": {'
-        for name, values in columns:
+        for name, values in columns.items():
             yield f'{opening}"{name}": ['
-            for begin in range(0, len(times_ns), PIECE_SAMPLES):
-                text = json.dumps(values(slice(begin, begin + PIECE_SAMPLES)))[1:-1]
+            for begin in range(0, len(samples), PIECE_SAMPLES):
+                text = json.dumps(values(samples[begin : begin + PIECE_SAMPLES]))[1:-1]
                 yield text if begin == 0 else f", {text}"
             opening = "], "
         yield "]}}"

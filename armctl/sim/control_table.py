@@ -15,11 +15,6 @@ def value(table: bytes | bytearray, register: Register) -> int:
     return table[at] | table[at + 1] << 8 if register.size == 2 else table[at]
 
 
-def is_wheel(table: bytes | bytearray) -> bool:
-    """Whether the servo is in wheel mode: both angle limits are 0."""
-    return value(table, ax12a.CW_LIMIT) == 0 == value(table, ax12a.CCW_LIMIT)
-
-
 @cache
 def touched(begin: int, end: int) -> dict[str, Register]:
     """Registers that overlap the addresses begin..end-1, by name."""
@@ -42,8 +37,8 @@ def refusal(table: bytearray, parameters: bytes) -> int:
         return ErrorBit.RANGE
     after = bytearray(table)
     after[begin:end] = data
-    error, wheel, torque = 0, is_wheel(table), table[ax12a.TORQUE_ENABLE.address]
     low, high = value(table, ax12a.CW_LIMIT), value(table, ax12a.CCW_LIMIT)
+    error, wheel, torque = 0, low == high == 0, table[ax12a.TORQUE_ENABLE.address]
     for register in touched(begin, end).values():
         wanted = value(after, register)
         highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not wheel else register.maximum

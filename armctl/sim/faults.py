@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from armctl.config import parse_yaml, validate
+from armctl.config import Frozen, parse_yaml, validate
 from armctl.errors import ConfigError
 
 # From one write of the second writer to its next.
@@ -85,10 +85,8 @@ DESCRIPTIONS: dict[str, str] = {
 }
 
 
-class Fault(BaseModel):
+class Fault(Frozen):
     """One fault, as planned; what `value` means depends on the kind, see `DESCRIPTIONS`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     kind: str
     # By the calibration; None: every servo.
@@ -112,29 +110,24 @@ class Fault(BaseModel):
         if not kind.occasion and (self.probability != 1.0 or self.count is not None):
             raise ValueError(f"{self.kind} is a state; probability and count do not apply, begin_s and duration_s do")
         if self.value is not None:
-            if kind.value is None:
-                raise ValueError(f"{self.kind} takes no value")
             wanted = kind.value
+            if wanted is None:
+                raise ValueError(f"{self.kind} takes no value")
             if not wanted.low <= self.value <= wanted.high or (wanted.whole and self.value % 1):
-                whole = "a whole number " if wanted.whole else ""
-                raise ValueError(
-                    f"value {self.value:g} of {self.kind} ({wanted.what}) must be {whole}"
-                    f"in {wanted.low:g}..{wanted.high:g}"
-                )
+                bounds = f"{'a whole number ' if wanted.whole else ''}in {wanted.low:g}..{wanted.high:g}"
+                raise ValueError(f"value {self.value:g} of {self.kind} ({wanted.what}) must be {bounds}")
         return self
 
 
-class _Script(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
+class _Script(Frozen):
     faults: tuple[Fault, ...] = Field(strict=False)
 
 
-def parse(text: str, file: str, servo_ids: Collection[int] | None = None) -> tuple[Fault, ...]:
+def parse(text: str, file: str, servo_ids: Collection[int]) -> tuple[Fault, ...]:
     """The faults of a YAML text.
 
     Args:
-        servo_ids: Servos of the arm; None: any will do.
+        servo_ids: Servos of the arm.
     Raises:
         ConfigError: naming the file and every key that is wrong.
     """
@@ -144,13 +137,13 @@ def parse(text: str, file: str, servo_ids: Collection[int] | None = None) -> tup
     return script
 
 
-def check_servo(fault: Fault, servo_ids: Collection[int] | None, file: str, key: str) -> None:
-    """Refuse a fault of a servo that is not among `servo_ids` (None: any will do).
+def check_servo(fault: Fault, servo_ids: Collection[int], file: str, key: str) -> None:
+    """Refuse a fault of a servo that is not among `servo_ids`.
 
     Raises:
         ConfigError: there is no such servo.
     """
-    if servo_ids is not None and fault.servo_id is not None and fault.servo_id not in servo_ids:
+    if fault.servo_id is not None and fault.servo_id not in servo_ids:
         known = ", ".join(map(str, servo_ids))
         raise ConfigError(file, key, f"no servo {fault.servo_id} on this arm", f"its servos are {known}")
 
@@ -253,9 +246,8 @@ class Faults:
                 due.append(planned)
             while planned.next_write_s <= now_s:
                 planned.next_write_s += WRITER_PERIOD_S
-        self.due_s = min(
-            (min(p.end_s, p.next_write_s) if p.begun else p.begin_s for p in self.planned), default=math.inf
-        )
+        coming_s = (min(p.end_s, p.next_write_s) if p.begun else p.begin_s for p in self.planned)
+        self.due_s = min(coming_s, default=math.inf)
         return due
 
     def in_force(self, kind: str, servo_id: int | None = None) -> Planned | None:

@@ -157,7 +157,7 @@ def run(
             servo.set(ax12a.RETURN_DELAY, return_delay_us // 2)
     bus = SimulatedBus(simulated, latency_ms=latency_ms, seed=seed)
     terminal = PseudoTerminal(link)
-    ring = TruthRing(len(arm.joints))
+    ring = TruthRing()
     world = Lockstep(simulated, bus, ring) if lockstep else RealTime(simulated, bus, ring)
     controls = Controls(simulated, ring, terminal, world.now_ns)
     ask_for_real_time()

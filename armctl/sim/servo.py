@@ -27,7 +27,7 @@ import numpy as np
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import LOAD_MAX, SPEED_UNIT_RAD_S, TICK_RAD, ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Instruction, Packet, encode_status
-from armctl.sim.control_table import is_wheel, refusal, touched, value
+from armctl.sim.control_table import refusal, touched, value
 from armctl.sim.drive import DRIVING, Drive, drive_of
 from armctl.sim.potentiometer import sensed_tick
 
@@ -149,10 +149,6 @@ class SimulatedServo:
     @property
     def torque_enabled(self) -> bool:
         return bool(self.table[_TORQUE_ENABLE_AT])
-
-    @property
-    def wheel_mode(self) -> bool:
-        return is_wheel(self.table)
 
     @property
     def baud(self) -> float:

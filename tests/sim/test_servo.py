@@ -215,7 +215,7 @@ def test_wheel_mode_turns_by_speed_with_bit_10_for_the_direction(
     one: SimulatedServo, speed: int, limit: int, spin: float
 ) -> None:
     write(one, ax12a.CCW_LIMIT, 0)
-    assert one.wheel_mode
+    assert one.drive.spin is not None
     assert write(one, ax12a.TORQUE_LIMIT, limit) == 0
     assert write(one, ax12a.MOVING_SPEED, speed) == 0
     assert one.torque_enabled

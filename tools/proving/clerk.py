@@ -368,7 +368,7 @@ class Clerk:
             self._episode.fault(Fault(kind="hot", value=35.0, begin_s=self._now_s, duration_s=0.01))
             yield from self._wait(0.3)
         for servo, joint in zip(body.servos, self._arm.joints, strict=True):
-            if servo.wheel_mode:
+            if servo.drive.spin is not None:
                 servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
                 servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
                 self._episode.judge.mended(self._arm.joints.index(joint))
