@@ -15,14 +15,13 @@ import numpy as np
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, Packet
-from armctl.kinematics.chain import SerialChain, tool_position
+from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.body import Body
 from armctl.sim.build import build
 from armctl.sim.faults import Faults, Planned
 from armctl.sim.hand import Hand
 from armctl.sim.joint import STEP_S, Joint
-from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
 STEP_NS = 1_000_000
@@ -44,13 +43,12 @@ class SimulatedArm:
         self.config, self.spec = arm, spec
         self.faults = Faults(seed=seed) if faults is None else faults
         # The true geometry, link length errors included.
-        self.chain: SerialChain
         self.chain, self._joints, masses = build(arm, spec, seed)
         # As `PointMasses` has them.
         self.points_kg = masses.points_kg
         self._body = Body(self._joints, masses, spec)
         # In the order of the calibration's joints.
-        self.servos: tuple[SimulatedServo, ...] = tuple(joint.servo for joint in self._joints)
+        self.servos = tuple(joint.servo for joint in self._joints)
         self._origin_ns: int | None = None
         # When a servo will be too hot if the arm stays at rest; None: not known yet.
         self._overheat_step: int | None = None

@@ -4,6 +4,7 @@ import contextlib
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 from armctl.errors import ConfigError, PortBusy
@@ -14,13 +15,12 @@ MAX_PATH_BYTES = 107
 
 @dataclass
 class _Connection:
-    incoming: bytearray = field(default_factory=bytearray)
-    outgoing: bytearray = field(default_factory=bytearray)
-    answers: list[Iterator[str]] = field(default_factory=list)
-
-    @property
-    def busy(self) -> bool:
-        return bool(self.outgoing or self.answers)
+    # The begin of a line.
+    incoming: bytes = b""
+    # What is being sent; empty: no answer is under way.
+    outgoing: bytes = b""
+    # What is to be sent after that; set together with it.
+    pieces: Iterator[str] = field(init=False)
 
 
 class ControlServer:
@@ -29,13 +29,17 @@ class ControlServer:
     def __init__(self, path: Path, answer: Callable[[bytes], Iterator[str]]) -> None:
         """Listen on `path`; a dead simulator's socket there is replaced.
 
+        Args:
+            answer: Gives the pieces, none of them empty, of the line that answers a line.
+
         Raises:
             ConfigError: the path is too long or cannot be created.
             PortBusy: another simulator listens there.
         """
         if len(str(path).encode()) > MAX_PATH_BYTES:
-            too_long = f"longer than the {MAX_PATH_BYTES} bytes of a socket's name"
-            raise ConfigError(str(path), "", too_long, "shorten --link")
+            raise ConfigError(
+                str(path), "", f"longer than the {MAX_PATH_BYTES} bytes of a socket's name", "shorten --link"
+            )
         self._path, self._answer = path, answer
         self._connections: dict[socket.socket, _Connection] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -58,11 +62,11 @@ class ControlServer:
 
     def readers(self) -> list[socket.socket]:
         """Sockets to wait on for reading; a client with an answer under way is not heard."""
-        return [self._listener, *(s for s, connection in self._connections.items() if not connection.busy)]
+        return [self._listener, *(s for s, connection in self._connections.items() if not connection.outgoing)]
 
     def writers(self) -> list[socket.socket]:
         """Sockets to wait on for writing."""
-        return [s for s, connection in self._connections.items() if connection.busy]
+        return [s for s, connection in self._connections.items() if connection.outgoing]
 
     def serve(self, ready: Sequence[socket.socket]) -> None:
         """Read from and write to the sockets that are ready, a little of each."""
@@ -75,7 +79,7 @@ class ControlServer:
                 continue
             connection = self._connections[sock]
             try:
-                if connection.busy:
+                if connection.outgoing:
                     self._send(sock, connection)
                 else:
                     self._receive(sock, connection)
@@ -97,19 +101,13 @@ class ControlServer:
 
     def _receive(self, sock: socket.socket, connection: _Connection) -> None:
         data = sock.recv(MAX_LINE_BYTES)
-        connection.incoming += data
-        *lines, rest = connection.incoming.split(b"\n")
-        if not data or len(rest) > MAX_LINE_BYTES:
+        *lines, connection.incoming = (connection.incoming + data).split(b"\n")
+        if not data or len(connection.incoming) > MAX_LINE_BYTES:
             self._drop(sock)
             return
-        connection.incoming = bytearray(rest)
-        connection.answers += [self._answer(bytes(line)) for line in lines]
+        connection.pieces = chain.from_iterable([chain(self._answer(line), "\n") for line in lines])
+        connection.outgoing = next(connection.pieces, "").encode()
 
     def _send(self, sock: socket.socket, connection: _Connection) -> None:
-        if not connection.outgoing:
-            piece = next(connection.answers[0], None)
-            if piece is None:
-                del connection.answers[0]
-                piece = "\n"
-            connection.outgoing += piece.encode()
-        del connection.outgoing[: sock.send(connection.outgoing)]
+        left = connection.outgoing[sock.send(connection.outgoing) :]
+        connection.outgoing = left or next(connection.pieces, "").encode()

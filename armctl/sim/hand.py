@@ -10,6 +10,7 @@ a powered one resists it.
 import contextlib
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -74,7 +75,7 @@ class Guided:
     end_s: float
 
 
-@dataclass
+@dataclass(eq=False)
 class _Take:
     seed: int
     start_s: float
@@ -96,9 +97,8 @@ class Hand:
     def __init__(self, arm: Limb) -> None:
         self._arm = arm
         self._take: _Take | None = None
-        self._aimed_at: tuple[_Take | None, float] = None, 0.0
-        # The aim of this moment of this take.
-        self._aimed: tuple[list[float], list[float]] = [], []
+        # Asked for more than once in each moment of a take.
+        self._aim = lru_cache(maxsize=1)(self._aim_in)
         limits = np.array([joint.limits_rad for joint in arm.config.joints])
         self._limits = limits[: arm.chain.n]
         span = self._limits[:, 1] - self._limits[:, 0]
@@ -170,14 +170,14 @@ class Hand:
         time_s -= take.start_s
         if time_s - take.when.begin_s >= take.when.end_s - take.when.begin_s:
             time_s = math.inf  # the aim stays
-        if self._aimed_at[0] is not take or self._aimed_at[1] != time_s:
-            self._aimed_at = take, time_s
-            others = take.from_rad[self._arm.chain.n :]
-            ahead_s = 1e-3
-            here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
-            speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
-            self._aimed = here + others, speeds + [0.0] * len(others)
-        return self._aimed
+        return self._aim(take, time_s)
+
+    def _aim_in(self, take: _Take, time_s: float) -> tuple[list[float], list[float]]:
+        others = take.from_rad[self._arm.chain.n :]
+        ahead_s = 1e-3
+        here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
+        speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
+        return here + others, speeds + [0.0] * len(others)
 
     def _at(self, take: _Take, time_s: float) -> list[float]:
         """Aim of the chain's joints [rad] at a time within the take."""
