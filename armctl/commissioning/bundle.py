@@ -14,7 +14,9 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib import metadata
+from itertools import accumulate
 from pathlib import Path
 
 from armctl import __version__
@@ -70,10 +72,8 @@ def versions() -> str:
     wanted = {re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in metadata.requires("armctl") or ()}
     installed = {}
     for name in sorted(wanted):
-        try:
+        with suppress(metadata.PackageNotFoundError):
             installed[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     facts = {"armctl": __version__, "python": sys.version, "system": platform.platform(), "packages": installed}
     return json.dumps(facts, indent=1)
 
@@ -96,17 +96,9 @@ def _said(command: tuple[str, ...]) -> str:
 
 def newest_logs(data: Path) -> list[Path]:
     """The newest logs, and what a crash left unfinished, as many as fit into `LOG_BYTES`."""
-    found = []
-    for log in (data / "logs").glob("*.mcap*"):
-        stat = log.stat()
-        found.append((stat.st_mtime_ns, stat.st_size, log))
-    chosen, left = [], LOG_BYTES
-    for _, size, log in sorted(found, reverse=True):
-        left -= size
-        if left < 0:
-            break
-        chosen.append(log)
-    return chosen
+    logs = sorted((data / "logs").glob("*.mcap*"), key=lambda log: log.stat().st_mtime_ns, reverse=True)
+    sizes = accumulate(log.stat().st_size for log in logs)
+    return [log for log, size in zip(logs, sizes, strict=True) if size <= LOG_BYTES]
 
 
 def redacted(text: str) -> str:

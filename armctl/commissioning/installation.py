@@ -39,46 +39,36 @@ class InstallationFailed(ArmctlError):
 
 
 @dataclass(frozen=True)
-class WriteFile:
-    """One file below the root."""
+class File:
+    """One file below the root as it is to be."""
 
     path: Path
-    text: str
+    # None: it is not to be there.
+    text: str | None
     # A person's file: written only where there is none.
     keep: bool = False
 
     def __str__(self) -> str:
+        if self.text is None:
+            return f"remove /{self.path}"
         return f"write /{self.path}" + (" unless it is there" if self.keep else "")
 
     def due(self, root: Path) -> bool:
         target = root / self.path
         if not target.exists():
-            return True
-        return not self.keep and target.read_text(encoding="utf-8") != self.text
+            return self.text is not None
+        return self.text is None or (not self.keep and target.read_text(encoding="utf-8") != self.text)
 
     def do(self, root: Path) -> None:
         target = root / self.path
+        if self.text is None:
+            target.unlink()
+            return
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_name(target.name + ".part")
         partial.write_text(self.text, encoding="utf-8")
         partial.chmod(0o644)
         partial.replace(target)
-
-
-@dataclass(frozen=True)
-class RemoveFile:
-    """One file below the root that an installation wrote."""
-
-    path: Path
-
-    def __str__(self) -> str:
-        return f"remove /{self.path}"
-
-    def due(self, root: Path) -> bool:
-        return (root / self.path).exists()
-
-    def do(self, root: Path) -> None:
-        (root / self.path).unlink()
 
 
 @dataclass(frozen=True)
@@ -104,7 +94,7 @@ class Run:
             raise InstallationFailed(f"{self}: exit status {done.returncode}: {(done.stderr or done.stdout).strip()}")
 
 
-Act = WriteFile | RemoveFile | Run
+Act = File | Run
 
 
 def installation(
@@ -132,21 +122,17 @@ def installation(
     adapter = usb_adapter(Path(port), sysfs) if port else U2D2
     calibration = find_arm_file(arm)
     name = calibration.stem
-    config = f"port: /dev/armctl\narm: {name}\n"
-    acts: list[Act] = [
-        *(WriteFile(_configuration(kind), template(f"{kind}.conf")) for kind in CONFIGURED),
-        *(Run((*command, f"/{_configuration(kind)}")) for kind, command in CONFIGURED.items()),
-        WriteFile(ETC / "armctl.yaml", config, keep=True),
-        WriteFile(ETC / "calibration" / f"{name}.yaml", calibration.read_text(encoding="utf-8"), keep=True),
-        WriteFile(RULES, udev_rules(adapter)),
-        Run(("udevadm", "control", "--reload")),
-        Run(("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial")),
-    ]
     joining = [Run(("usermod", "--append", "--groups", "armctl", user))] if user else []
     return [
-        *acts,
+        *(File(_configuration(kind), template(f"{kind}.conf")) for kind in CONFIGURED),
+        *(Run((*command, f"/{_configuration(kind)}")) for kind, command in CONFIGURED.items()),
+        File(ETC / "armctl.yaml", f"port: /dev/armctl\narm: {name}\n", keep=True),
+        File(ETC / "calibration" / f"{name}.yaml", calibration.read_text(encoding="utf-8"), keep=True),
+        File(RULES, udev_rules(adapter)),
+        Run(("udevadm", "control", "--reload")),
+        Run(("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial")),
         *joining,
-        *(WriteFile(SYSTEMD / unit, template(unit).replace(TEMPLATE_PREFIX, str(prefix))) for unit in UNITS),
+        *(File(SYSTEMD / unit, template(unit).replace(TEMPLATE_PREFIX, str(prefix))) for unit in UNITS),
         Run(("systemctl", "daemon-reload")),
         Run(("systemctl", "enable", "armctl.service")),
         Run(("systemctl", "restart", "armctl.service")),
@@ -157,9 +143,9 @@ def removal() -> list[Act]:
     """What takes the service away; configuration, calibrations, logs and recordings stay."""
     return [
         *(Run(("systemctl", "disable", "--now", unit), may_fail=True) for unit in UNITS),
-        *(RemoveFile(SYSTEMD / unit) for unit in UNITS),
-        RemoveFile(RULES),
-        *(RemoveFile(_configuration(kind)) for kind in reversed(CONFIGURED)),
+        *(File(SYSTEMD / unit, None) for unit in UNITS),
+        File(RULES, None),
+        *(File(_configuration(kind), None) for kind in reversed(CONFIGURED)),
         Run(("systemctl", "daemon-reload")),
         Run(("udevadm", "control", "--reload")),
     ]

@@ -6,9 +6,9 @@ import pytest
 from armctl.commissioning.installation import (
     SYSTEM,
     Act,
+    File,
     InstallationFailed,
     Run,
-    WriteFile,
     carry_out,
     installation,
     missing_commands,
@@ -140,7 +140,7 @@ def test_a_program_that_is_missing_or_in_a_home_folder_is_refused_with_the_way_o
 
 def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path, sysfs: Path) -> None:
     acts = installation(arm="ax12-line", prefix=prefix, port="/dev/ttyUSB0", sysfs=sysfs)
-    [rules] = [act.text for act in acts if isinstance(act, WriteFile) and act.path.suffix == ".rules"]
+    [rules] = [act.text or "" for act in acts if isinstance(act, File) and act.path.suffix == ".rules"]
     rows = [row for row in rules.splitlines() if not row.startswith("#")]
     assert len(rows) == 2
     assert all('ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", ATTRS{serial}=="FT4THUX8"' in row for row in rows)
