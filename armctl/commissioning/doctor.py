@@ -128,15 +128,14 @@ def check_servos(
     """
     baud = bus.port.baudrate
     found = {servo.servo_id: servo for servo in scan(bus, (baud,), ALL_IDS, progress)}
-    missing = [joint for joint in arm.joints if joint.servo_id not in found]
-    strays = [servo_id for servo_id in found if servo_id not in arm.servo_ids]
+    missing = [servo_id for servo_id in arm.servo_ids if servo_id not in found]
     elsewhere: dict[int, FoundServo] = {}
     if missing:
         others = [other for other in USUAL_BAUDS if other != baud]
-        elsewhere = {servo.servo_id: servo for servo in scan(bus, others, [joint.servo_id for joint in missing])}
+        elsewhere = {servo.servo_id: servo for servo in scan(bus, others, missing)}
         bus.port.setBaudRate(baud)
     checks = [_baud_check(baud, len(found), len(arm.joints), elsewhere, surroundings.options)]
-    checks += _presence(arm, baud, missing, strays, elsewhere, surroundings.options)
+    checks += _presence(arm, baud, list(found), elsewhere, surroundings.options)
     if not found:
         return checks
     bus.port.allow_latency(IDENTIFY_LATENCY_MS)
@@ -188,16 +187,13 @@ def _set_baud(servo: FoundServo, baud: int, options: str) -> str:
 
 
 def _presence(
-    arm: ArmConfig,
-    baud: int,
-    missing: Sequence[JointConfig],
-    strays: Sequence[int],
-    elsewhere: dict[int, FoundServo],
-    options: str,
+    arm: ArmConfig, baud: int, found: Sequence[int], elsewhere: dict[int, FoundServo], options: str
 ) -> list[Check]:
     """One line for each servo of the calibration and each stranger; strangers are taken for the missing, in order."""
-    mute = [joint.servo_id for joint in missing if joint.servo_id not in elsewhere]
-    stand_ins, wanted = dict(zip(mute, strays, strict=False)), dict(zip(strays, mute, strict=False))
+    strays = [servo_id for servo_id in found if servo_id not in arm.servo_ids]
+    mute = [servo_id for servo_id in arm.servo_ids if servo_id not in found and servo_id not in elsewhere]
+    stand_ins = dict(zip(mute, strays, strict=False))
+    renamings = {stray: f"armctl servo set-id {stray} {new}{options}" for new, stray in stand_ins.items()}
     checks = []
     for joint in arm.joints:
         servo_id, value, fix = joint.servo_id, "answers", ""
@@ -206,20 +202,15 @@ def _presence(
             fix = _set_baud(elsewhere[servo_id], baud, options)
         elif servo_id in stand_ins:
             value = f"{joint.name} does not answer; servo {stand_ins[servo_id]}, which nobody expects, does"
-            fix = _set_id(stand_ins[servo_id], servo_id, options)
-        elif joint in missing:
+            fix = renamings[stand_ins[servo_id]]
+        elif servo_id in mute:
             value = f"{joint.name} does not answer"
             fix = f"check the cable and the supply of {joint.name}, then `armctl scan --baud all{options}`"
         checks.append(Check("present", not fix, value, fix, servo_id))
     for stray in strays:
-        spare = "take it off the bus, or give the calibration a joint for it"
-        fix = _set_id(stray, wanted[stray], options) if stray in wanted else spare
+        fix = renamings.get(stray, "take it off the bus, or give the calibration a joint for it")
         checks.append(Check("wrong_id", False, f"servo {stray} is not in the calibration {arm.arm_id}", fix, stray))
     return checks
-
-
-def _set_id(old: int, new: int, options: str) -> str:
-    return f"armctl servo set-id {old} {new}{options}"
 
 
 def _servo_checks(
@@ -279,8 +270,8 @@ def _servo_checks(
 def _cycle_check(bus: ServoBus, period_s: float) -> Check:
     """The slowest of some cycles against the period."""
     cycle_s = max(bus.read_sample().bus_us for _ in range(CYCLES)) / 1e6
-    at_best = f"{1.0 / max(cycle_s, 1e-6):.0f} Hz at best"
-    value = f"{cycle_s * 1000.0:.1f} ms a cycle of {period_s * 1000.0:.0f} ms, {at_best}"
+    best_Hz = 1.0 / max(cycle_s, 1e-6)
+    value = f"{cycle_s * 1000.0:.1f} ms a cycle of {period_s * 1000.0:.0f} ms, {best_Hz:.0f} Hz at best"
     fix = "mend adapter_latency and return_delay first, or raise period_s in the configuration"
     return _check("cycle_rate", cycle_s <= CYCLE_SHARE * period_s, value, fix)
 

@@ -11,6 +11,7 @@ Rules:
 
 import json
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -126,10 +127,9 @@ def differences(bus: ServoBus, snapshot: Snapshot) -> list[Difference]:
     """
     found: list[Difference] = []
     for servo in snapshot.servos:
-        try:
+        present: dict[str, int] = {}
+        with suppress(RequestRefused):
             present = read_eeprom(bus, servo.servo_id).registers
-        except RequestRefused:
-            present = {}
         found += [
             Difference(servo.servo_id, name, wanted, present.get(name))
             for name, wanted in servo.registers.items()
@@ -170,8 +170,10 @@ def write_register(bus: ServoBus, servo_id: int, register: Register, value: int)
         raise ConfigError(register.name, "", "is not set this way", f"one of {names}; id and baud have own commands")
     if not register.minimum <= value <= register.maximum:
         raise ConfigError(register.name, str(value), f"outside {register.minimum}..{register.maximum}")
+    bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     # A servo that answers nothing but a PING can be asked nothing, and only this write can change that.
-    if register is not ax12a.RETURN_LEVEL or _reads(bus, servo_id) or not _answers(bus, servo_id):
+    mute = register is ax12a.RETURN_LEVEL and bus.read(servo_id, ax12a.MODEL) is None and _answers(bus, servo_id)
+    if not mute:
         require_writable(bus, servo_id)
     _write(bus, servo_id, register, value)
 
@@ -309,11 +311,6 @@ def _not_taken(bus: ServoBus, text: str) -> RequestRefused | PortGone:
 def _answers(bus: ServoBus, servo_id: int) -> bool:
     """Whether anything at all comes from an id, be it garbled or nothing but a PING's status."""
     return bool(scan(bus, (bus.port.baudrate,), (servo_id,)))
-
-
-def _reads(bus: ServoBus, servo_id: int) -> bool:
-    bus.port.allow_latency(IDENTIFY_LATENCY_MS)
-    return not bus.read_block(servo_id, ax12a.MODEL.address, 3).problem
 
 
 def _read(bus: ServoBus, servo_id: int, begin: int, size: int) -> bytes:

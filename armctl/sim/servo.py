@@ -119,11 +119,6 @@ class SimulatedServo:
             self._measure(0.0)
         return value(self.table, register)
 
-    def values(self, *registers: Register) -> tuple[int, ...]:
-        """What `get` says of several registers of the RAM, all at one instant."""
-        self._measure(0.0)
-        return tuple(value(self.table, register) for register in registers)
-
     def set(self, register: Register, wanted: int) -> None:
         """Put a value into the table without any check or effect: the factory's or a wizard's hand."""
         self._put(register.address, wanted.to_bytes(register.size, "little"))

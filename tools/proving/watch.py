@@ -163,7 +163,7 @@ class Watch:
             known.sensed_tick = math.floor(servo.position_tick + 0.5) if frozen is None else frozen
             if servo.writes != self._writes[i]:
                 self._writes[i] = servo.writes
-                known.limit, known.goal, known.speed = servo.values(*WATCHED)
+                known.limit, known.goal, known.speed = map(servo.get, WATCHED)
                 known.torque = servo.torque_enabled and known.limit > 0
         return self._servos
 
