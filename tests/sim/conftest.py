@@ -8,7 +8,8 @@ import pytest
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.packet import BROADCAST_ID, Instruction, encode_instruction
+from armctl.dynamixel.ax12a import Register
+from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Decoder, Instruction, Packet, encode_instruction
 from armctl.files import load_arm
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
@@ -24,6 +25,17 @@ def turned(base_rad: float) -> FloatArray:
     pose = WORKING_RAD.copy()
     pose[0] += base_rad
     return pose
+
+
+def read(servo_id: int, register: Register = ax12a.PRESENT_POSITION, size: int | None = None) -> bytes:
+    """The packet that reads a register, or so many bytes from there on."""
+    return encode_instruction(servo_id, Instruction.READ, bytes((register.address, size or register.size)))
+
+
+def write(servo_id: int, register: Register, value: int) -> bytes:
+    """The packet that writes a register."""
+    data = bytes((register.address,)) + value.to_bytes(register.size, "little")
+    return encode_instruction(servo_id, Instruction.WRITE, data)
 
 
 @pytest.fixture(scope="session")
@@ -76,6 +88,15 @@ class Bench:
     def hear(self, request: bytes) -> bytes:
         return bytes(value for _, value in self.ask(request))
 
+    def packets(self, request: bytes) -> list[Packet | BadChecksum]:
+        return Decoder().feed(self.hear(request))
+
+    def error(self, servo_id: int) -> int:
+        """The error bits in the one reply of a servo that is read."""
+        (reply,) = self.packets(read(servo_id))
+        assert isinstance(reply, Packet)
+        return reply.code
+
     def begin(self, kind: str, servo_id: int | None = None, value: float | None = None) -> int:
         """Let a fault begin now; its number."""
         number = self.arm.faults.begin(Fault(kind=kind, servo_id=servo_id, value=value), self.arm.time_s)
@@ -85,15 +106,6 @@ class Bench:
     def end(self, number: int) -> None:
         self.arm.faults.end(number)
         self.wait(0.001)
-
-
-def cut(at_once: Bench, in_pieces: Bench, pieces_ns: Sequence[int]) -> None:
-    """Let the same time pass on two benches that go to the working pose, on one of them in pieces."""
-    for bench in (at_once, in_pieces):
-        bench.goto(WORKING_RAD)
-    for piece in pieces_ns:
-        in_pieces.wait(piece / 1e9)
-    at_once.wait(sum(pieces_ns) / 1e9)
 
 
 @pytest.fixture

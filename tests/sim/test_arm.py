@@ -1,6 +1,7 @@
 """Laws of the simulated arm's physics, on virtual time."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -9,14 +10,14 @@ from hypothesis import strategies as st
 
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.packet import Instruction, encode_instruction
 from armctl.kinematics import robots
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
+from armctl.sim.faults import Fault
 from armctl.sim.servo import ServoVariants, SimulatedServo
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
-from tests.sim.conftest import WORKING_RAD, Bench, cut, turned
+from tests.sim.conftest import WORKING_RAD, Bench, turned, write
 
 CHAIN = robots.get("ax12-line").chain
 
@@ -34,14 +35,35 @@ def test_servos_carry_the_calibrations_ids_and_limits(arm: ArmConfig) -> None:
         assert (servo.get(ax12a.CW_LIMIT), servo.get(ax12a.CCW_LIMIT)) == joint.limits_tick
 
 
+FAULTS = (
+    Fault(kind="blocked_joint", servo_id=1, begin_s=0.3, duration_s=0.4),
+    Fault(kind="second_writer", servo_id=6, begin_s=0.55, value=-40),
+    Fault(kind="brown_out", begin_s=1.1003, duration_s=0.7, probability=0.5),
+)
+
+
+@pytest.mark.parametrize(
+    ("script", "guided", "longest_ns"),
+    [((), True, 400_000_000), (FAULTS, False, 700_000_000), ((), False, 200_000_000_000)],
+    ids=["guided", "with faults", "getting warm"],
+)
 @settings(deadline=None, max_examples=15)
-@given(st.lists(st.integers(1, 400_000_000), max_size=12))
-def test_result_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
-    at_once, in_pieces = Bench(arm, seed=3), Bench(arm, seed=3)
-    for bench in (at_once, in_pieces):
-        bench.arm.hand.guide(np.array([0.2, 0.0, 0.1]), np.array([0.2, 0.1, 0.1]), seed=1)
-    cut(at_once, in_pieces, pieces_ns)
+@given(shares=st.lists(st.floats(1e-6, 1.0), max_size=8))
+def test_result_does_not_depend_on_how_time_is_cut(
+    arm: ArmConfig, script: Sequence[Fault], guided: bool, longest_ns: int, shares: list[float]
+) -> None:
+    in_pieces, at_once = Bench(arm, *script, seed=3), Bench(arm, *script, seed=3)
+    for bench in (in_pieces, at_once):
+        if guided:
+            bench.arm.hand.guide(np.array([0.2, 0.0, 0.1]), np.array([0.2, 0.1, 0.1]), seed=1)
+        bench.goto(WORKING_RAD)
+    for share in shares:
+        in_pieces.wait(share * longest_ns / 1e9)
+    at_once.wait((in_pieces.now_ns - at_once.now_ns) / 1e9)
     assert in_pieces.arm.true_positions().tolist() == at_once.arm.true_positions().tolist()
+    for cut, whole in zip(in_pieces.arm.servos, at_once.arm.servos, strict=True):
+        assert cut.torque_enabled == whole.torque_enabled
+        assert cut.temperature_degC == pytest.approx(whole.temperature_degC, abs=1e-9)
 
 
 def test_same_seed_same_arm_and_other_seed_other_arm(arm: ArmConfig) -> None:
@@ -322,21 +344,11 @@ def test_arm_left_holding_too_much_overheats_when_its_time_has_come(arm: ArmConf
     assert round(shoulder.temperature_degC) in ((70, 71) if masked else (71,))  # without torque it cools
 
 
-@settings(deadline=None, max_examples=10)
-@given(st.lists(st.integers(1, 200_000_000_000), max_size=5))
-def test_temperature_does_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
-    at_once, in_pieces = Bench(arm), Bench(arm)
-    cut(at_once, in_pieces, pieces_ns)
-    warm, whole = ([servo.temperature_degC for servo in bench.arm.servos] for bench in (in_pieces, at_once))
-    assert warm == pytest.approx(whole, abs=1e-9)
-
-
 def wheel(bench: Bench, index: int, speed: int) -> SimulatedServo:
     """Servo `index` in wheel mode at a moving speed, written as bytes."""
     servo = bench.arm.servos[index]
     for register, value in ((ax12a.CW_LIMIT, 0), (ax12a.CCW_LIMIT, 0), (ax12a.MOVING_SPEED, speed)):
-        data = bytes((register.address,)) + value.to_bytes(2, "little")
-        bench.bus.receive(encode_instruction(servo.get(ax12a.ID), Instruction.WRITE, data), bench.now_ns)
+        bench.bus.receive(write(servo.servo_id, register, value), bench.now_ns)
     return servo
 
 

@@ -9,11 +9,12 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet, encode_instruction
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
+from tests.sim.conftest import read
 
 BEGIN_NS = 10**9
 FAR_NS = 10**13
 PING = encode_instruction(1, Instruction.PING)
-READ_STATUS = encode_instruction(2, Instruction.READ, bytes((ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)))
+READ_STATUS = read(2, ax12a.TORQUE_ENABLE, ax12a.STATUS_SIZE)
 
 
 @pytest.fixture
@@ -107,7 +108,7 @@ def test_who_hears_the_host_changes_with_ids_and_bauds(bus: SimulatedBus) -> Non
 
 def test_two_servos_with_one_id_corrupt_each_others_reply(bus: SimulatedBus) -> None:
     bus.arm.servos[2].set(ax12a.ID, 2)
-    bus.receive(encode_instruction(2, Instruction.READ, bytes((36, 2))), BEGIN_NS)
+    bus.receive(read(2), BEGIN_NS)
     assert [type(reply) for reply in replies(bus)] == [BadChecksum]
 
 

@@ -12,20 +12,16 @@ import armctl
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.ax12a import ErrorBit
 from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet, encode_instruction, encode_status
 from armctl.errors import ConfigError, PortGone, PortMissing
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import _KINDS, DESCRIPTIONS, KINDS, Fault, Faults, parse
 from armctl.sim.loopback import LoopbackPort
-from tests.sim.conftest import WORKING_RAD, Bench, cut, turned
+from tests.sim.conftest import WORKING_RAD, Bench, read, turned, write
 
 REPLY = ("lost", "late", "duplicated", "corrupted", "truncated", "wrong_id")
-
-
-def read(servo_id: int, register: Register = ax12a.PRESENT_POSITION, size: int | None = None) -> bytes:
-    return encode_instruction(servo_id, Instruction.READ, bytes((register.address, size or register.size)))
 
 
 # ------------------------------------------------------------------------------------------------- the file
@@ -135,20 +131,6 @@ def test_one_fault_does_not_change_the_draws_of_another(arm: ArmConfig) -> None:
         together.hear(read(2))
 
 
-@settings(deadline=None, max_examples=10)
-@given(st.lists(st.integers(1, 700_000_000), max_size=8))
-def test_physical_faults_do_not_depend_on_how_time_is_cut(arm: ArmConfig, pieces_ns: list[int]) -> None:
-    script = (
-        Fault(kind="blocked_joint", servo_id=1, begin_s=0.3, duration_s=0.4),
-        Fault(kind="second_writer", servo_id=6, begin_s=0.55, value=-40),
-        Fault(kind="brown_out", begin_s=1.1003, duration_s=0.7, probability=0.5),
-    )
-    at_once, in_pieces = Bench(arm, *script), Bench(arm, *script)
-    cut(at_once, in_pieces, pieces_ns)
-    assert in_pieces.arm.true_positions().tolist() == at_once.arm.true_positions().tolist()
-    assert [s.torque_enabled for s in in_pieces.arm.servos] == [s.torque_enabled for s in at_once.arm.servos]
-
-
 # --------------------------------------------------------------------------------------------------- bytes
 
 
@@ -157,11 +139,14 @@ def test_planned_but_not_begun_faults_change_no_byte(arm: ArmConfig) -> None:
     assert [plain.ask(read(i)) for i in range(1, 7)] == [waiting.ask(read(i)) for i in range(1, 7)]
 
 
-def test_lost_reply_was_still_acted_on(bench: Bench) -> None:
-    bench.begin("lost", 2)
-    assert bench.hear(encode_instruction(2, Instruction.WRITE, bytes((ax12a.LED.address, 1)))) == b""
-    assert bench.arm.servos[1].get(ax12a.LED) == 1
-    assert bench.hear(read(3))
+@pytest.mark.parametrize(("kind", "servo_id", "acted"), [("lost", 2, 1), ("mute", 2, 0), ("dead_bus", None, 0)])
+def test_lost_reply_was_still_acted_on_but_mute_servo_and_dead_bus_hear_nothing(
+    bench: Bench, kind: str, servo_id: int | None, acted: int
+) -> None:
+    bench.begin(kind, servo_id)
+    assert bench.hear(write(2, ax12a.LED, 1)) == b""
+    assert bench.arm.servos[1].get(ax12a.LED) == acted
+    assert bool(bench.hear(read(3))) is (servo_id is not None)
 
 
 def test_late_reply_holds_up_what_follows_it(bench: Bench) -> None:
@@ -232,23 +217,11 @@ def test_echo_gives_the_host_its_own_bytes_first(bench: Bench) -> None:
 
 def test_second_servo_with_the_same_id_garbles_what_differs(bench: Bench) -> None:
     number = bench.begin("same_id", 2)
-    (table,) = Decoder().feed(bench.hear(read(2, ax12a.MODEL, 24)))
-    assert isinstance(table, Packet)
-    status = Decoder().feed(bench.hear(read(2, ax12a.TORQUE_ENABLE, 26)))
-    assert [type(packet) for packet in status] == [BadChecksum]
+    for request, heard in ((read(2, ax12a.MODEL, 24), Packet), (read(2, ax12a.TORQUE_ENABLE, 26), BadChecksum)):
+        assert [type(packet) for packet in bench.packets(request)] == [heard]
     assert len(bench.hear(read(3))) == 8
     bench.end(number)
-    assert [type(packet) for packet in Decoder().feed(bench.hear(read(2)))] == [Packet]
-
-
-def test_mute_servo_and_dead_bus_hear_nothing(bench: Bench) -> None:
-    light = bytes((ax12a.LED.address, 1))
-    bench.begin("mute", 2)
-    assert bench.hear(encode_instruction(2, Instruction.WRITE, light)) == b""
-    assert bench.arm.servos[1].get(ax12a.LED) == 0
-    bench.begin("dead_bus")
-    assert bench.hear(encode_instruction(3, Instruction.WRITE, light)) == b""
-    assert bench.arm.servos[2].get(ax12a.LED) == 0
+    assert [type(packet) for packet in bench.packets(read(2))] == [Packet]
 
 
 def test_latency_changes_and_changes_back(bench: Bench) -> None:
@@ -286,9 +259,7 @@ def test_brown_out_restarts_servos_and_sags_the_supply(held: Bench) -> None:
     assert shoulder.get(ax12a.MOVING_SPEED) == 0
     assert all(servo.torque_enabled for servo in others)
     assert held.hear(read(2)) == b""  # its firmware starts
-    (reply,) = Decoder().feed(held.hear(read(1)))
-    assert isinstance(reply, Packet)
-    assert reply.code == ErrorBit.VOLTAGE
+    assert held.error(1) == ErrorBit.VOLTAGE
     held.wait(0.4)
     assert held.hear(read(2))
     held.arm.faults.end(number)
@@ -320,9 +291,7 @@ def test_trip_takes_torque_and_limit(held: Bench) -> None:
 def test_hot_servo_says_so_and_shuts_down(held: Bench) -> None:
     held.begin("hot", 3, 80.0)
     held.wait(0.1)
-    (reply,) = Decoder().feed(held.hear(read(3)))
-    assert isinstance(reply, Packet)
-    assert reply.code == ErrorBit.OVERHEAT
+    assert held.error(3) == ErrorBit.OVERHEAT
     assert not held.arm.servos[2].torque_enabled
 
 
