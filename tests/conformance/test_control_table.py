@@ -116,8 +116,9 @@ def test_a_goal_outside_the_angle_limits_is_refused_and_the_limit_itself_is_not(
     for goal, error in ((position + 21, ErrorBit.ANGLE_LIMIT), (position - 21, ErrorBit.ANGLE_LIMIT)):
         assert wire.put(servo, ax12a.GOAL, goal) == error
         assert not wire.value(servo, ax12a.TORQUE_ENABLE)
-    assert wire.put(servo, ax12a.GOAL, position + 20) == 0
-    assert wire.value(servo, ax12a.GOAL) == position + 20
+    for goal in (position - 20, position + 20):
+        assert wire.put(servo, ax12a.GOAL, goal) == 0
+        assert wire.value(servo, ax12a.GOAL) == goal
 
 
 @pytest.mark.usefixtures("may_move")

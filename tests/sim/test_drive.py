@@ -32,6 +32,8 @@ def test_drive_is_read_off_the_table() -> None:
     assert drive.output(-3) == pytest.approx(-50 / 1023 - (1.0 - 50 / 1023) / 16)
     assert drive.output(4) == pytest.approx(50 / 1023 + (1.0 - 50 / 1023) / 64)
     assert drive.output(500) == 800 / 1023
+    servo.set(ax12a.TORQUE_LIMIT, 700)  # the lower of both counts
+    assert servo.drive.output_limit == pytest.approx(700 / 1023)
     servo.set(ax12a.CW_LIMIT, 0)
     servo.set(ax12a.CCW_LIMIT, 0)
     assert servo.drive.spin == pytest.approx(100 / 1023)
@@ -42,11 +44,3 @@ def test_drive_is_read_off_the_table() -> None:
 )
 def test_compliance_slope_is_quantised(register: int, slope: int) -> None:
     assert compliance_slope(register) == slope
-
-
-@pytest.mark.parametrize(("torque_limit", "max_torque"), [(700, 512), (512, 700)])
-def test_output_limit_is_the_lower_of_torque_limit_and_max_torque(torque_limit: int, max_torque: int) -> None:
-    servo = SimulatedServo(1, np.random.default_rng(0))
-    servo.set(ax12a.TORQUE_LIMIT, torque_limit)
-    servo.set(ax12a.MAX_TORQUE, max_torque)
-    assert servo.drive.output_limit == pytest.approx(512 / 1023)

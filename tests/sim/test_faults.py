@@ -323,12 +323,14 @@ def test_stuck_joints_motor_strains_in_vain(held: Bench) -> None:
 
 
 def test_frozen_sensor_reads_one_tick_while_the_joint_runs_away(held: Bench) -> None:
-    held.begin("frozen_sensor", 1)
+    number = held.begin("frozen_sensor", 1)
     frozen = {held.hear(read(1)) for _ in range(5)}
     held.goto(turned(math.radians(20.0)), wait_s=1.0)
     assert {held.hear(read(1))} == frozen
     assert held.arm.servos[0].get(ax12a.PRESENT_SPEED) == 0
     assert held.arm.true_positions()[0] > math.radians(40.0)
+    held.end(number)
+    assert held.arm.servos[0].get(ax12a.PRESENT_POSITION) == round(held.arm.servos[0].position_tick)
 
 
 def test_second_writer_keeps_writing_its_own_goal(held: Bench) -> None:
