@@ -12,6 +12,8 @@ from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from tests.commissioning.bench import Bench
 
+UNSETTABLE = (ax12a.ID, ax12a.BAUD, ax12a.MODEL, ax12a.GOAL, ax12a.TORQUE_ENABLE)
+
 
 @pytest.fixture(params=[0.0, 16.0], ids=["quick", "slow"])
 def bench(request: pytest.FixtureRequest) -> Bench:
@@ -76,17 +78,21 @@ def test_with_torque_on_or_locked_nothing_is_written(bench: Bench) -> None:
             assert refusal.value.code == code
 
 
-@pytest.mark.parametrize(("old", "new"), [(1, 1), (1, 254), (-1, 3)])
-def test_impossible_ids_are_refused(old: int, new: int) -> None:
-    with pytest.raises(ConfigError, match="id"):
-        eeprom.set_id(Bench().bus, old, new)
-
-
-def test_an_id_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = deaf(monkeypatch)
-    with pytest.raises(RequestRefused, match="does not answer as 9") as refusal:
-        eeprom.set_id(bench.bus, 4, 9)
-    assert refusal.value.code == "NOT_WRITTEN"
+@pytest.mark.parametrize(
+    ("attempt", "arguments", "problem"),
+    [
+        *((eeprom.set_id, ids, "id") for ids in ((1, 1), (1, 254), (-1, 3))),
+        *((eeprom.set_baud, (1, baud), "1000000, 500000") for baud in (0, -5, 1200, 2_000_000, 700_000)),
+        *((eeprom.write_register, (3, register, 1), "not set this way") for register in UNSETTABLE),
+        (eeprom.write_register, (3, ax12a.RETURN_LEVEL, 3), r"outside 0\.\.2"),
+    ],
+)
+def test_what_no_servo_has_or_nobody_may_set_is_refused(
+    attempt: Callable[..., object], arguments: tuple[object, ...], problem: str
+) -> None:
+    bench = Bench()
+    with unwritten(bench), pytest.raises(ConfigError, match=problem):
+        attempt(bench.bus, *arguments)
 
 
 def test_twins_that_read_alike_are_told_after_the_fact(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,12 +115,6 @@ def test_a_servo_is_found_again_at_its_new_baud(bench: Bench, baud: int, real: i
     assert round(bench.servos[1].baud) == pytest.approx(real, abs=1)
 
 
-@pytest.mark.parametrize("baud", [0, -5, 1200, 2_000_000, 700_000])
-def test_bauds_no_servo_has_are_refused(baud: int) -> None:
-    with pytest.raises(ConfigError, match="1000000, 500000"):
-        eeprom.set_baud(Bench().bus, 1, baud)
-
-
 def test_a_baud_at_which_the_id_is_taken_is_refused() -> None:
     bench = Bench()
     bench.servos[1].set(ax12a.BAUD, 34)
@@ -126,12 +126,26 @@ def test_a_baud_at_which_the_id_is_taken_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("baud_rate", "text"), [(1, "still answers at 1000000"), (9, "scan --baud all")], ids=["unchanged", "lost"]
+    ("attempt", "arguments", "heard", "text"),
+    [
+        (eeprom.set_id, (4, 9), None, "does not answer as 9"),
+        (eeprom.set_baud, (1, 57_600), None, "still answers at 1000000"),
+        (eeprom.set_baud, (1, 57_600), 9, "scan --baud all"),
+        (eeprom.write_register, (1, ax12a.RETURN_DELAY, 0), None, "return_delay_time was to be 0 and reads 250"),
+    ],
 )
-def test_a_baud_that_is_not_taken_over_is_told(monkeypatch: pytest.MonkeyPatch, baud_rate: int, text: str) -> None:
-    bench = deaf(monkeypatch, lambda bench: bench.servos[0].set(ax12a.BAUD, baud_rate))
-    with pytest.raises(RequestRefused, match=text):
-        eeprom.set_baud(bench.bus, 1, 57_600)
+def test_what_is_not_taken_over_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+    attempt: Callable[..., object],
+    arguments: tuple[object, ...],
+    heard: int | None,
+    text: str,
+) -> None:
+    """The servo hears nothing, or another baud than the one that was sent."""
+    bench = deaf(monkeypatch, lambda bench: heard and bench.servos[0].set(ax12a.BAUD, heard))
+    with pytest.raises(RequestRefused, match=text) as refusal:
+        attempt(bench.bus, *arguments)
+    assert refusal.value.code == "NOT_WRITTEN"
     assert bench.port.baudrate == 1_000_000
 
 
@@ -150,32 +164,11 @@ def test_a_mute_servo_gets_its_return_level_back(bench: Bench, level: int) -> No
     assert bench.servos[2].get(ax12a.RETURN_LEVEL) == 2
 
 
-@pytest.mark.parametrize("register", [ax12a.ID, ax12a.BAUD, ax12a.MODEL, ax12a.GOAL, ax12a.TORQUE_ENABLE])
-def test_only_settings_in_the_eeprom_are_written(register: ax12a.Register) -> None:
-    bench = Bench()
-    with unwritten(bench), pytest.raises(ConfigError, match="not set this way"):
-        eeprom.write_register(bench.bus, 3, register, 1)
-    with unwritten(bench), pytest.raises(ConfigError, match=r"outside 0\.\.2"):
-        eeprom.write_register(bench.bus, 3, ax12a.RETURN_LEVEL, 3)
-
-
-def test_a_value_that_does_not_read_back_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = deaf(monkeypatch)
-    with pytest.raises(RequestRefused, match="return_delay_time was to be 0 and reads 250"):
-        eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
-
-
-def test_an_unplugged_port_is_raised() -> None:
-    bench = Bench()
-    bench.port.unplug()
-    with pytest.raises(PortGone):
-        eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
-
-
-def test_a_port_that_vanishes_after_the_write_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_vanishes_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = deaf(monkeypatch, lambda bench: bench.port.unplug())
-    with pytest.raises(PortGone, match="return_delay_time was to be 0"):
-        eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
+    for match in ("return_delay_time was to be 0", "the port vanished; plug"):  # after the write, and before it
+        with pytest.raises(PortGone, match=match):
+            eeprom.write_register(bench.bus, 1, ax12a.RETURN_DELAY, 0)
 
 
 # -------------------------------------------------------------------------------------------- save, diff, restore

@@ -43,15 +43,6 @@ def test_servos_at_other_bauds_are_found_at_their_baud() -> None:
     assert len(steps) == 8 * len(USUAL_BAUDS)
 
 
-@pytest.mark.parametrize("latency_ms", [0.0, 16.0])
-def test_two_servos_with_one_id_are_a_clash(latency_ms: float) -> None:
-    bench = Bench(latency_ms=latency_ms)
-    bench.servos[3].set(ax12a.ID, 3)
-    assert [(servo.servo_id, servo.clash) for servo in scan(bench.bus, ONE_MBPS, range(10))] == [
-        (1, False), (2, False), (3, True), (5, False), (6, False),
-    ]  # fmt: skip
-
-
 def test_a_servo_that_answers_a_ping_only_is_found_without_a_model() -> None:
     bench = Bench()
     bench.servos[2].set(ax12a.RETURN_LEVEL, 0)
@@ -60,13 +51,16 @@ def test_a_servo_that_answers_a_ping_only_is_found_without_a_model() -> None:
 
 
 @pytest.mark.parametrize("latency_ms", [0.0, 16.0])
-def test_two_servos_whose_replies_collide_are_a_clash_too(latency_ms: float) -> None:
+@pytest.mark.parametrize(("collide", "model"), [(False, 12), (True, None)])
+def test_two_servos_with_one_id_are_a_clash_even_if_their_replies_collide(
+    latency_ms: float, collide: bool, model: int | None
+) -> None:
     bench = Bench(latency_ms=latency_ms)
     bench.servos[3].set(ax12a.ID, 3)
-    bench.servos[3].overloaded = True
+    bench.servos[3].overloaded = collide
     found = scan(bench.bus, ONE_MBPS, range(10))
     assert [(servo.servo_id, servo.model, servo.clash) for servo in found] == [
-        (1, 12, False), (2, 12, False), (3, None, True), (5, 12, False), (6, 12, False),
+        (1, 12, False), (2, 12, False), (3, model, True), (5, 12, False), (6, 12, False),
     ]  # fmt: skip
 
 
@@ -97,13 +91,6 @@ def test_an_echo_is_no_servo(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench()
     received_first(bench, monkeypatch, lambda packet: packet)
     assert scan(bench.bus, ONE_MBPS, range(7, 12)) == []
-
-
-def test_nothing_is_written() -> None:
-    bench = Bench()
-    before = [servo.writes for servo in bench.servos]
-    scan(bench.bus, ONE_MBPS)
-    assert [servo.writes for servo in bench.servos] == before
 
 
 def test_a_vanished_port_is_raised() -> None:
