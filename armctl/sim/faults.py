@@ -10,6 +10,8 @@ Rules:
 3. Every fault draws from a generator of its own, by the seed and its number, so faults do not disturb each other.
 4. Nobody but the bus, the arm and the port asks about faults, and where none is planned each asks a plain number.
 
+The kinds stand in `faults.yaml`: what each is, on what it happens, and what its value means.
+
 The file of `armctl sim --faults` holds one list:
 
     faults:
@@ -20,6 +22,7 @@ The file of `armctl sim --faults` holds one list:
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -32,18 +35,16 @@ from armctl.errors import ConfigError
 WRITER_PERIOD_S = 0.1
 
 
-@dataclass(frozen=True)
-class _Value:
+class _Value(Frozen):
     what: str
     # None: drawn each time.
-    default: float | None
+    default: float | None = None
     low: float
     high: float
     whole: bool = False
 
 
-@dataclass(frozen=True)
-class _Kind:
+class _Kind(Frozen):
     what: str
     # On what it happens; empty: a state.
     occasion: str = ""
@@ -52,33 +53,11 @@ class _Kind:
     one_servo: bool = False
 
 
+_TABLE = Path(__file__).with_name("faults.yaml")
 _KINDS = {
-    "lost": _Kind("the servo acts, but its reply never comes", "reply"),
-    "late": _Kind("the reply, and what follows it, is held up", "reply", _Value("delay in ms", 10.0, 0.0, 60e3)),
-    "duplicated": _Kind("the reply comes twice", "reply"),
-    "corrupted": _Kind("one byte of the reply is another", "reply"),
-    "truncated": _Kind("only the beginning comes", "reply", _Value("bytes that come", None, 1, 255, True)),
-    "garbage": _Kind("random bytes before the reply", "packet", _Value("how many bytes", 8, 1, 255, True)),
-    "echo": _Kind("the adapter hears what the host says", bus_wide=True),
-    "wrong_id": _Kind("the reply names another servo", "reply", _Value("id named, else the next", None, 0, 253, True)),
-    "same_id": _Kind("a second servo with the same id joins the bus", one_servo=True),
-    "mute": _Kind("the servo neither hears nor answers; it keeps its power"),
-    "dead_bus": _Kind("no servo hears or answers; they keep their power", bus_wide=True),
-    "unplug": _Kind("the adapter is out of the host: the port vanishes, and comes back at the end", bus_wide=True),
-    "brown_out": _Kind(
-        "the supply sags; at the begin servos restart: RAM lost, torque off", "servo", _Value("volts", 5.5, 0.0, 20.0)
-    ),
-    "hot": _Kind("at the begin the servo's temperature jumps", "servo", _Value("degC", 75.0, -20.0, 150.0)),
-    "trip": _Kind("at the begin the servo takes itself for overloaded", "servo"),
-    "stuck_joint": _Kind("the motor turns nothing: no torque whatever its output"),
-    "blocked_joint": _Kind("something holds the joint where it is"),
-    "frozen_sensor": _Kind("the servo sees one position for ever, and steers by it"),
-    "latency": _Kind("the adapter's timer is another", value=_Value("period in ms", 16.0, 0.0, 1000.0), bus_wide=True),
-    "second_writer": _Kind(
-        "another program writes a goal ten times a second", "write",
-        _Value("ticks from where the servo was", 30, -1023, 1023, True),
-    ),
-}  # fmt: skip
+    name: _Kind.model_validate(fields)
+    for name, fields in parse_yaml(_TABLE.read_text(encoding="utf-8"), str(_TABLE)).items()
+}
 KINDS: tuple[str, ...] = tuple(_KINDS)
 DESCRIPTIONS: dict[str, str] = {
     name: kind.what + (f" (value: {kind.value.what})" if kind.value else "") for name, kind in _KINDS.items()

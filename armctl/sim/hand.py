@@ -9,7 +9,7 @@ a powered one resists it.
 
 import contextlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Protocol
 
@@ -79,7 +79,6 @@ class Guided:
 class _Take:
     seed: int
     start_s: float
-    when: Guided
     # Where the arm was taken up.
     from_rad: list[float]
     line_m: tuple[FloatArray, FloatArray]
@@ -88,7 +87,9 @@ class _Take:
     phase_rad: FloatArray
     # Weights of the sines that vary the speed.
     pace: FloatArray
-    knots_rad: list[list[float]]
+    # Where the hand is along the line, every `KNOT_S`; as far as it is solved.
+    knots_rad: list[list[float]] = field(default_factory=list)
+    when: Guided = field(init=False)
 
 
 class Hand:
@@ -129,23 +130,19 @@ class Hand:
             raise ValueError(f"duration_s {duration_s}: a take lasts longer than 0 s")
         rng = np.random.default_rng(seed)
         line = (np.asarray(from_m, dtype=np.float64), np.asarray(to_m, dtype=np.float64))
-        n = self._arm.chain.n
-        waves = len(WOBBLE_CYCLES)
         peak = rng.uniform(*WOBBLE_M, size=3)
         share = np.array([0.5, 0.3, 0.2])[:, None]
-        guess = self._posture + POSTURE_RAD * rng.standard_normal(n)
+        guess = self._posture + POSTURE_RAD * rng.standard_normal(self._arm.chain.n)
         line_s = float(rng.uniform(*DURATION_S)) if duration_s is None else duration_s
         take = _Take(
             seed=seed,
             start_s=self._arm.time_s,
-            when=Guided(0.0, 0.0, 0.0),
             # A hand that already holds the arm keeps its grip, else the arm would sag for a moment.
             from_rad=self.aim(self._arm.time_s)[0] if self.holding else self._arm.true_positions().tolist(),
             line_m=line,
             amplitude_m=share * peak,
-            phase_rad=rng.uniform(0.0, 2.0 * math.pi, size=(waves, 3)),
+            phase_rad=rng.uniform(0.0, 2.0 * math.pi, size=(len(WOBBLE_CYCLES), 3)),
             pace=rng.uniform(-0.3, 0.3, size=2),
-            knots_rad=[],
         )
         # The line's own points are required, the wobble is not.
         q = guess
