@@ -201,8 +201,6 @@ def usb_adapter(port: Path, sysfs: Path) -> dict[str, str]:
             values = {key: path.read_text().strip() for key, path in found.items() if path.is_file()}
             # A device chooses its own serial number: one that is no plain word does not get into a rule.
             return {key: value for key, value in values.items() if re.fullmatch(r"[A-Za-z0-9._-]+", value)}
-        if folder == sysfs:
-            break
     remedy = "write a udev rule of your own for it, and install without --port"
     raise ConfigError(str(port), "", "no USB adapter", remedy)
 

@@ -103,10 +103,9 @@ class SimulatedBus:
 
     def burst_end_ns(self) -> int | None:
         """When the last of the reply bytes arrives that follow one another without a pause; None: there are none."""
-        arrivals_ns = self._arrivals_ns
-        end_ns = arrivals_ns[0] if arrivals_ns else None
-        for at_ns in arrivals_ns:
-            if end_ns is None or at_ns - end_ns > PAUSE_NS:
+        end_ns: int | None = None
+        for at_ns in self._arrivals_ns:
+            if end_ns is not None and at_ns - end_ns > PAUSE_NS:
                 break
             end_ns = at_ns
         return end_ns

@@ -88,7 +88,7 @@ class PseudoTerminal:
             fresh.replace(self._link)
         except OSError as error:
             fresh.unlink(missing_ok=True)
-            self._close()
+            self.unplug()
             raise ConfigError(str(self._link), "", f"cannot create the link: {error.strerror}") from None
 
     def unplug(self) -> None:
@@ -98,9 +98,6 @@ class PseudoTerminal:
         with contextlib.suppress(OSError):
             if os.readlink(self._link) == self._name:
                 self._link.unlink()
-        self._close()
-
-    def _close(self) -> None:
         os.close(self._master)
         os.close(self._slave)
         self._master = self._slave = -1

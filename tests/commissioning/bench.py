@@ -1,7 +1,5 @@
 """A simulated arm on a virtual clock, and a hand that holds it in any posture."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from armctl.clock import NS_PER_S
@@ -105,4 +103,4 @@ def planted(config: ArmConfig, rng: np.random.Generator, *, tick: float, length_
 
 
 # An arm that is exactly as its calibration says.
-EXACT = replace(ArmSpec(), zero_offset_tick=0.0)
+EXACT = ArmSpec(zero_offset_tick=0.0)

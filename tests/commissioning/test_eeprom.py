@@ -9,6 +9,7 @@ import pytest
 from armctl.commissioning import eeprom
 from armctl.commissioning.eeprom import Difference
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.bus import ServoBus
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from tests.commissioning.bench import Bench
 
@@ -126,25 +127,21 @@ def test_a_baud_at_which_the_id_is_taken_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("attempt", "arguments", "heard", "text"),
+    ("attempt", "baud_rate", "text"),
     [
-        (eeprom.set_id, (4, 9), None, "does not answer as 9"),
-        (eeprom.set_baud, (1, 57_600), None, "still answers at 1000000"),
-        (eeprom.set_baud, (1, 57_600), 9, "scan --baud all"),
-        (eeprom.write_register, (1, ax12a.RETURN_DELAY, 0), None, "return_delay_time was to be 0 and reads 250"),
+        (lambda bus: eeprom.set_id(bus, 4, 9), 1, "does not answer as 9"),
+        (lambda bus: eeprom.set_baud(bus, 1, 57_600), 1, "still answers at 1000000"),
+        (lambda bus: eeprom.set_baud(bus, 1, 57_600), 9, "scan --baud all"),
+        (lambda bus: eeprom.write_register(bus, 1, ax12a.RETURN_DELAY, 0), 1, "time was to be 0 and reads 250"),
     ],
-)
+    ids=["id", "baud", "another baud", "register"],
+)  # fmt: skip
 def test_what_is_not_taken_over_is_told(
-    monkeypatch: pytest.MonkeyPatch,
-    attempt: Callable[..., object],
-    arguments: tuple[object, ...],
-    heard: int | None,
-    text: str,
+    monkeypatch: pytest.MonkeyPatch, attempt: Callable[[ServoBus], object], baud_rate: int, text: str
 ) -> None:
-    """The servo hears nothing, or another baud than the one that was sent."""
-    bench = deaf(monkeypatch, lambda bench: heard and bench.servos[0].set(ax12a.BAUD, heard))
+    bench = deaf(monkeypatch, lambda bench: bench.servos[0].set(ax12a.BAUD, baud_rate))
     with pytest.raises(RequestRefused, match=text) as refusal:
-        attempt(bench.bus, *arguments)
+        attempt(bench.bus)
     assert refusal.value.code == "NOT_WRITTEN"
     assert bench.port.baudrate == 1_000_000
 

@@ -106,12 +106,6 @@ def test_who_hears_the_host_changes_with_ids_and_bauds(bus: SimulatedBus) -> Non
     assert told(bus, 200, Instruction.PING) == 0
 
 
-def test_two_servos_with_one_id_corrupt_each_others_reply(bus: SimulatedBus) -> None:
-    bus.arm.servos[2].set(ax12a.ID, 2)
-    bus.receive(read(2), BEGIN_NS)
-    assert [type(reply) for reply in replies(bus)] == [BadChecksum]
-
-
 def test_nothing_received_is_nothing(bus: SimulatedBus) -> None:
     bus.receive(b"", BEGIN_NS)
     assert bus.arrival_ns() is None

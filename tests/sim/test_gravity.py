@@ -1,8 +1,5 @@
 """Gravity and inertia of the simulated arm against potential energy, and against MuJoCo, a stranger to this package."""
 
-from dataclasses import dataclass
-from typing import Any, Self
-
 import mujoco
 import numpy as np
 import pytest
@@ -45,17 +42,12 @@ def test_gravity_is_the_slope_of_potential_energy(convention: str, q: list[float
         assert inertia == pytest.approx(float((slope**2).sum(axis=1) @ kg), abs=1e-8)
 
 
-@dataclass
 class Peer:
     """The arm in MuJoCo."""
 
-    model: Any
-    data: Any
-
-    @classmethod
-    def of(cls, arm: SimulatedArm) -> Self:
-        model = mujoco.MjModel.from_xml_string(mjcf(arm.chain.rows, arm.points_kg))
-        return cls(model, mujoco.MjData(model))
+    def __init__(self, arm: SimulatedArm) -> None:
+        self.model = mujoco.MjModel.from_xml_string(mjcf(arm.chain.rows, arm.points_kg))
+        self.data = mujoco.MjData(self.model)
 
     def torque(self, q: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Torque [N m] the joints need for an acceleration [rad/s^2] from rest: inverse dynamics."""
@@ -78,7 +70,7 @@ def simulated(arm: ArmConfig) -> SimulatedArm:
 
 @pytest.fixture(scope="module")
 def peer(simulated: SimulatedArm) -> Peer:
-    return Peer.of(simulated)
+    return Peer(simulated)
 
 
 @settings(deadline=None, max_examples=100)
@@ -98,7 +90,7 @@ def test_motors_at_rest_hold_what_mujoco_says_within_friction(arm: ArmConfig) ->
     bench = Bench(arm, seed=2)
     bench.goto(np.radians([20.0, 75.0, -60.0, -45.0, -45.0, 0.0]), wait_s=7.0)
     held = bench.arm
-    hold = Peer.of(held).torque(held.true_positions()[:5], np.zeros(5))
+    hold = Peer(held).torque(held.true_positions()[:5], np.zeros(5))
     spec = held.spec
     for i, servo in enumerate(held.servos[:5]):
         assert servo.velocity_rad_s == 0.0

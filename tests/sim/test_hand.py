@@ -36,8 +36,10 @@ def line_of(guided: Guided, tool: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_take_runs_along_the_line_but_not_on_it(arm: ArmConfig, seed: int) -> None:
+def test_take_dwells_and_then_runs_along_the_line_but_not_on_it(arm: ArmConfig, seed: int) -> None:
     guided, tool = take(SimulatedArm(arm, seed=seed), seed)
+    dwell = tool[round((guided.begin_s - 0.4) * 100) : round(guided.begin_s * 100)]
+    assert np.ptp(dwell, axis=0).max() < 1e-3
     line = line_of(guided, tool)
     for at, wanted in ((line[0], FROM_M), (line[-1], TO_M)):
         assert 1e-3 < np.linalg.norm(at - wanted) < 30e-3
@@ -47,12 +49,6 @@ def test_take_runs_along_the_line_but_not_on_it(arm: ArmConfig, seed: int) -> No
     assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() / 0.01 < 0.25
     assert 4.0 < guided.end_s - guided.begin_s < 6.0
     assert guided.duration_s - guided.end_s == pytest.approx(1.2)
-
-
-def test_hand_dwells_before_the_line(arm: ArmConfig) -> None:
-    guided, tool = take(SimulatedArm(arm), 3)
-    dwell = tool[round((guided.begin_s - 0.4) * 100) : round(guided.begin_s * 100)]
-    assert np.ptp(dwell, axis=0).max() < 1e-3
 
 
 def test_takes_differ_by_seed_and_only_by_seed(arm: ArmConfig) -> None:
@@ -86,9 +82,9 @@ def test_line_out_of_reach_is_refused_and_nobody_holds_the_arm(simulated: Simula
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, math.inf, math.nan])
-def test_impossible_durations_are_refused(arm: ArmConfig, duration_s: float) -> None:
+def test_impossible_durations_are_refused(simulated: SimulatedArm, duration_s: float) -> None:
     with pytest.raises(ValueError, match="duration_s"):
-        SimulatedArm(arm).hand.guide(FROM_M, TO_M, seed=1, duration_s=duration_s)
+        simulated.hand.guide(FROM_M, TO_M, seed=1, duration_s=duration_s)
 
 
 def test_wobble_that_leaves_the_reach_does_not_stop_the_hand(simulated: SimulatedArm) -> None:
