@@ -133,10 +133,6 @@ class SimulatedServo:
         """Output shaft as its potentiometer sees it, before quantisation and noise."""
         return self.shaft_rad / TICK_RAD
 
-    @position_tick.setter
-    def position_tick(self, tick: float) -> None:
-        self.shaft_rad = tick * TICK_RAD
-
     @property
     def servo_id(self) -> int:
         return self.table[_ID_AT]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.ax12a import TICK_RAD, ErrorBit, Register
 from armctl.dynamixel.packet import Decoder, Instruction, Packet
 from armctl.sim.servo import ServoVariants, SimulatedServo
 
@@ -81,10 +81,10 @@ def test_variant_writing_goal_or_speed_energises(register: Register, field: str,
 @pytest.mark.parametrize("follows", [False, True])
 def test_variant_goal_follows_position_while_limp(follows: bool) -> None:
     one = servo(ServoVariants(goal_follows_when_limp=follows))
-    one.position_tick = 450.0
+    one.shaft_rad = 450.0 * TICK_RAD
     assert read(one, ax12a.GOAL) == (450 if follows else 400)
     write(one, ax12a.TORQUE_ENABLE, 1)
-    one.position_tick = 470.0
+    one.shaft_rad = 470.0 * TICK_RAD
     assert one.drive.goal_tick == (450 if follows else 400)
     assert one.reference_tick == 450
 
@@ -93,7 +93,7 @@ def test_variant_goal_follows_position_while_limp(follows: bool) -> None:
 def test_variant_ramp_restarts_at_the_reference_or_at_the_position(continues: bool) -> None:
     one = servo(ServoVariants(ramp_from_reference=continues))
     write(one, ax12a.GOAL, 500)
-    one.reference_tick, one.position_tick = 440.0, 431.2
+    one.reference_tick, one.shaft_rad = 440.0, 431.2 * TICK_RAD
     write(one, ax12a.GOAL, 510)
     assert one.reference_tick == (440.0 if continues else 431)
 
@@ -131,7 +131,7 @@ def test_heat_and_voltage_stand_in_every_reply_while_they_last(one: SimulatedSer
 
 def test_measured_registers_are_signed_magnitude_and_clamped(one: SimulatedServo) -> None:
     write(one, ax12a.GOAL, 500)
-    one.velocity_rad_s, one.output, one.position_tick = -1.0, -0.5, -3.0
+    one.velocity_rad_s, one.output, one.shaft_rad = -1.0, -0.5, -3.0 * TICK_RAD
     assert ax12a.signed_magnitude(read(one, ax12a.PRESENT_SPEED)) == -round(1.0 / ax12a.SPEED_UNIT_RAD_S)
     assert ax12a.load_ratio(read(one, ax12a.PRESENT_LOAD)) == pytest.approx(-0.5, abs=1e-3)
     assert read(one, ax12a.PRESENT_POSITION) == 0
