@@ -96,7 +96,7 @@ def _said(command: tuple[str, ...]) -> str:
 
 def newest_logs(data: Path) -> list[Path]:
     """The newest logs, and what a crash left unfinished, as many as fit into `LOG_BYTES`."""
-    logs = sorted((data / "logs").glob("*.mcap*"), key=lambda log: log.stat().st_mtime_ns, reverse=True)
+    logs = sorted((data / "logs").glob("*.mcap*"), key=lambda log: (log.stat().st_mtime_ns, log), reverse=True)
     sizes = accumulate(log.stat().st_size for log in logs)
     return [log for log, size in zip(logs, sizes, strict=True) if size <= LOG_BYTES]
 

@@ -31,15 +31,13 @@ class ControlServer:
 
         Args:
             answer: Gives the pieces, none of them empty, of the line that answers a line.
-
         Raises:
             ConfigError: the path is too long or cannot be created.
             PortBusy: another simulator listens there.
         """
         if len(str(path).encode()) > MAX_PATH_BYTES:
-            raise ConfigError(
-                str(path), "", f"longer than the {MAX_PATH_BYTES} bytes of a socket's name", "shorten --link"
-            )
+            too_long = f"longer than the {MAX_PATH_BYTES} bytes of a socket's name"
+            raise ConfigError(str(path), "", too_long, "shorten --link")
         self._path, self._answer = path, answer
         self._connections: dict[socket.socket, _Connection] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -11,18 +11,11 @@ from armctl.sim.servo import SimulatedServo
 
 def test_drive_is_read_off_the_table() -> None:
     servo = SimulatedServo(1, np.random.default_rng(0))
-    for register, value in (
-        (ax12a.TORQUE_ENABLE, 1),
-        (ax12a.GOAL, 700),
-        (ax12a.MOVING_SPEED, 100),
-        (ax12a.TORQUE_LIMIT, 900),
-        (ax12a.MAX_TORQUE, 800),
-        (ax12a.PUNCH, 50),
-        (ax12a.CW_MARGIN, 2),
-        (ax12a.CCW_MARGIN, 3),
-        (ax12a.CW_SLOPE, 16),
-        (ax12a.CCW_SLOPE, 64),
-    ):
+    for register, value in {
+        ax12a.TORQUE_ENABLE: 1, ax12a.GOAL: 700, ax12a.MOVING_SPEED: 100, ax12a.TORQUE_LIMIT: 900,
+        ax12a.MAX_TORQUE: 800, ax12a.PUNCH: 50, ax12a.CW_MARGIN: 2, ax12a.CCW_MARGIN: 3,
+        ax12a.CW_SLOPE: 16, ax12a.CCW_SLOPE: 64,
+    }.items():  # fmt: skip
         servo.set(register, value)
     drive = servo.drive
     assert (drive.enabled, drive.goal_tick, drive.cw_margin, drive.ccw_margin, drive.spin) == (True, 700, 2, 3, None)

@@ -46,11 +46,8 @@ class Plain:
         servo.reference_tick, servo.frozen_tick = self.reference_tick, self.frozen_tick
         stops_rad = self.low_rad, self.high_rad
         joint = Joint(servo, SPEC, 1.0, 2.6, 0.0, COULOMB_NM, STICTION_NM, HALF_PLAY_RAD, stops_rad, STALL_NM)
-        joint.motor_rad, joint.gravity_Nm, joint.step_over_inertia = (
-            self.motor_rad,
-            self.gravity_Nm,
-            STEP_S / self.inertia_kg_m2,
-        )
+        joint.motor_rad, joint.gravity_Nm = self.motor_rad, self.gravity_Nm
+        joint.step_over_inertia = STEP_S / self.inertia_kg_m2
         joint.dead_motor, joint.blocked_rad, joint.drive = self.dead_motor, self.blocked_rad, self.drive
         return joint
 

@@ -66,12 +66,11 @@ def test_stock_sdk_reads_writes_and_moves(port: dynamixel_sdk.PortHandler, contr
     for servo_id, tick in ((1, 540), (6, 500)):
         assert moving.addParam(servo_id, [*tick.to_bytes(2, "little"), *(300).to_bytes(2, "little")])
     assert moving.txPacket() == dynamixel_sdk.COMM_SUCCESS
-    deadline = time.monotonic() + 5.0
-    while time.monotonic() < deadline:
+    deadline, off_tick = time.monotonic() + 5.0, np.inf
+    while off_tick > 4:
+        assert time.monotonic() < deadline
         ticks = [SDK.read2ByteTxRx(port, i, ax12a.PRESENT_POSITION.address)[0] for i in (1, 6)]
-        if np.abs(np.array(ticks) - (540, 500)).max() <= 4:
-            break
-    assert np.abs(np.array(ticks) - (540, 500)).max() <= 4
+        off_tick = np.abs(np.array(ticks) - (540, 500)).max()
     for servo_id in (1, 6):
         assert SDK.write1ByteTxRx(port, servo_id, ax12a.TORQUE_ENABLE.address, 0) == (dynamixel_sdk.COMM_SUCCESS, 0)
 
