@@ -1,5 +1,8 @@
 """A simulated arm on a virtual clock, and a hand that holds it in any posture."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
 from armctl.clock import NS_PER_S
@@ -60,6 +63,14 @@ class Bench:
 
     def elapsed_s(self, begin_ns: int) -> float:
         return (self.clock.now_ns() - begin_ns) / NS_PER_S
+
+
+@contextmanager
+def unwritten(bench: Bench) -> Iterator[None]:
+    """No servo may be written meanwhile."""
+    before = [servo.writes for servo in bench.servos]
+    yield
+    assert [servo.writes for servo in bench.servos] == before
 
 
 def postures(arm: ArmConfig, count: int, rng: np.random.Generator) -> FloatArray:

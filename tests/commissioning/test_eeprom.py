@@ -1,7 +1,6 @@
 """EEPROM of simulated servos: what is written, what is refused, and that nothing moves."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from armctl.commissioning.eeprom import Difference
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
 from armctl.errors import ConfigError, PortGone, RequestRefused
-from tests.commissioning.bench import Bench
+from tests.commissioning.bench import Bench, unwritten
 
 UNSETTABLE = (ax12a.ID, ax12a.BAUD, ax12a.MODEL, ax12a.GOAL, ax12a.TORQUE_ENABLE)
 
@@ -19,14 +18,6 @@ UNSETTABLE = (ax12a.ID, ax12a.BAUD, ax12a.MODEL, ax12a.GOAL, ax12a.TORQUE_ENABLE
 @pytest.fixture(params=[0.0, 16.0], ids=["quick", "slow"])
 def bench(request: pytest.FixtureRequest) -> Bench:
     return Bench(latency_ms=request.param)
-
-
-@contextmanager
-def unwritten(bench: Bench) -> Iterator[None]:
-    """No servo may be written meanwhile."""
-    before = [servo.writes for servo in bench.servos]
-    yield
-    assert [servo.writes for servo in bench.servos] == before
 
 
 def deaf(monkeypatch: pytest.MonkeyPatch, heard: Callable[[Bench], object] = lambda bench: None) -> Bench:

@@ -13,6 +13,11 @@ from tests.commissioning.bench import Bench
 ONE_MBPS = (1_000_000,)
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
 @pytest.mark.parametrize("latency_ms", [0.0, 1.0, 4.0, 16.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_every_servo_is_found_behind_any_adapter_wherever_its_id_lies(latency_ms: float, seed: int) -> None:
@@ -26,12 +31,11 @@ def test_every_servo_is_found_behind_any_adapter_wherever_its_id_lies(latency_ms
     assert bench.elapsed_s(begin_ns) <= (6.5 if latency_ms > 4.0 else 1.3)
 
 
-def test_a_ping_takes_its_wire_time_and_the_return_delay() -> None:
-    assert {servo.round_trip_us for servo in scan(Bench().bus, ONE_MBPS)} == {120 + 500}
+def test_a_ping_takes_its_wire_time_and_the_return_delay(bench: Bench) -> None:
+    assert {servo.round_trip_us for servo in scan(bench.bus, ONE_MBPS)} == {120 + 500}
 
 
-def test_servos_at_other_bauds_are_found_at_their_baud() -> None:
-    bench = Bench()
+def test_servos_at_other_bauds_are_found_at_their_baud(bench: Bench) -> None:
     bench.servos[1].set(ax12a.BAUD, 34)
     bench.servos[2].set(ax12a.BAUD, 207)
     steps: list[tuple[int, int, int]] = []
@@ -43,8 +47,7 @@ def test_servos_at_other_bauds_are_found_at_their_baud() -> None:
     assert len(steps) == 8 * len(USUAL_BAUDS)
 
 
-def test_a_servo_that_answers_a_ping_only_is_found_without_a_model() -> None:
-    bench = Bench()
+def test_a_servo_that_answers_a_ping_only_is_found_without_a_model(bench: Bench) -> None:
     bench.servos[2].set(ax12a.RETURN_LEVEL, 0)
     third = scan(bench.bus, ONE_MBPS, range(10))[2]
     assert (third.servo_id, third.model, third.firmware, third.clash) == (3, None, None, False)
@@ -75,8 +78,7 @@ def received_first(bench: Bench, monkeypatch: pytest.MonkeyPatch, noise: Callabl
     monkeypatch.setattr(bench.port, "_send", noisy)
 
 
-def test_noise_now_and_then_is_no_servo_and_hides_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
+def test_noise_now_and_then_is_no_servo_and_hides_none(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
     def noise(packet: bytes) -> bytes:
@@ -87,21 +89,18 @@ def test_noise_now_and_then_is_no_servo_and_hides_none(monkeypatch: pytest.Monke
     assert [servo.servo_id for servo in scan(bench.bus, ONE_MBPS, range(9))] == [1, 2, 3, 4, 5, 6]
 
 
-def test_an_echo_is_no_servo(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
+def test_an_echo_is_no_servo(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     received_first(bench, monkeypatch, lambda packet: packet)
     assert scan(bench.bus, ONE_MBPS, range(7, 12)) == []
 
 
-def test_a_vanished_port_is_raised() -> None:
-    bench = Bench()
+def test_a_vanished_port_is_raised(bench: Bench) -> None:
     bench.port.unplug()
     with pytest.raises(PortGone):
         scan(bench.bus, ONE_MBPS)
 
 
-def test_a_port_that_vanishes_before_the_read_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
+def test_a_port_that_vanishes_before_the_read_is_raised(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     read = bench.bus.read_block
 
     def unplug(servo_id: int, begin: int, size: int) -> Reply:
@@ -113,8 +112,9 @@ def test_a_port_that_vanishes_before_the_read_is_raised(monkeypatch: pytest.Monk
         scan(bench.bus, ONE_MBPS, (1,))
 
 
-def test_bauds_the_adapter_cannot_do_are_skipped_unless_it_can_do_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
+def test_bauds_the_adapter_cannot_do_are_skipped_unless_it_can_do_none(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     set_baud = bench.port.setBaudRate
 
     def picky(baud: int) -> bool:
