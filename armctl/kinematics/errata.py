@@ -1,6 +1,7 @@
 """What a paper prints wrong, each with a computation that tells print and truth apart.
 
-An erratum stands beside the thing it is about. Its `residuals` compute the same quantity independently (a matrix
+What is printed and what is true stands in `papers/printed/errata.yaml`; the proof stands beside the thing it is about,
+in the `PROOFS` of a robot or of `papers/errata.py`. Its `residuals` compute the same quantity independently (a matrix
 product, a distance, a count) and return how far print is off and how far the correction is off, both in the
 quantity's own unit: print must be off by more than `PRINT_OFF`, the correction by less than `TRUE_OFF`.
 """
@@ -39,11 +40,6 @@ class Erratum:
         """The computation and its outcome, in words."""
         printed, true = self.residuals()
         return f"{self.how}: print is off by {printed:.4g}, the correction by {true:.1e}"
-
-
-def errata(paper: str, *rows: tuple[str, str, str, str, Residuals]) -> tuple[Erratum, ...]:
-    """What one paper prints wrong; each row is where, printed, true, how and residuals of an `Erratum`."""
-    return tuple(Erratum(paper, *row) for row in rows)
 
 
 def off(computed: float, printed: float, corrected: float) -> tuple[float, float]:

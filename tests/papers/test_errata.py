@@ -2,8 +2,9 @@
 
 import pytest
 
+from armctl.kinematics import robots
 from armctl.kinematics.errata import PRINT_OFF, TRUE_OFF, Erratum
-from armctl.papers.errata import errata
+from armctl.papers.errata import PROOFS, errata
 from armctl.papers.run import PAPERS
 
 ALL = errata(tuple(PAPERS))
@@ -14,6 +15,18 @@ def test_print_is_wrong_and_the_correction_holds(erratum: Erratum) -> None:
     printed, true = erratum.residuals()
     assert printed > PRINT_OFF
     assert abs(true) < TRUE_OFF
+    assert erratum.proven
+    assert erratum.how in erratum.proof
+
+
+def test_a_correction_that_does_not_hold_is_not_proven() -> None:
+    assert not Erratum("000", "", "", "", "nothing", lambda: (1.0, 0.5)).proven
+    assert not Erratum("000", "", "", "", "nothing", lambda: (0.0, 0.0)).proven
+
+
+def test_every_statement_has_a_proof_of_its_own() -> None:
+    proofs = [*PROOFS, *(proof for name in robots.names() for proof in robots.get(name).proofs)]
+    assert len(set(proofs)) == len(proofs) == len(ALL)
 
 
 def test_there_are_more_than_twenty_different_ones_in_the_papers_order() -> None:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, tool_position
-from armctl.kinematics.errata import errata, off
+from armctl.kinematics.errata import Residuals, off
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.robots.robot import Robot
 
@@ -50,23 +50,11 @@ def _position_equations() -> tuple[tuple[float, float], tuple[float, float]]:
     return off(x, p_x, p_x - C1 * S23 * across), off(y, p_y, p_y + 2.0 * S1 * a3 * C23)
 
 
-ERRATA = errata(
-    "002",
-    (
-        "eq. (10), P_x",
-        "C1 (a2 C2 + a3 C23) + C1 C23 (a4 C4 + (a5 + a6) C45)",
-        "... - C1 S23 (a4 S4 + (a5 + a6) S45)",
-        "eqs. (1) to (5) multiplied out at one configuration [m]",
-        lambda: _position_equations()[0],
-    ),
-    (
-        "eq. (14), P_y",
-        "S1 (a2 C2 - a3 C23) + ...",
-        "S1 (a2 C2 + a3 C23) + ...",
-        "eqs. (1) to (5) multiplied out at one configuration [m]",
-        lambda: _position_equations()[1],
-    ),
-)
+# What is proven: `armctl/papers/printed/errata.yaml`.
+PROOFS: dict[str, Residuals] = {
+    "P_x": lambda: _position_equations()[0],
+    "P_y": lambda: _position_equations()[1],
+}
 
 ROBOT = Robot(
     name="ax12-line",
@@ -75,5 +63,5 @@ ROBOT = Robot(
     make_chain=_chain,
     make_closed_form=_closed_form,
     ranges_deg=((-150.0, 150.0),) * 5,
-    errata=ERRATA,
+    proofs=PROOFS,
 )

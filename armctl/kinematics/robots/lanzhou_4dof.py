@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
-from armctl.kinematics.errata import errata, off
+from armctl.kinematics.errata import Residuals, off
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.robots.robot import CheckPose, Robot
 
@@ -112,82 +112,25 @@ def _eq_11() -> tuple[float, float]:
     return _out_of_range(spans), _out_of_range(highs)
 
 
-ERRATA = errata(
-    "003",
-    (
-        "eq. (1), left",
-        "Trans_z(d_i) Rot_z(theta_i) Trans_x(a_{i-1}) Rot_x(alpha_{i-1})",
-        "Rot_x(alpha_{i-1}) Trans_x(a_{i-1}) Rot_z(theta_i) Trans_z(d_i)",
-        "both products beside the matrix printed to their right",
-        _eq_1_order,
+# What is proven: `armctl/papers/printed/errata.yaml`.
+PROOFS: dict[str, Residuals] = {
+    "eq_1": _eq_1_order,
+    "subscripts": _subscripts,
+    "theta1": lambda: (
+        _turn(math.atan2(_T[1, 0], _T[0, 0]) - _THETA_1),
+        _turn(math.atan2(-_T[0, 2], _T[1, 2]) - _THETA_1),
     ),
-    (
-        "Table 1 and eq. (2)",
-        "a_{i-1}: a_1 = 9, a_2 = 77, a_3 = 97, a_4 = 133 mm",
-        "eq. (2) calls them a_2, a_3, a_4, a_5",
-        "p_x of eq. (2) beside forward kinematics [m]",
-        _subscripts,
+    "theta234": lambda: (
+        _turn(math.atan2(_T[2, 0], _T[2, 1]) - _THETA_234),
+        _turn(math.atan2(-_T[2, 0], -_T[2, 1]) - _THETA_234),
     ),
-    (
-        "eq. (3)",
-        "theta1 = atan2(n_y, n_x)",
-        "theta1 = atan2(-a_x, a_y); print is off by pi where cos(theta234) < 0",
-        "theta1 of the pose of (20, 60, 70, 40) deg [rad]",
-        lambda: (_turn(math.atan2(_T[1, 0], _T[0, 0]) - _THETA_1), _turn(math.atan2(-_T[0, 2], _T[1, 2]) - _THETA_1)),
-    ),
-    (
-        "eqs. (8), (9)",
-        "theta2 + theta3 + theta4 = atan2(n_z, o_z)",
-        "atan2(-n_z, -o_z); print is off by pi",
-        "theta234 of the pose of (20, 60, 70, 40) deg [rad]",
-        lambda: (
-            _turn(math.atan2(_T[2, 0], _T[2, 1]) - _THETA_234),
-            _turn(math.atan2(-_T[2, 0], -_T[2, 1]) - _THETA_234),
-        ),
-    ),
-    (
-        "section 2.3.1, before eq. (10)",
-        "a pose may have 4 solutions",
-        "2: n, o, a fix theta1 and theta234",
-        "all sign combinations put through forward kinematics, hits counted",
-        _solutions,
-    ),
-    (
-        "section 4.1",
-        "link(..., 'standard') with Table 1",
-        "'modified'",
-        "x of Fig. 5 by both conventions, against 219 mm [m]",
-        _standard_link,
-    ),
-    (
-        "section 4.1, Fig. 5",
-        "z = d2 + a4 = 139 mm at (0, 0, -90, 90) deg",
-        "z = a4 = 97 mm; d2 = 42 mm is y",
-        "forward kinematics by eq. (2) [m]",
-        lambda: off(_FIG_5_M[2], 0.139, 0.097),
-    ),
-    (
-        "section 4.1, Fig. 5",
-        "test pose (0, 0, -90, 90) deg",
-        "theta2 is at least 7, theta4 at most 82 deg by Table 1",
-        "distance from the ranges [deg]",
-        lambda: (_out_of_range(FIG_5_DEG), _out_of_range((0.0, 7.0, -90.0, 82.0))),
-    ),
-    (
-        "section 4.1",
-        "qz = (60, 45, -90, 90) deg",
-        "theta4 is at most 82 deg by Table 1",
-        "distance from the ranges [deg]",
-        lambda: (_out_of_range(QZ_DEG), _out_of_range((*QZ_DEG[:3], 82.0))),
-    ),
-    (
-        "eq. (11)",
-        "joint angle = (max - min) rand",
-        "min + (max - min) rand, eq. (12)",
-        "largest angle outside the ranges for rand = 1 [deg]",
-        _eq_11,
-    ),
-)
+    "solutions": _solutions,
+    "link": _standard_link,
+    "fig_5_z": lambda: off(_FIG_5_M[2], 0.139, 0.097),
+    "fig_5_range": lambda: (_out_of_range(FIG_5_DEG), _out_of_range((0.0, 7.0, -90.0, 82.0))),
+    "qz_range": lambda: (_out_of_range(QZ_DEG), _out_of_range((*QZ_DEG[:3], 82.0))),
+    "eq_11": _eq_11,
+}
 
 ROBOT = Robot(
     name="lanzhou-4dof",
@@ -199,5 +142,5 @@ ROBOT = Robot(
     check_poses=(
         CheckPose("section 4.1, Fig. 5 (print: x 219, z 139; y not given)", FIG_5_DEG, (0.219, 0.042, 0.097)),
     ),
-    errata=ERRATA,
+    proofs=PROOFS,
 )

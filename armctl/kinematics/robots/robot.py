@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import SerialChain
-from armctl.kinematics.errata import Erratum
+from armctl.kinematics.errata import Residuals
 from armctl.kinematics.transform import FloatArray
 
 
@@ -60,7 +60,8 @@ class Robot:
     ranges_deg: tuple[tuple[float, float], ...] = ()
     # They hold for the robot's own lengths.
     check_poses: tuple[CheckPose, ...] = ()
-    errata: tuple[Erratum, ...] = ()
+    # Of what its paper prints wrong, by the name it has in `papers/printed/errata.yaml`.
+    proofs: dict[str, Residuals] = field(default_factory=dict)
 
     @cached_property
     def chain(self) -> SerialChain:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
-from armctl.kinematics.errata import errata, off
+from armctl.kinematics.errata import Residuals, off
 from armctl.kinematics.robots.robot import CheckPose, Robot
 from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import FloatArray
@@ -82,51 +82,15 @@ def _branches_of_theta2() -> tuple[float, float]:
     return off(float(hits.sum()), 2.0, 1.0)
 
 
-ERRATA = errata(
-    "004",
-    (
-        "eq. (1), row 2, column 4",
-        "d_i s(alpha_{i-1})",
-        "-d_i s(alpha_{i-1})",
-        "the second element of Rx(alpha) (a, 0, d)",
-        _sign_of_d,
-    ),
-    (
-        "0T6 of the initial position, rotation",
-        "rows (0 0 0), (0 -1 0), (1 0 0)",
-        "rows (0 -1 0), (0 0 -1), (1 0 0)",
-        "R R^T - 1 of the matrix",
-        lambda: (_off_rotation(_PRINTED), _off_rotation(_INITIAL)),
-    ),
-    (
-        "0T6 of the initial position, position",
-        "(660, 0, 640) mm",
-        "(0, -160, 450) mm",
-        "forward kinematics of (90, -90, 0, 0, 0, 0) deg by Table 1 [m]",
-        lambda: (_from_initial(_PRINTED[:3, 3]), _from_initial((0.0, -0.160, 0.450))),
-    ),
-    (
-        "0T6 of the initial position: reachable",
-        "(660, 0, 640) mm is a position of the tool",
-        "it lies 140 mm beyond the longest reach",
-        "distance beyond a2 + d4 + d6 from the shoulder's circle [m]",
-        lambda: (_beyond_reach(_PRINTED[:3, 3]), max(0.0, _beyond_reach(_INITIAL[:3, 3]))),
-    ),
-    (
-        "section 3.1, Fig. 3 at t = 0",
-        "(-500, 610, 1300) mm, the same as the calculation result",
-        "neither that result nor within reach",
-        "distance beyond a2 + d4 + d6 from the shoulder's circle [m]",
-        lambda: (_beyond_reach(np.array(FIG_3_START_M)), max(0.0, _beyond_reach(_INITIAL[:3, 3]))),
-    ),
-    (
-        "section 2.2, after eq. (5)",
-        "two possibilities for theta2",
-        "one for each theta1 and theta3, eight solutions in all",
-        "turns of joint 2 alone that leave the wrist where it is, counted",
-        _branches_of_theta2,
-    ),
-)
+# What is proven: `armctl/papers/printed/errata.yaml`.
+PROOFS: dict[str, Residuals] = {
+    "sign_of_d": _sign_of_d,
+    "initial_rotation": lambda: (_off_rotation(_PRINTED), _off_rotation(_INITIAL)),
+    "initial_position": lambda: (_from_initial(_PRINTED[:3, 3]), _from_initial((0.0, -0.160, 0.450))),
+    "initial_reach": lambda: (_beyond_reach(_PRINTED[:3, 3]), max(0.0, _beyond_reach(_INITIAL[:3, 3]))),
+    "fig_3": lambda: (_beyond_reach(np.array(FIG_3_START_M)), max(0.0, _beyond_reach(_INITIAL[:3, 3]))),
+    "theta2": _branches_of_theta2,
+}
 
 ROBOT = Robot(
     name="transfer-6dof",
@@ -137,5 +101,5 @@ ROBOT = Robot(
     check_poses=(
         CheckPose("section 2.1, initial position (print: 660, 0, 640 mm)", INITIAL_DEG, (0.0, -0.160, 0.450)),
     ),
-    errata=ERRATA,
+    proofs=PROOFS,
 )

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics
-from armctl.kinematics.errata import errata, off
+from armctl.kinematics.errata import Residuals, off
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
@@ -88,123 +88,27 @@ def _waist() -> tuple[float, float]:
 
 _FORWARD = _C234 * (_C1 * _A[0] + _S1 * _A[1])
 _STRETCH = _C234 * (_C1 * _P[0] + _S1 * _P[1]) + _S234 * _P[2]
-ERRATA = errata(
-    "000",
-    (
-        "eqs. (2), (9), (14)",
-        "A1 and p_z without d1",
-        "d1 = 10.1 (Fig. 9) in A1 and p_z",
-        "height of the tool of Fig. 9 [m]",
-        _without_d1,
+# What is proven: `armctl/papers/printed/errata.yaml`.
+PROOFS: dict[str, Residuals] = {
+    "d1": _without_d1,
+    "hand": _reach_of_fig_9,
+    "o_x": lambda: off(_O[0], _C1 * _O_PRINTED + _S1 * _S5 * _S6, _C1 * _O_TRUE + _S1 * _S5 * _S6),
+    "o_y": lambda: off(_O[1], _S1 * _O_PRINTED - _C1 * _S5 * _S6, _S1 * _O_TRUE - _C1 * _S5 * _S6),
+    "n_z": lambda: off(_N[2], _S234 * _C5 * _C6, _S234 * _C5 * _C6 + _C234 * _S6),
+    "o_z": lambda: off(_O[2], -_S234 * _C5 * _C6 + _C234 * _C6, -_S234 * _C5 * _S6 + _C234 * _C6),
+    "a_x": lambda: off(_A[0], _C1 * _C234 * _S5 + _S1 * _S5, _C1 * _C234 * _S5 + _S1 * _C5),
+    "a_y": lambda: off(_A[1], _S1 * _C234 * _S5 + _C1 * _C5, _S1 * _C234 * _S5 - _C1 * _C5),
+    "left_row_3": lambda: off(float(_base_turned()[2, 0]), _N[0] * _S1 + _N[1] * _C1, _N[0] * _S1 - _N[1] * _C1),
+    "right_row_1": lambda: off(float(_base_turned()[0, 1]), _O_PRINTED, _O_TRUE),
+    "right_row_2": lambda: off(
+        float(_base_turned()[1, 0]), _S1 * (_C234 * _C5 * _C6 - _S234 * _S6), _S234 * _C5 * _C6 + _C234 * _S6
     ),
-    (
-        "eqs. (5), (6) and Fig. 9",
-        "Fig. 9: a4 = 0, so the hand of eqs. (9) to (17) has no length",
-        "the hand's length is d5 = 15.5 of Fig. 9",
-        "reach of the stretched arm of Fig. 9 with a4 = 0, and with d5 [m]",
-        _reach_of_fig_9,
-    ),
-    (
-        "eq. (9), o_x",
-        "C1 (-C234 C5 C6 - S234 C6) + S1 S5 S6",
-        "C1 (-C234 C5 S6 - S234 C6) + S1 S5 S6",
-        "A1 to A6 multiplied at one configuration",
-        lambda: off(_O[0], _C1 * _O_PRINTED + _S1 * _S5 * _S6, _C1 * _O_TRUE + _S1 * _S5 * _S6),
-    ),
-    (
-        "eq. (9), o_y",
-        "S1 (-C234 C5 C6 - S234 C6) - C1 S5 S6",
-        "S1 (-C234 C5 S6 - S234 C6) - C1 S5 S6",
-        "A1 to A6 multiplied at one configuration",
-        lambda: off(_O[1], _S1 * _O_PRINTED - _C1 * _S5 * _S6, _S1 * _O_TRUE - _C1 * _S5 * _S6),
-    ),
-    (
-        "eq. (9), n_z",
-        "S234 C5 C6",
-        "S234 C5 C6 + C234 S6",
-        "A1 to A6 multiplied at one configuration",
-        lambda: off(_N[2], _S234 * _C5 * _C6, _S234 * _C5 * _C6 + _C234 * _S6),
-    ),
-    (
-        "eq. (9), o_z",
-        "-S234 C5 C6 + C234 C6",
-        "-S234 C5 S6 + C234 C6",
-        "A1 to A6 multiplied at one configuration",
-        lambda: off(_O[2], -_S234 * _C5 * _C6 + _C234 * _C6, -_S234 * _C5 * _S6 + _C234 * _C6),
-    ),
-    (
-        "eq. (9), a_x",
-        "C1 C234 S5 + S1 S5",
-        "C1 C234 S5 + S1 C5",
-        "A1 to A6 multiplied at one configuration",
-        lambda: off(_A[0], _C1 * _C234 * _S5 + _S1 * _S5, _C1 * _C234 * _S5 + _S1 * _C5),
-    ),
-    (
-        "eq. (9), a_y",
-        "S1 C234 S5 + C1 C5",
-        "S1 C234 S5 - C1 C5",
-        "A1 to A6 multiplied at one configuration",
-        lambda: off(_A[1], _S1 * _C234 * _S5 + _C1 * _C5, _S1 * _C234 * _S5 - _C1 * _C5),
-    ),
-    (
-        "eq. (11), left, row 3",
-        "n_x S1 + n_y C1 (and so o, a, p)",
-        "n_x S1 - n_y C1",
-        "A1^-1 T at one configuration",
-        lambda: off(float(_base_turned()[2, 0]), _N[0] * _S1 + _N[1] * _C1, _N[0] * _S1 - _N[1] * _C1),
-    ),
-    (
-        "eq. (11), right, row 1, column 2",
-        "-C234 C5 C6 - S234 C6",
-        "-C234 C5 S6 - S234 C6",
-        "A1^-1 T at one configuration",
-        lambda: off(float(_base_turned()[0, 1]), _O_PRINTED, _O_TRUE),
-    ),
-    (
-        "eq. (11), right, row 2",
-        "S1 (C234 C5 C6 - S234 S6), S1 (...), S1 C234 S5",
-        "S234 C5 C6 + C234 S6, -S234 C5 S6 + C234 C6, S234 S5",
-        "A1^-1 T at one configuration, column 1",
-        lambda: off(
-            float(_base_turned()[1, 0]), _S1 * (_C234 * _C5 * _C6 - _S234 * _S6), _S234 * _C5 * _C6 + _C234 * _S6
-        ),
-    ),
-    (
-        "eq. (12)",
-        "theta1 = arctan(p_y / p_x)",
-        "theta1 = atan2(+-p_y, +-p_x): print is off by pi behind the base, and the second solution is missing",
-        "theta1 of a pose with theta1 = 2.5 rad [rad]",
-        _waist,
-    ),
-    (
-        "eq. (15)",
-        "S2 S23 + C2 C34 = cos(theta3)",
-        "S2 S23 + C2 C23 = cos(theta3)",
-        "both sides at one configuration",
-        lambda: off(_C3, _S2 * _S23 + _C2 * _C34, _S2 * _S23 + _C2 * _C23),
-    ),
-    (
-        "after eq. (16)",
-        "S3 = sqrt(1 - C3^2)",
-        "S3 = +-sqrt(1 - C3^2)",
-        "S3 of a pose with theta3 = -0.5 rad",
-        lambda: off(_S3, *(sign * math.sqrt(1.0 - math.cos(_Q[2]) * math.cos(_Q[2])) for sign in (1.0, -1.0))),
-    ),
-    (
-        "eq. (17), left, row 1, column 3",
-        "C234 (C1 a_x + S1 a_y) + S234 a_x",
-        "C234 (C1 a_x + S1 a_y) + S234 a_z",
-        "S5 of the right side at one configuration",
-        lambda: off(_S5, _FORWARD + _S234 * _A[0], _FORWARD + _S234 * _A[2]),
-    ),
-    (
-        "eq. (17), left, column 4",
-        "-C34 a2 + C4 a3 - a4 (in row 2)",
-        "-C34 a2 - C4 a3 - a4 (in row 1)",
-        "row 1 of column 4, zero on the right side [m]",
-        lambda: off(0.0, _STRETCH - _C34 * _A2 + _C4 * _A3 - _A4, _STRETCH - _C34 * _A2 - _C4 * _A3 - _A4),
-    ),
-)
+    "waist": _waist,
+    "addition": lambda: off(_C3, _S2 * _S23 + _C2 * _C34, _S2 * _S23 + _C2 * _C23),
+    "sine": lambda: off(_S3, *(sign * math.sqrt(1.0 - math.cos(_Q[2]) * math.cos(_Q[2])) for sign in (1.0, -1.0))),
+    "S5": lambda: off(_S5, _FORWARD + _S234 * _A[0], _FORWARD + _S234 * _A[2]),
+    "stretch": lambda: off(0.0, _STRETCH - _C34 * _A2 + _C4 * _A3 - _A4, _STRETCH - _C34 * _A2 - _C4 * _A3 - _A4),
+}
 
 ROBOT = Robot(
     name="xiang-6dof",
@@ -213,5 +117,5 @@ ROBOT = Robot(
     lengths_m=LENGTHS_M,
     make_chain=_chain,
     make_closed_form=_closed_form,
-    errata=ERRATA,
+    proofs=PROOFS,
 )
