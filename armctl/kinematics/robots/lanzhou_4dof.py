@@ -13,7 +13,7 @@ import numpy as np
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
 from armctl.kinematics.errata import Residuals, off
 from armctl.kinematics.planar_arm import PlanarArm
-from armctl.kinematics.robots.robot import CheckPose, Robot
+from armctl.kinematics.robots.robot import Robot
 
 
 def _chain(lengths: dict[str, float]) -> SerialChain:
@@ -139,8 +139,5 @@ ROBOT = Robot(
     make_chain=_chain,
     make_closed_form=_closed_form,
     ranges_deg=RANGES_DEG,
-    check_poses=(
-        CheckPose("section 4.1, Fig. 5 (print: x 219, z 139; y not given)", FIG_5_DEG, (0.219, 0.042, 0.097)),
-    ),
     proofs=PROOFS,
 )

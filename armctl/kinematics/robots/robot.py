@@ -1,12 +1,10 @@
 """What a robot is: lengths by name, the chain they make, its joint ranges, and what its paper says of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -39,15 +37,6 @@ class ClosedForm(Protocol):
 
 
 @dataclass(frozen=True)
-class CheckPose:
-    """A pose a paper prints: joint angles and where they put the tool point (errors of print corrected)."""
-
-    where: str
-    q_deg: tuple[float, ...]
-    position_m: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
 class Robot:
     """A robot model; `chain` moves the tool point, further servos (gripper, roll) do not."""
 
@@ -58,8 +47,6 @@ class Robot:
     make_closed_form: Callable[[dict[str, float]], ClosedForm] | None = None
     # Lowest and highest position of each joint of the chain; none given: a whole turn each.
     ranges_deg: tuple[tuple[float, float], ...] = ()
-    # They hold for the robot's own lengths.
-    check_poses: tuple[CheckPose, ...] = ()
     # Of what its paper prints wrong, by the name it has in `papers/printed/errata.yaml`.
     proofs: dict[str, Residuals] = field(default_factory=dict)
 
@@ -76,7 +63,7 @@ class Robot:
         """Joint ranges, shape (n, 2)."""
         return np.asarray(np.radians(np.array(self.ranges_deg or ((-180.0, 180.0),) * self.chain.n)))
 
-    def with_lengths(self, changes: dict[str, float]) -> Robot:
+    def with_lengths(self, changes: dict[str, float]) -> Self:
         """The same robot with some lengths [m] replaced.
 
         Raises:

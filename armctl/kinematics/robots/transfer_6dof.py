@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
 from armctl.kinematics.errata import Residuals, off
-from armctl.kinematics.robots.robot import CheckPose, Robot
+from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import FloatArray
 
@@ -98,8 +98,5 @@ ROBOT = Robot(
     lengths_m=LENGTHS_M,
     make_chain=_chain,
     make_closed_form=_closed_form,
-    check_poses=(
-        CheckPose("section 2.1, initial position (print: 660, 0, 640 mm)", INITIAL_DEG, (0.0, -0.160, 0.450)),
-    ),
     proofs=PROOFS,
 )

@@ -8,13 +8,14 @@ import pytest
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.kinematics.robots import puma560, transfer_6dof, xiang_6dof
+from armctl.kinematics.robots import lanzhou_4dof, puma560, transfer_6dof, xiang_6dof
 from armctl.kinematics.transform import finite, pose_from_xyz_rpy
 
 
 def test_the_five_robots_and_their_conventions() -> None:
-    known = {name: (robots.get(name).chain.convention, robots.get(name).chain.n) for name in robots.names()}
-    assert known == {
+    known = {name: robots.get(name) for name in robots.names()}
+    assert all(robot.limits_rad.shape == (robot.chain.n, 2) for robot in known.values())
+    assert {name: (robot.chain.convention, robot.chain.n) for name, robot in known.items()} == {
         "xiang-6dof": ("standard", 5),
         "puma560": ("standard", 6),
         "ax12-line": ("standard", 5),
@@ -23,13 +24,19 @@ def test_the_five_robots_and_their_conventions() -> None:
     }
 
 
-@pytest.mark.parametrize("name", robots.names())
-def test_published_poses_hold(name: str) -> None:
-    robot = robots.get(name)
-    for pose in robot.check_poses:
-        np.testing.assert_allclose(tool_position(robot.chain, np.radians(pose.q_deg)), pose.position_m, atol=1e-12)
-    assert len(robot.check_poses) == (name in ("lanzhou-4dof", "transfer-6dof"))
-    assert robot.limits_rad.shape == (robot.chain.n, 2)
+@pytest.mark.parametrize(
+    ("name", "q_deg", "position_m"),
+    [
+        # Section 4.1, Fig. 5; print: x 219, z 139 mm, y not given.
+        ("lanzhou-4dof", lanzhou_4dof.FIG_5_DEG, (0.219, 0.042, 0.097)),
+        # Section 2.1, initial position; print: (660, 0, 640) mm.
+        ("transfer-6dof", transfer_6dof.INITIAL_DEG, (0.0, -0.160, 0.450)),
+        # Stretched forward it reaches 0.38 m from the shoulder.
+        ("ax12-line", (0.0,) * 5, (0.38, 0.0, 0.10)),
+    ],
+)
+def test_published_poses_hold(name: str, q_deg: tuple[float, ...], position_m: tuple[float, float, float]) -> None:
+    np.testing.assert_allclose(tool_position(robots.get(name).chain, np.radians(q_deg)), position_m, atol=1e-15)
 
 
 def test_eq_2_of_lanzhou_holds() -> None:
