@@ -164,17 +164,9 @@ class SphericalWrist:
                 c4, s4 = (-ax3 / h, -a_y / h) if h > _STRAIGHT else (1.0, 0.0)
                 q4, q5 = atan2(s4, c4), atan2(h, az3)
                 q6 = atan2(c4 * n_y - s4 * (c23 * n_x + s23 * nz), c4 * o_y - s4 * (c23 * o_x + s23 * oz))
-                found.append((q1, q2, q3, q4, q5, q6))
-                found.append(
-                    (
-                        q1,
-                        q2,
-                        q3,
-                        q4 - math.pi if q4 > 0.0 else q4 + math.pi,
-                        -q5,
-                        q6 - math.pi if q6 > 0.0 else q6 + math.pi,
-                    )
-                )
+                half_4 = -math.pi if q4 > 0.0 else math.pi
+                half_6 = -math.pi if q6 > 0.0 else math.pi
+                found += (q1, q2, q3, q4, q5, q6), (q1, q2, q3, q4 + half_4, -q5, q6 + half_6)
         return found
 
     def pose_families(self, T: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ Rules.
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from xml.sax.saxutils import quoteattr
 
@@ -61,7 +62,7 @@ def urdf(arm: ArmConfig, robot: Robot) -> str:
     """The arm as URDF; joint names and limits from the calibration, frames from the robot's chain."""
     chain, links = robot.chain, moving_links(arm)
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(arm.arm_id)}>"]
-    lines += _link(BASE, np.zeros(3), np.zeros(3))
+    lines += _link(BASE)
     for index, (parent, link) in enumerate(pairwise((BASE, *links))):
         joint = arm.joints[index]
         if index < chain.n:
@@ -73,15 +74,15 @@ def urdf(arm: ArmConfig, robot: Robot) -> str:
         lines += [
             f'  <joint name={quoteattr(joint.name)} type="revolute">',
             f"    <parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>",
-            f'    {_origin(G)}<axis xyz="{axis}"/>',
+            f'    {_frame(G)}<axis xyz="{axis}"/>',
             f'    <limit lower="{low!r}" upper="{high!r}" effort="{ax12a.STALL_TORQUE_NM}" '
             f'velocity="{joint.speed_limit_rad_s!r}"/>',
             "  </joint>",
         ]
         if index < chain.n:
-            lines += _link(child, np.zeros(3), F[:3, 3])
+            lines += _link(child, F[:3, 3])
             lines += _fixed(f"{link}:offset", child, link, F)
-        lines += _link(link, np.zeros(3), np.zeros(3))
+        lines += _link(link)
     lines += _fixed(f"{TOOL}:offset", links[chain.n - 1], TOOL, _tool_offset(chain))
     lines += [f"  <link name={quoteattr(TOOL)}/>", "</robot>", ""]
     return "\n".join(lines)
@@ -120,34 +121,32 @@ def _turned_about_x(T: FloatArray, angle: float) -> FloatArray:
     return turned
 
 
-def _vector(values: FloatArray) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def _origin(xyz: FloatArray, rpy: Sequence[float]) -> str:
+    place, turn = (" ".join(repr(float(value)) for value in values) for values in (xyz, rpy))
+    return f'<origin xyz="{place}" rpy="{turn}"/>'
 
 
-def _origin(T: FloatArray) -> str:
-    return f'<origin xyz="{_vector(T[:3, 3])}" rpy="{_vector(np.array(rpy_from_matrix(T[:3, :3])))}"/>'
+def _frame(T: FloatArray) -> str:
+    return _origin(T[:3, 3], rpy_from_matrix(T[:3, :3]))
 
 
 def _fixed(name: str, parent: str, child: str, T: FloatArray) -> list[str]:
     return [
         f'  <joint name={quoteattr(name)} type="fixed">',
         f"    <parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>",
-        f"    {_origin(T)}",
+        f"    {_frame(T)}",
         "  </joint>",
     ]
 
 
-def _link(name: str, begin: FloatArray, end: FloatArray) -> list[str]:
-    """A link with a ball at `begin` and, where it has a length, a rod to `end`."""
-    shapes = [(begin, (0.0, 0.0, 0.0), f'<sphere radius="{RADIUS_M * 1.4}"/>')]
-    span = end - begin
-    length = float(np.linalg.norm(span))
-    if length > 0.0:
-        x, y, z = (span / length).tolist()
+def _link(name: str, end: FloatArray | None = None) -> list[str]:
+    """A link with a ball at its origin and, where it has a length, a rod from there to `end`."""
+    shapes = [(np.zeros(3), (0.0, 0.0, 0.0), f'<sphere radius="{RADIUS_M * 1.4}"/>')]
+    if end is not None and (length := float(np.linalg.norm(end))) > 0.0:
+        x, y, z = (end / length).tolist()
         rpy = (0.0, math.acos(max(-1.0, min(1.0, z))), math.atan2(y, x))
-        shapes.append(((begin + end) / 2.0, rpy, f'<cylinder radius="{RADIUS_M}" length="{length!r}"/>'))
+        shapes.append((end / 2.0, rpy, f'<cylinder radius="{RADIUS_M}" length="{length!r}"/>'))
     lines = [f"  <link name={quoteattr(name)}>"]
     for centre, rpy, shape in shapes:
-        origin = f'<origin xyz="{_vector(centre)}" rpy="{_vector(np.array(rpy))}"/>'
-        lines.append(f"    <visual>{origin}<geometry>{shape}</geometry></visual>")
+        lines.append(f"    <visual>{_origin(centre, rpy)}<geometry>{shape}</geometry></visual>")
     return [*lines, "  </link>"]
