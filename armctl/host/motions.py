@@ -15,12 +15,13 @@ from armctl.host.lease import Client
 from armctl.host.watch import Done, Watch
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.straightness import max_error, mean_error
-from armctl.trajectory.target import MoveRequest, joints_at_point, joints_at_pose
+from armctl.trajectory.target import MoveRequest, joints_at
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
 
@@ -84,9 +85,9 @@ def move_trajectory(
     """
     try:
         if request.point_m is not None:
-            goal = joints_at_point(request.point_m, q_now, arm, robot)
+            goal = joints_at(pose_from_xyz_rpy(*request.point_m), q_now, arm, robot, turned=False)
         elif request.pose is not None:
-            goal = joints_at_pose(request.pose, q_now, arm, robot)
+            goal = joints_at(pose_from_xyz_rpy(*request.pose), q_now, arm, robot)
         else:
             goal = list(request.joints_rad or ())
     except UnreachableTarget as error:

@@ -31,7 +31,7 @@ from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.bounds import Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import peak_rates, preflight_motion
-from armctl.trajectory.target import joints_at_point
+from armctl.trajectory.target import joints_at
 
 Method = Literal["closed", "numeric", "ga", "ga-improved"]
 Along = Literal["above", "tool"]
@@ -241,7 +241,7 @@ def _solutions(
         if one.within_limits and one.position_error_m <= solution.REACHED_M
     ]
     # Where no branch lies within the limits, another member of its family may.
-    return found or [np.array(joints_at_point(point.tolist(), q_now, arm, robot)[:n])]
+    return found or [np.array(joints_at(target.pose, q_now, arm, robot, turned=False)[:n])]
 
 
 def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, off_m: float, along: Along) -> FloatArray:

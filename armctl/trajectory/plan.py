@@ -6,14 +6,12 @@ point in the direction of departure, dwell, the plan proper, settle. A plan with
 goals. One that cannot be executed as it stands is refused as a whole, with every reason; nothing is clipped.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -64,7 +62,7 @@ class Plan(Frozen):
     seed: int = Field(ge=0)
 
     @model_validator(mode="after")
-    def _check(self) -> Plan:
+    def _check(self) -> Self:
         if len(self.waypoints_rad) != self.via + 2:
             raise ValueError(f"waypoints_rad has {len(self.waypoints_rad)} rows; via {self.via} needs {self.via + 2}")
         widths = {len(row) for row in self.waypoints_rad}

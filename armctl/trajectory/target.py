@@ -4,10 +4,9 @@ The search begins at the present pose, and again at `STARTS` poses drawn within 
 of the solutions the one is taken whose farthest joint travels least.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -16,13 +15,13 @@ from armctl.config import ArmConfig, Frozen
 from armctl.errors import UnreachableTarget
 from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
+from armctl.kinematics.solution import within_limits
+from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.bounds import Joints, Point, Pose
 
 STARTS = 12
 POSITION_TOLERANCE_M = 1e-6
 ORIENTATION_TOLERANCE_RAD = 1e-5
-LIMIT_TOLERANCE_RAD = 1e-9
 
 
 class MoveRequest(Frozen):
@@ -35,38 +34,24 @@ class MoveRequest(Frozen):
     duration_s: float | None = Field(None, gt=0.0, le=600.0)
 
     @model_validator(mode="after")
-    def _one_target(self) -> MoveRequest:
+    def _one_target(self) -> Self:
         if sum(target is not None for target in (self.joints_rad, self.point_m, self.pose)) != 1:
             raise ValueError("joints_rad, point_m, pose: give just one of them")
         return self
 
 
-def joints_at_point(point_m: Sequence[float], q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> list[float]:
-    """Joint positions [rad] inside the limits that put the tool point there; joints beyond the chain stay.
+def joints_at(
+    T: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, *, turned: bool = True
+) -> list[float]:
+    """Joint positions [rad] inside the limits that bring the tool to a pose; joints beyond the chain stay.
 
     Args:
-        point_m: Tool point in the base frame, shape (3,).
+        T: Wanted tool pose in the base frame, shape (4, 4).
         q_now: Present joint positions [rad], shape (joints,).
+        turned: Whether the rotation counts; without it the position alone does.
     Raises:
         UnreachableTarget: there are none; carries the nearest distance found.
     """
-    x, y, z = point_m
-    return _nearest(pose_from_xyz_rpy(x, y, z, 0.0, 0.0, 0.0), False, q_now, arm, robot)
-
-
-def joints_at_pose(pose: Sequence[float], q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> list[float]:
-    """Joint positions [rad] inside the limits that give the tool that pose; joints beyond the chain stay.
-
-    Args:
-        pose: x, y, z [m], roll, pitch, yaw [rad] in the base frame, R = Rz(yaw) Ry(pitch) Rx(roll).
-        q_now: Present joint positions [rad], shape (joints,).
-    Raises:
-        UnreachableTarget: there are none; carries the nearest distance found.
-    """
-    return _nearest(pose_from_xyz_rpy(*pose), True, q_now, arm, robot)
-
-
-def _nearest(T: FloatArray, turned: bool, q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> list[float]:
     chain = robot.chain
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
     here = np.array(q_now[: chain.n])
@@ -75,8 +60,7 @@ def _nearest(T: FloatArray, turned: bool, q_now: Sequence[float], arm: ArmConfig
     q = refine_poses(chain, targets, np.vstack([here, others]), limits, turned=turned)
     away_m, turned_rad = pose_errors(chain, q, targets)
     turned_rad = turned_rad * turned
-    inside = ((q >= limits[:, 0] - LIMIT_TOLERANCE_RAD) & (q <= limits[:, 1] + LIMIT_TOLERANCE_RAD)).all(axis=1)
-    reached = inside & (away_m <= POSITION_TOLERANCE_M) & (turned_rad <= ORIENTATION_TOLERANCE_RAD)
+    reached = (away_m <= POSITION_TOLERANCE_M) & (turned_rad <= ORIENTATION_TOLERANCE_RAD) & within_limits(q, limits)
     if not reached.any():
         raise _unreachable(T, turned, away_m, turned_rad)
     found = np.clip(q[reached], limits[:, 0], limits[:, 1])

@@ -11,8 +11,8 @@ from armctl.errors import UnreachableTarget
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.kinematics.transform import rpy_from_matrix
-from armctl.trajectory.target import joints_at_point, joints_at_pose
+from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rpy_from_matrix
+from armctl.trajectory.target import joints_at
 
 ARM = load_arm("ax12-line")
 ROBOT = robots.get(ARM.robot, ARM.lengths_m)
@@ -24,11 +24,15 @@ configurations = st.tuples(
 )
 
 
+def at_point(point: FloatArray) -> list[float]:
+    return joints_at(pose_from_xyz_rpy(*point), NOW, ARM, ROBOT, turned=False)
+
+
 @given(configurations)
 @settings(deadline=None, max_examples=25)
 def test_every_point_some_pose_reaches_is_reached_within_the_limits(q: tuple[float, ...]) -> None:
     point = tool_position(ROBOT.chain, np.array(q))
-    found = joints_at_point(point.tolist(), NOW, ARM, ROBOT)
+    found = at_point(point)
     assert tool_position(ROBOT.chain, np.array(found[:N])) == pytest.approx(point, abs=2e-6)
     assert found[N:] == list(NOW[N:])
     for position, joint in zip(found, ARM.joints, strict=True):
@@ -37,7 +41,7 @@ def test_every_point_some_pose_reaches_is_reached_within_the_limits(q: tuple[flo
 
 def test_the_solution_near_the_present_pose_is_taken() -> None:
     here = tool_position(ROBOT.chain, np.array(NOW[:N]))
-    found = joints_at_point(np.add(here, (0.0, 0.0, 0.005)).tolist(), NOW, ARM, ROBOT)
+    found = at_point(np.add(here, (0.0, 0.0, 0.005)))
     assert np.abs(np.subtract(found, NOW)).max() < math.radians(5.0)
 
 
@@ -46,7 +50,7 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
     shoulder = np.array([0.0, 0.0, ROBOT.chain.rows[0].d])
     target = np.add(shoulder, (reach + 0.1, 0.0, 0.0))
     with pytest.raises(UnreachableTarget, match=r"no nearer than 100\.0 mm") as caught:
-        joints_at_point(target.tolist(), NOW, ARM, ROBOT)
+        at_point(target)
     assert caught.value.least_error_m == pytest.approx(0.1, abs=1e-4)
 
 
@@ -55,10 +59,10 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(ROBOT.chain, wanted)
-    found = joints_at_pose([*T[:3, 3], *rpy_from_matrix(T[:3, :3])], NOW, ARM, ROBOT)
+    found = joints_at(pose_from_xyz_rpy(*T[:3, 3], *rpy_from_matrix(T[:3, :3])), NOW, ARM, ROBOT)
     assert forward_kinematics(ROBOT.chain, np.array(found[:N])) == pytest.approx(T, abs=1e-3)
 
 
 def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:
     with pytest.raises(UnreachableTarget, match=r"no nearer than .* mm and .* deg"):
-        joints_at_pose((0.18, 0.0, 0.15, 0.0, 0.0, math.pi / 2.0), NOW, ARM, ROBOT)
+        joints_at(pose_from_xyz_rpy(0.18, 0.0, 0.15, yaw=math.pi / 2.0), NOW, ARM, ROBOT)
