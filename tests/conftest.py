@@ -6,6 +6,11 @@ from concurrent.futures import Executor
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# How long an example takes is no claim of any test: machines are slow at times.
+settings.register_profile("any time", deadline=None)
+settings.load_profile("any time")
 
 # The rooms whose branches are counted, each by its own tests: to trace all others would double the suite's time.
 COVERED = {"kinematics", "trajectory", "genetic", "control", "dynamixel"}

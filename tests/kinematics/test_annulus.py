@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.kinematics.annulus import PlaneReach, annulus
@@ -25,7 +25,6 @@ def sweep(reach: PlaneReach, u: FloatArray, v: FloatArray, turn: FloatArray) -> 
 
 
 @given(reaches, points, st.integers(0, 2**32 - 1))
-@settings(deadline=None)
 def test_no_point_of_the_workspace_is_nearer_than_the_nearest(reach: PlaneReach, point: FloatArray, seed: int) -> None:
     near, distance = reach.nearest(point)
     assert np.linalg.norm(near - point) == pytest.approx(distance, abs=1e-12)
@@ -41,7 +40,6 @@ def test_no_point_of_the_workspace_is_nearer_than_the_nearest(reach: PlaneReach,
 
 
 @given(reaches, st.integers(0, 2**32 - 1))
-@settings(deadline=None)
 def test_every_place_of_the_links_is_in_reach(reach: PlaneReach, seed: int) -> None:
     rng = np.random.default_rng(seed)
     angles = np.cumsum(rng.uniform(-np.pi, np.pi, len(reach.links_m)))

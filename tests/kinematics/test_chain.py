@@ -5,9 +5,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from armctl.kinematics import robots
 from armctl.kinematics.chain import BLOCK, DHRow, SerialChain, forward_kinematics, jacobian, link_frames, tool_pose
 from armctl.kinematics.chain import tool_position as tool
+from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_columns, quaternion_from_matrix
 
 length = st.floats(-0.5, 0.5)
@@ -57,14 +57,12 @@ NEARLY_PARALLEL = DHRow(a=0.0, alpha=1.5e-12, d=0.0)
 
 @given(chains, seeds)
 @example(SerialChain((NEARLY_PARALLEL,) * 7), 83)
-@settings(deadline=None)
 def test_forward_kinematics_is_the_product_of_screw_matrices(chain: SerialChain, seed: int) -> None:
     q = some_q(chain, seed)
     np.testing.assert_allclose(forward_kinematics(chain, q), product_by_hand(chain, q), atol=1e-12)
 
 
 @given(chains, seeds)
-@settings(deadline=None)
 def test_jacobian_equals_finite_differences(chain: SerialChain, seed: int) -> None:
     q = some_q(chain, seed)
     J = jacobian(chain, q)
@@ -80,7 +78,6 @@ def test_jacobian_equals_finite_differences(chain: SerialChain, seed: int) -> No
 
 
 @given(chains, seeds)
-@settings(deadline=None)
 def test_rotations_are_orthonormal_and_right_handed(chain: SerialChain, seed: int) -> None:
     R = link_frames(chain, some_q(chain, seed))[:, :3, :3]
     np.testing.assert_allclose(R @ R.swapaxes(-1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
@@ -88,7 +85,6 @@ def test_rotations_are_orthonormal_and_right_handed(chain: SerialChain, seed: in
 
 
 @given(chains, seeds)
-@settings(deadline=None)
 def test_one_pose_and_a_batch_give_the_same_bits(chain: SerialChain, seed: int) -> None:
     q = some_q(chain, seed, 2, 3)
     batch = forward_kinematics(chain, q)
@@ -108,7 +104,7 @@ def test_wrong_number_of_joints_is_an_error(q: FloatArray) -> None:
 
 
 @given(chains, seeds)
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_a_batch_larger_than_a_block_gives_the_bits_of_its_parts(chain: SerialChain, seed: int) -> None:
     q = some_q(chain, seed, BLOCK + 5)
     T, J = forward_kinematics(chain, q), jacobian(chain, q)
@@ -132,11 +128,9 @@ def test_no_pose_in_no_pose_out() -> None:
     assert jacobian(chain, np.zeros((0, 1))).shape == (0, 6, 1)
 
 
-@pytest.mark.parametrize("name", robots.names())
-def test_plain_floats_give_the_bits_of_forward_kinematics(name: str) -> None:
-    chain = robots.get(name).chain
-    rng = np.random.default_rng(7)
-    for q in rng.uniform(-np.pi, np.pi, (200, chain.n)):
+def test_plain_floats_give_the_bits_of_forward_kinematics(robot: Robot) -> None:
+    chain = robot.chain
+    for q in np.random.default_rng(7).uniform(-np.pi, np.pi, (200, chain.n)):
         T = forward_kinematics(chain, q)
         columns = tool_pose(chain, q.tolist())
         np.testing.assert_array_equal(np.array(columns).T, T[:3])

@@ -8,14 +8,14 @@ import pytest
 from armctl.kinematics import differential, robots
 from armctl.kinematics.chain import forward_kinematics, jacobian, tool_position
 from armctl.kinematics.differential import MOST_DAMPING, dexterity, jacobian_rate, joint_rates, tool_velocity
+from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, rotation_error
 
 H = 1e-5
 
 
-@pytest.mark.parametrize("name", robots.names())
-def test_tool_velocity_and_acceleration_are_the_derivatives_of_its_motion(name: str) -> None:
-    chain = robots.get(name).chain
+def test_tool_velocity_and_acceleration_are_the_derivatives_of_its_motion(robot: Robot) -> None:
+    chain = robot.chain
     q, rate, rate2 = np.random.default_rng(2).uniform(-1.5, 1.5, (3, chain.n))
 
     def at(t: float) -> FloatArray:
@@ -30,9 +30,8 @@ def test_tool_velocity_and_acceleration_are_the_derivatives_of_its_motion(name: 
     np.testing.assert_allclose(acceleration, (later - earlier) / (2.0 * H), atol=1e-8)
 
 
-@pytest.mark.parametrize("name", robots.names())
-def test_jacobian_rate_is_the_derivative_of_the_jacobian(name: str) -> None:
-    chain = robots.get(name).chain
+def test_jacobian_rate_is_the_derivative_of_the_jacobian(robot: Robot) -> None:
+    chain = robot.chain
     q, rate = np.random.default_rng(3).uniform(-1.5, 1.5, (2, 4, chain.n))
     differences = (jacobian(chain, q + H * rate) - jacobian(chain, q - H * rate)) / (2.0 * H)
     np.testing.assert_allclose(jacobian_rate(chain, q, rate), differences, atol=1e-8)

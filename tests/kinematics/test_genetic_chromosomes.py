@@ -25,7 +25,7 @@ def bits_of(coding: Coding, words: Words) -> np.ndarray:
 
 
 @given(codings, st.integers(0, 1000))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_words_of_angles_of_words_are_the_words(coding: Coding, seed: int) -> None:
     words = population(coding, 2, 5, seed)
     angles = coding.angles(words)
@@ -35,7 +35,6 @@ def test_words_of_angles_of_words_are_the_words(coding: Coding, seed: int) -> No
 
 
 @given(st.integers(1, 10))
-@settings(deadline=None)
 def test_neighbouring_angles_differ_in_one_bit_of_gray_code(bits: int) -> None:
     coding = Coding(RANGES[:1], bits, gray=True)
     step = 2.0 * np.pi / (2.0**bits - 1.0)
@@ -50,7 +49,7 @@ def test_the_ends_of_the_range_are_the_first_and_the_last_code() -> None:
 
 
 @given(codings, st.integers(2, 7), st.integers(0, 1000), st.floats(0.0, 0.999))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_certain_crossover_swaps_everything_after_one_cut(
     coding: Coding, individuals: int, seed: int, chance: float
 ) -> None:
@@ -78,7 +77,7 @@ def test_without_a_chance_nobody_crosses() -> None:
 
 
 @given(codings, st.integers(0, 1000))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_mutation_flips_exactly_the_bits_drawn(coding: Coding, seed: int) -> None:
     words = population(coding, 2, 4, seed)
     size = 4 * coding.length

@@ -13,7 +13,7 @@ LIMITS = np.radians([[-145, 145], [-10, 160], [-145, 145], [-110, 110], [-110, 1
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_a_reachable_target_is_found_within_limits_from_nearby(seed: int) -> None:
     rng = np.random.default_rng(seed)
     # Away from the folded and the stretched arm, where nearby is not near enough.
@@ -49,7 +49,7 @@ def test_a_joint_at_its_limit_leaves_the_work_to_the_others() -> None:
 
 
 @given(st.sampled_from(robots.names()), st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_poses_are_refined_to_1e_12_from_nearby_and_stay_within_limits(name: str, seed: int) -> None:
     robot, rng = robots.get(name), np.random.default_rng(seed)
     limits = robot.limits_rad

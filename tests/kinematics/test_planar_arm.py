@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
 from armctl.kinematics.planar_arm import PlanarArm
-from armctl.kinematics.transform import FloatArray, finite
+from armctl.kinematics.transform import finite
+from tests.kinematics.conftest import assert_at, turned
 
 seeds = st.integers(0, 2**32 - 1)
 link = st.floats(0.05, 0.4)
@@ -36,12 +37,7 @@ def chain_of(arm: PlanarArm) -> SerialChain:
     return SerialChain(tuple(rows))
 
 
-def turned(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.abs((a - b + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1))
-
-
 @given(st.one_of(ends_in_x, rolling), seeds)
-@settings(deadline=None)
 def test_every_branch_reaches_the_pose_and_one_is_where_it_came_from(arm: PlanarArm, seed: int) -> None:
     chain = chain_of(arm)
     for q in np.random.default_rng(seed).uniform(-np.pi, np.pi, (5, chain.n)):
@@ -49,12 +45,11 @@ def test_every_branch_reaches_the_pose_and_one_is_where_it_came_from(arm: Planar
         # Four links leave the last joint's bend free: ask for the one it had.
         found = finite(arm.poses(T[None], float(q[4]) if len(arm.links_m) == 4 else 0.0))
         assert len(found) == (4 if arm.roll else 2)
-        np.testing.assert_allclose(forward_kinematics(chain, found), np.broadcast_to(T, (len(found), 4, 4)), atol=1e-9)
+        assert_at(chain, found, T)
         assert turned(found, q).min() < 1e-4
 
 
 @given(ends_in_x, seeds)
-@settings(deadline=None)
 def test_any_bend_asked_for_keeps_the_pose(arm: PlanarArm, seed: int) -> None:
     chain = chain_of(arm)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, chain.n)
@@ -64,11 +59,11 @@ def test_any_bend_asked_for_keeps_the_pose(arm: PlanarArm, seed: int) -> None:
     assert families.shape[1] == (61 if len(arm.links_m) == 4 else 1)
     found = finite(families)
     assert len(found) == families.shape[0] * families.shape[1]
-    np.testing.assert_allclose(forward_kinematics(chain, found), np.broadcast_to(T, (len(found), 4, 4)), atol=1e-9)
+    assert_at(chain, found, T)
 
 
 @given(st.one_of(ends_in_x, rolling), seeds)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_positions_hold_the_point_for_every_pitch_and_bend(arm: PlanarArm, seed: int) -> None:
     chain = chain_of(arm)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, chain.n))
@@ -81,7 +76,7 @@ def test_positions_hold_the_point_for_every_pitch_and_bend(arm: PlanarArm, seed:
 
 
 @given(st.one_of(ends_in_x, rolling), seeds)
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_the_nearest_configuration_is_at_the_least_distance_and_no_sample_is_nearer(arm: PlanarArm, seed: int) -> None:
     chain, rng = chain_of(arm), np.random.default_rng(seed)
     T = np.eye(4)

@@ -27,7 +27,7 @@ def exact(angle: float) -> tuple[Decimal, Decimal]:
         return Decimal(cosine), Decimal(sine)
 
 
-@settings(deadline=None, max_examples=500)
+@settings(max_examples=500)
 @given(angles | st.builds(lambda k: k * math.pi / 4.0, st.integers(-1000, 1000)))
 @example(0.0)
 @example(1e-300)
@@ -43,7 +43,6 @@ def test_it_is_as_exact_as_a_float_can_nearly_be(angle: float) -> None:
         assert error <= abs(true) * Decimal(2) ** -52
 
 
-@settings(deadline=None)
 @given(st.lists(angles | st.sampled_from([0.0, -0.0, 1e7, math.pi]), min_size=1, max_size=3 * FEW), st.integers(1, 5))
 def test_one_angle_and_many_give_the_same_bits(few: list[float], rows: int) -> None:
     many = np.array([few] * rows)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import pytest
@@ -10,12 +10,13 @@ import pytest
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.inverse import pose_errors, solve_poses
 from armctl.kinematics.robots import puma560
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import point_target, pose_target, solve, weighted_travel, within_limits
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 
-METHODS: tuple[Literal["closed", "numeric"], ...] = ("closed", "numeric")
+Method = Literal["closed", "numeric"]
 
 
 def in_range(robot: Robot, count: int, seed: int = 5) -> FloatArray:
@@ -23,9 +24,7 @@ def in_range(robot: Robot, count: int, seed: int = 5) -> FloatArray:
     return np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (count, robot.chain.n))
 
 
-@pytest.mark.parametrize("name", robots.names())
-def test_every_pose_in_range_is_reached_in_range(name: str) -> None:
-    robot = robots.get(name)
+def test_every_pose_in_range_is_reached_in_range(robot: Robot) -> None:
     for q in in_range(robot, 30):
         answer = solve(robot, pose_target(forward_kinematics(robot.chain, q)))
         assert answer.reachable
@@ -46,10 +45,8 @@ def test_the_configuration_a_pose_came_from_is_among_its_solutions(name: str) ->
         assert float(np.median(away)) < 1e-12
 
 
-@pytest.mark.parametrize("name", robots.names())
-@pytest.mark.parametrize("method", METHODS)
-def test_every_point_in_range_is_reached_to_1e_9(name: str, method: Literal["closed", "numeric"]) -> None:
-    robot = robots.get(name)
+@pytest.mark.parametrize("method", get_args(Method))
+def test_every_point_in_range_is_reached_to_1e_9(robot: Robot, method: Method) -> None:
     for q in in_range(robot, 10):
         answer = solve(robot, point_target(tool_position(robot.chain, q)), method=method)
         assert answer.reachable
@@ -57,12 +54,8 @@ def test_every_point_in_range_is_reached_to_1e_9(name: str, method: Literal["clo
         assert answer.solutions[0].orientation_error_rad == 0.0
 
 
-@pytest.mark.parametrize("name", robots.names())
-@pytest.mark.parametrize("method", METHODS)
-def test_out_of_reach_the_nearest_configuration_is_at_the_least_distance(
-    name: str, method: Literal["closed", "numeric"]
-) -> None:
-    robot = robots.get(name)
+@pytest.mark.parametrize("method", get_args(Method))
+def test_out_of_reach_the_nearest_configuration_is_at_the_least_distance(robot: Robot, method: Method) -> None:
     T = forward_kinematics(robot.chain, in_range(robot, 1)[0])
     T[:3, 3] = [1.1, -0.4, 0.2]
     cloud = tool_position(robot.chain, np.random.default_rng(0).uniform(-np.pi, np.pi, (20000, robot.chain.n)))
@@ -94,8 +87,6 @@ def test_three_of_the_hundred_grid_targets_of_xiang_are_out_of_reach_by_known_di
 
 
 def test_a_thousand_puma_poses_are_solved_numerically_to_1e_6() -> None:
-    from armctl.kinematics.inverse import pose_errors, solve_poses
-
     robot = robots.get("puma560")
     T = forward_kinematics(robot.chain, in_range(robot, 1000))
     q = solve_poses(robot.chain, T, robot.limits_rad, np.random.default_rng(0))

@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics
 from armctl.kinematics.spherical_wrist import SphericalWrist
-from armctl.kinematics.transform import FloatArray, finite
+from armctl.kinematics.transform import finite
+from tests.kinematics.conftest import assert_at, turned
 
 QUARTER = math.pi / 2.0
 seeds = st.integers(0, 2**32 - 1)
@@ -41,13 +42,7 @@ def chain_of(arm: SphericalWrist) -> SerialChain:
     )
 
 
-def turned(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Largest difference of two configurations' angles, whole turns left out."""
-    return np.asarray(np.abs((a - b + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1))
-
-
 @given(arms, seeds)
-@settings(deadline=None)
 def test_every_branch_reaches_the_pose_and_one_is_where_it_came_from(arm: SphericalWrist, seed: int) -> None:
     chain = chain_of(arm)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 6))
@@ -55,14 +50,11 @@ def test_every_branch_reaches_the_pose_and_one_is_where_it_came_from(arm: Spheri
     for q_i, T_i, found in zip(q, T, arm.poses(T), strict=True):
         found = finite(found)
         assert len(found) in (4, 8)  # the waist turned round may not reach
-        np.testing.assert_allclose(
-            forward_kinematics(chain, found), np.broadcast_to(T_i, (len(found), 4, 4)), atol=1e-9
-        )
+        assert_at(chain, found, T_i)
         assert turned(found, q_i).min() < 1e-4
 
 
 @given(arms, seeds)
-@settings(deadline=None)
 def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: SphericalWrist, seed: int) -> None:
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (10, 6))
     T = forward_kinematics(chain_of(arm), q)
@@ -73,7 +65,6 @@ def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: 
 
 
 @given(arms, st.integers(0, 2), seeds)
-@settings(deadline=None)
 def test_at_singular_poses_the_tool_is_exact_all_the_same(arm: SphericalWrist, kind: int, seed: int) -> None:
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, 6)
     if kind == 0:

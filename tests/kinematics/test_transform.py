@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.kinematics import transform
@@ -20,7 +20,6 @@ def rotation(roll: float, pitch: float, yaw: float) -> transform.FloatArray:
 
 
 @given(angle, angle, angle)
-@settings(deadline=None)
 def test_quaternion_round_trips_the_matrix(roll: float, pitch: float, yaw: float) -> None:
     R = rotation(roll, pitch, yaw)
     q = quaternion_from_matrix(R)
@@ -30,11 +29,12 @@ def test_quaternion_round_trips_the_matrix(roll: float, pitch: float, yaw: float
 
 
 @given(angle, st.floats(-math.pi / 2, math.pi / 2), angle)
-@settings(deadline=None)
 def test_rpy_round_trips_the_matrix(roll: float, pitch: float, yaw: float) -> None:
     R = rotation(roll, pitch, yaw)
+    np.testing.assert_allclose(matrix_from_rpy(roll, pitch, yaw), R, atol=1e-15)
     # Near the gimbal lock the angles are ill defined, the matrix is not.
-    np.testing.assert_allclose(rotation(*rpy_from_matrix(R)), R, atol=1e-9)
+    tolerance = 1e-12 if abs(pitch) <= 1.5 else 1e-9
+    np.testing.assert_allclose(matrix_from_rpy(*rpy_from_matrix(R)), R, atol=tolerance)
 
 
 @pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
@@ -55,18 +55,7 @@ def test_half_turns_have_a_quaternion(axis: int) -> None:
     np.testing.assert_allclose(np.abs(quaternion_from_matrix(R)), expected, atol=1e-15)
 
 
-@given(angle, st.floats(-1.5, 1.5), angle)
-@settings(deadline=None)
-def test_matrix_from_rpy_is_undone_by_rpy_from_matrix(roll: float, pitch: float, yaw: float) -> None:
-    R = matrix_from_rpy(roll, pitch, yaw)
-    np.testing.assert_allclose(matrix_from_rpy(*rpy_from_matrix(R)), R, atol=1e-12)
-    for c, s, axis in ((1.0, 0.0, 0), (0.0, 1.0, 1)):
-        # Rz Ry Rx on the x axis: yaw turns what pitch tilted.
-        assert R[axis, 0] == pytest.approx((c * math.cos(yaw) + s * math.sin(yaw)) * math.cos(pitch), abs=1e-12)
-
-
 @given(angle, angle, angle, st.floats(0.0, math.pi))
-@settings(deadline=None)
 def test_rotation_vector_is_axis_times_angle(x: float, y: float, z: float, turn: float) -> None:
     axis = np.array([x, y, z + 4.0])
     axis /= np.linalg.norm(axis)

@@ -8,6 +8,7 @@ import pytest
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
+from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.workspace import cloud, cloud_extents, extents, grid, reachability
 
 WHOLE_TURN = np.tile([-np.pi, np.pi], (5, 1))
@@ -26,9 +27,7 @@ def test_extents_of_arms_without_ranges_are_their_reach() -> None:
     np.testing.assert_allclose(found, [[-side, side], [-side, side], [-reach, reach]], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", robots.names())
-def test_no_random_configuration_lies_outside_the_exact_extents_and_some_come_near(name: str) -> None:
-    robot = robots.get(name)
+def test_no_random_configuration_lies_outside_the_exact_extents_and_some_come_near(robot: Robot) -> None:
     rng = np.random.default_rng(1)
     exact = extents(robot.chain, robot.limits_rad, rng)
     random = cloud_extents(cloud(robot.chain, robot.limits_rad, 50_000, rng))

@@ -19,7 +19,7 @@ POSES = st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints))
 
 
 @given(POSES, POSES)
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_no_approach_is_faster_than_20_degrees_a_second_or_the_tool_limit(
     q0: tuple[float, ...], q1: tuple[float, ...]
 ) -> None:

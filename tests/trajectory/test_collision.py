@@ -23,7 +23,7 @@ POINTS = st.tuples(NUMBERS, NUMBERS, NUMBERS).map(np.array)
 
 
 @given(POINTS, POINTS, POINTS, POINTS)
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_no_sampled_distance_is_less_and_the_least_of_them_is_near(
     a0: FloatArray, a1: FloatArray, b0: FloatArray, b1: FloatArray
 ) -> None:
@@ -37,7 +37,6 @@ def test_no_sampled_distance_is_less_and_the_least_of_them_is_near(
 
 
 @given(POINTS, POINTS, POINTS, POINTS)
-@settings(deadline=None)
 def test_neither_order_nor_direction_matters(a0: FloatArray, a1: FloatArray, b0: FloatArray, b1: FloatArray) -> None:
     distance = segment_distance(a0, a1, b0, b1)
     for other in ((a1, a0, b0, b1), (a0, a1, b1, b0), (b0, b1, a0, a1)):
@@ -113,7 +112,6 @@ def test_the_rest_pose_is_free_and_a_fold_onto_the_base_column_is_not() -> None:
 
 
 @given(st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints[: CHAIN.n])), st.floats(-3.0, 3.0))
-@settings(deadline=None)
 def test_turning_the_base_changes_no_gap_and_no_height(pose: tuple[float, ...], base_rad: float) -> None:
     here = link_points(CHAIN, np.array(pose))
     turned = link_points(CHAIN, np.array([base_rad, *pose[1:]]))

@@ -9,7 +9,7 @@ from armctl.trajectory.dead_time import moving_part
 
 
 @given(st.integers(0, 30), st.integers(0, 30), st.integers(2, 40), st.integers(0, 2**31))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_rest_at_both_ends_goes_and_the_motion_stays(before: int, after: int, ticks: int, seed: int) -> None:
     way = np.linspace(0.0, 1.0, ticks + 1)[:, None] * np.array([ticks * 10.0 * TICK_RAD, -0.1])
     rest = np.concatenate([np.repeat(way[:1], before, axis=0), way, np.repeat(way[-1:], after, axis=0)])

@@ -34,7 +34,7 @@ def planned_to(
     return grasp.plan_grasp(ReachRequest(point_m=point, **how), q_now, arm, robot, PERIOD_S)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(
     st.sampled_from(["xiang-6dof", "ax12-line"]),
     st.tuples(st.floats(0.12, 0.26), st.floats(-0.15, 0.15), st.floats(0.05, 0.2)),

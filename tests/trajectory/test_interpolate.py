@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.kinematics.transform import FloatArray
@@ -46,7 +46,6 @@ def test_time_law_rests_at_both_ends_and_peaks_below_1_3_means() -> None:
 
 
 @given(st.floats(0.0, 1.0))
-@settings(deadline=None)
 def test_time_of_progress_inverts_the_time_law(s: float) -> None:
     assert float(time_law(time_of_progress(np.array(s)))) == pytest.approx(s, abs=1e-5)
 
@@ -63,14 +62,12 @@ def test_a_way_from_rest_to_rest_rests_at_both_ends_with_the_stated_peaks() -> N
 
 
 @given(seeds, st.integers(2, 9), kinds)
-@settings(deadline=None)
 def test_path_passes_every_waypoint_at_its_progress(seed: int, count: int, kind: Interpolation) -> None:
     waypoints, knots = some_path(seed, count)
     np.testing.assert_allclose(joint_path(waypoints, knots, knots, kind), waypoints, atol=1e-12)
 
 
 @given(seeds, st.integers(3, 9))
-@settings(deadline=None)
 def test_cubic_path_has_continuous_first_and_second_derivatives(seed: int, count: int) -> None:
     waypoints, knots = some_path(seed, count)
     h = 1e-4
@@ -99,7 +96,6 @@ def test_a_parabola_through_three_waypoints_is_reproduced() -> None:
 
 
 @given(seeds, st.integers(3, 6), kinds)
-@settings(deadline=None)
 def test_a_batch_gives_the_same_bits_as_one_by_one(seed: int, count: int, kind: Interpolation) -> None:
     paths = [some_path(seed + i, count) for i in range(4)]
     waypoints, knots = np.array([p[0] for p in paths]), np.array([p[1] for p in paths])

@@ -57,7 +57,7 @@ def test_what_is_predicted_is_what_the_interpolated_motion_does() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_a_smooth_lag_is_made_up_for(seed: int) -> None:
     rng = np.random.default_rng(seed)
     m = 51

@@ -55,7 +55,6 @@ def reasons_for(arm: ArmConfig, plan: Plan | None = None, q_now: list[float] = R
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.sampled_from(["linear", "cubic"]))
-@settings(deadline=None)
 def test_a_plan_survives_its_text_form_bit_for_bit(seed: int, via: int, interpolation: str) -> None:
     rng = np.random.default_rng(seed)
     plan = make_plan(
@@ -126,7 +125,7 @@ def test_the_plan_runs_between_its_ends_and_stands_still_outside() -> None:
 
 
 @given(st.sampled_from([0.01, 0.05, 0.1]), st.floats(1.0, 9.0), st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_marks(
     period_s: float, duration_s: float, seed: int
 ) -> None:
@@ -158,7 +157,7 @@ def test_a_plan_that_does_not_move_lets_an_arm_at_its_start_only_dwell() -> None
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.1]))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_every_joint_comes_to_the_start_in_the_direction_in_which_it_leaves(seed: int, period_s: float) -> None:
     rng = np.random.default_rng(seed)
     plan = make_plan(interpolation=rng.choice(["linear", "cubic"]))

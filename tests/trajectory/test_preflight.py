@@ -95,7 +95,6 @@ def test_advice_is_about_the_duration_its_maker_can_change() -> None:
 
 
 @given(st.floats(0.01, 0.4), st.floats(0.02, 0.4))
-@settings(deadline=None)
 def test_peak_rates_of_a_known_motion_are_its_own(turn_rad: float, period_s: float) -> None:
     time_s = np.arange(int(12.0 / period_s)) * period_s
     q = (turn_rad * np.where(time_s < 4.0, 0.0, np.minimum(time_s - 4.0, 4.0)))[:, None]
@@ -175,7 +174,7 @@ def test_every_reason_is_told_at_once() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_what_may_be_run_may_be_run_backwards(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low, high = np.array([joint.limits_rad for joint in ARM.joints]).T

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.errors import ConfigError
@@ -16,7 +16,6 @@ states = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6)
 
 
 @given(states, st.floats(0.1, 20.0))
-@settings(deadline=None)
 def test_both_ends_have_the_position_velocity_and_acceleration_asked_for(
     values: list[float], duration_s: float
 ) -> None:
@@ -29,7 +28,6 @@ def test_both_ends_have_the_position_velocity_and_acceleration_asked_for(
 
 
 @given(states)
-@settings(deadline=None)
 def test_velocity_and_acceleration_are_derivatives(values: list[float]) -> None:
     motion = quintic(np.array(values[:1]), np.array(values[1:2]), 2.0, v0=values[2], v1=values[3], a0=values[4])
     t, h = np.linspace(0.1, 1.9, 7), 1e-5

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
@@ -10,7 +10,6 @@ from armctl.trajectory.smoothing import local_cubics
 COEFFICIENTS = st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4)
 
 
-@settings(deadline=None)
 @given(COEFFICIENTS, st.integers(0, 2**32 - 1))
 def test_a_cubic_passes_unchanged_whenever_it_is_sampled(coefficients: list[float], seed: int) -> None:
     time_s = np.sort(np.arange(40) * 0.1 + np.random.default_rng(seed).uniform(0.0, 0.05, 40))

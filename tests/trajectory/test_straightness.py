@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.kinematics.transform import FloatArray
@@ -18,7 +18,6 @@ def line_and_points(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @given(seeds)
-@settings(deadline=None)
 def test_distance_and_progress_are_those_of_the_perpendicular_foot(seed: int) -> None:
     A, B, points = line_and_points(seed)
     foot = A + progress_along_line(points, A, B)[..., None] * (B - A)
@@ -27,7 +26,6 @@ def test_distance_and_progress_are_those_of_the_perpendicular_foot(seed: int) ->
 
 
 @given(seeds)
-@settings(deadline=None)
 def test_swapping_the_ends_keeps_distance_and_mirrors_progress(seed: int) -> None:
     A, B, points = line_and_points(seed)
     np.testing.assert_allclose(distance_to_line(points, B, A), distance_to_line(points, A, B), atol=1e-12)

@@ -29,7 +29,7 @@ def at_point(point: FloatArray) -> list[float]:
 
 
 @given(configurations)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_every_point_some_pose_reaches_is_reached_within_the_limits(q: tuple[float, ...]) -> None:
     point = tool_position(ROBOT.chain, np.array(q))
     found = at_point(point)
@@ -55,7 +55,7 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 
 
 @given(configurations)
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(ROBOT.chain, wanted)

@@ -32,7 +32,7 @@ def test_the_paw_is_at_both_stations_when_it_should_be_and_points_down_there() -
         assert pose[:3, 2] == pytest.approx((0.0, 0.0, -1.0), abs=1e-9)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(st.floats(0.18, 0.22), st.floats(-0.18, -0.02), st.floats(0.02, 0.06), st.floats(1.0, 3.0))
 def test_lifts_are_straight_and_the_motion_has_no_jump_in_acceleration(
     reach_m: float, z: float, height_m: float, lift_s: float

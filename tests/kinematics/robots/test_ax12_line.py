@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.errors import ConfigError
@@ -13,7 +13,6 @@ angles = st.lists(st.floats(-math.pi, math.pi), min_size=5, max_size=5)
 
 
 @given(angles)
-@settings(deadline=None)
 def test_equations_7_to_18_hold_with_their_two_corrections(angles: list[float]) -> None:
     robot = robots.get("ax12-line")
     d1, a2, a3, a4, a56 = (robot.lengths_m[name] for name in ("d1", "a2", "a3", "a4", "a56"))

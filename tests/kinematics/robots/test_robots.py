@@ -10,6 +10,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots import lanzhou_4dof, puma560, transfer_6dof, xiang_6dof
 from armctl.kinematics.transform import finite, pose_from_xyz_rpy
+from tests.kinematics.conftest import assert_at
 
 
 def test_the_five_robots_and_their_conventions() -> None:
@@ -91,8 +92,6 @@ def test_lengths_change_and_the_closed_form_with_them(name: str, length: str) ->
     T = forward_kinematics(robot.chain, q)
     assert robot.closed_form is not None
     found = finite(robot.closed_form.poses(T[None]))
-    np.testing.assert_allclose(
-        forward_kinematics(robot.chain, found), np.broadcast_to(T, (len(found), 4, 4)), atol=1e-9
-    )
+    assert_at(robot.chain, found, T)
     with pytest.raises(ConfigError, match="is no length"):
         robots.get(name, {length: math.nan})

@@ -1,0 +1,24 @@
+"""What tests of kinematics share: every robot in turn, and what it means to be at a pose."""
+
+import numpy as np
+import pytest
+
+from armctl.kinematics import robots
+from armctl.kinematics.chain import SerialChain, forward_kinematics
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+
+
+@pytest.fixture(params=robots.names(), scope="session")
+def robot(request: pytest.FixtureRequest) -> Robot:
+    return robots.get(request.param)
+
+
+def turned(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Largest difference of two configurations' angles, whole turns left out."""
+    return np.asarray(np.abs((a - b + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1))
+
+
+def assert_at(chain: SerialChain, q: FloatArray, T: FloatArray) -> None:
+    """Every configuration, shape (k, n), has its tool at the pose T, shape (4, 4), to 1e-9."""
+    np.testing.assert_allclose(forward_kinematics(chain, q), np.broadcast_to(T, (len(q), 4, 4)), atol=1e-9)
