@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain
+from armctl.kinematics.spherical_wrist import poses_along
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points, segment_distance
 
@@ -72,8 +73,8 @@ def test_mujoco_finds_the_same_gaps_between_the_links_of_random_poses() -> None:
     seen = 0
     for pose, gaps in zip(points, ours, strict=True):
         data.geom_xpos[:] = (pose[1:] + pose[:-1]) / 2.0
-        for link, axis in enumerate(np.diff(pose, axis=0) / lengths[:, None]):
-            data.geom_xmat[link] = frame_along(axis).ravel()
+        along = poses_along(np.zeros(3), np.diff(pose, axis=0) / lengths[:, None])
+        data.geom_xmat[:] = along[:, :3, :3].reshape(-1, 9)
         for (first, second), gap in zip(pairs, gaps, strict=True):
             theirs = mujoco.mj_geomDistance(model, data, int(first), int(second), 10.0, None)
             if gap > 0.0:  # of overlapping bodies MuJoCo tells the depth, which is another question
@@ -82,13 +83,6 @@ def test_mujoco_finds_the_same_gaps_between_the_links_of_random_poses() -> None:
             else:
                 assert theirs < 1e-5
     assert 500 < seen < ours.size
-
-
-def frame_along(z: FloatArray) -> FloatArray:
-    """A rotation whose third column is the unit vector z."""
-    helper = np.eye(3)[int(np.abs(z).argmin())]
-    x = np.cross(helper, z) / np.linalg.norm(np.cross(helper, z))
-    return np.column_stack([x, np.cross(z, x), z])
 
 
 def test_every_pair_but_neighbours_is_judged_on_the_shipped_arm() -> None:
@@ -105,10 +99,10 @@ def test_links_that_nothing_can_hold_apart_are_not_judged() -> None:
 
 
 def test_the_rest_pose_is_free_and_a_fold_onto_the_base_column_is_not() -> None:
-    rest, folded = REST, np.radians([0.0, 100.0, -145.0, -110.0, 0.0])
-    pairs = judged_pairs(link_points(CHAIN, rest), RADIUS_M)
-    assert link_clearance(link_points(CHAIN, rest), pairs, RADIUS_M).min() > 0.01
-    assert link_clearance(link_points(CHAIN, folded), pairs, RADIUS_M).min() < 0.0
+    rest, folded = link_points(CHAIN, np.stack([REST, np.radians([0.0, 100.0, -145.0, -110.0, 0.0])]))
+    pairs = judged_pairs(rest, RADIUS_M)
+    assert link_clearance(rest, pairs, RADIUS_M).min() > 0.01
+    assert link_clearance(folded, pairs, RADIUS_M).min() < 0.0
 
 
 @given(st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints[: CHAIN.n])), st.floats(-3.0, 3.0))

@@ -15,6 +15,7 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import grasp
 from armctl.trajectory.grasp import Method, ReachRequest
 from armctl.trajectory.preflight import peak_rates, peak_tool_speed
@@ -23,15 +24,19 @@ POINT = (0.20, 0.05, 0.06)
 PERIOD_S = 0.1
 
 
-def arm_and_robot(name: str = "xiang-6dof") -> tuple[ArmConfig, Robot, list[float]]:
+def where_of(name: str) -> tuple[list[float], ArmConfig, Robot, float]:
+    """Where a motion of this arm begins, at rest, and what else every function here asks for."""
     arm = load_arm(name)
-    return arm, robots.get(arm.robot, arm.lengths_m), [joint.rest_rad for joint in arm.joints]
+    return [joint.rest_rad for joint in arm.joints], arm, robots.get(arm.robot, arm.lengths_m), PERIOD_S
 
 
-def planned_to(
-    point: tuple[float, float, float], q_now: list[float], arm: ArmConfig, robot: Robot, **how: Any
-) -> grasp.Grasp:
-    return grasp.plan_grasp(ReachRequest(point_m=point, **how), q_now, arm, robot, PERIOD_S)
+# An arm with a gripper, the last joint.
+XIANG = where_of("xiang-6dof")
+REST, ARM, ROBOT, _ = XIANG
+
+
+def path_to(point: tuple[float, float, float] = POINT, **how: Any) -> FloatArray:
+    return grasp.plan_grasp(ReachRequest(point_m=point, **how), *XIANG).path_rad
 
 
 @settings(max_examples=20)
@@ -40,13 +45,13 @@ def planned_to(
     st.tuples(st.floats(0.12, 0.26), st.floats(-0.15, 0.15), st.floats(0.05, 0.2)),
 )
 def test_the_tool_comes_down_a_straight_line_without_turning(name: str, point: tuple[float, float, float]) -> None:
-    arm, robot, q_now = arm_and_robot(name)
+    q_now, arm, robot, period_s = where_of(name)
     try:
-        planned = planned_to(point, q_now, arm, robot, off_m=0.04)
+        planned = grasp.plan_grasp(ReachRequest(point_m=point, off_m=0.04), q_now, arm, robot, period_s)
     except RequestRefused:
         reject()
-    there = grasp.approach(planned, q_now, arm, robot, PERIOD_S).positions_rad[-1]
-    down = np.array(grasp.straight(planned.path_rad, there, arm, robot, PERIOD_S).positions_rad)
+    there = grasp.approach(planned, q_now, arm, robot, period_s).positions_rad[-1]
+    down = np.array(grasp.straight(planned.path_rad, there, arm, robot, period_s).positions_rad)
     T = forward_kinematics(robot.chain, down[:, : robot.chain.n])
     assert T[-1, :3, 3] == pytest.approx(point, abs=1e-6)
     assert T[0, :3, 3] == pytest.approx(np.add(point, (0.0, 0.0, 0.04)), abs=1e-5)
@@ -59,87 +64,77 @@ def test_the_tool_comes_down_a_straight_line_without_turning(name: str, point: t
 
 
 def test_along_the_tool_s_axis_it_comes_from_where_the_tool_points_away_from() -> None:
-    arm, robot, q_now = arm_and_robot()
-    planned = planned_to(POINT, q_now, arm, robot, off_m=0.03, along="tool")
-    T = forward_kinematics(robot.chain, planned.path_rad)
+    T = forward_kinematics(ROBOT.chain, path_to(off_m=0.03, along="tool"))
     assert T[0, :3, 3] == pytest.approx(T[-1, :3, 3] - 0.03 * T[-1, :3, 2], abs=1e-6)  # the hand is link 5, along z
 
 
 @pytest.mark.parametrize("method", get_args(Method))
 def test_every_method_reaches_the_same_point(method: Method) -> None:
-    arm, robot, q_now = arm_and_robot()
-    planned = planned_to(POINT, q_now, arm, robot, ik=method, seed=3)
-    assert tool_position(robot.chain, planned.path_rad[-1]) == pytest.approx(POINT, abs=1e-6)
+    assert tool_position(ROBOT.chain, path_to(ik=method, seed=3)[-1]) == pytest.approx(POINT, abs=1e-6)
 
 
 @pytest.mark.parametrize(("x", "away_m"), [(0.60, 0.184), (1.0, 0.584)])
 def test_a_point_out_of_reach_is_told_with_its_exact_distance(x: float, away_m: float) -> None:
-    arm, robot, q_now = arm_and_robot()  # 0.123 + 0.138 + 0.155 m from a shoulder 0.101 m high
-    with pytest.raises(UnreachableTarget) as caught:
-        planned_to((x, 0.0, 0.101), q_now, arm, robot)
+    with pytest.raises(UnreachableTarget) as caught:  # 0.123 + 0.138 + 0.155 m from a shoulder 0.101 m high
+        path_to((x, 0.0, 0.101))
     assert caught.value.least_error_m == pytest.approx(away_m, abs=1e-9)
 
 
-def test_a_point_below_the_floor_is_refused_before_anything_moves() -> None:
-    arm, robot, q_now = arm_and_robot()
-    with pytest.raises(RequestRefused, match="below the floor") as caught:
-        planned_to((0.2, 0.0, -0.02), q_now, arm, robot)
-    assert caught.value.code == "PREFLIGHT"
-
-
-def test_a_straight_way_that_leaves_the_reach_is_refused_with_what_is_left() -> None:
-    arm, robot, q_now = arm_and_robot()
-    with pytest.raises(RequestRefused, match="can back off from the point by") as caught:
-        planned_to((0.0, 0.1, 0.46), q_now, arm, robot, off_m=0.3)
+@pytest.mark.parametrize(
+    ("point", "match"),
+    [
+        ((0.2, 0.0, -0.02), "below the floor"),
+        # The straight way leaves the reach: the message tells what is left of it.
+        ((0.0, 0.1, 0.46), "can back off from the point by"),
+    ],
+)
+def test_a_point_that_cannot_be_come_to_is_refused_before_anything_moves(
+    point: tuple[float, float, float], match: str
+) -> None:
+    with pytest.raises(RequestRefused, match=match) as caught:
+        path_to(point, off_m=0.3)
     assert caught.value.code == "PREFLIGHT"
 
 
 def test_goals_move_by_what_the_encoders_lack_and_no_farther_than_a_blocked_joint_may_be() -> None:
-    arm, robot, q_now = arm_and_robot()
-    path = planned_to(POINT, q_now, arm, robot).path_rad
-    told = [*path[0].tolist(), q_now[5]]
-    sagging = np.array(told) - math.radians(1.5)
-    goal = grasp.align(path[0], told, sagging.tolist(), arm, robot, PERIOD_S).positions_rad[-1]
-    assert np.subtract(goal[:5], path[0]) == pytest.approx(math.radians(1.5))
-    assert goal[5] == told[5]
-    far = np.array(told) - math.radians(20.0)
-    goal = grasp.align(path[0], told, far.tolist(), arm, robot, PERIOD_S).positions_rad[-1]
-    assert np.subtract(goal[:5], path[0]) == pytest.approx(grasp.MOST_OFFSET_RAD)
+    begin = path_to()[0]
+    told = [*begin.tolist(), REST[5]]
+    for sag_rad, moved_rad in ((math.radians(1.5), math.radians(1.5)), (math.radians(20.0), grasp.MOST_OFFSET_RAD)):
+        measured = (np.array(told) - sag_rad).tolist()
+        goal = grasp.align(begin, told, measured, ARM, ROBOT, PERIOD_S).positions_rad[-1]
+        assert np.subtract(goal[:5], begin) == pytest.approx(moved_rad)
+        assert goal[5] == told[5]
 
 
 def test_a_gripper_closes_evenly_while_the_arm_stays() -> None:
-    arm, robot, q_now = arm_and_robot()
-    closing = grasp.closing(q_now, arm, robot, PERIOD_S)
+    closing = grasp.closing(*XIANG)
     rows = np.array(closing.positions_rad)
     assert closing.grip is not None
     assert (closing.grip.joint, closing.grip.load_ratio) == (5, 0.3)
     assert rows[-1, 5] == pytest.approx(math.radians(90.0))
-    assert (rows[:, :5] == np.array(q_now)[:5]).all()
+    assert (rows[:, :5] == np.array(REST)[:5]).all()
     assert peak_rates(rows, PERIOD_S)[0][5] <= grasp.CLOSING_RAD_S * 1.001
-    opened = grasp.opening(rows[-1].tolist(), arm, robot, PERIOD_S)
+    opened = grasp.opening(rows[-1].tolist(), ARM, ROBOT, PERIOD_S)
     assert opened.grip is None
-    assert opened.positions_rad[-1] == pytest.approx(q_now)
+    assert opened.positions_rad[-1] == pytest.approx(REST)
 
 
 def test_an_arm_without_a_gripper_says_which_joints_it_has_instead() -> None:
-    arm, robot, q_now = arm_and_robot("ax12-line")
     with pytest.raises(RequestRefused, match=r"no gripper.*roll") as caught:
-        grasp.closing(q_now, arm, robot, PERIOD_S)
+        grasp.closing(*where_of("ax12-line"))
     assert caught.value.code == "NO_GRIPPER"
 
 
 def test_a_joint_that_moves_the_tool_is_no_gripper() -> None:
-    arm, robot, q_now = arm_and_robot()
-    assert arm.gripper is not None
-    wrong = arm.model_copy(update={"gripper": arm.gripper.model_copy(update={"joint": "elbow"})})
+    assert ARM.gripper is not None
+    wrong = ARM.model_copy(update={"gripper": ARM.gripper.model_copy(update={"joint": "elbow"})})
     with pytest.raises(RequestRefused, match="elbow moves the tool point"):
-        grasp.closing(q_now, wrong, robot, PERIOD_S)
+        grasp.closing(REST, wrong, ROBOT, PERIOD_S)
 
 
 def test_a_gripper_never_pushes_so_far_that_it_counts_as_blocked() -> None:
-    arm, _, _ = arm_and_robot()
-    assert arm.gripper is not None
-    slope_tick = arm.joints[5].compliance.slope
-    behind_rad = (1 + arm.gripper.load_ratio * slope_tick) * ax12a.TICK_RAD
+    assert ARM.gripper is not None
+    slope_tick = ARM.joints[5].compliance.slope
+    behind_rad = (1 + ARM.gripper.load_ratio * slope_tick) * ax12a.TICK_RAD
     step_rad = grasp.CLOSING_RAD_S * PERIOD_S  # of the one goal that was under way when the load came
     assert behind_rad + step_rad < math.radians(8.0)

@@ -1,5 +1,6 @@
 import json
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from armctl.config import ArmConfig
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.plan import (
     DWELL_S,
     LEAD_RAD,
@@ -52,6 +54,11 @@ def make_plan(**changes: Any) -> Plan:
 def reasons_for(arm: ArmConfig, plan: Plan | None = None, q_now: list[float] = REST) -> tuple[str, ...]:
     plan = plan or make_plan()
     return preflight(plan.model_copy(update={"calibration_hash": arm.calibration_hash}), arm, ROBOT, q_now)
+
+
+def the_reason(arm: ArmConfig = ARM, plan: Plan | None = None, q_now: list[float] = REST) -> str:
+    (reason,) = reasons_for(arm, plan, q_now)
+    return reason
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.sampled_from(["linear", "cubic"]))
@@ -104,16 +111,11 @@ def test_a_wrong_plan_is_refused_naming_the_key(key: str, value: object, match: 
         ("[]", "line.plan"),
         ('{"seed": 1, "seed": 2}', "seed: the key stands twice"),
         ("{}", "arm_id: Field required"),
+        ('{"duration_s": 1e999}', r"duration_s: .*finite"),
     ],
 )
 def test_text_that_is_no_plan_is_refused(text: str, match: str) -> None:
     with pytest.raises(ConfigError, match=match):
-        plan_from_text(text, "line.plan")
-
-
-def test_huge_numbers_in_the_text_are_refused_as_infinite() -> None:
-    text = plan_to_text(make_plan()).replace('"duration_s": 5.0', '"duration_s": 1e999')
-    with pytest.raises(ConfigError, match=r"duration_s: .*finite"):
         plan_from_text(text, "line.plan")
 
 
@@ -188,19 +190,17 @@ def test_a_clock_that_adds_up_ticks_finds_the_begin_and_the_end_on_their_ticks(t
 
 
 def test_the_approach_keeps_slower_joints_and_the_tool_within_their_limits() -> None:
-    q_now = LINE[0].copy()
-    q_now[0] += 0.3
-    usual = joint_trajectory(make_plan(), ARM, q_now.tolist(), 0.01)
-    slow = joint_trajectory(make_plan(), changed(ARM, 0, speed_limit_deg_s=5.0), q_now.tolist(), 0.01)
-    gentle = joint_trajectory(make_plan(), changed(ARM, 0, acceleration_limit_deg_s2=2.0), q_now.tolist(), 0.01)
-    crawling = joint_trajectory(make_plan(), changed(ARM, tool_speed_limit_m_s=0.01), q_now.tolist(), 0.01)
-    for trajectory in (slow, gentle, crawling):
-        assert trajectory.begin_s > usual.begin_s
-    q = np.array(slow.positions_rad)[: int(slow.begin_s * 100)]
-    assert np.degrees(np.abs(np.diff(q, axis=0)).max()) * 100.0 <= 5.0 + 1e-6
-    q = np.array(gentle.positions_rad)[: int(gentle.begin_s * 100)]
-    assert np.degrees(np.abs(np.diff(q, 2, axis=0)).max()) * 1e4 <= 2.0 + 1e-3
-    tool = tool_position(ROBOT.chain, np.array(crawling.positions_rad)[: int(crawling.begin_s * 100), :5])
+    def approach(arm: ArmConfig) -> FloatArray:
+        trajectory = joint_trajectory(make_plan(), arm, [LINE[0, 0] + 0.3, *LINE[0, 1:]], 0.01)
+        return np.array(trajectory.positions_rad)[: int(trajectory.begin_s * 100)]
+
+    slow = approach(changed(ARM, 0, speed_limit_deg_s=5.0))
+    gentle = approach(changed(ARM, 0, acceleration_limit_deg_s2=2.0))
+    crawling = approach(changed(ARM, tool_speed_limit_m_s=0.01))
+    assert min(map(len, (slow, gentle, crawling))) > len(approach(ARM))
+    assert np.degrees(np.abs(np.diff(slow, axis=0)).max()) * 100.0 <= 5.0 + 1e-6
+    assert np.degrees(np.abs(np.diff(gentle, 2, axis=0)).max()) * 1e4 <= 2.0 + 1e-3
+    tool = tool_position(ROBOT.chain, crawling[:, :5])
     assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() * 100.0 <= 0.01
 
 
@@ -224,50 +224,41 @@ def test_a_sound_plan_may_run_from_the_rest_pose(interpolation: str) -> None:
 
 
 def test_a_plan_of_another_arm_or_calibration_may_not_run() -> None:
-    (reason,) = preflight(make_plan(arm_id="other"), ARM, ROBOT, REST)
-    assert "arm 'other', this is 'ax12-line'" in reason
+    assert "arm 'other', this is 'ax12-line'" in the_reason(plan=make_plan(arm_id="other"))
     (reason,) = preflight(make_plan(calibration_hash="0000"), ARM, ROBOT, REST)
     assert "calibration 0000" in reason
 
 
 def test_a_plan_of_fewer_joints_may_not_run() -> None:
     rows = tuple(tuple(row[:5]) for row in make_plan().waypoints_rad)
-    (reason,) = preflight(make_plan(waypoints_rad=rows), ARM, ROBOT, REST)
-    assert "moves 5 joints, the arm has 6" in reason
+    assert "moves 5 joints, the arm has 6" in the_reason(plan=make_plan(waypoints_rad=rows))
 
 
-def test_limits_are_named_with_joint_value_and_bound() -> None:
-    (reason,) = reasons_for(changed(ARM, 1, limits_deg=(-10, 100), rest_deg=90), q_now=LINE[0].tolist())
+def test_limits_tool_speed_and_floor_are_watched_over_the_whole_motion_with_value_and_bound() -> None:
+    reason = the_reason(changed(ARM, 1, limits_deg=(-10, 100), rest_deg=90), q_now=LINE[0].tolist())
     assert "shoulder would go to 108.7 deg, outside its limits -10.0 to 100.0 deg" in reason
-    (reason,) = reasons_for(ARM, q_now=[math.radians(-147.0), *REST[1:]])
+    reason = the_reason(q_now=[math.radians(-147.0), *REST[1:]])
     assert "base stands at -147.0 deg, outside its limits -145.0 to 145.0 deg" in reason
+    reason = the_reason(changed(ARM, tool_speed_limit_m_s=0.03))
+    assert re.search(r"the tool would reach 0\.06\d m/s, at most 0\.030 m/s", reason)
+    reason = the_reason(changed(ARM, floor_m=0.105), q_now=LINE[0].tolist())
+    assert re.search(r"come down to 0\.(09|10)\d m, .*floor at 0\.105 m", reason)
 
 
 def test_half_a_tick_outside_a_limit_is_rounding() -> None:
     assert reasons_for(ARM, q_now=[math.radians(-145.1), *REST[1:]]) == ()
 
 
-def test_joint_speed_and_acceleration_name_a_duration_that_suffices() -> None:
-    arm = changed(ARM, 0, speed_limit_deg_s=15.0)
-    (reason,) = reasons_for(arm)
-    assert "base would reach" in reason
-    assert "at most 15.0 deg/s" in reason
+@pytest.mark.parametrize(
+    ("limit", "bound", "unit"),
+    [("speed_limit_deg_s", 15.0, "deg/s"), ("acceleration_limit_deg_s2", 20.0, "deg/s2")],
+)
+def test_joint_speed_and_acceleration_name_a_duration_that_suffices(limit: str, bound: float, unit: str) -> None:
+    arm = changed(ARM, 0, **{limit: bound})
+    reason = the_reason(arm)
+    assert re.search(rf"base would reach .*at most {bound} {unit};", reason)
     needed_s = float(reason.split("duration of ")[1].split(" s")[0])
     assert reasons_for(arm, make_plan(duration_s=needed_s + 0.1)) == ()
-    arm = changed(ARM, 0, acceleration_limit_deg_s2=20.0)
-    (reason,) = reasons_for(arm)
-    assert "at most 20.0 deg/s2" in reason
-    needed_s = float(reason.split("duration of ")[1].split(" s")[0])
-    assert reasons_for(arm, make_plan(duration_s=needed_s + 0.1)) == ()
-
-
-def test_tool_speed_and_floor_are_watched_over_the_whole_motion() -> None:
-    (reason,) = reasons_for(changed(ARM, tool_speed_limit_m_s=0.03))
-    assert "the tool would reach 0.06" in reason
-    assert "at most 0.030 m/s" in reason
-    (reason,) = reasons_for(changed(ARM, floor_m=0.105), q_now=LINE[0].tolist())
-    assert "come down to 0.09" in reason or "come down to 0.10" in reason
-    assert "floor at 0.105 m" in reason
 
 
 def test_every_reason_is_told_at_once() -> None:

@@ -11,7 +11,7 @@ from armctl.errors import UnreachableTarget
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rpy_from_matrix
+from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from armctl.trajectory.target import joints_at
 
 ARM = load_arm("ax12-line")
@@ -59,7 +59,7 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(ROBOT.chain, wanted)
-    found = joints_at(pose_from_xyz_rpy(*T[:3, 3], *rpy_from_matrix(T[:3, :3])), NOW, ARM, ROBOT)
+    found = joints_at(T, NOW, ARM, ROBOT)
     assert forward_kinematics(ROBOT.chain, np.array(found[:N])) == pytest.approx(T, abs=1e-3)
 
 
