@@ -112,7 +112,7 @@ def forward(seed: int, poses: int, rounds: int) -> dict[str, Any]:
     """Forward kinematics: poses a second."""
     chain = robots.get("puma560").chain
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (poses, 6))
-    ets, pin = _toolbox(chain).ets(), _Pinocchio(chain)
+    ets, pin = toolbox(chain).ets(), Pinocchio(chain)
     work: dict[str, Callable[[], Any]] = {
         "armctl, batch": lambda: forward_kinematics(chain, q),
         f"{TOOLBOX} (C++), batch": lambda: ets.eval(q),
@@ -141,7 +141,7 @@ def _time(solver: _Solver, chain: SerialChain, T: FloatArray) -> None:
 def _solvers(robot: Robot, seed: int) -> list[_Solver]:
     chain, form = robot.chain, robot.closed_form
     assert isinstance(form, SphericalWrist)  # which has a form for one pose in plain floats
-    toolbox, ets, pin = _toolbox(chain), _toolbox(chain).ets(), _Pinocchio(chain)
+    own, ets, pin = toolbox(chain), toolbox(chain).ets(), Pinocchio(chain)
     analytic = _analytic(chain)
     limits = robot.limits_rad
 
@@ -161,8 +161,8 @@ def _solvers(robot: Robot, seed: int) -> list[_Solver]:
         return np.array([ets.ik_LM(one, tol=1e-14, **options).q for one in T])
 
     def lm_python(T: FloatArray) -> FloatArray:
-        own = starts(seed)
-        return np.array([toolbox.ikine_LM(one, tol=1e-14, seed=int(own.integers(2**31))).q for one in T])
+        rng = starts(seed)
+        return np.array([own.ikine_LM(one, tol=1e-14, seed=int(rng.integers(2**31))).q for one in T])
 
     return [
         _Solver("armctl, closed form, batch", all_branches),
@@ -179,11 +179,15 @@ def _solvers(robot: Robot, seed: int) -> list[_Solver]:
     ]
 
 
-def _toolbox(chain: SerialChain) -> Any:
+def toolbox(chain: SerialChain) -> Any:
+    """A chain as a robot of roboticstoolbox."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import roboticstoolbox
-    return roboticstoolbox.DHRobot([roboticstoolbox.RevoluteDH(d=r.d, a=r.a, alpha=r.alpha) for r in chain.rows])
+        import spatialmath
+    link = roboticstoolbox.RevoluteDH if chain.convention == "standard" else roboticstoolbox.RevoluteMDH
+    rows = [link(d=row.d, a=row.a, alpha=row.alpha, offset=row.offset) for row in chain.rows]
+    return roboticstoolbox.DHRobot(rows, tool=spatialmath.SE3(chain.tool_m, 0.0, 0.0))
 
 
 def _analytic(chain: SerialChain) -> Callable[[FloatArray], FloatArray]:
@@ -204,32 +208,39 @@ def _analytic(chain: SerialChain) -> Callable[[FloatArray], FloatArray]:
     return solve
 
 
-class _Pinocchio:
-    """The chain as a pinocchio model, standard convention."""
+class Pinocchio:
+    """A chain as a pinocchio model: one revolute joint a row, one frame for the tool."""
 
     def __init__(self, chain: SerialChain) -> None:
         import pinocchio
 
-        self._pin = pinocchio
-        self._model = pinocchio.Model()
+        self.pin, self.model = pinocchio, pinocchio.Model()
+
+        def turn(axis: str, angle: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Any:
+            return pinocchio.SE3(pinocchio.utils.rotate(axis, angle), np.array(shift))
+
+        modified = chain.convention == "modified"
         place, parent = pinocchio.SE3.Identity(), 0
         for i, dh in enumerate(chain.rows):
-            parent = self._model.addJoint(parent, pinocchio.JointModelRZ(), place, f"joint {i + 1}")
-            c, s = math.cos(dh.alpha), math.sin(dh.alpha)
-            twist = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-            place = pinocchio.SE3(twist, np.array([dh.a, 0.0, dh.d]))
-        self._tool = self._model.addFrame(pinocchio.Frame("tool", parent, 0, place, pinocchio.FrameType.OP_FRAME))
-        self._data = self._model.createData()
+            twist, along = turn("x", dh.alpha, (dh.a, 0.0, 0.0)), turn("z", 0.0, (0.0, 0.0, dh.d))
+            if modified:
+                place = place * twist
+            turned = place * turn("z", dh.offset)
+            parent = self.model.addJoint(parent, pinocchio.JointModelRZ(), turned, f"joint {i + 1}")
+            place = along if modified else along * twist
+        place = place * turn("z", 0.0, (chain.tool_m, 0.0, 0.0))
+        self.tool = self.model.addFrame(pinocchio.Frame("tool", parent, 0, place, pinocchio.FrameType.OP_FRAME))
+        self.data = self.model.createData()
 
     def forward(self, q: FloatArray) -> Any:
-        self._pin.forwardKinematics(self._model, self._data, q)
-        return self._pin.updateFramePlacement(self._model, self._data, self._tool)
+        self.pin.forwardKinematics(self.model, self.data, q)
+        return self.pin.updateFramePlacement(self.model, self.data, self.tool)
 
     def inverse(self, T: FloatArray, rng: np.random.Generator) -> FloatArray:
-        return np.array([self._one(self._pin.SE3(pose), rng) for pose in T])
+        return np.array([self._one(self.pin.SE3(pose), rng) for pose in T])
 
     def _one(self, wanted: Any, rng: np.random.Generator) -> FloatArray:
-        pin, model, data, tool = self._pin, self._model, self._data, self._tool
+        pin, model, data, tool = self.pin, self.model, self.data, self.tool
         q = np.zeros(6)
         for _ in range(40):
             q = rng.uniform(-np.pi, np.pi, 6)
