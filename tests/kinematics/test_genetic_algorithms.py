@@ -11,15 +11,9 @@ from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.genetic import chromosomes, improved, plain
+from armctl.kinematics.genetic import problem as problems
 from armctl.kinematics.genetic.chromosomes import Coding, Streams
-from armctl.kinematics.genetic.problem import (
-    Evolution,
-    Problem,
-    behind_the_waist,
-    moving,
-    points_problem,
-    poses_problem,
-)
+from armctl.kinematics.genetic.problem import Evolution, Problem, points_problem
 from armctl.kinematics.genetic.solve import POSITION_WEIGHT, solve
 from armctl.kinematics.inverse import pose_errors
 from armctl.kinematics.robots.puma560 import WANTED_XYZ_RPY
@@ -28,6 +22,7 @@ from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 
 XIANG, PUMA = robots.get("xiang-6dof"), robots.get("puma560")
 POINTS = np.array([[0.20, 0.25, 0.30], [0.30, 0.25, 0.20], [0.25, -0.22, 0.10], [-0.2, 0.1, 0.2]])
+CODING = Coding(PUMA.limits_rad, 20, gray=True)
 WANTED = pose_from_xyz_rpy(*WANTED_XYZ_RPY)
 SHORT = replace(plain.PAPER, generations=40)
 SHORT_IMPROVED = replace(
@@ -42,7 +37,7 @@ def points(targets: FloatArray = POINTS) -> Problem:
 
 def poses(count: int) -> Problem:
     T = np.repeat(WANTED[None], count, axis=0)
-    return poses_problem(PUMA.chain, T, PUMA.limits_rad, POSITION_WEIGHT)
+    return problems.poses_problem(PUMA.chain, T, PUMA.limits_rad, POSITION_WEIGHT)
 
 
 def test_the_published_settings_are_the_printed_ones() -> None:
@@ -60,16 +55,16 @@ def test_error_of_a_pose_is_eq_4_and_of_a_point_the_squared_distance() -> None:
 
 
 def test_only_joints_that_move_the_tool_are_searched() -> None:
-    assert moving(XIANG.chain) == (0, 1, 2, 3)
+    assert problems.moving(XIANG.chain) == (0, 1, 2, 3)
     assert points().free == (0, 1, 2, 3)
-    assert behind_the_waist(points()).free == (1, 2, 3)
+    assert problems.behind_the_waist(points()).free == (1, 2, 3)
     present = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
     held = points_problem(XIANG.chain, POINTS, XIANG.limits_rad, present)
     assert (plain.evolve(held, SHORT, [0, 1, 2, 3]).q_rad[:, 4] == 0.5).all()
 
 
 def test_the_waist_by_eq_12_faces_the_target() -> None:
-    problem = behind_the_waist(points())
+    problem = problems.behind_the_waist(points())
     np.testing.assert_allclose(problem.base_rad[:, 0], np.arctan2(POINTS[:, 1], POINTS[:, 0]), atol=1e-12)
     found = tool_position(XIANG.chain, plain.evolve(problem, plain.PAPER, [0, 1, 2, 3]).q_rad)
     cross = found[:, 0] * POINTS[:, 1] - found[:, 1] * POINTS[:, 0]
@@ -104,13 +99,12 @@ def test_one_seed_a_target_is_asked_for(evolve: Callable[..., Evolution], short:
 
 
 def test_niches_hold_who_is_near_their_head_and_heads_are_the_best_left() -> None:
-    coding = Coding(PUMA.limits_rad, 20, gray=True)
-    words = chromosomes.random_words(coding, Streams([0, 1]).uniform(30, 6))
+    words = chromosomes.random_words(CODING, Streams([0, 1]).uniform(30, 6))
     words[:, 10:20] = words[:, :1] ^ np.uint32(1)  # a crowd beside the first individual
     cost = np.random.default_rng(3).uniform(1.0, 2.0, (2, 30))
     cost[:, 0] = 0.5
-    parted = improved.part(coding, words, cost, improved.DEFAULT)
-    radius = improved.DEFAULT.niche_radius * coding.length
+    parted = improved.part(CODING, words, cost, improved.DEFAULT)
+    radius = improved.DEFAULT.niche_radius * CODING.length
     for run in range(2):
         assert parted.heads[run, 0] == 0
         assert (parted.niche[run, 10:20] == 0).all()
@@ -119,7 +113,7 @@ def test_niches_hold_who_is_near_their_head_and_heads_are_the_best_left() -> Non
             members = np.flatnonzero(parted.niche[run] == one)
             assert cost[run, head] == cost[run, members].min()
             assert (chromosomes.hamming(words[run, members], words[run, head]) <= radius).all()
-    shared = improved.shared_fitness(coding, cost, parted, improved.DEFAULT)
+    shared = improved.shared_fitness(CODING, cost, parted, improved.DEFAULT)
     plain_fitness = plain.fitness(cost)
     assert (shared <= plain_fitness).all()
     for run in range(2):
@@ -127,22 +121,20 @@ def test_niches_hold_who_is_near_their_head_and_heads_are_the_best_left() -> Non
 
 
 def test_a_copy_of_a_head_gives_up_more_fitness_than_a_distant_member() -> None:
-    coding = Coding(PUMA.limits_rad, 20, gray=True)
     words = np.zeros((1, 4, 6), dtype=np.uint32)
     words[0, 2] = 1  # six bits away
     cost = np.array([[1.0, 1.0, 1.0, 4.0]])
-    parted = improved.part(coding, words, cost, replace(improved.DEFAULT, niches=1))
+    parted = improved.part(CODING, words, cost, replace(improved.DEFAULT, niches=1))
     settings = replace(improved.DEFAULT, niches=1, sharing=2.0)
-    head, copy, distant, _ = improved.shared_fitness(coding, cost, parted, settings)[0].tolist()
+    head, copy, distant, _ = improved.shared_fitness(CODING, cost, parted, settings)[0].tolist()
     assert head == distant == 1.0
     assert copy == pytest.approx(1.0 - 2.0 * 6.0 / 120.0)
 
 
 def test_everybody_in_one_niche_leaves_the_best_as_every_head() -> None:
-    coding = Coding(PUMA.limits_rad, 20, gray=True)
     words = np.zeros((1, 5, 6), dtype=np.uint32)
     cost = np.array([[3.0, 2.0, 1.0, 2.0, 3.0]])
-    parted = improved.part(coding, words, cost, improved.DEFAULT)
+    parted = improved.part(CODING, words, cost, improved.DEFAULT)
     assert parted.heads.tolist() == [[2, 2, 2, 2]]
     assert (parted.niche == 0).all()
 
@@ -206,6 +198,8 @@ def test_solve_tells_a_target_out_of_reach_with_the_exact_distance() -> None:
         (lambda: plain.Settings(mutation_probability=1.5), "mutation_probability"),
         (lambda: improved.Settings(populations=0), "populations"),
         (lambda: improved.Settings(niches=61), "niches: 61 is outside 1 to 60"),
+        (lambda: Coding(PUMA.limits_rad, 0), "bits: 0 is outside 1 to 32"),
+        (lambda: Coding(PUMA.limits_rad, 33), "bits: 33 is outside 1 to 32"),
     ],
 )
 def test_settings_out_of_bounds_are_refused(change: Callable[[], object], message: str) -> None:

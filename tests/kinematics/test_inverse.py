@@ -32,20 +32,15 @@ def test_out_of_reach_is_refused_with_the_least_distance() -> None:
     assert caught.value.least_error_m == pytest.approx(0.12, abs=1e-5)
 
 
-def test_a_start_outside_the_limits_is_clipped_to_them() -> None:
-    q = solve_position(
-        CHAIN, np.array([0.18, 0.0, 0.1]), np.array([4.0, 1.9, -1.6, -0.9, 5.0]) * [0, 1, 1, 1, 1], LIMITS
-    )
-    assert q[4] <= LIMITS[4, 1]
-    np.testing.assert_allclose(tool_position(CHAIN, q), [0.18, 0.0, 0.1], atol=1e-9)
-
-
-def test_a_joint_at_its_limit_leaves_the_work_to_the_others() -> None:
-    limits = LIMITS.copy()
-    limits[4] = [0.0, 1e-12]
-    q = solve_position(CHAIN, np.array([0.2, 0.1, 0.12]), np.array([0.3, 1.6, -1.5, -0.8, 0.0]), limits)
-    assert abs(q[4]) <= 1e-12
-    np.testing.assert_allclose(tool_position(CHAIN, q), [0.2, 0.1, 0.12], atol=1e-9)
+@pytest.mark.parametrize("last_rad", [tuple(LIMITS[4]), (0.0, 1e-12)])
+def test_a_joint_at_its_limit_leaves_the_work_to_the_others_and_a_start_beyond_it_is_clipped(
+    last_rad: tuple[float, float],
+) -> None:
+    limits = np.array([*LIMITS[:4], last_rad])
+    target = np.array([0.18, 0.0, 0.1])
+    q = solve_position(CHAIN, target, np.array([0.0, 1.9, -1.6, -0.9, 5.0]), limits)
+    assert last_rad[0] <= q[4] <= last_rad[1]
+    np.testing.assert_allclose(tool_position(CHAIN, q), target, atol=1e-9)
 
 
 @given(st.sampled_from(robots.names()), st.integers(0, 2**32 - 1))

@@ -56,7 +56,7 @@ def test_a_lever_is_how_far_a_joint_moves_the_tool_across_the_line() -> None:
         (hand.A, hand.B, 0.0, "duration"),
         ((0.6, 0.0, 0.1), (0.18, 0.1, 0.1), 5.0, r"A \(0.600,0.000,0.100\) m is .* mm out of reach; the nearest point"),
         (hand.A, hand.B, 0.6, r"give \d+\.\d s or more"),
-        ((0.0, 0.2, 0.1), (0.0, -0.2, 0.1), 5.0, "both ends can be reached"),
+        ((-0.15, 0.1, 0.1), (0.25, 0.1, 0.1), 5.0, "both ends can be reached"),
     ],
 )
 def test_a_line_that_cannot_be_followed_is_refused_with_what_would_do(
