@@ -8,10 +8,21 @@ from armctl.kinematics.chain import SerialChain, forward_kinematics
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 
+X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
 
 @pytest.fixture(params=robots.names(), scope="session")
 def robot(request: pytest.FixtureRequest) -> Robot:
     return robots.get(request.param)
+
+
+def turn(axis: tuple[float, float, float], angle: float) -> FloatArray:
+    """Transform that turns about an axis through the origin, a unit vector (Rodrigues), shape (4, 4)."""
+    x, y, z = axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    T = np.eye(4)
+    T[:3, :3] += np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
+    return T
 
 
 def turned(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from armctl.kinematics.chain import BLOCK, DHRow, SerialChain, forward_kinematic
 from armctl.kinematics.chain import tool_position as tool
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_columns, quaternion_from_matrix
+from tests.kinematics.conftest import X, Z, turn
 
 length = st.floats(-0.5, 0.5)
 alpha = st.one_of(st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
@@ -22,14 +23,6 @@ chains = st.builds(
 seeds = st.integers(0, 2**32 - 1)
 
 
-def rotation_z(t: float) -> FloatArray:
-    return np.array([[math.cos(t), -math.sin(t), 0, 0], [math.sin(t), math.cos(t), 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-
-
-def rotation_x(t: float) -> FloatArray:
-    return np.array([[1, 0, 0, 0], [0, math.cos(t), -math.sin(t), 0], [0, math.sin(t), math.cos(t), 0], [0, 0, 0, 1.0]])
-
-
 def translation(x: float, z: float) -> FloatArray:
     T = np.eye(4)
     T[0, 3], T[2, 3] = x, z
@@ -40,11 +33,10 @@ def frames_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
     """The base, every link frame, and the tool if it is another."""
     frames = [np.eye(4)]
     for r, angle in zip(chain.rows, q, strict=True):
-        turn = rotation_z(angle + r.offset) @ translation(0.0, r.d)
-        twist = translation(r.a, 0.0) @ rotation_x(r.alpha)
-        if chain.convention == "modified":
-            turn, twist = rotation_x(r.alpha) @ translation(r.a, 0.0), turn
-        frames.append(frames[-1] @ turn @ twist)
+        about_z = turn(Z, angle + r.offset) @ translation(0.0, r.d)
+        about_x = translation(r.a, 0.0) @ turn(X, r.alpha)
+        standard = chain.convention == "standard"
+        frames.append(frames[-1] @ (about_z @ about_x if standard else about_x @ about_z))
     tool = [frames[-1] @ translation(chain.tool_m, 0.0)] if chain.tool_m else []
     return np.array(frames + tool)
 

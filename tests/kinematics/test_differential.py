@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armctl.kinematics import differential, robots
-from armctl.kinematics.chain import forward_kinematics, jacobian, tool_position
+from armctl.kinematics.chain import forward_kinematics, jacobian
 from armctl.kinematics.differential import MOST_DAMPING, dexterity, jacobian_rate, joint_rates, tool_velocity
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, rotation_error
@@ -39,17 +39,16 @@ def test_jacobian_rate_is_the_derivative_of_the_jacobian(robot: Robot) -> None:
 
 def test_rank_and_manipulability_tell_a_singular_arm() -> None:
     chain = robots.get("transfer-6dof").chain
-    free = dexterity(jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, 0.7, 0.3])))
-    assert free.rank == 6
     J = jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, 0.7, 0.3]))
+    free = dexterity(J)
+    assert free.rank == 6
     assert free.manipulability == pytest.approx(math.sqrt(np.linalg.det(J @ J.T)), rel=1e-9)
     straight = dexterity(jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, 0.0, 0.3])))
     assert straight.rank == 5
     assert straight.manipulability < 1e-15
     flat = jacobian(robots.get("lanzhou-4dof").chain, np.zeros(4))
-    assert dexterity(flat).manipulability == pytest.approx(
-        math.sqrt(max(0.0, float(np.linalg.det(flat.T @ flat)))), abs=1e-12
-    )
+    volume = math.sqrt(max(0.0, float(np.linalg.det(flat.T @ flat))))
+    assert dexterity(flat).manipulability == pytest.approx(volume, abs=1e-12)
     assert dexterity(np.zeros((6, 2))).rank == 0
 
 
@@ -67,4 +66,3 @@ def test_joint_rates_stay_bounded_at_a_singularity() -> None:
         J = jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, bend, 0.3]))
         for axis in np.eye(6):
             assert np.linalg.norm(joint_rates(J, axis)) < 1.0 / (2.0 * MOST_DAMPING) + 1.0 / 0.05
-    assert tool_position(chain, np.zeros(6)).shape == (3,)

@@ -7,16 +7,13 @@ from hypothesis import strategies as st
 
 from armctl.kinematics import transform
 from armctl.kinematics.transform import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix, rpy_from_matrix
+from tests.kinematics.conftest import X, Y, Z, turn
 
 angle = st.floats(-math.pi, math.pi)
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> transform.FloatArray:
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    Rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return np.asarray(Rz @ Ry @ Rx)
+    return np.asarray((turn(Z, yaw) @ turn(Y, pitch) @ turn(X, roll))[:3, :3])
 
 
 @given(angle, angle, angle)
@@ -56,15 +53,15 @@ def test_half_turns_have_a_quaternion(axis: int) -> None:
 
 
 @given(angle, angle, angle, st.floats(0.0, math.pi))
-def test_rotation_vector_is_axis_times_angle(x: float, y: float, z: float, turn: float) -> None:
+def test_rotation_vector_is_axis_times_angle(x: float, y: float, z: float, angle_rad: float) -> None:
     axis = np.array([x, y, z + 4.0])
     axis /= np.linalg.norm(axis)
-    half = math.sin(turn / 2.0)
-    R = matrix_from_quaternion((axis[0] * half, axis[1] * half, axis[2] * half, math.cos(turn / 2.0)))
+    half = math.sin(angle_rad / 2.0)
+    R = matrix_from_quaternion((axis[0] * half, axis[1] * half, axis[2] * half, math.cos(angle_rad / 2.0)))
     found = transform.rotation_vector(R)
-    if turn > math.pi - 1e-6:
+    if angle_rad > math.pi - 1e-6:
         found = found * np.sign(found @ axis)  # half a turn either way is the same
-    np.testing.assert_allclose(found, axis * turn, atol=1e-7 if turn > 3.0 else 1e-12)
+    np.testing.assert_allclose(found, axis * angle_rad, atol=1e-7 if angle_rad > 3.0 else 1e-12)
 
 
 def test_rotation_error_turns_one_rotation_into_the_other() -> None:

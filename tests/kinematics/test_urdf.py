@@ -4,7 +4,6 @@ import math
 from xml.etree import ElementTree
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +13,7 @@ from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, link
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from armctl.kinematics.urdf import BASE, TOOL, fixed_frames, moving_frames, moving_links, urdf
+from tests.kinematics.conftest import turn
 
 ARM = load_arm("ax12-line")
 LINE = robots.get(ARM.robot)
@@ -34,14 +34,6 @@ def _transform(xyz: str, rpy: str) -> FloatArray:
     return pose_from_xyz_rpy(*map(float, xyz.split()), *map(float, rpy.split()))
 
 
-def _rotation(axis: str, angle: float) -> FloatArray:
-    x, y, z = (float(word) for word in axis.split())
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    T = np.eye(4)
-    T[:3, :3] += math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
-    return T
-
-
 def poses(text: str, q: dict[str, float]) -> dict[str, FloatArray]:
     """Pose of every link in the base frame, as a URDF reader computes them."""
     found = {BASE: np.eye(4)}
@@ -49,30 +41,23 @@ def poses(text: str, q: dict[str, float]) -> dict[str, FloatArray]:
         parts = {part.tag: part.attrib for part in joint}
         T = found[parts["parent"]["link"]] @ _transform(**parts["origin"])
         if joint.attrib["type"] == "revolute":
-            T = T @ _rotation(parts["axis"]["xyz"], q[joint.attrib["name"]])
+            x, y, z = map(float, parts["axis"]["xyz"].split())
+            T = T @ turn((x, y, z), q[joint.attrib["name"]])
         found[parts["child"]["link"]] = T
     return found
 
 
-@pytest.mark.parametrize("robot", [LINE, MODIFIED, STANDARD], ids=lambda robot: robot.name)
-def test_urdf_link_frames_are_the_denavit_hartenberg_frames(robot: Robot) -> None:
-    text = urdf(ARM, robot)
-
-    @settings(max_examples=30)
-    @given(ANGLES)
-    def check(q: FloatArray) -> None:
-        found = poses(text, dict(zip(ARM.joint_names, q.tolist(), strict=True)))
-        n = robot.chain.n
-        frames = link_frames(robot.chain, q[:n])
-        for link, T in zip(moving_links(ARM)[:n], frames[1:], strict=True):
-            np.testing.assert_allclose(found[link], T, atol=1e-12)
-        np.testing.assert_allclose(found[TOOL], forward_kinematics(robot.chain, q[:n]), atol=1e-12)
-        for link, T in zip(moving_links(ARM), moving_frames(ARM, robot, q), strict=True):
-            np.testing.assert_allclose(found[link], T, atol=1e-12)
-        for parent, child, T in fixed_frames(ARM, robot):
-            np.testing.assert_allclose(found[child], found[parent] @ T, atol=1e-12)
-
-    check()
+@given(st.sampled_from([LINE, MODIFIED, STANDARD]), ANGLES)
+@settings(max_examples=90)
+def test_urdf_link_frames_are_the_denavit_hartenberg_frames(robot: Robot, q: FloatArray) -> None:
+    found = poses(urdf(ARM, robot), dict(zip(ARM.joint_names, q.tolist(), strict=True)))
+    n = robot.chain.n
+    moving = [*zip(moving_links(ARM)[:n], link_frames(robot.chain, q[:n])[1:], strict=True)]
+    moving += zip(moving_links(ARM), moving_frames(ARM, robot, q), strict=True)
+    for link, T in (*moving, (TOOL, forward_kinematics(robot.chain, q[:n]))):
+        np.testing.assert_allclose(found[link], T, atol=1e-12)
+    for parent, child, T in fixed_frames(ARM, robot):
+        np.testing.assert_allclose(found[child], found[parent] @ T, atol=1e-12)
 
 
 def test_every_link_has_a_frame_in_tf_or_tf_static() -> None:

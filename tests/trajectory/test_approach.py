@@ -7,13 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.files import load_arm
-from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.trajectory.approach import SHORTEST_APPROACH_S, approach_duration_s, approach_trajectory, lowest_link_m
+from tests.trajectory.conftest import ARM, ROBOT
 
-ARM = load_arm("ax12-line")
-ROBOT = robots.get(ARM.robot)
 PERIOD_S = 0.05
 POSES = st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints))
 

@@ -8,17 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.files import load_arm
-from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain
 from armctl.kinematics.spherical_wrist import poses_along
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points, segment_distance
+from tests.trajectory.conftest import ARM, CHAIN, LIMITS, REST
 
-ARM = load_arm("ax12-line")
-CHAIN = robots.get(ARM.robot, ARM.lengths_m).chain
 RADIUS_M = ARM.link_radius_m
-REST = np.array([joint.rest_rad for joint in ARM.joints[: CHAIN.n]])
 NUMBERS = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
 POINTS = st.tuples(NUMBERS, NUMBERS, NUMBERS).map(np.array)
 
@@ -62,8 +58,7 @@ def test_crossed_parallel_touching_and_pointlike_segments(ends: tuple[tuple[floa
 
 def test_mujoco_finds_the_same_gaps_between_the_links_of_random_poses() -> None:
     rng = np.random.default_rng(4)
-    low, high = np.array([joint.limits_rad for joint in ARM.joints[: CHAIN.n]]).T
-    points = link_points(CHAIN, rng.uniform(low, high, (200, CHAIN.n)))
+    points = link_points(CHAIN, rng.uniform(LIMITS[:, 0], LIMITS[:, 1], (200, CHAIN.n)))
     pairs = judged_pairs(points[0], RADIUS_M)
     ours = link_clearance(points, pairs, RADIUS_M)
     lengths = np.linalg.norm(np.diff(points[0], axis=0), axis=1)
@@ -99,13 +94,13 @@ def test_links_that_nothing_can_hold_apart_are_not_judged() -> None:
 
 
 def test_the_rest_pose_is_free_and_a_fold_onto_the_base_column_is_not() -> None:
-    rest, folded = link_points(CHAIN, np.stack([REST, np.radians([0.0, 100.0, -145.0, -110.0, 0.0])]))
+    rest, folded = link_points(CHAIN, np.stack([REST[: CHAIN.n], np.radians([0.0, 100.0, -145.0, -110.0, 0.0])]))
     pairs = judged_pairs(rest, RADIUS_M)
     assert link_clearance(rest, pairs, RADIUS_M).min() > 0.01
     assert link_clearance(folded, pairs, RADIUS_M).min() < 0.0
 
 
-@given(st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints[: CHAIN.n])), st.floats(-3.0, 3.0))
+@given(st.tuples(*(st.floats(low, high) for low, high in LIMITS.tolist())), st.floats(-3.0, 3.0))
 def test_turning_the_base_changes_no_gap_and_no_height(pose: tuple[float, ...], base_rad: float) -> None:
     here = link_points(CHAIN, np.array(pose))
     turned = link_points(CHAIN, np.array([base_rad, *pose[1:]]))

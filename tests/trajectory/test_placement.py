@@ -11,10 +11,9 @@ from armctl.trajectory.placement import StraightMotion, place
 from armctl.trajectory.straightness import distance_to_line, mean_error
 from armctl.trajectory.via_points import predict_tool_path
 from tests.genetic import hand
+from tests.trajectory.conftest import CHAIN, LIMITS
 
-CHAIN = hand.robot().chain
 LINE = hand.joint_line()
-LIMITS = np.array([joint.limits_rad for joint in hand.arm().joints])[: CHAIN.n]
 
 
 def motion(kind: Interpolation = "cubic", limits: np.ndarray = LIMITS, **wanted: Any) -> StraightMotion:
@@ -50,8 +49,7 @@ def test_without_points_in_between_the_tool_still_goes_from_a_to_b(turned_rad: f
 
 
 def test_what_is_predicted_is_what_the_interpolated_motion_does() -> None:
-    waypoints, knots = on_line(2)
-    placed = place(motion(), waypoints, knots)
+    placed = place(motion(), *on_line(2))
     q = joint_path(placed.waypoints, placed.knots, time_law(np.linspace(0.0, 1.0, 201)), "cubic")
     np.testing.assert_allclose(distance_to_line(tool_position(CHAIN, q), hand.A, hand.B), placed.distance_m, atol=1e-12)
 
@@ -71,10 +69,7 @@ def test_a_smooth_lag_is_made_up_for(seed: int) -> None:
 
 
 def test_the_maximum_as_objective_trades_mean_for_maximum() -> None:
-    waypoints, knots = on_line(1)
-    mean, worst = (
-        place(motion("linear", objective=objective), waypoints, knots).distance_m for objective in ("mean", "max")
-    )
+    mean, worst = (place(motion("linear", objective=way), *on_line(1)).distance_m for way in ("mean", "max"))
     assert worst.max() < mean.max()
     assert mean.mean() < worst.mean()
 
@@ -88,10 +83,8 @@ def test_a_joint_that_is_held_out_keeps_its_waypoints() -> None:
 
 
 def test_a_tool_seen_beside_its_encoders_place_is_brought_back() -> None:
-    waypoints, knots = on_line(8)
     offset = np.tile([0.0, 0.0, 0.004], (101, 1))
-    lag = np.zeros((101, 5))
-    placed = place(motion(lag=lag, offset_m=offset), waypoints, knots)
+    placed = place(motion(lag=np.zeros((101, 5)), offset_m=offset), *on_line(8))
     tool = predict_tool_path(CHAIN, placed.waypoints, placed.knots, "cubic")
     assert float(mean_error(tool + offset[0], hand.A, hand.B)) < 2e-4
 

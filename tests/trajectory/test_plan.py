@@ -26,10 +26,9 @@ from armctl.trajectory.plan import (
 )
 from tests.genetic import hand
 from tests.genetic.hand import changed
+from tests.trajectory.conftest import ARM, REST, ROBOT
 
-ARM, ROBOT = hand.arm(), hand.robot()
 LINE = np.column_stack([hand.joint_line(), np.full(65, 0.3)])
-REST = [joint.rest_rad for joint in ARM.joints]
 
 
 def make_plan(**changes: Any) -> Plan:
@@ -208,8 +207,7 @@ def test_the_approach_keeps_slower_joints_and_the_tool_within_their_limits() -> 
 def test_unknown_joint_positions_make_no_trajectory(q_now: list[float]) -> None:
     with pytest.raises(ValueError, match="one finite number"):
         joint_trajectory(make_plan(), ARM, q_now, 0.05)
-    (reason,) = preflight(make_plan(), ARM, ROBOT, q_now)
-    assert "not 6 known joint angles" in reason
+    assert "not 6 known joint angles" in the_reason(q_now=q_now)
 
 
 @pytest.mark.parametrize("period_s", [0.0, -0.1, math.nan, math.inf])

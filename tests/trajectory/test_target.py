@@ -8,20 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.errors import UnreachableTarget
-from armctl.files import load_arm
-from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from armctl.trajectory.target import joints_at
+from tests.trajectory.conftest import ARM, CHAIN, LIMITS, ROBOT
 
-ARM = load_arm("ax12-line")
-ROBOT = robots.get(ARM.robot, ARM.lengths_m)
-N = ROBOT.chain.n
+N = CHAIN.n
 NOW = tuple(math.radians(degrees) for degrees in (0.0, 87.0, -65.0, -64.0, -33.0, 20.0))
 
-configurations = st.tuples(
-    *(st.floats(joint.limits_rad[0], joint.limits_rad[1], allow_nan=False) for joint in ARM.joints[:N])
-)
+configurations = st.tuples(*(st.floats(low, high) for low, high in LIMITS.tolist()))
 
 
 def at_point(point: FloatArray) -> list[float]:
@@ -31,23 +26,23 @@ def at_point(point: FloatArray) -> list[float]:
 @given(configurations)
 @settings(max_examples=25)
 def test_every_point_some_pose_reaches_is_reached_within_the_limits(q: tuple[float, ...]) -> None:
-    point = tool_position(ROBOT.chain, np.array(q))
+    point = tool_position(CHAIN, np.array(q))
     found = at_point(point)
-    assert tool_position(ROBOT.chain, np.array(found[:N])) == pytest.approx(point, abs=2e-6)
+    assert tool_position(CHAIN, np.array(found[:N])) == pytest.approx(point, abs=2e-6)
     assert found[N:] == list(NOW[N:])
     for position, joint in zip(found, ARM.joints, strict=True):
         assert joint.limits_rad[0] <= position <= joint.limits_rad[1]
 
 
 def test_the_solution_near_the_present_pose_is_taken() -> None:
-    here = tool_position(ROBOT.chain, np.array(NOW[:N]))
+    here = tool_position(CHAIN, np.array(NOW[:N]))
     found = at_point(np.add(here, (0.0, 0.0, 0.005)))
     assert np.abs(np.subtract(found, NOW)).max() < math.radians(5.0)
 
 
 def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
-    reach = sum(row.a for row in ROBOT.chain.rows)
-    shoulder = np.array([0.0, 0.0, ROBOT.chain.rows[0].d])
+    reach = sum(row.a for row in CHAIN.rows)
+    shoulder = np.array([0.0, 0.0, CHAIN.rows[0].d])
     target = np.add(shoulder, (reach + 0.1, 0.0, 0.0))
     with pytest.raises(UnreachableTarget, match=r"no nearer than 100\.0 mm") as caught:
         at_point(target)
@@ -58,9 +53,9 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 @settings(max_examples=20)
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
-    T = forward_kinematics(ROBOT.chain, wanted)
+    T = forward_kinematics(CHAIN, wanted)
     found = joints_at(T, NOW, ARM, ROBOT)
-    assert forward_kinematics(ROBOT.chain, np.array(found[:N])) == pytest.approx(T, abs=1e-3)
+    assert forward_kinematics(CHAIN, np.array(found[:N])) == pytest.approx(T, abs=1e-3)
 
 
 def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:

@@ -1,4 +1,4 @@
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from armctl.trajectory.interpolate import Interpolation
 from armctl.trajectory.straightness import max_error, mean_error
 from armctl.trajectory.via_points import SAMPLES, choose_via_points, predict_tool_path
 from tests.genetic import hand
+from tests.trajectory.conftest import CHAIN
 
-CHAIN = hand.robot().chain
 LINE = hand.joint_line()[::4]
 PROGRESS = np.linspace(0.0, 1.0, len(LINE))
 
@@ -20,41 +20,38 @@ def error_mm(indices: tuple[int, ...], kind: Interpolation) -> float:
     return float(mean_error(tool, hand.A, hand.B)) * 1e3
 
 
+def chosen(count: int, kind: Interpolation, every: int = 1) -> tuple[int, ...]:
+    return choose_via_points(CHAIN, LINE[::every], PROGRESS[::every], count, kind, hand.A, hand.B)
+
+
 @pytest.mark.parametrize("kind", ["linear", "cubic"])
 @pytest.mark.parametrize("count", [1, 2])
 def test_up_to_two_via_points_are_the_best_of_all_choices(kind: Interpolation, count: int) -> None:
-    chosen = choose_via_points(CHAIN, LINE, PROGRESS, count, kind, hand.A, hand.B)
     best = min(combinations(range(1, len(LINE) - 1), count), key=lambda indices: error_mm(indices, kind))
-    assert error_mm(chosen, kind) == error_mm(best, kind)
+    assert error_mm(chosen(count, kind), kind) == error_mm(best, kind)
 
 
 @pytest.mark.parametrize("count", [3, 5])
 def test_no_exchange_of_one_via_point_improves_more_of_them(count: int) -> None:
-    chosen = choose_via_points(CHAIN, LINE, PROGRESS, count, "linear", hand.A, hand.B)
-    assert len(set(chosen)) == count
-    assert list(chosen) == sorted(chosen)
-    found = error_mm(chosen, "linear")
-    for old in chosen:
-        rest = [index for index in chosen if index != old]
-        for new in set(range(1, len(LINE) - 1)) - set(chosen):
-            assert error_mm(tuple(sorted([*rest, new])), "linear") >= found
+    kept = chosen(count, "linear")
+    assert len(set(kept)) == count
+    assert list(kept) == sorted(kept)
+    for old, new in product(kept, set(range(1, len(LINE) - 1)) - set(kept)):
+        exchanged = tuple(sorted({*kept, new} - {old}))
+        assert error_mm(exchanged, "linear") >= error_mm(kept, "linear")
 
 
 def test_every_further_via_point_on_the_line_makes_it_straighter() -> None:
-    errors = [
-        error_mm(choose_via_points(CHAIN, LINE, PROGRESS, count, "linear", hand.A, hand.B), "linear")
-        for count in range(5)
-    ]
+    errors = [error_mm(chosen(count, "linear"), "linear") for count in range(5)]
     assert errors == sorted(errors, reverse=True)
     assert errors[2] < 0.15 * errors[0]
 
 
 def test_all_inner_points_and_none_are_possible_and_more_are_not() -> None:
-    short, progress = LINE[::4], PROGRESS[::4]
-    assert choose_via_points(CHAIN, short, progress, 0, "cubic", hand.A, hand.B) == ()
-    assert choose_via_points(CHAIN, short, progress, 3, "cubic", hand.A, hand.B) == (1, 2, 3)
+    assert chosen(0, "cubic", every=4) == ()
+    assert chosen(3, "cubic", every=4) == (1, 2, 3)
     with pytest.raises(ValueError, match="4 via points wanted from a path with 3"):
-        choose_via_points(CHAIN, short, progress, 4, "cubic", hand.A, hand.B)
+        chosen(4, "cubic", every=4)
 
 
 def test_predicted_motion_begins_at_A_and_ends_at_B() -> None:

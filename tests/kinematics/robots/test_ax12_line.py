@@ -20,27 +20,13 @@ def test_equations_7_to_18_hold_with_their_two_corrections(angles: list[float]) 
     C1, S1, C2, S2, C4, S4 = (f(t) for t in (t1, t2, t4) for f in (math.cos, math.sin))
     C23, S23, C45, S45 = (f(t) for t in (t2 + t3, t4 + t5) for f in (math.cos, math.sin))
     along, across = a4 * C4 + a56 * C45, a4 * S4 + a56 * S45
+    p_x = C1 * (a2 * C2 + a3 * C23) + C1 * C23 * along - C1 * S23 * across  # (eq. 10); print lacks the last term
+    p_y = S1 * (a2 * C2 + a3 * C23) + S1 * C23 * along - S1 * S23 * across  # (eq. 14); print has a2 C2 - a3 C23
+    p_z = d1 + S23 * along + C23 * across + a2 * S2 + a3 * S23  # (eq. 18)
     expected = [
-        [
-            C1 * C23 * C45 - C1 * S23 * S45,  # (eq. 7)
-            -C1 * S23 * C45 - C1 * C23 * S45,  # (eq. 8)
-            S1,  # (eq. 9)
-            # (eq. 10); print lacks the last term
-            C1 * (a2 * C2 + a3 * C23) + C1 * C23 * along - C1 * S23 * across,
-        ],
-        [
-            S1 * C23 * C45 - S1 * S23 * S45,  # (eq. 11)
-            -S1 * S23 * C45 - S1 * C23 * S45,  # (eq. 12)
-            -C1,  # (eq. 13)
-            # (eq. 14); print has a2 C2 - a3 C23
-            S1 * (a2 * C2 + a3 * C23) + S1 * C23 * along - S1 * S23 * across,
-        ],
-        [
-            S23 * C45 + C23 * S45,  # (eq. 15)
-            C23 * C45 - S23 * S45,  # (eq. 16)
-            0.0,  # (eq. 17)
-            d1 + S23 * along + C23 * across + a2 * S2 + a3 * S23,  # (eq. 18)
-        ],
+        [C1 * C23 * C45 - C1 * S23 * S45, -C1 * S23 * C45 - C1 * C23 * S45, S1, p_x],  # (eqs. 7 to 10)
+        [S1 * C23 * C45 - S1 * S23 * S45, -S1 * S23 * C45 - S1 * C23 * S45, -C1, p_y],  # (eqs. 11 to 14)
+        [S23 * C45 + C23 * S45, C23 * C45 - S23 * S45, 0.0, p_z],  # (eqs. 15 to 18)
     ]
     np.testing.assert_allclose(forward_kinematics(robot.chain, np.array(angles))[:3], expected, atol=1e-12)
 
