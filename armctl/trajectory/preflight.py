@@ -20,6 +20,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points
+from armctl.trajectory.interpolate import columns_at
 
 START_TOLERANCE_RAD = math.radians(2.0)
 ACCELERATION_WINDOW_S = 0.1
@@ -146,7 +147,7 @@ def _every_degree(q: FloatArray, period_s: float, arm: ArmConfig) -> FloatArray:
     step = np.minimum(step, [joint.speed_limit_rad_s * period_s for joint in arm.joints]).max(axis=1)
     turned = np.concatenate([[0.0], np.cumsum(step)])
     looks = np.linspace(0.0, turned[-1], math.ceil(turned[-1] / LOOK_RAD) + 1)
-    return np.stack([np.interp(looks, turned, column) for column in q.T], axis=1)
+    return columns_at(looks, turned, q)
 
 
 def _against_contact(q: FloatArray, arm: ArmConfig, robot: Robot) -> Iterator[str]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from armctl.kinematics import solution
 from armctl.kinematics.genetic import improved, plain
-from armctl.kinematics.genetic.problem import Evolution, Problem, points_problem, poses_problem
+from armctl.kinematics.genetic.problem import points_problem, poses_problem
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import Answer, Target
 from armctl.kinematics.transform import FloatArray
@@ -44,13 +44,9 @@ def solve(
         problem = points_problem(robot.chain, T[:, :3, 3], limits, present)
     else:
         problem = poses_problem(robot.chain, T, limits, POSITION_WEIGHT)
-    q = run(problem, method, [seed]).q_rad
+    if method == "ga":
+        q = plain.evolve(problem, plain.PAPER, [seed]).q_rad
+    else:
+        q = improved.evolve(problem, improved.DEFAULT, [seed]).q_rad
     found = solution.answer(robot, target, q, present, limits, least=exact.least_position_error_m, polish=polish)
     return replace(found, reachable=exact.reachable)
-
-
-def run(problem: Problem, method: Method, seeds: list[int]) -> Evolution:
-    """The method with its usual settings, one run a target."""
-    if method == "ga":
-        return plain.evolve(problem, plain.PAPER, seeds)
-    return improved.evolve(problem, improved.DEFAULT, seeds)
