@@ -73,12 +73,11 @@ def test_what_is_commanded_is_the_model_at_the_ticks() -> None:
 
 
 def test_other_lengths_give_another_motion_to_the_same_places() -> None:
-    longer = replace(ROBOT, lengths_m={**ROBOT.lengths_m, "a2": 0.19})
-    for robot in (ROBOT, longer):
-        bottom = motion(CYCLE, ARM, robot).sample(np.array([CYCLE.lift_s]))[0]
-        assert tool_position(robot.chain, bottom)[0] == pytest.approx(CYCLE.pick_m, abs=1e-9)
-    turned = [motion(CYCLE, ARM, robot).sample(np.array([CYCLE.lift_s]))[0] for robot in (ROBOT, longer)]
-    assert np.abs(turned[0] - turned[1]).max() > math.radians(2.0)
+    both = ROBOT, replace(ROBOT, lengths_m={**ROBOT.lengths_m, "a2": 0.19})
+    bottom = [motion(CYCLE, ARM, robot).sample(np.array([CYCLE.lift_s]))[0] for robot in both]
+    for robot, q in zip(both, bottom, strict=True):
+        assert tool_position(robot.chain, q)[0] == pytest.approx(CYCLE.pick_m, abs=1e-9)
+    assert np.abs(bottom[0] - bottom[1]).max() > math.radians(2.0)
 
 
 def test_a_station_out_of_reach_is_refused_with_the_distance() -> None:
