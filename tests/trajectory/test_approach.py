@@ -36,7 +36,6 @@ def test_a_tiny_way_still_takes_its_time_and_no_way_takes_none() -> None:
 
 
 def test_the_lowest_point_is_the_lowest_over_the_whole_way() -> None:
-    stretched = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    down = [0.0, -0.15, 0.0, 0.0, 0.0, 0.0]
+    stretched, down = [0.0] * 6, [0.0, -0.15, 0.0, 0.0, 0.0, 0.0]
     way = approach_trajectory(stretched, down, ARM, ROBOT, PERIOD_S, "x")
     assert lowest_link_m(way, ROBOT) == pytest.approx(0.10 - 0.38 * math.sin(0.15), abs=1e-9)

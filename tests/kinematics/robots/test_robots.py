@@ -129,4 +129,3 @@ def test_unknown_robot_and_unknown_length_name_the_known_ones() -> None:
         robots.get("hal")
     with pytest.raises(ConfigError, match="a9: no such length; known: d1, a2, a3, a4, a56"):
         robots.get("ax12-line", {"a9": 1.0})
-    assert "ax12-line" in robots.names()
