@@ -37,17 +37,18 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
 
     Example: armctl daemon --port /dev/ttyUSB0
     """
+    import asyncio
     import logging
 
     from armctl.files import socket_path
-    from armctl.host.daemon import serve
+    from armctl.host.daemon import run_daemon
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     port = output.port or output.config.port
     if not port:
         raise ConfigError("armctl daemon", "--port", "no serial port named", "give --port PATH, or start `armctl sim`")
-    ready = partial(output.ready, "socket")
-    return serve(output.config, output.arm, port=port, socket=socket_path(output.socket), log_dir=log_dir, ready=ready)
+    socket, ready = socket_path(output.socket), partial(output.ready, "socket")
+    return asyncio.run(run_daemon(output.config, output.arm, port=port, socket=socket, log_dir=log_dir, ready=ready))
 
 
 @command("sim")

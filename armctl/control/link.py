@@ -11,6 +11,8 @@ import pickle
 import socket
 from dataclasses import dataclass
 
+from armctl.errors import BusError
+
 _MAX_MESSAGE = 4 * 2**20
 
 
@@ -29,8 +31,7 @@ class Ready:
 class StartFailed:
     """The control process could not take the port, and has ended."""
 
-    code: str
-    message: str
+    error: BusError
 
 
 class Link:

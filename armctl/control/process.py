@@ -154,7 +154,7 @@ def main(descriptor: int) -> int:
             loop.open()
         except BusError as error:
             if inbox.leaving or clock.now_ns() >= give_up_ns or not isinstance(error, PortBusy):
-                link.send(StartFailed(error.code, str(error)))
+                link.send(StartFailed(error))
                 return 1
             clock.sleep_until_ns(clock.now_ns() + BUSY_POLL_NS)
     link.send(Ready(os.getpid()))

@@ -26,10 +26,9 @@ from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config
 from armctl.control.link import Link, LinkClosed, Ready, StartFailed
 from armctl.control.process import ControlProcess, ControlSettings
-from armctl.errors import ArmctlError, BusError, ConfigError, PortBusy, PortGone, PortMissing, RequestRefused
+from armctl.errors import ArmctlError, BusError, ConfigError, RequestRefused
 from armctl.files import data_dir
 from armctl.host import service_manager
-from armctl.host.exchange import Control
 from armctl.messages import Reply, TickRecord
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ PATIENT_WAIT_S = 5.0
 logger = logging.getLogger(__name__)
 
 
-class ControlHandle(Control, Protocol):
+class ControlHandle(Protocol):
     """A control process as its supervisor needs it."""
 
     @property
@@ -75,13 +74,6 @@ class Outside:
     # None: a `Recorder`.
     make_recorder: MakeRecorder | None = None
     clock: Clock = field(default_factory=MonotonicClock)
-
-
-def serve(
-    config: Config, arm: ArmConfig, *, port: str, socket: Path, log_dir: Path | None, ready: Callable[[str], None]
-) -> int:
-    """`run_daemon` for callers without an event loop."""
-    return asyncio.run(run_daemon(config, arm, port=port, socket=socket, log_dir=log_dir, ready=ready))
 
 
 async def run_daemon(
@@ -196,28 +188,26 @@ async def supervise(
     Raises:
         BusError: the very first process could not take the port.
     """
-    first = True
     deaths_ns: deque[int] = deque(maxlen=MAX_DEATHS + 1)
     while True:
         failed = await _until_gone(control, host, tick)
-        if failed is not None and first:
-            raise start_error(failed)
-        first = False
+        if failed is not None and not deaths_ns:
+            raise failed
         deaths_ns.append(clock.now_ns())
         wait_s = restart_wait_s(deaths_ns)
-        why = f"exit status {control.poll()}" if failed is None else failed.message
+        why = f"exit status {control.poll()}" if failed is None else str(failed)
         logger.error("RESTARTED: the control process is gone (%s); starting another in %g s", why, wait_s)
         host.note({"event": "RESTARTED", "text": f"the control process is gone ({why})"})
         await asyncio.sleep(wait_s)
         control = restart()
 
 
-async def _until_gone(control: ControlHandle, host: Host, tick: Callable[[TickRecord], None]) -> StartFailed | None:
+async def _until_gone(control: ControlHandle, host: Host, tick: Callable[[TickRecord], None]) -> BusError | None:
     """Take in what the process sends until it is gone; returns why it could not start, if so."""
     loop = asyncio.get_running_loop()
     descriptor = control.link.fileno()
     gone = asyncio.Event()
-    failed: StartFailed | None = None
+    failed: BusError | None = None
 
     def receive() -> None:
         nonlocal failed
@@ -232,11 +222,11 @@ async def _until_gone(control: ControlHandle, host: Host, tick: Callable[[TickRe
                 case TickRecord():
                     tick(message)
                 case Reply():
-                    host.answer(message)
+                    host.exchange.answer(message)
                 case Ready():
-                    host.attach(control)
+                    host.exchange.attach(message.pid, control.link.send)
                 case StartFailed():
-                    failed = message
+                    failed = message.error
 
     loop.add_reader(descriptor, receive)
     try:
@@ -253,14 +243,6 @@ def restart_wait_s(deaths_ns: deque[int]) -> float:
     """How long to wait before the next start, by the times of the latest deaths [ns], oldest first."""
     often = len(deaths_ns) > MAX_DEATHS and deaths_ns[-1] - deaths_ns[0] < DEATHS_WINDOW_NS
     return PATIENT_WAIT_S if often else 0.0
-
-
-def start_error(failed: StartFailed) -> BusError:
-    """The error that a control process met when it started."""
-    for kind in (PortMissing, PortBusy, PortGone):
-        if failed.code == kind.port_code:
-            return kind(failed.message)
-    return BusError(failed.code, failed.message)
 
 
 def listen(path: Path) -> socket.socket:

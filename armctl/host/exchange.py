@@ -3,35 +3,28 @@
 import asyncio
 import itertools
 from collections.abc import Callable
-from typing import Protocol
 
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.messages import Command, Hold, Reply
+from armctl.messages import Clear, Command, Hold, Park, Release, Reply, TorqueOn
 
 # Longest wait for the control process's answer to anything but the end of a motion.
 ANSWER_S = 10.0
-
-
-class Sender(Protocol):
-    """The host's end of the link to a control process."""
-
-    def send(self, message: object) -> bool: ...
-
-
-class Control(Protocol):
-    """The control process as far as commands need it."""
-
-    @property
-    def pid(self) -> int: ...
-    @property
-    def link(self) -> Sender: ...
+# What a commander asks for in one word; each makes the command of a request id.
+COMMANDS: dict[str, Callable[[int], Command]] = {
+    "release": Release,
+    "torque_on": TorqueOn,
+    "park": Park,
+    "clear": Clear,
+}
 
 
 class Exchange:
     """Every request is answered once, by the control process or by its end."""
 
     def __init__(self) -> None:
-        self.control: Control | None = None
+        # Of the control process; None: there is none now.
+        self.pid: int | None = None
+        self._send: Callable[[Command], bool] = lambda _: False
         # Commands sent so far that may move something: all but `Hold`.
         self.asked = 0
         self._ids = itertools.count(1)
@@ -40,9 +33,17 @@ class Exchange:
         # When it was sent [ns], and how much had been asked by then.
         self._held_at = 0, 0
 
+    def attach(self, pid: int, send: Callable[[Command], bool]) -> None:
+        """Commands go to this control process from now on.
+
+        Args:
+            send: Whether it took the command; False: it does not keep up, try again.
+        """
+        self.pid, self._send = pid, send
+
     def lost(self) -> None:
         """The control process is gone: what it still owed an answer fails."""
-        self.control = None
+        self.pid = None
         for future in self._pending.values():
             if not future.done():
                 future.set_exception(restarting())
@@ -67,13 +68,12 @@ class Exchange:
         self._pending[request_id] = future
         try:
             async with asyncio.timeout(timeout_s):
-                while not self._send(make(request_id)) and not future.done():
+                while not self._sent(make(request_id)) and not future.done():
                     await asyncio.sleep(0.01)
                 reply = await future
         except TimeoutError:
-            raise RequestRefused(
-                "NO_ANSWER", f"the control process did not answer within {timeout_s:g} s; see `armctl status`"
-            ) from None
+            why = f"the control process did not answer within {timeout_s:g} s; see `armctl status`"
+            raise RequestRefused("NO_ANSWER", why) from None
         finally:
             del self._pending[request_id]
         if reply.ok:
@@ -101,15 +101,14 @@ class Exchange:
         """The next `hold` is a command of its own."""
         self._hold = None
 
-    def _send(self, command: Command) -> bool:
-        if self.control is None:
+    def _sent(self, command: Command) -> bool:
+        if self.pid is None:
             raise restarting()
         self.asked += not isinstance(command, Hold)
-        return self.control.link.send(command)
+        return self._send(command)
 
 
 def restarting() -> RequestRefused:
     """Why nothing can be asked of the arm for a moment."""
-    return RequestRefused(
-        "RESTARTED", "the control process died and is being started again; the arm keeps its last goal; try again"
-    )
+    why = "the control process died and is being started again; the arm keeps its last goal; try again"
+    return RequestRefused("RESTARTED", why)

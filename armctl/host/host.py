@@ -13,7 +13,7 @@ import asyncio
 import json
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -22,28 +22,13 @@ from armctl.config import ArmConfig
 from armctl.control.jog import joint_velocities
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.host.exchange import ANSWER_S, Control, Exchange, restarting
+from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshot
 from armctl.host.teaching import TakeRecorder, Takes, Teaching
 from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import (
-    Clear,
-    Command,
-    Jog,
-    JointTrajectory,
-    Mode,
-    Park,
-    Pause,
-    Release,
-    Reply,
-    Resume,
-    Run,
-    SetRate,
-    TickRecord,
-    TorqueOn,
-)
+from armctl.messages import Jog, JointTrajectory, Mode, Pause, Reply, Resume, Run, SetRate, TickRecord
 from armctl.recording.channels import COMMAND
 
 # How long a motion may go without any progress, unless somebody paused it, before it is given up.
@@ -52,13 +37,6 @@ STUCK_S = 60.0
 PARK_S = 60.0
 # What a run's recording keeps after the motion has ended.
 TAIL_NS = 300_000_000
-# What a commander asks for in one word; each makes the command of a request id.
-COMMANDS: dict[str, Callable[[int], Command]] = {
-    "release": Release,
-    "torque_on": TorqueOn,
-    "park": Park,
-    "clear": Clear,
-}
 
 logger = logging.getLogger(__name__)
 
@@ -83,10 +61,6 @@ class Host:
 
     # ------------------------------------------------------------------------------------ control process
 
-    def attach(self, control: Control) -> None:
-        """Commands go to this control process from now on."""
-        self.exchange.control = control
-
     def control_lost(self) -> None:
         """The control process is gone: what it still owed an answer fails."""
         self._lost_ns = self._clock.now_ns()
@@ -110,10 +84,6 @@ class Host:
         ticked, self._ticked = self._ticked, asyncio.Event()
         ticked.set()
 
-    def answer(self, reply: Reply) -> None:
-        """Take in what the control process answers between two ticks."""
-        self.exchange.answer(reply)
-
     async def tick(self) -> None:
         """Wait for the next tick record."""
         await self._ticked.wait()
@@ -129,9 +99,8 @@ class Host:
         if lease.what in ("jog", "jogging"):
             self.leases.current = None  # its heartbeats have ceased
         elif lease.what in ("run", "move", "park", "reach", "transfer"):
-            self.note(
-                {"event": "LEASE_LOST", "who": client.name, "text": f"the client left during its {lease.what}: hold"}
-            )
+            text = f"the client left during its {lease.what}: hold"
+            self.note({"event": "LEASE_LOST", "who": client.name, "text": text})
             self._in_background(self.stop())
         elif lease.what == "teach":
             self.leases.current = None
@@ -266,14 +235,13 @@ class Host:
         try:
             before = None
             while not (await asyncio.wait({request}, timeout=STUCK_S))[0]:
-                outputs = None if self.latest is None else self.latest.outputs
-                here = None if outputs is None else outputs.progress
-                if here == before and (outputs is None or outputs.rate != 0.0):
+                assert self.latest is not None  # the trajectory begins where it was seen
+                outputs = self.latest.outputs
+                if outputs.progress == before and outputs.rate != 0.0:
                     self._in_background(self.stop())
-                    raise RequestRefused(
-                        "NO_ANSWER", f"the motion made no progress for {STUCK_S:g} s; see `armctl status`"
-                    )
-                before = here
+                    why = f"the motion made no progress for {STUCK_S:g} s; see `armctl status`"
+                    raise RequestRefused("NO_ANSWER", why)
+                before = outputs.progress
             return request.result()
         finally:
             request.cancel()
@@ -281,7 +249,7 @@ class Host:
     def _commanded_joints(self, what: str) -> tuple[float, ...]:
         """Where the servos of a holding arm are told to be now [rad], one a joint."""
         latest = self.latest
-        if self.exchange.control is None or latest is None:
+        if self.exchange.pid is None or latest is None:
             raise restarting()
         if (mode := latest.outputs.mode) is not Mode.HOLDING:
             raise IllegalTransition(f"{what}: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")
@@ -298,7 +266,7 @@ class Host:
 
     def state(self) -> dict[str, Any]:
         """What the arm does now: the answer to most requests."""
-        if self.latest is None or self.exchange.control is None:
+        if self.latest is None or self.exchange.pid is None:
             return {"state": "restarting" if self._lost_ns is not None else "starting"}
         return {"state": self.latest.outputs.mode.value}
 
@@ -315,7 +283,7 @@ class Host:
     def status(self) -> dict[str, Any]:
         """The snapshot every client sees, as of now."""
         now_ns = self._clock.now_ns()
-        commander, control = self.leases.current, self.exchange.control
+        commander = self.leases.current
         return {
             **self.state(),
             "fault": fault_snapshot(self.latest, self._lost_ns, now_ns),
@@ -326,7 +294,7 @@ class Host:
             "log": self.log(),
             "arm_id": self.arm.arm_id,
             "tool_speed_limit_m_s": self.arm.tool_speed_limit_m_s,
-            "pids": {"daemon": os.getpid(), "control": None if control is None else control.pid},
+            "pids": {"daemon": os.getpid(), "control": self.exchange.pid},
         }
 
 

@@ -125,16 +125,12 @@ def _no_constant(text: str) -> NoReturn:
     raise ValueError(f"{text} is not a number")
 
 
-def _deeper_than(message: object, depth: int) -> bool:
-    level = [message]
-    for _ in range(depth):
-        level = [
-            child
-            for value in level
-            if isinstance(value, dict | list)
-            for child in (value.values() if isinstance(value, dict) else value)
-        ]
-    return any(isinstance(value, dict | list) for value in level)
+def _deeper_than(value: object, depth: int) -> bool:
+    """Whether objects and lists stand in one another more than `depth` deep."""
+    if not isinstance(value, dict | list):
+        return False
+    inside = value.values() if isinstance(value, dict) else value
+    return depth == 0 or any(_deeper_than(one, depth - 1) for one in inside)
 
 
 def _shown(value: object) -> str:

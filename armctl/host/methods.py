@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 
 from armctl.config import Frozen, Name
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.host.host import COMMANDS, Host
+from armctl.host.exchange import COMMANDS
+from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
 from armctl.host.motions import move, run, transfer

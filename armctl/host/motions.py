@@ -1,7 +1,5 @@
 """Motions as clients ask for them: run, move and transfer, where they go and what they are judged by."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +10,7 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.host.host import Host
 from armctl.host.lease import Client
-from armctl.host.watch import Done, Watch
+from armctl.host.watch import Done, Leg, Watch
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import pose_from_xyz_rpy
@@ -50,11 +48,8 @@ async def move(host: Host, client: Client, request: MoveRequest) -> dict[str, An
         RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-
-    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
-        return move_trajectory(request, q_now, host.arm, host.robot, host.period_s)
-
-    name, [done] = await host.execute(client, "move", [make])
+    where = host.arm, host.robot, host.period_s
+    name, [done] = await host.execute(client, "move", [lambda q_now, _: move_trajectory(request, q_now, *where)])
     return {"recording": name, **move_result(done, host.robot)}
 
 
@@ -65,11 +60,9 @@ async def transfer(host: Host, client: Client, request: TransferRequest) -> dict
         RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-
-    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
-        return transfer_trajectory(request, q_now, host.arm, host.robot, host.period_s)
-
-    name, [done] = await host.execute(client, "transfer", [make], {"event": NOTED, "cycle": request.model_dump()})
+    where, note = (host.arm, host.robot, host.period_s), {"event": NOTED, "cycle": request.model_dump()}
+    legs: list[Leg] = [lambda q_now, _: transfer_trajectory(request, q_now, *where)]
+    name, [done] = await host.execute(client, "transfer", legs, note)
     cycle_s = done.trajectory.end_s - done.trajectory.begin_s
     return {"recording": name, **move_result(done, host.robot), "cycle_s": cycle_s}
 

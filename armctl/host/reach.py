@@ -14,7 +14,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory import grasp
-from armctl.trajectory.grasp import Grasp, ReachRequest
+from armctl.trajectory.grasp import ReachRequest
 
 # Of the load asked for: with less the gripper has lost what it held.
 HELD_SHARE = 0.5
@@ -63,35 +63,28 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
 class _Legs:
     """The legs of one reach; the way is planned when the first is made, before anything moves."""
 
+    # Joint positions on the straight line, once it is planned; see `Grasp`.
+    path_rad: FloatArray
+
     def __init__(self, host: Host, request: ReachRequest) -> None:
         self._request = request
         self._where = host.arm, host.robot, host.period_s
-        self._grasp: Grasp | None = None
-
-    @property
-    def path_rad(self) -> FloatArray:
-        """Joint positions on the straight line, once it is planned; see `Grasp`."""
-        assert self._grasp is not None
-        return self._grasp.path_rad
 
     def all(self) -> list[Leg]:
         where = self._where
 
-        def straight(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
-            return grasp.straight(self.path_rad, q_now, *where)
-
-        def back(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
-            return grasp.straight(self.path_rad[::-1], q_now, *where)
+        def straight(step: int) -> Leg:
+            return lambda q_now, _: grasp.straight(self.path_rad[::step], q_now, *where)
 
         def align(place: int) -> Leg:
             return lambda q_now, q_measured: grasp.align(self.path_rad[place], q_now, q_measured, *where)
 
         # Twice at the point: the second correction takes what the first one has left.
-        there = [self._approach, align(0), straight, align(-1), align(-1)]
+        there = [self._approach, align(0), straight(1), align(-1), align(-1)]
         act: dict[str, list[Leg]] = {
             "stay": [],
-            "grip": [lambda q_now, _: grasp.closing(q_now, *where), back],
-            "let_go": [lambda q_now, _: grasp.opening(q_now, *where), back],
+            "grip": [lambda q_now, _: grasp.closing(q_now, *where), straight(-1)],
+            "let_go": [lambda q_now, _: grasp.opening(q_now, *where), straight(-1)],
         }
         return there + act[self._request.gripper]
 
@@ -99,7 +92,8 @@ class _Legs:
         if self._request.gripper != "stay":
             grasp.gripper_of(*self._where[:2])
         try:
-            self._grasp = grasp.plan_grasp(self._request, q_now, *self._where)
+            planned = grasp.plan_grasp(self._request, q_now, *self._where)
         except UnreachableTarget as error:
             raise RequestRefused("UNREACHABLE", str(error)) from None
-        return grasp.approach(self._grasp, q_now, *self._where, opening=self._request.gripper == "grip")
+        self.path_rad = planned.path_rad
+        return grasp.approach(planned, q_now, *self._where, opening=self._request.gripper == "grip")

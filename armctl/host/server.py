@@ -158,7 +158,7 @@ class Server:
         self._clock = clock
         self._on_close = on_close
         self._stall_s = stall_s
-        self._connections: dict[Connection, asyncio.Task[None]] = {}
+        self._connections: set[Connection] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
 
@@ -176,7 +176,7 @@ class Server:
         """Send what is still due, briefly, and close every connection."""
         if self._server is not None:
             self._server.close()
-        tasks = tuple(self._connections.values())
+        tasks = tuple(self._tasks)
         requests = [request for connection in self._connections for request in connection.requests]
         if requests:
             await asyncio.wait(requests, timeout=0.2)
@@ -199,8 +199,6 @@ class Server:
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         bucket = TokenBucket(RATE, BURST, self._now_s())
         connection = Connection(writer, bucket, self._stall_s, self._may_command)
-        task = asyncio.current_task()
-        assert task is not None
         sender = asyncio.create_task(connection.send_all())
         if len(self._connections) >= MAX_CONNECTIONS:
             refusal = RequestRefused("BUSY", f"{MAX_CONNECTIONS} clients are connected already; close one")
@@ -208,7 +206,7 @@ class Server:
             connection.finish()
             await sender
             return
-        self._connections[connection] = task
+        self._connections.add(connection)
         logger.info("client %s connected", connection.name)
         try:
             try:
@@ -224,7 +222,7 @@ class Server:
             for request in connection.requests:
                 request.cancel()
             sender.cancel()
-            del self._connections[connection]
+            self._connections.discard(connection)
             logger.info("client %s is gone", connection.name)
 
     async def _read(self, connection: Connection, reader: asyncio.StreamReader) -> None:

@@ -1,7 +1,5 @@
 """Takes, and the hand that guides a limp arm through them."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 from typing import Any, Protocol

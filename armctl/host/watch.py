@@ -1,7 +1,5 @@
 """A motion as the host sees it: what makes its trajectory, what is seen of it, and the look ahead of a jog."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,62 +1,46 @@
-"""A host over ideal servos behind the real control step, on a virtual clock; nothing happens but by its ticks."""
+"""A host over servos behind the real control step, on a virtual clock; nothing happens but by its ticks."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Any, Self
 
-from armctl.clock import VirtualClock
+from armctl.clock import Clock, VirtualClock
+from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.host.host import Host
 from armctl.host.motions import run
+from armctl.kinematics.robots.robot import Robot
 from armctl.messages import Mode, TickRecord
 from armctl.trajectory.plan import Plan
 from tests.control.ideal_arm import PERIOD_S
 from tests.host.doubles import IdealControl, MemoryRecorder, NamedClient, refused, small_plan
 
 
-class Bench:
-    """A host over ideal servos; `tick` is one tick, `served` ticks until something is done."""
+class HostBench:
+    """A host and its clients; `tick` is one tick, `served` ticks until something is done."""
 
-    def __init__(self, **calibration: Any) -> None:
-        self.clock = VirtualClock()
+    def __init__(self, arm: ArmConfig, robot: Robot, clock: Clock) -> None:
         self.recorder = MemoryRecorder()
-        self.control = IdealControl(self.clock)
-        self.arm = self.control.arm
-        self.host = Host(
-            self.arm.arm.model_copy(update=calibration), self.arm.robot, PERIOD_S, self.recorder, self.clock
-        )
-        self.host.attach(self.control)
+        self.host = Host(arm, robot, PERIOD_S, self.recorder, clock)
         self.anna, self.ben = NamedClient("anna"), NamedClient("ben")
 
-    def tick(self, **changes: Any) -> TickRecord:
-        record = replace(self.control.tick(), **changes)
-        self.host.receive(record)
-        return record
+    def tick(self) -> TickRecord:
+        raise NotImplementedError
 
     async def until(self, condition: Callable[[], bool]) -> None:
         for _ in range(5_000):
+            for _ in range(5):  # what is under way takes a few turns of the loop
+                await asyncio.sleep(0)
             if condition():
                 return
-            await asyncio.sleep(0)
             self.tick()
         raise AssertionError("it never came to pass")
 
     async def served(self, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
         task = asyncio.ensure_future(work)
-        await asyncio.sleep(0)
         await self.until(task.done)
         return task.result()
-
-    async def beat(self, client: NamedClient, *, begin: bool = False, **velocity: tuple[float, ...]) -> dict[str, Any]:
-        """One heartbeat of a jog and the tick that answers it, and no tick more."""
-        turn, lead = velocity.get("turn", ()), velocity.get("lead", ())
-        task = asyncio.ensure_future(self.host.jog(client, turn, lead, begin))
-        for _ in range(5):
-            await asyncio.sleep(0)
-        if not task.done():
-            self.tick()
-        return await task
 
     async def refused(self, work: Awaitable[dict[str, Any]], code: str) -> RequestRefused:
         """The refusal, of that code, that the work ends with."""
@@ -68,6 +52,36 @@ class Bench:
         self.tick()
         assert await self.served(self.host.command(self.anna, "torque_on")) == {"state": "holding"}
         return self
+
+
+class Bench(HostBench):
+    """A host over ideal servos."""
+
+    def __init__(self, **calibration: Any) -> None:
+        self.clock = VirtualClock()
+        self.control = IdealControl(self.clock)
+        self.arm = self.control.arm
+        super().__init__(self.arm.arm.model_copy(update=calibration), self.arm.robot, self.clock)
+        self.attach()
+
+    def attach(self) -> None:
+        """The control process is there, from the beginning or again."""
+        self.host.exchange.attach(self.control.pid, self.control.link.send)
+
+    def tick(self, **changes: Any) -> TickRecord:
+        record = replace(self.control.tick(), **changes)
+        self.host.receive(record)
+        return record
+
+    async def beat(self, client: NamedClient, *, begin: bool = False, **velocity: tuple[float, ...]) -> dict[str, Any]:
+        """One heartbeat of a jog and the tick that answers it, and no tick more."""
+        turn, lead = velocity.get("turn", ()), velocity.get("lead", ())
+        task = asyncio.ensure_future(self.host.jog(client, turn, lead, begin))
+        for _ in range(5):
+            await asyncio.sleep(0)
+        if not task.done():
+            self.tick()
+        return await task
 
     def plan(self, **changes: object) -> Plan:
         return small_plan(self.arm, **changes)

@@ -2,17 +2,15 @@
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Self
 
 import numpy as np
 
 from armctl.config import ArmConfig, Config, LogConfig
-from armctl.control.link import Link
 from armctl.files import load_arm
-from armctl.host.host import Host
 from armctl.messages import Command, Mode, TickRecord
 from armctl.recording import replay
 from armctl.recording.channels import COMMAND
@@ -20,13 +18,11 @@ from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault
 from armctl.sim.virtual_arm import VirtualArm
-from tests.host.doubles import InlineExecutor, MemoryRecorder, NamedClient
-
-PERIOD_S = 0.1
-MOST_TICKS = 5_000
+from tests.host.bench import PERIOD_S, HostBench
+from tests.host.doubles import InlineExecutor
 
 
-class SimulatedBench:
+class SimulatedBench(HostBench):
     """The bench; an arm under torque once `holding` returns."""
 
     def __init__(self, arm: ArmConfig, seed: int = 0) -> None:
@@ -34,38 +30,28 @@ class SimulatedBench:
         self.simulated = SimulatedArm(arm, seed=seed)
         self.virtual = VirtualArm(self.simulated, PERIOD_S)
         self.virtual.start()
-        self.robot, self.clock, self.loop = self.virtual.robot, self.virtual.clock, self.virtual.loop
-        self.recorder = MemoryRecorder()
-        self.host = Host(arm, self.robot, PERIOD_S, self.recorder, self.clock)
-        self.pid = 4242
-        self.link, theirs = Link.pair()
-        self._theirs = Link(theirs)
-        self.host.attach(self)
-        self.anna = NamedClient("anna")
+        self.robot, self.loop = self.virtual.robot, self.virtual.loop
+        super().__init__(arm, self.robot, self.virtual.clock)
+        self._waiting: list[Command] = []
+        self.host.exchange.attach(4242, self._send)
         self.on_tick: Callable[[TickRecord], None] = lambda _: None
         self.modes: set[Mode] = set()
 
+    def _send(self, command: Command) -> bool:
+        self._waiting.append(command)
+        return True
+
     def tick(self) -> TickRecord:
-        record = self.virtual.tick(*cast("list[Command]", self._theirs.receive()))
+        commands, self._waiting = self._waiting, []
+        record = self.virtual.tick(*commands)
         self.modes.add(record.outputs.mode)
         self.host.receive(record)
         self.on_tick(record)
         return record
 
-    async def served(self, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
-        task = asyncio.ensure_future(work)
-        for _ in range(MOST_TICKS):
-            for _ in range(5):
-                await asyncio.sleep(0)
-            if task.done():
-                return task.result()
-            self.tick()
-        raise AssertionError("it never came to pass")
-
-    async def holding(self) -> None:
-        self.tick()
-        self.tick()
-        assert await self.served(self.host.command(self.anna, "torque_on")) == {"state": "holding"}
+    async def holding(self) -> Self:
+        self.tick()  # the first one only takes the arm over
+        return await super().holding()
 
     def place_object(self, at_rad: float) -> Callable[[], None]:
         """Something hard in the gripper, so thick that it stops it at `at_rad`; returns how to take it away."""
@@ -105,18 +91,9 @@ class SimulatedBench:
         writer.close()
         return replay.check(path)
 
-    def close(self) -> None:
-        self._theirs.close()
-        self.link.close()
-
 
 @asynccontextmanager
 async def on_arm(name: str, seed: int = 0) -> AsyncIterator[SimulatedBench]:
     """A fresh bench with that arm, holding."""
     asyncio.get_running_loop().set_default_executor(InlineExecutor())
-    bench = SimulatedBench(load_arm(name), seed)
-    try:
-        await bench.holding()
-        yield bench
-    finally:
-        bench.close()
+    yield await SimulatedBench(load_arm(name), seed).holding()

@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from armctl.control.link import Link
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.host import exchange
+from armctl.host import host as host_module
 from armctl.host.motions import run
 from armctl.messages import Hold, Mode, Reply, Run
 from tests.host.bench import Bench
@@ -41,7 +40,7 @@ async def test_a_client_that_leaves_during_its_park_stops_the_arm(bench: Bench) 
     await bench.until(lambda: bench.arm.mode() is Mode.PARKING)
     bench.host.client_gone(bench.anna)
     await bench.refused(task, "STOPPED")
-    assert bench.arm.mode() is Mode.HOLDING
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
 
 
 async def test_clear_without_a_fault_is_done(limp: Bench) -> None:
@@ -50,26 +49,14 @@ async def test_clear_without_a_fault_is_done(limp: Bench) -> None:
 
 async def test_an_unanswered_request_fails_in_bounded_time(limp: Bench) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exchange.Exchange.request, "__defaults__", (0.01,))
-        with pytest.raises(RequestRefused) as caught:
+        patch.setattr(host_module, "ANSWER_S", 0.01)
+        with refused("NO_ANSWER"):
             await limp.host.command(limp.anna, "clear")
-    assert caught.value.code == "NO_ANSWER"
 
 
 async def test_a_full_link_delays_a_command_and_loses_nothing(limp: Bench) -> None:
-
-    class FullOnce:
-        pid = 1
-        link: Any
-
-        def __init__(self, link: Link) -> None:
-            self.link, self.inner, self.full = self, link, True
-
-        def send(self, message: object) -> bool:
-            full, self.full = self.full, False
-            return not full and self.inner.send(message)
-
-    limp.host.attach(FullOnce(limp.control.link))
+    full = [True]
+    limp.host.exchange.attach(1, lambda command: not (full and full.pop()) and limp.control.link.send(command))
     assert await limp.served(limp.host.command(limp.anna, "clear")) == {"state": "off"}
 
 
@@ -121,7 +108,7 @@ async def stopped_at_rest(bench: Bench) -> None:
     for _ in range(5):
         await asyncio.sleep(0)
     for hold in holds(bench)[before:]:
-        bench.host.answer(Reply(hold.request_id, True))
+        bench.host.exchange.answer(Reply(hold.request_id, True))
     await stop
 
 
@@ -149,10 +136,10 @@ async def test_a_stop_after_anything_else_was_asked_is_a_command_of_its_own(benc
 
 
 async def test_a_stop_that_found_no_control_process_is_asked_again(bench: Bench) -> None:
-    control, bench.host.exchange.control = bench.host.exchange.control, None
+    bench.host.exchange.pid = None
     with pytest.raises(RequestRefused, match="started again"):
         await bench.host.stop()
-    bench.host.exchange.control = control
+    bench.attach()
     await stopped_at_rest(bench)
     assert len(holds(bench)) == 1
 

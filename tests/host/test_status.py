@@ -94,7 +94,7 @@ async def test_a_dead_control_process_is_a_fault_until_the_next_one_ticks(limp: 
     assert (status["state"], status["fault"]["code"]) == ("restarting", "RESTARTED")
     assert status["fault"].keys() == FAULT_KEYS
     assert status["pids"]["control"] is None
-    limp.host.attach(limp.control)
+    limp.attach()
     limp.tick()
     assert limp.host.status()["fault"] is None
     assert limp.host.status()["state"] == "off"

@@ -98,7 +98,7 @@ async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_
         limp.tick()
     host.control_lost()
     limp.arm.state = type(limp.arm.state)()  # the next one knows nothing
-    host.attach(limp.control)
+    limp.attach()
     limp.control.connect_again()
     limp.tick()
     assert host.status()["state"] == "off"

@@ -95,15 +95,12 @@ async def in_process(seed: int, count: int, tally: Tally, folder: Path) -> None:
 class _Control:
     """A control process that is a part of this one and ticks when told to."""
 
-    pid = os.getpid()
-
     def __init__(self, virtual: VirtualArm) -> None:
-        self.link = self
         self._virtual = virtual
         self._waiting: list[Command] = []
 
-    def send(self, message: Any) -> bool:
-        self._waiting.append(message)
+    def send(self, command: Command) -> bool:
+        self._waiting.append(command)
         return True
 
     def tick(self) -> TickRecord:
@@ -202,7 +199,7 @@ async def served(seed: int, folder: Path) -> AsyncIterator[_Rig]:
     asyncio.get_running_loop().set_default_executor(_Inline())
     host = Host(arm, virtual.robot, PERIOD_S, _Recorder(), clock)
     control = _Control(virtual)
-    host.attach(control)
+    host.exchange.attach(os.getpid(), control.send)
     takes = Takes(folder / "template", folder / "recordings")
     methods = Methods(host, folder / "recordings", _optimise)
     table = methods.table()
