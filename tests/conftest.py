@@ -1,9 +1,14 @@
-"""What every test shares: an `async def test_...` runs to its end on an event loop of its own."""
+"""What every test shares: an `async def test_...` runs to its end on an event loop of its own.
+
+A fixture that is an asynchronous context is entered on that loop, and the test gets what it gives.
+"""
 
 import asyncio
 import inspect
 from concurrent.futures import Executor
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -33,5 +38,13 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
         # A fixture of this name does what the test gives to threads, in place of the loop's own pool.
         if isinstance(executor := given.get("executor"), Executor):
             runner.get_loop().set_default_executor(executor)
-        runner.run(pyfuncitem.obj(**arguments))
+        runner.run(_entered(pyfuncitem.obj, arguments))
     return True
+
+
+async def _entered(test: Any, arguments: dict[str, Any]) -> None:
+    async with AsyncExitStack() as stack:
+        for name, given in arguments.items():
+            if isinstance(given, AbstractAsyncContextManager):
+                arguments[name] = await stack.enter_async_context(given)
+        await test(**arguments)

@@ -5,7 +5,7 @@ Rules.
 2. Every request costs a token; without one it is refused, save methods marked `always` (`stop`, `hold`).
    After each line the other connections get their turn, so a flood slows down nobody but its sender.
 3. What is waiting to be sent is bounded: snapshots by dropping the oldest and counting the gap, answers by
-   cutting the connection. A client that takes nothing for `stall_s` is cut.
+   cutting the connection. A client that takes nothing for `STALL_S` is cut.
 4. A client who may not command may look: it is served the methods that `observes`, and those marked `always`.
 5. End of file means the client is gone. What it began is told so (`on_close`); answers still due are sent.
 """
@@ -42,9 +42,7 @@ logger = logging.getLogger(__name__)
 class Connection:
     """One client: who it is, and what is to be sent to it."""
 
-    def __init__(
-        self, writer: asyncio.StreamWriter, bucket: TokenBucket, stall_s: float, may_command: Callable[[int], bool]
-    ) -> None:
+    def __init__(self, writer: asyncio.StreamWriter, bucket: TokenBucket, may_command: Callable[[int], bool]) -> None:
         pid, self.uid = _peer(writer.get_extra_info("socket"))
         self.name = f"pid {pid} (uid {self.uid})"
         self.commands = may_command(self.uid)
@@ -52,7 +50,6 @@ class Connection:
         self.subscribed = False
         self.requests: set[asyncio.Task[None]] = set()
         self._writer = writer
-        self._stall_s = stall_s
         self._lines: deque[bytes] = deque()
         self._unsent_bytes = 0
         self._snapshots: deque[bytes] = deque()
@@ -102,10 +99,10 @@ class Connection:
                     await self._wake.wait()
                     continue
                 self._writer.write(line)
-                async with asyncio.timeout(self._stall_s):
+                async with asyncio.timeout(STALL_S):
                     await self._writer.drain()
         except TimeoutError:
-            self.cut(f"it took nothing for {self._stall_s:g} s")
+            self.cut(f"it took nothing for {STALL_S:g} s")
         except ConnectionError:
             pass  # the client is gone; its reader sees the same
         finally:
@@ -150,14 +147,12 @@ class Server:
         clock: Clock,
         *,
         on_close: Callable[[Connection], None],
-        stall_s: float = STALL_S,
         may_command: Callable[[int], bool] = lambda _uid: True,
     ) -> None:
         self._methods = methods
         self._may_command = may_command
         self._clock = clock
         self._on_close = on_close
-        self._stall_s = stall_s
         self._connections: set[Connection] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
@@ -198,7 +193,7 @@ class Server:
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         bucket = TokenBucket(RATE, BURST, self._now_s())
-        connection = Connection(writer, bucket, self._stall_s, self._may_command)
+        connection = Connection(writer, bucket, self._may_command)
         sender = asyncio.create_task(connection.send_all())
         if len(self._connections) >= MAX_CONNECTIONS:
             refusal = RequestRefused("BUSY", f"{MAX_CONNECTIONS} clients are connected already; close one")

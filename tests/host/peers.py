@@ -69,8 +69,10 @@ class Peer:
 class Bench:
     """A server with a few methods, and clients of it."""
 
-    def __init__(self, path: Path, clock: Clock, stall_s: float, may_command: bool) -> None:
-        self.path = path
+    peer: Peer
+
+    def __init__(self, path: Path, clock: Clock | None, may_command: bool) -> None:
+        self.path, self.clock = path, VirtualClock()
         self.gone: list[Connection] = []
         self.seen: list[Connection] = []
         self.peers: list[Peer] = []
@@ -86,7 +88,7 @@ class Bench:
             "look": Method(Nothing, self._stop, observes=True),
         }
         self.server = Server(
-            methods, clock, on_close=self.gone.append, stall_s=stall_s, may_command=lambda _uid: may_command
+            methods, clock or self.clock, on_close=self.gone.append, may_command=lambda _uid: may_command
         )
 
     async def _echo(self, client: Connection, p: Numbered) -> dict[str, Any]:
@@ -120,14 +122,16 @@ class Bench:
 
 
 @asynccontextmanager
-async def bench(clock: Clock | None = None, stall_s: float = 5.0, may_command: bool = True) -> AsyncIterator[Bench]:
+async def bench(clock: Clock | None = None, may_command: bool = True) -> AsyncIterator[Bench]:
+    """A bench and its first client."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "s"
         listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         listening.bind(str(path))
         listening.listen()
-        found = Bench(path, clock or VirtualClock(), stall_s, may_command)
+        found = Bench(path, clock, may_command)
         await found.server.start(listening)
+        found.peer = await found.connect()
         try:
             yield found
         finally:
@@ -140,12 +144,3 @@ async def until(condition: Callable[[], bool]) -> None:
     async with asyncio.timeout(PATIENCE_S):
         while not condition():
             await asyncio.sleep(0)
-
-
-@asynccontextmanager
-async def connected(
-    clock: Clock | None = None, stall_s: float = 5.0, may_command: bool = True
-) -> AsyncIterator[tuple[Bench, Peer]]:
-    """A bench, and a first client of it."""
-    async with bench(clock, stall_s, may_command) as found:
-        yield found, await found.connect()

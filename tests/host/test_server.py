@@ -2,249 +2,228 @@
 
 import asyncio
 import os
+from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 import pytest
 
-from armctl.clock import MonotonicClock, VirtualClock
+from armctl.clock import NS_PER_S, MonotonicClock
 from armctl.host import jsonrpc, server
 from armctl.host.server import BURST, MAX_SNAPSHOTS
-from tests.host.peers import PATIENCE_S, bench, connected, until
+from tests.host.peers import PATIENCE_S, Bench, bench, until
 
 
-async def test_requests_are_answered_by_their_id() -> None:
-    async with connected() as (_, peer):
-        peer.send("echo", 7, number=3)
-        assert await peer.receive() == {"jsonrpc": "2.0", "id": 7, "result": {"number": 3}}
+@pytest.fixture
+def b() -> AbstractAsyncContextManager[Bench]:
+    return bench()
 
 
-async def test_a_long_request_does_not_hold_up_the_next_one() -> None:
-    async with connected() as (b, peer):
-        peer.send("wait", 1)
-        peer.send("stop", 2)
-        assert (await peer.receive())["id"] == 2
-        b.gate.set()
-        assert (await peer.receive())["id"] == 1
+async def test_requests_are_answered_by_their_id(b: Bench) -> None:
+    b.peer.send("echo", 7, number=3)
+    assert await b.peer.receive() == {"jsonrpc": "2.0", "id": 7, "result": {"number": 3}}
 
 
-async def test_a_wrong_parameter_is_named_with_value_and_bound() -> None:
-    async with connected() as (_, peer):
-        for params, words in (
-            ({"number": 11}, ("number", "11", "10")),
-            ({"number": "3"}, ("number", "'3'")),
-            ({"number": True}, ("number", "True")),
-            ({}, ("number",)),
-            ({"number": 3, "colour": 1}, ("colour", "unknown")),
-        ):
-            error = (await peer.call("echo", **params))["error"]
-            assert error["code"] == jsonrpc.INVALID_PARAMS
-            assert error["data"]["exit_status"] == 2
-            assert error["data"]["type"] == "ConfigError"
-            assert all(word in error["message"] for word in words), error["message"]
+async def test_a_long_request_does_not_hold_up_the_next_one(b: Bench) -> None:
+    b.peer.send("wait", 1)
+    b.peer.send("stop", 2)
+    assert (await b.peer.receive())["id"] == 2
+    b.gate.set()
+    assert (await b.peer.receive())["id"] == 1
 
 
-async def test_an_unknown_method_is_answered_with_the_known_ones() -> None:
-    async with connected() as (_, peer):
-        error = (await peer.call("dance"))["error"]
-        assert error["code"] == jsonrpc.METHOD_NOT_FOUND
-        assert "dance" in error["message"]
-        assert "echo" in error["message"]
+async def test_a_wrong_parameter_is_named_with_value_and_bound(b: Bench) -> None:
+    for params, words in (
+        ({"number": 11}, ("number", "11", "10")),
+        ({"number": "3"}, ("number", "'3'")),
+        ({"number": True}, ("number", "True")),
+        ({}, ("number",)),
+        ({"number": 3, "colour": 1}, ("colour", "unknown")),
+    ):
+        error = (await b.peer.call("echo", **params))["error"]
+        assert error["code"] == jsonrpc.INVALID_PARAMS
+        assert error["data"]["exit_status"] == 2
+        assert error["data"]["type"] == "ConfigError"
+        assert all(word in error["message"] for word in words), error["message"]
 
 
-async def test_errors_keep_their_reasons_and_a_defect_ends_nothing() -> None:
-    async with connected() as (_, peer):
-        error = (await peer.call("refuse"))["error"]
-        assert error["code"] == jsonrpc.ARMCTL_ERROR
-        assert error["data"]["reasons"] == ["too fast", "too low"]
-        assert (await peer.call("break"))["error"]["code"] == jsonrpc.INTERNAL_ERROR
-        assert (await peer.call("echo", number=1))["result"] == {"number": 1}
+async def test_an_unknown_method_is_answered_with_the_known_ones(b: Bench) -> None:
+    error = (await b.peer.call("dance"))["error"]
+    assert error["code"] == jsonrpc.METHOD_NOT_FOUND
+    assert "dance" in error["message"]
+    assert "echo" in error["message"]
 
 
-async def test_notifications_are_carried_out_and_not_answered() -> None:
-    async with connected() as (b, peer):
-        peer.send("subscribe", None)
-        peer.send("echo", None, number=99)
-        peer.send("echo", 5, number=1)
-        assert (await peer.receive())["id"] == 5
-        assert len(b.seen) == 1
+async def test_errors_keep_their_reasons_and_a_defect_ends_nothing(b: Bench) -> None:
+    error = (await b.peer.call("refuse"))["error"]
+    assert error["code"] == jsonrpc.ARMCTL_ERROR
+    assert error["data"]["reasons"] == ["too fast", "too low"]
+    assert (await b.peer.call("break"))["error"]["code"] == jsonrpc.INTERNAL_ERROR
+    assert (await b.peer.call("echo", number=1))["result"] == {"number": 1}
 
 
-async def test_what_is_no_request_is_answered_and_the_next_line_is_served() -> None:
-    async with connected() as (_, peer):
-        peer.send_raw(b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1e999}}\n')
-        assert (await peer.receive())["error"]["code"] == jsonrpc.PARSE_ERROR
-        assert (await peer.call("echo", number=1))["result"] == {"number": 1}
+async def test_notifications_are_carried_out_and_not_answered(b: Bench) -> None:
+    b.peer.send("subscribe", None)
+    b.peer.send("echo", None, number=99)
+    b.peer.send("echo", 5, number=1)
+    assert (await b.peer.receive())["id"] == 5
+    assert len(b.seen) == 1
+
+
+async def test_what_is_no_request_is_answered_and_the_next_line_is_served(b: Bench) -> None:
+    b.peer.send_raw(b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1e999}}\n')
+    assert (await b.peer.receive())["error"]["code"] == jsonrpc.PARSE_ERROR
+    assert (await b.peer.call("echo", number=1))["result"] == {"number": 1}
 
 
 @pytest.mark.parametrize("ended", [True, False])
-async def test_an_overlong_line_is_answered_and_the_connection_closed(ended: bool) -> None:
-    async with connected() as (b, peer):
-        peer.send_raw(b"x" * (jsonrpc.MAX_LINE_BYTES + 2) + b"\n" * ended)
-        answer = await peer.receive()
-        assert answer["error"]["code"] == jsonrpc.PARSE_ERROR
-        assert "65536" in answer["error"]["message"]
-        assert await peer.ended()
-        await until(lambda: len(b.gone) == 1)
+async def test_an_overlong_line_is_answered_and_the_connection_closed(b: Bench, ended: bool) -> None:
+    b.peer.send_raw(b"x" * (jsonrpc.MAX_LINE_BYTES + 2) + b"\n" * ended)
+    answer = await b.peer.receive()
+    assert answer["error"]["code"] == jsonrpc.PARSE_ERROR
+    assert "65536" in answer["error"]["message"]
+    assert await b.peer.ended()
+    await until(lambda: len(b.gone) == 1)
 
 
-async def test_a_flood_is_refused_and_stop_is_served_to_the_flooder_and_to_others() -> None:
-    async with bench() as b:  # on a clock that stands still: the burst and not one more
-        flooder, other = await b.connect(), await b.connect()
-        count = int(BURST) + 200
-        for number in range(count):
-            flooder.send("echo", number, number=1)
-        flooder.send("stop", -1)
-        await until(lambda: len(b.server._connections) == 2)
-        answers = {}
-        for _ in range(count + 1):
-            answer = await flooder.receive()
-            answers[answer["id"]] = answer
-        assert "result" in answers[-1]
-        # Those over the bound of requests under way at once are refused as well.
-        served = sum("result" in answers[number] for number in range(count))
-        assert 0 < served <= BURST
-        assert {answers[n]["error"]["data"]["code"] for n in range(int(BURST), count)} == {"RATE_LIMIT"}
-        assert "result" in await other.call("stop")
-        assert "result" in await other.call("echo", number=1)
+async def test_a_flood_is_refused_and_stop_is_served_to_the_flooder_and_to_others(b: Bench) -> None:
+    flooder, other = b.peer, await b.connect()
+    # The clock stands still: the burst and not one more.
+    count = int(BURST) + 200
+    for number in range(count):
+        flooder.send("echo", number, number=1)
+    flooder.send("stop", -1)
+    await until(lambda: len(b.server._connections) == 2)
+    answers = {}
+    for _ in range(count + 1):
+        answer = await flooder.receive()
+        answers[answer["id"]] = answer
+    assert "result" in answers[-1]
+    # Those over the bound of requests under way at once are refused as well.
+    served = sum("result" in answers[number] for number in range(count))
+    assert 0 < served <= BURST
+    assert {answers[n]["error"]["data"]["code"] for n in range(int(BURST), count)} == {"RATE_LIMIT"}
+    assert "result" in await other.call("stop")
+    assert "result" in await other.call("echo", number=1)
 
 
-async def test_the_allowance_comes_back_with_time() -> None:
-    clock = VirtualClock()
-    async with connected(clock) as (_, peer):
-        for _ in range(int(BURST)):
-            assert "result" in await peer.call("echo", number=1)
-        assert "error" in await peer.call("echo", number=1)
-        clock.advance_ns(1_000_000_000)
-        assert "result" in await peer.call("echo", number=1)
+async def test_the_allowance_comes_back_with_time(b: Bench) -> None:
+    for _ in range(int(BURST)):
+        assert "result" in await b.peer.call("echo", number=1)
+    assert "error" in await b.peer.call("echo", number=1)
+    b.clock.advance_ns(NS_PER_S)
+    assert "result" in await b.peer.call("echo", number=1)
 
 
-async def test_requests_under_way_are_bounded() -> None:
-    async with connected() as (b, peer):
-        for number in range(server.MAX_REQUESTS + 1):
-            peer.send("wait", number)
-        answer = await peer.receive()
-        assert answer["id"] == server.MAX_REQUESTS
-        assert answer["error"]["data"]["code"] == "RATE_LIMIT"
-        assert "result" in await peer.call("stop")
-        b.gate.set()
-        for _ in range(server.MAX_REQUESTS):
-            assert "result" in await peer.receive()
+async def test_requests_under_way_are_bounded(b: Bench) -> None:
+    for number in range(server.MAX_REQUESTS + 1):
+        b.peer.send("wait", number)
+    answer = await b.peer.receive()
+    assert answer["id"] == server.MAX_REQUESTS
+    assert answer["error"]["data"]["code"] == "RATE_LIMIT"
+    assert "result" in await b.peer.call("stop")
+    b.gate.set()
+    for _ in range(server.MAX_REQUESTS):
+        assert "result" in await b.peer.receive()
 
 
-async def test_snapshots_reach_subscribers_only_and_are_made_only_for_them() -> None:
-    async with bench() as b:
-        peer, other = await b.connect(), await b.connect()
-
-        def never() -> dict[str, Any]:
-            raise AssertionError("nobody subscribed")
-
-        b.server.publish(never)
-        await peer.call("subscribe")
-        b.server.publish(lambda: {"tick": 1})
-        assert await peer.receive() == {
-            "jsonrpc": "2.0",
-            "method": "snapshot",
-            "params": {"gap": 0, "tick": 1},
-        }
-        assert (await other.call("echo", number=1))["id"] == 1
+async def test_snapshots_reach_subscribers_only_and_are_made_only_for_them(b: Bench) -> None:
+    peer, other = b.peer, await b.connect()
+    b.server.publish(lambda: pytest.fail("nobody subscribed"))
+    await peer.call("subscribe")
+    b.server.publish(lambda: {"tick": 1})
+    assert await peer.receive() == {"jsonrpc": "2.0", "method": "snapshot", "params": {"gap": 0, "tick": 1}}
+    assert (await other.call("echo", number=1))["id"] == 1
 
 
-async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many() -> None:
-    async with connected() as (b, peer):
-        await peer.call("subscribe")
-        count = MAX_SNAPSHOTS + 36
-        for tick in range(count):  # without a turn for the sender in between
-            b.server.publish(lambda tick=tick: {"tick": tick})  # type: ignore[misc]
-        received = [(await peer.receive())["params"] for _ in range(MAX_SNAPSHOTS)]
-        assert received[0] == {"gap": 36, "tick": 36}
-        assert [snapshot["gap"] for snapshot in received[1:]] == [0] * (MAX_SNAPSHOTS - 1)
-        assert [snapshot["tick"] for snapshot in received] == list(range(36, count))
+async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many(b: Bench) -> None:
+    await b.peer.call("subscribe")
+    count = MAX_SNAPSHOTS + 36
+    for tick in range(count):  # without a turn for the sender in between
+        b.server.publish(lambda tick=tick: {"tick": tick})  # type: ignore[misc]
+    received = [(await b.peer.receive())["params"] for _ in range(MAX_SNAPSHOTS)]
+    assert received[0] == {"gap": 36, "tick": 36}
+    assert [snapshot["gap"] for snapshot in received[1:]] == [0] * (MAX_SNAPSHOTS - 1)
+    assert [snapshot["tick"] for snapshot in received] == list(range(36, count))
 
 
-async def test_a_subscriber_that_takes_nothing_is_cut() -> None:
-    async with connected(stall_s=0.05) as (b, peer):
-        await peer.call("subscribe")
-        peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
-        text = "x" * 100_000
-        async with asyncio.timeout(PATIENCE_S):
-            while not b.gone:
-                b.server.publish(lambda: {"text": text})
-                await asyncio.sleep(0)
-        assert not b.server._connections
+async def test_a_subscriber_that_takes_nothing_is_cut(b: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "STALL_S", 0.05)
+    await b.peer.call("subscribe")
+    b.peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
+    text = "x" * 100_000
+    async with asyncio.timeout(PATIENCE_S):
+        while not b.gone:
+            b.server.publish(lambda: {"text": text})
+            await asyncio.sleep(0)
+    assert not b.server._connections
 
 
-async def test_a_client_that_reads_no_answers_is_cut_before_they_fill_the_memory() -> None:
-    async with connected() as (b, peer):
-        await peer.call("subscribe")
-        peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
-        for number in range(20):
-            peer.send("large", number)
-        await until(lambda: len(b.gone) == 1)
+async def test_a_client_that_reads_no_answers_is_cut_before_they_fill_the_memory(b: Bench) -> None:
+    await b.peer.call("subscribe")
+    b.peer.writer.transport.pause_reading()  # type: ignore[attr-defined]
+    for number in range(20):
+        b.peer.send("large", number)
+    await until(lambda: len(b.gone) == 1)
 
 
-async def test_a_client_that_leaves_is_told_of_once_and_its_requests_end() -> None:
-    async with connected() as (b, peer):
-        peer.send("wait", 1)
-        await peer.call("stop")
-        await peer.close()
-        await until(lambda: len(b.gone) == 1)
-        assert len(b.server._connections) == 1, "its request is still under way"
-        b.gate.set()
-        await until(lambda: not b.server._connections)
-        assert len(b.gone) == 1
+async def test_a_client_that_leaves_is_told_of_once_and_its_requests_end(b: Bench) -> None:
+    b.peer.send("wait", 1)
+    await b.peer.call("stop")
+    await b.peer.close()
+    await until(lambda: len(b.gone) == 1)
+    assert len(b.server._connections) == 1, "its request is still under way"
+    b.gate.set()
+    await until(lambda: not b.server._connections)
+    assert len(b.gone) == 1
 
 
-async def test_a_half_closed_client_gets_its_answers() -> None:
-    async with connected() as (_, peer):
-        peer.send("echo", 1, number=1)
-        peer.writer.write_eof()
-        assert (await peer.receive())["id"] == 1
-        assert await peer.ended()
+async def test_a_half_closed_client_gets_its_answers(b: Bench) -> None:
+    b.peer.send("echo", 1, number=1)
+    b.peer.writer.write_eof()
+    assert (await b.peer.receive())["id"] == 1
+    assert await b.peer.ended()
 
 
-async def test_too_many_clients_are_refused_in_words() -> None:
-    async with bench() as b:
-        for _ in range(server.MAX_CONNECTIONS):
-            await b.connect()
-        await until(lambda: len(b.server._connections) == server.MAX_CONNECTIONS)
-        late = await b.connect()
-        assert (await late.receive())["error"]["data"]["code"] == "BUSY"
-        assert await late.ended()
+async def test_too_many_clients_are_refused_in_words(b: Bench) -> None:
+    for _ in range(server.MAX_CONNECTIONS - 1):
+        await b.connect()
+    await until(lambda: len(b.server._connections) == server.MAX_CONNECTIONS)
+    late = await b.connect()
+    assert (await late.receive())["error"]["data"]["code"] == "BUSY"
+    assert await late.ended()
 
 
-async def test_clients_are_known_by_process_and_user() -> None:
-    async with connected() as (b, peer):
-        await peer.call("subscribe")
-        assert b.seen[0].name == f"pid {os.getpid()} (uid {os.getuid()})"
+async def test_clients_are_known_by_process_and_user(b: Bench) -> None:
+    await b.peer.call("subscribe")
+    assert b.seen[0].name == f"pid {os.getpid()} (uid {os.getuid()})"
 
 
 async def test_who_may_not_command_may_look_and_stop() -> None:
-    async with connected(may_command=False) as (_, peer):
-        error = (await peer.call("echo", number=1))["error"]
+    async with bench(may_command=False) as b:
+        error = (await b.peer.call("echo", number=1))["error"]
         assert error["data"]["code"] == "NOT_A_COMMANDER"
         assert f"uid {os.getuid()}" in error["message"]
         assert "`commanders`" in error["message"]
-        assert (await peer.call("look"))["result"] == {"state": "holding"}
-        assert (await peer.call("stop"))["result"] == {"state": "holding"}
+        assert (await b.peer.call("look"))["result"] == {"state": "holding"}
+        assert (await b.peer.call("stop"))["result"] == {"state": "holding"}
 
 
-async def test_closing_the_server_cancels_what_does_not_end_without_a_word() -> None:
+async def test_closing_the_server_cancels_what_does_not_end_without_a_word(b: Bench) -> None:
     complaints: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: complaints.append(context))
-    async with connected() as (b, peer):
-        peer.send("wait", 1)
-        await peer.call("stop")
-        await b.server.close()
-        assert not b.server._connections
-        assert len(b.gone) == 1
-        assert await peer.ended()
-        assert complaints == []
+    b.peer.send("wait", 1)
+    await b.peer.call("stop")
+    await b.server.close()
+    assert not b.server._connections
+    assert len(b.gone) == 1
+    assert await b.peer.ended()
+    assert complaints == []
 
 
 async def test_stop_is_served_within_100_ms_under_a_flood() -> None:
     clock = MonotonicClock()
     async with bench(clock) as b:
-        flooder, other = await b.connect(), await b.connect()
+        flooder, other = b.peer, await b.connect()
         line = b'{"jsonrpc":"2.0","id":1,"method":"echo","params":{"number":1}}\n' * 100
         flooding = True
 
