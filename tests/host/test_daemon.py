@@ -9,7 +9,7 @@ import tempfile
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,7 +21,7 @@ from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import Config
 from armctl.control.link import StartFailed
 from armctl.control.process import ControlSettings
-from armctl.errors import ArmctlError, BusError, ConfigError, NoDaemon, PortBusy, PortGone, PortMissing, RequestRefused
+from armctl.errors import BusError, ConfigError, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.files import load_arm
 from armctl.host import daemon
 from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, Outside, restart_wait_s, run_daemon
@@ -29,8 +29,8 @@ from armctl.messages import Hold, Mode
 from armctl.recording.writer import LogContext
 from tests.control.ideal_arm import IdealArm
 from tests.host.doubles import IdealControl, InlineExecutor, MemoryRecorder, refused, small_plan
+from tests.host.peers import PATIENCE_S, until
 
-PATIENCE_S = 30.0
 T = TypeVar("T")
 
 
@@ -105,11 +105,6 @@ class Bench:
         """What a client waits for; the daemon's own work needs no thread here."""
         return await asyncio.get_running_loop().run_in_executor(self.threads, work)
 
-    async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while not condition():
-                await asyncio.sleep(0)
-
 
 @asynccontextmanager
 async def bench() -> AsyncIterator[Bench]:
@@ -155,108 +150,111 @@ async def moving(b: Bench, client: Client) -> asyncio.Task[dict[str, Any]]:
     """The client's run, under way until something stops it."""
     b.frozen = True
     run = asyncio.create_task(b.call(client, "run", plan=small_plan(b.arm).model_dump(mode="json")))
-    await b.until(lambda: b.arm.mode() is Mode.MOVING)
+    await until(lambda: b.arm.mode() is Mode.MOVING)
     return run
+
+
+@pytest.fixture
+def idle() -> AbstractAsyncContextManager[Bench]:
+    return bench()
+
+
+@pytest.fixture
+def b() -> AbstractAsyncContextManager[Bench]:
+    return running()
 
 
 # ------------------------------------------------------------------------------------------------- serving
 
 
-async def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group() -> None:
-    async with running() as b:
-        assert b.lines == [str(b.socket)]
-        assert stat.S_IMODE(b.socket.stat().st_mode) == 0o660
-        assert stat.S_IMODE(b.socket.parent.stat().st_mode) == 0o750
-        with await b.client() as client:
-            status = await b.call(client, "status")
-            assert status["state"] == "off"
-            assert status["pids"] == {"daemon": os.getpid(), "control": 4242}
-            log = await b.call(client, "log")
-            assert log == {"path": "/logs/log.mcap", "problem": "", "dropped": 0, "recorder_dropped": 0}
+async def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group(b: Bench) -> None:
+    assert b.lines == [str(b.socket)]
+    assert stat.S_IMODE(b.socket.stat().st_mode) == 0o660
+    assert stat.S_IMODE(b.socket.parent.stat().st_mode) == 0o750
+    with await b.client() as client:
+        status = await b.call(client, "status")
+        assert status["state"] == "off"
+        assert status["pids"] == {"daemon": os.getpid(), "control": 4242}
+        log = await b.call(client, "log")
+        assert log == {"path": "/logs/log.mcap", "problem": "", "dropped": 0, "recorder_dropped": 0}
 
 
-async def test_a_run_over_the_socket_is_recorded_and_measured() -> None:
-    async with running() as b:
-        with await holding(b) as client:
-            plan = small_plan(b.arm).model_dump(mode="json")
-            result = await b.call(client, "run", plan=plan)
-        assert result.keys() == {
-            "recording",
-            "mean_error_mm",
-            "max_error_mm",
-            "duration_s",
-            "predicted_mean_error_mm",
-            "predicted_max_error_mm",
-            "begin_ns",
-            "end_ns",
-        }
-        assert list(b.recorder.takes) == [result["recording"]]
-
-
-async def test_commands_and_their_outcome_stand_in_the_log() -> None:
-    async with running() as b:
-        with await holding(b) as client:
-            with pytest.raises(RequestRefused):
-                await b.call(client, "torque_on")
-            with pytest.raises(RequestRefused):
-                await b.call(client, "take_begin", name="x")
-            await b.call(client, "stop")
-        notes = [json.loads(note) for note in b.recorder.notes]
-        assert [(note["request"], note["outcome"]) for note in notes] == [
-            ("torque_on", "ok"),
-            ("torque_on", "ILLEGAL_TRANSITION"),
-            ("take_begin", "ILLEGAL_TRANSITION"),
-            ("stop", "ok"),
-        ]
-        assert notes[2]["params"] == {"name": "x"}
-        assert f"uid {os.getuid()}" in notes[0]["who"]
-
-
-async def test_release_has_to_be_confirmed() -> None:
-    async with running() as b:
-        with await holding(b) as client:
-            for params in ({}, {"confirm": False}):
-                with pytest.raises(ConfigError, match="confirm"):
-                    await b.call(client, "release", **params)
-            assert await b.call(client, "release", confirm=True) == {"state": "off"}
-
-
-async def test_subscribers_see_every_tick() -> None:
-    async with running() as b:
-        with await b.client() as client:
-
-            def watch() -> list[dict[str, Any]]:
-                snapshots = client.subscribe()
-                return [next(snapshots) for _ in range(50)]
-
-            seen = await b.in_thread(watch)
-        for before, after in pairwise(seen):
-            assert after["tick"] == before["tick"] + 1 + after["gap"]
-
-
-async def test_a_second_client_is_told_who_commands_and_may_stop() -> None:
-    async with running() as b:
-        with await holding(b) as first, await b.client() as second:
-            run = await moving(b, first)
-            with refused("BUSY", "commands the arm now"):
-                await b.call(second, "clear")
-            assert await b.call(second, "stop") == {"state": "holding"}
-            with refused("STOPPED"):
-                await run
-
-
-async def test_a_client_killed_during_its_run_stops_the_arm() -> None:
-    async with running() as b:
-        client = await holding(b)
-        b.frozen = True
+async def test_a_run_over_the_socket_is_recorded_and_measured(b: Bench) -> None:
+    with await holding(b) as client:
         plan = small_plan(b.arm).model_dump(mode="json")
-        run = {"jsonrpc": "2.0", "id": 9, "method": "run", "params": {"plan": plan}}
-        client._socket.sendall(json.dumps(run).encode() + b"\n")
-        await b.until(lambda: b.arm.mode() is Mode.MOVING)
-        client.close()
-        await b.until(lambda: b.arm.mode() is Mode.HOLDING)
-        await b.until(lambda: len(b.recorder.takes) == 1)
-        assert any("LEASE_LOST" in note for note in b.recorder.notes)
+        result = await b.call(client, "run", plan=plan)
+    assert result.keys() == {
+        "recording",
+        "mean_error_mm",
+        "max_error_mm",
+        "duration_s",
+        "predicted_mean_error_mm",
+        "predicted_max_error_mm",
+        "begin_ns",
+        "end_ns",
+    }
+    assert list(b.recorder.takes) == [result["recording"]]
+
+
+async def test_commands_and_their_outcome_stand_in_the_log(b: Bench) -> None:
+    with await holding(b) as client:
+        with pytest.raises(RequestRefused):
+            await b.call(client, "torque_on")
+        with pytest.raises(RequestRefused):
+            await b.call(client, "take_begin", name="x")
+        await b.call(client, "stop")
+    notes = [json.loads(note) for note in b.recorder.notes]
+    assert [(note["request"], note["outcome"]) for note in notes] == [
+        ("torque_on", "ok"),
+        ("torque_on", "ILLEGAL_TRANSITION"),
+        ("take_begin", "ILLEGAL_TRANSITION"),
+        ("stop", "ok"),
+    ]
+    assert notes[2]["params"] == {"name": "x"}
+    assert f"uid {os.getuid()}" in notes[0]["who"]
+
+
+async def test_release_has_to_be_confirmed(b: Bench) -> None:
+    with await holding(b) as client:
+        for params in ({}, {"confirm": False}):
+            with pytest.raises(ConfigError, match="confirm"):
+                await b.call(client, "release", **params)
+        assert await b.call(client, "release", confirm=True) == {"state": "off"}
+
+
+async def test_subscribers_see_every_tick(b: Bench) -> None:
+    with await b.client() as client:
+
+        def watch() -> list[dict[str, Any]]:
+            snapshots = client.subscribe()
+            return [next(snapshots) for _ in range(50)]
+
+        seen = await b.in_thread(watch)
+    for before, after in pairwise(seen):
+        assert after["tick"] == before["tick"] + 1 + after["gap"]
+
+
+async def test_a_second_client_is_told_who_commands_and_may_stop(b: Bench) -> None:
+    with await holding(b) as first, await b.client() as second:
+        run = await moving(b, first)
+        with refused("BUSY", "commands the arm now"):
+            await b.call(second, "clear")
+        assert await b.call(second, "stop") == {"state": "holding"}
+        with refused("STOPPED"):
+            await run
+
+
+async def test_a_client_killed_during_its_run_stops_the_arm(b: Bench) -> None:
+    client = await holding(b)
+    b.frozen = True
+    plan = small_plan(b.arm).model_dump(mode="json")
+    run = {"jsonrpc": "2.0", "id": 9, "method": "run", "params": {"plan": plan}}
+    client._socket.sendall(json.dumps(run).encode() + b"\n")
+    await until(lambda: b.arm.mode() is Mode.MOVING)
+    client.close()
+    await until(lambda: b.arm.mode() is Mode.HOLDING)
+    await until(lambda: len(b.recorder.takes) == 1)
+    assert any("LEASE_LOST" in note for note in b.recorder.notes)
 
 
 # ------------------------------------------------------------------------------------------------ lifetime
@@ -281,65 +279,59 @@ async def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on() -> No
 @pytest.mark.parametrize(
     "error", [PortMissing("no such port"), PortBusy("held"), PortGone("gone"), BusError("ODD", "?")]
 )
-async def test_a_port_that_cannot_be_had_is_one_clear_error(error: BusError) -> None:
-    async with bench() as b:
-        b.failing_start = StartFailed(error)
-        with pytest.raises(type(error)) as caught:
-            await b.run()
-        assert (caught.value.code, str(caught.value)) == (error.code, str(error))
-        assert b.recorder.closed
-        assert not b.ready.is_set()
-        assert not b.socket.exists()
+async def test_a_port_that_cannot_be_had_is_one_clear_error(idle: Bench, error: BusError) -> None:
+    idle.failing_start = StartFailed(error)
+    with pytest.raises(type(error)) as caught:
+        await idle.run()
+    assert (caught.value.code, str(caught.value)) == (error.code, str(error))
+    assert idle.recorder.closed
+    assert not idle.ready.is_set()
+    assert not idle.socket.exists()
 
 
-async def test_a_control_process_that_never_ticks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with bench() as b:
-        monkeypatch.setattr(daemon, "START_S", 0.05)
-        mute = IdealControl(b.clock)
-        monkeypatch.setattr(b, "start_control", lambda settings: mute)
-        with pytest.raises(RequestRefused, match="did not tick"):
-            await b.run()
-        assert mute.terminated
-        mute.die()
+async def test_a_control_process_that_never_ticks_is_an_error(idle: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(daemon, "START_S", 0.05)
+    mute = IdealControl(idle.clock)
+    monkeypatch.setattr(idle, "start_control", lambda settings: mute)
+    with pytest.raises(RequestRefused, match="did not tick"):
+        await idle.run()
+    assert mute.terminated
+    mute.die()
 
 
-async def test_a_recorder_that_cannot_be_made_ends_the_control_process() -> None:
-    async with bench() as b:
+async def test_a_recorder_that_cannot_be_made_ends_the_control_process(idle: Bench) -> None:
+    def broken(*_: object) -> MemoryRecorder:
+        raise OSError("no disk")
 
-        def broken(context: LogContext, log_dir: Path, recordings_dir: Path) -> MemoryRecorder:
-            raise OSError("no disk")
-
-        b.make_recorder = broken  # type: ignore[method-assign]
-        with pytest.raises(OSError, match="no disk"):
-            await b.run()
-        assert b.controls[0].terminated
+    idle.make_recorder = broken  # type: ignore[method-assign]
+    with pytest.raises(OSError, match="no disk"):
+        await idle.run()
+    assert idle.controls[0].terminated
 
 
-async def test_a_dead_control_process_fails_the_run_and_another_takes_the_arm_over() -> None:
-    async with running() as b:
-        with await holding(b) as client:
-            run = await moving(b, client)
-            b.controls[0].die()
-            with refused("RESTARTED"):
-                await run
-            await b.until(lambda: len(b.controls) == 2)
-            await b.until(lambda: b.arm.mode() is Mode.HOLDING)
-            assert b.controls[0].terminated
-            assert "RESTARTED" in b.arm.events
-            assert await b.call(client, "stop") == {"state": "holding"}
-            assert any("RESTARTED" in note for note in b.recorder.notes)
-
-
-async def test_control_processes_that_fail_to_start_again_are_tried_again() -> None:
-    async with running() as b:
-        b.failing_start = StartFailed(PortGone("unplugged"))
+async def test_a_dead_control_process_fails_the_run_and_another_takes_the_arm_over(b: Bench) -> None:
+    with await holding(b) as client:
+        run = await moving(b, client)
         b.controls[0].die()
-        await b.until(lambda: len(b.controls) == 3)
-        b.failing_start = None
-        with await b.client() as client:
-            async with asyncio.timeout(PATIENCE_S):
-                while (await b.call(client, "status"))["state"] != "off":
-                    await asyncio.sleep(0)
+        with refused("RESTARTED"):
+            await run
+        await until(lambda: len(b.controls) == 2)
+        await until(lambda: b.arm.mode() is Mode.HOLDING)
+        assert b.controls[0].terminated
+        assert "RESTARTED" in b.arm.events
+        assert await b.call(client, "stop") == {"state": "holding"}
+        assert any("RESTARTED" in note for note in b.recorder.notes)
+
+
+async def test_control_processes_that_fail_to_start_again_are_tried_again(b: Bench) -> None:
+    b.failing_start = StartFailed(PortGone("unplugged"))
+    b.controls[0].die()
+    await until(lambda: len(b.controls) == 3)
+    b.failing_start = None
+    with await b.client() as client:
+        async with asyncio.timeout(PATIENCE_S):
+            while (await b.call(client, "status"))["state"] != "off":
+                await asyncio.sleep(0)
 
 
 def test_restarts_come_at_once_until_they_come_often() -> None:
@@ -348,13 +340,3 @@ def test_restarts_come_at_once_until_they_come_often() -> None:
     assert restart_wait_s(deque(range(0, MAX_DEATHS * second, second))) == 0.0
     assert restart_wait_s(deque(range(0, (MAX_DEATHS + 1) * second, second))) == PATIENT_WAIT_S
     assert restart_wait_s(deque(range(0, (MAX_DEATHS + 1) * 20 * second, 20 * second))) == 0.0
-
-
-# -------------------------------------------------------------------------------------------------- client
-
-
-def test_no_daemon_is_an_error_with_its_remedy(tmp_path: Path) -> None:
-    with pytest.raises(NoDaemon, match=r"armctl daemon --port") as caught:
-        Client(tmp_path / "none")
-    assert caught.value.exit_status == 3
-    assert isinstance(caught.value, ArmctlError)

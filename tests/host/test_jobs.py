@@ -15,7 +15,7 @@ from armctl.genetic.request import OptimizeRequest
 from armctl.host.jobs import OptimizeJob, Progress, optimize_task, run_job
 from armctl.trajectory.plan import plan_from_text
 from tests.genetic import hand
-from tests.host.doubles import write_take
+from tests.host.doubles import refused, write_take
 
 PATIENCE_S = 60.0
 
@@ -41,18 +41,10 @@ def task(what: str, progress: Progress) -> dict[str, Any]:
     raise AssertionError(what)
 
 
-def outcome(what: str) -> tuple[Any, list[tuple[int, float, float]]]:
+async def test_a_job_runs_elsewhere_and_its_progress_is_rare() -> None:
     seen: list[tuple[int, float, float]] = []
-
-    async def main() -> Any:
-        async with asyncio.timeout(PATIENCE_S):
-            return await run_job(task, what, lambda *values: seen.append(values))
-
-    return asyncio.run(main()), seen
-
-
-def test_a_job_runs_elsewhere_and_its_progress_is_rare() -> None:
-    result, seen = outcome("result")
+    async with asyncio.timeout(PATIENCE_S):
+        result = await run_job(task, "result", lambda *values: seen.append(values))
     assert result["pid"] != os.getpid()
     assert seen[0] == (1, 2.0, 3.0)
     assert len(seen) < 50
@@ -67,25 +59,25 @@ def test_a_job_runs_elsewhere_and_its_progress_is_rare() -> None:
         ("die", RequestRefused, {"code": "JOB_FAILED"}),
     ],
 )
-def test_a_job_s_error_is_raised_with_its_fields(what: str, kind: type[Exception], fields: dict[str, Any]) -> None:
+async def test_a_job_s_error_is_raised_with_its_fields(
+    what: str, kind: type[Exception], fields: dict[str, Any]
+) -> None:
     with pytest.raises(kind) as caught:
-        outcome(what)
+        async with asyncio.timeout(PATIENCE_S):
+            await run_job(task, what, lambda *_: None)
     assert vars(caught.value) | fields == vars(caught.value)
     assert str(caught.value)
 
 
-def test_cancelling_ends_the_process() -> None:
-    async def main() -> None:
-        begun = asyncio.Event()
-        work = asyncio.create_task(run_job(task, "hang", lambda *_: begun.set()))
-        async with asyncio.timeout(PATIENCE_S):
-            await begun.wait()
-            work.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await work
-
-    # A process that was not ended and joined would leave a ResourceWarning, an error here.
-    asyncio.run(main())
+async def test_cancelling_ends_the_process() -> None:
+    """A process that was not ended and joined would leave a ResourceWarning, an error here."""
+    begun = asyncio.Event()
+    work = asyncio.create_task(run_job(task, "hang", lambda *_: begun.set()))
+    async with asyncio.timeout(PATIENCE_S):
+        await begun.wait()
+        work.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await work
 
 
 # -------------------------------------------------------------------------------------------- optimisation
@@ -99,18 +91,9 @@ def job(folder: Path, count: int = 3, duration_s: float = 6.0) -> OptimizeJob:
         paths.append(folder / f"take-{number}.mcap")
         if not paths[-1].exists():
             write_take(paths[-1], samples, hand.arm())
-    return OptimizeJob(
-        hand.arm(),
-        tuple(paths),
-        OptimizeRequest(
-            from_m=tuple(hand.A.tolist()),
-            to_m=tuple(hand.B.tolist()),
-            via=(0, 2),
-            duration_s=duration_s,
-            seed=3,
-            settings=SETTINGS,
-        ),
-    )
+    from_m, to_m = tuple(hand.A.tolist()), tuple(hand.B.tolist())
+    request = OptimizeRequest(from_m=from_m, to_m=to_m, via=(0, 2), duration_s=duration_s, seed=3, settings=SETTINGS)
+    return OptimizeJob(hand.arm(), tuple(paths), request)
 
 
 def test_an_optimisation_says_everything_the_contract_names(tmp_path: Path) -> None:
@@ -133,15 +116,11 @@ def test_an_optimisation_says_everything_the_contract_names(tmp_path: Path) -> N
     assert len(result["history"]["best_cost_mm"]) == len(result["history"]["mean_cost_mm"]) == 12
 
 
-def test_an_optimisation_repeats_itself_elsewhere(tmp_path: Path) -> None:
+async def test_an_optimisation_repeats_itself_elsewhere(tmp_path: Path) -> None:
     asked = job(tmp_path)
     here = optimize_task(asked, lambda *_: None)
-
-    async def main() -> dict[str, Any]:
-        async with asyncio.timeout(PATIENCE_S):
-            return await run_job(optimize_task, asked, lambda *_: None)
-
-    there = asyncio.run(main())
+    async with asyncio.timeout(PATIENCE_S):
+        there = await run_job(optimize_task, asked, lambda *_: None)
     del here["ga"]["evaluations_per_s"], there["ga"]["evaluations_per_s"]
     assert here == there
 
@@ -149,9 +128,8 @@ def test_an_optimisation_repeats_itself_elsewhere(tmp_path: Path) -> None:
 def test_recordings_of_another_arm_are_refused_each_by_name(tmp_path: Path) -> None:
     asked = job(tmp_path, count=2)
     other = replace(asked, arm=asked.arm.model_copy(update={"arm_id": "other"}))
-    with pytest.raises(RequestRefused) as caught:
+    with refused("FOREIGN_LOG") as caught:
         optimize_task(other, lambda *_: None)
-    assert caught.value.code == "FOREIGN_LOG"
     assert [reason.split()[1] for reason in caught.value.reasons] == ["take-0", "take-1"]
 
 
@@ -163,8 +141,7 @@ def test_a_missing_recording_is_a_log_error(tmp_path: Path) -> None:
 
 def test_limits_that_contradict_the_duration_are_refused_with_one_that_does_not(tmp_path: Path) -> None:
     asked = job(tmp_path, duration_s=0.6)
-    with pytest.raises(RequestRefused, match=r"in 0\.6 s; give (\d+\.\d) s or more") as caught:
+    with refused("LIMITS", r"in 0\.6 s; give (\d+\.\d) s or more") as caught:
         optimize_task(asked, lambda *_: None)
-    assert caught.value.code == "LIMITS"
     least_s = float(str(caught.value).split("give ")[1].split()[0])
     assert optimize_task(job(tmp_path, duration_s=least_s), lambda *_: None)["ga"]["mean_error_mm"] > 0.0

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from armctl.messages import Mode, TickRecord
 from armctl.trajectory.grasp import Method, ReachRequest
 from armctl.trajectory.target import MoveRequest
 from tests.host.doubles import refused
-from tests.host.simulated import on_arm
+from tests.host.simulated import SimulatedBench, on_arm
 
 POINT = (0.20, 0.05, 0.06)
 AWAY_DEG = {
@@ -24,6 +25,12 @@ AWAY_DEG = {
     "transfer-6dof": (20.0, -70.0, 20.0, 10.0, 10.0, 10.0),
 }
 SAG_DEG = 6.0
+
+
+@pytest.fixture
+def bench() -> AbstractAsyncContextManager[SimulatedBench]:
+    """The arm with a gripper."""
+    return on_arm("xiang-6dof")
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -62,64 +69,59 @@ async def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tup
 
 
 @pytest.mark.parametrize("method", ["numeric", "ga", "ga-improved"])
-async def test_other_inverse_kinematics_get_there_too(method: Method) -> None:
-    async with on_arm("xiang-6dof") as bench:
-        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, ik=method, seed=1)))
-        assert result["method"] == method
-        assert bench.off_mm(POINT) < 6.0
+async def test_other_inverse_kinematics_get_there_too(bench: SimulatedBench, method: Method) -> None:
+    result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, ik=method, seed=1)))
+    assert result["method"] == method
+    assert bench.off_mm(POINT) < 6.0
 
 
-async def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_replays(tmp_path: Path) -> None:
-    async with on_arm("xiang-6dof") as bench:
-        bench.place_object(math.radians(40.0))
-        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
-        assert result["gripped"] is True
-        assert result["gripper"]["load_ratio"] == pytest.approx(0.3, abs=0.07)
-        assert result["gripper"]["position_rad"] == pytest.approx(math.radians(40.0), abs=math.radians(2.0))
-        assert result["position_error_mm"] < 5.0
-        assert bench.off_mm(POINT) > 25.0  # it has backed off, as a sagging arm does
-        assert Mode.FAULTED not in bench.modes
-        replayed = bench.replayed(tmp_path / "grip.mcap")
-        assert (replayed.mismatches, replayed.first_mismatch) == (0, "")
-        assert replayed.ticks > 200
+async def test_what_is_gripped_is_told_by_the_load_held_through_the_lift_and_the_log_replays(
+    bench: SimulatedBench, tmp_path: Path
+) -> None:
+    bench.place_object(math.radians(40.0))
+    result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
+    assert result["gripped"] is True
+    assert result["gripper"]["load_ratio"] == pytest.approx(0.3, abs=0.07)
+    assert result["gripper"]["position_rad"] == pytest.approx(math.radians(40.0), abs=math.radians(2.0))
+    assert result["position_error_mm"] < 5.0
+    assert bench.off_mm(POINT) > 25.0  # it has backed off, as a sagging arm does
+    assert Mode.FAULTED not in bench.modes
+    replayed = bench.replayed(tmp_path / "grip.mcap")
+    assert (replayed.mismatches, replayed.first_mismatch) == (0, "")
+    assert replayed.ticks > 200
 
 
-async def test_a_gripper_that_closes_on_nothing_says_so() -> None:
-    async with on_arm("xiang-6dof") as bench:
-        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
-        assert result["gripped"] is False
-        assert result["gripper"]["position_rad"] == pytest.approx(math.radians(90.0), abs=math.radians(3.0))
+async def test_a_gripper_that_closes_on_nothing_says_so(bench: SimulatedBench) -> None:
+    result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
+    assert result["gripped"] is False
+    assert result["gripper"]["position_rad"] == pytest.approx(math.radians(90.0), abs=math.radians(3.0))
 
 
-async def test_what_is_lost_on_the_way_up_is_not_gripped() -> None:
-    async with on_arm("xiang-6dof") as bench:
-        take_away = bench.place_object(math.radians(40.0))
-        met = bench.on_tick
+async def test_what_is_lost_on_the_way_up_is_not_gripped(bench: SimulatedBench) -> None:
+    take_away = bench.place_object(math.radians(40.0))
+    met = bench.on_tick
 
-        def lose(record: TickRecord) -> None:
-            met(record)
-            if any(event.code == "GRIPPED" for event in record.outputs.events):
-                take_away()
+    def lose(record: TickRecord) -> None:
+        met(record)
+        if any(event.code == "GRIPPED" for event in record.outputs.events):
+            take_away()
 
-        bench.on_tick = lose
-        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
-        assert result["gripped"] is False
+    bench.on_tick = lose
+    result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip")))
+    assert result["gripped"] is False
 
 
-async def test_what_was_gripped_is_let_go_elsewhere() -> None:
-    async with on_arm("xiang-6dof") as bench:
-        take_away = bench.place_object(math.radians(40.0))
-        assert (await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip"))))[
-            "gripped"
-        ]
-        there = (0.20, -0.05, 0.06)
-        held = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=there)))
-        assert held["position_error_mm"] < 5.0
-        assert bench.true_deg()[5] == pytest.approx(40.0, abs=2.0)
-        take_away()
-        result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=there, gripper="let_go")))
-        assert result["gripped"] is False
-        assert bench.true_deg()[5] == pytest.approx(0.0, abs=3.0)
+async def test_what_was_gripped_is_let_go_elsewhere(bench: SimulatedBench) -> None:
+    take_away = bench.place_object(math.radians(40.0))
+    assert (await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT, gripper="grip"))))["gripped"]
+    there = (0.20, -0.05, 0.06)
+    held = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=there)))
+    assert held["position_error_mm"] < 5.0
+    assert bench.true_deg()[5] == pytest.approx(40.0, abs=2.0)
+    take_away()
+    result = await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=there, gripper="let_go")))
+    assert result["gripped"] is False
+    assert bench.true_deg()[5] == pytest.approx(0.0, abs=3.0)
 
 
 @pytest.mark.parametrize(
@@ -141,16 +143,13 @@ async def test_what_cannot_be_done_is_refused_and_nothing_moves(
         assert not bench.recorder.takes
 
 
-async def test_a_stop_ends_the_whole_reach_and_not_only_the_leg_under_way() -> None:
-    async with on_arm("xiang-6dof") as bench:
-        work = asyncio.ensure_future(bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT))))
-        while Mode.MOVING not in bench.modes:
-            await asyncio.sleep(0)
-        await bench.host.stop()
-        with refused("STOPPED"):
-            await work
-        assert bench.loop.state.mode is Mode.HOLDING
-        assert len(bench.recorder.takes) == 1
-        assert (
-            sum(command.kind == "run" for record in bench.recorder.records for command in record.inputs.commands) == 1
-        )
+async def test_a_stop_ends_the_whole_reach_and_not_only_the_leg_under_way(bench: SimulatedBench) -> None:
+    work = asyncio.ensure_future(bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=POINT))))
+    while Mode.MOVING not in bench.modes:
+        await asyncio.sleep(0)
+    await bench.host.stop()
+    with refused("STOPPED"):
+        await work
+    assert bench.loop.state.mode is Mode.HOLDING
+    assert len(bench.recorder.takes) == 1
+    assert sum(command.kind == "run" for record in bench.recorder.records for command in record.inputs.commands) == 1
