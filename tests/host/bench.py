@@ -83,6 +83,11 @@ class Bench(HostBench):
             self.tick()
         return await task
 
+    async def taking(self, name: str) -> None:
+        """Anna teaches, and records a take."""
+        await self.served(self.host.teaching.begin(self.anna))
+        await self.served(self.host.teaching.take_begin(self.anna, name))
+
     def plan(self, **changes: object) -> Plan:
         return small_plan(self.arm, **changes)
 

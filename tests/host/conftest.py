@@ -2,11 +2,13 @@
 
 import asyncio
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from tests.genetic import hand
 from tests.host.bench import Bench
-from tests.host.doubles import InlineExecutor
+from tests.host.doubles import InlineExecutor, write_take
 
 
 @pytest.fixture
@@ -21,6 +23,14 @@ def fresh(request: pytest.FixtureRequest, executor: InlineExecutor) -> Iterator[
     yield found
     found.control.die()
     found.control.link.close()
+
+
+@pytest.fixture
+def taken(tmp_path: Path) -> Path:
+    """A folder with two takes of a hand, a and b."""
+    for name, samples in zip("ab", hand.recordings(2, seed=1), strict=True):
+        write_take(tmp_path / f"{name}.mcap", samples, hand.arm())
+    return tmp_path
 
 
 @pytest.fixture

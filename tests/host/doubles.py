@@ -15,11 +15,14 @@ from armctl.config import ArmConfig, Config
 from armctl.control.link import Link, LinkClosed, Ready
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, LogError, RequestRefused
+from armctl.host.host import Host
+from armctl.host.methods import Methods, RunOptimisation
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Command, Connected, Inputs, Mode, Run, Sample, ServoReading, TickRecord
 from armctl.recording.writer import LogContext, LogWriter
 from armctl.trajectory.plan import Plan
 from tests.control.ideal_arm import PERIOD_S, IdealArm
+from tests.genetic import hand
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -180,6 +183,11 @@ def write_take(path: Path, samples: FloatArray, arm: ArmConfig) -> None:
     writer.close()
     control.die()
     control.link.close()
+
+
+def methods_over(folder: Path, run: RunOptimisation) -> Methods:
+    """The methods of an arm that nobody drives, over the recordings in a folder."""
+    return Methods(Host(hand.arm(), hand.robot(), PERIOD_S, MemoryRecorder(), VirtualClock()), folder, run)
 
 
 def small_plan(arm: IdealArm, **changes: object) -> Plan:

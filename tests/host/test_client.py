@@ -53,20 +53,28 @@ def daemon(folder: Path, *chunks: bytes) -> Iterator[tuple[Client, list[dict[str
 
 
 @pytest.mark.parametrize(
-    "error",
+    ("error", "code", "exit_status"),
     [
-        ConfigError("optimize", "via", "must be at most 20", "take fewer"),
-        RequestRefused("PREFLIGHT", ["too fast", "too low"]),
-        IllegalTransition("the arm is limp"),
-        BusError("ODD", "servo 4: no reply", 4),
-        PortBusy("/dev/robot is held by pid 3"),
-        UnreachableTarget("0.6 m away, reach is 0.38", 0.22),
-        LogError("no such recording"),
-        ArmctlError("something else"),
+        (ConfigError("optimize", "via", "must be at most 20", "take fewer"), "CONFIG", 2),
+        (RequestRefused("PREFLIGHT", ["too fast", "too low"]), "PREFLIGHT", 1),
+        (IllegalTransition("the arm is limp"), "ILLEGAL_TRANSITION", 1),
+        (BusError("ODD", "servo 4: no reply", 4), "ODD", 1),
+        (PortBusy("/dev/robot is held by pid 3"), "PORT_BUSY", 1),
+        (UnreachableTarget("0.6 m away, reach is 0.38", 0.22), "UNREACHABLE", 1),
+        (LogError("no such recording"), "LOG", 1),
+        (ArmctlError("something else"), "FAILED", 1),
     ],
 )
-def test_an_error_comes_back_as_it_was_raised(error: ArmctlError, tmp_path: Path) -> None:
-    with daemon(tmp_path, jsonrpc.error_line(1, error)) as (client, _), pytest.raises(ArmctlError) as caught:
+def test_an_error_says_code_reasons_and_exit_status_and_comes_back_as_it_was_raised(
+    error: ArmctlError, code: str, exit_status: int, tmp_path: Path
+) -> None:
+    line = jsonrpc.error_line(1, error)
+    answer = json.loads(line)
+    assert (answer["id"], answer["error"]["code"]) == (1, jsonrpc.ARMCTL_ERROR)
+    data = answer["error"]["data"]
+    assert (data["code"], data["exit_status"], data["type"]) == (code, exit_status, type(error).__name__)
+    assert "; ".join(data["reasons"]) == str(error)
+    with daemon(tmp_path, line) as (client, _), pytest.raises(ArmctlError) as caught:
         client.call("run")
     assert type(caught.value) is type(error)
     assert str(caught.value) == str(error)
@@ -91,9 +99,7 @@ def test_an_answer_to_no_request_in_particular_is_raised_too(tmp_path: Path) -> 
 def test_parameters_and_results_pass_as_they_are(tmp_path: Path) -> None:
     with daemon(tmp_path, jsonrpc.result_line(1, {"name": "z"})) as (client, asked):
         assert client.call("recordings_rename", name="a", to="z") == {"name": "z"}
-    assert asked == [
-        {"jsonrpc": "2.0", "id": 1, "method": "recordings_rename", "params": {"name": "a", "to": "z"}},
-    ]
+    assert asked == [{"jsonrpc": "2.0", "id": 1, "method": "recordings_rename", "params": {"name": "a", "to": "z"}}]
 
 
 def test_a_line_may_come_in_pieces(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.errors import ConfigError, IllegalTransition, LogError, PortBusy, RequestRefused, UnreachableTarget
 from armctl.host import jsonrpc
 from armctl.host.jsonrpc import MAX_DEPTH, MAX_LINE_BYTES, ProtocolError, TokenBucket, decode
 
@@ -53,23 +52,25 @@ def test_a_request_without_id_is_not_answered() -> None:
     assert not decode(b'{"jsonrpc":"2.0","method":"stop"}').answered
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999"])
-def test_numbers_are_finite(number: str) -> None:
-    error = refusal(b'{"jsonrpc":"2.0","id":1,"method":"m","params":{"a":%b}}' % number.encode())
+@pytest.mark.parametrize(
+    ("params", "problem"),
+    [
+        *((b'{"a":%b}' % number.encode(), number) for number in ("NaN", "Infinity", "-Infinity", "1e999", "-1e999")),
+        *((b'{"%b":1}' % text, "half of a surrogate pair") for text in (rb"\ud800", rb"\udfff\ud800", rb"a\ud83d")),
+        (b'{"a":{"b":1,"b":1}}', "stands twice"),
+        (b'{},"params":{}', "stands twice"),
+        (b'{"a":"\xff"}', "utf-8"),
+        (b'{"a":%b}' % (b"9" * 5000), "digits"),
+    ],
+)
+def test_numbers_are_finite_texts_are_whole_and_a_key_stands_once(params: bytes, problem: str) -> None:
+    error = refusal(b'{"jsonrpc":"2.0","id":1,"method":"m","params":%b}' % params)
     assert error.number == jsonrpc.PARSE_ERROR
-    assert number in error.problem
+    assert problem in error.problem
 
 
-@pytest.mark.parametrize("text", [r"\ud800", r"\udfff\ud800", r"a\ud83d"])
-def test_half_of_a_surrogate_pair_is_no_text(text: str) -> None:
-    line = b'{"jsonrpc":"2.0","id":1,"method":"m","params":{"%b":1}}'
-    assert "half of a surrogate pair" in refusal(line % text.encode()).problem
-    assert decode(line % rb"\ud83d\ude00").params == {"\U0001f600": 1}
-
-
-def test_a_key_stands_once_at_every_level() -> None:
-    for line in (b'{"id":1,"id":2}', b'{"jsonrpc":"2.0","id":1,"method":"m","params":{"a":{"b":1,"b":1}}}'):
-        assert "stands twice" in refusal(line).problem
+def test_both_halves_of_a_surrogate_pair_are_a_character() -> None:
+    assert decode(request().replace(b'"params": {}', rb'"params": {"\ud83d\ude00": 1}')).params == {"\U0001f600": 1}
 
 
 def nested(depth: int) -> bytes:
@@ -108,31 +109,6 @@ def test_a_malformed_request_is_refused_by_the_name_of_its_fault(changes: dict[s
 
 def test_batches_are_refused() -> None:
     assert "batch" in refusal(b"[" + request() + b"]").problem
-
-
-def test_invalid_utf_8_and_a_number_of_5000_digits_are_parse_errors() -> None:
-    assert refusal(b'{"jsonrpc":"\xff"}').number == jsonrpc.PARSE_ERROR
-    assert refusal(request().replace(b"1", b"9" * 5000, 1)).number == jsonrpc.PARSE_ERROR
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "exit_status"),
-    [
-        (RequestRefused("PREFLIGHT", ["too fast", "too low"]), "PREFLIGHT", 1),
-        (IllegalTransition("not now"), "ILLEGAL_TRANSITION", 1),
-        (ConfigError("plan", "via", "too many"), "CONFIG", 2),
-        (LogError("no such recording"), "LOG", 1),
-        (PortBusy("held by pid 1"), "PORT_BUSY", 1),
-        (UnreachableTarget("too far", 0.1), "UNREACHABLE", 1),
-    ],
-)
-def test_an_armctl_error_says_code_reasons_and_exit_status(error: Exception, code: str, exit_status: int) -> None:
-    answer = json.loads(jsonrpc.error_line(7, error))
-    assert answer["id"] == 7
-    assert answer["error"]["code"] == jsonrpc.ARMCTL_ERROR
-    data = answer["error"]["data"]
-    assert (data["code"], data["exit_status"], data["type"]) == (code, exit_status, type(error).__name__)
-    assert "; ".join(data["reasons"]) == str(error)
 
 
 def test_a_defect_shows_no_more_than_its_kind() -> None:

@@ -13,26 +13,18 @@ from armctl import client
 from armctl.cli import main
 from armctl.cli.jobs import optimize_command
 from armctl.cli.motion import move_command, reach_command, transfer_command
-from armctl.clock import VirtualClock
 from armctl.config import Frozen, validate
 from armctl.genetic.algorithm import PROFILES
 from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import optimize
 from armctl.host import jobs
-from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress
-from armctl.host.methods import Methods
 from armctl.host.server import Connection
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.transfer import TransferRequest
-from tests.genetic import hand
-from tests.host.doubles import MemoryRecorder, write_take
-
-
-def methods(folder: Path, run: Any = None) -> Methods:
-    return Methods(Host(hand.arm(), hand.robot(), 0.1, MemoryRecorder(), VirtualClock()), folder, run)
+from tests.host.doubles import methods_over
 
 
 @pytest.mark.parametrize(
@@ -49,7 +41,11 @@ def test_an_option_a_parameter_and_a_field_have_the_same_name(
 ) -> None:
     fields = set(request_type.model_fields)
     assert fields - {param.name for param in command.params} == chosen_otherwise
-    assert issubclass(methods(tmp_path).table()[method].params, request_type)
+    assert issubclass(methods_over(tmp_path, in_this_process).table()[method].params, request_type)
+
+
+async def in_this_process(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
+    return jobs.optimize_task(pickle.loads(pickle.dumps(job)), progress)
 
 
 class Daemon:
@@ -71,21 +67,16 @@ class Daemon:
         params = json.loads(json.dumps(params))
         self._seen.append(params)
 
-        async def work(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
-            return jobs.optimize_task(pickle.loads(pickle.dumps(job)), progress)
-
         async def answer() -> dict[str, Any]:
-            entry = methods(self._folder, work).table()[method]
+            entry = methods_over(self._folder, in_this_process).table()[method]
             return await entry.handle(cast("Connection", self), validate(entry.params, params, method))
 
         return asyncio.run(answer())
 
 
 def test_an_optimisation_is_one_object_from_the_command_line_to_the_plan(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    taken: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name, samples in zip("ab", hand.recordings(2, seed=1), strict=True):
-        write_take(tmp_path / f"{name}.mcap", samples, hand.arm())
     params: list[dict[str, Any]] = []
     asked: list[OptimizeRequest] = []
 
@@ -93,22 +84,15 @@ def test_an_optimisation_is_one_object_from_the_command_line_to_the_plan(
         asked.append(request)
         return optimize(takes, arm, robot, request, progress)
 
-    monkeypatch.setattr(client, "Client", lambda _socket: Daemon(tmp_path, params))
+    monkeypatch.setattr(client, "Client", lambda _socket: Daemon(taken, params))
     monkeypatch.setattr(jobs, "optimize", seen)
-    out = tmp_path / "plan.json"
+    out = taken / "plan.json"
     line = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10", "--duration", "6", "--seed", "7", "--via", "1"]
     assert main(["optimize", "a", "b", *line, "--profile", "paper", "--objective", "mix", "--out", str(out)]) == 0
     capsys.readouterr()
-    wanted = OptimizeRequest(
-        from_m=(0.18, -0.125, 0.10),
-        to_m=(0.18, 0.125, 0.10),
-        via=(1,),
-        duration_s=6.0,
-        seed=7,
-        objective="mix",
-        free=False,
-        settings=PROFILES["paper"],
-    )
+    ends: dict[str, Any] = {"from_m": (0.18, -0.125, 0.10), "to_m": (0.18, 0.125, 0.10)}
+    how: dict[str, Any] = {"objective": "mix", "free": False, "settings": PROFILES["paper"]}
+    wanted = OptimizeRequest(**ends, **how, via=(1,), duration_s=6.0, seed=7)
     [sent], [request] = params, asked
     assert set(sent) == {*OptimizeRequest.model_fields, "recordings"}
     assert request.model_dump(exclude={"recordings"}) == wanted.model_dump()

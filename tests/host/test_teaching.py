@@ -59,8 +59,7 @@ async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
 
 
 async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_take(bench: Bench) -> None:
-    await bench.served(bench.host.teaching.begin(bench.anna))
-    await bench.served(bench.host.teaching.take_begin(bench.anna, "orphan"))
+    await bench.taking("orphan")
     for _ in range(3):
         bench.tick()
     bench.host.client_gone(bench.anna)
@@ -81,8 +80,7 @@ async def test_a_client_that_leaves_while_the_arm_becomes_limp_keeps_no_lease(be
 
 
 async def test_teaching_that_a_fault_has_ended_can_be_ended(limp: Bench) -> None:
-    await limp.served(limp.host.teaching.begin(limp.anna))
-    await limp.served(limp.host.teaching.take_begin(limp.anna, "cut"))
+    await limp.taking("cut")
     limp.arm.silent = {1}
     await limp.until(lambda: limp.arm.mode() is Mode.FAULTED)
     assert await limp.served(limp.host.teaching.end(limp.anna)) == {"state": "faulted"}
@@ -92,8 +90,7 @@ async def test_teaching_that_a_fault_has_ended_can_be_ended(limp: Bench) -> None
 
 async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_kept(limp: Bench) -> None:
     host, anna = limp.host, limp.anna
-    await limp.served(host.teaching.begin(anna))
-    await limp.served(host.teaching.take_begin(anna, "kept"))
+    await limp.taking("kept")
     for _ in range(3):
         limp.tick()
     host.control_lost()
