@@ -371,9 +371,8 @@ def from_json(kind: type[T], text: str) -> T:
     Raises:
         ValueError: the text is not such a message.
     """
-    adapter: TypeAdapter[Any] = _adapter(kind)  # type: ignore[arg-type]  # classes are hashable
-    message: T = adapter.validate_python(json.loads(text))
-    return message
+    adapter: TypeAdapter[T] = _adapter(kind)  # type: ignore[arg-type]  # classes are hashable
+    return adapter.validate_python(json.loads(text))
 
 
 def command_from_json(text: str) -> Command:

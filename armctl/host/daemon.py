@@ -102,7 +102,6 @@ async def run_daemon(
         RequestRefused: another daemon answers on the socket, or the arm never ticked.
     """
     outside = outside or Outside()
-    clock, start_control = outside.clock, outside.start_control
     folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
     listening = listen(socket)
     try:
@@ -111,7 +110,7 @@ async def run_daemon(
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, ending.set)
-        control = start_control(settings)
+        control = outside.start_control(settings)
         try:
             # While the new process does the same and opens its port; what it sends meanwhile waits in the link.
             host, server, recorder = await _parts(config, arm, port, folders, outside)
@@ -124,8 +123,8 @@ async def run_daemon(
             server.publish(host.status)
             service_manager.notify("WATCHDOG=1")
 
-        restart = partial(start_control, settings, restarted=True)
-        supervising = asyncio.create_task(supervise(control, restart, host, tick, clock))
+        restart = partial(outside.start_control, settings, restarted=True)
+        supervising = asyncio.create_task(supervise(control, restart, host, tick, outside.clock))
         try:
             await _first_tick(host, supervising, ending)
             await server.start(listening)

@@ -163,28 +163,19 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
     """
     arm, request = job.arm, job.request
     loaded = load_takes(arm, job.paths)
-    generations_s: list[float] = []
+    times_s = [time.monotonic()]
 
     def timed(generation: int, best: float, mean: float) -> None:
-        generations_s.append(time.monotonic())
+        times_s.append(time.monotonic())
         progress(generation, best, mean)
 
-    started_s = time.monotonic()
-    result = optimize(
-        [recording.positions_rad for recording in loaded],
-        arm,
-        robots.get(arm.robot, arm.lengths_m),
-        request,
-        timed,
-    )
+    takes = [recording.positions_rad for recording in loaded]
+    result = optimize(takes, arm, robots.get(arm.robot, arm.lengths_m), request, timed)
     if not result.feasible:
         least_s = result.least_duration_s
         remedy = f"give {least_s:.1f} s or more" if least_s is not None else "record steadier takes"
-        raise RequestRefused(
-            "LIMITS",
-            f"no path through these recordings keeps the joints' speed and acceleration limits in "
-            f"{request.duration_s:g} s; {remedy}",
-        )
+        what = "no path through these recordings keeps the joints' speed and acceleration limits"
+        raise RequestRefused("LIMITS", f"{what} in {request.duration_s:g} s; {remedy}")
     ga, exact, free = result.ga, result.exact, result.free
     return {
         "baseline": [
@@ -193,7 +184,7 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
         "ga": {
             **_named(ga.path, "mean_error_mm", "max_error_mm"),
             **_named(ga, "generations", "evaluations"),
-            "evaluations_per_s": ga.evaluations / max(generations_s[-1] - started_s, 1e-9),
+            "evaluations_per_s": ga.evaluations / max(times_s[-1] - times_s[0], 1e-9),
             **_named(ga.path, "feasible", "tool_m"),
         },
         "exact": _named(exact, "mean_error_mm", "max_error_mm", "tool_m"),

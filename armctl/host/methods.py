@@ -91,6 +91,15 @@ def _observed(look: Callable[[], dict[str, Any]]) -> Method:
     return Method(Nothing, handle, observes=True)
 
 
+def _in_thread(work: Callable[[Any], dict[str, Any]]) -> Handler:
+    """What files are asked for, beside the loop that serves everybody."""
+
+    async def handle(_: Connection, p: Any) -> dict[str, Any]:
+        return await asyncio.to_thread(work, p)
+
+    return handle
+
+
 def _command(host: Host, name: str) -> Method:
     # What makes the arm fall has to be confirmed.
     return Method(Confirmed if name == "release" else Nothing, lambda client, _: host.command(client, name))
@@ -108,7 +117,7 @@ class Methods:
 
     def table(self) -> dict[str, Method]:
         """Every method by name."""
-        host, teaching = self._host, self._host.teaching
+        host, teaching, folder = self._host, self._host.teaching, self._recordings_dir
         methods = {
             "status": _observed(host.status),
             "log": _observed(host.log),
@@ -129,10 +138,10 @@ class Methods:
             "resume": Method(Nothing, lambda client, _: host.resume(client)),
             "rate": Method(Rate, lambda client, p: host.rate(client, p.rate)),
             "jog": Method(JogBeat, lambda client, p: host.jog(client, p.joints_rad_s, p.tool_m_s, p.begin)),
-            "recordings_list": Method(Nothing, self._recordings_list, observes=True),
-            "recordings_show": Method(Show, self._recordings_show, observes=True),
-            "recordings_rename": Method(Rename, self._recordings_rename),
-            "recordings_delete": Method(Named, self._recordings_delete),
+            "recordings_list": Method(Nothing, _in_thread(lambda _: listing(folder, host.robot)), observes=True),
+            "recordings_show": Method(Show, _in_thread(self._recordings_show), observes=True),
+            "recordings_rename": Method(Rename, _in_thread(self._recordings_rename)),
+            "recordings_delete": Method(Named, _in_thread(self._recordings_delete)),
             "optimize": Method(RecordedRequest, self._optimize),
         }
         return {
@@ -189,20 +198,12 @@ class Methods:
     def _path(self, name: str) -> Path:
         return recordings.find(self._recordings_dir, name)
 
-    async def _recordings_list(self, _: Connection, __: Nothing) -> dict[str, Any]:
-        return await asyncio.to_thread(listing, self._recordings_dir, self._host.robot)
-
-    async def _recordings_show(self, _: Connection, p: Show) -> dict[str, Any]:
-        robot = self._host.robot
+    def _recordings_show(self, p: Show) -> dict[str, Any]:
         line = None if p.from_m is None or p.to_m is None else (p.from_m, p.to_m)
-        return await asyncio.to_thread(
-            lambda: describe(recordings.load(self._path(p.name)), robot, line, with_marks=True)
-        )
+        return describe(recordings.load(self._path(p.name)), self._host.robot, line, with_marks=True)
 
-    async def _recordings_rename(self, _: Connection, p: Rename) -> dict[str, Any]:
-        path = await asyncio.to_thread(recordings.rename, self._recordings_dir, p.name, p.to)
-        return {"name": p.to, "path": str(path)}
+    def _recordings_rename(self, p: Rename) -> dict[str, Any]:
+        return {"name": p.to, "path": str(recordings.rename(self._recordings_dir, p.name, p.to))}
 
-    async def _recordings_delete(self, _: Connection, p: Named) -> dict[str, Any]:
-        path = await asyncio.to_thread(recordings.delete, self._recordings_dir, p.name)
-        return {"name": p.name, "path": str(path)}
+    def _recordings_delete(self, p: Named) -> dict[str, Any]:
+        return {"name": p.name, "path": str(recordings.delete(self._recordings_dir, p.name))}

@@ -43,7 +43,9 @@ class Connection:
     """One client: who it is, and what is to be sent to it."""
 
     def __init__(self, writer: asyncio.StreamWriter, bucket: TokenBucket, may_command: Callable[[int], bool]) -> None:
-        pid, self.uid = _peer(writer.get_extra_info("socket"))
+        peer = writer.get_extra_info("socket")
+        # Process, user and group at the other end, an int each.
+        pid, self.uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
         self.name = f"pid {pid} (uid {self.uid})"
         self.commands = may_command(self.uid)
         self.bucket = bucket
@@ -118,13 +120,6 @@ class Connection:
             body = self._snapshots.popleft()
             return b'{"jsonrpc":"2.0","method":"snapshot","params":{"gap":%d,%b}\n' % (gap, body[1:])
         return None
-
-
-def _peer(peer: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end."""
-    size = struct.calcsize("3i")
-    pid, uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
-    return pid, uid
 
 
 @dataclass(frozen=True)
