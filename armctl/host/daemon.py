@@ -34,7 +34,7 @@ from armctl.messages import Reply, TickRecord
 if TYPE_CHECKING:
     from armctl.host.host import Host
     from armctl.host.server import Server
-    from armctl.host.teaching import TakeRecorder
+    from armctl.host.takes import TakeRecorder
     from armctl.recording.writer import LogContext
 
     MakeRecorder = Callable[[LogContext, Path, Path], TakeRecorder]

@@ -25,10 +25,10 @@ from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshot
-from armctl.host.teaching import TakeRecorder, Takes, Teaching
+from armctl.host.takes import TakeRecorder, Takes
 from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Jog, JointTrajectory, Mode, Pause, Reply, Resume, Run, SetRate, TickRecord
+from armctl.messages import Jog, JointTrajectory, Mode, Pause, Reply, Resume, Run, SetRate, TeachEnd, TickRecord
 from armctl.recording.channels import COMMAND
 
 # How long a motion may go without any progress, unless somebody paused it, before it is given up.
@@ -55,7 +55,8 @@ class Host:
         self._ticked = asyncio.Event()
         self.leases = Leases()
         self.takes = Takes(recorder)
-        self.teaching = Teaching(self)
+        # Whether the hand that teaches was too fast at the latest tick.
+        self._hurried = False
         self._watch: Watch | None = None
         self._background: set[asyncio.Task[Any]] = set()
 
@@ -71,7 +72,7 @@ class Host:
         self.recorder.put(record)
         self.latest, self._lost_ns = record, None
         self._statistics.see(record)
-        self.teaching.mind_the_hand(record.outputs.mode, self._statistics.tool_speed_m_s())
+        self._mind_the_hand(record.outputs.mode)
         if record.outputs.mode is not Mode.JOGGING:
             self.leases.end("jogging")
         if self._watch is not None:
@@ -83,6 +84,15 @@ class Host:
                 logger.warning("%s: %s", event.code, event.text)
         ticked, self._ticked = self._ticked, asyncio.Event()
         ticked.set()
+
+    def _mind_the_hand(self, mode: Mode) -> None:
+        """Tell, once an excursion, that the hand is too fast."""
+        speed_m_s, limit_m_s = self._statistics.tool_speed_m_s() or 0.0, self.arm.tool_speed_limit_m_s
+        hurried = mode is Mode.TEACHING and speed_m_s > limit_m_s
+        if hurried and not self._hurried:
+            text = f"the tool moves at {1e3 * speed_m_s:.0f} mm/s (bound {1e3 * limit_m_s:.0f})"
+            self.note({"event": "TEACHING_FAST", "text": text})
+        self._hurried = hurried
 
     async def tick(self) -> None:
         """Wait for the next tick record."""
@@ -104,7 +114,20 @@ class Host:
             self._in_background(self.stop())
         elif lease.what == "teach":
             self.leases.current = None
-            self._in_background(self.teaching.abandon(client))
+            self._in_background(self._abandon_teaching(client))
+
+    async def _abandon_teaching(self, client: Client) -> None:
+        take = await self.takes.end()
+        if take is not None:
+            self.note({"event": "ORPHAN_TAKE", "who": client.name, "path": str(take)})
+        await self.end_teaching()
+
+    async def end_teaching(self) -> None:
+        """Leave teach mode, keeping a take that is still open; the arm stays limp."""
+        await self.takes.end()
+        # A fault, or a new control process, has ended the mode already.
+        if self.latest is not None and self.latest.outputs.mode is Mode.TEACHING:
+            await self.exchange.request(TeachEnd)
 
     def _in_background(self, work: Any) -> None:
         task = asyncio.ensure_future(work)

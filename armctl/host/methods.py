@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from armctl.config import Frozen, Name
 from armctl.errors import ArmctlError, RequestRefused
+from armctl.host import teaching
 from armctl.host.exchange import COMMANDS
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
@@ -117,7 +118,7 @@ class Methods:
 
     def table(self) -> dict[str, Method]:
         """Every method by name."""
-        host, teaching, folder = self._host, self._host.teaching, self._recordings_dir
+        host, folder = self._host, self._recordings_dir
         methods = {
             "status": _observed(host.status),
             "log": _observed(host.log),
@@ -125,11 +126,11 @@ class Methods:
             "stop": Method(Nothing, lambda _, __: host.stop(), always=True),
             "hold": Method(Nothing, lambda _, __: host.stop(), always=True),
             **{name: _command(host, name) for name in COMMANDS},
-            "teach_begin": Method(Nothing, lambda client, _: teaching.begin(client)),
-            "take_begin": Method(Named, lambda client, p: teaching.take_begin(client, p.name)),
-            "take_mark": Method(Nothing, lambda client, _: teaching.take_mark(client)),
-            "take_end": Method(Nothing, lambda client, _: teaching.take_end(client)),
-            "teach_end": Method(Nothing, lambda client, _: teaching.end(client)),
+            "teach_begin": Method(Nothing, lambda client, _: teaching.begin(host, client)),
+            "take_begin": Method(Named, lambda client, p: teaching.take_begin(host, client, p.name)),
+            "take_mark": Method(Nothing, lambda client, _: teaching.take_mark(host, client)),
+            "take_end": Method(Nothing, lambda client, _: teaching.take_end(host, client)),
+            "teach_end": Method(Nothing, lambda client, _: teaching.end(host, client)),
             "run": Method(RunRequest, lambda client, p: run(host, client, p.plan)),
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),

@@ -35,6 +35,8 @@ MAX_SNAPSHOTS = 64
 MAX_UNSENT_BYTES = 1 << 20
 MAX_REQUESTS = 32
 MAX_ALWAYS_REQUESTS = 1024
+# Whether a user may command, by uid.
+MayCommand = Callable[[int], bool]
 
 logger = logging.getLogger(__name__)
 
@@ -42,7 +44,7 @@ logger = logging.getLogger(__name__)
 class Connection:
     """One client: who it is, and what is to be sent to it."""
 
-    def __init__(self, writer: asyncio.StreamWriter, bucket: TokenBucket, may_command: Callable[[int], bool]) -> None:
+    def __init__(self, writer: asyncio.StreamWriter, bucket: TokenBucket, may_command: MayCommand) -> None:
         peer = writer.get_extra_info("socket")
         # Process, user and group at the other end, an int each.
         pid, self.uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
@@ -140,9 +142,8 @@ class Server:
         self,
         methods: Mapping[str, Method],
         clock: Clock,
-        *,
         on_close: Callable[[Connection], None],
-        may_command: Callable[[int], bool] = lambda _uid: True,
+        may_command: MayCommand,
     ) -> None:
         self._methods = methods
         self._may_command = may_command

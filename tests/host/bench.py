@@ -8,6 +8,7 @@ from typing import Any, Self
 from armctl.clock import Clock, VirtualClock
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
+from armctl.host import teaching
 from armctl.host.host import Host
 from armctl.host.motions import run
 from armctl.kinematics.robots.robot import Robot
@@ -85,8 +86,8 @@ class Bench(HostBench):
 
     async def taking(self, name: str) -> None:
         """Anna teaches, and records a take."""
-        await self.served(self.host.teaching.begin(self.anna))
-        await self.served(self.host.teaching.take_begin(self.anna, name))
+        await self.served(teaching.begin(self.host, self.anna))
+        await self.served(teaching.take_begin(self.host, self.anna, name))
 
     def plan(self, **changes: object) -> Plan:
         return small_plan(self.arm, **changes)

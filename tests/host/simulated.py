@@ -18,7 +18,8 @@ from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault
 from armctl.sim.virtual_arm import VirtualArm
-from tests.host.bench import PERIOD_S, HostBench
+from tests.control.ideal_arm import PERIOD_S
+from tests.host.bench import HostBench
 from tests.host.doubles import InlineExecutor
 
 

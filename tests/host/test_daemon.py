@@ -299,11 +299,13 @@ async def test_a_control_process_that_never_ticks_is_an_error(idle: Bench, monke
     mute.die()
 
 
-async def test_a_recorder_that_cannot_be_made_ends_the_control_process(idle: Bench) -> None:
+async def test_a_recorder_that_cannot_be_made_ends_the_control_process(
+    idle: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def broken(*_: object) -> MemoryRecorder:
         raise OSError("no disk")
 
-    idle.make_recorder = broken  # type: ignore[method-assign]
+    monkeypatch.setattr(idle, "make_recorder", broken)
     with pytest.raises(OSError, match="no disk"):
         await idle.run()
     assert idle.controls[0].terminated

@@ -9,7 +9,8 @@ import pytest
 from armctl.errors import ConfigError, RequestRefused
 from armctl.host import service_manager
 from armctl.host.daemon import listen
-from tests.host.test_daemon import PATIENCE_S, running
+from tests.host.peers import PATIENCE_S
+from tests.host.test_daemon import running
 
 # -------------------------------------------------------------------------------------------------- socket
 

@@ -7,6 +7,7 @@ import pytest
 
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host import host as host_module
+from armctl.host import teaching
 from armctl.host.motions import run
 from armctl.messages import Hold, Reply, Run
 from tests.host.bench import Bench
@@ -155,7 +156,7 @@ async def test_one_client_commands_and_the_other_is_told_who(bench: Bench) -> No
         host.command(ben, "release"),
         host.command(ben, "torque_on"),
         host.command(ben, "clear"),
-        host.teaching.begin(ben),
+        teaching.begin(host, ben),
         run(host, ben, bench.plan()),
         run(host, bench.anna, bench.plan()),
         host.command(bench.anna, "release"),

@@ -7,6 +7,7 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.errors import LogError
+from armctl.host import teaching
 from armctl.host.motions import run
 from armctl.messages import Mode, TeachEnd
 from tests.host.bench import Bench
@@ -14,37 +15,37 @@ from tests.host.bench import Bench
 
 async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
     host, anna = bench.host, bench.anna
-    assert await bench.served(host.teaching.begin(anna)) == {"state": "teaching"}
-    first = await bench.served(host.teaching.take_begin(anna, "first"))
+    assert await bench.served(teaching.begin(host, anna)) == {"state": "teaching"}
+    first = await bench.served(teaching.take_begin(host, anna, "first"))
     assert first == {"recording": "first", "path": "/recordings/first.mcap"}
     assert host.status()["recording"] == "first"
     for _ in range(5):
         bench.tick()
-    assert await bench.served(host.teaching.take_end(anna)) == first
+    assert await bench.served(teaching.take_end(host, anna)) == first
     assert bench.recorder.takes["first"] >= 5
-    assert await bench.served(host.teaching.end(anna)) == {"state": "off"}
+    assert await bench.served(teaching.end(host, anna)) == {"state": "off"}
     assert await bench.served(host.command(bench.ben, "torque_on")) == {"state": "holding"}
 
 
 async def test_takes_belong_to_whoever_teaches(limp: Bench) -> None:
     host, anna, ben = limp.host, limp.anna, limp.ben
-    for work in (host.teaching.take_begin(anna, "x"), host.teaching.take_end(anna), host.teaching.end(anna)):
+    for work in (teaching.take_begin(host, anna, "x"), teaching.take_end(host, anna), teaching.end(host, anna)):
         await limp.refused(work, "ILLEGAL_TRANSITION")
-    await limp.served(host.teaching.begin(anna))
-    await limp.refused(host.teaching.take_end(anna), "ILLEGAL_TRANSITION")
-    await limp.served(host.teaching.take_begin(anna, "x"))
-    await limp.refused(host.teaching.take_begin(anna, "y"), "ILLEGAL_TRANSITION")
-    for work in (host.teaching.take_begin(ben, "y"), host.teaching.take_end(ben), host.teaching.end(ben)):
+    await limp.served(teaching.begin(host, anna))
+    await limp.refused(teaching.take_end(host, anna), "ILLEGAL_TRANSITION")
+    await limp.served(teaching.take_begin(host, anna, "x"))
+    await limp.refused(teaching.take_begin(host, anna, "y"), "ILLEGAL_TRANSITION")
+    for work in (teaching.take_begin(host, ben, "y"), teaching.take_end(host, ben), teaching.end(host, ben)):
         await limp.refused(work, "ILLEGAL_TRANSITION")
-    for work in (host.command(ben, "torque_on"), host.teaching.begin(anna), run(host, anna, limp.plan())):
+    for work in (host.command(ben, "torque_on"), teaching.begin(host, anna), run(host, anna, limp.plan())):
         await limp.refused(work, "BUSY")
 
 
 async def test_a_refused_take_is_no_take(limp: Bench) -> None:
-    await limp.served(limp.host.teaching.begin(limp.anna))
+    await limp.served(teaching.begin(limp.host, limp.anna))
     limp.recorder.takes["old"] = 1
     with pytest.raises(LogError):
-        await limp.served(limp.host.teaching.take_begin(limp.anna, "old"))
+        await limp.served(teaching.take_begin(limp.host, limp.anna, "old"))
     assert limp.host.status()["recording"] is None
 
 
@@ -54,7 +55,7 @@ async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
     await bench.refused(task, "STOPPED")
     bench.arm.silent = {1}
     await bench.until(lambda: bench.arm.mode() is Mode.FAULTED)
-    await bench.refused(bench.host.teaching.begin(bench.anna), "ILLEGAL_TRANSITION")
+    await bench.refused(teaching.begin(bench.host, bench.anna), "ILLEGAL_TRANSITION")
     assert bench.host.status()["commander"] is None
 
 
@@ -67,11 +68,11 @@ async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_tak
     assert bench.recorder.takes["orphan"] >= 3
     assert any("ORPHAN_TAKE" in note for note in bench.recorder.notes)
     assert not any(bench.arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
-    assert await bench.served(bench.host.teaching.begin(bench.ben)) == {"state": "teaching"}
+    assert await bench.served(teaching.begin(bench.host, bench.ben)) == {"state": "teaching"}
 
 
 async def test_a_client_that_leaves_while_the_arm_becomes_limp_keeps_no_lease(bench: Bench) -> None:
-    task = asyncio.ensure_future(bench.host.teaching.begin(bench.anna))
+    task = asyncio.ensure_future(teaching.begin(bench.host, bench.anna))
     await asyncio.sleep(0)
     bench.host.client_gone(bench.anna)
     await bench.until(task.done)
@@ -83,7 +84,7 @@ async def test_teaching_that_a_fault_has_ended_can_be_ended(limp: Bench) -> None
     await limp.taking("cut")
     limp.arm.silent = {1}
     await limp.until(lambda: limp.arm.mode() is Mode.FAULTED)
-    assert await limp.served(limp.host.teaching.end(limp.anna)) == {"state": "faulted"}
+    assert await limp.served(teaching.end(limp.host, limp.anna)) == {"state": "faulted"}
     assert "cut" in limp.recorder.takes
     assert not any(isinstance(command, TeachEnd) for command in limp.control.commands)
 
@@ -99,20 +100,20 @@ async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_
     limp.control.connect_again()
     limp.tick()
     assert host.status()["state"] == "off"
-    assert await limp.served(host.teaching.end(anna)) == {"state": "off"}
+    assert await limp.served(teaching.end(host, anna)) == {"state": "off"}
     assert limp.recorder.takes["kept"] >= 3
 
 
 async def test_a_mark_stands_in_the_take_with_where_the_tool_is(limp: Bench) -> None:
     host, anna = limp.host, limp.anna
-    await limp.served(host.teaching.begin(anna))
-    await limp.refused(host.teaching.take_mark(anna), "ILLEGAL_TRANSITION")
-    await limp.served(host.teaching.take_begin(anna, "x"))
-    marked = await limp.served(host.teaching.take_mark(anna))
+    await limp.served(teaching.begin(host, anna))
+    await limp.refused(teaching.take_mark(host, anna), "ILLEGAL_TRANSITION")
+    await limp.served(teaching.take_begin(host, anna, "x"))
+    marked = await limp.served(teaching.take_mark(host, anna))
     assert marked["position_m"] == host.status()["tool"]["position_m"]
     assert marked["joints_rad"] == pytest.approx(limp.arm.positions_rad())
     assert json.loads(limp.recorder.notes[-1]) == {"event": "VIA_MARK", **marked}
-    await limp.refused(host.teaching.take_mark(limp.ben), "ILLEGAL_TRANSITION")
+    await limp.refused(teaching.take_mark(host, limp.ben), "ILLEGAL_TRANSITION")
 
 
 @pytest.mark.parametrize(
@@ -123,7 +124,7 @@ async def test_a_mark_stands_in_the_take_with_where_the_tool_is(limp: Bench) -> 
 async def test_a_hand_faster_than_the_arm_s_tool_speed_limit_is_shown_and_noted_once_an_excursion(
     limp: Bench, limit_m_s: float, noted: int
 ) -> None:
-    await limp.served(limp.host.teaching.begin(limp.anna))
+    await limp.served(teaching.begin(limp.host, limp.anna))
     tick = limp.arm.get(0, ax12a.PRESENT_POSITION)
     limp.arm.put(1, ax12a.PRESENT_POSITION, 512)  # arm stretched out: the tool is far from the base axis
     for _ in range(10):

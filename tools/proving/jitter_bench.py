@@ -91,7 +91,7 @@ def _records(control: ControlProcess, seconds: float) -> list[TickRecord]:
         select.select([control.link], [], [], left_s)
         for message in control.link.receive():
             if isinstance(message, StartFailed):
-                raise ArmctlError(f"the control process did not start: {message.message}")
+                raise ArmctlError(f"the control process did not start: {message.error}")
             if isinstance(message, TickRecord):
                 if not records:
                     end_s = time.monotonic() + seconds

@@ -1,0 +1,45 @@
+"""The take of the moment, and the recorder that writes it."""
+
+import asyncio
+from pathlib import Path
+from typing import Protocol
+
+from armctl.messages import TickRecord
+
+
+class TakeRecorder(Protocol):
+    """The recorder as far as the host needs it."""
+
+    @property
+    def log_path(self) -> Path | None: ...
+    @property
+    def problem(self) -> str: ...
+    @property
+    def dropped_records(self) -> int: ...
+    def put(self, record: TickRecord) -> None: ...
+    def note(self, topic: str, text: str, time_ns: int) -> None: ...
+    def begin_take(self, name: str) -> Path: ...
+    def end_take(self) -> Path | None: ...
+    def close(self) -> None: ...
+
+
+class Takes:
+    """The take of the moment."""
+
+    def __init__(self, recorder: TakeRecorder) -> None:
+        self.name: str | None = None
+        self._recorder = recorder
+        self._lock = asyncio.Lock()
+
+    async def begin(self, name: str) -> Path:
+        async with self._lock:  # whoever ends a take waits until it has begun
+            path = await asyncio.to_thread(self._recorder.begin_take, name)
+            self.name = name
+            return path
+
+    async def end(self) -> Path | None:
+        async with self._lock:
+            try:
+                return await asyncio.to_thread(self._recorder.end_take)
+            finally:
+                self.name = None
