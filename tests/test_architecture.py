@@ -14,12 +14,7 @@ NAMES = {
     name
     for tree in TREES.values()
     for node in ast.walk(tree)
-    for name in (
-        getattr(node, "name", None),
-        getattr(node, "id", None),
-        getattr(node, "attr", None),
-        getattr(node, "arg", None),
-    )
+    for name in (getattr(node, kind, None) for kind in ("name", "id", "attr", "arg"))
     if name
 }
 ELSEWHERE = {"ROWS", "NAME", "NAME_command", "SOCK_SEQPACKET", "SCHED_FIFO", "PYTHONPATH"}

@@ -37,40 +37,20 @@ PURE = (
     "armctl.kinematics",
     "armctl.trajectory",
     "armctl.genetic",
-    "armctl.control.detect",
-    "armctl.control.faults",
-    "armctl.control.jog",
-    "armctl.control.machine",
-    "armctl.control.motion",
-    "armctl.control.requests",
-    "armctl.control.sequences",
-    "armctl.control.step",
-    "armctl.control.tick",
+    *(f"armctl.control.{name}" for name in ("detect", "faults", "jog", "machine", "motion", "requests", "sequences")),
+    *(f"armctl.control.{name}" for name in ("step", "tick")),
 )
 IMPURE = {
-    "serial",
-    "dynamixel_sdk",
-    "threading",
-    "socket",
-    "time",
-    "asyncio",
-    "subprocess",
-    "multiprocessing",
-    "os",
-    "pathlib",
+    *("serial", "dynamixel_sdk", "socket", "os", "pathlib", "time"),
+    *("threading", "asyncio", "subprocess", "multiprocessing"),
 }
 # The simulator itself meets the bus at the bytes; only the builder of a whole arm knows both.
 SIM = sorted(path.stem for path in (PACKAGE / "sim").glob("[a-z]*.py") if path.stem != "virtual_arm")
 # (who, what it must not know, not even through others), beyond what the layers say.
 FORBIDDEN = (
-    *((f"armctl.sim.{name}", "armctl.dynamixel.bus") for name in SIM),
-    *((f"armctl.sim.{name}", "armctl.control") for name in SIM),
-    ("armctl.dynamixel", "armctl.sim"),
-    ("armctl.control", "armctl.sim"),
-    ("armctl.client", "armctl.host"),
-    ("armctl.client", "armctl.control"),
-    ("armctl.client", "armctl.recording"),
-    ("armctl.host", "armctl.sim"),
+    *((f"armctl.sim.{name}", f"armctl.{other}") for name in SIM for other in ("dynamixel.bus", "control")),
+    *((f"armctl.{name}", "armctl.sim") for name in ("dynamixel", "control", "host")),
+    *(("armctl.client", f"armctl.{other}") for other in ("host", "control", "recording")),
 )
 
 
