@@ -4,7 +4,7 @@ from proving import line_bench
 
 
 def test_more_points_are_straighter_until_whole_ticks_are_all_that_is_left() -> None:
-    result = line_bench.bench(seed=1, lines=2)
+    result = line_bench.bench(seed=1, lines=1)
     means = {(row["work"], row["who"]): row["value"] for row in result["rows"] if row["unit"] == "mm mean"}
     for who in ("linear, on the line", "cubic, on the line", "linear, placed", "cubic, placed"):
         counts = [via for via in line_bench.VIA if via or "placed" not in who]

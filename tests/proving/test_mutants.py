@@ -57,7 +57,8 @@ def test_an_edit_that_no_longer_fits_is_an_error_before_anything_runs() -> None:
         mutants.prove(mutants=(stale,))
 
 
-def test_bugs_are_caught_and_what_the_soak_cannot_see_survives() -> None:
+def test_bugs_are_caught_and_what_the_soak_cannot_see_survives(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTEST_ADDOPTS", "-k machine")  # of the unit tests, asked about a survivor
     chosen = [mutant for mutant in MUTANTS if mutant.name in QUICK]
     harmless = Mutant("no bug", "control", (Edit("IN_TIME = 0.9", "IN_TIME = 0.9 + 0.0"),))
     result = mutants.prove(1, episodes=1, mutants=(*chosen, harmless))
