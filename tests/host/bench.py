@@ -29,6 +29,10 @@ class HostBench:
     def tick(self) -> TickRecord:
         raise NotImplementedError
 
+    def ticks(self, count: int) -> None:
+        for _ in range(count):
+            self.tick()
+
     async def until(self, condition: Callable[[], bool]) -> None:
         for _ in range(5_000):
             for _ in range(5):  # what is under way takes a few turns of the loop

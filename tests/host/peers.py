@@ -9,20 +9,18 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from armctl.clock import Clock, VirtualClock
+from armctl.config import Frozen
 from armctl.errors import RequestRefused
+from armctl.host.methods import Nothing
 from armctl.host.server import Connection, Method, Server
 
 PATIENCE_S = 20.0
 
 
-class Nothing(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class Numbered(Nothing):
+class Numbered(Frozen):
     number: int = Field(ge=0, le=10)
 
 

@@ -95,6 +95,9 @@ class Bench:
     def arm(self) -> IdealArm:
         return self.controls[-1].arm
 
+    def plan(self) -> dict[str, Any]:
+        return small_plan(self.arm).model_dump(mode="json")
+
     async def client(self) -> Client:
         return await self.in_thread(lambda: Client(self.socket, timeout_s=PATIENCE_S))
 
@@ -149,7 +152,7 @@ async def holding(b: Bench) -> Client:
 async def moving(b: Bench, client: Client) -> asyncio.Task[dict[str, Any]]:
     """The client's run, under way until something stops it."""
     b.frozen = True
-    run = asyncio.create_task(b.call(client, "run", plan=small_plan(b.arm).model_dump(mode="json")))
+    run = asyncio.create_task(b.call(client, "run", plan=b.plan()))
     await until(lambda: b.arm.mode() is Mode.MOVING)
     return run
 
@@ -181,8 +184,7 @@ async def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group(
 
 async def test_a_run_over_the_socket_is_recorded_and_measured(b: Bench) -> None:
     with await holding(b) as client:
-        plan = small_plan(b.arm).model_dump(mode="json")
-        result = await b.call(client, "run", plan=plan)
+        result = await b.call(client, "run", plan=b.plan())
     assert result.keys() == {
         "recording",
         "mean_error_mm",
@@ -247,8 +249,7 @@ async def test_a_second_client_is_told_who_commands_and_may_stop(b: Bench) -> No
 async def test_a_client_killed_during_its_run_stops_the_arm(b: Bench) -> None:
     client = await holding(b)
     b.frozen = True
-    plan = small_plan(b.arm).model_dump(mode="json")
-    run = {"jsonrpc": "2.0", "id": 9, "method": "run", "params": {"plan": plan}}
+    run = {"jsonrpc": "2.0", "id": 9, "method": "run", "params": {"plan": b.plan()}}
     client._socket.sendall(json.dumps(run).encode() + b"\n")
     await until(lambda: b.arm.mode() is Mode.MOVING)
     client.close()

@@ -180,8 +180,7 @@ async def test_anyone_may_pause_a_run_and_its_own_user_goes_on(bench: Bench) -> 
     host = bench.host
     other, same = NamedClient("carl", uid=1001), NamedClient("anna's other terminal")
     assert await bench.served(host.pause()) == {"state": "moving"}
-    for _ in range(20):
-        bench.tick()
+    bench.ticks(20)
     before = host.status()
     assert before["rate"] == 0.0
     bench.tick()
@@ -222,8 +221,7 @@ async def test_a_jog_is_one_client_s_until_it_ends(bench: Bench) -> None:
         with refused("BUSY"):
             await work
     assert await bench.beat(anna, turn=TURN) == {"state": "jogging"}
-    for _ in range(7):
-        bench.tick()
+    bench.ticks(7)
     assert (host.status()["state"], host.status()["commander"]) == ("holding", None)
     with pytest.raises(IllegalTransition, match="begin another"):
         await bench.beat(anna, turn=TURN)
@@ -254,7 +252,6 @@ async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -
     with refused("PREFLIGHT", "would touch"):
         await fold()
     goals = len(bench.arm.goals)
-    for _ in range(7):
-        bench.tick()
+    bench.ticks(7)
     assert len(bench.arm.goals) == goals, "the arm stops, as where heartbeats cease"
     assert bench.arm.mode() is Mode.HOLDING

@@ -19,8 +19,7 @@ async def test_teaching_records_takes_and_ends_limp(bench: Bench) -> None:
     first = await bench.served(teaching.take_begin(host, anna, "first"))
     assert first == {"recording": "first", "path": "/recordings/first.mcap"}
     assert host.status()["recording"] == "first"
-    for _ in range(5):
-        bench.tick()
+    bench.ticks(5)
     assert await bench.served(teaching.take_end(host, anna)) == first
     assert bench.recorder.takes["first"] >= 5
     assert await bench.served(teaching.end(host, anna)) == {"state": "off"}
@@ -61,8 +60,7 @@ async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
 
 async def test_a_client_that_leaves_while_teaching_leaves_a_limp_arm_and_its_take(bench: Bench) -> None:
     await bench.taking("orphan")
-    for _ in range(3):
-        bench.tick()
+    bench.ticks(3)
     bench.host.client_gone(bench.anna)
     await bench.until(lambda: bench.arm.mode() is Mode.OFF)
     assert bench.recorder.takes["orphan"] >= 3
@@ -92,8 +90,7 @@ async def test_teaching_that_a_fault_has_ended_can_be_ended(limp: Bench) -> None
 async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_kept(limp: Bench) -> None:
     host, anna = limp.host, limp.anna
     await limp.taking("kept")
-    for _ in range(3):
-        limp.tick()
+    limp.ticks(3)
     host.control_lost()
     limp.arm.state = type(limp.arm.state)()  # the next one knows nothing
     limp.attach()
@@ -127,8 +124,7 @@ async def test_a_hand_faster_than_the_arm_s_tool_speed_limit_is_shown_and_noted_
     await limp.served(teaching.begin(limp.host, limp.anna))
     tick = limp.arm.get(0, ax12a.PRESENT_POSITION)
     limp.arm.put(1, ax12a.PRESENT_POSITION, 512)  # arm stretched out: the tool is far from the base axis
-    for _ in range(10):
-        limp.tick()
+    limp.ticks(10)
     limp.recorder.notes.clear()
     for step in range(1, 11):
         limp.arm.put(0, ax12a.PRESENT_POSITION, tick + 30 * step)
@@ -138,6 +134,5 @@ async def test_a_hand_faster_than_the_arm_s_tool_speed_limit_is_shown_and_noted_
     texts = [json.loads(note)["text"] for note in limp.recorder.notes if "TEACHING_FAST" in note]
     assert len(texts) == noted
     assert all(text.endswith(f"(bound {1e3 * limit_m_s:.0f})") for text in texts)
-    for _ in range(10):
-        limp.tick()
+    limp.ticks(10)
     assert limp.host.status()["tool"]["speed_m_s"] == pytest.approx(0.0, abs=1e-9)
