@@ -4,7 +4,7 @@ Rules:
 
 1. A reply counts only if it is no echo of the request, comes from the servo asked, has the exact length, a good
    checksum, registers within the control table's bounds, and a position the servo can have reached since the last one.
-   Only the checksum and the id are the SDK's work (see `handler`).
+   The checksum and the id are the port's work (see `ServoPort.ask`).
 2. A bad or missing reply is repeated once, after the line has fallen quiet. A sample spends at most `SAMPLE_RETRIES`
    repetitions, and asks a servo that missed `SILENT_MISSES` samples in a row only every `PROBE_EVERY`-th time, so a
    silent bus costs a bounded part of the tick.
@@ -25,13 +25,12 @@ from statistics import median
 from typing import NamedTuple
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL
-from dynamixel_sdk.robotis_def import INST_READ, INST_WRITE
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS, ErrorBit, Register, Seen, believable, position_tick
 from armctl.dynamixel.fitness import ServoJoint, bus_dead, duplicate_id, servo_silent, slow_adapter, table_problems
-from armctl.dynamixel.packet import OVERHEAD_BYTES
-from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, QUIET_MS, PacketHandler, ServoPort
+from armctl.dynamixel.packet import BROADCAST_ID, HEADER, OVERHEAD_BYTES, Instruction, encode_instruction
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, QUIET_MS, ServoPort
 from armctl.errors import PortGone
 from armctl.messages import Goal, Problem, Sample, ServoReading, Write
 
@@ -83,8 +82,8 @@ class Reply(NamedTuple):
 class _Track:
     """What the bus remembers of one servo between samples."""
 
-    # The packet that reads its status; its last byte is the checksum, which the SDK puts there.
-    request: list[int]
+    # The packet that reads its status.
+    request: bytes
     reading: ServoReading
     # Its position in the reading; None: it was never read.
     seen: Seen | None = None
@@ -104,9 +103,11 @@ class ServoBus:
         self.servo_ids = tuple(servo_ids)
         # Firmware version of every servo as `identify` read it; -1: it did not answer.
         self.firmware: tuple[int, ...] = ()
-        self._handler = PacketHandler()
         self._tracks = [
-            _Track(_packet(servo_id, INST_READ, STATUS_BLOCK), ServoReading(servo_id, b"", 0, False))
+            _Track(
+                encode_instruction(servo_id, Instruction.READ, bytes(STATUS_BLOCK)),
+                ServoReading(servo_id, b"", 0, False),
+            )
             for servo_id in self.servo_ids
         ]
         self._sample_count = 0
@@ -172,22 +173,22 @@ class ServoBus:
         for what, values in (("goal position", goal.ticks), ("moving speed", goal.speeds)):
             if len(values) != len(self.servo_ids):
                 raise ValueError(f"{len(values)} values of {what} for {len(self.servo_ids)} servos")
-        parameters: list[int] = []
+        data: list[int] = []
         for servo_id, tick, speed in zip(self.servo_ids, goal.ticks, goal.speeds, strict=True):
             for what, value in (("goal position", tick), ("moving speed", speed)):
                 if not (isinstance(value, int) and 0 <= value <= ax12a.TICK_MAX):
                     raise ValueError(f"servo {servo_id}: {what} {value!r} is no whole number in 0..{ax12a.TICK_MAX}")
-            parameters += (servo_id, tick & 0xFF, tick >> 8, speed & 0xFF, speed >> 8)
+            data += (servo_id, tick & 0xFF, tick >> 8, speed & 0xFF, speed >> 8)
         if not self.is_open:
             return False
+        body = bytes((BROADCAST_ID, len(data) + 4, Instruction.SYNC_WRITE, ax12a.GOAL.address, 4, *data))
+        packet = HEADER + body + bytes((~sum(body) & 0xFF,))
         try:
-            result = self._handler.syncWriteTxOnly(self.port, ax12a.GOAL.address, 4, parameters, len(parameters))
+            self.port.clearPort()
+            return self.port.writePort(packet) == len(packet)
         except PortGone as error:
             self._lose_port(error)
             return False
-        finally:
-            self.port.is_using = False
-        return bool(result == COMM_SUCCESS)
 
     # -------------------------------------------------------------------------------------------- one servo
 
@@ -199,8 +200,8 @@ class ServoBus:
         """
         if write.size not in (1, 2) or not 0 <= write.value < 1 << 8 * write.size:
             raise ValueError(f"servo {write.servo_id}: {write.value} does not fit {write.size} bytes")
-        parameters = (write.address, *write.value.to_bytes(write.size, "little"))
-        reply = self._ask(write.servo_id, INST_WRITE, parameters, 0)
+        parameters = bytes((write.address,)) + write.value.to_bytes(write.size, "little")
+        reply = self._ask(write.servo_id, Instruction.WRITE, parameters, 0)
         if reply.error & REFUSED:
             named = ", ".join(ErrorBit.names(reply.error))
             _log.warning("servo %d refused %d at address %d: %s", write.servo_id, write.value, write.address, named)
@@ -315,11 +316,11 @@ class ServoBus:
         packet, problem = self._exchange(track.request, OVERHEAD_BYTES + ax12a.STATUS_SIZE)
         if problem:
             return problem
-        data, error = bytes(packet[DATA_AT:-1]), packet[ERROR_AT]
+        data, error = packet[DATA_AT:-1], packet[ERROR_AT]
         if int.from_bytes(data, "little") & IMPOSSIBLE_BITS:
             self._drain()
             return BUS_NOISE
-        now_ns = self.port.arrived_ns()
+        now_ns = self.port.arrived_ns
         old, seen = track.reading, (position_tick(data), now_ns)
         if not believable(seen, track.seen, track.suspect):
             track.suspect = seen
@@ -336,11 +337,9 @@ class ServoBus:
         track.reading = replace(track.reading, fresh=False, problem=problem)
 
     def _read(self, servo_id: int, begin: int, size: int, tries: int = 2) -> Reply:
-        return self._ask(servo_id, INST_READ, (begin, size), size, tries)
+        return self._ask(servo_id, Instruction.READ, bytes((begin, size)), size, tries)
 
-    def _ask(
-        self, servo_id: int, instruction: int, parameters: Sequence[int], reply_size: int, tries: int = 2
-    ) -> Reply:
+    def _ask(self, servo_id: int, instruction: int, parameters: bytes, reply_size: int, tries: int = 2) -> Reply:
         """The first good reply to a request that belongs to no sample, or the last bad one.
 
         Raises:
@@ -348,36 +347,33 @@ class ServoBus:
         """
         if not 0 <= servo_id <= ID_MAX:
             raise ValueError(f"servo id {servo_id} is not in 0..{ID_MAX}")
+        request = encode_instruction(servo_id, instruction, parameters)
         problem = ""
         for _ in range(tries):
             begin_ns = self.port.begin_round()
-            packet, problem = self._exchange(_packet(servo_id, instruction, parameters), reply_size + OVERHEAD_BYTES)
+            packet, problem = self._exchange(request, reply_size + OVERHEAD_BYTES)
             if not problem:
-                return Reply(bytes(packet[DATA_AT:-1]), packet[ERROR_AT], "", self.port.arrived_ns() - begin_ns)
+                return Reply(packet[DATA_AT:-1], packet[ERROR_AT], "", self.port.arrived_ns - begin_ns)
         return Reply(problem=problem)
 
-    def _exchange(self, request: list[int], size: int) -> tuple[Sequence[int], str]:
+    def _exchange(self, request: bytes, size: int) -> tuple[bytes, str]:
         """Send a packet, and check its reply of `size` bytes as far as every instruction allows.
 
         Returns:
             (the reply, "") or, once the line is quiet again, (nothing, the problem).
         """
-        port = self.port
         if not self.is_open:
-            return (), PORT_GONE
+            return b"", PORT_GONE
         try:
-            packet, result, _ = self._handler.txRxPacket(port, request)
+            packet, result = self.port.ask(request, size)
         except PortGone as error:
             self._lose_port(error)
-            return (), PORT_GONE
-        finally:
-            port.is_using = False
-        # The SDK has put the checksum into `request` by now, so an echo equals it.
-        if result == COMM_SUCCESS and len(packet) == size and (size != len(request) or list(packet) != request):
+            return b"", PORT_GONE
+        if result == COMM_SUCCESS and len(packet) == size and packet != request:
             return packet, ""
-        silent = result == COMM_TX_FAIL or (result == COMM_RX_TIMEOUT and not port.heard)
+        silent = result == COMM_TX_FAIL or (result == COMM_RX_TIMEOUT and not self.port.heard)
         self._drain()  # of an echo, or of a late reply to another request, the reply itself is still to come
-        return (), PORT_GONE if not self.is_open else NO_REPLY if silent else BUS_NOISE
+        return b"", PORT_GONE if not self.is_open else NO_REPLY if silent else BUS_NOISE
 
     def _drain(self, quiet_ms: float = QUIET_MS) -> int:
         """See the port; 0 if it is lost."""
@@ -391,8 +387,3 @@ class ServoBus:
         if self.is_open:
             _log.error("%s", error)
         self.is_open, self._closed_because = False, str(error)
-
-
-def _packet(servo_id: int, instruction: int, parameters: Sequence[int]) -> list[int]:
-    """An instruction as the SDK takes it, with room for the checksum."""
-    return [0xFF, 0xFF, servo_id, len(parameters) + 2, instruction, *parameters, 0]

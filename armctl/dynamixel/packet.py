@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 HEADER = b"\xff\xff"
 # Sum of a whole packet, checksum and header included.
-_WHOLE_SUM = (sum(HEADER) + 0xFF) & 0xFF
+WHOLE_SUM = (sum(HEADER) + 0xFF) & 0xFF
 BROADCAST_ID = 0xFE
 MIN_LENGTH = 2
 MAX_LENGTH = 246
@@ -114,7 +114,7 @@ class Decoder:
             and len(data) == data[3] + 4
             and data[:2] == HEADER
             and data[2] <= BROADCAST_ID
-            and sum(data) & 0xFF == _WHOLE_SUM
+            and sum(data) & 0xFF == WHOLE_SUM
         ):
             return Packet(data[2], data[4], data[5:-1])
         return None

@@ -16,11 +16,8 @@ import fcntl
 import os
 import select
 import termios
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from functools import wraps
 from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
 
 import serial
 from serial.tools import list_ports
@@ -37,9 +34,6 @@ LATELY_NS = NS_PER_S
 ASYNC_LOW_LATENCY = 0x2000
 BY_ID = Path("/dev/serial/by-id")
 
-P = ParamSpec("P")
-T = TypeVar("T")
-
 
 def _usb_identity(path: str) -> Path | None:
     """The name under /dev/serial/by-id of the adapter at `path`; None for a port that has none (a pty)."""
@@ -47,29 +41,9 @@ def _usb_identity(path: str) -> Path | None:
     return next((link for link in sorted(BY_ID.glob("*")) if link.resolve() == device), None)
 
 
-def _use(use: Callable[Concatenate["SerialPort", P], T]) -> Callable[Concatenate["SerialPort", P], T]:
-    """A use of the terminal: `PortGone` if the port is not open, or vanishes meanwhile.
-
-    Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them).
-    """
-
-    @wraps(use)
-    def checked(port: "SerialPort", /, *args: P.args, **kwargs: P.kwargs) -> T:
-        if port._fd < 0:
-            raise PortGone(f"{port.port_name}: the port is not open; open it first")
-        try:
-            return use(port, *args, **kwargs)
-        except (OSError, termios.error) as error:
-            text = f"{port.port_name}: the port vanished ({_reason(error)}); plug the adapter in again"
-            raise PortGone(text) from None
-
-    return checked
-
-
 class SerialPort(ServoPort):
     """A tty: exclusive, raw, non-blocking, with low latency where the driver knows it."""
 
-    ser: serial.Serial | None
     _fd = -1
     # Tells of arrived bytes once, and asks the terminal for nothing until it has told of some (rule 1).
     _arrivals: select.epoll
@@ -82,6 +56,7 @@ class SerialPort(ServoPort):
     _asked_again = False
 
     def __init__(self, name: str, baud: int, clock: Clock) -> None:
+        self.ser: serial.Serial | None = None
         self._identity: Path | None = None
         self._opened = ExitStack()
         super().__init__(name, baud, clock)
@@ -122,44 +97,54 @@ class SerialPort(ServoPort):
                 self.ser.close()
             self.ser = None
 
-    @_use
     def getBytesAvailable(self) -> int:
-        assert self.ser is not None  # or there would be no descriptor
-        return len(self._received) + self.ser.in_waiting
+        if self.ser is None:
+            raise self._gone()
+        try:
+            return len(self._received) + self.ser.in_waiting
+        except OSError as error:
+            raise self._gone(error) from None
 
-    @_use
     def _discard(self) -> None:
-        if not self._arrivals.poll(0) and not self._unread:  # nothing has come since the last read
-            return
-        self._unread = False
-        termios.tcflush(self._fd, termios.TCIFLUSH)
+        if self._fd < 0:
+            raise self._gone()
+        try:
+            if self._arrivals.poll(0) or self._unread:  # or nothing has come since the last read
+                self._unread = False
+                termios.tcflush(self._fd, termios.TCIFLUSH)
+        except (OSError, termios.error) as error:
+            raise self._gone(error) from None
 
-    @_use
     def _fill(self, length: int) -> None:
+        if self._fd < 0:
+            raise self._gone()
         if self._allowed_ns and not (self._received or self.heard):
             # The request has just left: until something comes, there is no need to look at the clock.
             wait_ns, self._asked_again = self._allowed_ns, False
         else:
             wait_ns = self._wait_ns(length)
-        while len(self._received) < length:
-            # `poll` waits whole milliseconds only, `select` waits for what is left of them.
-            if self._arrivals.poll(wait_ns // NS_PER_MS / 1000.0):
-                arrived = os.read(self._fd, HEARD_MAX)
-                if not arrived:
-                    raise OSError(errno.EIO, "end of file")
-                self._received += arrived
-                self._unread = len(arrived) == HEARD_MAX
-                if len(self._received) >= length:
-                    return
-            elif not select.select((self._arrivals,), (), (), wait_ns % NS_PER_MS / NS_PER_S)[0]:
-                if not self._allowed_ns or not self._kept_back():
-                    return
-                self._deadline_ns = self.clock.now_ns() + self._allowed_ns
-            wait_ns = self._wait_ns(length)
+        try:
+            while True:
+                # `poll` waits whole milliseconds only, `select` waits for what is left of them.
+                if self._arrivals.poll(wait_ns // NS_PER_MS / 1000.0):
+                    arrived = os.read(self._fd, HEARD_MAX)
+                    if not arrived:
+                        raise OSError(errno.EIO, "end of file")
+                    self._received += arrived
+                    self._unread = len(arrived) == HEARD_MAX
+                    if len(self._received) >= length:
+                        return
+                elif not select.select((self._arrivals,), (), (), wait_ns % NS_PER_MS / NS_PER_S)[0]:
+                    if not self._allowed_ns or not self._kept_back():
+                        return
+                    self._deadline_ns = self._now_ns() + self._allowed_ns
+                wait_ns = self._wait_ns(length)
+        except OSError as error:
+            raise self._gone(error) from None
 
     def _wait_ns(self, length: int) -> int:
         """How long to wait for what is missing of `length` bytes."""
-        wait_ns = self._deadline_ns - self.clock.now_ns()
+        wait_ns = self._deadline_ns - self._now_ns()
         if self._received or self.heard:
             # What follows needs its time on the wire, and where an adapter cut the reply, the adapter's.
             rest_ns = (length - len(self._received)) * self.byte_ns
@@ -175,25 +160,36 @@ class SerialPort(ServoPort):
         return worker
 
     def _kept_back(self) -> bool:
-        now_ns = self.clock.now_ns()
+        now_ns = self._now_ns()
         if self._worker is None or now_ns >= self._patient_until_ns:
             return False
         if self._worker.delay_ns(self.clock, self._patient_until_ns) > KEEPS_UP_NS:
-            self._late_ns = self.clock.now_ns()
+            self._late_ns = self._now_ns()
             return True
         # It keeps up just now; a moment ago, when the request or the reply was on its way, it may not have.
         first, self._asked_again = not self._asked_again, True
         return first and now_ns - self._late_ns < LATELY_NS
 
-    @_use
     def _send(self, packet: bytes) -> int:
         try:
-            sent = os.write(self._fd, packet)
-        except BlockingIOError:
-            sent = 0
-        if sent < len(packet):  # nothing that waits here may reach the servos later, in a burst
-            termios.tcflush(self._fd, termios.TCOFLUSH)
+            try:
+                sent = os.write(self._fd, packet)
+            except BlockingIOError:
+                sent = 0
+            if sent < len(packet):  # nothing that waits here may reach the servos later, in a burst
+                termios.tcflush(self._fd, termios.TCOFLUSH)
+        except (OSError, termios.error) as error:
+            raise self._gone(error) from None
         return sent
+
+    def _gone(self, error: Exception | None = None) -> PortGone:
+        """What a use of the terminal raises if the port is not open, or vanishes meanwhile.
+
+        Unplugging shows as OSError, SerialException (one of them) or termios.error (none of them).
+        """
+        if error is None or self._fd < 0:
+            return PortGone(f"{self.port_name}: the port is not open; open it first")
+        return PortGone(f"{self.port_name}: the port vanished ({_reason(error)}); plug the adapter in again")
 
     def _ask_low_latency(self, ser: serial.Serial) -> bool | None:
         state = array.array("i", [0] * 32)

@@ -1,23 +1,30 @@
 """The short cut past the SDK's loops gives what the SDK gives, at the same instant, whatever comes down the line."""
 
-from typing import Any
+from collections.abc import Callable
 
+import pytest
 from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from armctl.dynamixel.packet import encode_status
-from armctl.dynamixel.port import PacketHandler
+from armctl.dynamixel import port
+from armctl.dynamixel.packet import Instruction, encode_instruction, encode_status
 from tests.dynamixel.conftest import Line
 
-READ = (0xFF, 0xFF, 1, 4, 2, 24, 26, 0)
+READ = encode_instruction(1, Instruction.READ, bytes((24, 26)))
 
 
-def outcome(handler: Any, answer: bytes) -> tuple[object, ...]:
+def by_sdk(line: Line) -> tuple[bytes, int]:
+    packet, result, _ = Protocol1PacketHandler().txRxPacket(line, list(READ))
+    return bytes(packet), result
+
+
+def outcome(answer: bytes, ask: Callable[[Line], tuple[bytes, int]]) -> tuple[object, ...]:
     line = Line(answer)
-    packet, result, error = handler.txRxPacket(line, list(READ))
-    good = bytes(packet) if result == COMM_SUCCESS else b""
-    return good, result, error, line.clock.now_ns(), line.heard, len(line._received) + len(line.left), line.is_using
+    packet, result = ask(line)
+    good = packet if result == COMM_SUCCESS else b""
+    still_there = line._received + line.left
+    return good, result, line.sent, line.clock.now_ns(), line.heard, still_there, line.is_using
 
 
 statuses = st.builds(
@@ -41,12 +48,10 @@ pieces = st.one_of(
 @example(answer=encode_status(2, 0, bytes(244)) + encode_status(1, 0, bytes(26)), cut=400)  # more than is heard
 @settings(deadline=None, max_examples=400)
 def test_every_answer_is_taken_as_the_sdk_takes_it(answer: bytes, cut: int) -> None:
-    assert outcome(PacketHandler(), answer[:cut]) == outcome(Protocol1PacketHandler(), answer[:cut])
+    assert outcome(answer[:cut], lambda line: line.ask(READ, 32)) == outcome(answer[:cut], by_sdk)
 
 
-def test_a_whole_good_reply_takes_the_short_cut() -> None:
-    line = Line(encode_status(1, 0, bytes(range(26))))
-    line.setPacketTimeout(32)
-    packet, result = PacketHandler().rxPacket(line)
-    assert (packet, result) == (encode_status(1, 0, bytes(range(26))), COMM_SUCCESS)
-    assert isinstance(packet, bytes), "the SDK would have made a list of it"
+def test_a_whole_good_reply_takes_the_short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(port, "_sdk", None)
+    reply = encode_status(1, 0, bytes(range(26)))
+    assert Line(reply).ask(READ, 32) == (reply, COMM_SUCCESS)
