@@ -49,14 +49,6 @@ class ControlLoop:
         self._dropped = 0
         self._keyframe_due = True
 
-    def open(self) -> None:
-        """Open the port for the first time.
-
-        Raises:
-            BusError: the port is missing, busy or not ours to open.
-        """
-        self._bus.open()
-
     @property
     def at_rest(self) -> bool:
         """Whether nothing moves by this program's will, and nothing is on its way to."""

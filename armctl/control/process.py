@@ -151,7 +151,7 @@ def main(descriptor: int) -> int:
     give_up_ns = clock.now_ns() + BUSY_NS
     while not bus.is_open:
         try:
-            loop.open()
+            bus.open()
         except BusError as error:
             if inbox.leaving or clock.now_ns() >= give_up_ns or not isinstance(error, PortBusy):
                 link.send(StartFailed(error))

@@ -42,7 +42,7 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
         period_s: Time between ticks.
     """
     readings = inputs.sample.servos
-    servos = ax12a.decode_all([reading.registers for reading in readings])
+    servos = tuple([ax12a.decode(reading.registers) for reading in readings])
     state, wire = _own(state), wire_joints(arm)
     s = Tick(
         state=state,

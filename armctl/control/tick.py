@@ -205,7 +205,8 @@ class Tick:
         goal = [min(max(tick, joint.low_tick), joint.high_tick) for joint, tick in zip(self.wire, ticks, strict=True)]
         before = self.ramp = self._ramps()
         tick_rad_s = ax12a.TICK_RAD / self.period_s
-        speeds = ax12a.moving_speeds_units([abs(a - b) * tick_rad_s for a, b in zip(goal, before or goal, strict=True)])
+        ways = [abs(a - b) for a, b in zip(goal, before or goal, strict=True)]
+        speeds = [ax12a.moving_speed_units(way * tick_rad_s) for way in ways]
         self.goal = Goal(
             tuple(goal),
             tuple([

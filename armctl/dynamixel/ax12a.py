@@ -6,7 +6,6 @@ ticks, percent and degrees stop here.
 
 import math
 import struct
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import NamedTuple
@@ -135,11 +134,6 @@ def moving_speed_units(speed: float) -> int:
     return max(1, min(1023, math.ceil(abs(speed) / SPEED_UNIT_RAD_S - 1e-9)))
 
 
-def moving_speeds_units(speeds: Iterable[float]) -> list[int]:
-    """The moving-speed register for each of several |speeds| [rad/s]."""
-    return [moving_speed_units(speed) for speed in speeds]
-
-
 class Status(NamedTuple):
     """What the block 24..49 of a servo says, as far as the control step reads it."""
 
@@ -187,11 +181,6 @@ def decode(block: bytes) -> Status | None:
         speed_rad_s(speed), load_ratio(load), voltage / 10.0, float(temperature),
         _settings(cw_margin, ccw_margin, cw_slope, ccw_slope, punch, limit),
     )  # fmt: skip
-
-
-def decode_all(blocks: Iterable[bytes]) -> tuple[Status | None, ...]:
-    """The status of every servo."""
-    return tuple([decode(block) for block in blocks])
 
 
 # ---------------------------------------------------------------- what can be true of a servo, whichever it is

@@ -52,10 +52,7 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
     A transport overrides the abstract methods; the SDK and `ServoBus` call the rest.
     """
 
-    is_open: bool
-    is_using: bool
     baudrate: int
-    port_name: str
     # Wire time of one byte [ns].
     byte_ns: int
     # The driver's low-latency flag, read back after opening; None: the driver has none (a pty, for one).

@@ -62,7 +62,7 @@ class VirtualArm:
         Raises:
             PortMissing: the adapter is unplugged.
         """
-        self.loop.open()
+        self.bus.open()
 
     def restart(self, *, restarted: bool = True) -> None:
         """A new control process instead of the old one, which may have been killed; the arm knows nothing of it.

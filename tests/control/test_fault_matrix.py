@@ -37,7 +37,6 @@ a servo silent: SERVO_SILENT
     test_missing_servo_is_named_with_its_joint
     test_silent_servo_is_named_and_torque_refused
 whole bus silent: BUS_DEAD
-    test_a_silent_bus_is_one_fault
     test_a_silent_bus_is_one_fault_also_where_its_servos_fell_silent_one_by_one
     test_silent_bus_is_one_problem
 USB unplugged, replugged: PORT_GONE PORT_BACK

@@ -38,8 +38,7 @@ def closed_on_something(ratio: float = 0.4) -> IdealArm:
     """The servo stops after five ticks of closing, and its load rises."""
     arm = IdealArm().power().connect()
     arm.run_tick(Run(2, closing(arm, Grip(JOINT, RATIO))))
-    for _ in range(5):
-        arm.run_tick()
+    arm.run_ticks(5)
     arm.stuck = {JOINT}
     arm.run_tick()
     load(arm, ratio)
@@ -82,8 +81,7 @@ def test_while_it_resists_the_goal_goes_no_farther() -> None:
 @pytest.mark.parametrize("ratio", [0.29, -0.4])
 def test_less_load_or_load_the_other_way_is_no_grip(ratio: float) -> None:
     arm = closed_on_something(ratio)
-    arm.run_tick()
-    arm.run_tick()
+    arm.run_ticks(2)
     assert arm.mode() is Mode.MOVING
 
 

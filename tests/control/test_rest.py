@@ -18,6 +18,14 @@ def away() -> IdealArm:
     return arm
 
 
+def strained() -> IdealArm:
+    """On its way to rest for heat."""
+    arm = away()
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(5)
+    return arm
+
+
 def at_rest(arm: IdealArm) -> bool:
     ways = zip(arm.positions_rad(), arm.arm.joints, strict=True)
     return all(abs(position - joint.rest_rad) < math.radians(3.0) for position, joint in ways)
@@ -92,9 +100,7 @@ def test_strain_sends_the_arm_to_rest_before_a_servo_trips(
 
 @pytest.mark.parametrize("register", [ax12a.TORQUE_ENABLE, ax12a.TORQUE_LIMIT])
 def test_the_way_to_rest_ends_where_torque_is_lost(register: ax12a.Register) -> None:
-    arm = away()
-    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
-    arm.run_ticks(5)
+    arm = strained()
     arm.after_write = lambda a: a.put(1, register, 0)
     arm.run_ticks(5)
     assert arm.state.motion is None
@@ -103,9 +109,7 @@ def test_the_way_to_rest_ends_where_torque_is_lost(register: ax12a.Register) -> 
 
 
 def test_the_way_to_rest_ends_where_a_servo_falls_silent() -> None:
-    arm = away()
-    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
-    arm.run_ticks(5)
+    arm = strained()
     arm.silent = {4}
     arm.run_ticks(10)
     assert "SERVO_SILENT" in arm.events
@@ -122,9 +126,7 @@ def test_a_fault_on_the_way_to_rest_ends_it() -> None:
 
 
 def test_release_on_the_way_to_rest_is_limp_at_once() -> None:
-    arm = away()
-    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
-    arm.run_ticks(5)
+    arm = strained()
     arm.run_tick(Release(6))
     assert not arm.goals_in(20)
 

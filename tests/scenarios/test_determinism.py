@@ -32,7 +32,7 @@ class Master:
         clock, self.world = MonotonicClock(), world
         self.bus = ServoBus(SerialPort(str(world.port), 1_000_000, clock), ARM.servo_ids)
         self.loop = ControlLoop(self.bus, clock, ARM, robots.get(ARM.robot), 0.1)
-        self.loop.open()
+        self.bus.open()
         self.samples: list[Sample] = []
 
     def tick(self, number: int) -> None:
