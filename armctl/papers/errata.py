@@ -7,17 +7,22 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import jacobian, tool_position
-from armctl.kinematics.errata import Erratum
+from armctl.kinematics.errata import Erratum, Residuals
 from armctl.lab import table_ii
 from armctl.papers import paper_000, paper_004
 from armctl.papers.robot_errata import robot_errata
+from armctl.papers.transcription import transcription
 from armctl.trajectory.straightness import mean_error, progress_along_line
 
 
 def errata(papers: Sequence[str]) -> list[Erratum]:
     """The errata of some papers ("000" to "004"), in the order of the papers."""
-    known = [*robot_errata(), *_OWN]
-    return sorted((one for one in known if one.paper in papers), key=lambda one: one.paper)
+    known = [one for one in robot_errata() if one.paper in papers]
+    for paper in papers:
+        for one in transcription(paper).errata:
+            proof = _PROOFS[paper, one.where]
+            known.append(Erratum(paper, one.where, one.printed, one.corrected, one.how, proof))
+    return sorted(known, key=lambda one: one.paper)
 
 
 def _height_alone() -> tuple[float, float]:
@@ -77,54 +82,12 @@ def _column_of_the_jacobian() -> tuple[float, float]:
     return float(np.abs(J.T @ rate - true).max()), float(np.abs(J @ rate - true).max())
 
 
-_OWN = (
-    Erratum(
-        "000",
-        "eq. (18)",
-        "min W = |z0 - ...|^2",
-        "min W = |x0 - x|^2 + |y0 - y|^2 + |z0 - z|^2",
-        "W at one configuration against the squared distance by forward kinematics [cm^2]",
-        _height_alone,
-    ),
-    Erratum(
-        "000",
-        "tables, delta xy0",
-        "the error in the plane is sqrt(x^2 + y^2) - sqrt(x0^2 + y0^2)",
-        "it is sqrt((x - x0)^2 + (y - y0)^2)",
-        "a tool at (25, 20, 30) for the target (20, 25, 30), by the law of cosines [cm]",
-        _radius_alone,
-    ),
-    Erratum(
-        "000",
-        "grid x, y in 21..30, z = 10",
-        "all hundred targets are given to the arm; the errors are the algorithm's",
-        "(30, 30, 10), (29, 30, 10) and (30, 29, 10) are out of reach by Fig. 9",
-        "distance beyond the arm's exact reach, of the furthest target and of the other 97 [cm]",
-        _grid_reach,
-    ),
-    Erratum(
-        "000",
-        "Fig. 7",
-        "a random initial population of joint 1",
-        "a smooth function on a grid: 45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg, so that rows 1 and 14, 2 and 13 ... "
-        "add up to 90",
-        "median of |sum of mirrored rows - 90| over all cells, of random numbers and of Fig. 7 [deg]",
-        _ordered_population,
-    ),
-    Erratum(
-        "002",
-        "eqs. (19), (20)",
-        "the least mean distance is the straight movement from A to B",
-        "standing still at A has mean distance 0: ends, order and progress must be held as well",
-        "share of AB that a path of least objective leaves undone; its objective [m]",
-        _standing_still,
-    ),
-    Erratum(
-        "004",
-        "before eq. (8)",
-        "(Z_i x P, Z_i) is the line i of the Jacobian",
-        "it is column i, as eq. (9) has it",
-        "tool velocity at one configuration against central differences",
-        _column_of_the_jacobian,
-    ),
-)
+# By paper and place of the errata in the transcriptions.
+_PROOFS: dict[tuple[str, str], Residuals] = {
+    ("000", "eq. (18)"): _height_alone,
+    ("000", "tables, delta xy0"): _radius_alone,
+    ("000", "grid x, y in 21..30, z = 10"): _grid_reach,
+    ("000", "Fig. 7"): _ordered_population,
+    ("002", "eqs. (19), (20)"): _standing_still,
+    ("004", "before eq. (8)"): _column_of_the_jacobian,
+}

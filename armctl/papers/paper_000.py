@@ -1,10 +1,6 @@
 """000: grasping by a genetic algorithm (`xiang-6dof`): the grid with its six tables, the two targets, Figs. 7 to 12."""
 
-import csv
-from dataclasses import dataclass
-from decimal import Decimal
-from functools import cache, partial
-from importlib import resources
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -19,6 +15,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
 from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, pictures
+from armctl.papers.transcription import introduced, transcription
 from armctl.papers.verdict import Effort, claim, error
 from armctl.report import kinematics as drawn
 from armctl.report.page import Figure, plotly
@@ -33,41 +30,9 @@ REACHED_M = 1e-9
 POPULATION_SHOWN = (14, 10)
 
 
-@dataclass(frozen=True, eq=False)
-class GridError:
-    """What the grid's tables say: differences of radius and of height [cm], shape (100,)."""
-
-    radius_cm: FloatArray
-    height_cm: FloatArray
-
-    def statistics(self) -> FloatArray:
-        """Mean and greatest |dxy|, mean and greatest |dz| [cm]."""
-        radius, height = np.abs(self.radius_cm), np.abs(self.height_cm)
-        return np.array([radius.mean(), radius.max(), height.mean(), height.max()])
-
-
-@cache
 def printed() -> dict[str, FloatArray]:
-    """The tables as printed, split digits joined: six of shape (10, 10) and Fig. 7's population [deg], (14, 10)."""
-    return {name: np.array(cells, dtype=np.float64) for name, cells in _cells().items()}
-
-
-@cache
-def _cells() -> dict[str, list[list[str]]]:
-    text = resources.files("armctl.papers").joinpath("printed/000.csv").read_text(encoding="utf-8")
-    tables: dict[str, list[list[str]]] = {}
-    for name, _, *cells in list(csv.reader(text.splitlines()))[1:]:
-        tables.setdefault(name, []).append(cells)
-    return tables
-
-
-@cache
-def rounding() -> dict[str, FloatArray]:
-    """Half a unit of each printed cell's last digit."""
-    return {
-        name: np.array([[0.5 * 10.0 ** int(Decimal(cell).as_tuple().exponent) for cell in row] for row in rows])
-        for name, rows in _cells().items()
-    }
+    """The tables as printed: six of shape (10, 10) and Fig. 7's population [deg], (14, 10)."""
+    return {name: table.numbers for name, table in transcription("000").tables.items()}
 
 
 def grid_m() -> FloatArray:
@@ -76,21 +41,27 @@ def grid_m() -> FloatArray:
     return np.stack([x.ravel(), y.ravel(), np.full(x.size, HEIGHT_CM)], axis=1) / 100.0
 
 
-def grid_error(points_m: FloatArray) -> GridError:
-    """Of tool points [m], shape (100, 3), one for each target."""
+def grid_errors_cm(points_m: FloatArray) -> FloatArray:
+    """What the grid's tables say of tool points [m], shape (100, 3): differences of radius and of height, (2, 100)."""
     targets = grid_m()
     radius = np.hypot(points_m[:, 0], points_m[:, 1]) - np.hypot(targets[:, 0], targets[:, 1])
-    return GridError(radius * 100.0, (points_m[:, 2] - targets[:, 2]) * 100.0)
+    return np.stack([radius, points_m[:, 2] - targets[:, 2]]) * 100.0
+
+
+def statistics(errors_cm: FloatArray) -> FloatArray:
+    """Mean and greatest |dxy|, mean and greatest |dz| [cm]."""
+    away = np.abs(errors_cm)
+    return np.stack([away.mean(axis=1), away.max(axis=1)], axis=1).ravel()
 
 
 def printed_statistics() -> FloatArray:
     """Of the errors that are printed: mean and greatest |dxy|, mean and greatest |dz| [cm]."""
-    return GridError(printed()["delta_xy0"].ravel(), printed()["delta_z0"].ravel()).statistics()
+    return statistics(np.stack([printed()["delta_xy0"].ravel(), printed()["delta_z0"].ravel()]))
 
 
 def consistent_cells() -> int:
     """How many of the 600 printed cells agree with the others and the targets within their rounding."""
-    table, half = printed(), rounding()
+    table, half = printed(), {name: one.rounding for name, one in transcription("000").tables.items()}
     radius = np.hypot(SIDE_CM[:, None], SIDE_CM)
     agree = 0
     for axis, target in (("xy0", radius), ("z0", HEIGHT_CM)):
@@ -158,9 +129,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     first = runs[False][0]
     exact_q, missed = polished(robot, grid_m(), first.q_rad)
     return PaperReport(
-        "000",
-        "grasping by a genetic algorithm",
-        _NOTES,
+        *introduced("000"),
         (
             *_grid_rows(robot, runs),
             *_polish_rows(robot, exact_q, missed),
@@ -179,18 +148,6 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     )
 
 
-_NOTES = (
-    "Lengths are taken as centimetres. Eq. (18) is meant as the whole squared position error; as printed it holds "
-    "the height alone. The published algorithm (95 individuals, crossover 0.6, mutation 0.01, 300 generations, "
-    "roulette) is run as printed, with 16 plain bits a joint and fitness = least distance / own distance, which the "
-    "paper leaves open; of four such mappings tried it gave the least errors. The tables' dxy is a difference of radii "
-    "and so does not see the waist.",
-    "Eq. (18) names ranges for theta2 to theta4 only, and eq. (12) gives theta1: with the waist taken from eq. (12) "
-    "and three angles left to the algorithm, its mean errors come near those of print, its greatest ones do not. That "
-    "the authors did so is a guess.",
-)
-
-
 def _grid_rows(robot: Robot, runs: dict[bool, list[Evolution]]) -> list[Row]:
     rows = [claim("cells of the six tables that agree", "600", str(consistent_cells()), consistent_cells() == 600)]
     harder = "four angles are harder than the three that eq. (18) names"
@@ -199,7 +156,8 @@ def _grid_rows(robot: Robot, runs: dict[bool, list[Evolution]]) -> list[Row]:
         (False, "GA over theta1 to theta4", harder),
         (True, "GA over theta2 to theta4, theta1 by eq. (12)", unknown),
     ):
-        found = np.array([grid_error(tool_position(robot.chain, run.q_rad)).statistics() for run in runs[waist_given]])
+        reached = [tool_position(robot.chain, run.q_rad) for run in runs[waist_given]]
+        found = np.array([statistics(grid_errors_cm(points)) for points in reached])
         for name, before, values in zip(STATISTICS, printed_statistics(), found.T, strict=True):
             quantity = f"{name}, {what}, mean of {len(values)} seeds (spread {values.std():.3g})"
             rows.append(error(quantity, float(before), float(values.mean()), "cm", why=why))
@@ -207,12 +165,12 @@ def _grid_rows(robot: Robot, runs: dict[bool, list[Evolution]]) -> list[Row]:
 
 
 def _polish_rows(robot: Robot, q: FloatArray, missed: FloatArray) -> list[Row]:
-    statistics = grid_error(tool_position(robot.chain, q)).statistics()
+    found = statistics(grid_errors_cm(tool_position(robot.chain, q)))
     reached = int((missed <= REACHED_M).sum())
     rows = [
         *(
             error(f"{name}, GA with polish", before, after, "cm", why="not polished")
-            for name, before, after in zip(STATISTICS, printed_statistics().tolist(), statistics.tolist(), strict=True)
+            for name, before, after in zip(STATISTICS, printed_statistics().tolist(), found.tolist(), strict=True)
         ),
         claim("targets of the grid reached to 1e-9 m", "100 (no other word)", str(reached), reached == 100),
     ]
@@ -304,7 +262,7 @@ def _arm_pictures(robot: Robot, q: FloatArray) -> list[Picture]:
 
 
 def _heat_maps(robot: Robot, run: Evolution) -> Figure:
-    found = grid_error(tool_position(robot.chain, run.q_rad)).radius_cm.reshape(10, 10)
+    found = grid_errors_cm(tool_position(robot.chain, run.q_rad))[0].reshape(10, 10)
     both = np.concatenate((np.abs(printed()["delta_xy0"]), np.full((10, 1), np.nan), np.abs(found)), axis=1)
     ticks = [f"{y:.0f}" for y in SIDE_CM]
     figure = plotly()()

@@ -17,6 +17,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, finite, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
 from armctl.lab.stage import Stage
 from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, pictures
+from armctl.papers.transcription import introduced
 from armctl.papers.verdict import Effort, claim, error
 from armctl.report import kinematics as drawn
 from armctl.report.page import Figure, plotly
@@ -109,9 +110,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     arms = {"wanted": _wanted_arm(robot, better.q_rad[middle]), "found (median run)": better.q_rad[middle]}
     title = "Figs. 2 and 3: the arm {}"
     return PaperReport(
-        "001",
-        "the PUMA 560 by an improved genetic algorithm",
-        _NOTES,
+        *introduced("001", **asdict(improved.DEFAULT), weight=POSITION_WEIGHT),
         (
             *_table_2_rows(found, plain_found, errors(robot, polished, T)),
             *_comparison_rows(found, plain_found),
@@ -129,22 +128,6 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
 def _middle(found: Errors) -> int:
     """The run whose position error is the median."""
     return int(np.argsort(found.position_m)[len(found.position_m) // 2])
-
-
-_NOTES = (
-    "The operators are the paper's: niches by Hamming distance (eq. 8), sharing (eq. 10), catastrophe, migration. Its "
-    "settings are not printed and its text is half unreadable, so these are chosen here: {populations} populations of "
-    "{individuals}, {generations} generations, {bits} bits a joint in Gray code, crossover {crossover_probability}, "
-    "mutation {mutation_probability}, {niches} niches of a radius of {niche_radius:.0%} of the bits whose heads "
-    "survive, migration every {migration_generations} generations, catastrophe after {catastrophe_generations} "
-    "without progress, k = {weight:g} per square metre in eq. (4).".format(
-        **asdict(improved.DEFAULT), weight=POSITION_WEIGHT
-    ),
-    "The standard algorithm beside it has as many evaluations and the operators of 000: plain binary code, roulette, "
-    "no elite. Eq. (9) makes fitness proportional to the objective; if that is the error of eq. (4) the worst "
-    "individual would be the fittest, and the scan does not tell whether eq. (4) is a product with r or a difference "
-    "from r. Here fitness falls with the error.",
-)
 
 
 def _table_2_rows(found: Errors, standard: Errors, polished: Errors) -> list[Row]:

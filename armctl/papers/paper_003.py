@@ -12,12 +12,11 @@ from armctl.kinematics.solution import pose_target, solve, within_limits
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
 from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
+from armctl.papers.transcription import introduced, transcription
 from armctl.papers.verdict import Effort, claim, same, through_closed_form, yes_no
 from armctl.report import kinematics as drawn
 from armctl.trajectory.quintic import Curves, curves, quintic
 
-PRINTED_IKINE = (1.0472, 0.7854, -1.5708, 1.5708)
-PRINTED_FIG_5_MM = {"x": 219.0, "z": 139.0}
 # The print's start, and qz with theta4 at the end of its range: print gives no end for the trajectory.
 START_DEG = (0.0, 90.0, 0.0, 0.0)
 END_DEG = (60.0, 45.0, -90.0, 82.0)
@@ -68,14 +67,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         *_trajectory_rows(robot, motion),
     )
     return PaperReport(
-        "003",
-        "kinematics of a four-joint manipulator",
-        (
-            "Lengths in millimetres, Table 1 in the modified convention (print builds it with standard links). The "
-            "paper prints pictures of the workspace and of the curves without numbers and does not give the ends of "
-            "its trajectory: the motion here goes from its start (0, 90, 0, 0) deg to qz with theta4 at the end of its "
-            "range.",
-        ),
+        *introduced("003"),
         rows,
         (_extent_table(extent, points),),
         tuple(_pictures(robot, extent, points, motion)),
@@ -83,17 +75,19 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
 
 
 def _pose_rows(robot: Robot) -> list[Row]:
+    print_ = transcription("003").tables
     x, _, z = (tool_position(robot.chain, np.radians(FIG_5_DEG)) * 1e3).tolist()
     q = np.radians(QZ_DEG)
     T = forward_kinematics(robot.chain, q)
-    found = solve(robot, pose_target(T), present=np.array(PRINTED_IKINE)).solutions
-    nearest = min(found, key=lambda one: float(np.abs(np.array(one.q_rad) - PRINTED_IKINE).max()))
+    ikine = print_["ikine"].numbers[0]
+    found = solve(robot, pose_target(T), present=ikine).solutions
+    nearest = min(found, key=lambda one: float(np.abs(np.array(one.q_rad) - ikine).max()))
     rows = [
-        same("x at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["x"], x, "mm", digits=1.0),
-        same("z at (0, 0, -90, 90) deg, Fig. 5", PRINTED_FIG_5_MM["z"], z, "mm", digits=1.0),
+        same(f"{axis} at (0, 0, -90, 90) deg, Fig. 5", print_["fig_5"].by_column[axis], value, "mm", digits=1.0)
+        for axis, value in (("x", x), ("z", z))
     ]
-    for joint, (printed, value) in enumerate(zip(PRINTED_IKINE, nearest.q_rad, strict=True)):
-        rows.append(same(f"ikine of qz, theta{joint + 1}", printed, value, "rad", digits=1e-4))
+    for (joint, printed), value in zip(print_["ikine"].by_column.items(), nearest.q_rad, strict=True):
+        rows.append(same(f"ikine of qz, {joint}", printed, value, "rad", digits=1e-4))
     inside = bool(within_limits(q, robot.limits_rad))
     rows.append(claim("qz within the ranges of Table 1", "yes", "yes" if inside else "no: theta4", inside))
     return rows

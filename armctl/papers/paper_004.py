@@ -1,10 +1,10 @@
 """004: the transfer robot (`transfer-6dof`): kinematics both ways, Jacobian, the curves of a cycle (Figs. 3 to 7).
 
-The curves are drawn from a `Cycle`. Here the model makes it (`simulated_cycle`); a recorded run can be used as well.
+The curves are those of a cycle by the model (`simulated_cycle`), and beside them those of a recorded one.
 """
 
 import tempfile
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_
 from armctl.lab.stage import Stage
 from armctl.lab.virtual_transfer import record
 from armctl.papers.page import PaperReport, Picture, Row, pictures
+from armctl.papers.transcription import introduced, transcription
 from armctl.papers.verdict import Effort, claim, through_closed_form
 from armctl.report import kinematics as drawn
 from armctl.report import transfer_curves
@@ -36,8 +37,6 @@ EXACT = 1e-12
 STEP_RAD = 1e-5
 # What central differences of that step can tell.
 DIFFERENCE_BOUND = 1e-8
-PRINTED_SPEED_MM_S = {"x": 297.0, "y": 200.0, "z": 245.0}
-PRINTED_ACCELERATION_MM_S2 = {"x": 95.0, "y": 113.0, "z": 46.0}
 
 HOME_DEG = (0.0, -60.0, -30.0, 0.0, 90.0, 0.0)
 PICK_M = (0.350, -0.300, -0.150)
@@ -46,14 +45,6 @@ ABOVE_M = 0.120
 DOWN_RPY = (np.pi, 0.0, 0.0)
 STAGE_S = (2.0, 1.0, 1.0, 3.0, 1.0, 1.0, 2.0)
 SAMPLES = 60
-
-
-@dataclass(frozen=True, eq=False)
-class Cycle:
-    """A pick-and-transfer cycle and where its motion is from."""
-
-    curves: Curves
-    source: str
 
 
 def stops(robot: Robot) -> FloatArray:
@@ -72,7 +63,7 @@ def stops(robot: Robot) -> FloatArray:
     return np.unwrap(np.stack([*way, home]), axis=0)
 
 
-def simulated_cycle(robot: Robot, samples: int = SAMPLES) -> Cycle:
+def simulated_cycle(robot: Robot, samples: int = SAMPLES) -> Curves:
     """The cycle by the model: quintic motions from stop to stop."""
     q = stops(robot)
     begin_s, parts = 0.0, []
@@ -81,8 +72,9 @@ def simulated_cycle(robot: Robot, samples: int = SAMPLES) -> Cycle:
         part = curves(robot.chain, time_s, *quintic(start, end, duration_s).sample(time_s))
         parts.append(replace(part, time_s=part.time_s + begin_s))
         begin_s += duration_s
-    joined = {each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Curves)}
-    return Cycle(Curves(**joined), "quintic motions of the model")
+    return Curves(
+        **{each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Curves)}
+    )
 
 
 def tool_rate(chain: SerialChain, q: FloatArray, rate: FloatArray) -> FloatArray:
@@ -102,27 +94,19 @@ def jacobian_gap(robot: Robot, q: FloatArray) -> float:
     return float(np.abs(np.stack(columns, axis=-1) - jacobian(robot.chain, q)).max())
 
 
-def reproduce(effort: Effort, seed: int, stage: Stage, cycle: Cycle | None = None) -> PaperReport:
-    """Recompute the paper; the curves are those of `cycle`, the model's own if none is given."""
+def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
+    """Recompute the paper."""
     robot = robots.get(ROBOT)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (effort.random_poses, robot.chain.n))
     with stage("004: kinematics and cycle", 1):
         logged = logged_cycle(seed)
-        shown = cycle or simulated_cycle(robot)
-        rows = [*_pose_rows(robot), *_inverse_rows(robot, q), *_jacobian_rows(robot, q), *_curve_rows(shown.curves)]
+        shown = simulated_cycle(robot)
+        rows = [*_pose_rows(robot), *_inverse_rows(robot, q), *_jacobian_rows(robot, q), *_curve_rows(shown)]
     return PaperReport(
-        "004",
-        "a transfer robot with six degrees of freedom",
-        (
-            "Lengths in millimetres, Table 1 in the modified convention. The motion behind the printed curves is not "
-            "given, and their start lies out of reach: the curves here are those of a pick-and-transfer cycle, "
-            f"{shown.source}.",
-            "The last five pictures are drawn from the MCAP log of such a cycle, run by the control loop on simulated "
-            f"AX-12A servos, which can carry it at {SCALE:g} of its size. `armctl transfer` runs it on a daemon.",
-        ),
+        *introduced("004", scale=SCALE),
         tuple(rows),
         (),
-        (*_pictures(robot, shown.curves), *_logged_pictures(logged)),
+        (*_pictures(robot, shown), *_logged_pictures(logged)),
     )
 
 
@@ -186,13 +170,11 @@ def _curve_rows(shown: Curves) -> list[Row]:
     speed, push = (
         np.abs(values).max(axis=0) * 1e3 for values in (shown.tool_velocity_m_s, shown.tool_acceleration_m_s2)
     )
+    print_ = transcription("004").tables
     rows = [
-        Row(f"greatest {what} along {axis}, {figure}", printed, float(found), unit, why)
-        for what, figure, unit, print_, most in (
-            ("speed", "Fig. 4", "mm/s", PRINTED_SPEED_MM_S, speed),
-            ("acceleration", "Fig. 5", "mm/s^2", PRINTED_ACCELERATION_MM_S2, push),
-        )
-        for (axis, printed), found in zip(print_.items(), most, strict=True)
+        Row(f"greatest {what} along {axis}, {table.place}", printed, float(found), table.unit, why)
+        for what, table, most in (("speed", print_["speed"], speed), ("acceleration", print_["acceleration"], push))
+        for (axis, printed), found in zip(table.by_column.items(), most, strict=True)
     ]
     away = _derivative_gap(shown)
     rows.append(claim("Fig. 4 against the slope of Fig. 3, of its peak", "consistent", away, away < 0.01))

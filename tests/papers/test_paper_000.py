@@ -51,7 +51,7 @@ def test_with_polish_97_targets_are_reached_and_the_others_come_as_near_as_they_
     for (x, y), (distance, _) in paper_000.out_of_reach(ROBOT).items():
         least[int((x - 21.0) * 10 + y - 21.0)] = distance
     np.testing.assert_allclose(missed, list(least.values()), atol=1e-7)
-    assert paper_000.grid_error(tool_position(ROBOT.chain, q)).statistics()[0] <= 0.0108
+    assert paper_000.statistics(paper_000.grid_errors_cm(tool_position(ROBOT.chain, q)))[0] <= 0.0108
 
 
 def test_the_report_tells_every_quantity_with_its_verdict() -> None:

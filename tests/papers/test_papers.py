@@ -12,7 +12,6 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.lab.stage import silent
 from armctl.papers import paper_001, paper_002, paper_003, paper_004
 from armctl.papers.page import PaperReport
-from armctl.papers.paper_004 import Cycle
 from armctl.papers.verdict import error, same
 from tests.papers.effort import SHORT
 
@@ -94,8 +93,11 @@ def test_003_poses_come_back_exactly_with_two_branches() -> None:
     assert away < 1e-9
 
 
-def test_004_kinematics_hold_and_the_printed_start_does_not() -> None:
-    found = verdicts(paper_004.reproduce(SHORT, 0, silent))
+def test_004_kinematics_hold_the_printed_start_does_not_and_the_cycle_is_drawn() -> None:
+    report = paper_004.reproduce(SHORT, 0, silent)
+    chart = next(picture for picture in report.pictures if picture.title.startswith("Fig. 3")).draw()
+    assert len(chart.data[0].x) == len(paper_004.simulated_cycle(TRANSFER).time_s)
+    found = verdicts(report)
     assert found["Jacobian by eq. (8) against central differences"] == "equal"
     assert found["20 poses through IK and back, every branch: greatest error"] == "equal"
     assert found["initial position, x"] == found["R R^T - 1 of the initial rotation"] == "misprint"
@@ -114,14 +116,6 @@ def test_004_the_cycle_visits_pick_and_place_and_comes_home() -> None:
 
 def test_004_longer_arms_give_another_cycle() -> None:
     longer: Robot = robots.get("transfer-6dof", {"a2": 0.5})
-    one, other = (paper_004.simulated_cycle(robot, 5).curves for robot in (TRANSFER, longer))
+    one, other = (paper_004.simulated_cycle(robot, 5) for robot in (TRANSFER, longer))
     assert np.abs(one.position_rad - other.position_rad).max() > 1e-3
     np.testing.assert_allclose(one.tool_position_m[9], other.tool_position_m[9], atol=1e-9)
-
-
-def test_004_draws_the_cycle_it_is_given() -> None:
-    given = Cycle(paper_004.simulated_cycle(TRANSFER, 5).curves, "a recording")
-    report = paper_004.reproduce(SHORT, 0, silent, given)
-    assert "a recording" in report.notes[0]
-    chart = next(picture for picture in report.pictures if picture.title.startswith("Fig. 3")).draw()
-    assert len(chart.data[0].x) == len(given.curves.time_s)
