@@ -226,7 +226,6 @@ def _case(name: str, command: Command, asked: dict[str, Any], arm: ArmConfig, co
 
     from armctl.files import read_text
     from armctl.genetic.algorithm import PROFILES
-    from armctl.lab.line_experiment import check_via
     from armctl.lab.study.case import Case
     from armctl.trajectory.plan import plan_from_text
 
@@ -237,11 +236,9 @@ def _case(name: str, command: Command, asked: dict[str, Any], arm: ArmConfig, co
         given |= {"from_m": plan.from_m, "to_m": plan.to_m, "duration_s": plan.duration_s}
     elif "from_m" not in given or "to_m" not in given:
         raise ConfigError(f"armctl study {name}", "--from/--to", "no line", "give both ends, or a plan")
-    if "via" in given and "via" not in command.whole:
-        check_via(given["via"])
     if "profile" in asked:
         given["settings"] = replace(PROFILES[asked["profile"]], generations=asked["generations"])
-    return Case(arm, **given)
+    return Case(arm=arm, **given)
 
 
 def _whole(name: str, option: str, values: Sequence[float]) -> tuple[int, ...]:

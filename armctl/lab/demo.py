@@ -34,7 +34,7 @@ from armctl.lab.stage import Progress, Stage
 from armctl.lab.table_ii import FROM_M, TO_M, VIA
 from armctl.recording import recordings, replay
 from armctl.report import line
-from armctl.sim.control import SimulatorClient, Truth, control_path
+from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
 
 DURATION_S = 5.0
@@ -97,7 +97,7 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         plans = [plan_from_text(plan["text"], f"plan with {plan['via']} via points") for plan in optimised["plans"]]
         for plan in optimised["plans"]:
             (out / f"plan-via{plan['via']}.json").write_text(plan["text"], encoding="utf-8")
-        runs = [_run(session, plan) for plan in plans]
+        runs = [_run(session, out, plan) for plan in plans]
     return _finish(out, arm, stage, names, optimised, runs)
 
 
@@ -138,15 +138,17 @@ def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
         )
 
 
-def _run(session: _Session, plan: Plan) -> tuple[Plan, dict[str, Any], Truth]:
-    """Run a plan; it, the daemon's answer, and where the tool really was."""
+def _run(session: _Session, out: Path, plan: Plan) -> tuple[Plan, dict[str, Any], Measured]:
+    """Run a plan; it, the daemon's answer, and what was measured, where the tool really was included."""
     with session.stage(f"running, {plan.via} via points", 1) as show:
         answer = session.client.call("run", plan=plan.model_dump(mode="json"))
         show(1, f"{answer['mean_error_mm']:.1f} mm by encoders")
     truth = session.simulator.truth(answer["begin_ns"], answer["end_ns"])
     if len(truth.time_ns) < 2:
         raise RequestRefused("SIMULATOR", "the simulator kept no truth of this run")
-    return plan, answer, truth
+    seen = measured_run(_recording(out, answer["recording"]), answer["duration_s"])
+    true_time_s = (truth.time_ns - answer["begin_ns"]) / 1e9
+    return plan, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m)
 
 
 def _recording(out: Path, name: str) -> recordings.Recording:
@@ -159,7 +161,7 @@ def _finish(
     stage: Stage,
     names: list[str],
     optimised: dict[str, Any],
-    runs: list[tuple[Plan, dict[str, Any], Truth]],
+    runs: list[tuple[Plan, dict[str, Any], Measured]],
 ) -> dict[str, Any]:
     """Replay every log, write the report, and say it all."""
     logs = sorted((out / "logs").glob("*.mcap")) + sorted((out / "recordings").glob("*.mcap"))
@@ -170,18 +172,12 @@ def _finish(
             for key in replayed:
                 replayed[key] += getattr(result, key)
             show(count + 1, log.name)
-    done = []
-    for plan, answer, truth in runs:
-        seen = measured_run(_recording(out, answer["recording"]), answer["duration_s"])
-        true_time_s = (truth.time_ns - answer["begin_ns"]) / 1e9
-        done.append((plan, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m)))
     with stage("writing the report", 1) as show:
-        _write_report(out, arm, names, optimised, [(plan, seen) for plan, _, seen in done], replayed)
+        _write_report(out, arm, names, optimised, [(plan, seen) for plan, _, seen in runs], replayed)
         show(1, "")
     return {
-        "rows": [_row(*run) for run in done],
-        "ga": {key: value for key, value in optimised["ga"].items() if key != "tool_m"},
-        "exact": {key: value for key, value in optimised["exact"].items() if key != "tool_m"},
+        "rows": [_row(*run) for run in runs],
+        **{who: {key: value for key, value in optimised[who].items() if key != "tool_m"} for who in ("ga", "exact")},
         "gap_ratio": optimised["gap_ratio"],
         "baseline": optimised["baseline"],
         "logs": [str(log) for log in logs],

@@ -7,6 +7,7 @@ runs are the experiment's rows, so that one lucky run does not decide.
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,10 +17,11 @@ import numpy as np
 from armctl.config import ArmConfig, Config
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.files import data_dir
-from armctl.genetic.algorithm import PROFILES
+from armctl.genetic.algorithm import PROFILES, Settings
 from armctl.genetic.request import OptimizeRequest
-from armctl.genetic.straight_line import optimize
+from armctl.genetic.straight_line import StraightLineResult, optimize
 from armctl.host.jobs import NICENESS, load_takes
+from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import correction, course, measured_tool, sag_identification, sag_model
@@ -41,39 +43,49 @@ from armctl.trajectory.straightness import mean_error
 
 # Of the genetic algorithm.
 Profile = Literal["default", "paper"]
-MOST_VIA = 20
 AUTO_VIA = range(9)
 TAKES = 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Budget:
     """How many runs an experiment may make."""
 
     # Corrections at most; 0: the plain plan alone.
-    rounds: int
+    rounds: int = 0
     # Runs of the plan that was kept last.
-    repeats: int
-    seed: int
+    repeats: int = 1
+    # Draws the simulated arm and everything else that is random.
+    seed: int = 0
     # Mean error that `auto` asks for.
     tolerance_mm: float = 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Asked(Budget):
-    """What one call of `armctl experiment line` asks for."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Wanted(Budget):
+    """A line, and how it is to be followed."""
 
     from_m: tuple[float, float, float]
     to_m: tuple[float, float, float]
-    via: tuple[Via, ...]
-    duration_s: float
-    objective: Objective
+    via: tuple[Via, ...] = ()
+    duration_s: float = 5.0
+    objective: Objective = "mix"
+
+    @property
+    def line(self) -> Line:
+        return Line(np.array(self.from_m), np.array(self.to_m), self.duration_s, self.objective)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Asked(Wanted):
+    """What one call of `armctl experiment line` asks for."""
+
     recordings: tuple[str, ...]
     profile: Profile
     # An external measurement of the tool, and the recording of the run it was made during.
     measured: tuple[Path, str] | None
     # A page that shows what was found.
-    report: Path | None = None
+    report: Path | None
 
 
 def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
@@ -84,11 +96,10 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
     rig = VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=RANDOM_SPEC), period_s)
     line = _line(rig, asked, config)
     drawn_ways(rig, line, asked.seed)  # a line that cannot be followed is refused before anything moves
-    takes: list[FloatArray] | None = named_takes(config, arm, asked.recordings)
+    takes = named_takes(config, arm, asked.recordings)
     if not takes:
-        with stage("guiding by hand", TAKES) as show:
-            takes = guided_takes(rig, line, asked.seed)
-            show(TAKES, "")
+        with suppress(UnreachableTarget):  # the hand cannot lead the arm along all of the line
+            takes = guided_takes(rig, line, asked.seed, stage)
     return _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
 
 
@@ -101,17 +112,15 @@ def on_daemon(rig: Rig, asked: Asked, config: Config, stage: Stage) -> dict[str,
 
 
 def _line(rig: Rig, asked: Asked, config: Config) -> Line:
-    check_via(asked.via)
-    unseen = None
-    if asked.measured is not None:
-        file, name = asked.measured
-        run = recordings.load(_recording_path(config, name))
-        unseen = measured_tool.unseen_m(*measured_tool.read(file), run, rig.robot.chain)
-    return Line(np.array(asked.from_m), np.array(asked.to_m), asked.duration_s, asked.objective, unseen)
+    if asked.measured is None:
+        return asked.line
+    file, name = asked.measured
+    run = recordings.load(_recording_path(config, name))
+    return replace(asked.line, unseen_m=measured_tool.unseen_m(*measured_tool.read(file), run, rig.robot.chain))
 
 
 def _report(
-    rig: Rig, line: Line, asked: Asked, model: SagModel | None, takes: list[FloatArray] | None, stage: Stage
+    rig: Rig, line: Line, asked: Asked, model: SagModel | None, takes: list[FloatArray], stage: Stage
 ) -> dict[str, Any]:
     """Run the experiment; its JSON, and its page where one is asked for."""
     ways, ga = drawn_ways(rig, line, asked.seed), None
@@ -266,20 +275,9 @@ def genetic(
     Raises:
         RequestRefused: the recordings are unfit; every reason.
     """
-    result = optimize(
-        takes,
-        rig.arm,
-        rig.robot,
-        OptimizeRequest(
-            from_m=tuple(line.A.tolist()),
-            to_m=tuple(line.B.tolist()),
-            via=tuple(sorted({count for count in via if isinstance(count, int)})),
-            duration_s=line.duration_s,
-            seed=seed,
-            settings=PROFILES[profile],
-            free=profile == "default",
-        ),
-    )
+    counts = sorted({count for count in via if isinstance(count, int)})
+    wanted, free = replace(line, objective="mean"), profile == "default"
+    result = optimum(takes, rig.arm, wanted, counts, seed, PROFILES[profile], free=free)
     ga, exact = result.ga, result.exact
     return {
         "profile": profile,
@@ -299,12 +297,42 @@ def genetic(
     }, ga.path.positions_rad[:, : rig.robot.chain.n]
 
 
-def guided_takes(rig: VirtualRig, line: Line, seed: int) -> list[FloatArray] | None:
-    """Recordings of the simulated hand that guides the limp arm along the line; None: it cannot reach all of it."""
-    try:
-        return [rig.teach(line.A, line.B, seed * 1000 + take) for take in range(TAKES)]
-    except UnreachableTarget:
-        return None
+def optimum(
+    takes: Sequence[FloatArray],
+    arm: ArmConfig,
+    line: Line,
+    via: Sequence[int],
+    seed: int,
+    settings: Settings,
+    *,
+    free: bool,
+) -> StraightLineResult:
+    """The straightest motions along the line that the takes hold, see `optimize`.
+
+    Args:
+        free: Whether genes may leave the recordings, and via points the path that was found.
+    """
+    request = OptimizeRequest(
+        from_m=tuple(line.A.tolist()),
+        to_m=tuple(line.B.tolist()),
+        via=tuple(via),
+        duration_s=line.duration_s,
+        seed=seed,
+        settings=settings,
+        objective=line.objective,
+        free=free,
+    )
+    return optimize(takes, arm, robots.get(arm.robot, arm.lengths_m), request)
+
+
+def guided_takes(rig: VirtualRig, line: Line, seed: int, stage: Stage) -> list[FloatArray]:
+    """Recordings of the simulated hand that guides the limp arm along the line, as `VirtualRig.teach`."""
+    takes = []
+    with stage("guiding by hand", TAKES) as show:
+        for take in range(TAKES):
+            takes.append(rig.teach(line.A, line.B, seed * 1000 + take))
+            show(take + 1, "")
+    return takes
 
 
 def named_takes(config: Config, arm: ArmConfig, names: Sequence[str]) -> list[FloatArray]:
@@ -320,17 +348,3 @@ def named_takes(config: Config, arm: ArmConfig, names: Sequence[str]) -> list[Fl
 def _recording_path(config: Config, name: str) -> Path:
     """The file of a recording: a name with a slash is a path, any other names one of the daemon's recordings."""
     return Path(name) if "/" in name else recordings.find(data_dir(config) / "recordings", name)
-
-
-def check_via(via: Sequence[Via]) -> None:
-    """
-    Raises:
-        RequestRefused: a number of via points is out of range.
-    """
-    reasons = [
-        f"{one} via points wanted; give 0 to {MOST_VIA}, auto or stream"
-        for one in via
-        if isinstance(one, int) and not 0 <= one <= MOST_VIA
-    ]
-    if reasons or not via:
-        raise RequestRefused("BAD_REQUEST", reasons or "no number of via points given")

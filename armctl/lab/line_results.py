@@ -85,7 +85,7 @@ def unseen_mm(rig: Rig, plan: Plan) -> dict[str, float]:
 
 def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: SagModel | None) -> dict[str, Any]:
     """The outcomes in the terms of `armctl experiment line --json`."""
-    most = max((outcome.rounds[-1].number for outcome in outcomes), default=0)
+    most = max(outcome.rounds[-1].number for outcome in outcomes)
     refined = [
         {
             "round": number,
@@ -100,7 +100,7 @@ def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: SagModel |
         for number in range(most + 1)
     ]
     return {
-        "rows": [row(line, one.via, rig, one.best.plan, one.runs or [one.best.measured]) for one in outcomes],
+        "rows": [row(line, one.via, rig, one.best.plan, one.runs) for one in outcomes],
         "before": refined[0]["rows"],
         "refined": refined,
         "sag_model": None if model is None else {"lines": model.lines, "residual_tick": list(model.residual_tick)},
@@ -111,14 +111,12 @@ def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: SagModel |
 
 def drawn(rig: Rig, outcome: Outcome) -> DrawnOutcome:
     """The outcome as a page draws it."""
-    rounds = [line_run(rig.robot.chain, outcome.via, one.plan, one.measured) for one in outcome.rounds]
-    runs = outcome.runs or [outcome.best.measured]
-    return DrawnOutcome(
-        via=outcome.via,
-        before=rounds[0],
-        runs=[line_run(rig.robot.chain, outcome.via, outcome.best.plan, run) for run in runs],
-        rounds=rounds,
-    )
+
+    def of(plan: Plan, run: Measured) -> LineRun:
+        return line_run(rig.robot.chain, outcome.via, plan, run)
+
+    rounds = [of(one.plan, one.measured) for one in outcome.rounds]
+    return DrawnOutcome(outcome.via, rounds[0], [of(outcome.best.plan, run) for run in outcome.runs], rounds)
 
 
 def line_run(chain: SerialChain, via: Via, plan: Plan, measured: Measured) -> LineRun:

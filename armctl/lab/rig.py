@@ -15,7 +15,7 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import JointTrajectory, Run, Teach, TeachEnd, TorqueOn
+from armctl.messages import Run, Teach, TeachEnd, TorqueOn
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
@@ -111,32 +111,7 @@ class VirtualRig:
     def run(self, plan: Plan) -> Measured:
         if reasons := preflight(plan, self.arm, self.robot, self.goals_rad):
             raise RequestRefused("PREFLIGHT", reasons)
-        return self.follow(joint_trajectory(plan, self.arm, self.goals_rad, self.period_s))
-
-    def teach(self, A: FloatArray, B: FloatArray, seed: int) -> FloatArray:
-        """What the encoders see [rad], shape (samples, joints), while a simulated hand guides the limp arm from A to B.
-
-        Raises:
-            UnreachableTarget: an end of the line is out of the hand's reach.
-        """
-        virtual, hand = self._virtual, self.simulated.hand
-        try:
-            guided = hand.guide(A, B, seed=seed)
-            records = virtual.carry_out(Teach(virtual.next_id()))
-            records += virtual.ticks(round(guided.duration_s / self.period_s))
-            virtual.carry_out(TeachEnd(virtual.next_id()))
-            virtual.carry_out(TorqueOn(virtual.next_id()))
-        finally:
-            hand.release()
-        begin, end = (round(at / self.period_s) for at in (guided.begin_s - BEFORE_S, guided.end_s + AFTER_S))
-        return np.array([[joint.position_rad for joint in record.outputs.joints] for record in records[begin:end]])
-
-    def follow(self, trajectory: JointTrajectory) -> Measured:
-        """Run a trajectory that begins where the arm is; what was measured between its begin_s and end_s.
-
-        Raises:
-            RequestRefused: it was refused or stopped.
-        """
+        trajectory = joint_trajectory(plan, self.arm, self.goals_rad, self.period_s)
         clock = self._clock
         clock.time_ns, clock.positions_rad = [], []
         clock.observe_from_ns = clock.now_ns() + round((trajectory.begin_s - EARLY_TICKS * self.period_s) * NS_PER_S)
@@ -164,3 +139,21 @@ class VirtualRig:
             true_time_s=(true_ns[during] - begin_ns) / NS_PER_S,
             true_tool_m=self.simulated.tool_positions(np.array(clock.positions_rad)[during]),
         )
+
+    def teach(self, A: FloatArray, B: FloatArray, seed: int) -> FloatArray:
+        """What the encoders see [rad], shape (samples, joints), while a simulated hand guides the limp arm from A to B.
+
+        Raises:
+            UnreachableTarget: an end of the line is out of the hand's reach.
+        """
+        virtual, hand = self._virtual, self.simulated.hand
+        try:
+            guided = hand.guide(A, B, seed=seed)
+            records = virtual.carry_out(Teach(virtual.next_id()))
+            records += virtual.ticks(round(guided.duration_s / self.period_s))
+            virtual.carry_out(TeachEnd(virtual.next_id()))
+            virtual.carry_out(TorqueOn(virtual.next_id()))
+        finally:
+            hand.release()
+        begin, end = (round(at / self.period_s) for at in (guided.begin_s - BEFORE_S, guided.end_s + AFTER_S))
+        return np.array([[joint.position_rad for joint in record.outputs.joints] for record in records[begin:end]])

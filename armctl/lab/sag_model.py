@@ -113,18 +113,10 @@ def nominal(arm: ArmConfig, chain: SerialChain) -> SagModel:
     slope = np.array([_compliance_slope(joint.compliance.slope) for joint in joints])
     punch = np.array([joint.compliance.punch for joint in joints]) / LOAD_MAX
     softness = slope * TICK_RAD / ((1.0 - punch) * STALL_TORQUE_NM)
-    return SagModel(
-        arm_id=arm.arm_id,
-        calibration_hash=arm.calibration_hash,
-        gravity_rad_m=tuple(
-            tuple((GRAVITY_M_S2 * softness[i] * np.where(np.arange(n) >= i, carried, 0.0)).tolist()) for i in range(n)
-        ),
-        friction_rad=tuple((FRICTION_NM * softness).tolist()),
-        damping_s=tuple((STALL_TORQUE_NM / NO_LOAD_SPEED_RAD_S * softness).tolist()),
-        constant_rad=(0.0,) * n,
-        residual_tick=(0.0,) * n,
-        lines=0,
-    )
+    # A servo carries what is further out than its own joint.
+    gravity = np.triu(np.outer(GRAVITY_M_S2 * softness, carried))
+    others = (FRICTION_NM * softness, STALL_TORQUE_NM / NO_LOAD_SPEED_RAD_S * softness, np.zeros(n))
+    return _model(arm, np.column_stack([gravity, *others]), np.zeros(n), 0)
 
 
 def fitted(arm: ArmConfig, chain: SerialChain, lags: Sequence[FloatArray], rows: Sequence[FloatArray]) -> SagModel:
@@ -145,16 +137,7 @@ def fitted(arm: ArmConfig, chain: SerialChain, lags: Sequence[FloatArray], rows:
         normal = S.T @ S + TICK_RAD**2 * np.eye(n + 3)
         coefficients[i] = prior[i] + scale * np.linalg.solve(normal, S.T @ rest)
         residual[i] = (lag[:, i] - X[i] @ coefficients[i]).std() / TICK_RAD
-    return SagModel(
-        arm_id=arm.arm_id,
-        calibration_hash=arm.calibration_hash,
-        gravity_rad_m=tuple(map(tuple, coefficients[:, :n].tolist())),
-        friction_rad=tuple(coefficients[:, n].tolist()),
-        damping_s=tuple(coefficients[:, n + 1].tolist()),
-        constant_rad=tuple(coefficients[:, n + 2].tolist()),
-        residual_tick=tuple(residual.tolist()),
-        lines=len(lags),
-    )
+    return _model(arm, coefficients, residual, len(lags))
 
 
 def predict(model: SagModel, X: FloatArray) -> FloatArray:
@@ -213,8 +196,23 @@ def save(config: Config, model: SagModel) -> Path:
 
 def _coefficients(model: SagModel) -> FloatArray:
     """A row a joint, in the order of `regressors`, shape (n, n + 3)."""
-    others = np.stack([model.friction_rad, model.damping_s, model.constant_rad], axis=1)
-    return np.concatenate([np.array(model.gravity_rad_m), others], axis=1)
+    return np.column_stack([model.gravity_rad_m, model.friction_rad, model.damping_s, model.constant_rad])
+
+
+def _model(arm: ArmConfig, coefficients: FloatArray, residual_tick: FloatArray, lines: int) -> SagModel:
+    """The model of such `_coefficients`."""
+    n = len(coefficients)
+    friction, damping, constant = coefficients[:, n:].T.tolist()
+    return SagModel(
+        arm_id=arm.arm_id,
+        calibration_hash=arm.calibration_hash,
+        gravity_rad_m=tuple(map(tuple, coefficients[:, :n].tolist())),
+        friction_rad=tuple(friction),
+        damping_s=tuple(damping),
+        constant_rad=tuple(constant),
+        residual_tick=tuple(residual_tick.tolist()),
+        lines=lines,
+    )
 
 
 def _compliance_slope(register: int) -> int:

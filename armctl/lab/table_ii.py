@@ -7,26 +7,26 @@ the corrections that armctl learns. What the paper prints is `PRINTED`, in `repo
 """
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import PAPER
+from armctl.genetic.straight_line import StraightLineResult
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.course import Line, line_plan
-from armctl.lab.line_experiment import Budget, experiment, genetic, guided_takes, identified
+from armctl.lab.line_experiment import Budget, experiment, guided_takes, identified
+from armctl.lab.line_results import true_mm
 from armctl.lab.rig import Measured, VirtualRig
-from armctl.lab.stage import Stage
+from armctl.lab.stage import Progress, Stage
 from armctl.lab.study.case import Case, Found
 from armctl.recording.disk import new_file
 from armctl.recording.export import extra
 from armctl.report.line import PRINTED
-from armctl.sim.arm import SimulatedArm
-from armctl.sim.spec import RANDOM_SPEC
 from armctl.trajectory.interpolate import joint_path
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
@@ -116,53 +116,45 @@ def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[F
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """What a simulated arm did in the three experiments."""
+    """What a simulated arm did in the three experiments. Its true tool paths are known."""
 
     arm_id: str
     line: Line
     # Tool paths of the guided candidates.
     takes_m: tuple[FloatArray, ...]
-    # By number of via points, before any correction.
-    before: dict[int, Measured]
+    # Of the genetic algorithm over them.
+    optimum: StraightLineResult
+    # By number of via points: before any correction, and each run of the plan that was kept last.
+    before: dict[int, list[Measured]]
     after: dict[int, list[Measured]]
-    ga: dict[str, Any] | None
-    ga_tool_m: FloatArray | None
 
-    def duration_s(self, via: int) -> float:
-        """Of the final plan, mean of its runs."""
-        return float(np.mean([run.duration_s for run in self.after[via]]))
-
-    def errors_mm(self, via: int, *, corrected: bool) -> tuple[float, float]:
+    def errors_mm(self, runs: Sequence[Measured]) -> tuple[float, float]:
         """Mean and maximum distance of the tool's true place from the line [mm], averaged over runs."""
-        runs = self.after[via] if corrected else [self.before[via]]
-        found = [self.line.errors_mm(run.true_tool_m) for run in runs if run.true_tool_m is not None]
-        mean, most = np.array(found).mean(axis=0).tolist()
+        mean, most = np.mean([true_mm(run, self.line) for run in runs], axis=0).tolist()
         return mean, most
 
 
 def corrected(arm: ArmConfig, rounds: int, repeats: int, seed: int, stage: Stage) -> Corrected:
-    """Guide candidates, optimise them, run 0, 1 and 2 via points, correct, repeat; all in virtual time."""
-    rig = VirtualRig(SimulatedArm(arm, seed=seed, spec=RANDOM_SPEC), PERIOD_S)
-    lines = {via: Line(np.array(FROM_M), np.array(TO_M), PRINTED[via].duration_s) for via in VIA}
-    line = lines[VIA[0]]
-    with stage("002: guiding by hand", 1):
-        takes = guided_takes(rig, line, seed)
-    ga = path = None
-    if takes:
-        with stage("002: genetic algorithm", 1):
-            ga, path = genetic(takes, rig, line, VIA, seed)
-    model = identified(rig, rounds, seed, lambda label, total: stage(f"002: {label}", total))
+    """Guide candidates, optimise them, run 0, 1 and 2 via points, correct, repeat; all in virtual time.
+
+    Raises:
+        UnreachableTarget: the hand cannot lead this arm along the line.
+    """
+
+    def told(label: str, total: float) -> AbstractContextManager[Progress]:
+        return stage(f"002: {label}", total)
+
+    case = Case(arm=arm, seed=seed, from_m=FROM_M, to_m=TO_M, duration_s=PRINTED[0].duration_s, period_s=PERIOD_S)
+    rig, line = case.rig(), case.line
+    takes = tuple(guided_takes(rig, line, seed, told))
+    with told("genetic algorithm", 1):
+        optimum = replace(case, takes=takes, objective="mean").optimum(VIA, free=True)
+    model = identified(rig, rounds, seed, told)
     before, after = {}, {}
     for via in VIA:
-        (outcome,) = experiment(rig, lines[via], [via], Budget(rounds, repeats, seed), model, stage)
-        before[via], after[via] = outcome.rounds[0].measured, outcome.runs
+        timed = replace(line, duration_s=PRINTED[via].duration_s)
+        (outcome,) = experiment(rig, timed, [via], Budget(rounds, repeats, seed), model, stage)
+        before[via], after[via] = [outcome.rounds[0].measured], outcome.runs
     chain = rig.robot.chain
-    return Corrected(
-        rig.arm.arm_id,
-        line,
-        tuple(tool_position(chain, take[:, : chain.n]) for take in takes or ()),
-        before,
-        after,
-        ga,
-        None if path is None else tool_position(chain, path),
-    )
+    takes_m = tuple(tool_position(chain, take[:, : chain.n]) for take in takes)
+    return Corrected(rig.arm.arm_id, line, takes_m, optimum, before, after)

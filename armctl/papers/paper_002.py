@@ -9,6 +9,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
 from armctl.lab.table_ii import FROM_M, TO_M, VIA, Corrected, corrected
 from armctl.papers.page import PaperReport, Picture, Row
+from armctl.papers.transcription import introduced
 from armctl.papers.verdict import Effort, error
 from armctl.report import kinematics as drawn
 from armctl.report.line import PRINTED
@@ -32,36 +33,30 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         ),
         Picture("Fig. 12: comparison", "mean and maximum error beside print", lambda: _bars(done)),
     ]
-    return PaperReport("002", "a straight line with an AX-12A arm", _notes(done), tuple(rows), (), tuple(pictures))
-
-
-def _notes(done: Corrected) -> tuple[str, ...]:
-    notes = [
-        f"One simulated arm drawn by the seed ({done.arm_id}) and one line, lengths chosen here (print has none), "
-        f"from {FROM_M} to {TO_M} m in the paper's times, sampled each 100 ms. The error is that of the tool's true "
-        "place; the paper's is by the encoders. Before: the interpolated plan as it is. After: with the sag model and "
-        "the corrections learnt from what the encoders saw.",
-    ]
-    if done.ga is not None:
-        notes.append(
-            f"Genetic algorithm over {len(done.takes_m)} guided recordings: mean {done.ga['mean_error_mm']:.3f} mm "
-            f"over the recorded genes, {done.ga['gap_ratio']:.2%} above the exact optimum of the same problem."
-        )
-    return tuple(notes)
+    told = introduced(
+        "002",
+        arm_id=done.arm_id,
+        from_m=FROM_M,
+        to_m=TO_M,
+        takes=len(done.takes_m),
+        mean_error_mm=done.optimum.ga.mean_error_mm,
+        gap_ratio=done.optimum.gap_ratio,
+    )
+    return PaperReport(*told, tuple(rows), (), tuple(pictures))
 
 
 def _rows(done: Corrected, via: int, effort: Effort) -> list[Row]:
     mean_mm, max_mm, time_s = PRINTED[via]
     name = f"Table II, experiment {via + 1}"
     why = {0: "it swings an arc without a via point, and sags"}.get(via, "an uncorrected arm sags")
-    found = [("before", done.errors_mm(via, corrected=False))]
+    rows, told = [], {"before": done.before[via]}
     if effort.rounds:
-        found.append(("after", done.errors_mm(via, corrected=True)))
-    rows = []
-    for when, (mean, most) in found:
+        told["after"] = done.after[via]
+    for when, runs in told.items():
+        mean, most = done.errors_mm(runs)
         rows.append(error(f"{name}, mean error, {when}", mean_mm, mean, "mm", why=why))
         rows.append(error(f"{name}, maximum error, {when}", max_mm, most, "mm", why=why))
-    took = done.duration_s(via)
+    took = float(np.mean([run.duration_s for run in done.after[via]]))
     verdict = "equal" if abs(took - time_s) < 0.05 else f"differs: the arm needs {took:.1f} s for this plan"
     return [*rows, Row(f"{name}, time (asked for as printed)", time_s, took, "s", verdict)]
 
@@ -70,26 +65,24 @@ def _takes_figure(done: Corrected) -> Figure:
     figure = plotly()()
     for k, take in enumerate(done.takes_m):
         _add_path(figure, take, done, f"recording {k + 1}", drawn.COLOURS[3], 1)
-    if done.ga_tool_m is not None:
-        _add_path(figure, done.ga_tool_m, done, "genetic algorithm", drawn.COLOURS[2], 3)
+    _add_path(figure, done.optimum.ga.path.tool_m, done, "genetic algorithm", drawn.COLOURS[2], 3)
     _label(figure)
     return figure
 
 
 def _deviation(done: Corrected, via: int) -> Figure:
     figure = plotly()()
-    before = done.before[via].true_tool_m
-    if before is not None:
-        _add_path(figure, before, done, "before correction", drawn.COLOURS[0], 2)
+    for run in done.before[via]:
+        _add_path(figure, run.true_tool_m, done, "before correction", drawn.COLOURS[0], 2)
     for k, run in enumerate(done.after[via]):
-        if run.true_tool_m is not None:
-            _add_path(figure, run.true_tool_m, done, f"final plan, run {k + 1}", drawn.COLOURS[2], 2)
+        _add_path(figure, run.true_tool_m, done, f"final plan, run {k + 1}", drawn.COLOURS[2], 2)
     figure.add_hline(y=PRINTED[via][0], line={"dash": "dot", "color": "#888"}, annotation_text="mean in print")
     _label(figure)
     return figure
 
 
-def _add_path(figure: Figure, points: FloatArray, done: Corrected, name: str, colour: str, width: int) -> None:
+def _add_path(figure: Figure, points: FloatArray | None, done: Corrected, name: str, colour: str, width: int) -> None:
+    assert points is not None  # the arm is simulated
     A, B = done.line.A, done.line.B
     along = progress_along_line(points, A, B) * float(np.linalg.norm(B - A)) * 1e3
     away = distance_to_line(points, A, B) * 1e3
@@ -103,8 +96,7 @@ def _label(figure: Figure) -> None:
 def _bars(done: Corrected) -> Figure:
     figure = plotly()()
     names = [f"experiment {via + 1}" for via in VIA]
-    before = [done.errors_mm(via, corrected=False) for via in VIA]
-    after = [done.errors_mm(via, corrected=True) for via in VIA]
+    before, after = ([done.errors_mm(runs[via]) for via in VIA] for runs in (done.before, done.after))
     for k, what in enumerate(("mean", "maximum")):
         for who, values, colour in (
             ("print", [PRINTED[via][k] for via in VIA], drawn.COLOURS[5]),

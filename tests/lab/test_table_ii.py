@@ -13,7 +13,7 @@ from tests.genetic import hand
 
 @pytest.fixture(scope="module")
 def experiments() -> list[Found]:
-    first, _, third = every_experiment(Case(hand.arm(), 0, FROM_M, TO_M))
+    first, _, third = every_experiment(Case(arm=hand.arm(), from_m=FROM_M, to_m=TO_M))
     return [run(first), run(third)]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from armctl.errors import RequestRefused
 from armctl.lab import line_results
 from armctl.lab.course import Via
-from armctl.lab.line_experiment import Budget, experiment, identified
+from armctl.lab.line_experiment import experiment, identified
 from armctl.lab.rig import Measured, VirtualRig
 from armctl.lab.study.case import Case, Found, Row
 from armctl.trajectory.plan import Plan
@@ -37,7 +37,7 @@ def run(case: Case) -> Found:
     model = identified(rig, case.rounds, case.seed)
     for via in case.via:
         try:
-            (outcome,) = experiment(rig, case.line, (via,), Budget(case.rounds, 1, case.seed), model)
+            (outcome,) = experiment(rig, case.line, (via,), replace(case, repeats=1), model)
         except RequestRefused as refusal:
             rows.append(_refused(case, via, refusal))
             continue

@@ -4,41 +4,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import DEFAULT, Settings
-from armctl.genetic.request import OptimizeRequest
-from armctl.genetic.straight_line import StraightLineResult, optimize
-from armctl.kinematics import robots
+from armctl.genetic.straight_line import StraightLineResult
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.course import Line, Via
+from armctl.lab.line_experiment import Wanted, optimum
 from armctl.lab.rig import VirtualRig
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
-from armctl.trajectory.placement import Objective
 from armctl.trajectory.plan import Plan
 
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """What one worker gets. A study ignores the fields that it does not need."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Case(Wanted):
+    """What one worker gets. A study ignores the fields that it does not need.
+
+    `repeats` may also be seeds of each setting of the genetic algorithm.
+    """
 
     arm: ArmConfig
-    # Draws the simulated arm and everything else that is random.
-    seed: int
-    from_m: tuple[float, float, float]
-    to_m: tuple[float, float, float]
-    via: tuple[Via, ...] = ()
-    duration_s: float = 5.0
-    # Corrections at most.
-    rounds: int = 0
-    # Runs of each final plan, or seeds of each setting of the genetic algorithm.
-    repeats: int = 1
     period_s: float = 0.1
-    objective: Objective = "mix"
     # Joint positions of each recording [rad], shape (samples, joints).
     takes: tuple[FloatArray, ...] = ()
     # Of the genetic algorithm.
@@ -51,10 +38,6 @@ class Case:
     spec: ArmSpec = RANDOM_SPEC
     # The effect of the simulator that is switched off.
     without: str | None = None
-
-    @property
-    def line(self) -> Line:
-        return Line(np.array(self.from_m), np.array(self.to_m), self.duration_s, self.objective)
 
     def rig(self) -> VirtualRig:
         """The simulated arm of the seed, with torque on."""
@@ -69,21 +52,7 @@ class Case:
         Raises:
             RequestRefused: the takes are unfit.
         """
-        return optimize(
-            self.takes,
-            self.arm,
-            robots.get(self.arm.robot, self.arm.lengths_m),
-            OptimizeRequest(
-                from_m=self.from_m,
-                to_m=self.to_m,
-                via=tuple(via),
-                duration_s=self.duration_s,
-                seed=self.seed,
-                settings=self.settings,
-                objective=self.objective,
-                free=free,
-            ),
-        )
+        return optimum(self.takes, self.arm, self.line, via, self.seed, self.settings, free=free)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 from armctl.kinematics.chain import tool_position
 from armctl.lab.correction import Round
 from armctl.lab.course import Line, sent_rad, ticks_of
-from armctl.lab.line_experiment import Budget, experiment, identified
+from armctl.lab.line_experiment import experiment, identified
 from armctl.lab.line_results import drawn, unseen_mm
 from armctl.lab.rig import VirtualRig
 from armctl.lab.study import pareto
@@ -60,7 +60,7 @@ def run(case: Case) -> Found:
     """
     rig, line = case.rig(), case.line
     model = identified(rig, case.rounds, case.seed)
-    outcomes = experiment(rig, line, case.via, Budget(case.rounds, case.repeats, case.seed), model)
+    outcomes = experiment(rig, line, case.via, case, model)
     shown = [drawn(rig, outcome) for outcome in outcomes]
     rows = []
     for outcome, paths in zip(outcomes, shown, strict=True):

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from armctl.errors import ArmctlError
 from armctl.host.jobs import NICENESS
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.line_experiment import TAKES
+from armctl.lab.line_experiment import guided_takes
 from armctl.lab.stage import Stage
 from armctl.lab.study.case import Case
 
@@ -32,17 +32,31 @@ class Workers:
     """Who does the work, and who is told how far it is."""
 
     stage: Stage
+    # Of this machine; 1: this one. Of no meaning with a scheduler.
     processes: int
+    # Address of a Dask scheduler, such as tcp://host:8786.
     scheduler: str | None = None
 
     def carry_out(self, label: str, work: Callable[[A], R], arguments: Sequence[A]) -> list[R]:
-        """As `carry_out`, with progress shown."""
+        """The result for each argument, in order.
+
+        Raises:
+            ArmctlError: what the work raised; or distributed is not installed, or no scheduler answers.
+        """
         with self.stage(label, len(arguments)) as show:
 
             def tell(done: int) -> None:
                 show(done, f"{done} of {len(arguments)}")
 
-            return carry_out(work, arguments, workers=self.processes, scheduler=self.scheduler, tell=tell)
+            if self.scheduler is not None:
+                return _on_cluster(work, arguments, self.scheduler, tell)
+            if self.processes > 1 and len(arguments) > 1:
+                return _in_processes(work, arguments, min(self.processes, len(arguments)), tell)
+            results = []
+            for argument in arguments:
+                results.append(work(argument))
+                tell(len(results))
+            return results
 
     def guided(self, case: Case) -> tuple[FloatArray, ...]:
         """Takes of the simulated hand along the case's line: joint positions [rad], each shape (samples, joints).
@@ -50,35 +64,11 @@ class Workers:
         Raises:
             UnreachableTarget: an end of the line is out of the hand's reach.
         """
-        rig, takes = case.rig(), []
-        with self.stage("guiding by hand", TAKES) as show:
-            for take in range(TAKES):
-                takes.append(rig.teach(case.line.A, case.line.B, case.seed * 1000 + take))
-                show(take + 1, "")
-        return tuple(takes)
+        return tuple(guided_takes(case.rig(), case.line, case.seed, self.stage))
 
 
-def carry_out(
-    work: Callable[[A], R], arguments: Sequence[A], *, workers: int, scheduler: str | None, tell: Tell
-) -> list[R]:
-    """The result for each argument, in order.
-
-    Args:
-        workers: How many processes of this machine; 1: this one. Of no meaning with a scheduler.
-        scheduler: Address of a Dask scheduler, such as tcp://host:8786.
-    Raises:
-        ArmctlError: what the work raised; or distributed is not installed, or no scheduler answers.
-    """
-    if scheduler is not None:
-        return _on_cluster(work, arguments, scheduler, tell)
-    if workers == 1 or len(arguments) < 2:
-        results = []
-        for argument in arguments:
-            results.append(work(argument))
-            tell(len(results))
-        return results
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(arguments)), context, os.nice, (NICENESS,)) as pool:
+def _in_processes(work: Callable[[A], R], arguments: Sequence[A], processes: int, tell: Tell) -> list[R]:
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), os.nice, (NICENESS,)) as pool:
         futures = [pool.submit(work, argument) for argument in arguments]
         try:
             _watch(as_completed(futures), lambda future: future.result(), tell)

@@ -9,5 +9,5 @@ from tests.genetic import hand
 
 def case(**changes: Any) -> Case:
     """A short line on one arm, nothing corrected."""
-    plain = Case(hand.arm(), seed=1, from_m=(0.18, -0.1, 0.10), to_m=(0.18, 0.1, 0.10), via=(2, "stream"))
+    plain = Case(arm=hand.arm(), seed=1, from_m=(0.18, -0.1, 0.10), to_m=(0.18, 0.1, 0.10), via=(2, "stream"))
     return replace(plain, **changes)

@@ -4,14 +4,15 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.lab.study.workers import carry_out
+from armctl.lab.stage import Progress
+from armctl.lab.study.workers import Workers
 
 LOCAL = "tcp://127.0.0.1:0"
 
@@ -25,6 +26,16 @@ def refuse(seed: int) -> int:
     if seed == 2:
         raise RequestRefused("BAD_LINE", ["too short", "too low"])
     return seed
+
+
+def workers(processes: int, scheduler: str | None, told: list[float]) -> Workers:
+    """Workers that note how far they are."""
+
+    @contextmanager
+    def stage(_label: str, _total: float) -> Iterator[Progress]:
+        yield lambda done, _note: told.append(done)
+
+    return Workers(stage, processes, scheduler)
 
 
 def values(results: list[tuple[int, list[float]]]) -> list[list[float]]:
@@ -77,10 +88,11 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def test_here_in_spawned_processes_and_on_a_cluster_the_results_are_the_same_bits_in_order(scheduler: str) -> None:
-    told: list[int] = []
-    alone = carry_out(draw, range(8), workers=1, scheduler=None, tell=told.append)
-    spawned = carry_out(draw, range(8), workers=2, scheduler=None, tell=told.append)
-    cluster = carry_out(draw, range(8), workers=1, scheduler=scheduler, tell=told.append)
+    told: list[float] = []
+    alone, spawned, cluster = (
+        workers(processes, where, told).carry_out("drawing", draw, range(8))
+        for processes, where in ((1, None), (2, None), (1, scheduler))
+    )
     assert values(alone) == values(spawned) == values(cluster)
     assert told == 3 * list(range(1, 9))
     assert {pid for pid, _ in alone} == {os.getpid()}
@@ -89,9 +101,9 @@ def test_here_in_spawned_processes_and_on_a_cluster_the_results_are_the_same_bit
 
 
 def test_what_the_work_raises_is_raised_here_with_its_fields(scheduler: str) -> None:
-    for workers, where in ((1, None), (2, None), (1, scheduler)):
+    for processes, where in ((1, None), (2, None), (1, scheduler)):
         with pytest.raises(RequestRefused) as caught:
-            carry_out(refuse, range(4), workers=workers, scheduler=where, tell=lambda _: None)
+            workers(processes, where, []).carry_out("refusing", refuse, range(4))
         assert caught.value.code == "BAD_LINE"
         assert caught.value.reasons == ("too short", "too low")
 
@@ -99,4 +111,4 @@ def test_what_the_work_raises_is_raised_here_with_its_fields(scheduler: str) -> 
 def test_a_scheduler_that_is_none_is_named_with_the_remedy() -> None:
     for address in ("tcp://127.0.0.1:1", "nonsense://"):
         with pytest.raises(ArmctlError, match=r"no Dask scheduler at .*start one with"):
-            carry_out(draw, range(2), workers=1, scheduler=address, tell=lambda _: None)
+            workers(1, address, []).carry_out("drawing", draw, range(2))
