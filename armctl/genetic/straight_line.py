@@ -243,19 +243,27 @@ def _plan(
         moved_tool_m = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
         if mean_error(moved_tool_m, A, B) < mean_error(tool_m, A, B):
             waypoints, knots, tool_m = moved, off_line.knots, moved_tool_m
+    predicted_mm = [float(error(tool_m, A, B)) * 1e3 for error in (mean_error, max_error)]
+    return plan_through(arm, request, waypoints, knots, predicted_mm)
+
+
+def plan_through(
+    arm: ArmConfig, asked: OptimizeRequest, waypoints_rad: FloatArray, knots: FloatArray, predicted_mm: Sequence[float]
+) -> Plan:
+    """The plan of a request through waypoints [rad], shape (k, joints), at the progress of the knots, shape (k,).
+
+    Args:
+        predicted_mm: Mean and largest distance from the line.
+    """
     return Plan(
         arm_id=arm.arm_id,
         calibration_hash=arm.calibration_hash,
-        from_m=request.from_m,
-        to_m=request.to_m,
-        duration_s=request.duration_s,
-        via=count,
-        interpolation=interpolation,
-        waypoints_rad=tuple(map(tuple, waypoints.tolist())),
+        **asked.model_dump(include={"from_m", "to_m", "duration_s", "interpolation", "seed"}),
+        via=len(knots) - 2,
+        waypoints_rad=tuple(map(tuple, waypoints_rad.tolist())),
         waypoint_progress=tuple(knots.tolist()),
-        predicted_mean_error_mm=float(mean_error(tool_m, A, B)) * 1e3,
-        predicted_max_error_mm=float(max_error(tool_m, A, B)) * 1e3,
-        seed=request.seed,
+        predicted_mean_error_mm=predicted_mm[0],
+        predicted_max_error_mm=predicted_mm[1],
     )
 
 

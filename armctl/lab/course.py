@@ -13,14 +13,16 @@ Rules.
 4. Nothing here knows where the tool really is, unless somebody measured it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.genetic.request import OptimizeRequest
+from armctl.genetic.straight_line import plan_through
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import sag_model
@@ -60,6 +62,12 @@ class Line:
     # Where the tool was seen from outside, less where the encoders have it, at even times from begin to end [m], shape
     # (k, 3); None: nobody looked.
     unseen_m: FloatArray | None = None
+
+    def request(self, seed: int, **more: Any) -> OptimizeRequest:
+        """The line as the optimiser's request, with more of its fields."""
+        asked: dict[str, Any] = {"via": (), "objective": self.objective, **more}
+        from_m, to_m = tuple(self.A.tolist()), tuple(self.B.tolist())
+        return OptimizeRequest(from_m=from_m, to_m=to_m, duration_s=self.duration_s, seed=seed, **asked)
 
     def errors_mm(self, tool_m: FloatArray) -> tuple[float, float]:
         """Mean and largest distance of tool points, shape (m, 3), from the line [mm]."""
@@ -182,37 +190,7 @@ def plan_of(rig: Rig, course: Course, seed: int) -> Plan:
     predicted_mm = [float(error(points, line.A, line.B)) * 1e3 for error in (mean_error, max_error)]
     # Joints beyond the chain, such as a gripper, have no part in the line.
     waypoints = np.pad(course.waypoints, ((0, 0), (0, len(rig.arm.joints) - rig.robot.chain.n)))
-    return line_plan(rig.arm, line, waypoints, course.knots, course.kind, seed, predicted_mm)
-
-
-def line_plan(
-    arm: ArmConfig,
-    line: Line,
-    waypoints_rad: FloatArray,
-    knots: FloatArray,
-    kind: Interpolation,
-    seed: int,
-    predicted_mm: Sequence[float] = (0.0, 0.0),
-) -> Plan:
-    """A plan through waypoints [rad], shape (k, joints), at the progress of the knots, shape (k,).
-
-    Args:
-        predicted_mm: Mean and largest distance from the line.
-    """
-    return Plan(
-        arm_id=arm.arm_id,
-        calibration_hash=arm.calibration_hash,
-        from_m=tuple(line.A.tolist()),
-        to_m=tuple(line.B.tolist()),
-        duration_s=line.duration_s,
-        via=len(knots) - 2,
-        interpolation=kind,
-        waypoints_rad=tuple(map(tuple, waypoints_rad.tolist())),
-        waypoint_progress=tuple(knots.tolist()),
-        predicted_mean_error_mm=predicted_mm[0],
-        predicted_max_error_mm=predicted_mm[1],
-        seed=seed,
-    )
+    return plan_through(rig.arm, line.request(seed, interpolation=course.kind), waypoints, course.knots, predicted_mm)
 
 
 def sent_rad(arm: ArmConfig, goals_rad: FloatArray) -> FloatArray:

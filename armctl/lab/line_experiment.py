@@ -17,16 +17,14 @@ import numpy as np
 from armctl.config import ArmConfig, Config
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.files import data_dir
-from armctl.genetic.algorithm import PROFILES, Settings
-from armctl.genetic.request import OptimizeRequest
-from armctl.genetic.straight_line import StraightLineResult, optimize
+from armctl.genetic.algorithm import PROFILES
+from armctl.genetic.straight_line import optimize
 from armctl.host.jobs import NICENESS, load_takes
-from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import correction, course, measured_tool, sag_identification, sag_model
 from armctl.lab.correction import Round
-from armctl.lab.course import Course, Line, Via, courses
+from armctl.lab.course import Line, Via, courses
 from armctl.lab.line_results import Outcome, as_json, drawn, rms_lever_m
 from armctl.lab.rig import Rig, VirtualRig
 from armctl.lab.sag_model import SagModel
@@ -256,8 +254,7 @@ def choose_via(rig: Rig, line: Line, model: SagModel | None, ways: FloatArray, t
     """The fewest via points whose predicted error is within the tolerance; if none is, the most that are tried."""
     chain = rig.robot.chain
     for count in AUTO_VIA:
-        expected: Course = next(courses(rig, line, count, model, ways))
-        q = expected.expected_rad
+        q = next(courses(rig, line, count, model, ways)).expected_rad
         # What whole ticks and friction leave at the tool, whatever the plan.
         floor_mm = course.SERVO_ERROR_RAD * rms_lever_m(chain, q, line.A, line.B) * 1e3
         if float(mean_error(tool_position(chain, q), line.A, line.B)) * 1e3 + floor_mm <= tolerance_mm:
@@ -275,9 +272,10 @@ def genetic(
     Raises:
         RequestRefused: the recordings are unfit; every reason.
     """
-    counts = sorted({count for count in via if isinstance(count, int)})
-    wanted, free = replace(line, objective="mean"), profile == "default"
-    result = optimum(takes, rig.arm, wanted, counts, seed, PROFILES[profile], free=free)
+    counts = tuple(sorted({count for count in via if isinstance(count, int)}))
+    settings, free = PROFILES[profile], profile == "default"
+    request = line.request(seed, via=counts, settings=settings, objective="mean", free=free)
+    result = optimize(takes, rig.arm, rig.robot, request)
     ga, exact = result.ga, result.exact
     return {
         "profile": profile,
@@ -295,34 +293,6 @@ def genetic(
             for plan in result.plans
         ],
     }, ga.path.positions_rad[:, : rig.robot.chain.n]
-
-
-def optimum(
-    takes: Sequence[FloatArray],
-    arm: ArmConfig,
-    line: Line,
-    via: Sequence[int],
-    seed: int,
-    settings: Settings,
-    *,
-    free: bool,
-) -> StraightLineResult:
-    """The straightest motions along the line that the takes hold, see `optimize`.
-
-    Args:
-        free: Whether genes may leave the recordings, and via points the path that was found.
-    """
-    request = OptimizeRequest(
-        from_m=tuple(line.A.tolist()),
-        to_m=tuple(line.B.tolist()),
-        via=tuple(via),
-        duration_s=line.duration_s,
-        seed=seed,
-        settings=settings,
-        objective=line.objective,
-        free=free,
-    )
-    return optimize(takes, arm, robots.get(arm.robot, arm.lengths_m), request)
 
 
 def guided_takes(rig: VirtualRig, line: Line, seed: int, stage: Stage) -> list[FloatArray]:

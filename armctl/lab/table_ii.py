@@ -15,10 +15,10 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import PAPER
-from armctl.genetic.straight_line import StraightLineResult
+from armctl.genetic.straight_line import StraightLineResult, plan_through
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.course import Line, line_plan
+from armctl.lab.course import Line
 from armctl.lab.line_experiment import Budget, experiment, guided_takes, identified
 from armctl.lab.line_results import true_mm
 from armctl.lab.rig import Measured, VirtualRig
@@ -87,7 +87,7 @@ def through_points(rig: VirtualRig, case: Case) -> Plan:
     knots = np.linspace(0.0, 1.0, via + 2)
     waypoints = np.tile([joint.rest_rad for joint in case.arm.joints], (len(knots), 1))
     waypoints[:, : rig.robot.chain.n] = joint_path(way, np.linspace(0.0, 1.0, len(way)), knots, "cubic")
-    return line_plan(case.arm, line, waypoints, knots, "linear", case.seed)
+    return plan_through(case.arm, line.request(case.seed, interpolation="linear"), waypoints, knots, (0.0, 0.0))
 
 
 def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[Found]) -> None:

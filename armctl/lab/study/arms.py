@@ -14,6 +14,7 @@ from armctl.lab import line_results
 from armctl.lab.course import Via
 from armctl.lab.line_experiment import experiment, identified
 from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.sag_model import SagModel
 from armctl.lab.study.case import Case, Found, Row
 from armctl.trajectory.plan import Plan
 
@@ -27,34 +28,30 @@ def every_arm(case: Case, *, arms: int) -> list[Case]:
 
 def run(case: Case) -> Found:
     """One row for each number of via points, or for the plan. `refused` says why, if this arm cannot do it."""
-    rig = case.rig()
-    if case.plan is not None:
+    rig, plan = case.rig(), case.plan
+    model = identified(rig, case.rounds, case.seed) if plan is None else None
+    rows: list[Row] = []
+    for via in case.via if plan is None else (plan.via,):
         try:
-            return Found([_row(case, case.plan.via, rig, case.plan, rig.run(case.plan)) | {"before": None}])
+            rows.append(_ran(case, via, rig, model))
         except RequestRefused as refusal:
-            return Found([_refused(case, case.plan.via, refusal)])
-    rows = []
-    model = identified(rig, case.rounds, case.seed)
-    for via in case.via:
-        try:
-            (outcome,) = experiment(rig, case.line, (via,), replace(case, repeats=1), model)
-        except RequestRefused as refusal:
-            rows.append(_refused(case, via, refusal))
-            continue
-        first = outcome.rounds[0]
-        before = line_results.row(case.line, via, rig, first.plan, [first.measured])["truth"]
-        row = _row(case, via, rig, outcome.best.plan, outcome.runs[0])
-        rows.append({**row, "before": before, "rounds": len(outcome.rounds) - 1})
+            rows.append({"arm": case.seed, "via": via, "refused": str(refusal)})
     return Found(rows)
+
+
+def _ran(case: Case, via: Via, rig: VirtualRig, model: SagModel | None) -> Row:
+    if case.plan is not None:
+        return _row(case, via, rig, case.plan, rig.run(case.plan)) | {"before": None}
+    (outcome,) = experiment(rig, case.line, (via,), replace(case, repeats=1), model)
+    first = outcome.rounds[0]
+    before = line_results.row(case.line, via, rig, first.plan, [first.measured])["truth"]
+    row = _row(case, via, rig, outcome.best.plan, outcome.runs[0])
+    return {**row, "before": before, "rounds": len(outcome.rounds) - 1}
 
 
 def _row(case: Case, via: Via, rig: VirtualRig, plan: Plan, measured: Measured) -> Row:
     row = line_results.row(case.line, via, rig, plan, [measured])
     return {"arm": case.seed, "via": via, **{key: row[key] for key in TOLD}, "refused": None}
-
-
-def _refused(case: Case, via: Via, refusal: RequestRefused) -> Row:
-    return {"arm": case.seed, "via": via, "refused": str(refusal)}
 
 
 def summary(rows: Sequence[Row]) -> list[Row]:

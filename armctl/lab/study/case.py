@@ -6,9 +6,10 @@ from typing import Any
 
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import DEFAULT, Settings
-from armctl.genetic.straight_line import StraightLineResult
+from armctl.genetic.straight_line import StraightLineResult, optimize
+from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.line_experiment import Wanted, optimum
+from armctl.lab.line_experiment import Wanted
 from armctl.lab.rig import VirtualRig
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
@@ -52,7 +53,8 @@ class Case(Wanted):
         Raises:
             RequestRefused: the takes are unfit.
         """
-        return optimum(self.takes, self.arm, self.line, via, self.seed, self.settings, free=free)
+        request = self.line.request(self.seed, via=tuple(via), settings=self.settings, free=free)
+        return optimize(self.takes, self.arm, robots.get(self.arm.robot, self.arm.lengths_m), request)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,8 @@ from armctl.lab.study.case import Case, Found, Row
 
 # A run counts as settled from the generation on whose best cost is within 1 % of its last.
 SETTLED_SHARE = 1.01
+# What differs from case to case, besides the seed.
+VARIED = ("population", "crossover_probability", "mutation_probability")
 
 
 def every_setting(
@@ -45,12 +47,10 @@ def run(case: Case) -> Found:
     Raises:
         RequestRefused: the recordings are unfit.
     """
-    result, settings = case.optimum(), case.settings
+    result = case.optimum()
     best = np.array(result.ga.best_cost_mm)
     row = {
-        "population": settings.population,
-        "crossover_probability": settings.crossover_probability,
-        "mutation_probability": settings.mutation_probability,
+        **{name: getattr(case.settings, name) for name in VARIED},
         "mean_error_mm": result.ga.mean_error_mm,
         "gap_ratio": result.gap_ratio,
         "feasible": result.feasible,
@@ -68,7 +68,7 @@ def over_seeds(rows: Sequence[Row], repeats: int) -> list[Row]:
         errors = np.array([row["mean_error_mm"] for row in some])
         result.append(
             {
-                **{key: some[0][key] for key in ("population", "crossover_probability", "mutation_probability")},
+                **{name: some[0][name] for name in VARIED},
                 "mean_error_mm": float(errors.mean()),
                 "spread_mm": float(errors.std()),
                 "best_mm": float(errors.min()),

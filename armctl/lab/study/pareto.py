@@ -85,11 +85,10 @@ def error_mm(row: Row) -> float:
 def with_fronts(rows: Sequence[Row]) -> list[Row]:
     """The rows with two marks: whether each is on the front of error against duration, and against via points."""
     errors = np.array([error_mm(row) for row in rows])
-    fronts = {key: on_front(np.array([row[key] for row in rows], dtype=float), errors) for key in ("duration_s", "via")}
-    return [
-        {**row, "front_duration": bool(by_time), "front_via": bool(by_via)}
-        for row, by_time, by_via in zip(rows, fronts["duration_s"], fronts["via"], strict=True)
-    ]
+    for key, mark in (("duration_s", "front_duration"), ("via", "front_via")):
+        on = on_front(np.array([row[key] for row in rows], dtype=float), errors)
+        rows = [{**row, mark: bool(one)} for row, one in zip(rows, on, strict=True)]
+    return list(rows)
 
 
 def on_front(first: FloatArray, second: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:

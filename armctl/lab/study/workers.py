@@ -71,16 +71,16 @@ def _in_processes(work: Callable[[A], R], arguments: Sequence[A], processes: int
     with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), os.nice, (NICENESS,)) as pool:
         futures = [pool.submit(work, argument) for argument in arguments]
         try:
-            _watch(as_completed(futures), lambda future: future.result(), tell)
+            _watch(as_completed(futures), tell)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
         return [future.result() for future in futures]
 
 
-def _watch(finished: Iterable[Any], result: Callable[[Any], object], tell: Tell) -> None:
+def _watch(finished: Iterable[Any], tell: Tell) -> None:
     for done, future in enumerate(finished, 1):
-        result(future)  # raises what the work raised, without waiting for the rest
+        future.result()  # raises what the work raised, without waiting for the rest
         tell(done)
 
 
@@ -90,7 +90,7 @@ def _on_cluster(work: Callable[[A], R], arguments: Sequence[A], scheduler: str, 
 
         gathered: Any = as_gathered
         futures = client.map(work, list(arguments), pure=False)
-        _watch(gathered(futures, loop=client.loop), lambda future: future.result(), tell)
+        _watch(gathered(futures, loop=client.loop), tell)
         results: list[R] = client.gather(futures)
     return results
 
