@@ -22,12 +22,16 @@ from armctl.report.page import Figure, plotly
 
 SIDE_CM = np.arange(21.0, 31.0)
 HEIGHT_CM = 10.0
+# Of each target from the base's axis, shape (10, 10).
+RADIUS_CM = np.hypot(SIDE_CM[:, None], SIDE_CM)
 TARGETS_CM = ((20.0, 25.0, 30.0), (30.0, 25.0, 20.0))
 TABLES = ("xy0_test", "z0_test", "delta_xy0", "delta_z0", "p_xy0", "p_z0")
 STATISTICS = ("mean |dxy|", "greatest |dxy|", "mean |dz|", "greatest |dz|")
 REACHED_M = 1e-9
 # Rows and columns of Fig. 7.
 POPULATION_SHOWN = (14, 10)
+# What its cells are, of row r and column c.
+POPULATION_WORDS = "45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg"
 
 
 def printed() -> dict[str, FloatArray]:
@@ -62,9 +66,8 @@ def printed_statistics() -> FloatArray:
 def consistent_cells() -> int:
     """How many of the 600 printed cells agree with the others and the targets within their rounding."""
     table, half = printed(), {name: one.rounding for name, one in transcription("000").tables.items()}
-    radius = np.hypot(SIDE_CM[:, None], SIDE_CM)
     agree = 0
-    for axis, target in (("xy0", radius), ("z0", HEIGHT_CM)):
+    for axis, target in (("xy0", RADIUS_CM), ("z0", HEIGHT_CM)):
         measured, away, share = f"{axis}_test", f"delta_{axis}", f"p_{axis}"
         gap, bound = table[measured] - target - table[away], half[measured] + half[away]
         # A cell of a measured table agrees where its difference does.
@@ -128,13 +131,14 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         two_q, two_missed = polished(robot, targets, two.q_rad)
     first = runs[False][0]
     exact_q, missed = polished(robot, grid_m(), first.q_rad)
+    agree = int((np.abs(printed()["joint_1_population"] - population_formula()) <= 0.6e-4).sum())
     return PaperReport(
         *introduced("000"),
         (
             *_grid_rows(robot, runs),
             *_polish_rows(robot, exact_q, missed),
             *_target_rows(robot, targets, two, two_missed),
-            _population_row(),
+            claim(f"Fig. 7, cells equal to {POPULATION_WORDS}, of 140", "random numbers", str(agree), agree < 70),
             _curve_row(runs[False]),
         ),
         (*_six_tables(robot, first, exact_q), _population_table()),
@@ -196,12 +200,6 @@ def _target_rows(robot: Robot, targets: FloatArray, two: Evolution, missed: Floa
     return rows
 
 
-def _population_row() -> Row:
-    agree = int((np.abs(printed()["joint_1_population"] - population_formula()) <= 0.6e-4).sum())
-    what = "Fig. 7, cells equal to 45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg, of 140"
-    return claim(what, "random numbers", str(agree), agree < 70)
-
-
 def _curve_row(runs: list[Evolution]) -> Row:
     """Fig. 8: the mean of the fitness beside the best after 200 generations."""
     at = min(200, len(runs[0].best_cost)) - 1
@@ -226,11 +224,8 @@ def _six_tables(robot: Robot, run: Evolution, exact_q: FloatArray) -> list[Table
 
 def _tables_of(points_m: FloatArray) -> dict[str, FloatArray]:
     """The six tables of tool points [m], shape (100, 3), each of shape (10, 10)."""
-    wanted = np.hypot(SIDE_CM[:, None], SIDE_CM)
-    points = points_m.reshape(*wanted.shape, 3) * 100.0
-    radius, height = np.hypot(points[..., 0], points[..., 1]), points[..., 2]
-    away, above = radius - wanted, height - HEIGHT_CM
-    found = (radius, height, away, above, away / wanted, above / HEIGHT_CM)
+    away, above = grid_errors_cm(points_m).reshape(2, *RADIUS_CM.shape)
+    found = (RADIUS_CM + away, HEIGHT_CM + above, away, above, away / RADIUS_CM, above / HEIGHT_CM)
     # What rounds to zero shall not show as -0.
     return {name: np.round(values, 5) + 0.0 for name, values in zip(TABLES, found, strict=True)}
 
@@ -242,7 +237,7 @@ def _population_table() -> Table:
         for r in range(POPULATION_SHOWN[0])
     )
     columns = tuple(f"{c + 1}" for c in range(POPULATION_SHOWN[1]))
-    note = "print | 45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg: the picture shows a smooth function, no population"
+    note = f"print | {POPULATION_WORDS}: the picture shows a smooth function, no population"
     return Table("Fig. 7: joint 1 initial population", ("", *columns), rows, note)
 
 

@@ -88,25 +88,22 @@ def tool_rate(chain: SerialChain, q: FloatArray, rate: FloatArray) -> FloatArray
     return np.concatenate((ahead[..., :3, 3] - behind[..., :3, 3], turn), axis=-1) / (2.0 * STEP_RAD)
 
 
-def jacobian_gap(robot: Robot, q: FloatArray) -> float:
-    """Greatest difference between the Jacobian and central differences of forward kinematics, q of shape (m, n)."""
-    columns = [tool_rate(robot.chain, q, rate) for rate in np.eye(robot.chain.n)]
-    return float(np.abs(np.stack(columns, axis=-1) - jacobian(robot.chain, q)).max())
-
-
 def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     """Recompute the paper."""
     robot = robots.get(ROBOT)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (effort.random_poses, robot.chain.n))
     with stage("004: kinematics and cycle", 1):
         logged = logged_cycle(seed)
-        shown = simulated_cycle(robot)
+        shown, described = simulated_cycle(robot), "{}: the model's and the recorded one"
         rows = [*_pose_rows(robot), *_inverse_rows(robot, q), *_jacobian_rows(robot, q), *_curve_rows(shown)]
     return PaperReport(
         *introduced("004", scale=SCALE),
         tuple(rows),
         (),
-        (*_pictures(robot, shown), *_logged_pictures(logged)),
+        (
+            *_pictures(robot, shown),
+            *pictures(transfer_curves.TITLES, "from the log, {}", described, transfer_curves.draw, logged),
+        ),
     )
 
 
@@ -115,11 +112,6 @@ def logged_cycle(seed: int) -> Transfer:
     arm = load_arm(ROBOT)
     with tempfile.TemporaryDirectory(prefix="armctl-") as folder:
         return transfer_curves.load(record(arm, LOGGED, Path(folder) / "transfer.mcap", seed=seed))
-
-
-def _logged_pictures(logged: Transfer) -> list[Picture]:
-    described = "{}: the model's and the recorded one"
-    return pictures(transfer_curves.TITLES, "from the log, {}", described, transfer_curves.draw, logged)
 
 
 def _pose_rows(robot: Robot) -> list[Row]:
@@ -152,7 +144,8 @@ def _inverse_rows(robot: Robot, q: FloatArray) -> list[Row]:
 
 
 def _jacobian_rows(robot: Robot, q: FloatArray) -> list[Row]:
-    gap = jacobian_gap(robot, q)
+    columns = [tool_rate(robot.chain, q, rate) for rate in np.eye(robot.chain.n)]
+    gap = float(np.abs(np.stack(columns, axis=-1) - jacobian(robot.chain, q)).max())
     J = jacobian(robot.chain, np.radians(INITIAL_DEG))
     found = dexterity(J)
     best = max(dexterity(one).manipulability for one in jacobian(robot.chain, q))
