@@ -124,7 +124,6 @@ class GeneticAlgorithm:
         self._parent_cost: FloatArray = np.empty(0)
         self.best: IntArray = self._asked[0].copy()
         self.best_cost = np.inf
-        self.evaluations = 0
 
     def restart(self, triple_cost: FloatArray) -> None:
         """Go on with the first population and the survivors under a new cost; what is best is asked anew."""
@@ -144,7 +143,6 @@ class GeneticAlgorithm:
 
     def tell(self, cost: FloatArray) -> None:
         """Select by the costs (>= 0, shape (population,)) of the individuals asked for, and reproduce."""
-        self.evaluations += len(cost)
         if cost.min() < self.best_cost:
             self.best, self.best_cost = self._asked[cost.argmin()].copy(), float(cost.min())
         pool = np.concatenate([self._parents, self._asked])

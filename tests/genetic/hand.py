@@ -48,18 +48,14 @@ def joint_line(posture: tuple[float, ...] = POSTURE) -> FloatArray:
     return np.array(rows)
 
 
-def recording(
-    rng: np.random.Generator,
-    *,
-    wobble_m: float = 0.008,
-    posture_rad: float = 0.06,
-    posture: tuple[float, ...] = POSTURE,
-) -> FloatArray:
+# Standard deviations: of the tool off the line in y and z, and of its progress; of a take's own posture.
+WOBBLE_M, POSTURE_RAD = 0.008, 0.06
+
+
+def recording(rng: np.random.Generator, posture: tuple[float, ...]) -> FloatArray:
     """One take at 10 Hz, shape (samples, 6): dead time, uneven speed, a smooth wobble off the line, whole ticks.
 
-    Args:
-        wobble_m: Standard deviation of the tool's deviation in y and z, and of its progress.
-        posture_rad: Standard deviation of the take's own posture, which does not move the tool.
+    Each take has its own posture, which does not move the tool.
     """
     dead = rng.integers(5, 15, 2)
     moving = int(rng.integers(50, 90))
@@ -77,16 +73,14 @@ def recording(
     J = jacobian(robot().chain, line)[:, :3]
     inverse = np.linalg.pinv(J)
     null = np.eye(5) - inverse @ J
-    held = posture_rad * (rng.standard_normal(5) + 0.2 * smooth(5))
-    q = line + (inverse @ (wobble_m * smooth(3))[..., None])[..., 0] + (null @ held[..., None])[..., 0]
+    held = POSTURE_RAD * (rng.standard_normal(5) + 0.2 * smooth(5))
+    q = line + (inverse @ (WOBBLE_M * smooth(3))[..., None])[..., 0] + (null @ held[..., None])[..., 0]
     roll = 0.3 + 0.02 * smooth(1)
     raw = np.concatenate([q, roll], axis=1)
     ticks = np.stack([np.round([joint.tick(x) for x in raw[:, i]]) for i, joint in enumerate(arm().joints)], axis=1)
     return np.stack([[joint.position_rad(t) for t in ticks[:, i]] for i, joint in enumerate(arm().joints)], axis=1)
 
 
-def recordings(
-    count: int, seed: int, *, wobble_m: float = 0.008, posture_rad: float = 0.06, posture: tuple[float, ...] = POSTURE
-) -> list[FloatArray]:
+def recordings(count: int, seed: int, posture: tuple[float, ...] = POSTURE) -> list[FloatArray]:
     rng = np.random.default_rng(seed)
-    return [recording(rng, wobble_m=wobble_m, posture_rad=posture_rad, posture=posture) for _ in range(count)]
+    return [recording(rng, posture) for _ in range(count)]

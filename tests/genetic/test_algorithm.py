@@ -11,6 +11,8 @@ from armctl.kinematics.transform import FloatArray, IntArray
 PLAIN = replace(
     DEFAULT, population=40, crossover="one cut", mutation_probability=0.05, charge_shares=(1.0,), searches=0
 )
+# Children are their parents.
+UNCHANGED = replace(PLAIN, crossover_probability=0.0, mutation_probability=0.0)
 WEIGHTS = np.random.default_rng(5).uniform(1.0, 2.0, 15)
 
 
@@ -29,6 +31,10 @@ def evolved(settings: Settings, seed: int, generations: int) -> tuple[GeneticAlg
     return algorithm, best
 
 
+def started(initial: IntArray, choices: int, settings: Settings, table: FloatArray | None = None) -> GeneticAlgorithm:
+    return GeneticAlgorithm(initial, choices, settings, np.random.default_rng(0), triple_cost=table)
+
+
 def uniform(rows: int, genes: int) -> IntArray:
     """Chromosomes of one gene each."""
     return np.repeat(np.arange(rows)[:, None], genes, axis=1)
@@ -37,8 +43,7 @@ def uniform(rows: int, genes: int) -> IntArray:
 def crossed(initial: IntArray, generations: int) -> tuple[GeneticAlgorithm, FloatArray]:
     """A run by optimal crossover, and its table of triple costs."""
     table = np.random.default_rng(3).random((6, 3, 3, 3))
-    settings = replace(DEFAULT, population=60)
-    algorithm = GeneticAlgorithm(initial, 3, settings, np.random.default_rng(0), triple_cost=table)
+    algorithm = started(initial, 3, replace(DEFAULT, population=60), table)
     for _ in range(generations):
         algorithm.tell(evaluate(table, algorithm.ask()))
     return algorithm, table
@@ -46,7 +51,7 @@ def crossed(initial: IntArray, generations: int) -> tuple[GeneticAlgorithm, Floa
 
 def test_the_first_population_is_the_initial_one_repeated() -> None:
     initial = np.arange(6).reshape(2, 3)
-    algorithm = GeneticAlgorithm(initial, 6, replace(PLAIN, population=5), np.random.default_rng(0))
+    algorithm = started(initial, 6, replace(PLAIN, population=5))
     assert algorithm.ask().tolist() == [[0, 1, 2], [3, 4, 5], [0, 1, 2], [3, 4, 5], [0, 1, 2]]
 
 
@@ -56,7 +61,6 @@ def test_the_best_never_gets_worse_and_is_the_cheapest_asked(settings: Settings)
     assert best == sorted(best, reverse=True)
     assert best[-1] < best[0]
     assert weighed(algorithm.best[None])[0] == algorithm.best_cost
-    assert algorithm.evaluations == 60 * settings.population
 
 
 def test_truncation_solves_a_plain_problem() -> None:
@@ -71,8 +75,8 @@ def test_same_seed_gives_the_same_individuals_and_another_does_not(settings: Set
 
 
 def test_truncation_keeps_the_best_of_parents_and_offspring_one_for_each_cost() -> None:
-    settings = replace(PLAIN, population=4, crossover_probability=0.0, mutation_probability=0.0)
-    algorithm = GeneticAlgorithm(uniform(4, 3), 9, settings, np.random.default_rng(0))
+    settings = replace(UNCHANGED, population=4)
+    algorithm = started(uniform(4, 3), 9, settings)
     algorithm.tell(np.array([3.0, 1.0, 1.0, 2.0]))
     assert algorithm.ask()[:, 0].tolist() == [1, 3, 0, 1]
     algorithm.tell(np.array([9.0, 0.5, 9.0, 9.0]))
@@ -82,7 +86,7 @@ def test_truncation_keeps_the_best_of_parents_and_offspring_one_for_each_cost() 
 
 def test_roulette_keeps_the_elite_of_the_parents() -> None:
     settings = replace(PAPER, population=10, crossover_probability=0.0, mutation_probability=0.0, elite_fraction=0.2)
-    algorithm = GeneticAlgorithm(uniform(10, 3), 10, settings, np.random.default_rng(0))
+    algorithm = started(uniform(10, 3), 10, settings)
     algorithm.tell(np.where(algorithm.ask()[:, 0] == 4, 1.0, 1e9))
     algorithm.tell(np.full(10, 2.0))
     assert algorithm.ask()[0].tolist() == [4, 4, 4]
@@ -93,7 +97,7 @@ def test_optimal_crossover_needs_and_uses_the_table() -> None:
     initial = uniform(3, 8)
     for settings in (replace(DEFAULT, searches=0), replace(PLAIN, searches=1)):
         with pytest.raises(ValueError, match="triple costs"):
-            GeneticAlgorithm(initial, 3, settings, np.random.default_rng(0))
+            started(initial, 3, settings)
     algorithm, table = crossed(initial, 30)
     assert algorithm.best_cost < evaluate(table, initial).min()
 
@@ -102,8 +106,7 @@ def test_searches_improve_survivors_and_a_window_is_never_more_than_a_quarter_of
     rng = np.random.default_rng(4)
     table = rng.random((22, 4, 4, 4))
     initial = rng.integers(0, 4, (30, 24))
-    settings = replace(PLAIN, population=30, crossover_probability=0.0, mutation_probability=0.0, searches=30)
-    algorithm = GeneticAlgorithm(initial, 4, settings, rng, triple_cost=table)
+    algorithm = started(initial, 4, replace(UNCHANGED, population=30, searches=30), table)
     cost = evaluate(table, algorithm.ask())
     algorithm.tell(cost)
     survivors = initial[np.argsort(cost)]

@@ -1,5 +1,6 @@
 import math
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -48,17 +49,20 @@ def test_joint_positions_stay_within_the_limits_of_the_arm() -> None:
         assert candidates.positions_rad[..., i].max() <= joint.limits_rad[1]
 
 
-def test_dead_time_speed_stops_and_going_back_do_not_matter() -> None:
-    samples = straight()
+def hesitant(samples: FloatArray) -> FloatArray:
+    """The same way with dead time, a stop, and some of it back and again."""
     stops = np.concatenate([np.repeat(samples[:1], 30, axis=0), samples[:30], np.repeat(samples[29:30], 25, axis=0)])
-    back = np.concatenate([stops, samples[29:20:-1], samples[20:], np.repeat(samples[-1:], 9, axis=0)])
-    plain, same = aligned([samples, back]).positions_rad
-    np.testing.assert_allclose(same, plain, atol=1e-9)
+    return np.concatenate([stops, samples[29:20:-1], samples[20:], np.repeat(samples[-1:], 9, axis=0)])
 
 
-def test_the_way_to_A_does_not_count_whatever_it_passes() -> None:
-    samples = straight()
-    plain, same = aligned([samples, np.concatenate([samples[::-2], samples])]).positions_rad
+def led_to_A(samples: FloatArray) -> FloatArray:
+    """The same way, and before it the way to A, along the line."""
+    return np.concatenate([samples[::-2], samples])
+
+
+@pytest.mark.parametrize("taken", [hesitant, led_to_A])
+def test_dead_time_stops_going_back_and_the_way_to_A_do_not_matter(taken: Callable[[FloatArray], FloatArray]) -> None:
+    plain, same = aligned([straight(), taken(straight())]).positions_rad
     np.testing.assert_allclose(same, plain, atol=1e-9)
 
 

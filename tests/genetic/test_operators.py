@@ -47,11 +47,6 @@ def test_one_cut_crossover_swaps_tails_within_pairs(seed: int, rows: int, genes:
     assert (children[:, 0] == before[:, 0]).all()
 
 
-def test_one_cut_crossover_without_probability_changes_nothing() -> None:
-    population = np.arange(12).reshape(4, 3)
-    assert (one_cut_crossover(population, 0.0, np.random.default_rng(0)) == population).all()
-
-
 @given(seeds, st.integers(3, 7), st.integers(2, 4))
 @settings(deadline=None)
 def test_optimal_crossover_makes_the_cheapest_mixture_of_both_parents(seed: int, genes: int, choices: int) -> None:
@@ -68,9 +63,10 @@ def test_optimal_crossover_makes_the_cheapest_mixture_of_both_parents(seed: int,
         assert float(evaluate(table, child)) == pytest.approx(float(evaluate(table, mixtures).min()), abs=1e-12)
 
 
-def test_optimal_crossover_without_probability_changes_nothing() -> None:
-    population = np.zeros((7, 5), dtype=np.intp)
-    children = optimal_crossover(population, population + 1, np.zeros((3, 2, 2, 2)), 0.0, np.random.default_rng(0))
+def test_crossover_without_probability_changes_nothing() -> None:
+    population, rng = np.arange(20).reshape(4, 5) % 2, np.random.default_rng(0)
+    assert (one_cut_crossover(population, 0.0, rng) == population).all()
+    children = optimal_crossover(population, 1 - population, np.zeros((3, 2, 2, 2)), 0.0, rng)
     assert (children == population).all()
 
 

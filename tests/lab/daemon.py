@@ -1,22 +1,27 @@
-"""A daemon in this process: it runs plans on a simulated arm in virtual time, and keeps what it measured by name."""
+"""A daemon in this process: it runs plans on a rig, such as a simulated arm, and keeps what it measured by name."""
 
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import pytest
 
 import armctl.client
-from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.rig import Measured, Rig
 from armctl.recording import recordings
 from armctl.recording.recordings import Recording
 from armctl.trajectory.plan import Plan
+
+# From a recording's begin to its plan's.
+BEGIN_S = 1.0
 
 
 class SimulatedDaemon:
     """Answers the calls of an experiment; `install` puts it where clients and recordings are looked for."""
 
-    def __init__(self, rig: VirtualRig) -> None:
+    def __init__(self, rig: Rig) -> None:
         self.rig = rig
+        self.plans: list[Plan] = []
         self.runs: list[Measured] = []
 
     def install(self, patch: pytest.MonkeyPatch) -> None:
@@ -36,13 +41,15 @@ class SimulatedDaemon:
                 joints = [{"position_rad": position} for position in self.rig.goals_rad]
                 return {"period_s": self.rig.period_s, "joints": joints}
             case "run":
-                self.runs.append(self.rig.run(Plan.model_validate(params["plan"])))
+                self.plans.append(Plan.model_validate(params["plan"]))
+                self.runs.append(self.rig.run(self.plans[-1]))
                 return {"recording": f"run-{len(self.runs)}", "duration_s": self.runs[-1].duration_s}
             case "recordings_show":
                 return {"path": f"takes/{params['name']}.mcap"}
         raise AssertionError(method)
 
     def load(self, path: Path) -> Recording:
+        """A recording as the daemon makes it: it begins before the plan, and ends after it."""
         run, arm = self.runs[int(path.stem.removeprefix("run-")) - 1], self.rig.arm
         return Recording(
             name=path.stem,
@@ -51,8 +58,8 @@ class SimulatedDaemon:
             calibration_hash=arm.calibration_hash,
             joint_names=arm.joint_names,
             start_ns=0,
-            time_s=run.time_s,
-            positions_rad=run.positions_rad,
-            plan_s=(0.0, run.duration_s),
+            time_s=np.concatenate([[0.0], BEGIN_S + run.time_s, [BEGIN_S + run.duration_s + 1.0]]),
+            positions_rad=np.pad(run.positions_rad, ((1, 1), (0, 0)), mode="edge"),
+            plan_s=(BEGIN_S, BEGIN_S + run.duration_s),
             complete=True,
         )

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
-from armctl.lab import correction, line_results, sag_model
+from armctl.lab import correction, sag_model
 from armctl.lab.course import UNKNOWN_HEAVIEST_RAD, Course, Line, courses, plan_of, too_heavy
 from armctl.lab.line_experiment import Budget, experiment, run_rounds
+from armctl.lab.line_results import true_mm
 from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.sag_model import SagModel
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
 from armctl.trajectory.interpolate import joint_path, time_law
@@ -41,18 +43,26 @@ def ways() -> np.ndarray:
     return line_paths(hand.arm(), ROBOT, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=24)
 
 
-def true_mm(one: correction.Round) -> float:
-    return line_results.true_mm(one.measured, LINE)[0]
+def first_run(on: VirtualRig, via: int | None, known: SagModel | None = None) -> correction.Round:
+    return correction.first_run(on, courses(on, LINE, via, None, ways()), known, 0)
+
+
+def model(gravity_share: float = 1.0) -> SagModel:
+    """The nominal arm's, of another weight."""
+    plain = sag_model.nominal(hand.arm(), ROBOT.chain)
+    gravity = tuple(tuple(gravity_share * g for g in row) for row in plain.gravity_rad_m)
+    return plain.model_copy(update={"gravity_rad_m": gravity})
 
 
 @pytest.mark.parametrize("via", [2, None])
 def test_an_arm_nobody_has_measured_gets_straight_by_its_own_encoders(on: VirtualRig, via: int | None) -> None:
-    first = correction.first_run(on, courses(on, LINE, via, None, ways()), None, 0)
+    first = first_run(on, via)
     rounds = correction.refine(on, first, 4)
     assert [one.number for one in rounds] == list(range(len(rounds)))
-    assert true_mm(first) > 8.0
-    assert true_mm(rounds[1]) < 0.5 * true_mm(first)
-    assert true_mm(correction.best_of(rounds)) < 1.6
+    before, better, best = (true_mm(one.measured, LINE)[0] for one in (first, rounds[1], correction.best_of(rounds)))
+    assert before > 8.0
+    assert better < 0.5 * before
+    assert best < 1.6
 
 
 def test_the_plan_of_a_round_is_a_plain_plan_that_text_keeps(on: VirtualRig) -> None:
@@ -105,10 +115,9 @@ def test_rounds_end_by_themselves_once_they_are_no_better() -> None:
 
 
 def test_a_plan_that_is_better_once_by_luck_is_not_kept() -> None:
-    lucky_once = refined(Scripted(0.01, 0.01, 0.004, 0.016), 1)
-    assert [one.kept for one in lucky_once] == [True, False]
-    within_noise = refined(Scripted(0.01, 0.0103, 0.0099, 0.0099), 1)
-    assert [one.kept for one in within_noise] == [True, False]
+    lucky_once, within_noise = (0.01, 0.01, 0.004, 0.016), (0.01, 0.0103, 0.0099, 0.0099)
+    for off_rad in (lucky_once, within_noise):
+        assert [one.kept for one in refined(Scripted(*off_rad), 1)] == [True, False]
 
 
 def test_runs_of_one_plan_that_disagree_ask_for_a_third_and_two_of_three_count() -> None:
@@ -119,7 +128,7 @@ def test_runs_of_one_plan_that_disagree_ask_for_a_third_and_two_of_three_count()
     assert lucky.filtered_mm == pytest.approx(lucky.run_mm[0])
 
 
-def test_a_jump_in_one_run_neither_counts_as_noise_nor_is_it_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_jump_in_one_run_neither_counts_as_noise_nor_is_it_learnt() -> None:
     on = Scripted(0.02, 0.004, 0.02)
     jumped, steady = refined(on, 0)[0], refined(Scripted(0.02), 0)[0]
     assert len(jumped.runs) == 3
@@ -156,8 +165,7 @@ def test_the_repeat_noise_is_that_of_the_readings_of_one_plan() -> None:
 
 
 def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew(on: VirtualRig) -> None:
-    nominal = sag_model.nominal(on.arm, ROBOT.chain)
-    (outcome,) = experiment(on, LINE, [1], Budget(rounds=2, repeats=2, seed=0), nominal, ways=ways())
+    (outcome,) = experiment(on, LINE, [1], Budget(rounds=2, repeats=2, seed=0), model(), ways=ways())
     assert [one.number for one in outcome.rounds] == [0, 1, 2]
     assert outcome.best is correction.best_of(outcome.rounds)
     assert len(outcome.runs) == 2
@@ -165,9 +173,7 @@ def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew(on: VirtualR
 
 
 def test_a_model_that_does_harm_is_left_aside(on: VirtualRig) -> None:
-    other = sag_model.nominal(on.arm, ROBOT.chain)
-    other = other.model_copy(update={"gravity_rad_m": tuple(tuple(-g for g in row) for row in other.gravity_rad_m)})
-    rounds = run_rounds(on, LINE, None, Budget(rounds=3, repeats=0, seed=0), other, ways())
+    rounds = run_rounds(on, LINE, None, Budget(rounds=3, repeats=0, seed=0), model(-1.0), ways())
     assert [one.number for one in rounds] == [0, 1, 2, 3]
     assert rounds[1].filtered_mm > rounds[0].filtered_mm
     assert [one.kept for one in rounds[:3]] == [True, False, True]
@@ -175,19 +181,16 @@ def test_a_model_that_does_harm_is_left_aside(on: VirtualRig) -> None:
 
 
 def test_a_line_too_heavy_for_the_motors_is_refused_before_anything_moves(on: VirtualRig) -> None:
-    weak = sag_model.nominal(on.arm, ROBOT.chain)
-    weak = weak.model_copy(update={"gravity_rad_m": tuple(tuple(8.0 * g for g in row) for row in weak.gravity_rad_m)})
     with pytest.raises(RequestRefused, match="behind its goal") as refusal:
-        correction.first_run(on, courses(on, LINE, 2, None, ways()), weak, 0)
+        first_run(on, 2, model(8.0))
     assert refusal.value.code == "TOO_HEAVY"
 
 
 def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_more() -> None:
     stands = np.radians([-35.0, 51.5, -103.0, 67.0, 42.0, 0.0])
     there = stands - np.radians([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
-    nominal = sag_model.nominal(hand.arm(), ROBOT.chain)
     borne, most = (
-        np.degrees(sag_model.heaviest_rad(nominal, ROBOT.chain, np.tile(q[:5], (2, 1)))[1]) for q in (stands, there)
+        np.degrees(sag_model.heaviest_rad(model(), ROBOT.chain, np.tile(q[:5], (2, 1)))[1]) for q in (stands, there)
     )
     assert borne < np.degrees(UNKNOWN_HEAVIEST_RAD) < most
     plan = make_plan(via=0, waypoints_rad=(tuple(stands), tuple(there)), waypoint_progress=(0.0, 1.0))
@@ -198,8 +201,7 @@ def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_mor
 
 
 def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points(on: VirtualRig) -> None:
-    model = sag_model.nominal(on.arm, ROBOT.chain)
-    course = next(courses(on, LINE, 2, model, ways()))
+    course = next(courses(on, LINE, 2, model(), ways()))
     off = distance_to_line(tool_position(ROBOT.chain, course.expected_rad), LINE.A, LINE.B)
     assert off.max() < 0.003
     steps = np.diff(course.expected_rad, axis=0)
@@ -221,7 +223,7 @@ def test_smoothing_keeps_what_is_constant_and_averages_noise() -> None:
 
 def test_a_correction_that_did_not_help_is_tried_again_at_half_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     on, gains = rig(), []
-    first = correction.first_run(on, courses(on, LINE, 2, None, ways()), None, 0)
+    first = first_run(on, 2)
     seen = iter([5.0, 8.0, 3.0, 6.0, 6.0])  # kept, worse, kept, worse, worse
 
     def learn(_rig: object, last: correction.Round, gain: float) -> Course:
@@ -242,14 +244,14 @@ def test_a_correction_that_did_not_help_is_tried_again_at_half_the_gain(monkeypa
 def test_the_tool_does_not_slow_down_at_via_points_and_they_cost_no_time(seed: int) -> None:
     on, durations_s = rig(seed), []
     for via in (0, 1, 2, 5):
-        first = correction.first_run(on, courses(on, LINE, via, None, ways()), None, 0)
+        first = first_run(on, via)
         assert via_speed_ratio(first.plan, first.measured) > (0.0 if via == 0 else 0.5)
         durations_s.append(first.measured.duration_s)
     assert durations_s == pytest.approx([LINE.duration_s] * 4, rel=0.02)
 
 
 def test_a_tool_that_stops_at_a_via_point_is_seen(on: VirtualRig) -> None:
-    first = correction.first_run(on, courses(on, LINE, 1, None, ways()), None, 0)
+    first = first_run(on, 1)
     time_s, tool_m = first.measured.true_time_s, first.measured.true_tool_m
     assert time_s is not None
     assert tool_m is not None

@@ -41,8 +41,8 @@ def test_a_perfect_arm_is_measured_where_its_plan_says_and_in_its_time(on: Virtu
     assert np.abs(lag_of(on, wanted, measured)).max() < np.radians(1.5)
 
 
-def test_the_truth_is_looked_at_every_few_milliseconds_from_begin_to_end() -> None:
-    measured = rig().run(plan(rig()))
+def test_the_truth_is_looked_at_every_few_milliseconds_from_begin_to_end(on: VirtualRig) -> None:
+    measured = on.run(plan(on))
     assert measured.true_time_s is not None
     assert measured.true_tool_m is not None
     assert len(measured.true_time_s) == len(measured.true_tool_m)

@@ -89,18 +89,14 @@ def config(tmp_path: Path) -> Config:
 
 
 def test_a_model_that_was_saved_is_loaded_bit_for_bit(config: Config) -> None:
-    model = sag_model.nominal(hand.arm(), hand.robot().chain)
+    model = nominal(ARM, CHAIN)
     assert sag_model.save(config, model).name == "mine.sag.json"
     assert sag_model.load(config, load_arm(config.arm)) == model
 
 
-def test_without_a_model_there_is_none(config: Config) -> None:
+def test_without_a_model_of_this_calibration_there_is_none(config: Config) -> None:
     assert sag_model.load(config, load_arm(config.arm)) is None
-
-
-def test_a_model_of_another_calibration_is_not_used(config: Config) -> None:
-    model = sag_model.nominal(hand.arm(), hand.robot().chain)
-    sag_model.save(config, model.model_copy(update={"calibration_hash": "other"}))
+    sag_model.save(config, nominal(ARM, CHAIN).model_copy(update={"calibration_hash": "other"}))
     assert sag_model.load(config, load_arm(config.arm)) is None
 
 

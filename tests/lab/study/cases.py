@@ -1,6 +1,5 @@
 """The case that the tests of studies begin with."""
 
-from dataclasses import replace
 from typing import Any
 
 from armctl.lab.study.case import Case
@@ -9,5 +8,5 @@ from tests.genetic import hand
 
 def case(**changes: Any) -> Case:
     """A short line on one arm, nothing corrected."""
-    plain = Case(arm=hand.arm(), seed=1, from_m=(0.18, -0.1, 0.10), to_m=(0.18, 0.1, 0.10), via=(2, "stream"))
-    return replace(plain, **changes)
+    line = {"from_m": (0.18, -0.1, 0.10), "to_m": (0.18, 0.1, 0.10), "via": (2, "stream"), "duration_s": 3.0}
+    return Case(**{"arm": hand.arm(), "seed": 1, **line, **changes})

@@ -47,22 +47,14 @@ def test_outcomes_hold_the_true_paths_of_every_round_and_repeat(found: Found) ->
 
 
 def test_the_page_shows_every_part_and_its_numbers(found: Found, tmp_path: Path) -> None:
-    fronts = [
-        {
-            "duration_s": 5.0, "via": 1, "recorded_mean_error_mm": 3.0, "predicted_mean_error_mm": 0.7,
-            "feasible": True, "front_duration": True, "front_via": False,
-        }
-    ]  # fmt: skip
+    front = {
+        "duration_s": 5.0, "via": 1, "recorded_mean_error_mm": 3.0, "predicted_mean_error_mm": 0.7,
+        "feasible": True, "front_duration": True, "front_via": False,
+    }  # fmt: skip
     report = ExperimentReport(
-        from_m=CASE.line.A,
-        to_m=CASE.line.B,
-        outcomes=found.evidence,
-        best_cost_mm=(3.0, 2.0),
-        exact_mean_mm=1.9,
-        limits=found.rows,
-        fronts=fronts,
-        notes=("a note & more",),
-    )
+        CASE.line.A, CASE.line.B, found.evidence, best_cost_mm=(3.0, 2.0), exact_mean_mm=1.9,
+        limits=found.rows, fronts=[front], notes=("a note & more",),
+    )  # fmt: skip
     page.write(report, tmp_path / "page.html")
     html = (tmp_path / "page.html").read_text()
     for heading in (

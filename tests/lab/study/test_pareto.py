@@ -49,11 +49,10 @@ def test_too_short_a_duration_is_not_feasible_and_a_longer_one_is() -> None:
 def test_where_arms_ran_their_truth_counts_and_who_was_refused_is_out() -> None:
     rows = optimised(5.0)
     ran: list[Row] = [
-        {"via": 0, "wanted_s": 5.0, "refused": None, "truth": {"mean_error_mm": 4.0}},
-        {"via": 0, "wanted_s": 5.0, "refused": None, "truth": {"mean_error_mm": 2.0}},
-        {"via": 2, "wanted_s": 5.0, "refused": "too heavy"},
-        {"via": 2, "wanted_s": 9.0, "refused": None, "truth": {"mean_error_mm": 0.1}},
+        {"via": via, "wanted_s": wanted_s, "refused": None, "truth": {"mean_error_mm": mean_mm}}
+        for via, wanted_s, mean_mm in ((0, 5.0, 4.0), (0, 5.0, 2.0), (2, 9.0, 0.1))
     ]
+    ran.append({"via": 2, "wanted_s": 5.0, "refused": "too heavy"})
     none, two = with_fronts(with_truth(rows, ran))
     assert none["truth"] == {"mean_error_mm": 3.0, "spread_mm": pytest.approx(1.0), "arms": 2}
     assert two["truth"] is None

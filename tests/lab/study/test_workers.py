@@ -52,13 +52,8 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
         def start(*arguments: str) -> subprocess.Popen[str]:
             words = cleanup.enter_context((folder / f"{arguments[0].rsplit('.', 1)[-1]}.log").open("a"))
-            process = subprocess.Popen(
-                [sys.executable, "-m", *arguments],
-                stdout=words,
-                stderr=subprocess.PIPE,
-                text=True,
-                env=environment,
-            )
+            command = [sys.executable, "-m", *arguments]
+            process = subprocess.Popen(command, stdout=words, stderr=subprocess.PIPE, text=True, env=environment)
 
             def end() -> None:
                 process.terminate()
