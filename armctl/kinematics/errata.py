@@ -1,9 +1,9 @@
 """What a paper prints wrong, each with a computation that tells print and truth apart.
 
 A proof stands beside the thing it is about: of a robot in its `PROOFS`, under the name that the statement has in
-`papers/printed/robot_errata.yaml`. Its `residuals` compute the same quantity independently (a matrix product, a
-distance, a count) and return how far print is off and how far the correction is off, both in the quantity's own unit:
-print must be off by more than `PRINT_OFF`, the correction by less than `TRUE_OFF`.
+`papers/printed/`. Its `residuals` compute the same quantity independently (a matrix product, a distance, a count) and
+return how far print is off and how far the correction is off, both in the quantity's own unit: print must be off by
+more than `PRINT_OFF`, the correction by less than `TRUE_OFF`.
 """
 
 from collections.abc import Callable

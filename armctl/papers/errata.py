@@ -10,19 +10,25 @@ from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.errata import Erratum, Residuals
 from armctl.lab import table_ii
 from armctl.papers import paper_000, paper_004
-from armctl.papers.robot_errata import robot_errata
 from armctl.papers.transcription import transcription
 from armctl.trajectory.straightness import mean_error, progress_along_line
 
 
 def errata(papers: Sequence[str]) -> list[Erratum]:
     """The errata of some papers ("000" to "004"), in the order of the papers."""
-    known = [one for one in robot_errata() if one.paper in papers]
-    for paper in papers:
-        for one in transcription(paper).errata:
-            proof = _PROOFS[paper, one.where]
-            known.append(Erratum(paper, one.where, one.printed, one.corrected, one.how, proof))
-    return sorted(known, key=lambda one: one.paper)
+    of_robots = {name: proof for robot in robots.names() for name, proof in robots.get(robot).proofs.items()}
+    return [
+        Erratum(
+            paper,
+            one.where,
+            one.printed,
+            one.corrected,
+            one.how,
+            of_robots[one.proof] if one.proof else _PROOFS[paper, one.where],
+        )
+        for paper in sorted(papers)
+        for one in transcription(paper).errata
+    ]
 
 
 def _height_alone() -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """What the papers print and how it is read: one YAML file a paper, in `printed/`.
 
 A file holds the paper's title, notes on how it is read, every table that is compared with its place in the paper, and
-the errata of what is no robot's equation (`errata.py` proves them). Cells stay the text that is printed: the last digit
-tells the rounding.
+the errata (`errata.py` has their proofs, or the robot that they are about). Cells stay the text that is printed: the
+last digit tells the rounding.
 """
 
 from decimal import Decimal
@@ -48,6 +48,8 @@ class PrintedTable(Frozen):
 class PrintedError(Frozen):
     """The words of an `Erratum`."""
 
+    # The name of its proof in `PROOFS` of a robot; empty: `errata.py` has it, by paper and place.
+    proof: str = ""
     where: str
     printed: str
     corrected: str

@@ -50,7 +50,7 @@ def _position_equations() -> tuple[tuple[float, float], tuple[float, float]]:
     return off(x, p_x, p_x - C1 * S23 * across), off(y, p_y, p_y + 2.0 * S1 * a3 * C23)
 
 
-# What is proven: `armctl/papers/printed/robot_errata.yaml`.
+# What is proven: `armctl/papers/printed/002.yaml`.
 PROOFS: dict[str, Residuals] = {
     "P_x": lambda: _position_equations()[0],
     "P_y": lambda: _position_equations()[1],

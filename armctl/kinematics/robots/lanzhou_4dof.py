@@ -112,7 +112,7 @@ def _eq_11() -> tuple[float, float]:
     return _out_of_range(spans), _out_of_range(highs)
 
 
-# What is proven: `armctl/papers/printed/robot_errata.yaml`.
+# What is proven: `armctl/papers/printed/003.yaml`.
 PROOFS: dict[str, Residuals] = {
     "eq_1": _eq_1_order,
     "subscripts": _subscripts,

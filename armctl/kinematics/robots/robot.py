@@ -47,7 +47,7 @@ class Robot:
     make_closed_form: Callable[[dict[str, float]], ClosedForm] | None = None
     # Lowest and highest position of each joint of the chain; none given: a whole turn each.
     ranges_deg: tuple[tuple[float, float], ...] = ()
-    # Of what its paper prints wrong, by the name it has in `papers/printed/robot_errata.yaml`.
+    # Of what its paper prints wrong, by the name of its proof in `papers/printed/`.
     proofs: dict[str, Residuals] = field(default_factory=dict)
 
     @cached_property

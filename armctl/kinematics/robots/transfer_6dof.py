@@ -82,7 +82,7 @@ def _branches_of_theta2() -> tuple[float, float]:
     return off(float(hits.sum()), 2.0, 1.0)
 
 
-# What is proven: `armctl/papers/printed/robot_errata.yaml`.
+# What is proven: `armctl/papers/printed/004.yaml`.
 PROOFS: dict[str, Residuals] = {
     "sign_of_d": _sign_of_d,
     "initial_rotation": lambda: (_off_rotation(_PRINTED), _off_rotation(_INITIAL)),

@@ -88,7 +88,7 @@ def _waist() -> tuple[float, float]:
 
 _FORWARD = _C234 * (_C1 * _A[0] + _S1 * _A[1])
 _STRETCH = _C234 * (_C1 * _P[0] + _S1 * _P[1]) + _S234 * _P[2]
-# What is proven: `armctl/papers/printed/robot_errata.yaml`.
+# What is proven: `armctl/papers/printed/000.yaml`.
 PROOFS: dict[str, Residuals] = {
     "d1": _without_d1,
     "hand": _reach_of_fig_9,
