@@ -158,7 +158,7 @@ def test_a_joint_slows_down_before_its_limit_and_never_passes_it(direction: floa
 
 
 @given(st.lists(st.tuples(st.sampled_from("xyz"), st.floats(-1.0, 1.0), st.integers(1, 8)), min_size=1, max_size=8))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_no_tool_jog_breaks_limits_speeds_or_floor(story: list[tuple[str, float, int]]) -> None:
     arm = bent()
     chain, n = arm.robot.chain, arm.robot.chain.n

@@ -64,7 +64,7 @@ def test_speeds_let_every_joint_arrive_together_and_never_say_unlimited() -> Non
 
 
 @given(st.integers(0, 18))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_a_stop_comes_to_rest_on_the_path_within_300_ms(after: int) -> None:
     arm = running()
     arm.run_ticks(after)

@@ -70,7 +70,7 @@ CHANGES = st.sampled_from([Pause(6), Resume(7), SetRate(8, 0.3), SetRate(9, 1.0)
 
 
 @given(st.lists(st.tuples(CHANGES, st.integers(0, 5)), max_size=12))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_whatever_is_said_to_a_run_it_stays_on_its_path_within_its_speed(story: list[tuple[Command, int]]) -> None:
     arm = running(2.0)
     planned = max(abs(b[0] - a[0]) for a, b in pairwise(arm.goals))

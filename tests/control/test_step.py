@@ -18,7 +18,7 @@ COMMANDS = st.sampled_from(["park", "hold", "release", "torque", "teach", "end",
 
 
 @given(st.lists(st.tuples(COMMANDS, st.integers(0, 6)), max_size=25))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_any_command_sequence_keeps_goals_inside_limits_and_answers_everyone(story: list[tuple[str, int]]) -> None:
     arm = IdealArm().connect()
     asked = 0
@@ -74,7 +74,7 @@ UNFIT = messages.JointTrajectory(PERIOD_S, ((0.5,) * 6, (0.6,) * 6))
         Jog(9, (0.1,)), Jog(9, (0.1,) * 6, begin=True), Jog(9, (), (0.1, 0.0), True),
     ]),
 )  # fmt: skip
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_a_refused_command_changes_nothing_but_that_it_is_answered(
     make: Callable[[], IdealArm], happens: str, ticks: int, command: Command
 ) -> None:

@@ -153,7 +153,7 @@ def test_jump_without_retry_left_is_stale_now_and_believed_in_the_next_sample(
 
 
 @given(step=st.integers(0, 180), start=st.integers(0, 843))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_motion_within_servo_speed_is_never_doubted(step: int, start: int) -> None:
     port, bus = scripted(1)
     port.place(1, ax12a.PRESENT_POSITION, start)
@@ -164,7 +164,6 @@ def test_motion_within_servo_speed_is_never_doubted(step: int, start: int) -> No
 
 
 @given(replies=st.lists(st.binary(max_size=80), min_size=2, max_size=2))
-@settings(deadline=None)
 def test_any_bytes_for_a_reply_are_bounded_in_time_and_never_look_fresh(replies: list[bytes]) -> None:
     port, bus = scripted(1)
     port.spoils[1] = [these(data) for data in replies]
@@ -176,7 +175,6 @@ def test_any_bytes_for_a_reply_are_bounded_in_time_and_never_look_fresh(replies:
 
 
 @given(noise=st.binary(max_size=20).filter(lambda data: b"\xff" not in data))
-@settings(deadline=None)
 def test_noise_before_a_good_reply_is_skipped(noise: bytes) -> None:
     port, bus = scripted(1)
     port.spoils[1] = [lambda request, good: [(-300, noise), (0, good)]]

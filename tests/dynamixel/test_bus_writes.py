@@ -1,7 +1,7 @@
 """Goals, writes and reads of single servos: their bytes, and what is refused before the wire."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.dynamixel import ax12a
@@ -44,7 +44,6 @@ def test_goal_of_another_arm_is_refused(bus: ServoBus) -> None:
 
 
 @given(register=st.sampled_from([register for register in ax12a.REGISTERS if register.writable]), data=st.data())
-@settings(deadline=None)
 def test_read_returns_what_write_wrote_for_every_register(register: ax12a.Register, data: st.DataObject) -> None:
     _, bus = scripted(1)
     value = data.draw(st.integers(register.minimum, register.maximum))

@@ -46,7 +46,7 @@ pieces = st.one_of(
 
 @given(answer=st.lists(pieces, max_size=4).map(b"".join), cut=st.integers(0, 400))
 @example(answer=encode_status(2, 0, bytes(244)) + encode_status(1, 0, bytes(26)), cut=400)  # more than is heard
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 def test_every_answer_is_taken_as_the_sdk_takes_it(answer: bytes, cut: int) -> None:
     assert outcome(answer[:cut], lambda line: line.ask(READ, 32)) == outcome(answer[:cut], by_sdk)
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import dynamixel_sdk
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.dynamixel.packet import (
@@ -27,7 +27,6 @@ def encode(packet: Packet) -> bytes:
     return encode_instruction(packet.servo_id, packet.code, packet.parameters)
 
 
-@settings(deadline=None)
 @given(packets)
 def test_decode_inverts_encode_at_every_split_point(packet: Packet) -> None:
     data = encode(packet)
@@ -36,7 +35,6 @@ def test_decode_inverts_encode_at_every_split_point(packet: Packet) -> None:
         assert decoder.feed(data[:split]) + decoder.feed(data[split:]) == [packet]
 
 
-@settings(deadline=None)
 @given(st.lists(packets, max_size=5), st.data())
 def test_garbage_between_packets_is_skipped(expected: list[Packet], data: st.DataObject) -> None:
     stream = data.draw(garbage)
@@ -45,7 +43,6 @@ def test_garbage_between_packets_is_skipped(expected: list[Packet], data: st.Dat
     assert Decoder().feed(stream) == expected
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=300), st.data())
 def test_result_depends_on_the_bytes_and_not_on_their_cuts(stream: bytes, data: st.DataObject) -> None:
     # Bytes of headers and small lengths, so that the search meets every false beginning.
@@ -58,7 +55,6 @@ def test_result_depends_on_the_bytes_and_not_on_their_cuts(stream: bytes, data: 
     assert found == Decoder().feed(stream)
 
 
-@settings(deadline=None)
 @given(packets, st.binary(max_size=4), st.data())
 def test_whole_takes_one_packet_alone_and_only_what_feeding_it_gives(
     packet: Packet, more: bytes, data: st.DataObject
@@ -74,7 +70,6 @@ def test_whole_takes_one_packet_alone_and_only_what_feeding_it_gives(
     assert half_fed.whole(good) is None
 
 
-@settings(deadline=None)
 @given(packets, st.data())
 def test_any_single_wrong_byte_behind_the_length_is_a_bad_checksum(packet: Packet, data: st.DataObject) -> None:
     good = encode(packet)
@@ -114,7 +109,6 @@ def test_reset_forgets_a_half_packet_and_nothing_else() -> None:
     assert decoder.feed(encode_status(1, 0)) == [Packet(1, 0)]
 
 
-@settings(deadline=None)
 @given(st.lists(st.binary(max_size=200), max_size=20))
 def test_memory_is_bounded(pieces: list[bytes]) -> None:
     decoder = Decoder()
@@ -137,7 +131,6 @@ def test_what_no_packet_can_hold_is_refused(make: Callable[[], bytes], message: 
         make()
 
 
-@settings(deadline=None)
 @given(st.integers(0, 253), st.sampled_from(list(Instruction)), st.binary(max_size=60))
 def test_instruction_packets_are_the_sdks_bytes(servo_id: int, instruction: Instruction, parameters: bytes) -> None:
     port = Line()
@@ -147,7 +140,6 @@ def test_instruction_packets_are_the_sdks_bytes(servo_id: int, instruction: Inst
     assert port.sent == encode_instruction(servo_id, instruction, parameters)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 253), st.integers(0, 127), st.binary(max_size=60))
 def test_the_sdk_accepts_status_packets(servo_id: int, error: int, parameters: bytes) -> None:
     status = encode_status(servo_id, error, parameters)
@@ -158,7 +150,6 @@ def test_the_sdk_accepts_status_packets(servo_id: int, error: int, parameters: b
     assert bytes(received) == status
 
 
-@settings(deadline=None)
 @given(st.lists(st.one_of(packets.map(encode), st.binary(max_size=30), st.just(b"\xff\xff\x01")), max_size=6))
 def test_feeding_what_is_wanted_finds_every_packet_where_it_ends(parts: list[bytes]) -> None:
     stream = b"".join(parts)

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 import serial
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.clock import Clock, MonotonicClock, VirtualClock
@@ -85,7 +85,6 @@ def test_status_read_is_waited_for_about_5_ms() -> None:
     delay_us=st.floats(0, 508),
     latency_ms=st.floats(0, 20),
 )
-@settings(deadline=None)
 def test_timeout_covers_wire_return_delay_and_adapter(
     baud: int, request: int, reply: int, delay_us: float, latency_ms: float
 ) -> None:
