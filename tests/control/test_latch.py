@@ -68,26 +68,14 @@ def test_unplugging_latches_at_once_and_clears_only_after_replugging() -> None:
         (ax12a.TORQUE_ENABLE, 0, "LOST_TORQUE"),
         (ax12a.TORQUE_LIMIT, 0, "TRIPPED"),
         (ax12a.GOAL, 300, "OTHER_WRITER"),
-    ],
-)
-def test_what_a_servo_reports_against_us_latches_in_one_tick(register: ax12a.Register, value: int, code: str) -> None:
-    arm = holding()
-    arm.put(3, register, value)
-    arm.run_tick()
-    assert arm.fault() == (code, 4)
-
-
-@pytest.mark.parametrize(
-    ("register", "value", "code"),
-    [
         (ax12a.CW_SLOPE, 128, "OTHER_WRITER"),
         (ax12a.PUNCH, 100, "OTHER_WRITER"),
         (ax12a.TORQUE_LIMIT, 700, "OTHER_WRITER"),
+        # A servo that has restarted, and that a goal has energised again before it was read.
         (ax12a.TORQUE_LIMIT, 1023, "LOST_TORQUE"),
     ],
 )
-def test_settings_that_change_by_themselves_latch_in_one_tick(register: ax12a.Register, value: int, code: str) -> None:
-    """The last one is a servo that has restarted, and that a goal has energised again before it was read."""
+def test_what_a_servo_reports_against_us_latches_in_one_tick(register: ax12a.Register, value: int, code: str) -> None:
     soft = load_arm("ax12-line")
     halved = tuple(joint.model_copy(update={"torque_limit_ratio": 0.5}) for joint in soft.joints)
     arm = IdealArm(soft.model_copy(update={"joints": halved})).connect()
@@ -95,9 +83,8 @@ def test_settings_that_change_by_themselves_latch_in_one_tick(register: ax12a.Re
     arm.run_ticks(21, TorqueOn(1))
     assert arm.mode() is Mode.HOLDING
     arm.put(3, register, value)
-    arm.run_tick()
+    assert arm.run_tick().goal is None
     assert arm.fault() == (code, 4)
-    assert not arm.outputs or not arm.outputs.goal
 
 
 def test_a_refused_clear_names_every_cause_and_what_to_do() -> None:

@@ -122,28 +122,16 @@ def test_a_new_loop_adopts_a_holding_arm_without_moving_it() -> None:
     assert rig.simulated.true_positions() == pytest.approx(before, abs=0.005)
 
 
-def test_unplugging_latches_and_a_replug_leads_back_to_holding_by_clear() -> None:
+@pytest.mark.parametrize(("at_write", "ticks"), [(False, 12), (True, 1)])
+def test_a_lost_port_latches_and_a_replug_leads_back_to_holding_by_clear(at_write: bool, ticks: int) -> None:
+    """Also where it is lost in a tick's last write, and the adapter is back before the next tick."""
     rig = holding()
     rig.ticks(5, Run(2, rig.line()))
-    rig.port.unplug()
-    rig.ticks(2)
-    assert rig.mode() is Mode.FAULTED
-    assert rig.replies()[2].code == "PORT_GONE"
-    rig.ticks(10)
-    rig.port.replug()
-    rig.ticks(7)
-    assert "PORT_BACK" in rig.codes()
-    assert rig.mode() is Mode.FAULTED
-    rig.ticks(1, Clear(3))
-    assert rig.replies()[3].ok
-    assert rig.mode() is Mode.HOLDING
-
-
-def test_a_port_lost_while_writing_is_told_though_the_adapter_is_back_before_the_next_tick() -> None:
-    rig = holding()
-    rig.ticks(5, Run(2, rig.line()))
-    rig.port.lose_at_next_write = True
-    rig.ticks(1)
+    if at_write:
+        rig.port.lose_at_next_write = True
+    else:
+        rig.port.unplug()
+    rig.ticks(ticks)
     rig.port.replug()
     rig.ticks(8)
     assert rig.codes().index("PORT_GONE") < rig.codes().index("PORT_BACK")

@@ -46,13 +46,6 @@ def test_any_command_sequence_keeps_goals_inside_limits_and_answers_everyone(sto
         assert max(abs(x - y) for x, y in zip(a, b, strict=True)) <= 60.0 * PERIOD_S / math.degrees(ax12a.TICK_RAD) + 1
 
 
-def test_the_same_inputs_give_the_same_outputs() -> None:
-    arm = holding()
-    inputs = Inputs(arm.tick, arm.now_ns, Sample(arm.now_ns, _readings(arm)), (Run(5, line(arm)),))
-    first = step(arm.state, inputs, arm.arm, arm.robot, PERIOD_S)
-    assert step(arm.state, inputs, arm.arm, arm.robot, PERIOD_S) == first
-
-
 def _readings(arm: IdealArm):  # type: ignore[no-untyped-def]
     return tuple(
         messages.ServoReading(i, bytes(b), arm.now_ns, True) for i, b in zip(arm.arm.servo_ids, arm.blocks, strict=True)

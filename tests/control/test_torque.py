@@ -1,11 +1,13 @@
 """Torque in the control step: taken over as it is found, coming on carefully, and going."""
 
+from collections.abc import Callable
+
 import pytest
 
 from armctl.control.machine import Phase
 from armctl.control.sequences import SOFT_TORQUE
 from armctl.dynamixel import ax12a
-from armctl.messages import Clear, Mode, Release, Teach, TeachEnd, TorqueOn
+from armctl.messages import Clear, Command, Mode, Release, Teach, TeachEnd, TorqueOn
 from tests.control.ideal_arm import IdealArm, energising, holding
 
 
@@ -71,37 +73,6 @@ def test_torque_comes_on_where_goals_follow_limp_shafts_that_are_not_quite_where
     assert (arm.mode(), arm.replies[1].ok) == (Mode.HOLDING, True)
 
 
-def test_a_servo_that_does_not_take_its_limit_makes_torque_on_back_out() -> None:
-    arm = IdealArm().connect()
-    arm.run_tick()
-    arm.after_write = lambda a: a.put(2, ax12a.TORQUE_LIMIT, 1023)
-    arm.run_tick(TorqueOn(1))
-    arm.run_tick()
-    assert arm.mode() is Mode.OFF
-    assert not arm.replies[1].ok
-    assert "servo 3 (elbow) shows torque limit 1023" in arm.replies[1].message
-    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
-
-
-@pytest.mark.parametrize(
-    ("register", "value", "text", "phase"),
-    [
-        (ax12a.GOAL, 700, "shows goal 700", 1),
-        (ax12a.PRESENT_POSITION, 560, "moved while torque came on", 2),
-        (ax12a.TORQUE_ENABLE, 0, "did not take torque", 2),
-    ],
-)
-def test_any_surprise_while_torque_comes_on_backs_out(
-    register: ax12a.Register, value: int, text: str, phase: int
-) -> None:
-    arm = energising()
-    arm.run_ticks(phase - 1)
-    arm.put(0, register, value)
-    arm.run_tick()
-    assert (arm.mode(), arm.replies[1].code) == (Mode.OFF, "JUMP_REFUSED")
-    assert text in arm.replies[1].message
-
-
 def about_to_energise_limp_servos() -> IdealArm:
     """An arm whose servos no goal energises, one tick before torque is to come on."""
     arm = IdealArm().connect()
@@ -117,12 +88,27 @@ def about_to_energise_limp_servos() -> IdealArm:
     return arm
 
 
-def test_a_limp_shaft_that_moves_off_before_torque_comes_on_backs_out() -> None:
-    arm = about_to_energise_limp_servos()
-    arm.put(0, ax12a.PRESENT_POSITION, arm.get(0, ax12a.PRESENT_POSITION) + 4)
+@pytest.mark.parametrize(
+    ("make", "register", "value", "text", "ticks"),
+    [
+        (energising, ax12a.GOAL, 700, "servo 1 (base) shows goal 700", 0),
+        (energising, ax12a.TORQUE_LIMIT, 1023, "servo 1 (base) shows torque limit 1023", 0),
+        (energising, ax12a.PRESENT_POSITION, 560, "moved while torque came on", 1),
+        (energising, ax12a.TORQUE_ENABLE, 0, "did not take torque", 1),
+        # More than half a degree, before torque comes on.
+        (about_to_energise_limp_servos, ax12a.PRESENT_POSITION, 516, "moved while torque came on", 0),
+    ],
+)
+def test_any_surprise_while_torque_comes_on_backs_out(
+    make: Callable[[], IdealArm], register: ax12a.Register, value: int, text: str, ticks: int
+) -> None:
+    arm = make()
+    arm.run_ticks(ticks)
+    arm.put(0, register, value)
     arm.run_tick()
     assert (arm.mode(), arm.replies[1].code) == (Mode.OFF, "JUMP_REFUSED")
-    assert "moved while torque came on" in arm.replies[1].message
+    assert text in arm.replies[1].message
+    assert not any(arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6))
 
 
 def test_torque_comes_on_at_the_goal_that_a_limp_shaft_has_not_left_by_more_than_half_a_degree() -> None:
@@ -190,15 +176,6 @@ def test_a_servo_that_stays_stiff_in_teaching_is_a_fault() -> None:
     assert (arm.mode(), arm.replies[3].code) == (Mode.FAULTED, "NOT_LIMP")
 
 
-def test_torque_that_appears_while_teaching_is_a_fault() -> None:
-    arm = holding()
-    arm.run_tick(Teach(3))
-    arm.run_tick()
-    arm.put(1, ax12a.TORQUE_ENABLE, 1)
-    arm.run_tick()
-    assert arm.code() == "NOT_LIMP"
-
-
 def test_release_switches_torque_off_and_answers_a_pending_teach() -> None:
     arm = holding()
     arm.run_tick(Teach(3), Release(4))
@@ -235,15 +212,15 @@ def test_a_servo_that_never_takes_its_full_torque_limit_makes_torque_on_back_out
     assert "servo 3 (elbow) shows torque limit 844" in arm.replies[1].message
 
 
-@pytest.mark.parametrize("release", [True, False])
-def test_torque_that_appears_or_stays_on_a_limp_arm_is_a_fault(release: bool) -> None:
-    arm = holding() if release else IdealArm().connect()
-    if release:
+@pytest.mark.parametrize(("command", "stays", "ticks"), [(Release(5), True, 3), (Teach(5), False, 1), (None, False, 4)])
+def test_torque_that_appears_or_stays_on_a_limp_arm_is_a_fault(
+    command: Command | None, stays: bool, ticks: int
+) -> None:
+    arm = holding() if command else IdealArm().connect()
+    if stays:
         arm.after_write = lambda a: a.put(1, ax12a.TORQUE_ENABLE, 1)
-        arm.run_tick(Release(5))
-    else:
-        arm.run_ticks(5)
-        arm.put(1, ax12a.TORQUE_ENABLE, 1)
-    arm.run_ticks(4)
+    arm.run_ticks(2, *([command] if command else []))
+    arm.put(1, ax12a.TORQUE_ENABLE, 1)
+    arm.run_ticks(ticks)
     assert arm.fault() == ("NOT_LIMP", 2)
     assert "armctl release" in arm.ask(Clear(6)).message
