@@ -41,6 +41,10 @@ class Rig(VirtualArm):
         self.on_tick = self.records.append
         self.start()
 
+    def keep(self, record: TickRecord) -> bool:
+        self.records.append(record)
+        return True
+
     def mode(self) -> Mode:
         return self.loop.state.mode
 
@@ -152,12 +156,7 @@ def test_a_limp_arm_can_be_taught() -> None:
 def test_leaving_waits_until_the_motion_has_come_to_rest() -> None:
     rig = holding()
     rig.ticks(5, Run(2, rig.line()))
-
-    def outbox(record: TickRecord) -> bool:
-        rig.records.append(record)
-        return True
-
-    rig.loop.run(lambda: (messages.HostLost(),), outbox, lambda: True)
+    rig.loop.run(lambda: (messages.HostLost(),), rig.keep, lambda: True)
     assert rig.mode() is Mode.HOLDING
     assert rig.replies()[2].code == "HOST_LOST"
 
@@ -166,11 +165,7 @@ def test_records_the_host_did_not_take_are_counted_and_followed_by_a_keyframe() 
     rig = Rig()
     answers = iter([True, False, False, True, True])
 
-    def outbox(record: TickRecord) -> bool:
-        rig.records.append(record)
-        return next(answers)
-
-    rig.loop.run(lambda: (), outbox, lambda: len(rig.records) == 5)
+    rig.loop.run(lambda: (), lambda record: rig.keep(record) and next(answers), lambda: len(rig.records) == 5)
     assert [record.dropped for record in rig.records] == [0, 0, 1, 2, 0]
     assert [bool(record.keyframe) for record in rig.records] == [True, False, True, True, False]
     assert messages.from_json(State, rig.records[3].keyframe).connected
@@ -225,11 +220,7 @@ def test_a_command_that_comes_while_the_loop_sleeps_is_served_by_the_very_next_t
         came_ns.append(rig.clock.now_ns())
         return [Hold(len(came_ns))]
 
-    def outbox(record: TickRecord) -> bool:
-        rig.records.append(record)
-        return True
-
-    rig.loop.run(inbox, outbox, lambda: len(rig.records) == 5)
+    rig.loop.run(inbox, rig.keep, lambda: len(rig.records) == 5)
     for before_ns, record in zip(came_ns, rig.records, strict=True):
         assert record.inputs.sample.time_ns - before_ns < 1_000_000 or record.inputs.tick == 0
         assert len(record.outputs.replies) == 1

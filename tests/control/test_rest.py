@@ -98,14 +98,27 @@ def test_strain_sends_the_arm_to_rest_before_a_servo_trips(
     assert (arm.ask(Clear(8)).ok, arm.mode()) == (True, Mode.OFF)
 
 
-@pytest.mark.parametrize("register", [ax12a.TORQUE_ENABLE, ax12a.TORQUE_LIMIT])
-def test_the_way_to_rest_ends_where_torque_is_lost(register: ax12a.Register) -> None:
+@pytest.mark.parametrize(
+    ("register", "value", "code"),
+    [
+        (ax12a.TORQUE_ENABLE, 0, "LOST_TORQUE"),
+        (ax12a.TORQUE_LIMIT, 0, "LOST_TORQUE"),
+        (ax12a.TORQUE_LIMIT, 700, "OTHER_WRITER"),
+        (ax12a.GOAL, 300, "OTHER_WRITER"),
+        (ax12a.PUNCH, 0, "OTHER_WRITER"),
+    ],
+)
+def test_the_way_to_rest_ends_where_torque_is_lost_or_another_program_interferes(
+    register: ax12a.Register, value: int, code: str
+) -> None:
     arm = strained()
-    arm.after_write = lambda a: a.put(1, register, 0)
-    arm.run_ticks(5)
+    assert len(arm.goals_in(3)) == 3
+    arm.put(1, register, value)
+    arm.run_ticks(2)
+    assert code in arm.events
     assert arm.state.motion is None
-    assert "LOST_TORQUE" in arm.events
     assert not arm.goals_in(30)
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [1, int(register != ax12a.TORQUE_ENABLE), 1, 1, 1, 1]
 
 
 def test_the_way_to_rest_ends_where_a_servo_falls_silent() -> None:

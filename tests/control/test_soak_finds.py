@@ -51,23 +51,6 @@ def test_an_arm_that_is_let_go_in_its_first_tick_is_not_taken_over(command: Comm
     assert arm.replies[2].ok
 
 
-@pytest.mark.parametrize(("register", "value"), [(ax12a.GOAL, 300), (ax12a.PUNCH, 0), (ax12a.TORQUE_LIMIT, 700)])
-def test_an_arm_on_its_way_to_rest_for_heat_stops_where_another_program_interferes(
-    register: ax12a.Register, value: int
-) -> None:
-    arm = holding()
-    arm.run_ticks(31, Run(2, line(arm)))
-    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
-    arm.run_ticks(10)
-    assert arm.code() == "HOT"
-    assert len(arm.goals_in(3)) == 3
-    arm.put(4, register, value)
-    arm.run_ticks(2)
-    assert not arm.goals_in(30)
-    assert "OTHER_WRITER" in arm.events
-    assert all(arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
-
-
 @pytest.mark.parametrize("others", [(), (1, 2, 3, 4, 5)])
 def test_a_servo_that_restarted_during_a_late_tick_of_a_run_gets_no_goal(others: tuple[int, ...]) -> None:
     arm = holding()

@@ -82,24 +82,28 @@ def test_any_single_wrong_byte_behind_the_length_is_a_bad_checksum(packet: Packe
     assert first.servo_id == packet.servo_id
 
 
-def test_packet_after_a_bad_checksum_is_found() -> None:
-    bad = bytearray(encode_status(3, 0, b"\x01\x02"))
-    bad[-1] ^= 1
-    good = encode_status(4, 0, b"\x07")
-    assert Decoder().feed(bytes(bad) + good) == [BadChecksum(bytes(bad)), Packet(4, 0, b"\x07")]
-
-
-def test_packet_inside_a_false_header_is_found() -> None:
-    good = encode_status(4, 0, b"\x07")
-    events = Decoder().feed(b"\xff\xff\x01\x05" + good)
-    assert events[-1] == Packet(4, 0, b"\x07")
+BAD = encode_status(3, 0, b"\x01\x02")[:-1] + b"\x00"
+GOOD = encode_status(4, 0, b"\x07")
 
 
 @pytest.mark.parametrize(
-    "junk", [b"\xff", b"\xff\xff\xff", b"\xff\xff\x01\x00", b"\xff\xff\x01\x01", b"\xff\xff\x01\xf7"]
+    ("before", "found"),
+    [
+        (BAD, [BadChecksum(BAD)]),
+        # What cannot begin a packet holds nothing back.
+        (b"\xff", []),
+        (b"\xff\xff\xff", []),
+        (b"\xff\xff\x01\x00", []),
+        (b"\xff\xff\x01\x01", []),
+        (b"\xff\xff\x01\xf7", []),
+    ],
 )
-def test_what_cannot_begin_a_packet_holds_nothing_back(junk: bytes) -> None:
-    assert Decoder().feed(junk + encode_status(1, 0)) == [Packet(1, 0)]
+def test_packet_after_a_bad_checksum_or_junk_is_found(before: bytes, found: list[BadChecksum]) -> None:
+    assert Decoder().feed(before + GOOD) == [*found, Packet(4, 0, b"\x07")]
+
+
+def test_packet_inside_a_false_header_is_found() -> None:
+    assert Decoder().feed(b"\xff\xff\x01\x05" + GOOD)[-1] == Packet(4, 0, b"\x07")
 
 
 def test_reset_forgets_a_half_packet_and_nothing_else() -> None:
