@@ -14,6 +14,7 @@ from armctl.dynamixel import ax12a
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.messages import Command, Connected, Inputs, JointTrajectory, Mode, Outputs, Reply, Run, Sample, TorqueOn
+from tests.dynamixel.conftest import servo_table
 
 PERIOD_S = 0.1
 
@@ -44,26 +45,11 @@ class IdealArm:
 
     def __post_init__(self) -> None:
         self.robot = robots.get(self.arm.robot)
-        self.blocks = []
+        self.blocks = [servo_table(servo_id)[ax12a.STATUS_BEGIN :] for servo_id in self.arm.servo_ids]
         self.stamps = [0] * len(self.arm.joints)
-        for joint in self.arm.joints:
-            block = bytearray(ax12a.STATUS_SIZE)
-            self.blocks.append(block)
-            rest = round(joint.tick(joint.rest_rad))
-            index = len(self.blocks) - 1
-            for register, value in (
-                (ax12a.PRESENT_POSITION, rest),
-                (ax12a.GOAL, rest),
-                (ax12a.TORQUE_LIMIT, 1023),
-                (ax12a.CW_MARGIN, 1),
-                (ax12a.CCW_MARGIN, 1),
-                (ax12a.CW_SLOPE, 32),
-                (ax12a.CCW_SLOPE, 32),
-                (ax12a.PUNCH, 32),
-                (ax12a.PRESENT_VOLTAGE, 120),
-                (ax12a.PRESENT_TEMPERATURE, 31),
-            ):
-                self.put(index, register, value)
+        for index, joint in enumerate(self.arm.joints):
+            for register in (ax12a.PRESENT_POSITION, ax12a.GOAL):
+                self.put(index, register, round(joint.tick(joint.rest_rad)))
         self.seen = [bytes(block) for block in self.blocks]
 
     def put(self, index: int, register: ax12a.Register, value: int) -> None:

@@ -1,10 +1,12 @@
 import json
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -28,6 +30,7 @@ from tests.genetic import hand
 from tests.genetic.hand import changed
 from tests.trajectory.conftest import ARM, REST, ROBOT
 
+WRONG = yaml.safe_load(Path(__file__).with_name("wrong_plans.yaml").read_text(encoding="utf-8"))
 LINE = np.column_stack([hand.joint_line(), np.full(65, 0.3)])
 
 
@@ -73,28 +76,7 @@ def test_a_plan_survives_its_text_form_bit_for_bit(seed: int, via: int, interpol
     assert plan_from_text(plan_to_text(plan), "line.plan") == plan
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "match"),
-    [
-        ("colour", 1, "colour: unknown key"),
-        ("duration_s", math.nan, "duration_s: .*finite"),
-        ("duration_s", 0.0, "duration_s: .*greater than 0"),
-        ("duration_s", "5", "duration_s"),
-        ("from_m", [0.1, 0.2], "from_m"),
-        ("from_m", [0.1, 0.2, math.inf], "from_m.2: .*finite"),
-        ("interpolation", "quadratic", "interpolation"),
-        ("via", 1, "waypoints_rad has 4 rows; via 1 needs 3"),
-        ("waypoints_rad", [[0.0], [0.0], [0.0], [0.0, 1.0]], "must name the same"),
-        ("waypoints_rad", [[], [], [], []], "at least one"),
-        ("waypoints_rad", [[0.0, None]] * 4, "waypoints_rad.0.1"),
-        ("waypoint_progress", [0.0, 0.5, 1.0], "4 numbers from 0 to 1"),
-        ("waypoint_progress", [0.0, 0.5, 0.9, 0.99], "4 numbers from 0 to 1"),
-        ("waypoint_progress", [0.0, 0.5, 0.5, 1.0], "increase strictly"),
-        ("arm_id", "../x", "arm_id"),
-        ("seed", -1, "seed"),
-        ("predicted_max_error_mm", True, "predicted_max_error_mm"),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "match"), WRONG["values"])
 def test_a_wrong_plan_is_refused_naming_the_key(key: str, value: object, match: str) -> None:
     data = json.loads(plan_to_text(make_plan())) | {key: value}
     with pytest.raises(ConfigError, match=match) as caught:
@@ -102,17 +84,7 @@ def test_a_wrong_plan_is_refused_naming_the_key(key: str, value: object, match: 
     assert str(caught.value).startswith("line.plan: ")
 
 
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("", "not even JSON"),
-        ("[" * 100_000, "not even JSON"),
-        ("[]", "line.plan"),
-        ('{"seed": 1, "seed": 2}', "seed: the key stands twice"),
-        ("{}", "arm_id: Field required"),
-        ('{"duration_s": 1e999}', r"duration_s: .*finite"),
-    ],
-)
+@pytest.mark.parametrize(("text", "match"), [("[" * 100_000, "not even JSON"), *WRONG["texts"]])
 def test_text_that_is_no_plan_is_refused(text: str, match: str) -> None:
     with pytest.raises(ConfigError, match=match):
         plan_from_text(text, "line.plan")
