@@ -83,8 +83,8 @@ class _Legs:
         there = [self._approach, align(0), straight(1), align(-1), align(-1)]
         act: dict[str, list[Leg]] = {
             "stay": [],
-            "grip": [lambda q_now, _: grasp.closing(q_now, *where), straight(-1)],
-            "let_go": [lambda q_now, _: grasp.opening(q_now, *where), straight(-1)],
+            "grip": [lambda q_now, _: grasp.gripping(q_now, *where, closing=True), straight(-1)],
+            "let_go": [lambda q_now, _: grasp.gripping(q_now, *where, closing=False), straight(-1)],
         }
         return there + act[self._request.gripper]
 

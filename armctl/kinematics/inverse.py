@@ -49,7 +49,6 @@ def solve_position(
     damping = 1e-4
     error = target - tool_position(chain, q)
     distance = math.sqrt(error @ error)
-    best, best_distance = q, distance
     for _ in range(iterations):
         if distance <= tolerance_m:
             return q
@@ -73,14 +72,12 @@ def solve_position(
             damping = max(damping * 0.3, 1e-12)
         else:
             damping = min(damping * 10.0, 1e3)
-        if distance < best_distance:
-            best, best_distance = q, distance
-    if best_distance <= tolerance_m:
-        return best
+    if distance <= tolerance_m:
+        return q
     raise UnreachableTarget(
         f"target ({target[0]:.4f}, {target[1]:.4f}, {target[2]:.4f}) m: the tool comes no nearer than "
-        f"{best_distance * 1000.0:.1f} mm within the joint limits",
-        best_distance,
+        f"{distance * 1000.0:.1f} mm within the joint limits",
+        distance,
     )
 
 

@@ -36,12 +36,7 @@ def cos_sin(angle: float) -> tuple[float, float]:
         return float(np.cos(angle)), float(np.sin(angle))
     turns = round(angle * QUARTERS_PER_RAD)
     c, s = _beyond_turns(angle, turns)
-    turns &= 3
-    if turns == 0:
-        return c, s
-    if turns == 1:
-        return -s, c
-    return (-c, -s) if turns == 2 else (s, -c)
+    return ((c, s), (-s, c), (-c, -s), (s, -c))[turns & 3]
 
 
 def cos_sin_of_all(angles: FloatArray) -> tuple[FloatArray, FloatArray]:

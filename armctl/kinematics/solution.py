@@ -28,19 +28,16 @@ ROTATION_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class Target:
-    """Where the tool shall be: a point, or a pose if `T` is given."""
+    """Where the tool shall be: a pose, or a point."""
 
-    position_m: FloatArray
-    T: FloatArray | None = None
+    # Shape (4, 4); of a point the rotation is left out.
+    T: FloatArray
+    # Whether the rotation counts.
+    turned: bool
 
     @property
-    def pose(self) -> FloatArray:
-        """The pose, that of a point without rotation, shape (4, 4)."""
-        if self.T is not None:
-            return self.T
-        T = np.eye(4)
-        T[:3, 3] = self.position_m
-        return T
+    def position_m(self) -> FloatArray:
+        return self.T[:3, 3]
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,9 @@ def point_target(xyz: tuple[float, float, float] | FloatArray) -> Target:
     point = np.asarray(xyz, dtype=np.float64)
     if point.shape != (3,) or not np.isfinite(point).all():
         raise ConfigError("target", "xyz", f"{point.tolist()} is not three finite numbers", "give x,y,z in metres")
-    return Target(point)
+    T = np.eye(4)
+    T[:3, 3] = point
+    return Target(T, turned=False)
 
 
 def pose_target(T: FloatArray) -> Target:
@@ -101,7 +100,7 @@ def pose_target(T: FloatArray) -> Target:
     U, _, V = np.linalg.svd(R)
     clean = T.copy()
     clean[:3, :3] = U @ V
-    return Target(clean[:3, 3].copy(), clean)
+    return Target(clean, turned=True)
 
 
 def weighted_travel(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
@@ -191,17 +190,17 @@ def answer(
 def _closed(
     form: ClosedForm, robot: Robot, target: Target, present: FloatArray, limits: FloatArray
 ) -> tuple[FloatArray, float]:
-    families = form.positions(target.position_m[None])[0] if target.T is None else form.pose_families(target.T)
+    families = form.pose_families(target.T) if target.turned else form.positions(target.position_m[None])[0]
     q = np.array([_best(finite(family), present, limits) for family in families if np.isfinite(family).any()])
     if len(q) and _errors(robot, target, q)[2].any():
         return q, 0.0
     q, least = _nearest(form, target)
-    return _numeric(robot, target, present, limits, 0) if target.T is None and least == 0.0 else (q, least)
+    return _numeric(robot, target, present, limits, 0) if least == 0.0 and not target.turned else (q, least)
 
 
 def _nearest(form: ClosedForm, target: Target) -> tuple[FloatArray, float]:
     """Configurations [rad] near a target that is out of reach, and the least distance [m]."""
-    return form.nearest_position(target.position_m) if target.T is None else form.nearest_pose(target.T)
+    return form.nearest_pose(target.T) if target.turned else form.nearest_position(target.position_m)
 
 
 def _best(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
@@ -217,7 +216,7 @@ def _numeric(
     """The best configuration of several starts: within limits if there is one, else without them, else the nearest."""
     rng = np.random.default_rng(seed)
     for ranges in (limits, _whole_turns(robot)):
-        q = solve_poses(robot.chain, target.pose[None], ranges, rng, q_start=present[None], turned=target.T is not None)
+        q = solve_poses(robot.chain, target.T[None], ranges, rng, q_start=present[None], turned=target.turned)
         position_m, _, reached = _errors(robot, target, q)
         if reached[0]:
             return q, 0.0
@@ -226,7 +225,7 @@ def _numeric(
 
 def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Distance [m], turn [rad] and whether the target counts as reached, for configurations of shape (k, n)."""
-    if target.T is not None:
+    if target.turned:
         position_m, turn_rad = pose_errors(robot.chain, q, np.broadcast_to(target.T, (len(q), 4, 4)))
     else:
         position_m = np.linalg.norm(tool_position(robot.chain, q) - target.position_m, axis=-1)
@@ -241,8 +240,8 @@ def _whole_turns(robot: Robot) -> FloatArray:
 
 def _polished(robot: Robot, target: Target, q: FloatArray) -> FloatArray:
     """The configurations brought onto the target, each near where it was; as they are where that does not succeed."""
-    T = np.broadcast_to(target.pose, (len(q), 4, 4))
-    refined = refine_poses(robot.chain, T, q, _whole_turns(robot), turned=target.T is not None)
+    T = np.broadcast_to(target.T, (len(q), 4, 4))
+    refined = refine_poses(robot.chain, T, q, _whole_turns(robot), turned=target.turned)
     reached = _errors(robot, target, refined)[2]
     near = q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi
     return np.where(reached[:, None], near, q)

@@ -89,7 +89,7 @@ def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
     point = np.asarray(request.point_m, dtype=np.float64)
     if point[2] < arm.floor_m:
         raise RequestRefused("PREFLIGHT", f"the point is {point[2]:.3f} m high, below the floor at {arm.floor_m:.3f} m")
-    refused: RequestRefused | None = None
+    refused: list[RequestRefused] = []
     for q in _solutions(point, q_now, arm, robot, request.ik, request.seed):
         try:
             path = _straight(q, point, arm, robot, request.off_m, request.along)
@@ -97,11 +97,10 @@ def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
             way = approach(grasp, q_now, arm, robot, period_s)
             straight(grasp.path_rad, way.positions_rad[-1], arm, robot, period_s)
         except RequestRefused as reason:
-            refused = refused or reason
+            refused.append(reason)
         else:
             return grasp
-    assert refused is not None
-    raise refused
+    raise refused[0]
 
 
 def approach(
@@ -178,25 +177,22 @@ def straight(
     return _settled(_trajectory(positions, period_s, "straight"), q_now, arm, robot)
 
 
-def closing(q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float) -> JointTrajectory:
-    """The gripper closes until its load says that it holds something.
+def gripping(
+    q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float, *, closing: bool
+) -> JointTrajectory:
+    """The gripper closes until its load says that it holds something, or opens; evenly, the other joints stay.
 
     Raises:
         RequestRefused: code NO_GRIPPER or PREFLIGHT.
     """
     index, gripper = gripper_of(arm, robot)
-    trajectory = _turning(q_now, index, math.radians(gripper.closed_deg), arm, robot, period_s, "grip")
-    return replace(trajectory, grip=Grip(index, gripper.load_ratio))
-
-
-def opening(q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float) -> JointTrajectory:
-    """The gripper opens.
-
-    Raises:
-        RequestRefused: code NO_GRIPPER or PREFLIGHT.
-    """
-    index, gripper = gripper_of(arm, robot)
-    return _turning(q_now, index, math.radians(gripper.open_deg), arm, robot, period_s, "let go")
+    way_rad = math.radians(gripper.closed_deg if closing else gripper.open_deg) - q_now[index]
+    speed_rad_s = min(CLOSING_RAD_S, arm.joints[index].speed_limit_rad_s)
+    rows = max(1, math.ceil(PEAK_SPEED * abs(way_rad) / speed_rad_s / period_s))
+    positions = np.tile(np.asarray(q_now, dtype=np.float64), (rows + 1, 1))
+    positions[:, index] += way_rad * time_law(np.arange(rows + 1) / rows)
+    trajectory = _settled(_trajectory(positions, period_s, "grip" if closing else "let go"), q_now, arm, robot)
+    return replace(trajectory, grip=Grip(index, gripper.load_ratio)) if closing else trajectory
 
 
 def gripper_of(arm: ArmConfig, robot: Robot) -> tuple[int, GripperConfig]:
@@ -241,7 +237,7 @@ def _solutions(
         if one.within_limits and one.position_error_m <= solution.REACHED_M
     ]
     # Where no branch lies within the limits, another member of its family may.
-    return found or [np.array(joints_at(target.pose, q_now, arm, robot, turned=False)[:n])]
+    return found or [np.array(joints_at(target.T, q_now, arm, robot, turned=False)[:n])]
 
 
 def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, off_m: float, along: Along) -> FloatArray:
@@ -275,18 +271,6 @@ def _tool_axis(q: FloatArray, robot: Robot) -> FloatArray:
     length = np.linalg.norm(arms, axis=1)
     last = int(np.flatnonzero(length > 1e-9)[-1])
     return np.asarray(arms[last] / length[last])
-
-
-def _turning(
-    q_now: Sequence[float], index: int, there_rad: float, arm: ArmConfig, robot: Robot, period_s: float, label: str
-) -> JointTrajectory:
-    """One joint turns evenly, slowly enough for it, the others stay."""
-    way_rad = there_rad - q_now[index]
-    speed_rad_s = min(CLOSING_RAD_S, arm.joints[index].speed_limit_rad_s)
-    rows = max(1, math.ceil(PEAK_SPEED * abs(way_rad) / speed_rad_s / period_s))
-    positions = np.tile(np.asarray(q_now, dtype=np.float64), (rows + 1, 1))
-    positions[:, index] += way_rad * time_law(np.arange(rows + 1) / rows)
-    return _settled(_trajectory(positions, period_s, label), q_now, arm, robot)
 
 
 def _trajectory(positions_rad: FloatArray, period_s: float, label: str) -> JointTrajectory:

@@ -85,20 +85,19 @@ def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
     rest = np.array([joint.rest_rad for joint in arm.joints[: robot.chain.n]])
     over = np.array([0.0, 0.0, cycle.height_m])
     best: tuple[float, list[Quintic], list[Quintic]] | None = None
-    refused: RequestRefused | None = None
+    refused: list[RequestRefused] = []
     for start in _paw_down(np.array(cycle.pick_m) + over, rest, arm, robot):
         try:
             pick = _lift(np.array(cycle.pick_m), start, cycle, arm, robot)
             place = _lift(np.array(cycle.place_m), start, cycle, arm, robot)
         except RequestRefused as reason:
-            refused = refused or reason
+            refused.append(reason)
             continue
         travel = float(np.abs(_begin(place) - _begin(pick)).max())
         if best is None or travel < best[0] - 1e-9:
             best = travel, pick, place
     if best is None:
-        assert refused is not None
-        raise refused
+        raise refused[0]
     _, pick, place = best
     over_pick, over_place = _begin(pick), _begin(place)
     once = (

@@ -171,7 +171,6 @@ def test_what_is_no_point_is_refused() -> None:
 def test_typed_rounding_of_a_rotation_is_removed() -> None:
     T = np.round(pose_from_xyz_rpy(0.1, 0.2, 0.3, 0.4, 0.5, 0.6), 5)
     clean = pose_target(T).T
-    assert clean is not None
     np.testing.assert_allclose(clean[:3, :3] @ clean[:3, :3].T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(clean, T, atol=2e-5)
 

@@ -112,21 +112,21 @@ def test_goals_move_by_what_the_encoders_lack_and_no_farther_than_a_blocked_join
 
 
 def test_a_gripper_closes_evenly_while_the_arm_stays() -> None:
-    closing = grasp.closing(*XIANG)
+    closing = grasp.gripping(*XIANG, closing=True)
     rows = np.array(closing.positions_rad)
     assert closing.grip is not None
     assert (closing.grip.joint, closing.grip.load_ratio) == (5, 0.3)
     assert rows[-1, 5] == pytest.approx(math.radians(90.0))
     assert (rows[:, :5] == np.array(REST)[:5]).all()
     assert peak_rates(rows, PERIOD_S)[0][5] <= grasp.CLOSING_RAD_S * 1.001
-    opened = grasp.opening(rows[-1].tolist(), ARM, ROBOT, PERIOD_S)
+    opened = grasp.gripping(rows[-1].tolist(), ARM, ROBOT, PERIOD_S, closing=False)
     assert opened.grip is None
     assert opened.positions_rad[-1] == pytest.approx(REST)
 
 
 def test_an_arm_without_a_gripper_says_which_joints_it_has_instead() -> None:
     with pytest.raises(RequestRefused, match=r"no gripper.*roll") as caught:
-        grasp.closing(*where_of("ax12-line"))
+        grasp.gripping(*where_of("ax12-line"), closing=True)
     assert caught.value.code == "NO_GRIPPER"
 
 
@@ -134,7 +134,7 @@ def test_a_joint_that_moves_the_tool_is_no_gripper() -> None:
     assert ARM.gripper is not None
     wrong = ARM.model_copy(update={"gripper": ARM.gripper.model_copy(update={"joint": "elbow"})})
     with pytest.raises(RequestRefused, match="elbow moves the tool point"):
-        grasp.closing(REST, wrong, ROBOT, PERIOD_S)
+        grasp.gripping(REST, wrong, ROBOT, PERIOD_S, closing=True)
 
 
 def test_a_gripper_never_pushes_so_far_that_it_counts_as_blocked() -> None:

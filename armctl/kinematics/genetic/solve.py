@@ -39,11 +39,10 @@ def solve(
     limits = robot.limits_rad
     exact = solution.solve(robot, target, present=present)
     present = limits.mean(axis=1) if present is None else np.asarray(present, dtype=np.float64)
-    T = target.pose[None]
-    if target.T is None:
-        problem = points_problem(robot.chain, T[:, :3, 3], limits, present)
+    if target.turned:
+        problem = poses_problem(robot.chain, target.T[None], limits, POSITION_WEIGHT)
     else:
-        problem = poses_problem(robot.chain, T, limits, POSITION_WEIGHT)
+        problem = points_problem(robot.chain, target.position_m[None], limits, present)
     if method == "ga":
         q = plain.evolve(problem, plain.PAPER, [seed]).q_rad
     else:

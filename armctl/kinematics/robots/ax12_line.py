@@ -19,16 +19,14 @@ from armctl.kinematics.robots.robot import Robot
 
 
 def _chain(lengths: dict[str, float]) -> SerialChain:
-    return SerialChain(
-        (
-            DHRow(a=0.0, alpha=math.pi / 2.0, d=lengths["d1"]),
-            DHRow(a=lengths["a2"]),
-            DHRow(a=lengths["a3"]),
-            DHRow(a=lengths["a4"]),
-            DHRow(a=lengths["a56"]),
-        ),
-        "standard",
+    rows = (
+        DHRow(a=0.0, alpha=math.pi / 2.0, d=lengths["d1"]),
+        DHRow(a=lengths["a2"]),
+        DHRow(a=lengths["a3"]),
+        DHRow(a=lengths["a4"]),
+        DHRow(a=lengths["a56"]),
     )
+    return SerialChain(rows, "standard")
 
 
 def _closed_form(lengths: dict[str, float]) -> PlanarArm:

@@ -17,16 +17,13 @@ from armctl.kinematics.robots.robot import Robot
 
 
 def _chain(lengths: dict[str, float]) -> SerialChain:
-    return SerialChain(
-        (
-            DHRow(d=lengths["d1"]),
-            DHRow(a=lengths["a2"], alpha=-math.pi / 2.0, d=lengths["d2"]),
-            DHRow(a=lengths["a3"]),
-            DHRow(a=lengths["a4"]),
-        ),
-        "modified",
-        tool_m=lengths["a5"],
+    rows = (
+        DHRow(d=lengths["d1"]),
+        DHRow(a=lengths["a2"], alpha=-math.pi / 2.0, d=lengths["d2"]),
+        DHRow(a=lengths["a3"]),
+        DHRow(a=lengths["a4"]),
     )
+    return SerialChain(rows, "modified", tool_m=lengths["a5"])
 
 
 def _closed_form(lengths: dict[str, float]) -> PlanarArm:

@@ -17,17 +17,15 @@ QUARTER = math.pi / 2.0
 
 
 def _chain(lengths: dict[str, float]) -> SerialChain:
-    return SerialChain(
-        (
-            DHRow(alpha=QUARTER),
-            DHRow(a=lengths["a2"], d=lengths["d2"]),
-            DHRow(a=lengths["a3"], alpha=-QUARTER),
-            DHRow(alpha=QUARTER, d=lengths["d4"]),
-            DHRow(alpha=-QUARTER),
-            DHRow(),
-        ),
-        "standard",
+    rows = (
+        DHRow(alpha=QUARTER),
+        DHRow(a=lengths["a2"], d=lengths["d2"]),
+        DHRow(a=lengths["a3"], alpha=-QUARTER),
+        DHRow(alpha=QUARTER, d=lengths["d4"]),
+        DHRow(alpha=-QUARTER),
+        DHRow(),
     )
+    return SerialChain(rows, "standard")
 
 
 def _closed_form(lengths: dict[str, float]) -> SphericalWrist:

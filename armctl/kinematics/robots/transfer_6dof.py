@@ -19,17 +19,15 @@ QUARTER = math.pi / 2.0
 
 
 def _chain(lengths: dict[str, float]) -> SerialChain:
-    return SerialChain(
-        (
-            DHRow(),
-            DHRow(a=lengths["a1"], alpha=-QUARTER),
-            DHRow(a=lengths["a2"]),
-            DHRow(alpha=QUARTER, d=lengths["d4"]),
-            DHRow(alpha=-QUARTER),
-            DHRow(alpha=QUARTER, d=lengths["d6"]),
-        ),
-        "modified",
+    rows = (
+        DHRow(),
+        DHRow(a=lengths["a1"], alpha=-QUARTER),
+        DHRow(a=lengths["a2"]),
+        DHRow(alpha=QUARTER, d=lengths["d4"]),
+        DHRow(alpha=-QUARTER),
+        DHRow(alpha=QUARTER, d=lengths["d6"]),
     )
+    return SerialChain(rows, "modified")
 
 
 def _closed_form(lengths: dict[str, float]) -> SphericalWrist:

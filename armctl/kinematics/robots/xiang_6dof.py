@@ -20,16 +20,14 @@ QUARTER = math.pi / 2.0
 
 
 def _chain(lengths: dict[str, float]) -> SerialChain:
-    return SerialChain(
-        (
-            DHRow(alpha=QUARTER, d=lengths["d1"]),
-            DHRow(a=lengths["a2"]),
-            DHRow(a=lengths["a3"]),
-            DHRow(alpha=-QUARTER),
-            DHRow(d=lengths["d5"]),
-        ),
-        "standard",
+    rows = (
+        DHRow(alpha=QUARTER, d=lengths["d1"]),
+        DHRow(a=lengths["a2"]),
+        DHRow(a=lengths["a3"]),
+        DHRow(alpha=-QUARTER),
+        DHRow(d=lengths["d5"]),
     )
+    return SerialChain(rows, "standard")
 
 
 def _closed_form(lengths: dict[str, float]) -> PlanarArm:
