@@ -9,8 +9,6 @@ Importing what the body needs takes longer than all the rest of its start: so th
 which holds a handle only, imports other things meanwhile.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import select
@@ -20,7 +18,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Self, cast
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock, ask_for_real_time
 from armctl.config import ArmConfig
@@ -55,7 +53,7 @@ class ControlProcess:
         self.pid = process.pid
 
     @classmethod
-    def start(cls, settings: ControlSettings, *, restarted: bool = False) -> ControlProcess:
+    def start(cls, settings: ControlSettings, *, restarted: bool = False) -> Self:
         """Start the process; its first message says whether it owns the port."""
         link, theirs = Link.pair()
         with theirs:
@@ -92,7 +90,7 @@ class Inbox:
     rest is answered by the tick in which it lies still.
     """
 
-    def __init__(self, link: Link, loop: ControlLoop, clock: Clock) -> None:
+    def __init__(self, link: Link, loop: "ControlLoop", clock: Clock) -> None:
         # Whether the host is gone, or wants this process to be.
         self.leaving = False
         self._link, self._loop, self._clock = link, loop, clock

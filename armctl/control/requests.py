@@ -163,7 +163,8 @@ def _torque_on(s: Tick, request_id: int) -> None:
 
 def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
     target(s.state.phase, Trigger.RUN)
-    _check_trajectory(trajectory, s.arm)
+    if problem := _against(trajectory, s.arm):
+        raise RequestRefused("LIMIT", problem)
     for joint, tick, start in zip(s.arm.joints, s.state.goal, trajectory.positions_rad[0], strict=True):
         away = abs(joint.position_rad(tick) - start)
         if away > START_TOLERANCE_RAD:
@@ -188,44 +189,32 @@ def _under_way(s: Tick, what: str) -> Motion:
     return motion
 
 
-def _check_trajectory(trajectory: JointTrajectory, arm: ArmConfig) -> None:
-    """The last wall before the wire: shape, numbers, limits and joint speed.
-
-    Raises:
-        RequestRefused: code LIMIT, with joint, value and bound.
-    """
+def _against(trajectory: JointTrajectory, arm: ArmConfig) -> str:
+    """The last wall before the wire: what shape, numbers, limits or joint speed forbid, with joint, value and bound."""
     points = trajectory.positions_rad
     if not 2 <= len(points) <= MAX_POINTS:
-        raise RequestRefused("LIMIT", f"a trajectory has 2 to {MAX_POINTS} points, not {len(points)}")
+        return f"a trajectory has 2 to {MAX_POINTS} points, not {len(points)}"
     if not (math.isfinite(trajectory.period_s) and 0.001 <= trajectory.period_s <= 1.0):
-        raise RequestRefused("LIMIT", f"trajectory period {trajectory.period_s} s lies outside 0.001 to 1 s")
+        return f"trajectory period {trajectory.period_s} s lies outside 0.001 to 1 s"
     for point in points:
         if len(point) != len(arm.joints) or not all(map(math.isfinite, point)):
-            raise RequestRefused("LIMIT", f"every point needs {len(arm.joints)} finite joint positions")
+            return f"every point needs {len(arm.joints)} finite joint positions"
     grip = trajectory.grip
     if grip is not None and not (0 <= grip.joint < len(arm.joints) and 0.0 < grip.load_ratio <= MAX_GRIP_RATIO):
-        raise RequestRefused(
-            "LIMIT",
-            f"a grip needs one of the {len(arm.joints)} joints and a load within 0 to {MAX_GRIP_RATIO:g}, not joint "
-            f"{grip.joint} and {grip.load_ratio:g}",
-        )
+        needed = f"one of the {len(arm.joints)} joints and a load within 0 to {MAX_GRIP_RATIO:g}"
+        return f"a grip needs {needed}, not joint {grip.joint} and {grip.load_ratio:g}"
     for i, joint in enumerate(arm.joints):
         low, high = joint.limits_rad
         column = [point[i] for point in points]
         worst = min(column) if low - min(column) > max(column) - high else max(column)
         if not low - ax12a.TICK_RAD <= worst <= high + ax12a.TICK_RAD:
-            raise RequestRefused(
-                "LIMIT",
-                f"joint {joint.name} would go to {math.degrees(worst):.1f} deg, outside {joint.limits_deg[0]:g} to "
-                f"{joint.limits_deg[1]:g}",
-            )
+            bounds = f"{joint.limits_deg[0]:g} to {joint.limits_deg[1]:g}"
+            return f"joint {joint.name} would go to {math.degrees(worst):.1f} deg, outside {bounds}"
         speed = max(abs(b - a) for a, b in pairwise(column)) / trajectory.period_s
         if speed > joint.speed_limit_rad_s * 1.001:
-            raise RequestRefused(
-                "LIMIT",
-                f"joint {joint.name} would turn at {math.degrees(speed):.0f} deg/s; its limit is "
-                f"{joint.speed_limit_deg_s:g}",
-            )
+            bound = f"its limit is {joint.speed_limit_deg_s:g}"
+            return f"joint {joint.name} would turn at {math.degrees(speed):.0f} deg/s; {bound}"
+    return ""
 
 
 # ------------------------------------------------------------------------------------------- clearing a fault

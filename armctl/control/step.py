@@ -44,17 +44,8 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     readings = inputs.sample.servos
     servos = tuple([ax12a.decode(reading.registers) for reading in readings])
     state, wire = _own(state), wire_joints(arm)
-    s = Tick(
-        state=state,
-        inputs=inputs,
-        arm=arm,
-        wire=wire,
-        robot=robot,
-        period_s=period_s,
-        joints=_joint_states(inputs, servos, wire),
-        servos=servos,
-        fresh=all(reading.fresh for reading in readings),
-    )
+    joints, fresh = _joint_states(inputs, servos, wire), all(reading.fresh for reading in readings)
+    s = Tick(state, inputs, arm, wire, robot, period_s, joints, servos, fresh)
     state.ticks += 1
     detect_faults(s)
     for command in inputs.commands:

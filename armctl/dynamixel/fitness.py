@@ -23,17 +23,14 @@ class ServoJoint(Protocol):
 
 def bus_dead(servos: int, garbled: bool, port_name: str, baud: int) -> Problem:
     """Why none of so many servos can be understood."""
-    if garbled:
-        return Problem(
-            "BUS_DEAD",
-            f"{port_name}: {servos} servos asked, only garbled bytes came; check that every servo runs at "
-            f"{baud} baud, that the adapter does not echo, the data wire and the common ground",
-        )
-    return Problem(
-        "BUS_DEAD",
-        f"{port_name}: {servos} servos asked, not a byte came; check that the servos' 12 V supply is on, "
-        f"that they run at {baud} baud, and the cable between adapter and first servo",
+    what = (
+        f"only garbled bytes came; check that every servo runs at {baud} baud, that the adapter does not echo, the "
+        "data wire and the common ground"
+        if garbled
+        else f"not a byte came; check that the servos' 12 V supply is on, that they run at {baud} baud, and the cable "
+        "between adapter and first servo"
     )
+    return Problem("BUS_DEAD", f"{port_name}: {servos} servos asked, {what}")
 
 
 def slow_adapter(port_name: str, latency_ms: float, bound_ms: float) -> Problem:

@@ -203,11 +203,9 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
         SDK looks at every byte in Python, which was half of the processor time of a reading.
         """
         self.clearPort()
-        if self._send(request) < len(request):
+        if self.writePort(request) < len(request):
             return b"", COMM_TX_FAIL
-        self._allowed_ns = (len(request) + size) * self.byte_ns + self._slack_ns
-        self._deadline_ns = (self._begin_ns or self._now_ns()) + self._allowed_ns
-        self._due, self.heard = size, 0
+        self.setPacketTimeout(size)
         if not self._received:
             self._fill(OVERHEAD_BYTES)
         reply = self._received

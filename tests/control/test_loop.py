@@ -139,11 +139,9 @@ def test_a_lost_port_latches_and_a_replug_leads_back_to_holding_by_clear(at_writ
     rig.port.replug()
     rig.ticks(8)
     assert rig.codes().index("PORT_GONE") < rig.codes().index("PORT_BACK")
-    assert rig.replies()[2].code == "PORT_GONE"
-    assert rig.mode() is Mode.FAULTED
+    assert (rig.replies()[2].code, rig.mode()) == ("PORT_GONE", Mode.FAULTED)
     rig.ticks(1, Clear(3))
-    assert rig.replies()[3].ok
-    assert rig.mode() is Mode.HOLDING
+    assert (rig.replies()[3].ok, rig.mode()) == (True, Mode.HOLDING)
 
 
 def test_a_limp_arm_can_be_taught() -> None:
@@ -157,8 +155,7 @@ def test_leaving_waits_until_the_motion_has_come_to_rest() -> None:
     rig = holding()
     rig.ticks(5, Run(2, rig.line()))
     rig.loop.run(lambda: (messages.HostLost(),), rig.keep, lambda: True)
-    assert rig.mode() is Mode.HOLDING
-    assert rig.replies()[2].code == "HOST_LOST"
+    assert (rig.mode(), rig.replies()[2].code) == (Mode.HOLDING, "HOST_LOST")
 
 
 def test_records_the_host_did_not_take_are_counted_and_followed_by_a_keyframe() -> None:

@@ -25,16 +25,14 @@ def test_a_pause_rests_on_the_path_until_it_is_resumed() -> None:
     assert set(arm.goals[-100:]) == {rest}
     assert (outputs.mode, outputs.rate) == (Mode.MOVING, 0.0)
     arm.run_ticks(41, Resume(7))
-    assert arm.replies[7].ok
-    assert (arm.mode(), arm.replies[5].ok) == (Mode.HOLDING, True)
+    assert (arm.replies[7].ok, arm.mode(), arm.replies[5].ok) == (True, Mode.HOLDING, True)
 
 
 def test_a_paused_run_can_be_stopped() -> None:
     arm = running()
     arm.run_ticks(6, Pause(6))
     arm.run_ticks(3, Hold(7))
-    assert arm.replies[7].ok
-    assert (arm.mode(), arm.replies[5].code) == (Mode.HOLDING, "STOPPED")
+    assert (arm.replies[7].ok, arm.mode(), arm.replies[5].code) == (True, Mode.HOLDING, "STOPPED")
 
 
 def test_at_half_rate_a_run_takes_twice_as_long() -> None:

@@ -48,8 +48,7 @@ def test_park_can_be_stopped_on_its_way() -> None:
     arm = away()
     arm.run_ticks(11, Park(5))
     arm.run_ticks(5, Hold(6))
-    assert (arm.mode(), arm.replies[5].code) == (Mode.HOLDING, "STOPPED")
-    assert arm.replies[6].ok
+    assert (arm.mode(), arm.replies[5].code, arm.replies[6].ok) == (Mode.HOLDING, "STOPPED", True)
     assert not at_rest(arm)
 
 

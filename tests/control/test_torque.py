@@ -179,8 +179,7 @@ def test_a_servo_that_stays_stiff_in_teaching_is_a_fault() -> None:
 def test_release_switches_torque_off_and_answers_a_pending_teach() -> None:
     arm = holding()
     arm.run_tick(Teach(3), Release(4))
-    assert arm.replies[3].code == "RELEASED"
-    assert (arm.mode(), arm.replies[4].ok) == (Mode.OFF, True)
+    assert (arm.replies[3].code, arm.mode(), arm.replies[4].ok) == ("RELEASED", Mode.OFF, True)
     assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
 
 
