@@ -29,9 +29,7 @@ def test_every_trigger_has_an_entry_in_the_row_or_is_refused_with_a_reason_and_c
 
 
 @given(st.lists(st.sampled_from(list(Trigger))))
-def test_after_any_story_the_machine_is_where_the_triggers_with_an_entry_lead(
-    story: list[Trigger],
-) -> None:
+def test_after_any_story_the_machine_is_where_the_triggers_with_an_entry_lead(story: list[Trigger]) -> None:
     state, phase = State(), Phase.FOUND
     for trigger in story:
         before = deepcopy(state)

@@ -19,12 +19,7 @@ seeds = st.integers(0, 2**32 - 1)
 link, offset, length = st.floats(0.05, 0.4), st.floats(-0.1, 0.1), st.floats(-0.2, 0.2)
 signs = st.sampled_from([1.0, -1.0])
 ends_in_x = st.builds(
-    PlanarArm,
-    st.lists(link, min_size=3, max_size=4).map(tuple),
-    height=offset,
-    a1=offset,
-    shoulder=offset,
-    up=signs,
+    PlanarArm, st.lists(link, min_size=3, max_size=4).map(tuple), height=offset, a1=offset, shoulder=offset, up=signs
 )
 rolling = st.builds(PlanarArm, st.tuples(link, link, link), height=offset, a1=st.just(0.0), roll=st.just(True))
 planar = st.one_of(ends_in_x, rolling)

@@ -220,8 +220,7 @@ def test_half_a_tick_outside_a_limit_is_rounding() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit", "bound", "unit"),
-    [("speed_limit_deg_s", 15.0, "deg/s"), ("acceleration_limit_deg_s2", 20.0, "deg/s2")],
+    ("limit", "bound", "unit"), [("speed_limit_deg_s", 15.0, "deg/s"), ("acceleration_limit_deg_s2", 20.0, "deg/s2")]
 )
 def test_joint_speed_and_acceleration_name_a_duration_that_suffices(limit: str, bound: float, unit: str) -> None:
     arm = changed(ARM, 0, **{limit: bound})

@@ -49,23 +49,19 @@ def test_demo_lines_may_be_run_in_every_posture_they_are_taught_in() -> None:
 
 
 @pytest.mark.parametrize(
-    ("q", "match"),
+    ("q", "period_s", "match"),
     [
-        (np.zeros(6), r"shape \(6,\).* rows or more of 6"),
-        (np.zeros((1, 6)), r"shape \(1, 6\)"),
-        (np.zeros((4, 5)), r"shape \(4, 5\)"),
-        (np.array([[0.0] * 6, [0.0, math.nan, 0.0, 0.0, 0.0, 0.0]]), "shoulder is sent to nan in row 1"),
-        (np.array([[0.0, 0.0, math.inf, 0.0, 0.0, 0.0], [0.0] * 6]), "elbow is sent to inf in row 0"),
+        (np.zeros(6), PERIOD_S, r"shape \(6,\).* rows or more of 6"),
+        (np.zeros((1, 6)), PERIOD_S, r"shape \(1, 6\)"),
+        (np.zeros((4, 5)), PERIOD_S, r"shape \(4, 5\)"),
+        (np.array([[0.0] * 6, [0.0, math.nan, 0.0, 0.0, 0.0, 0.0]]), PERIOD_S, "shoulder is sent to nan in row 1"),
+        (np.array([[0.0, 0.0, math.inf, 0.0, 0.0, 0.0], [0.0] * 6]), PERIOD_S, "elbow is sent to inf in row 0"),
+        *((motion(REST, UP), period_s, "the period must be above 0") for period_s in (0.0, -0.1, math.nan, math.inf)),
     ],
 )
-def test_what_is_no_motion_is_refused_at_once(q: FloatArray, match: str) -> None:
-    assert re.search(match, the_reason(q))
-
-
-@pytest.mark.parametrize("period_s", [0.0, -0.1, math.nan, math.inf])
-def test_a_period_must_be_positive(period_s: float) -> None:
-    (reason,) = preflight_motion(motion(REST, UP), period_s, ARM, ROBOT)
-    assert "the period must be above 0" in reason
+def test_what_is_no_motion_is_refused_at_once(q: FloatArray, period_s: float, match: str) -> None:
+    (reason,) = preflight_motion(q, period_s, ARM, ROBOT)
+    assert re.search(match, reason)
 
 
 def test_limits_name_joint_value_and_bound_and_the_dead_zone_where_it_is_one() -> None:

@@ -49,10 +49,7 @@ def _position_equations() -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 # What is proven: `armctl/papers/printed/002.yaml`.
-PROOFS: dict[str, Residuals] = {
-    "P_x": lambda: _position_equations()[0],
-    "P_y": lambda: _position_equations()[1],
-}
+PROOFS: dict[str, Residuals] = {"P_x": lambda: _position_equations()[0], "P_y": lambda: _position_equations()[1]}
 
 ROBOT = Robot(
     name="ax12-line",
