@@ -150,14 +150,6 @@ def test_clear_without_a_fault_says_so() -> None:
     assert "no fault" in arm.ask(Clear(1)).message
 
 
-def test_a_restart_is_told() -> None:
-    arm = IdealArm().power()
-    arm.run_tick(Connected(restarted=True))
-    assert "RESTARTED" in arm.events
-    assert arm.mode() is Mode.HOLDING
-    assert not arm.goals
-
-
 def test_an_unheard_servo_has_an_age_that_grows_and_no_tool_pose() -> None:
     arm = IdealArm(silent={1})
     first = arm.run_tick()

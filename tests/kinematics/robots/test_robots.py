@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.kinematics.robots import lanzhou_4dof, puma560, transfer_6dof, xiang_6dof
-from armctl.kinematics.transform import finite, pose_from_xyz_rpy
+from armctl.kinematics.robots import lanzhou_4dof, transfer_6dof, xiang_6dof
+from armctl.kinematics.transform import finite
 from tests.kinematics.conftest import assert_at
 
 
@@ -77,14 +77,6 @@ def test_model_eq_18_of_xiang_holds_for_all_three_coordinates() -> None:
         up = l1 + l2 * math.cos(t2) + l3 * math.cos(t2 + t3) + l4 * math.cos(t2 + t3 + t4)
         expected = [out * math.cos(q1), out * math.sin(q1), up]
         np.testing.assert_allclose(tool_position(robot.chain, q), expected, atol=1e-12)
-
-
-def test_rows_of_table_2_lie_as_far_apart_as_the_anchors_say() -> None:
-    wanted, improved, standard = (
-        pose_from_xyz_rpy(*row) for row in (puma560.WANTED_XYZ_RPY, puma560.IMPROVED_XYZ_RPY, puma560.STANDARD_XYZ_RPY)
-    )
-    assert np.linalg.norm(improved[:3, 3] - wanted[:3, 3]) == pytest.approx(0.005312, abs=1e-6)
-    assert np.linalg.norm(standard[:3, 3] - wanted[:3, 3]) == pytest.approx(0.45658, abs=1e-5)
 
 
 @pytest.mark.parametrize(("name", "length"), [("puma560", "a2"), ("lanzhou-4dof", "a5"), ("transfer-6dof", "d6")])
