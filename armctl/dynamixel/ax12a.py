@@ -119,6 +119,11 @@ def signed_magnitude(value: int) -> int:
     return -magnitude if value & 0x400 else magnitude
 
 
+def compliance_slope(register: int) -> int:
+    """Slope [tick] of a compliance-slope register: the steps are 2, 4, 8, ..., 128."""
+    return max(2, 1 << (register.bit_length() - 1))
+
+
 def speed_rad_s(raw: int) -> float:
     """Present speed [rad/s], CCW positive."""
     return signed_magnitude(raw) * SPEED_UNIT_RAD_S if raw else 0.0

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from armctl.config import ArmConfig, Config, Name, validate
-from armctl.dynamixel.ax12a import LOAD_MAX, NO_LOAD_SPEED_RAD_S, STALL_TORQUE_NM, TICK_RAD
+from armctl.dynamixel.ax12a import LOAD_MAX, NO_LOAD_SPEED_RAD_S, STALL_TORQUE_NM, TICK_RAD, compliance_slope
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, read_text
 from armctl.kinematics.chain import SerialChain, link_frames
@@ -110,7 +110,7 @@ def nominal(arm: ArmConfig, chain: SerialChain) -> SagModel:
     further_kg = SERVO_KG * (len(arm.joints) - n)
     carried = SERVO_KG * np.arange(n - 1, -1, -1) + further_kg + TOOL_KG
     carried[-1] -= further_kg / 2.0
-    slope = np.array([_compliance_slope(joint.compliance.slope) for joint in joints])
+    slope = np.array([compliance_slope(joint.compliance.slope) for joint in joints])
     punch = np.array([joint.compliance.punch for joint in joints]) / LOAD_MAX
     softness = slope * TICK_RAD / ((1.0 - punch) * STALL_TORQUE_NM)
     # A servo carries what is further out than its own joint.
@@ -213,8 +213,3 @@ def _model(arm: ArmConfig, coefficients: FloatArray, residual_tick: FloatArray, 
         residual_tick=tuple(residual_tick.tolist()),
         lines=lines,
     )
-
-
-def _compliance_slope(register: int) -> int:
-    """Slope [tick] of a compliance-slope register: the servo knows 2, 4, 8, ..., 128."""
-    return max(2, 1 << (register.bit_length() - 1))

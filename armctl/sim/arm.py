@@ -54,7 +54,7 @@ class SimulatedArm:
         self._overheat_step: int | None = None
         # What each second writer (by its fault) tells each servo.
         self._writer_goals: dict[tuple[int, int], int] = {}
-        self.hand = Hand(self)
+        self.hand = Hand(arm, self.chain, lambda: self.time_s, self.true_positions)
         # Whether time is held, see `Lockstep` in sim/pty.py.
         self.standing = False
 

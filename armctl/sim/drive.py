@@ -100,12 +100,7 @@ def drive_of(registers: Sequence[int]) -> Drive:
         punch=punch / ax12a.LOAD_MAX,
         cw_margin=cw_margin,
         ccw_margin=ccw_margin,
-        cw_gain=rise / compliance_slope(cw_slope),
-        ccw_gain=rise / compliance_slope(ccw_slope),
+        cw_gain=rise / ax12a.compliance_slope(cw_slope),
+        ccw_gain=rise / ax12a.compliance_slope(ccw_slope),
         spin=spin if cw_limit == ccw_limit == 0 else None,
     )
-
-
-def compliance_slope(register: int) -> int:
-    """Slope [tick] of a compliance-slope register: the steps are 2, 4, 8, ..., 128."""
-    return max(2, 1 << (register.bit_length() - 1))

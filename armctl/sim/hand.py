@@ -9,9 +9,9 @@ a powered one resists it.
 
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 
@@ -48,21 +48,6 @@ def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
     return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
 
 
-class Limb(Protocol):
-    """What a hand has to know of an arm."""
-
-    @property
-    def config(self) -> ArmConfig: ...
-
-    @property
-    def chain(self) -> SerialChain: ...
-
-    @property
-    def time_s(self) -> float: ...
-
-    def true_positions(self) -> FloatArray: ...
-
-
 @dataclass(frozen=True)
 class Guided:
     """When a take happens, in seconds from its acceptance."""
@@ -95,16 +80,23 @@ class _Take:
 class Hand:
     """A person's hand at a simulated arm; it begins with hands off."""
 
-    def __init__(self, arm: Limb) -> None:
-        self._arm = arm
+    def __init__(
+        self, arm: ArmConfig, chain: SerialChain, now_s: Callable[[], float], positions_rad: Callable[[], FloatArray]
+    ) -> None:
+        """
+        Args:
+            chain: The arm's true geometry.
+            now_s: Tells the arm's time.
+            positions_rad: Tells where its joints truly are, shape (n,).
+        """
+        self._chain, self._now_s, self._positions_rad = chain, now_s, positions_rad
         self._take: _Take | None = None
         # Asked for more than once in each moment of a take.
         self._aim = lru_cache(maxsize=1)(self._aim_in)
-        limits = np.array([joint.limits_rad for joint in arm.config.joints])
-        self._limits = limits[: arm.chain.n]
+        self._limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
         span = self._limits[:, 1] - self._limits[:, 0]
         # Bent the same way at every joint beyond the second: an arm arched over its work, far from its stops.
-        self._posture = self._limits.mean(axis=1) - 0.2 * span * (np.arange(arm.chain.n) >= 2)
+        self._posture = self._limits.mean(axis=1) - 0.2 * span * (np.arange(chain.n) >= 2)
 
     @property
     def holding(self) -> bool:
@@ -132,13 +124,13 @@ class Hand:
         line = (np.asarray(from_m, dtype=np.float64), np.asarray(to_m, dtype=np.float64))
         peak = rng.uniform(*WOBBLE_M, size=3)
         share = np.array([0.5, 0.3, 0.2])[:, None]
-        guess = self._posture + POSTURE_RAD * rng.standard_normal(self._arm.chain.n)
+        guess = self._posture + POSTURE_RAD * rng.standard_normal(self._chain.n)
         line_s = float(rng.uniform(*DURATION_S)) if duration_s is None else duration_s
         take = _Take(
             seed=seed,
-            start_s=self._arm.time_s,
+            start_s=self._now_s(),
             # A hand that already holds the arm keeps its grip, else the arm would sag for a moment.
-            from_rad=self.aim(self._arm.time_s)[0] if self.holding else self._arm.true_positions().tolist(),
+            from_rad=self.aim(self._now_s())[0] if self.holding else self._positions_rad().tolist(),
             line_m=line,
             amplitude_m=share * peak,
             phase_rad=rng.uniform(0.0, 2.0 * math.pi, size=(len(WOBBLE_CYCLES), 3)),
@@ -147,7 +139,7 @@ class Hand:
         # The line's own points are required, the wobble is not.
         q = guess
         for share_of_line in (0.0, 0.5, 1.0):
-            q = solve_position(self._arm.chain, line[0] + share_of_line * (line[1] - line[0]), q, self._limits)
+            q = solve_position(self._chain, line[0] + share_of_line * (line[1] - line[0]), q, self._limits)
         take.knots_rad.append(self._solve(take, 0.0, line_s, guess))
         way = max(abs(to - at) for to, at in zip(take.knots_rad[0], take.from_rad, strict=False))
         carry_s = max(CARRY_MIN_S, 1.875 * way / CARRY_SPEED_RAD_S)  # minimum jerk peaks at 1.875 of its mean
@@ -170,7 +162,7 @@ class Hand:
         return self._aim(take, time_s)
 
     def _aim_in(self, take: _Take, time_s: float) -> tuple[list[float], list[float]]:
-        others = take.from_rad[self._arm.chain.n :]
+        others = take.from_rad[self._chain.n :]
         ahead_s = 1e-3
         here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
         speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
@@ -204,7 +196,7 @@ class Hand:
         # Where the wobble leads out of reach the hand keeps to the line, and where that does too it waits.
         for target in (on_line + wobble, on_line):
             with contextlib.suppress(UnreachableTarget):
-                guess = solve_position(self._arm.chain, target, guess, self._limits, tolerance_m=1e-5, iterations=50)
+                guess = solve_position(self._chain, target, guess, self._limits, tolerance_m=1e-5, iterations=50)
                 break
         return [float(angle) for angle in guess]
 

@@ -25,7 +25,7 @@ class PosingHand(Hand):
     CARRY_S = 2.5
 
     def __init__(self, arm: SimulatedArm) -> None:
-        super().__init__(arm)
+        super().__init__(arm.config, arm.chain, lambda: arm.time_s, arm.true_positions)
         self._simulated = arm
         self._from_rad: FloatArray | None = None
 

@@ -123,15 +123,6 @@ class Wire:
 
 
 @contextlib.contextmanager
-def loopback_wire() -> Iterator[Wire]:
-    clock = VirtualClock()
-    bus = SimulatedBus(SimulatedArm(load_arm("ax12-line"), seed=1))
-    port = LoopbackPort(bus, clock)
-    port.openPort()
-    yield Wire("loopback", port, clock, bus)
-
-
-@contextlib.contextmanager
 def serial_wire(kind: str, path: str) -> Iterator[Wire]:
     clock = MonotonicClock()
     port = SerialPort(path, BAUD, clock)
@@ -161,7 +152,10 @@ def opened(kind: str, folder: Path, hardware: str | None) -> Iterator[Wire]:
     """A wire of that kind, with the servos found on it."""
     with contextlib.ExitStack() as cleanup:
         if kind == "loopback":
-            wire = cleanup.enter_context(loopback_wire())
+            clock, bus = VirtualClock(), SimulatedBus(SimulatedArm(load_arm("ax12-line"), seed=1))
+            port = LoopbackPort(bus, clock)
+            port.openPort()
+            wire = Wire("loopback", port, clock, bus)
         elif kind == "pty":
             cleanup.enter_context(simulator(folder / "port"))
             wire = cleanup.enter_context(serial_wire("pty", str(folder / "port")))

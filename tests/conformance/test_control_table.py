@@ -11,16 +11,9 @@ from tests.conformance.conftest import Wire
 HARMLESS = (ax12a.RETURN_DELAY, ax12a.ALARM_LED, ax12a.LED, ax12a.CW_MARGIN, ax12a.CCW_MARGIN, ax12a.PUNCH)
 # Registers that can hold more than they may.
 BOUNDED = (
-    ax12a.RETURN_DELAY,
-    ax12a.TEMPERATURE_LIMIT,
-    ax12a.MAX_TORQUE,
-    ax12a.RETURN_LEVEL,
-    ax12a.ALARM_LED,
-    ax12a.LED,
-    ax12a.CW_MARGIN,
-    ax12a.CCW_SLOPE,
-    ax12a.PUNCH,
-)
+    ax12a.RETURN_DELAY, ax12a.TEMPERATURE_LIMIT, ax12a.MAX_TORQUE, ax12a.RETURN_LEVEL, ax12a.ALARM_LED, ax12a.LED,
+    ax12a.CW_MARGIN, ax12a.CCW_SLOPE, ax12a.PUNCH,
+)  # fmt: skip
 
 
 def name(register: Register) -> str:

@@ -54,17 +54,19 @@ def test_a_bad_checksum_to_all_is_met_with_silence(wire: Wire) -> None:
     assert wire.silent(bad_checksum(encode_instruction(BROADCAST_ID, Instruction.ACTION)))
 
 
-@pytest.mark.parametrize("parameters", [b"", b"\x24", b"\x24\x02\x00"])
-def test_a_read_with_the_wrong_number_of_parameters_is_an_instruction_error(
-    wire: Wire, servo: int, parameters: bytes
+WRONG_COUNTS = (
+    *((Instruction.READ, parameters) for parameters in (b"", b"\x24", b"\x24\x02\x00")),
+    *((Instruction.WRITE, parameters) for parameters in (b"", bytes((ax12a.LED.address,)))),
+    (Instruction.ACTION, b""),  # with nothing registered
+)
+
+
+@pytest.mark.parametrize(("instruction", "parameters"), WRONG_COUNTS)
+def test_what_cannot_be_done_is_an_instruction_error(
+    wire: Wire, servo: int, instruction: Instruction, parameters: bytes
 ) -> None:
-    status = wire.ask(servo, Instruction.READ, parameters)
+    status = wire.ask(servo, instruction, parameters)
     assert (status.code, status.parameters) == (ErrorBit.INSTRUCTION, b"")
-
-
-@pytest.mark.parametrize("parameters", [b"", bytes((ax12a.LED.address,))])
-def test_a_write_without_data_is_an_instruction_error(wire: Wire, servo: int, parameters: bytes) -> None:
-    assert wire.ask(servo, Instruction.WRITE, parameters).code == ErrorBit.INSTRUCTION
 
 
 def test_a_request_may_be_cut_at_every_byte(wire: Wire, servo: int) -> None:
@@ -128,10 +130,6 @@ def test_a_registered_write_waits_for_action(wire: Wire, servo: int, to_all: boo
     else:
         assert wire.ask(servo, Instruction.ACTION).code == 0
     assert (wire.value(servo, ax12a.LED), wire.value(servo, ax12a.REGISTERED)) == (1 - before, 0)
-
-
-def test_action_without_a_registered_write_is_an_instruction_error(wire: Wire, servo: int) -> None:
-    assert wire.ask(servo, Instruction.ACTION).code == ErrorBit.INSTRUCTION
 
 
 def test_a_registered_write_out_of_range_is_refused_at_once(wire: Wire, servo: int) -> None:

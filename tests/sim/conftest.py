@@ -1,9 +1,11 @@
 """The arm every simulator test plays with, on its bus, and the bytes that move it."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
@@ -41,6 +43,11 @@ def write(servo_id: int, register: Register, value: int) -> bytes:
 @pytest.fixture(scope="session")
 def arm() -> ArmConfig:
     return load_arm("ax12-line")
+
+
+def refusals(of: str) -> list[tuple[str, str]]:
+    """What is refused, and what is said of it."""
+    return list(yaml.safe_load(Path(__file__).with_name("refusals.yaml").read_text(encoding="utf-8"))[of].items())
 
 
 class Bench:

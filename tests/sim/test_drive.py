@@ -5,7 +5,6 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import TICK_RAD
-from armctl.sim.drive import compliance_slope
 from armctl.sim.servo import SimulatedServo
 
 
@@ -36,4 +35,4 @@ def test_drive_is_read_off_the_table() -> None:
     ("register", "slope"), [(1, 2), (2, 2), (3, 2), (4, 4), (32, 32), (63, 32), (64, 64), (254, 128)]
 )
 def test_compliance_slope_is_quantised(register: int, slope: int) -> None:
-    assert compliance_slope(register) == slope
+    assert ax12a.compliance_slope(register) == slope

@@ -27,7 +27,7 @@ def mass_points(chain: SerialChain, q: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.lists(st.floats(-2.5, 2.5), min_size=5, max_size=5))
 def test_gravity_is_the_slope_of_potential_energy(convention: str, q: list[float]) -> None:
     chain = SerialChain(CHAIN.rows, "standard" if convention == "standard" else "modified")
@@ -73,7 +73,7 @@ def peer(simulated: SimulatedArm) -> Peer:
     return Peer(simulated)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.floats(-2.6, 2.6), min_size=5, max_size=5))
 def test_gravity_and_inertia_are_mujocos(simulated: SimulatedArm, peer: Peer, pose: list[float]) -> None:
     q = np.array(pose)

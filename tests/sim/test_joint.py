@@ -116,7 +116,7 @@ cases = st.builds(
 pulls = st.none() | st.tuples(st.floats(2.5, 2.7), st.floats(-0.5, 0.5), st.integers(0, 19))
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 @given(case=cases, pull=pulls, counts=st.lists(st.integers(1, 20), min_size=1, max_size=10))
 def test_skipping_what_cannot_change_gives_what_every_step_gives(
     case: Plain, pull: tuple[float, float, int] | None, counts: list[int]

@@ -10,6 +10,7 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.control import TruthRing
 from armctl.sim.pty import Lockstep
+from tests.sim.conftest import read
 
 ARM = load_arm("ax12-line")
 
@@ -24,7 +25,7 @@ class World:
         self.lockstep = Lockstep(self.arm, self.bus, self.ring)
 
     def read(self, servo_id: int) -> bytes:
-        return self.lockstep.pass_on(encode_instruction(servo_id, Instruction.READ, bytes((36, 3))))
+        return self.lockstep.pass_on(read(servo_id, size=3))
 
     def cycle(self, *, patience: int = 1) -> list[bytes]:
         """One reading of every servo; a hasty master asks each one several times."""
@@ -57,7 +58,7 @@ def test_each_turn_back_is_one_period_of_motion() -> None:
 def test_a_reading_is_the_same_however_the_bytes_are_cut() -> None:
     whole, cut = World(), World()
     for _ in range(5):
-        request = encode_instruction(2, Instruction.READ, bytes((36, 3)))
+        request = read(2, size=3)
         pieces = b"".join(cut.lockstep.pass_on(request[i : i + 1]) for i in range(len(request)))
         assert whole.lockstep.pass_on(request) == pieces
         assert whole.read(1) == cut.read(1)

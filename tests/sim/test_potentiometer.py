@@ -1,14 +1,13 @@
 """What the position sensor reads, on its track and off it."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.sim.potentiometer import TURN_TICK, sensed_range, sensed_tick
 
 
-@settings(deadline=None)
 @given(st.floats(-2500.0, 2500.0))
 def test_potentiometer_reads_a_tick_at_every_angle_and_the_angle_within_its_range(position_tick: float) -> None:
     tick = sensed_tick(position_tick)
@@ -26,7 +25,6 @@ def test_dead_zone_saturates_at_its_edges_and_is_erratic_inside() -> None:
     assert np.abs(np.diff(inside)).mean() > 100.0
 
 
-@settings(deadline=None)
 @given(st.floats(-8.0, 8.0))
 def test_a_range_reads_the_same_from_its_begin_to_below_its_end(shaft_rad: float) -> None:
     tick, begin, end = sensed_range(shaft_rad)
