@@ -88,7 +88,6 @@ DEFAULT = Settings(
     selection="truncation",
     charge_shares=(0.001, 0.01, 0.1, 1.0),
     searches=8,
-    window_genes=10,
     stall_generations=8,
 )
 

@@ -77,10 +77,6 @@ class GeneticRun:
     # Mean cost, with the charges in force then, of the individuals that each generation's selection kept.
     mean_cost_mm: tuple[float, ...]
 
-    @property
-    def mean_error_mm(self) -> float:
-        return self.path.mean_error_mm
-
 
 @dataclass(frozen=True, eq=False)
 class FreePath(StationPath):

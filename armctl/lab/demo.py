@@ -37,6 +37,7 @@ from armctl.report import line
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
 
+ENDS = np.array(FROM_M), np.array(TO_M)
 DURATION_S = 5.0
 START_TIMEOUT_S = 20.0
 STOP_TIMEOUT_S = 5.0
@@ -172,8 +173,26 @@ def _finish(
             for key in replayed:
                 replayed[key] += getattr(result, key)
             show(count + 1, log.name)
+    chain = robots.get(arm.robot, arm.lengths_m).chain
+    takes = [_recording(out, name).positions_rad for name in names]
+    report = line.LineReport(
+        ends=ENDS,
+        joint_names=arm.joint_names,
+        candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
+        candidate_errors_mm=[(one["name"], one["mean_error_mm"], one["max_error_mm"]) for one in optimised["baseline"]],
+        ga_mean_mm=optimised["ga"]["mean_error_mm"],
+        exact_mean_mm=optimised["exact"]["mean_error_mm"],
+        gap_ratio=optimised["gap_ratio"],
+        best_mm=np.array(optimised["history"]["best_cost_mm"]),
+        mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
+        runs=[line_run(chain, plan.via, plan, seen) for plan, _, seen in runs],
+        notes=(
+            f"Every log was run through the control step again: {replayed['ticks']} ticks, "
+            f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
+        ),
+    )
     with stage("writing the report", 1) as show:
-        _write_report(out, arm, names, optimised, [(plan, seen) for plan, _, seen in runs], replayed)
+        line.write(report, out / "report.html")
         show(1, "")
     return {
         "rows": [_row(*run) for run in runs],
@@ -189,7 +208,7 @@ def _finish(
 
 def _row(plan: Plan, answer: dict[str, Any], run: Measured) -> dict[str, Any]:
     assert run.true_tool_m is not None
-    mean_mm, max_mm = line.errors_mm(run.true_tool_m, np.array(FROM_M), np.array(TO_M))
+    mean_mm, max_mm = line.errors_mm(run.true_tool_m, *ENDS)
     return {
         "via": plan.via,
         **{key: answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
@@ -198,36 +217,6 @@ def _row(plan: Plan, answer: dict[str, Any], run: Measured) -> dict[str, Any]:
         "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},
         "recording": answer["recording"],
     }
-
-
-def _write_report(
-    out: Path,
-    arm: ArmConfig,
-    names: list[str],
-    optimised: dict[str, Any],
-    runs: list[tuple[Plan, Measured]],
-    replayed: dict[str, Any],
-) -> None:
-    chain = robots.get(arm.robot, arm.lengths_m).chain
-    takes = [_recording(out, name).positions_rad for name in names]
-    report = line.LineReport(
-        from_m=np.array(FROM_M),
-        to_m=np.array(TO_M),
-        joint_names=arm.joint_names,
-        candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
-        candidate_errors_mm=[(one["name"], one["mean_error_mm"], one["max_error_mm"]) for one in optimised["baseline"]],
-        ga_mean_mm=optimised["ga"]["mean_error_mm"],
-        exact_mean_mm=optimised["exact"]["mean_error_mm"],
-        gap_ratio=optimised["gap_ratio"],
-        best_mm=np.array(optimised["history"]["best_cost_mm"]),
-        mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
-        runs=[line_run(chain, plan.via, plan, run) for plan, run in runs],
-        notes=(
-            f"Every log was run through the control step again: {replayed['ticks']} ticks, "
-            f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
-        ),
-    )
-    line.write(report, out / "report.html")
 
 
 @contextmanager

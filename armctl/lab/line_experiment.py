@@ -130,8 +130,7 @@ def _report(
     if asked.report is not None:
         page.write(
             ExperimentReport(
-                from_m=line.A,
-                to_m=line.B,
+                ends=(line.A, line.B),
                 outcomes=[drawn(rig, outcome) for outcome in outcomes],
                 best_cost_mm=[] if ga is None else ga["history"]["best_cost_mm"],
                 exact_mean_mm=None if ga is None else ga["exact_mean_error_mm"],

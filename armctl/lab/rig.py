@@ -76,16 +76,15 @@ class _ObservingClock(VirtualClock):
         self._arm = arm
         # None: it does not look.
         self.observe_from_ns: int | None = None
-        self.time_ns: list[int] = []
-        self.positions_rad: list[FloatArray] = []
+        # When, and what it saw.
+        self.seen: list[tuple[int, FloatArray]] = []
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         begin_ns = deadline_ns if self.observe_from_ns is None else self.observe_from_ns
         while (next_ns := (max(self.now_ns(), begin_ns) // TRUTH_NS + 1) * TRUTH_NS) <= deadline_ns:
             super().sleep_until_ns(next_ns)
             self._arm.advance(next_ns)
-            self.time_ns.append(next_ns)
-            self.positions_rad.append(self._arm.true_positions())
+            self.seen.append((next_ns, self._arm.true_positions()))
         super().sleep_until_ns(deadline_ns)
 
 
@@ -113,7 +112,7 @@ class VirtualRig:
             raise RequestRefused("PREFLIGHT", reasons)
         trajectory = joint_trajectory(plan, self.arm, self.goals_rad, self.period_s)
         clock = self._clock
-        clock.time_ns, clock.positions_rad = [], []
+        clock.seen = []
         clock.observe_from_ns = clock.now_ns() + round((trajectory.begin_s - EARLY_TICKS * self.period_s) * NS_PER_S)
         try:
             records = self._virtual.carry_out(Run(self._virtual.next_id(), trajectory))
@@ -129,15 +128,14 @@ class VirtualRig:
         end_ns = marks.get("PLAN_END", records[-1].inputs.sample.time_ns)
         inside = [record for record in records if begin_ns <= record.inputs.sample.time_ns <= end_ns]
         stamps = np.array([[reading.stamp_ns for reading in record.inputs.sample.servos] for record in inside])
-        true_ns = np.array(clock.time_ns)
-        during = (true_ns >= begin_ns) & (true_ns <= end_ns)
+        truth = [(time_ns - begin_ns, q) for time_ns, q in clock.seen if begin_ns <= time_ns <= end_ns]
         return Measured(
             time_s=(stamps.mean(axis=1) - begin_ns) / NS_PER_S,
             positions_rad=np.array([[joint.position_rad for joint in record.outputs.joints] for record in inside]),
             duration_s=(end_ns - begin_ns) / NS_PER_S,
             recording="",
-            true_time_s=(true_ns[during] - begin_ns) / NS_PER_S,
-            true_tool_m=self.simulated.tool_positions(np.array(clock.positions_rad)[during]),
+            true_time_s=np.array([since_ns for since_ns, _ in truth]) / NS_PER_S,
+            true_tool_m=self.simulated.tool_positions(np.array([q for _, q in truth])),
         )
 
     def teach(self, A: FloatArray, B: FloatArray, seed: int) -> FloatArray:

@@ -22,9 +22,7 @@ DRAWN_WAYS = 8
 MOST_TRIES = 400
 
 
-def random_line(
-    rig: Rig, rng: np.random.Generator, *, lengths_m: tuple[float, float] = (0.2, 0.3), stretch: float = STRETCH
-) -> tuple[FloatArray, FloatArray]:
+def random_line(rig: Rig, rng: np.random.Generator, *, stretch: float = STRETCH) -> tuple[FloatArray, FloatArray]:
     """A random line in the part of the workspace in front of the arm, with room on every side.
 
     Returns:
@@ -35,7 +33,7 @@ def random_line(
     shoulder = np.array([0.0, 0.0, chain.rows[0].d])
     while True:
         direction = rng.standard_normal(3)
-        half = rng.uniform(*lengths_m) / 2.0 * direction / np.linalg.norm(direction)
+        half = rng.uniform(0.2, 0.3) / 2.0 * direction / np.linalg.norm(direction)
         middle = rng.uniform((-0.1, -0.3, arm.floor_m + 0.03), (0.34, 0.3, 0.35))
         points = middle + np.linspace(-1.0, 1.0, 21)[:, None] * half
         radius = np.hypot(points[:, 0], points[:, 1])
@@ -48,9 +46,7 @@ def random_line(
             return middle - half, middle + half
 
 
-def identify(
-    rig: Rig, rng: np.random.Generator, lines: int = LINES, show: Callable[[int], None] = lambda _: None
-) -> SagModel:
+def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = lambda _: None) -> SagModel:
     """Identify the sag model of the rig's arm from uncorrected lines.
 
     Raises:
@@ -60,7 +56,7 @@ def identify(
     lags: list[FloatArray] = []
     rows: list[FloatArray] = []
     for _ in range(MOST_TRIES):
-        if len(lags) == lines:
+        if len(lags) == LINES:
             break
         A, B = random_line(rig, rng)
         try:
@@ -80,6 +76,6 @@ def identify(
         lags.append(lag)
         rows.append(sag_model.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
         show(len(lags))
-    if len(lags) < lines:
-        raise RequestRefused("CALIBRATE", f"only {len(lags)} of {lines} calibration lines could be run")
+    if len(lags) < LINES:
+        raise RequestRefused("CALIBRATE", f"only {len(lags)} of {LINES} calibration lines could be run")
     return sag_model.fitted(rig.arm, chain, lags, rows)

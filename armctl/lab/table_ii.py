@@ -56,24 +56,22 @@ def run(case: Case) -> Found:
     Raises:
         RequestRefused: the line cannot be followed, or the recordings are too far from it.
     """
-    (via,) = case.via
-    assert isinstance(via, int)
     rig = case.rig()
     plan = through_points(rig, case)
     runs = [rig.run(plan) for _ in range(RUNS)]
     result = replace(case, takes=tuple(run.positions_rad for run in runs)).optimum()
     recorded_mm = [take.mean_error_mm for take in result.baseline]
     row = {
-        "experiment": via + 1,
-        "via": via,
-        "mean_error_mm": result.ga.mean_error_mm,
+        "experiment": plan.via + 1,
+        "via": plan.via,
+        "mean_error_mm": result.ga.path.mean_error_mm,
         "max_error_mm": result.ga.path.max_error_mm,
         "duration_s": float(np.mean([run.duration_s for run in runs])),
         "recorded_mean_error_mm": float(np.mean(recorded_mm)),
         "spread_mm": float(np.std(recorded_mm)),
         "exact_mean_error_mm": result.exact.mean_error_mm,
         "gap_ratio": result.gap_ratio,
-        "paper": PRINTED[via]._asdict(),
+        "paper": PRINTED[plan.via]._asdict(),
     }
     return Found([row], runs)
 

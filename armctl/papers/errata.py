@@ -17,18 +17,12 @@ from armctl.trajectory.straightness import mean_error, progress_along_line
 def errata(papers: Sequence[str]) -> list[Erratum]:
     """The errata of some papers ("000" to "004"), in the order of the papers."""
     of_robots = {name: proof for robot in robots.names() for name, proof in robots.get(robot).proofs.items()}
-    return [
-        Erratum(
-            paper,
-            one.where,
-            one.printed,
-            one.corrected,
-            one.how,
-            of_robots[one.proof] if one.proof else _PROOFS[paper, one.where],
-        )
-        for paper in sorted(papers)
-        for one in transcription(paper).errata
-    ]
+    found = []
+    for paper in sorted(papers):
+        for one in transcription(paper).errata:
+            residuals = of_robots[one.proof] if one.proof else _PROOFS[paper, one.where]
+            found.append(Erratum(paper, one.where, one.printed, one.corrected, one.how, residuals))
+    return found
 
 
 def _height_alone() -> tuple[float, float]:

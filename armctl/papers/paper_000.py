@@ -9,7 +9,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.annulus import PlaneReach
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.genetic import plain
-from armctl.kinematics.genetic.problem import Evolution, Problem, behind_the_waist, points_problem
+from armctl.kinematics.genetic.problem import Evolution, behind_the_waist, points_problem
 from armctl.kinematics.inverse import refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
@@ -95,20 +95,16 @@ def evolve_grid(robot: Robot, seed: int, *, waist_given: bool, targets: FloatArr
 
 def polished(robot: Robot, targets: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Configurations moved onto the targets [m], shape (k, 3), as far as possible, and the distance left [m]."""
-    problem: Problem = points_problem(robot.chain, targets, robot.limits_rad)
-    q = refine_poses(robot.chain, problem.T, q, robot.limits_rad, turned=False, iterations=400)
+    T = points_problem(robot.chain, targets, robot.limits_rad).T
+    q = refine_poses(robot.chain, T, q, robot.limits_rad, turned=False, iterations=400)
     return q, np.linalg.norm(tool_position(robot.chain, q) - targets, axis=1)
-
-
-def reach(robot: Robot) -> PlaneReach:
-    """Where the tool point can go."""
-    lengths = robot.lengths_m
-    return PlaneReach((lengths["a2"], lengths["a3"], lengths["d5"]), 0.0, 0.0, lengths["d1"])
 
 
 def out_of_reach(robot: Robot) -> dict[tuple[float, float], tuple[float, FloatArray]]:
     """Targets of the grid (x, y) [cm] that the arm cannot reach: least distance [m] and nearest tool point [m]."""
-    where = reach(robot)
+    lengths = robot.lengths_m
+    # Where the tool point can go.
+    where = PlaneReach((lengths["a2"], lengths["a3"], lengths["d5"]), 0.0, 0.0, lengths["d1"])
     found = {}
     for target in grid_m():
         near, distance = where.nearest(target)

@@ -39,7 +39,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         from_m=FROM_M,
         to_m=TO_M,
         takes=len(done.takes_m),
-        mean_error_mm=done.optimum.ga.mean_error_mm,
+        mean_error_mm=done.optimum.ga.path.mean_error_mm,
         gap_ratio=done.optimum.gap_ratio,
     )
     return PaperReport(*told, tuple(rows), (), tuple(pictures))

@@ -13,7 +13,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
 from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
 from armctl.papers.transcription import introduced, transcription
-from armctl.papers.verdict import Effort, claim, same, through_closed_form, yes_no
+from armctl.papers.verdict import Effort, claim, same, through_closed_form
 from armctl.report import kinematics as drawn
 from armctl.trajectory.quintic import Curves, curves, quintic
 
@@ -100,7 +100,7 @@ def _workspace_rows(robot: Robot, extent: FloatArray, points: FloatArray) -> lis
     offset = robot.lengths_m["d2"] * 1e3
     hollow = f"cylindrical notch, Fig. 4 (d2 = {offset:g} mm)"
     rows = [
-        claim("random points within the exact extents", "yes", yes_no(inside), inside),
+        claim("random points within the exact extents", "yes", "yes" if inside else "no", inside),
         claim(f"radius of the {hollow}", "a notch", notch, notch >= offset - 1e-6, unit="mm"),
     ]
     for i, axis in enumerate("xyz"):
@@ -119,7 +119,7 @@ def _trajectory_rows(robot: Robot, motion: Curves) -> list[Row]:
         claim("distance of the trajectory's end from what is wanted", "reached", missed, missed < EXACT, unit="m"),
         claim("velocity and acceleration at both ends", "0", ends, ends < 1e-9, unit="rad/s, rad/s^2"),
         claim("greatest step of acceleration between samples, of its peak", "continuous", steps, steps < 0.1),
-        claim("motion within the joint ranges", "-", yes_no(inside), inside, why="differs: it leaves them"),
+        claim("motion within the joint ranges", "-", "yes" if inside else "no", inside, why="differs: it leaves them"),
     ]
 
 

@@ -51,11 +51,6 @@ def claim(
     return Row(quantity, printed, armctl, unit, "equal" if holds else why)
 
 
-def yes_no(holds: bool) -> str:
-    """The word for it."""
-    return "yes" if holds else "no"
-
-
 def through_closed_form(robot: Robot, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The poses of configurations [rad], shape (m, n), through closed inverse kinematics and back.
 

@@ -19,7 +19,7 @@ def write(report: line.ExperimentReport, path: Path) -> None:
         picture.write(report, path)
         return
     page = Page("Straight line: before and after correction")
-    begin, end = line.point_text(report.from_m), line.point_text(report.to_m)
+    begin, end = map(line.point_text, report.ends)
     page.text(f"The tool was to move from ({begin}) to ({end}) m in a straight line.")
     for note in report.notes:
         page.text(note)

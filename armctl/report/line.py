@@ -83,21 +83,10 @@ Ends = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class AboutLine:
-    """What every page about a line tells."""
-
-    from_m: FloatArray
-    to_m: FloatArray
-
-    @property
-    def ends(self) -> Ends:
-        return self.from_m, self.to_m
-
-
-@dataclass(frozen=True, eq=False)
-class ExperimentReport(AboutLine):
+class ExperimentReport:
     """Everything the page shows. Parts without data are left out."""
 
+    ends: Ends
     outcomes: Sequence[DrawnOutcome]
     # Of the genetic algorithm, by generation.
     best_cost_mm: Sequence[float] = ()
@@ -111,9 +100,10 @@ class ExperimentReport(AboutLine):
 
 
 @dataclass(frozen=True, eq=False)
-class LineReport(AboutLine):
+class LineReport:
     """Everything the page shows."""
 
+    ends: Ends
     joint_names: Sequence[str]
     candidates_m: Sequence[FloatArray]
     # Name, mean and maximum error of each candidate.
@@ -137,8 +127,9 @@ def errors_mm(tool_m: FloatArray, from_m: FloatArray, to_m: FloatArray) -> tuple
 def write(report: LineReport, path: Path) -> None:
     """Write the page."""
     page = Page("Straight line: taught, optimised, run")
+    begin, end = map(point_text, report.ends)
     page.text(
-        f"The tool was to move from ({point_text(report.from_m)}) to ({point_text(report.to_m)}) m in a straight line. "
+        f"The tool was to move from ({begin}) to ({end}) m in a straight line. "
         f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
         "result through 0, 1 and 2 intermediate points."
     )

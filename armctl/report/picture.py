@@ -68,7 +68,7 @@ def _view(
 ) -> tuple[list[str], float]:
     """Paths seen along one direction, and the height that takes."""
     paths = [(kind, along_and_off(_thinned(run.real_tool_m), *report.ends)) for kind, run in named]
-    length = float(np.linalg.norm(report.to_m - report.from_m)) * 1000.0
+    length = float(np.linalg.norm(np.subtract(*report.ends))) * 1000.0
     along = np.concatenate([[0.0, length], *(seen[0] for _, seen in paths)])
     off = np.concatenate([[-LEAST_HALF_HEIGHT_MM, LEAST_HALF_HEIGHT_MM], *(seen[axis] for _, seen in paths)])
     scale = (WIDTH - 2 * MARGIN) / float(np.ptp(along))

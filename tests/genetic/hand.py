@@ -1,9 +1,11 @@
 """Synthetic recordings of a hand guiding the limp arm along a line."""
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from armctl.config import ArmConfig
 from armctl.files import load_arm
@@ -13,6 +15,7 @@ from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 
+REFUSALS = Path(__file__).with_name("refusals.yaml")
 A = np.array([0.18, -0.125, 0.10])
 B = np.array([0.18, 0.125, 0.10])
 POSTURE = (-0.6, 1.2, -1.6, -0.6, 0.0)
@@ -35,6 +38,11 @@ def changed(original: ArmConfig, joint: int | None = None, **changes: Any) -> Ar
     data = original.model_dump()
     (data if joint is None else data["joints"][joint]).update(changes)
     return ArmConfig.model_validate(data)
+
+
+def refusals(of: str) -> list[tuple[dict[str, Any], str]]:
+    """What is changed so that it is refused, and what is said of it."""
+    return [tuple(row) for row in yaml.safe_load(REFUSALS.read_text(encoding="utf-8"))[of]]
 
 
 @cache

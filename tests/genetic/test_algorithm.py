@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from armctl.errors import ConfigError
 from armctl.genetic.algorithm import DEFAULT, PAPER, GeneticAlgorithm, Settings
 from armctl.genetic.triple_cost import evaluate
 from armctl.kinematics.transform import FloatArray, IntArray
+from tests.genetic import hand
 
 PLAIN = replace(
     DEFAULT, population=40, crossover="one cut", mutation_probability=0.05, charge_shares=(1.0,), searches=0
@@ -131,24 +133,7 @@ def test_restart_asks_the_first_population_and_the_survivors_under_the_new_cost(
     assert algorithm.best_cost == pytest.approx(float(evaluate(table + 1.0, before)))
 
 
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        ({"population": 1}, "population: 1 is outside 2"),
-        ({"generations": 0}, "generations"),
-        ({"crossover_probability": 1.1}, "crossover_probability: 1.1 is outside 0 to 1"),
-        ({"mutation_probability": float("nan")}, "mutation_probability"),
-        ({"elite_fraction": -0.1}, "elite_fraction"),
-        ({"window_genes": 0}, "window_genes: 0 is outside 1 to 12"),
-        ({"window_genes": 13}, "window_genes"),
-        ({"searches": -1}, "searches"),
-        ({"stall_generations": -1}, "stall_generations"),
-        ({"charge_shares": ()}, "charge_shares"),
-        ({"charge_shares": (0.5,)}, "the last of them 1"),
-        ({"charge_shares": (-1.0, 1.0)}, "not negative"),
-        ({"generations": 2, "charge_shares": (1.0, 1.0, 1.0)}, "1 to 2 numbers"),
-    ],
-)
-def test_settings_out_of_range_are_refused(changes: dict[str, float], match: str) -> None:
+@pytest.mark.parametrize(("changes", "match"), hand.refusals("settings"))
+def test_settings_out_of_range_are_refused(changes: dict[str, Any], match: str) -> None:
     with pytest.raises(ConfigError, match=match):
-        replace(PAPER, **changes)  # type: ignore[arg-type]
+        replace(PAPER, **changes)

@@ -45,8 +45,8 @@ def test_joint_positions_stay_within_the_limits_of_the_arm() -> None:
         samples[:, 5] = 3.0
     candidates = aligned(recordings)
     for i, joint in enumerate(ARM.joints):
-        assert candidates.positions_rad[..., i].min() >= joint.limits_rad[0]
-        assert candidates.positions_rad[..., i].max() <= joint.limits_rad[1]
+        low, high = joint.limits_rad
+        assert low <= candidates.positions_rad[..., i].min() <= candidates.positions_rad[..., i].max() <= high
 
 
 def hesitant(samples: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.genetic.alignment import Candidates
@@ -33,7 +33,6 @@ def breaks_by_hand(genes: IntArray, q: FloatArray, progress: FloatArray, time_s:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(3, 7), st.sampled_from([0.01, 0.1, 1.0]))
-@settings(deadline=None)
 def test_tables_sum_to_mean_distance_and_charges(seed: int, R: int, m: int, spread: float) -> None:
     rng = np.random.default_rng(seed)
     costs, q, progress, time_s = made(rng, R, m, spread)
@@ -48,7 +47,6 @@ def test_tables_sum_to_mean_distance_and_charges(seed: int, R: int, m: int, spre
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None)
 def test_a_path_that_keeps_the_limits_beats_every_path_that_does_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
     costs, *_ = made(rng, 3, 5, 0.1)

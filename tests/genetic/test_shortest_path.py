@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from armctl.genetic.shortest_path import shortest_path, window_search
@@ -13,7 +13,6 @@ from armctl.genetic.triple_cost import evaluate
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6), st.integers(1, 4))
 @example(0, 6, 1)
-@settings(deadline=None)
 def test_no_chromosome_at_all_is_cheaper(seed: int, genes: int, choices: int) -> None:
     table = np.random.default_rng(seed).random((genes - 2, choices, choices, choices))
     every = np.array(list(product(range(choices), repeat=genes)))
@@ -23,7 +22,6 @@ def test_no_chromosome_at_all_is_cheaper(seed: int, genes: int, choices: int) ->
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 7), st.integers(1, 3), st.integers(0, 6), st.integers(1, 4))
-@settings(deadline=None)
 def test_a_window_is_the_best_of_all_while_every_other_gene_stays(
     seed: int, genes: int, choices: int, begin: int, length: int
 ) -> None:
@@ -41,7 +39,6 @@ def test_a_window_is_the_best_of_all_while_every_other_gene_stays(
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 8), st.integers(1, 4))
-@settings(deadline=None)
 def test_cost_is_the_sum_over_triples(seed: int, genes: int, choices: int) -> None:
     rng = np.random.default_rng(seed)
     table = rng.random((genes - 2, choices, choices, choices))

@@ -137,15 +137,8 @@ def test_a_jump_in_one_run_neither_counts_as_noise_nor_is_it_learnt() -> None:
     np.testing.assert_allclose(learnt.lag_rad, wanted.lag_rad, atol=1e-12)
 
 
-def test_after_a_plan_that_was_not_kept_the_next_starts_from_the_kept_one_and_goes_less_far() -> None:
-    on = Scripted(0.01, 0.01, 0.02, 0.03)
-    kept, *others = (np.array(one.plan.waypoints_rad) for one in refined(on, 2))
-    far, near = (np.abs(other - kept).max() for other in others)
-    assert 0.0 < near < far
-
-
 @given(st.lists(st.floats(0.001, 0.03), min_size=2, max_size=12))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_whatever_the_arm_does_kept_plans_get_better_and_the_last_of_them_is_the_outcome(off_rad: list[float]) -> None:
     rounds = refined(Scripted(*off_rad), 4)
     kept = [one.filtered_mm for one in rounds if one.kept]
@@ -221,12 +214,15 @@ def test_smoothing_keeps_what_is_constant_and_averages_noise() -> None:
     assert correction.smoothed(noise, 0.1).std() < 0.5
 
 
-def test_a_correction_that_did_not_help_is_tried_again_at_half_the_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_correction_that_did_not_help_is_tried_again_from_the_kept_plan_at_half_the_gain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     on, gains = rig(), []
     first = first_run(on, 2)
     seen = iter([5.0, 8.0, 3.0, 6.0, 6.0])  # kept, worse, kept, worse, worse
 
     def learn(_rig: object, last: correction.Round, gain: float) -> Course:
+        assert last.kept
         gains.append(gain)
         return last.course
 

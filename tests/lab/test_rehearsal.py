@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.errors import LogError, RequestRefused
 from armctl.lab.rehearsal import logged_motion, rehearse
@@ -16,16 +15,15 @@ from armctl.messages import TickRecord
 from armctl.recording import timeline
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
+from tests.genetic.hand import changed
 from tests.recording.factory import ARM, PERIOD_S
 from tests.recording.logs import write as write_log
 from tests.recording.simulated import simulated_records
 
-RECORDS = simulated_records()
-
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Timeline:
-    return timeline.load(write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS))
+    return timeline.load(write_log(tmp_path_factory.mktemp("log") / "a.mcap", simulated_records()))
 
 
 class Witness:
@@ -38,11 +36,6 @@ class Witness:
     def __call__(self, arm: SimulatedArm, record: TickRecord) -> None:
         self.q.append(arm.true_positions())
         self.records.append(record)
-
-
-def like(**changes: object) -> ArmConfig:
-    """The arm with something else about it."""
-    return ArmConfig(**{name: getattr(ARM, name) for name in ArmConfig.model_fields} | changes)
 
 
 def moved(log: Timeline, offset_rad: float) -> Timeline:
@@ -99,7 +92,7 @@ def test_a_limp_arm_is_followed_where_it_was_led(log: Timeline) -> None:
 
 
 def test_a_log_of_another_arm_is_refused_unless_asked(log: Timeline) -> None:
-    other, recalibrated = like(arm_id="other"), like(floor_m=0.001)
+    other, recalibrated = changed(ARM, arm_id="other"), changed(ARM, floor_m=0.001)
     for arm, named in (
         (other, "arm_id of the log is ax12-line, of this arm other"),
         (recalibrated, "calibration_hash"),
@@ -112,7 +105,7 @@ def test_a_log_of_another_arm_is_refused_unless_asked(log: Timeline) -> None:
 
 
 def test_an_arm_with_other_joints_cannot_repeat_it(log: Timeline) -> None:
-    smaller = like(joints=ARM.joints[:5])
+    smaller = ARM.model_copy(update={"joints": ARM.joints[:5]})
     with pytest.raises(LogError, match="6 joints in the log, 5 on the arm"):
         rehearse(log, smaller, foreign=True)
 
@@ -128,6 +121,5 @@ def test_a_long_log_is_run_in_parts(log: Timeline, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("armctl.lab.rehearsal.MAX_POINTS", 20)
     seen: list[float] = []
     parts = rehearse(log, ARM, seed=3, progress=seen.append)
-    assert len(seen) == 4
-    assert seen[-1] == 1.0
+    assert (len(seen), seen[-1]) == (4, 1.0)
     assert parts.joint_rms_rad == pytest.approx(whole.joint_rms_rad, rel=0.5)

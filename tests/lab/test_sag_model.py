@@ -25,7 +25,7 @@ def motion(rng: np.random.Generator, m: int = 51) -> np.ndarray:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_coefficients_are_found_again_in_what_they_make(seed: int) -> None:
     rng = np.random.default_rng(seed)
     X = [regressors(CHAIN, motion(rng), rng.uniform(-0.05, 0.05, 5), PERIOD_S) for _ in range(8)]
@@ -63,7 +63,7 @@ def potential_J(q: np.ndarray) -> float:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_the_nominal_arm_sags_by_the_slope_of_its_potential_energy(seed: int) -> None:
     q = np.random.default_rng(seed).uniform(-1.5, 1.5, 5)
     slope = np.array([(potential_J(q + step) - potential_J(q - step)) / 2e-6 for step in 1e-6 * np.eye(5)])

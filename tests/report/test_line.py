@@ -17,8 +17,7 @@ def path(up_m: float) -> FloatArray:
 
 
 REPORT = LineReport(
-    from_m=A,
-    to_m=B,
+    ends=(A, B),
     joint_names=("base", "shoulder"),
     candidates_m=[path(0.01)],
     candidate_errors_mm=[("take <1>", 10.0, 10.0)],

@@ -24,7 +24,7 @@ def run(off_m: FloatArray, *, true: bool = True) -> LineRun:
 
 
 def report(before: LineRun, after: LineRun) -> ExperimentReport:
-    return ExperimentReport(A, B, [DrawnOutcome(via, before, [after], [before, after]) for via in (2, "stream")])
+    return ExperimentReport((A, B), [DrawnOutcome(via, before, [after], [before, after]) for via in (2, "stream")])
 
 
 SAGGED, STRAIGHT = run(np.array([0.01, 0.0, -0.02])), run(np.array([0.001, 0.0, 0.0]))

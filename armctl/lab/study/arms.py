@@ -13,10 +13,9 @@ from armctl.errors import RequestRefused
 from armctl.lab import line_results
 from armctl.lab.course import Via
 from armctl.lab.line_experiment import experiment, identified
-from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.rig import VirtualRig
 from armctl.lab.sag_model import SagModel
 from armctl.lab.study.case import Case, Found, Row
-from armctl.trajectory.plan import Plan
 
 TOLD = ("mean_error_mm", "max_error_mm", "duration_s", "truth", "predicted_mean_error_mm", "predicted_max_error_mm")
 
@@ -40,18 +39,16 @@ def run(case: Case) -> Found:
 
 
 def _ran(case: Case, via: Via, rig: VirtualRig, model: SagModel | None) -> Row:
+    corrected: Row = {"before": None}
     if case.plan is not None:
-        return _row(case, via, rig, case.plan, rig.run(case.plan)) | {"before": None}
-    (outcome,) = experiment(rig, case.line, (via,), replace(case, repeats=1), model)
-    first = outcome.rounds[0]
-    before = line_results.row(case.line, via, rig, first.plan, [first.measured])["truth"]
-    row = _row(case, via, rig, outcome.best.plan, outcome.runs[0])
-    return {**row, "before": before, "rounds": len(outcome.rounds) - 1}
-
-
-def _row(case: Case, via: Via, rig: VirtualRig, plan: Plan, measured: Measured) -> Row:
-    row = line_results.row(case.line, via, rig, plan, [measured])
-    return {"arm": case.seed, "via": via, **{key: row[key] for key in TOLD}, "refused": None}
+        plan, runs = case.plan, [rig.run(case.plan)]
+    else:
+        (outcome,) = experiment(rig, case.line, (via,), replace(case, repeats=1), model)
+        plan, runs, first = outcome.best.plan, outcome.runs, outcome.rounds[0]
+        before = line_results.row(case.line, via, rig, first.plan, [first.measured])["truth"]
+        corrected = {"before": before, "rounds": len(outcome.rounds) - 1}
+    row = line_results.row(case.line, via, rig, plan, runs)
+    return {"arm": case.seed, "via": via, **{key: row[key] for key in TOLD}, "refused": None, **corrected}
 
 
 def summary(rows: Sequence[Row]) -> list[Row]:

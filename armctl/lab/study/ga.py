@@ -51,7 +51,7 @@ def run(case: Case) -> Found:
     best = np.array(result.ga.best_cost_mm)
     row = {
         **{name: getattr(case.settings, name) for name in VARIED},
-        "mean_error_mm": result.ga.mean_error_mm,
+        "mean_error_mm": result.ga.path.mean_error_mm,
         "gap_ratio": result.gap_ratio,
         "feasible": result.feasible,
         "settled_generation": int(np.argmax(best <= SETTLED_SHARE * best[-1])) + 1,

@@ -97,8 +97,7 @@ def write(path: Path, cases: Sequence[Case], found: Sequence[Found], rows: Seque
     case = cases[0]
     counts = tuple(via for via in case.via if isinstance(via, int))
     report = ExperimentReport(
-        from_m=case.line.A,
-        to_m=case.line.B,
+        ends=(case.line.A, case.line.B),
         outcomes=found[0].evidence,
         limits=rows,
         fronts=_fronts(replace(case, via=counts), workers),

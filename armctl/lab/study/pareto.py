@@ -34,7 +34,7 @@ def run(case: Case) -> Found:
             {
                 "duration_s": case.duration_s,
                 "via": plan.via,
-                "recorded_mean_error_mm": result.ga.mean_error_mm,
+                "recorded_mean_error_mm": result.ga.path.mean_error_mm,
                 "recorded_max_error_mm": result.ga.path.max_error_mm,
                 "feasible": result.feasible,
                 "gap_ratio": result.gap_ratio,

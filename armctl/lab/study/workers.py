@@ -6,10 +6,10 @@ Nothing is shared. So the results are the same bits whoever does the work; they 
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, TypeVar
 
 from armctl.errors import ArmctlError
@@ -85,29 +85,19 @@ def _watch(finished: Iterable[Any], tell: Tell) -> None:
 
 
 def _on_cluster(work: Callable[[A], R], arguments: Sequence[A], scheduler: str, tell: Tell) -> list[R]:
-    with _cluster(scheduler) as client:
-        from distributed import as_completed as as_gathered
-
-        gathered: Any = as_gathered
-        futures = client.map(work, list(arguments), pure=False)
-        _watch(gathered(futures, loop=client.loop), tell)
-        results: list[R] = client.gather(futures)
-    return results
-
-
-@contextmanager
-def _cluster(scheduler: str) -> Iterator[Any]:
     try:
-        from distributed import Client
+        distributed: Any = import_module("distributed")
     except ImportError:
         raise ArmctlError("a Dask scheduler needs distributed; install it with: pip install 'armctl[study]'") from None
-    connect: Any = Client
     try:
-        client = connect(scheduler, timeout=CONNECT_S, set_as_default=False)
+        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ArmctlError(
             f"no Dask scheduler at {scheduler}: {error or type(error).__name__}; start one with `dask scheduler` and "
             "workers with `dask worker`, with armctl installed where they run"
         ) from None
     with client:
-        yield client
+        futures = client.map(work, list(arguments), pure=False)
+        _watch(distributed.as_completed(futures, loop=client.loop), tell)
+        results: list[R] = client.gather(futures)
+    return results

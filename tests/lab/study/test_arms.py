@@ -24,8 +24,7 @@ def test_a_plan_is_run_as_it_stands() -> None:
     one = case(seed=0, via=(1,))
     plan = through_points(one.rig(), one)
     (row,) = run(case(plan=plan, rounds=5)).rows
-    assert row["via"] == 1
-    assert row["before"] is None
+    assert (row["via"], row["before"]) == (1, None)
     assert row["truth"]["mean_error_mm"] > 5.0  # nothing corrected it
     (refused,) = run(case(plan=plan.model_copy(update={"calibration_hash": "other"}))).rows
     assert "calibration" in refused["refused"]

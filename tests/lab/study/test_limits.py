@@ -37,9 +37,7 @@ def test_every_effect_of_the_simulator_can_be_switched_off() -> None:
 
 def test_outcomes_hold_the_true_paths_of_every_round_and_repeat(found: Found) -> None:
     for row, outcome in zip(found.rows, found.evidence, strict=True):
-        assert outcome.via == row["via"]
-        assert len(outcome.runs) == 2
-        assert len(outcome.rounds) == 1
+        assert (outcome.via, len(outcome.runs), len(outcome.rounds)) == (row["via"], 2, 1)
         assert outcome.before.truth_tool_m is not None
         error = float(mean_error(outcome.before.truth_tool_m, CASE.line.A, CASE.line.B)) * 1e3
         assert error == pytest.approx(row["before_mm"])
@@ -52,7 +50,7 @@ def test_the_page_shows_every_part_and_its_numbers(found: Found, tmp_path: Path)
         "feasible": True, "front_duration": True, "front_via": False,
     }  # fmt: skip
     report = ExperimentReport(
-        CASE.line.A, CASE.line.B, found.evidence, best_cost_mm=(3.0, 2.0), exact_mean_mm=1.9,
+        (CASE.line.A, CASE.line.B), found.evidence, best_cost_mm=(3.0, 2.0), exact_mean_mm=1.9,
         limits=found.rows, fronts=[front], notes=("a note & more",),
     )  # fmt: skip
     page.write(report, tmp_path / "page.html")

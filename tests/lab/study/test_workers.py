@@ -99,8 +99,7 @@ def test_what_the_work_raises_is_raised_here_with_its_fields(scheduler: str) -> 
     for processes, where in ((1, None), (2, None), (1, scheduler)):
         with pytest.raises(RequestRefused) as caught:
             workers(processes, where, []).carry_out("refusing", refuse, range(4))
-        assert caught.value.code == "BAD_LINE"
-        assert caught.value.reasons == ("too short", "too low")
+        assert (caught.value.code, caught.value.reasons) == ("BAD_LINE", ("too short", "too low"))
 
 
 def test_a_scheduler_that_is_none_is_named_with_the_remedy() -> None:
