@@ -71,7 +71,7 @@ def test_planted_zeros_and_3_mm_lengths_come_back(seed: int) -> None:
     assert found.complete
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_without_noise_every_arm_is_found_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)

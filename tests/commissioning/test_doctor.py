@@ -1,10 +1,11 @@
 """What the doctor finds on arms with planted troubles."""
 
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
+import yaml
 
 from armctl.commissioning import doctor
 from armctl.commissioning.doctor import Check, Surroundings, check_host, check_port, check_servos
@@ -69,51 +70,23 @@ def test_slow_adapter_also_costs_the_cycle_and_return_delay_is_set_for_all(tmp_p
     assert checks["return_delay", 6].fix == "armctl servo set-return-delay all 0"
 
 
-Plant = Callable[[Bench], None]
+TROUBLES = yaml.safe_load(Path(__file__).with_name("troubles.yaml").read_text(encoding="utf-8"))
 
 
-def plant(servo: int, register: ax12a.Register, value: int) -> Plant:
-    return lambda bench: bench.servos[servo - 1].set(register, value)
-
-
-def condition(name: str, value: float) -> Plant:
-    return lambda bench: setattr(bench.servos[1], name, value)
-
-
-HOT = condition("temperature_degC", 66.0)
-OVERLOADED = condition("overloaded", True)
-
-
-def too_hot(bench: Bench) -> None:
-    for trouble in (HOT, OVERLOADED, plant(2, ax12a.TEMPERATURE_LIMIT, 60)):
-        trouble(bench)
-
-
-@pytest.mark.parametrize(
-    ("trouble", "names", "value", "fix"),
-    [
-        (plant(2, ax12a.MODEL, 18), {"model"}, "18", "use an AX-12A"),
-        (plant(2, ax12a.RETURN_LEVEL, 1), {"return_level"}, "1", "armctl servo set 2 status_return_level 2"),
-        (plant(2, ax12a.RETURN_LEVEL, 0), {"return_level"}, "no READ", "armctl servo set 2 status_return_level 2"),
-        (plant(2, ax12a.CW_LIMIT, 200), {"angle_limits"}, "200..750", "armctl servo set 2 cw_angle_limit 171"),
-        (plant(2, ax12a.CCW_LIMIT, 0), {"angle_limits"}, "171..0", "armctl servo set 2 ccw_angle_limit 750"),
-        (plant(2, ax12a.SHUTDOWN, 1), {"shutdown"}, "voltage", "armctl servo set 2 shutdown 37"),
-        (plant(2, ax12a.TORQUE_LIMIT, 0), {"torque"}, "shut itself down", "switch its power off and on"),
-        (condition("voltage_V", 7.4), {"voltage"}, "7.4 V", "9 to 12.6 V"),
-        (HOT, {"temperature"}, "66 degC", "cool down"),
-        (OVERLOADED, {"error_bits"}, "overload", "relieve the joint"),
-        (too_hot, {"error_bits", "temperature"}, "overheat, overload", "cool down"),
-    ],
-)
+@pytest.mark.parametrize("trouble", TROUBLES, ids=lambda trouble: str(trouble["value"]))
 def test_each_trouble_of_one_servo_is_one_line_with_one_fix(
-    bench: Bench, tmp_path: Path, trouble: Plant, names: set[str], value: str, fix: str
+    bench: Bench, tmp_path: Path, trouble: dict[str, Any]
 ) -> None:
-    trouble(bench)
+    for name, value in trouble.get("conditions", {}).items():
+        setattr(bench.servos[1], name, value)
+    for register in ax12a.REGISTERS:
+        if register.name in trouble.get("registers", {}):
+            bench.servos[1].set(register, trouble["registers"][register.name])
     checks = examine(bench, tmp_path)
-    assert failed(checks) == {(name, 2) for name in names}
-    worst = checks[min(names), 2]
-    assert value in worst.value
-    assert fix in worst.fix
+    assert failed(checks) == {(name, 2) for name in trouble["fails"]}
+    worst = checks[trouble["fails"][0], 2]
+    assert trouble["value"] in worst.value
+    assert trouble["fix"] in worst.fix
 
 
 def test_torque_that_is_on_is_told_and_no_trouble(bench: Bench, tmp_path: Path) -> None:

@@ -7,8 +7,6 @@ the words of errors; floats have five digits, because those after differ between
 Commands on a simulated arm in real time do not: of their answers keys, types, codes and states are kept.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -4,8 +4,6 @@
 All imports of the package's internals stand in this file; a rename is followed here and nowhere else.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """The data files of the guard: digests by name, one a line, so that a difference names what differs."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

@@ -4,8 +4,6 @@
 The version of armctl and the name of the machine are masked. All else is fixed, and keyframes are listed apart.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import shutil

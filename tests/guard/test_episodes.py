@@ -3,8 +3,6 @@
 `episodes.json` is made anew (see `episodes.py`) only by a commit that says why.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from tests.guard.episodes import CHUNKS, EPISODES, FAULTS, FILE, happenings, played

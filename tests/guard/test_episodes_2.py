@@ -1,7 +1,5 @@
 """Guards the second half of the episodes, see `test_episodes.py`; a file of its own, so that two workers share them."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.guard.episodes import CHUNKS, FILE, played

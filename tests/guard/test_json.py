@@ -3,8 +3,6 @@
 `commands.json` is made anew (see `commands.py`) only by a commit that says why. A difference names command and key.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from tests.guard.commands import FILE, answers, names, on_an_arm

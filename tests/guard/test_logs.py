@@ -3,8 +3,6 @@
 `logs.json` is made anew (see `logs.py`) only by a commit that says why. A difference names the kind and the topic.
 """
 
-from __future__ import annotations
-
 from tests.guard.kept import load
 from tests.guard.logs import FILE, KEYFRAMES, of_every_kind
 

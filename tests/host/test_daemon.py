@@ -21,7 +21,7 @@ from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import Config
 from armctl.control.link import StartFailed
 from armctl.control.process import ControlSettings
-from armctl.errors import BusError, ConfigError, PortBusy, PortGone, PortMissing, RequestRefused
+from armctl.errors import BusError, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.files import load_arm
 from armctl.host import daemon
 from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, Outside, restart_wait_s, run_daemon
@@ -182,22 +182,6 @@ async def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group(
         assert log == {"path": "/logs/log.mcap", "problem": "", "dropped": 0, "recorder_dropped": 0}
 
 
-async def test_a_run_over_the_socket_is_recorded_and_measured(b: Bench) -> None:
-    with await holding(b) as client:
-        result = await b.call(client, "run", plan=b.plan())
-    assert result.keys() == {
-        "recording",
-        "mean_error_mm",
-        "max_error_mm",
-        "duration_s",
-        "predicted_mean_error_mm",
-        "predicted_max_error_mm",
-        "begin_ns",
-        "end_ns",
-    }
-    assert list(b.recorder.takes) == [result["recording"]]
-
-
 async def test_commands_and_their_outcome_stand_in_the_log(b: Bench) -> None:
     with await holding(b) as client:
         with pytest.raises(RequestRefused):
@@ -214,14 +198,6 @@ async def test_commands_and_their_outcome_stand_in_the_log(b: Bench) -> None:
     ]
     assert notes[2]["params"] == {"name": "x"}
     assert f"uid {os.getuid()}" in notes[0]["who"]
-
-
-async def test_release_has_to_be_confirmed(b: Bench) -> None:
-    with await holding(b) as client:
-        for params in ({}, {"confirm": False}):
-            with pytest.raises(ConfigError, match="confirm"):
-                await b.call(client, "release", **params)
-        assert await b.call(client, "release", confirm=True) == {"state": "off"}
 
 
 async def test_subscribers_see_every_tick(b: Bench) -> None:

@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.host import jsonrpc
@@ -28,14 +28,12 @@ JSON = st.recursive(
 )
 
 
-@settings(deadline=None)
 @given(st.text(), st.dictionaries(st.text(), JSON, max_size=4), st.integers() | st.text() | st.none())
 def test_a_request_is_read_as_it_was_written(method: str, params: dict[str, Any], request_id: int | str | None) -> None:
     found = decode(request(method=method, params=params, id=request_id))
     assert (found.method, found.params, found.id, found.answered) == (method, params, request_id, True)
 
 
-@settings(deadline=None)
 @given(st.binary() | JSON.map(lambda value: json.dumps(value).encode()))
 def test_whatever_comes_is_a_request_or_a_protocol_error(line: bytes) -> None:
     refused = None
@@ -115,7 +113,6 @@ def test_a_defect_shows_no_more_than_its_kind() -> None:
     assert "secret" not in json.dumps(answer)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=300))
 def test_a_token_bucket_never_grants_more_than_burst_and_rate(steps_s: list[float]) -> None:
     bucket, now_s, granted = TokenBucket(20.0, 10.0, 0.0), 0.0, 0

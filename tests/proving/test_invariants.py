@@ -6,7 +6,7 @@ Here those of goals and of torque; `test_duties.py` and `test_rows.py` have what
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.dynamixel import ax12a
@@ -42,7 +42,6 @@ def test_1_a_goal_outside_the_limits_of_its_joint(holding: Bench, ticks: int) ->
     assert "1" in holding.broken
 
 
-@settings(deadline=None)
 @given(step=st.integers(-100, 100))
 def test_2_a_goal_step_is_bounded_by_speed_and_period(step: int) -> None:
     bench = running()

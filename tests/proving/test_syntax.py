@@ -1,8 +1,10 @@
 """Edits by the shape of a syntax tree: what fits, what a placeholder stands for, what comes out."""
 
 import ast
+from pathlib import Path
 
 import pytest
+import yaml
 
 from proving.syntax import Edit, apply, fits
 
@@ -17,26 +19,15 @@ def bounded(s, tick, low, high):
 """
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"),
-    [
-        ("min(max(__t, __low), __high)", "__t", "s.goal = tick"),
-        (
-            "if __a and __s.fresh:\n    ...",
-            "if __s.fresh:\n    ...",
-            "if s.fresh:\n        send(s, tick)\n        wait()",
-        ),
-        ("first(__x)\nsecond(__y)", "second(__y)", "    second(2)"),
-        ("__s.goal = __value", "", "pass"),
-        ("__s.__field = min(__a, __b)", "__s.__field = __b", "s.goal = high"),
-        ("__f(1)", "__f(0)", "first(0)"),
-    ],
-)
-def test_what_fits_once_is_replaced(old: str, new: str, expected: str) -> None:
-    tree, edit = ast.parse(CODE), Edit(old, new)
-    assert fits(tree, edit) == 1
-    apply(tree, edit)
-    assert expected in ast.unparse(tree)
+EDITS = yaml.safe_load(Path(__file__).with_name("syntax.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("edit", EDITS, ids=lambda edit: str(edit["old"]))
+def test_what_fits_once_is_replaced(edit: dict[str, str]) -> None:
+    tree, change = ast.parse(CODE), Edit(edit["old"], edit["new"])
+    assert fits(tree, change) == 1
+    apply(tree, change)
+    assert edit["expected"] in ast.unparse(tree)
 
 
 @pytest.mark.parametrize(
