@@ -14,7 +14,6 @@ import os
 import re
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,8 @@ import yaml
 from armctl.cli import cli, main
 from tests.guard.kept import FOLDER, digest, save
 from tests.guard.logs import build
+from tests.scenarios.bench import SHORT_DEMO, environment
+from tests.terminal import free_port
 
 FILE = "commands.json"
 LINE = "--from 0.18,-0.1,0.10 --to 0.18,0.1,0.10"
@@ -63,10 +64,8 @@ def own_folder() -> Iterator[Path]:
     """A new folder that commands run in, and that they write to instead of the user's own."""
     with tempfile.TemporaryDirectory(prefix="armctl-") as name, contextlib.chdir(name):
         folder = Path(name)
-        kept = {key: value for key, value in os.environ.items() if not key.startswith(("ARMCTL_", "XDG_"))}
-        places = {"HOME": "home", "XDG_DATA_HOME": "data", "XDG_CONFIG_HOME": "config", "XDG_RUNTIME_DIR": "run"}
-        own = {key: str(folder / place) for key, place in places.items()} | {"ARMCTL_SOCKET": str(folder / "s")}
-        with patch.dict(os.environ, kept | own, clear=True):
+        own = environment(folder) | {"ARMCTL_SOCKET": str(folder / "s")}
+        with patch.dict(os.environ, own, clear=True):
             yield folder
 
 
@@ -187,10 +186,7 @@ def on_an_arm() -> dict[str, Any]:
             with started("daemon --port port") as daemon:
                 session.note("daemon", 0, daemon())
                 play(session)
-        # What the demonstration does takes two minutes of real time; less of it gives the same keys.
-        less: dict[str, Any] = {"TAKES": 1, "VIA": (1,), "DURATION_S": 2.0}
-        less |= {"FROM_M": (0.18, -0.05, 0.1), "TO_M": (0.18, 0.05, 0.1)}
-        with patch.multiple("armctl.lab.demo", **less):
+        with patch.multiple("armctl.lab.demo", **SHORT_DEMO):
             session.ask("demo --out demo")
     return session.found
 
@@ -212,10 +208,7 @@ def play(session: Session) -> None:
         session.note("run", 0, ran())
     session.first("watch")
     session.first("live", "--port 0")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    session.first("web", f"--port {port}")
+    session.first("web", f"--port {free_port()}")
     session.ask(*COMMANDS["at last"])
 
 

@@ -1,22 +1,19 @@
 """The demonstration, shortened: one take of a short line, and one run of it."""
 
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
 from armctl.lab import demo
 from armctl.lab.stage import silent
+from tests.scenarios.bench import SHORT_DEMO
 
 pytestmark = pytest.mark.pty
 
 
-def test_demonstration_teaches_optimises_runs_replays_and_reports(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, value in (("TAKES", 1), ("VIA", (1,)), ("DURATION_S", 2.0)):
-        monkeypatch.setattr(demo, name, value)
-    monkeypatch.setattr(demo, "FROM_M", (0.18, -0.05, 0.10))
-    monkeypatch.setattr(demo, "TO_M", (0.18, 0.05, 0.10))
+@patch.multiple(demo, **SHORT_DEMO)
+def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     result = demo.run(out, 1, silent)
 
