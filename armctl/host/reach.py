@@ -11,10 +11,9 @@ from armctl.host.host import Host
 from armctl.host.lease import Client
 from armctl.host.watch import Leg
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory import grasp
-from armctl.trajectory.grasp import ReachRequest
+from armctl.trajectory.grasp import Grasp, ReachRequest
 
 # Of the load asked for: with less the gripper has lost what it held.
 HELD_SHARE = 0.5
@@ -30,8 +29,9 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
             failed on the way.
         LogError: the recording cannot be made.
     """
-    legs = _Legs(host, request)
-    name, done = await host.execute(client, "reach", legs.all(), {"event": "REACH", **request.model_dump()})
+    planned: list[Grasp] = []
+    legs = _legs(host, request, planned)
+    name, done = await host.execute(client, "reach", legs, {"event": "REACH", **request.model_dump()})
     n = host.robot.chain.n
     q = np.array([leg.watch.positions_rad[-1][:n] for leg in done])
     place = tool_position(host.robot.chain, q)
@@ -41,7 +41,7 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
         "position_error_mm": float(error_mm),
         "position_m": place[_THERE].tolist(),
         "joints_rad": q[_THERE].tolist(),
-        "target_rad": legs.path_rad[-1].tolist(),
+        "target_rad": planned[0].path_rad[-1].tolist(),
         "method": request.ik,
         "duration_s": (done[-1].watch.time_ns[-1] - done[0].watch.time_ns[0]) / NS_PER_S,
         "gripped": None,
@@ -60,40 +60,29 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
     }
 
 
-class _Legs:
-    """The legs of one reach; the way is planned when the first is made, before anything moves."""
+def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:
+    """The legs of one reach; the first plans the way, before anything moves, and puts it into `planned`."""
+    where = host.arm, host.robot, host.period_s
 
-    # Joint positions on the straight line, once it is planned; see `Grasp`.
-    path_rad: FloatArray
-
-    def __init__(self, host: Host, request: ReachRequest) -> None:
-        self._request = request
-        self._where = host.arm, host.robot, host.period_s
-
-    def all(self) -> list[Leg]:
-        where = self._where
-
-        def straight(step: int) -> Leg:
-            return lambda q_now, _: grasp.straight(self.path_rad[::step], q_now, *where)
-
-        def align(place: int) -> Leg:
-            return lambda q_now, q_measured: grasp.align(self.path_rad[place], q_now, q_measured, *where)
-
-        # Twice at the point: the second correction takes what the first one has left.
-        there = [self._approach, align(0), straight(1), align(-1), align(-1)]
-        act: dict[str, list[Leg]] = {
-            "stay": [],
-            "grip": [lambda q_now, _: grasp.gripping(q_now, *where, closing=True), straight(-1)],
-            "let_go": [lambda q_now, _: grasp.gripping(q_now, *where, closing=False), straight(-1)],
-        }
-        return there + act[self._request.gripper]
-
-    def _approach(self, q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
-        if self._request.gripper != "stay":
-            grasp.gripper_of(*self._where[:2])
+    def approach(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+        if request.gripper != "stay":
+            grasp.gripper_of(host.arm, host.robot)
         try:
-            planned = grasp.plan_grasp(self._request, q_now, *self._where)
+            planned.append(grasp.plan_grasp(request, q_now, *where))
         except UnreachableTarget as error:
             raise RequestRefused("UNREACHABLE", str(error)) from None
-        self.path_rad = planned.path_rad
-        return grasp.approach(planned, q_now, *self._where, opening=self._request.gripper == "grip")
+        return grasp.approach(planned[0], q_now, *where, opening=request.gripper == "grip")
+
+    def straight(step: int) -> Leg:
+        return lambda q_now, _: grasp.straight(planned[0].path_rad[::step], q_now, *where)
+
+    def align(place: int) -> Leg:
+        return lambda q_now, q_measured: grasp.align(planned[0].path_rad[place], q_now, q_measured, *where)
+
+    act: dict[str, list[Leg]] = {
+        "stay": [],
+        "grip": [lambda q_now, _: grasp.gripping(q_now, *where, closing=True), straight(-1)],
+        "let_go": [lambda q_now, _: grasp.gripping(q_now, *where, closing=False), straight(-1)],
+    }
+    # Twice at the point: the second correction takes what the first one has left.
+    return [approach, align(0), straight(1), align(-1), align(-1), *act[request.gripper]]
