@@ -19,10 +19,11 @@ from armctl.host.host import Host
 from armctl.host.methods import Methods, RunOptimisation
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Command, Connected, Inputs, Mode, Run, Sample, ServoReading, TickRecord
-from armctl.recording.writer import LogContext, LogWriter
+from armctl.recording.writer import LogContext
 from armctl.trajectory.plan import Plan
 from tests.control.ideal_arm import PERIOD_S, IdealArm
 from tests.genetic import hand
+from tests.recording.logs import write
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -175,12 +176,14 @@ def write_take(path: Path, samples: FloatArray, arm: ArmConfig) -> None:
     ideal = IdealArm(arm)
     control = IdealControl(VirtualClock(ideal.now_ns), ideal)
     context = LogContext(arm=arm, robot=ideal.robot, config=Config(), port="/dev/robot", period_s=PERIOD_S)
-    writer = LogWriter(path, context)
-    for row in samples:
-        for index, joint in enumerate(arm.joints):
-            ideal.put(index, ax12a.PRESENT_POSITION, round(joint.tick(row[index])))
-        writer.write_tick(control.tick())
-    writer.close()
+
+    def ticks() -> Iterator[TickRecord]:
+        for row in samples:
+            for index, joint in enumerate(arm.joints):
+                ideal.put(index, ax12a.PRESENT_POSITION, round(joint.tick(row[index])))
+            yield control.tick()
+
+    write(path, ticks(), context=context)
     control.die()
     control.link.close()
 

@@ -13,14 +13,14 @@ from armctl.config import ArmConfig, Config, LogConfig
 from armctl.files import load_arm
 from armctl.messages import Command, Mode, TickRecord
 from armctl.recording import replay
-from armctl.recording.channels import COMMAND
-from armctl.recording.writer import LogContext, LogWriter
+from armctl.recording.writer import LogContext
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault
 from armctl.sim.virtual_arm import VirtualArm
 from tests.control.ideal_arm import PERIOD_S
 from tests.host.bench import HostBench
 from tests.host.doubles import InlineExecutor
+from tests.recording.logs import write
 
 
 class SimulatedBench(HostBench):
@@ -84,13 +84,8 @@ class SimulatedBench(HostBench):
     def replayed(self, path: Path) -> replay.ReplayResult:
         """Everything so far as a log, and its replay."""
         context = LogContext(self.arm, self.robot, Config(log=LogConfig(free_bytes=0)), "loopback", PERIOD_S)
-        writer = LogWriter(path, context)
-        for record in self.recorder.records:
-            writer.write_tick(record)
-        for note in self.recorder.notes:
-            writer.write_note(COMMAND, note, self.recorder.records[-1].inputs.sample.time_ns)
-        writer.close()
-        return replay.check(path)
+        records = self.recorder.records
+        return replay.check(write(path, records, notes={records[-1].inputs.tick: self.recorder.notes}, context=context))
 
 
 @asynccontextmanager

@@ -73,9 +73,3 @@ async def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
 async def test_nobody_there_is_said_with_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(NoDaemon, match="armctl daemon --port"):
         await AsyncClient.connect(tmp_path / "nobody")
-
-
-async def test_a_number_that_is_none_is_not_sent(tmp_path: Path) -> None:
-    async with served(tmp_path) as client:
-        with pytest.raises(RequestRefused, match="finite"):
-            await client.call("move", x=float("nan"))

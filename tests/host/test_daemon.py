@@ -212,16 +212,6 @@ async def test_subscribers_see_every_tick(b: Bench) -> None:
         assert after["tick"] == before["tick"] + 1 + after["gap"]
 
 
-async def test_a_second_client_is_told_who_commands_and_may_stop(b: Bench) -> None:
-    with await holding(b) as first, await b.client() as second:
-        run = await moving(b, first)
-        with refused("BUSY", "commands the arm now"):
-            await b.call(second, "clear")
-        assert await b.call(second, "stop") == {"state": "holding"}
-        with refused("STOPPED"):
-            await run
-
-
 async def test_a_client_killed_during_its_run_stops_the_arm(b: Bench) -> None:
     client = await holding(b)
     b.frozen = True

@@ -148,14 +148,6 @@ async def test_recordings_are_listed_shown_renamed_and_deleted(bench: Bench) -> 
     assert [path.name for path in bench.folder.glob("*.mcap")] == ["z.mcap"]
 
 
-async def test_a_take_that_cannot_be_read_stands_in_the_list_with_its_problem(bench: Bench) -> None:
-    (bench.folder / "broken.mcap").write_bytes(b"no log")
-    found = await bench.ask(bench.anna, "recordings_list")
-    assert [entry["name"] for entry in found["recordings"]] == ["a", "b"]
-    (entry,) = found["unreadable"]
-    assert (entry["name"], "is no MCAP file" in entry["problem"]) == ("broken", True)
-
-
 def test_a_recording_that_never_moved_has_no_error_to_show(tmp_path: Path) -> None:
     samples = np.repeat(hand.recordings(1, seed=1)[0][:1], 5, axis=0)
     write_take(tmp_path / "still.mcap", samples, hand.arm())
