@@ -12,10 +12,10 @@ from tests.scenarios.bench import SHORT_DEMO
 pytestmark = pytest.mark.pty
 
 
-@patch.multiple(demo, **SHORT_DEMO)
 def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path) -> None:
     out = tmp_path / "demo"
-    result = demo.run(out, 1, silent)
+    with patch.multiple(demo, **SHORT_DEMO):
+        result = demo.run(out, 1, silent)
 
     (row,) = result["rows"]
     assert row["via"] == 1
