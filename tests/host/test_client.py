@@ -10,18 +10,8 @@ from typing import Any
 
 import pytest
 
+from armctl import errors
 from armctl.client import Client
-from armctl.errors import (
-    ArmctlError,
-    BusError,
-    ConfigError,
-    IllegalTransition,
-    LogError,
-    NoDaemon,
-    PortBusy,
-    RequestRefused,
-    UnreachableTarget,
-)
 from armctl.host import jsonrpc
 
 PATIENCE_S = 20.0
@@ -55,18 +45,18 @@ def daemon(folder: Path, *chunks: bytes) -> Iterator[tuple[Client, list[dict[str
 @pytest.mark.parametrize(
     ("error", "code", "exit_status"),
     [
-        (ConfigError("optimize", "via", "must be at most 20", "take fewer"), "CONFIG", 2),
-        (RequestRefused("PREFLIGHT", ["too fast", "too low"]), "PREFLIGHT", 1),
-        (IllegalTransition("the arm is limp"), "ILLEGAL_TRANSITION", 1),
-        (BusError("ODD", "servo 4: no reply", 4), "ODD", 1),
-        (PortBusy("/dev/robot is held by pid 3"), "PORT_BUSY", 1),
-        (UnreachableTarget("0.6 m away, reach is 0.38", 0.22), "UNREACHABLE", 1),
-        (LogError("no such recording"), "LOG", 1),
-        (ArmctlError("something else"), "FAILED", 1),
+        (errors.ConfigError("optimize", "via", "must be at most 20", "take fewer"), "CONFIG", 2),
+        (errors.RequestRefused("PREFLIGHT", ["too fast", "too low"]), "PREFLIGHT", 1),
+        (errors.IllegalTransition("the arm is limp"), "ILLEGAL_TRANSITION", 1),
+        (errors.BusError("ODD", "servo 4: no reply", 4), "ODD", 1),
+        (errors.PortBusy("/dev/robot is held by pid 3"), "PORT_BUSY", 1),
+        (errors.UnreachableTarget("0.6 m away, reach is 0.38", 0.22), "UNREACHABLE", 1),
+        (errors.LogError("no such recording"), "LOG", 1),
+        (errors.ArmctlError("something else"), "FAILED", 1),
     ],
 )
 def test_an_error_says_code_reasons_and_exit_status_and_comes_back_as_it_was_raised(
-    error: ArmctlError, code: str, exit_status: int, tmp_path: Path
+    error: errors.ArmctlError, code: str, exit_status: int, tmp_path: Path
 ) -> None:
     line = jsonrpc.error_line(1, error)
     answer = json.loads(line)
@@ -74,7 +64,7 @@ def test_an_error_says_code_reasons_and_exit_status_and_comes_back_as_it_was_rai
     data = answer["error"]["data"]
     assert (data["code"], data["exit_status"], data["type"]) == (code, exit_status, type(error).__name__)
     assert "; ".join(data["reasons"]) == str(error)
-    with daemon(tmp_path, line) as (client, _), pytest.raises(ArmctlError) as caught:
+    with daemon(tmp_path, line) as (client, _), pytest.raises(errors.ArmctlError) as caught:
         client.call("run")
     assert type(caught.value) is type(error)
     assert str(caught.value) == str(error)
@@ -83,16 +73,19 @@ def test_an_error_says_code_reasons_and_exit_status_and_comes_back_as_it_was_rai
 
 
 def test_an_error_of_an_unknown_kind_is_a_refusal(tmp_path: Path) -> None:
-    answer = json.loads(jsonrpc.error_line(1, LogError("new words")))
+    answer = json.loads(jsonrpc.error_line(1, errors.LogError("new words")))
     answer["error"]["data"]["type"] = "ErrorOfTheFuture"
-    with daemon(tmp_path, json.dumps(answer).encode() + b"\n") as (client, _), pytest.raises(RequestRefused) as caught:
+    with (
+        daemon(tmp_path, json.dumps(answer).encode() + b"\n") as (client, _),
+        pytest.raises(errors.RequestRefused) as caught,
+    ):
         client.call("run")
     assert (caught.value.code, caught.value.reasons) == ("LOG", ("new words",))
 
 
 def test_an_answer_to_no_request_in_particular_is_raised_too(tmp_path: Path) -> None:
-    line = jsonrpc.error_line(None, RequestRefused("BUSY", "64 clients are connected already"))
-    with daemon(tmp_path, line) as (client, _), pytest.raises(RequestRefused, match="64 clients"):
+    line = jsonrpc.error_line(None, errors.RequestRefused("BUSY", "64 clients are connected already"))
+    with daemon(tmp_path, line) as (client, _), pytest.raises(errors.RequestRefused, match="64 clients"):
         client.call("status")
 
 
@@ -122,7 +115,7 @@ def test_progress_goes_to_its_callback_and_the_rest_waits(tmp_path: Path) -> Non
         assert seen == [{"generation": 1}]
         notifications = client.notifications()
         assert [next(notifications), next(notifications)] == [("snapshot", {"tick": 5}), ("snapshot", {"tick": 6})]
-        with pytest.raises(NoDaemon, match="closed"):
+        with pytest.raises(errors.NoDaemon, match="closed"):
             next(notifications)
 
 
@@ -135,9 +128,9 @@ def test_the_late_answer_to_an_interrupted_call_is_skipped(tmp_path: Path) -> No
 
 def test_a_daemon_that_ends_is_no_daemon(tmp_path: Path) -> None:
     with daemon(tmp_path) as (client, _):
-        with pytest.raises(NoDaemon, match="closed"):
+        with pytest.raises(errors.NoDaemon, match="closed"):
             client.call("status")
-        with pytest.raises(NoDaemon):
+        with pytest.raises(errors.NoDaemon):
             client.call("status")
 
 
@@ -145,13 +138,13 @@ def test_a_daemon_that_does_not_answer_is_no_daemon(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
         listening.bind(str(tmp_path / "s"))
         listening.listen()
-        with Client(tmp_path / "s", timeout_s=0.01) as client, pytest.raises(NoDaemon, match=r"0\.01 s"):
+        with Client(tmp_path / "s", timeout_s=0.01) as client, pytest.raises(errors.NoDaemon, match=r"0\.01 s"):
             client.call("status")
 
 
 def test_numbers_that_json_has_not_are_refused_before_they_are_sent(tmp_path: Path) -> None:
     with daemon(tmp_path, jsonrpc.result_line(2, {})) as (client, asked):
-        with pytest.raises(RequestRefused, match="finite"):
+        with pytest.raises(errors.RequestRefused, match="finite"):
             client.call("optimize", duration_s=float("nan"))
         assert client.call("status") == {}
     assert len(asked) == 1
@@ -159,7 +152,7 @@ def test_numbers_that_json_has_not_are_refused_before_they_are_sent(tmp_path: Pa
 
 def test_the_socket_is_found_as_the_configuration_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ARMCTL_SOCKET", str(tmp_path / "elsewhere"))
-    with pytest.raises(NoDaemon, match="elsewhere") as caught:
+    with pytest.raises(errors.NoDaemon, match="elsewhere") as caught:
         Client()
     assert caught.value.exit_status == 3
     assert "armctl daemon --port" in str(caught.value)
