@@ -1,7 +1,7 @@
 """What a log holds: message by message, as numpy columns, or in short.
 
 - `read`: decoded messages in file order; `LogFile` (log_file.py) gives them as they are.
-- `read_topic`, `read_columns`: whole topics as numpy columns (columns.py), many times faster.
+- `read_columns`: whole topics as numpy columns (columns.py), many times faster.
 - `info`, `ticks`: what is in a file; /joint_states as arrays.
 
 Every failure is a LogError.
@@ -71,22 +71,14 @@ def read(path: Path, topics: Collection[str] | None = None) -> Iterator[DecodedM
 def read_columns(path: Path, topics: Iterable[str] | None = None) -> dict[str, tuple[Table, ...]]:
     """A log, or some topics of it, as numpy columns: by topic a table for each shape its messages come in.
 
+    A topic nearly always has one table; one without messages is left out.
+
     Raises:
         LogError: the file is no log, or a topic of it is not what its schema says.
     """
     with LogFile(path) as log:
         found = log.payloads(None if topics is None else frozenset(topics))
         return {topic: log.tables(topic, payloads) for topic, payloads in found.items() if payloads.data}
-
-
-def read_topic(path: Path, topic: str) -> tuple[Table, ...]:
-    """One topic as numpy columns; nearly always one table, none if there are no messages.
-
-    Raises:
-        LogError: the file is no log, has no such topic, or it is not what its schema says.
-    """
-    with LogFile(path) as log:
-        return log.tables(topic, log.payloads((topic,)).get(topic, Payloads()))
 
 
 def info(path: Path) -> LogInfo:

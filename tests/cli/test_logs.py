@@ -19,13 +19,11 @@ from armctl.cli.output import Output
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.recording import reader, timeline
 from armctl.recording.player import Player
-from armctl.recording.writer import LogWriter
 from tests.cli.conftest import Answer, Typed
-from tests.recording.factory import ANCHOR, CONTEXT
+from tests.recording.factory import CONTEXT, make_records
 from tests.recording.logs import write as write_log
-from tests.recording.simulated import simulated_records
 
-RECORDS = simulated_records()
+RECORDS = make_records(60, seed=3)
 REPLAY_KEYS = {"ticks", "messages", "mismatches", "seconds", "realtime_ratio"}
 DOCS = Path(logs.__file__).parent.parent / "docs" / "logs.md"
 
@@ -193,12 +191,8 @@ def test_trim_and_merge_tell_what_they_wrote(log: Path, tmp_path: Path, answer: 
 
 
 def test_damage_is_told_on_stderr(tmp_path: Path, typed: Typed) -> None:
-    writer = LogWriter(tmp_path / "a[bold].mcap", CONTEXT, anchor=ANCHOR)  # a name is no markup
-    for record in RECORDS[:30]:
-        writer.write_tick(record)
-    writer.flush()
-    writer.abandon()
-    said = typed("log", "export", writer.part, "--format", "csv", "--out", tmp_path / "t.csv")
+    part = write_log(tmp_path / "a[bold].mcap", RECORDS[:30], finish=False)  # a name is no markup
+    said = typed("log", "export", part, "--format", "csv", "--out", tmp_path / "t.csv")
     assert "a[bold].mcap.part was not closed properly" in said.err
 
 

@@ -27,8 +27,8 @@ from armctl.lab.study.limits import WITHOUT
 from armctl.papers.page import PaperReport, Row
 from armctl.recording import timeline
 from armctl.recording.player import Player
+from tests.recording.factory import make_records
 from tests.recording.logs import write as write_log
-from tests.recording.simulated import simulated_records
 
 COLUMNS = 80
 FIGURE = re.compile(r"-?\d+\.\d+(?:e[-+]\d+)?|-?\d+")
@@ -121,7 +121,7 @@ def test_a_table_fits_80_columns_with_every_figure_whole(name: str) -> None:
 
 
 def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:
-    log = timeline.load(write_log(tmp_path / "a.mcap", simulated_records()))
+    log = timeline.load(write_log(tmp_path / "a.mcap", make_records(60, seed=3)))
     assert_whole(lambda output: output.console.print(logs.picture(log, Player(log.duration_s, at_s=0.5))))
 
 

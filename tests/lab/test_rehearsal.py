@@ -16,9 +16,10 @@ from armctl.recording import timeline
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
 from tests.genetic.hand import changed
-from tests.recording.factory import ARM, PERIOD_S
+from tests.recording.factory import ARM, PERIOD_S, make_records
 from tests.recording.logs import write as write_log
-from tests.recording.simulated import simulated_records
+
+RECORDS = make_records(60, seed=3)
 
 
 @pytest.fixture(scope="module")

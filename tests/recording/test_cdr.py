@@ -72,7 +72,7 @@ def test_mcap_ros2_support_rosbags_and_the_stored_schema_give_the_same_bytes_and
     store.register(get_types_from_msg(text, full))
     assert parse_schema(full, text)[name].split() == MESSAGES[name].split()
 
-    @settings(deadline=None, max_examples=40)
+    @settings(max_examples=40)
     @given(values(name))
     def check(value: Value) -> None:
         data = codec(name).encode(value)
@@ -116,7 +116,6 @@ def test_a_misspelled_nested_field_is_refused() -> None:
         codec("std_msgs/Header").encode(header)
 
 
-@settings(deadline=None)
 @given(st.sampled_from(NAMES).flatmap(lambda name: st.tuples(st.just(name), values(name))), st.data())
 def test_a_cut_message_is_an_error_or_decodes_to_nothing_longer(named: tuple[str, Value], data: st.DataObject) -> None:
     name, value = named
@@ -126,7 +125,7 @@ def test_a_cut_message_is_an_error_or_decodes_to_nothing_longer(named: tuple[str
         codec(name).decode(encoded[:cut])
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.sampled_from(NAMES), st.binary(max_size=200))
 def test_any_bytes_decode_or_raise_a_log_error(name: str, data: bytes) -> None:
     with suppress(LogError):

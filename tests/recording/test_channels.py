@@ -9,6 +9,7 @@ import yaml
 
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import link_frames
+from armctl.kinematics.transform import matrix_from_quaternion
 from armctl.messages import Event, Fault, Reply, Run, TickRecord, command_from_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
@@ -57,14 +58,7 @@ def test_tf_is_forward_kinematics() -> None:
     for transform, T in zip(tf["transforms"], frames, strict=False):
         assert transform["header"]["frame_id"] == "base_link"
         assert list(transform["transform"]["translation"].values()) == T[:3, 3].tolist()
-        x, y, z, w = transform["transform"]["rotation"].values()
-        R = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        R = matrix_from_quaternion(tuple(transform["transform"]["rotation"].values()))
         np.testing.assert_allclose(R, T[:3, :3], atol=1e-12)
 
 

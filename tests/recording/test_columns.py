@@ -1,8 +1,8 @@
 """Columns hold what the codec decodes, for every type and every shape."""
 
-import math
 from contextlib import suppress
 from pathlib import Path
+from pprint import pformat
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from armctl.errors import LogError
 from armctl.recording import columns
 from armctl.recording.cdr import HEADER, Value, codec
 from armctl.recording.columns import Payloads, Table, Texts
-from armctl.recording.reader import read, read_columns, read_topic
+from armctl.recording.reader import read, read_columns
 from armctl.recording.schemas import MESSAGES, PRIMITIVES, fields
 from tests.recording.factory import make_records
 from tests.recording.logs import write
@@ -51,17 +51,7 @@ def message(name: str, table: Table, row: int, prefix: str = "") -> Value:
     return value
 
 
-def same(a: Any, b: Any) -> bool:
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, list):
-        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
-    if isinstance(a, float) and math.isnan(a):
-        return isinstance(b, float) and math.isnan(b)
-    return type(a) is type(b) and bool(a == b)
-
-
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.sampled_from(NAMES).flatmap(lambda name: st.tuples(st.just(name), st.lists(values(name), max_size=6))))
 def test_columns_hold_what_the_codec_decodes(named: tuple[str, list[Value]]) -> None:
     name, given_values = named
@@ -71,10 +61,11 @@ def test_columns_hold_what_the_codec_decodes(named: tuple[str, list[Value]]) -> 
     for table in tables:
         assert sorted(table.sequence.tolist()) == table.sequence.tolist()
         for row, number in enumerate(table.sequence.tolist()):
-            assert same(message(name, table, row), codec(name).decode(data[number]))
+            # As text, which tells types apart and finds NaN equal to NaN.
+            assert pformat(message(name, table, row)) == pformat(codec(name).decode(data[number]))
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.sampled_from(NAMES), st.lists(st.binary(max_size=120), min_size=1, max_size=3))
 def test_any_bytes_make_columns_or_a_log_error(name: str, data: list[bytes]) -> None:
     with suppress(LogError):
@@ -83,7 +74,7 @@ def test_any_bytes_make_columns_or_a_log_error(name: str, data: list[bytes]) -> 
                 column.tolist()
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.sampled_from(NAMES).flatmap(lambda name: st.tuples(st.just(name), values(name))), st.data())
 def test_a_cut_message_among_whole_ones_is_a_log_error(named: tuple[str, Value], draw: st.DataObject) -> None:
     name, value = named
@@ -132,10 +123,9 @@ def test_a_whole_log_as_columns_is_the_log_message_by_message(tmp_path: Path) ->
     (states,) = tables["/joint_states"]
     assert states.numbers("position").tolist() == [value["position"] for value in expected["/joint_states"]]
     assert states.columns["name[0]"].tolist() == [value["name"][0] for value in expected["/joint_states"]]
-    (alone,) = read_topic(path, "/joint_states")
-    np.testing.assert_array_equal(alone.numbers("effort"), states.numbers("effort"))
-    with pytest.raises(LogError, match="no topic /none"):
-        read_topic(path, "/none")
+    alone = read_columns(path, ("/joint_states",))
+    assert alone.keys() == {"/joint_states"}
+    np.testing.assert_array_equal(alone["/joint_states"][0].numbers("effort"), states.numbers("effort"))
 
 
 def test_a_text_that_is_no_utf8_is_a_log_error_when_it_is_asked_for() -> None:

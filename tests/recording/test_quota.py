@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.config import LogConfig
@@ -16,7 +16,6 @@ LOGS = st.lists(st.tuples(st.integers(0, 2**22), st.integers(0, 10**6)), max_siz
 )
 
 
-@settings(deadline=None)
 @given(LOGS, st.integers(2**20, 2**23), st.floats(0.0, 10**6), st.integers(0, 2**23), st.integers(0, 2**23))
 def test_the_oldest_go_until_every_bound_holds_or_only_the_newest_are_left(
     logs: tuple[StoredLog, ...], quota_bytes: int, max_age_s: float, free_bytes: int, need_bytes: int

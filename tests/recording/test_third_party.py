@@ -14,13 +14,14 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from armctl.clock import NS_PER_S
 from armctl.recording import reader
 from armctl.recording.channels import CYCLE, JOINT_STATES, SERVOS
 from armctl.recording.columns import Texts
 from armctl.recording.compact import compact
 from armctl.recording.log_file import LogFile
 from proving.log_rig import repeated
-from tests.recording.factory import make_records, times_s
+from tests.recording.factory import ANCHOR, make_records, times_s
 from tests.recording.logs import write
 
 NODE = Path(__file__).parent / "node"
@@ -42,7 +43,8 @@ def held(hour: Path) -> reader.LogInfo:
     info = reader.info(hour)
     assert info.complete
     assert info.duration_s == pytest.approx(times_s(MINUTE)[1] + (TICKS - 2) / 10.0)
-    assert info.topics[CYCLE] == TICKS
+    assert (info.topics[CYCLE], info.messages) == (TICKS, sum(info.topics.values()))
+    assert info.start_s == pytest.approx(ANCHOR.epoch_ns(MINUTE[0].inputs.sample.time_ns) / NS_PER_S)
     return info
 
 
@@ -66,9 +68,9 @@ def test_rosbags_reads_every_message_and_the_same_values(hour: Path, held: reade
             elif connection.topic == SERVOS:
                 registers.append([servo.registers.tolist() for servo in message.servos])
     assert counts == held.topics
-    (states,) = reader.read_topic(hour, JOINT_STATES)
+    tables = reader.read_columns(hour, (JOINT_STATES, SERVOS))
+    [states], [servos] = tables[JOINT_STATES], tables[SERVOS]
     assert states.numbers("position").tolist() == positions
-    (servos,) = reader.read_topic(hour, SERVOS)
     ours = [servos.numbers(f"servos[{index}].registers").tolist() for index in range(6)]
     assert [list(one) for one in zip(*ours, strict=True)] == registers
 

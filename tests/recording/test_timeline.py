@@ -18,9 +18,8 @@ from armctl.recording.replay import check
 from tests.recording.altered import with_outputs, without_first_joint
 from tests.recording.factory import ANCHOR, ARM, make_records
 from tests.recording.logs import add_string_channel, foreign, write
-from tests.recording.simulated import simulated_records
 
-RECORDS = simulated_records()
+RECORDS = make_records(60, seed=3)
 
 
 def test_every_array_is_what_the_ticks_said(log: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -17,10 +17,10 @@ from armctl.recording import timeline
 from armctl.recording.timeline import Happening, Timeline
 from armctl.report import log as page
 from armctl.report.log import thinned, write
+from tests.recording.factory import make_records
 from tests.recording.logs import write as write_log
-from tests.recording.simulated import simulated_records
 
-RECORDS = simulated_records()
+RECORDS = make_records(60, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,6 @@ COLUMNS = arrays(np.float64, st.integers(1, 400), elements=st.floats(-1e6, 1e6) 
 
 
 @given(values=COLUMNS, most=st.integers(4, 60))
-@settings(deadline=None)
 def test_thinning_keeps_order_ends_and_extremes(values: np.ndarray[Any, Any], most: int) -> None:
     rows = thinned(values, most)
     assert (np.diff(rows) > 0).all()

@@ -1,24 +1,21 @@
 """The application behind the guard: what it keeps, what it refuses, and what a page's stream begins with."""
 
-import asyncio
 import gzip
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from starlette.types import Message
 
 from armctl.config import Config
 from armctl.files import load_arm
 from armctl.web.app import create_app
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
+from tests.web.asking import TOKEN, asked, streamed
 
-TOKEN = "the-token"
 PAGES = ("/", "/app.js", "/style.css", "/icon.svg", "/plotly.js")
 
 
@@ -33,38 +30,32 @@ def guard(tmp_path_factory: pytest.TempPathFactory) -> Guard:
     return made
 
 
-def ask(guard: Guard, method: str, path: str, headers: dict[str, str] | None = None, **more: Any) -> httpx.Response:
-    async def asking() -> httpx.Response:
-        async with httpx.AsyncClient(
-            transport=httpx.ASGITransport(guard), base_url="http://127.0.0.1:8080", headers={TOKEN_HEADER: TOKEN}
-        ) as client:
-            return await client.request(method, path, headers=headers, **more)
-
-    return asyncio.run(asking())
+def get(guard: Guard, path: str, **headers: str) -> httpx.Response:
+    return asked(guard, "GET", path, {TOKEN_HEADER: TOKEN} | {key.replace("_", "-"): headers[key] for key in headers})
 
 
 @pytest.mark.parametrize("path", PAGES)
 def test_pages_are_kept_by_the_browser_and_asked_about(guard: Guard, path: str) -> None:
-    first = ask(guard, "GET", path)
+    first = get(guard, path)
     assert (first.status_code, first.headers["cache-control"]) == (200, "no-cache")
-    again = ask(guard, "GET", path, {"if-none-match": first.headers["etag"]})
+    again = get(guard, path, if_none_match=first.headers["etag"])
     assert (again.status_code, again.content) == (304, b"")
     assert again.headers["etag"] == first.headers["etag"]
     assert again.headers["content-security-policy"] == HEADERS["content-security-policy"]
-    assert ask(guard, "GET", path, {"if-none-match": 'W/"other"'}).status_code == 200
+    assert get(guard, path, if_none_match='W/"other"').status_code == 200
 
 
 def test_pages_come_packed_to_who_can_unpack(guard: Guard) -> None:
-    plain = ask(guard, "GET", "/app.js", {"accept-encoding": "identity"})
+    plain = get(guard, "/app.js", accept_encoding="identity")
     assert "content-encoding" not in plain.headers
-    packed = ask(guard, "GET", "/app.js", {"accept-encoding": "gzip"})
+    packed = get(guard, "/app.js", accept_encoding="gzip")
     assert packed.headers["content-encoding"] == "gzip"
     assert packed.content == plain.content  # httpx has unpacked it
     assert len(gzip.compress(plain.content)) < len(plain.content) / 2
 
 
 def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:
-    assert ask(guard, "GET", "/api/arm").headers["cache-control"] == "no-store"
+    assert get(guard, "/api/arm").headers["cache-control"] == "no-store"
 
 
 @pytest.mark.parametrize(
@@ -87,7 +78,7 @@ def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:
 def test_what_cannot_be_served_is_refused_in_one_form_with_the_socket_s_codes(
     guard: Guard, path: str, status: int, code: str
 ) -> None:
-    answer = ask(guard, "GET", path)
+    answer = get(guard, path)
     assert answer.status_code == status
     error = answer.json()["error"]
     assert error.keys() == {"code", "message", "reasons"}
@@ -102,40 +93,17 @@ def test_the_newest_log_comes_first_whatever_its_name(tmp_path: Path) -> None:
         os.utime(tmp_path / "logs" / name, (1e9 - age_s, 1e9 - age_s))
     config = Config(data_dir=str(tmp_path))
     _, made = create_app(load_arm("ax12-line"), config, socket=tmp_path / "nobody.sock", token=TOKEN, port=8080)
-    logs = ask(made, "GET", "/api/logs").json()["logs"]
+    logs = get(made, "/api/logs").json()["logs"]
     assert [log["name"] for log in logs] == ["armctl-2.mcap.part", "fault-2.mcap", "armctl-1.mcap", "fault-1.mcap"]
 
 
 def test_a_field_that_does_not_fit_is_named_with_its_bound(guard: Guard) -> None:
-    error = ask(guard, "GET", "/api/logs/bad.mcap?from_s=-1").json()["error"]
+    error = get(guard, "/api/logs/bad.mcap?from_s=-1").json()["error"]
     assert error["reasons"] == ["query.from_s: Input should be greater than or equal to 0"]
 
 
 def test_a_method_that_is_not_served_says_which_are(guard: Guard) -> None:
-    assert ask(guard, "GET", "/api/stop").headers["allow"] == "POST"
-
-
-def stream(guard: Guard, said: list[Message]) -> list[Message]:
-    """What a page that says this is sent, which leaves after the second message."""
-    sent: list[Message] = []
-    script: list[Message] = [{"type": "websocket.connect"}, *said]
-
-    async def receive() -> Message:
-        while not script and len(sent) < 2:
-            await asyncio.sleep(0)
-        return script.pop(0) if script else {"type": "websocket.disconnect", "code": 1001}
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-
-    headers = [(b"host", b"127.0.0.1:8080"), (b"origin", b"http://127.0.0.1:8080")]
-    scope = {"type": "websocket", "path": "/api/stream", "headers": headers, "subprotocols": [], "query_string": b""}
-
-    async def serve() -> None:
-        await guard(scope, receive, send)
-
-    asyncio.run(serve())
-    return sent
+    assert get(guard, "/api/stop").headers["allow"] == "POST"
 
 
 @given(
@@ -145,18 +113,18 @@ def stream(guard: Guard, said: list[Message]) -> list[Message]:
         st.text(max_size=20).filter(lambda text: text != TOKEN).map(lambda text: json.dumps({"token": text})),
     )
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_stream_without_the_token_is_closed_whatever_was_said(guard: Guard, text: str) -> None:
-    accepted, closed = stream(guard, [{"type": "websocket.receive", "text": text}])
+    accepted, closed = streamed(guard, {"type": "websocket.receive", "text": text})
     assert accepted["type"] == "websocket.accept"
     assert (closed["type"], closed["code"]) == ("websocket.close", 1008)
 
 
 def test_bytes_are_no_token(guard: Guard) -> None:
-    assert stream(guard, [{"type": "websocket.receive", "bytes": b"x"}])[-1]["type"] == "websocket.close"
+    assert streamed(guard, {"type": "websocket.receive", "bytes": b"x"})[-1]["type"] == "websocket.close"
 
 
 def test_with_the_token_the_stream_begins_with_what_is_known(guard: Guard) -> None:
-    accepted, first = stream(guard, [{"type": "websocket.receive", "text": json.dumps({"token": TOKEN})}])
+    accepted, first = streamed(guard, {"type": "websocket.receive", "text": json.dumps({"token": TOKEN})})
     assert accepted["type"] == "websocket.accept"
     assert json.loads(first["text"]) == {"kind": "snapshot", "snapshot": None}

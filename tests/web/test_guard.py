@@ -1,35 +1,34 @@
-import asyncio
 import json
 
 import httpx
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from armctl.host.jsonrpc import MAX_LINE_BYTES
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
+from tests.web.asking import TOKEN, asked, streamed
 
-TOKEN = "the-token"
 OWN = {"host": "127.0.0.1:8080", TOKEN_HEADER: TOKEN}
 JSON = {"content-type": "application/json"}
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answers with the body it was let have."""
+    """Answers with the body it was let have; accepts every WebSocket."""
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.accept"})
+        return
     message = await receive()
     await send({"type": "http.response.start", "status": 200, "headers": []})
     await send({"type": "http.response.body", "body": message.get("body", b"")})
 
 
-def ask(method: str, path: str, headers: dict[str, str], body: bytes = b"") -> httpx.Response:
-    async def asking() -> httpx.Response:
-        guard = Guard(echo, token=TOKEN, port=8080)
-        transport = httpx.ASGITransport(guard)
-        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1:8080") as client:
-            return await client.request(method, path, headers=headers, content=body)
+GUARD = Guard(echo, token=TOKEN, port=8080)
 
-    return asyncio.run(asking())
+
+def ask(method: str, path: str, headers: dict[str, str], body: bytes = b"") -> httpx.Response:
+    return asked(GUARD, method, path, headers, content=body)
 
 
 def code(response: httpx.Response) -> str:
@@ -67,7 +66,7 @@ def test_the_page_itself_and_a_typed_address_are_served(site: str) -> None:
 
 
 @given(st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=30).filter(lambda text: text != TOKEN))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_without_the_token_nothing_below_api_is_served(token: str) -> None:
     response = ask("GET", "/api/status", {**OWN, TOKEN_HEADER: token})
     assert (response.status_code, code(response)) == (401, "NO_TOKEN")
@@ -99,31 +98,8 @@ def test_a_body_arrives_unchanged_up_to_its_limit() -> None:
     assert ask("POST", "/api/stop", {**OWN, **JSON}, body + b" " * 20).status_code == 413
 
 
-def websocket(headers: dict[str, str]) -> list[Message]:
-    """What a client that opens a WebSocket is sent."""
-    sent: list[Message] = []
-
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        await send({"type": "websocket.accept"})
-
-    async def receive() -> Message:
-        return {"type": "websocket.connect"}
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-
-    scope = {
-        "type": "websocket",
-        "path": "/api/stream",
-        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
-    }
-    asyncio.run(Guard(app, token=TOKEN, port=8080)(scope, receive, send))
-    return sent
-
-
 @pytest.mark.parametrize("origin", [None, "http://evil.example"])
 def test_a_websocket_needs_the_servers_own_origin(origin: str | None) -> None:
-    headers = {"host": "127.0.0.1:8080"} | ({} if origin is None else {"origin": origin})
-    [closed] = websocket(headers)
+    [closed] = streamed(GUARD, origin=origin)
     assert (closed["type"], closed["code"]) == ("websocket.close", 1008)
-    assert websocket({"host": "127.0.0.1:8080", "origin": "http://127.0.0.1:8080"}) == [{"type": "websocket.accept"}]
+    assert streamed(GUARD) == [{"type": "websocket.accept"}]

@@ -9,54 +9,31 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from armctl.cli import main
 from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError, ConfigError, NoDaemon
-from armctl.files import load_arm
-from armctl.kinematics import robots
-from armctl.kinematics.chain import tool_position
+from armctl.host.snapshot import JOINT_KEYS, Statistics, arm_snapshot
 from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
 from armctl.recording.cdr import schema_codec
 from armctl.web import live
+from tests.recording.factory import ARM, make_records
 from tests.scenarios.bench import DEADLINE_S, Program, bench, simulator
 
-ARM = load_arm("ax12-line")
 MESSAGE = struct.Struct("<BIQ")
 EPOCH_NS = 1_750_000_000_000_000_001
 
 
+RECORD = make_records(30)[-1]  # the arm moves
+
+
 def snapshot(**changes: Any) -> dict[str, Any]:
-    """A daemon's snapshot of an arm that holds."""
-    joints = [
-        {
-            "name": joint.name,
-            "servo_id": joint.servo_id,
-            "position_rad": 0.1 * index,
-            "velocity_rad_s": 0.0,
-            "load_ratio": 0.05,
-            "voltage_V": 11.9,
-            "temperature_degC": 34.0,
-            "torque_enabled": True,
-            "age_s": 0.01,
-        }
-        for index, joint in enumerate(ARM.joints)
-    ]
-    chain = robots.get(ARM.robot, ARM.lengths_m).chain
-    place = tool_position(chain, np.linspace(0.0, 0.1 * (chain.n - 1), chain.n))
-    return {
-        "state": "holding",
-        "fault": None,
-        "tick": 7,
-        "age_s": 0.005,
-        "joints": joints,
-        "tool": {"position_m": place.tolist(), "rpy_rad": [0.0, 0.0, 0.0]},
-        "arm_id": ARM.arm_id,
-        **changes,
-    }
+    """A daemon's snapshot of an arm that holds, as its clients get it."""
+    told = arm_snapshot(ARM, RECORD, Statistics(), RECORD.inputs.now_ns + NS_PER_S // 200)
+    plain: dict[str, Any] = json.loads(json.dumps(told))
+    return {**plain, "arm_id": ARM.arm_id, "state": "holding", "fault": None, **changes}
 
 
 FAULT = {"code": "HOT", "text": "servo 3 at 66 degC", "servo_id": 3, "since_s": 1.0, "arm": "", "next": ""}
@@ -71,7 +48,7 @@ def test_a_snapshot_becomes_the_messages_of_a_tick() -> None:
     assert json.loads(messages["/armctl/status"]["data"]) == data
     assert messages["/joint_states"]["name"] == list(ARM.joint_names)
     assert messages["/joint_states"]["position"] == [joint["position_rad"] for joint in data["joints"]]
-    assert messages["/joint_states"]["effort"] == [0.05] * 6
+    assert messages["/joint_states"]["effort"] == [joint["load_ratio"] for joint in data["joints"]]
     assert list(messages["/tcp_pose"]["pose"]["position"].values()) == data["tool"]["position_m"]
     assert [t["child_frame_id"] for t in messages["/tf"]["transforms"]] == [f"link_{i}" for i in range(1, 7)]
     for topic in ("/joint_states", "/tcp_pose", "/diagnostics"):
@@ -103,7 +80,7 @@ def test_a_change_of_state_and_a_fault_are_told_once() -> None:
 
 
 def test_what_is_not_known_is_not_sent() -> None:
-    unknown = [{**joint, **dict.fromkeys(list(joint)[2:])} for joint in snapshot()["joints"]]
+    unknown = [joint | dict.fromkeys(JOINT_KEYS) for joint in snapshot()["joints"]]
     messages = dict(live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="off"), EPOCH_NS))
     assert messages["/joint_states"]["name"] == []
     assert not {"/tf", "/tcp_pose"} & messages.keys()

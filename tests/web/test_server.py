@@ -1,6 +1,5 @@
 """`armctl web` as a program's caller meets it: its port, its token's file, and a daemon that is not there."""
 
-import contextlib
 import gc
 import os
 import socket
@@ -20,6 +19,9 @@ from armctl.files import load_arm
 from armctl.web import server
 from armctl.web.guard import TOKEN_HEADER
 from tests.terminal import free_port
+
+# What only the daemon can answer.
+ASKED = (("GET", "/api/status"), ("GET", "/api/recordings"), ("POST", "/api/stop"))
 
 
 @pytest.fixture
@@ -66,12 +68,10 @@ def test_the_token_is_for_owner_and_group_and_goes_with_the_server(
         seen["address"], seen["mode"] = file.read_text().strip(), stat.S_IMODE(os.stat(file).st_mode)
         base, _, token = address.partition("/#token=")
         headers = {TOKEN_HEADER: token}
-        with contextlib.closing(httpx.Client(base_url=base, headers=headers)) as client:
-            for path in ("/api/status", "/api/recordings"):
-                answer = client.get(path)
+        with httpx.Client(base_url=base, headers=headers) as client:
+            for method, path in ASKED:
+                answer = client.request(method, path, json=None if method == "GET" else {})
                 seen[path] = answer.status_code, answer.json()["error"]["message"]
-            stopped = client.post("/api/stop", json={})
-            seen["/api/stop"] = stopped.status_code, stopped.json()["error"]["message"]
         made[0].should_exit = True
 
     lookers: list[threading.Thread] = []
@@ -92,7 +92,7 @@ def test_the_token_is_for_owner_and_group_and_goes_with_the_server(
     assert str(seen["address"]).startswith(f"http://127.0.0.1:{port}/#token=")
     assert seen["mode"] == 0o640 & ~_umask()
     assert not file.exists()
-    for path in ("/api/status", "/api/recordings", "/api/stop"):
+    for _, path in ASKED:
         status, message = seen[path]
         assert status == 503
         assert "start it with `armctl daemon --port PORT`" in message

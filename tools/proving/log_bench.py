@@ -35,7 +35,7 @@ from armctl.recording.channels import JOINT_STATES, TOPICS, Anchor
 from armctl.recording.chunks import PROFILE, ChunkWriter
 from armctl.recording.columns import Texts
 from armctl.recording.compact import compact
-from armctl.recording.reader import info, read, read_columns, read_topic
+from armctl.recording.reader import info, read, read_columns
 from armctl.recording.recover import recover
 from armctl.recording.schemas import fields, schema_text, short_name
 from armctl.recording.templates import Template, TickEncoder
@@ -151,7 +151,7 @@ class _Messages:
 
     def add(self, topic: str, time_ns: int, value: Value, data: bytes) -> None:
         name = short_name(TOPICS[topic].type)
-        numbers = [*divmod(time_ns, NS_PER_S), *_numbers(name, value)]
+        numbers = [*divmod(time_ns, NS_PER_S), *message_numbers(name, value)]
         template = self._templates.setdefault((topic, len(data)), Template(name, value))
         assert template.encode(numbers) == data, topic
         self.values.append((topic, time_ns, value))
@@ -159,7 +159,7 @@ class _Messages:
         self.numbers.append((topic, time_ns, template.encode, numbers))
 
 
-def _numbers(name: str, value: Value) -> list[Any]:
+def message_numbers(name: str, value: Value) -> list[Any]:
     """What a template wants: every number of a message in order, but for stamps."""
     found: list[Any] = []
     for item in fields(name):
@@ -169,7 +169,7 @@ def _numbers(name: str, value: Value) -> list[Any]:
             continue
         for one in content if item.is_array else (content,):
             if isinstance(one, dict):
-                found += _numbers(item.type, one) if item.type != "builtin_interfaces/Time" else ()
+                found += message_numbers(item.type, one) if item.type != "builtin_interfaces/Time" else ()
             elif not isinstance(one, str):
                 found.append(one)
     return found
@@ -285,7 +285,9 @@ def _decode_ros2(path: Path) -> int:
 
 def _topic(path: Path, rounds: int, rows: list[Row], checks: list[Row]) -> None:
     def ours() -> NDArray[np.float64]:
-        return np.concatenate([table.numbers("position") for table in read_topic(path, JOINT_STATES)])
+        return np.concatenate(
+            [table.numbers("position") for table in read_columns(path, (JOINT_STATES,))[JOINT_STATES]]
+        )
 
     def ros2() -> NDArray[np.float64]:
         from mcap.reader import make_reader
