@@ -13,7 +13,6 @@ from armctl import __version__
 from armctl.cli.output import Output
 from armctl.errors import ArmctlError
 
-# Module of this package -> the commands that it defines, each as `NAME_command`.
 # What the help lists under which heading, in the order in which a newcomer meets it.
 PURPOSES: dict[str, tuple[str, ...]] = {
     "First steps": ("demo", "sim", "daemon", "help", "completion"),

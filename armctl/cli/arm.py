@@ -152,22 +152,21 @@ def request(output: Output, method: str, **params: Any) -> None:
 
 
 def state_command(
-    name: str, text: str, *, method: str = "", group: click.Group | None = None, after_interrupt: str = ""
+    name: str, text: str, *, group: click.Group | None = None, after_interrupt: str = ""
 ) -> click.Command:
-    """A command that is one request without parameters.
+    """A command that is one request without parameters; the daemon's method has the words that are typed.
 
     Args:
         text: Its help.
-        method: What the daemon calls it, where that is not the command's name.
         after_interrupt: What a Ctrl-C leaves behind.
     """
 
     def ask(output: Output) -> None:
         output.after_interrupt = after_interrupt
-        request(output, method or name)
+        request(output, "_".join(words))
 
-    path = f"armctl {group.name} {name}" if group else f"armctl {name}"
-    return command(name, SOCKET, group=group, help=f"{text}\n\nExample: {path}")(ask)
+    words = (str(group.name), name) if group else (name,)
+    return command(name, SOCKET, group=group, help=f"{text}\n\nExample: armctl {' '.join(words)}")(ask)
 
 
 @click.group("torque")
@@ -192,9 +191,7 @@ pause_command = state_command(
     "pause", "Pause the run: the arm comes to rest on its path. Everyone may do this; `armctl resume` goes on."
 )
 resume_command = state_command("resume", "Go on with a paused run.")
-torque_on = state_command(
-    "on", "Switch torque on, softly, at the position the arm has.", method="torque_on", group=torque_command
-)
+torque_on = state_command("on", "Switch torque on, softly, at the position the arm has.", group=torque_command)
 
 
 @command("rate", SOCKET)

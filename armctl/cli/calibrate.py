@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.keys import attended
-from armctl.cli.output import ARM, BAUD, CONFIG, FILE, PORT, SOCKET, Output, command
+from armctl.cli.output import ARM, BAUD, CONFIG, FILE, PORT, SOCKET, Output, command, millimetres
 from armctl.cli.setup import opened
 from armctl.cli.tables import show_table
 from armctl.errors import ConfigError, RequestRefused
@@ -123,11 +123,10 @@ def _touch_all(
     taken: list[Touch] = []
     for number, point in enumerate(points, start=1):
         for posture in range(1, touches + 1):
-            where = ", ".join(f"{value * 1000.0:.1f}" for value in point)
             while True:
                 _wait_for_enter(
                     output,
-                    f"point {number} of {len(points)} ({where} mm), posture {posture} of {touches}: "
+                    f"point {number} of {len(points)} ({millimetres(point)}), posture {posture} of {touches}: "
                     "hold the tip on it, then press Enter",
                 )
                 try:

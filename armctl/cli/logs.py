@@ -23,7 +23,7 @@ from armctl.errors import ArmctlError
 
 if TYPE_CHECKING:
     from armctl.clock import Clock
-    from armctl.recording.player import Keys, Player
+    from armctl.recording.player import Player, Wait
     from armctl.recording.replay import ReplayResult
     from armctl.recording.timeline import Timeline
 
@@ -81,7 +81,7 @@ def replay_command(
 
         timeline = _loaded(output, log)
         with keys(sys.stdin) as pressed:
-            _watch(output, timeline, pressed, MonotonicClock(), **shown)
+            _watch(output, timeline, pressed.wait, MonotonicClock(), **shown)
     return 0 if same else 1
 
 
@@ -135,18 +135,18 @@ def _onto_sim(output: Output, log: Path, foreign: bool, seed: int) -> int:
 
 
 def _watch(
-    output: Output, timeline: Timeline, keys: Keys, clock: Clock, *, rate: float, start_s: float, loop: bool
+    output: Output, timeline: Timeline, wait: Wait, clock: Clock, *, rate: float, start_s: float, loop: bool
 ) -> None:
-    from armctl.recording.player import FRAME_S, Player, play
+    from armctl.recording.player import Player, play
 
     if start_s > timeline.duration_s:
         raise ArmctlError(f"--start {start_s:g}: {timeline.path} lasts {timeline.duration_s:.1f} s; begin earlier")
     player = Player(timeline.duration_s, rate=rate, loop=loop, at_s=start_s)
     if output.console.is_terminal:
         with Live(console=output.console, auto_refresh=False) as live:
-            play(player, lambda now: live.update(picture(timeline, now), refresh=True), keys, clock, FRAME_S)
+            play(player, lambda now: live.update(picture(timeline, now), refresh=True), wait, clock)
     else:
-        play(player, lambda now: output.say(line(timeline, now.at_s)), keys, clock, LINE_S)
+        play(player, lambda now: output.say(line(timeline, now.at_s)), wait, clock, LINE_S)
 
 
 def picture(timeline: Timeline, player: Player) -> RenderableType:
@@ -248,7 +248,7 @@ def recover(output: Output, log: Path) -> None:
 
     result = recovery.recover(log)
     output.answer(
-        {"recovered_messages": result.recovered_messages, "lost_s": result.lost_s, "path": str(result.path)},
+        asdict(result) | {"path": str(result.path)},
         f"{result.recovered_messages} messages recovered into {result.path}\n"
         f"lost: {result.lost_s:.1f} s, and what was not yet written (at most 1 s)",
     )
@@ -313,8 +313,7 @@ def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
 
 
 def _edited(output: Output, result: Any) -> None:
-    answer = {"path": str(result.path), "messages": result.messages, "duration_s": result.duration_s}
-    answer |= {"damaged": result.damaged, "begins_with_state": result.begins_with_state}
+    answer = asdict(result) | {"path": str(result.path)}
     output.answer(answer, f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
     if result.damaged:
         output.warn(f"{result.damaged} damaged places were left out")

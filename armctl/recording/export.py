@@ -62,8 +62,6 @@ def export(
     kind: Format,
     topics: Sequence[str] = (),
     progress: Progress | None = None,
-    *,
-    excel_rows: int = EXCEL_ROWS,
 ) -> ExportResult:
     """Write tables of a log.
 
@@ -73,7 +71,6 @@ def export(
 
     Args:
         progress: Called with the fraction done.
-        excel_rows: Most rows of a sheet.
     Raises:
         LogError: the log cannot be read or holds nothing of a topic, `out` exists or cannot be written.
         ArmctlError: a package is missing; the message names the extra that brings it.
@@ -102,7 +99,7 @@ def export(
     for file, wanted in files.items():
         with new_file(file) as stream:
             if kind == "xlsx":
-                _write_excel(stream, tables(wanted), excel_rows)
+                _write_excel(stream, tables(wanted))
             else:
                 (_write_csv if kind == "csv" else _write_parquet)(stream, tables(wanted))
     rows = {table.name: table.count for table in done}
@@ -277,7 +274,7 @@ def _write_csv(stream: BinaryIO, tables: Iterator[_Table]) -> None:
     text.detach()
 
 
-def _write_excel(stream: BinaryIO, tables: Iterator[_Table], most_rows: int) -> None:
+def _write_excel(stream: BinaryIO, tables: Iterator[_Table]) -> None:
     openpyxl = extra("Excel files", "openpyxl")
     book = openpyxl.Workbook(write_only=True)
     sheet: Any = None
@@ -286,7 +283,7 @@ def _write_excel(stream: BinaryIO, tables: Iterator[_Table], most_rows: int) -> 
             # Excel allows 31 characters, and none of []:*?/\
             name = re.sub(r"[\[\]:*?/\\]", "-", table.name.strip("/"))[:24]
             for index, row in enumerate(table.rows()):
-                sheets, place = divmod(index, most_rows - 1)
+                sheets, place = divmod(index, EXCEL_ROWS - 1)
                 if place == 0:
                     sheet = book.create_sheet(f"{name} {sheets + 1}" if sheets else name)
                     sheet.freeze_panes = "C2"

@@ -8,7 +8,6 @@ Rules.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from armctl.clock import NS_PER_S, Clock
 
@@ -64,22 +63,18 @@ class Player:
                 self.left = True
 
 
-class Keys(Protocol):
-    """Where keys come from."""
-
-    def wait(self, timeout_s: float) -> str:
-        """The next key, or nothing once the time is over."""
-        ...
+# Gives the next key, or nothing once so many seconds are over.
+Wait = Callable[[float], str]
 
 
-def play(player: Player, show: Callable[[Player], None], keys: Keys, clock: Clock, frame_s: float = FRAME_S) -> None:
+def play(player: Player, show: Callable[[Player], None], wait: Wait, clock: Clock, frame_s: float = FRAME_S) -> None:
     """Show the log from where the player is to its end, a picture every `frame_s` seconds."""
     shown_ns = clock.now_ns()
     while True:
         show(player)
         if player.ended:
             return
-        key = keys.wait(frame_s)
+        key = wait(frame_s)
         now_ns = clock.now_ns()
         player.advance((now_ns - shown_ns) / NS_PER_S)
         shown_ns = now_ns

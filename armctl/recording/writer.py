@@ -66,13 +66,7 @@ class LogWriter:
     """
 
     def __init__(
-        self,
-        path: Path,
-        context: LogContext,
-        *,
-        previous: str = "",
-        anchor: Anchor | None = None,
-        disk: Disk = DISK,
+        self, path: Path, context: LogContext, *, previous: str = "", anchor: Anchor | None = None, disk: Disk = DISK
     ) -> None:
         self.path, self.part = path, path.with_name(path.name + PART)
         self.context = context

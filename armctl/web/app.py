@@ -7,6 +7,7 @@ elsewhere is ever parsed in the daemon.
 
 import asyncio
 import contextlib
+import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -36,23 +37,19 @@ REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(
 )
 
 
-COMMANDS: tuple[tuple[str, str, type[Frozen], str], ...] = (
-    ("/torque-on", "torque_on", Nothing, "Carefully energise the arm where it is."),
-    ("/park", "park", Nothing, "Slowly to the rest pose, then limp."),
-    ("/clear", "clear", Nothing, "Acknowledge the latched fault; refused while its cause persists."),
-    (
-        "/release",
-        "release",
-        Confirmed,
-        "Switch torque off: the arm drops unless it is supported, which `confirm` says.",
-    ),
+# What is handed to the daemon as it is: path, parameters, and what it does. The socket's method has the path's words.
+HandedOn = tuple[tuple[str, type[Frozen], str], ...]
+COMMANDS: HandedOn = (
+    ("/torque-on", Nothing, "Carefully energise the arm where it is."),
+    ("/park", Nothing, "Slowly to the rest pose, then limp."),
+    ("/clear", Nothing, "Acknowledge the latched fault; refused while its cause persists."),
+    ("/release", Confirmed, "Switch torque off: the arm drops unless it is supported, which `confirm` says."),
 )
-# What is handed to the daemon as it is: path, method of the socket, its parameters, and what it does.
-TEACHING: tuple[tuple[str, str, type[Frozen], str], ...] = (
-    ("/teach/begin", "teach_begin", Nothing, "Make the arm limp for guiding by hand."),
-    ("/teach/end", "teach_end", Nothing, "Leave teaching; the arm stays limp."),
-    ("/take/begin", "take_begin", Named, "Record a candidate."),
-    ("/take/end", "take_end", Nothing, "The candidate is complete."),
+TEACHING: HandedOn = (
+    ("/teach/begin", Nothing, "Make the arm limp for guiding by hand."),
+    ("/teach/end", Nothing, "Leave teaching; the arm stays limp."),
+    ("/take/begin", Named, "Record a candidate."),
+    ("/take/end", Nothing, "The candidate is complete."),
 )
 
 
@@ -179,7 +176,7 @@ def _commands(daemon: Connections) -> APIRouter:
     return router
 
 
-def _handed_on(daemon: Connections, commands: tuple[tuple[str, str, type[Frozen], str], ...]) -> APIRouter:
+def _handed_on(daemon: Connections, commands: HandedOn) -> APIRouter:
     def handler(method: str, parameters: type[Frozen], text: str) -> Callable[[Frozen], Awaitable[dict[str, Any]]]:
         async def carry_out(body: Frozen) -> dict[str, Any]:
             return await daemon.call(method, **body.model_dump())
@@ -189,6 +186,7 @@ def _handed_on(daemon: Connections, commands: tuple[tuple[str, str, type[Frozen]
         return carry_out
 
     router = APIRouter()
-    for path, method, parameters, text in commands:
+    for path, parameters, text in commands:
+        method = "_".join(re.findall(r"\w+", path))
         router.add_api_route(path, handler(method, parameters, text), methods=["POST"], name=method)
     return router

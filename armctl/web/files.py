@@ -139,16 +139,15 @@ class Files:
     def log(self, name: NamePath, from_s: Seconds = 0.0, to_s: Seconds | None = None) -> dict[str, Any]:
         """Joint angles, links and the tool of one log over a span of time, thinned out for drawing."""
         track = reader.ticks(_log_path(self._logs, name))
-        time_s = track.time_s - (track.time_s[0] if len(track.time_s) else 0.0)
-        inside = np.flatnonzero((time_s >= from_s) & (time_s <= (np.inf if to_s is None else to_s)))
+        inside = np.flatnonzero((track.time_s >= from_s) & (track.time_s <= (np.inf if to_s is None else to_s)))
         kept = inside[_thinned(len(inside))]
         links = link_frames(self._chain, track.position_rad[kept][:, : self._chain.n])[:, 1:, :3, 3].round(5)
         base = np.zeros((len(kept), 1, 3))
         return {
             "name": name,
             "names": list(track.names),
-            "duration_s": float(time_s[-1]) if len(time_s) else 0.0,
-            "time_s": time_s[kept].round(4).tolist(),
+            "duration_s": float(track.time_s[-1]),
+            "time_s": track.time_s[kept].round(4).tolist(),
             "position_rad": track.position_rad[kept].round(5).tolist(),
             "links_m": np.concatenate([base, links], axis=1).tolist(),
             "tool_m": links[:, -1].tolist(),

@@ -45,14 +45,9 @@ STATUS = Topic("/armctl/status", full_name("std_msgs/String"))
 SOURCE = "armctl.live"
 STALE_S = 0.2
 _TOLD = (
-    channels.JOINT_STATES,
-    channels.TF,
-    channels.TF_STATIC,
-    channels.TCP_POSE,
-    channels.DIAGNOSTICS,
-    channels.ROSOUT,
+    channels.JOINT_STATES, channels.TF, channels.TF_STATIC, channels.TCP_POSE, channels.DIAGNOSTICS, channels.ROSOUT,
     channels.ROBOT_DESCRIPTION,
-)
+)  # fmt: skip
 # Every topic of the stream.
 PUBLISHED: dict[str, Topic] = {**{name: TOPICS[name] for name in _TOLD}, STATUS.name: STATUS}
 

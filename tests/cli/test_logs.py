@@ -16,12 +16,13 @@ from armctl import __version__
 from armctl.cli import logs
 from armctl.cli.keys import keys
 from armctl.cli.output import Output
-from armctl.clock import NS_PER_S, VirtualClock
+from armctl.clock import VirtualClock
 from armctl.recording import reader, timeline
 from armctl.recording.player import Player
 from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import CONTEXT, make_records
 from tests.recording.logs import write as write_log
+from tests.recording.test_player import waiting
 
 RECORDS = make_records(60, seed=3)
 REPLAY_KEYS = {"ticks", "messages", "mismatches", "seconds", "realtime_ratio"}
@@ -72,23 +73,12 @@ def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, answer
     assert reader.info(log).complete
 
 
-class Waits:
-    """No keys; waiting moves the clock."""
-
-    def __init__(self, clock: VirtualClock) -> None:
-        self._clock = clock
-
-    def wait(self, timeout_s: float) -> str:
-        self._clock.advance_ns(round(timeout_s * NS_PER_S))
-        return ""
-
-
 def watched(log: Path, *, terminal: bool, rate: float = 1.0, start_s: float = 0.0) -> str:
     output = Output()
     screen = io.StringIO()
     output.console = Console(file=screen, force_terminal=terminal, width=120, height=40)
     clock = VirtualClock()
-    logs._watch(output, timeline.load(log), Waits(clock), clock, rate=rate, start_s=start_s, loop=False)
+    logs._watch(output, timeline.load(log), waiting(clock), clock, rate=rate, start_s=start_s, loop=False)
     return screen.getvalue()
 
 

@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,25 +65,16 @@ REPORT = PaperReport(
     paper="004",
     title="a title that is as long as the longest of the five papers' titles, and then some more of it",
     notes=(),
-    rows=(
-        Row("greatest |dxy|, GA over theta2 to theta4, theta1 by eq. (12), mean of 2 seeds (spread 0.399)",
-            "16 (2 each of theta1 to theta4)", "2.806e-06 / 0.0003107", "rad/s, rad/s^2",
-            "differs: about half of all individuals have a flipped bit in every generation"),
-        Row("extent [mm]", None, -123456.78901, "mm", "equal"),
-    ),
+    rows=tuple(Row(**row) for row in WIDEST["paper"]),
     tables=(),
     pictures=(),
-)  # fmt: skip
+)
 ERRATUM = Erratum(
     "002", "eqs. (19), (20)", "C1 (a2 C2 + a3 C23)", "S1 (a2 C2 + a3 C23) + ...", "[m]", lambda: (0.1, 0.0)
 )
-SERVOS = [FoundServo(253, 1_000_000, None, None, 123456, True), FoundServo(1, 57_600, 65535, 255, 123456, False)]
-CHECKS = [
-    Check("return delay", True, "0 us", "", servo_id=1),
-    Check("EEPROM", False, "cw_angle_limit 0 wanted 123, ccw_angle_limit 1023 wanted 1006, max_torque 1023 wanted 900",
-          "armctl servo set 3 ccw_angle_limit 1006 --port /dev/serial/by-id/usb-FTDI_USB-Serial", servo_id=3),
-]  # fmt: skip
-DIFFERENCES = [Difference(253, "high_voltage_limit", 1023, 1023), Difference(1, "ccw_angle_limit", 1006, None)]
+SERVOS = [FoundServo(**row) for row in WIDEST["servos"]]
+CHECKS = [Check(**row) for row in WIDEST["checks"]]
+DIFFERENCES = [Difference(**row) for row in WIDEST["differences"]]
 FIT = Fit(
     arm=load_arm("ax12-line"),
     parameters=(
@@ -93,16 +85,12 @@ FIT = Fit(
     rms_before_mm=123.4,
     rms_mm=12.3,
 )
+STUDIES = {name: WIDEST[f"study {name}"] for name in ("arms", "ga", "pareto", "paper")}
+STUDIES["limits"] = {"rows": [{**WIDEST["study limits"], "without": effect} for effect in WITHOUT]}
 TABLES: dict[str, Callable[[Output], object]] = {
     "demo": lambda out: demo.show(out, WIDEST["demo"]),
     "experiment": lambda out: experiment.show(out, WIDEST["experiment"]),
-    "study arms": lambda out: study.show(out, "arms", WIDEST["study arms"]),
-    "study ga": lambda out: study.show(out, "ga", WIDEST["study ga"]),
-    "study pareto": lambda out: study.show(out, "pareto", WIDEST["study pareto"]),
-    "study limits": lambda out: study.show(
-        out, "limits", {"rows": [{**WIDEST["study limits"], "without": effect} for effect in WITHOUT]}
-    ),
-    "study paper": lambda out: study.show(out, "paper", WIDEST["study paper"]),
+    **{f"study {name}": partial(study.show, name=name, result=result) for name, result in STUDIES.items()},
     "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
     "recordings": lambda out: jobs.show_list(out, WIDEST["recordings"]),
     "optimize": lambda out: jobs.show_optimum(out, WIDEST["optimum"], WIDEST["plan"]),

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import link_frames
@@ -13,7 +12,7 @@ from armctl.kinematics.transform import matrix_from_quaternion
 from armctl.messages import Event, Fault, Reply, Run, TickRecord, command_from_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
-from armctl.recording.channels import TOPICS, Anchor, Topic
+from armctl.recording.channels import TOPICS, Anchor
 from tests.recording.altered import with_outputs, with_sample, without_first_joint
 from tests.recording.factory import ANCHOR, ARM, ROBOT, make_records, tick_messages
 
@@ -104,13 +103,6 @@ def test_diagnostics_tell_fault_and_silent_servos() -> None:
     assert "TRIPPED" in value["status"][0]["message"]
     assert value["status"][2]["message"] == "OVERHEAT OVERLOAD"
     TOPICS[topic].codec.encode(value)
-
-
-@pytest.mark.parametrize("topic", TOPICS.values(), ids=lambda topic: topic.name)
-def test_every_channel_offers_a_quality_of_service(topic: Topic) -> None:
-    (profile,) = yaml.safe_load(topic.metadata["offered_qos_profiles"])
-    assert profile["durability"] == (1 if topic.name in ("/tf_static", "/robot_description") else 2)
-    assert profile["reliability"] == 1
 
 
 def test_epoch_time_is_the_anchor_plus_the_monotonic_difference() -> None:

@@ -21,6 +21,7 @@ from armctl.control.step import step
 from armctl.errors import LogError
 from armctl.messages import Event, Inputs, Outputs
 from armctl.recording import reader, recordings
+from armctl.recording.channels import TOPICS
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PartInUse, publish
 from armctl.recording.log_file import LogFile
@@ -40,9 +41,10 @@ RECORDS = make_records(100, keyframe_ticks=40)
 
 def test_rosbags_plays_static_topics_to_those_who_come_late(log: Path) -> None:
     with AnyReader([log]) as bag:
-        qos = {c.topic: c.ext.offered_qos_profiles[0].durability.name for c in bag.connections}  # type: ignore[union-attr]
-    assert qos["/tf_static"] == qos["/robot_description"] == "TRANSIENT_LOCAL"
-    assert qos["/joint_states"] == "VOLATILE"
+        offered: dict[str, Any] = {c.topic: c.ext.offered_qos_profiles[0] for c in bag.connections}  # type: ignore[union-attr]
+    qos = {topic: (profile.durability.name, profile.reliability.name) for topic, profile in offered.items()}
+    late = dict.fromkeys(("/tf_static", "/robot_description"), ("TRANSIENT_LOCAL", "RELIABLE"))
+    assert qos == dict.fromkeys(TOPICS, ("VOLATILE", "RELIABLE")) | late
 
 
 def test_mcap_reads_every_message_with_checksums(log: Path) -> None:
@@ -79,14 +81,11 @@ def test_every_input_can_be_rebuilt_from_the_log(log: Path) -> None:
 def test_the_file_says_what_it_is_a_log_of(log: Path) -> None:
     with LogFile(log) as file:
         setup = log_setup(file)
-        assert file.facts["arm_id"] == ARM.arm_id
-        assert file.facts["calibration_hash"] == ARM.calibration_hash
         assert file.metadata["armctl"] == file.facts
+        assert (file.facts["arm_id"], file.facts["calibration_hash"]) == (ARM.arm_id, ARM.calibration_hash)
         config = validate(Config, parse_yaml(file.text("config.yaml"), "config"), "config")
-    assert setup.arm == ARM
-    assert setup.arm.calibration_hash == ARM.calibration_hash
-    assert setup.robot.lengths_m == ROBOT.lengths_m
-    assert (setup.period_s, setup.anchor) == (PERIOD_S, ANCHOR)
+    assert (setup.arm, setup.arm.calibration_hash) == (ARM, ARM.calibration_hash)
+    assert (setup.robot.lengths_m, setup.period_s, setup.anchor) == (ROBOT.lengths_m, PERIOD_S, ANCHOR)
     assert config == CONTEXT.config
 
 

@@ -1,14 +1,13 @@
 """Timed replay: laws of the player, and the loop on a clock that only the keys move."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.clock import NS_PER_S, VirtualClock
-from armctl.recording.player import FASTEST, SEEK_S, SLOWEST, Player, play
+from armctl.recording.player import FASTEST, SEEK_S, SLOWEST, Player, Wait, play
 
 KEYS = st.sampled_from(["", " ", "left", "right", "l", "+", "-", "x"])
 
@@ -68,24 +67,21 @@ def test_a_pause_at_the_end_does_not_end_the_replay() -> None:
     assert not player.ended
 
 
-@dataclass
-class ScriptedKeys:
-    """Keys at every picture; waiting moves the clock."""
+def waiting(clock: VirtualClock, script: Iterable[str] = ()) -> Wait:
+    """A key at every picture as long as there are some; waiting moves the clock."""
+    keys = iter(script)
 
-    clock: VirtualClock
-    script: Sequence[str]
-    pressed: int = field(default=0)
+    def wait(timeout_s: float) -> str:
+        clock.advance_ns(round(timeout_s * NS_PER_S))
+        return next(keys, "")
 
-    def wait(self, timeout_s: float) -> str:
-        self.clock.advance_ns(round(timeout_s * NS_PER_S))
-        self.pressed += 1
-        return self.script[self.pressed - 1] if self.pressed <= len(self.script) else ""
+    return wait
 
 
 def shown(player: Player, script: Sequence[str], frame_s: float) -> list[float]:
     clock = VirtualClock()
     pictures: list[float] = []
-    play(player, lambda now: pictures.append(round(now.at_s, 6)), ScriptedKeys(clock, script), clock, frame_s)
+    play(player, lambda now: pictures.append(round(now.at_s, 6)), waiting(clock, script), clock, frame_s)
     return pictures
 
 

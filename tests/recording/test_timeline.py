@@ -67,9 +67,8 @@ def test_a_run_is_found_with_its_window_and_its_ends(log: Path) -> None:
     (motion,) = timeline.load(log).motions
     (command,) = [c for record in RECORDS for c in record.inputs.commands if c.kind == "run"]
     path = command.trajectory
-    assert motion.label == path.label
-    assert motion.begin_rad == path.positions_rad[0]
-    assert motion.end_rad == path.positions_rad[10]
+    ends = path.positions_rad[0], path.positions_rad[10]
+    assert (motion.label, motion.begin_rad, motion.end_rad) == (path.label, *ends)
     assert (motion.end_ns - motion.begin_ns) / NS_PER_S == pytest.approx(path.end_s - path.begin_s, abs=0.11)
 
 

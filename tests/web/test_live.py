@@ -209,9 +209,8 @@ def test_a_viewer_sees_what_the_daemon_says_of_the_same_tick() -> None:
                 continue
             compared += 1
             joints, pose = ticks[now["tick"]]["/joint_states"], ticks[now["tick"]]["/tcp_pose"]["pose"]
-            assert joints["position"] == [joint["position_rad"] for joint in now["joints"]]
-            assert joints["velocity"] == [joint["velocity_rad_s"] for joint in now["joints"]]
-            assert joints["effort"] == [joint["load_ratio"] for joint in now["joints"]]
+            for told, key in (("position", "position_rad"), ("velocity", "velocity_rad_s"), ("effort", "load_ratio")):
+                assert joints[told] == [joint[key] for joint in now["joints"]]
             assert list(pose["position"].values()) == now["tool"]["position_m"]
             R = matrix_from_quaternion(tuple(pose["orientation"].values()))
             assert rpy_from_matrix(R) == pytest.approx(tuple(now["tool"]["rpy_rad"]), abs=1e-9)
