@@ -50,15 +50,6 @@ class Transfer:
     recorded: Curves
     model: Curves
 
-    def row(self, field: str) -> dict[str, float]:
-        """Largest absolute value of the model and of the record, and the root mean square of their difference."""
-        recorded, model = getattr(self.recorded, field), getattr(self.model, field)
-        return {
-            "model_peak": float(np.linalg.norm(model, axis=1).max()),
-            "recorded_peak": float(np.linalg.norm(recorded, axis=1).max()),
-            "rms_difference": math.sqrt(float(((recorded - model) ** 2).sum(axis=1).mean())),
-        }
-
 
 def load(log: Path) -> Transfer:
     """The cycle in a log that `armctl transfer` made the daemon record.
@@ -98,11 +89,15 @@ def draw(transfer: Transfer, title: str) -> Figure:
 
 
 def table(transfer: Transfer) -> list[dict[str, Any]]:
-    """Peaks of model and record and their difference, one row a figure."""
-    return [
-        {"figure": number, "quantity": what, "unit": unit, **transfer.row(field)}
-        for number, what, field, unit in QUANTITIES
-    ]
+    """One row a figure: largest absolute value of model and record, and the root mean square of their difference."""
+    rows = []
+    for number, what, field, unit in QUANTITIES:
+        recorded, model = getattr(transfer.recorded, field), getattr(transfer.model, field)
+        model_peak, recorded_peak = (float(np.linalg.norm(values, axis=1).max()) for values in (model, recorded))
+        rms = math.sqrt(float(((recorded - model) ** 2).sum(axis=1).mean()))
+        row = {"model_peak": model_peak, "recorded_peak": recorded_peak, "rms_difference": rms}
+        rows.append({"figure": number, "quantity": what, "unit": unit, **row})
+    return rows
 
 
 def write(transfer: Transfer, path: Path) -> None:

@@ -61,9 +61,8 @@ def test_the_list_is_sorted_and_says_what_cannot_be_read(tmp_path: Path, caplog:
     (tmp_path / "folder.mcap").mkdir()
     found = listing(tmp_path, ROBOT)
     assert [entry["name"] for entry in found["recordings"]] == ["a", "b", "c.mcap"]
-    assert [(entry["name"], "is no MCAP file" in entry["problem"]) for entry in found["unreadable"]] == [
-        ("broken", True)
-    ]
+    (broken,) = found["unreadable"]
+    assert (broken["name"], "is no MCAP file" in broken["problem"]) == ("broken", True)
     assert "broken.mcap" in caplog.text
     assert listing(tmp_path / "nowhere", ROBOT) == {"recordings": []}
 
@@ -83,12 +82,9 @@ def test_renaming_never_overwrites(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["", "../a", "a/b", ".hidden", "a\n", "a" * 65, "ä"])
 def test_names_that_are_no_names_are_refused(tmp_path: Path, name: str) -> None:
     take(tmp_path, "a")
-    with pytest.raises(LogError, match="a name has"):
-        recordings.find(tmp_path, name)
-    with pytest.raises(LogError, match="a name has"):
-        recordings.rename(tmp_path, "a", name)
-    with pytest.raises(LogError, match="a name has"):
-        recordings.delete(tmp_path, name)
+    for act, names in ((recordings.find, (name,)), (recordings.rename, ("a", name)), (recordings.delete, (name,))):
+        with pytest.raises(LogError, match="a name has"):
+            act(tmp_path, *names)
 
 
 def test_a_missing_take_is_an_error_that_lists_the_known_ones(tmp_path: Path) -> None:

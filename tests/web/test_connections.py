@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from armctl.errors import NoDaemon, RequestRefused
+from armctl.host.jsonrpc import error_line, notification_line, result_line
 from armctl.web import connections as module
 from armctl.web.connections import MAX_WAITING, Connections
 
@@ -35,17 +36,13 @@ class Stub:
             self._note(self.asked, (number, request["method"]))
             if request["method"] == "run":
                 continue  # lasts until its client leaves
-            reply: dict[str, Any] = {"result": {"state": "holding"}}
-            if request["method"] == "park":
-                data = {"type": "RequestRefused", "code": "BUSY", "reasons": ["no"], "exit_status": 1}
-                fields = {"code": "BUSY", "reasons": ["no"]}
-                reply = {"error": {"code": -32000, "message": "no", "data": {**data, "fields": fields}}}
-            writer.write(json.dumps({"jsonrpc": "2.0", "id": request["id"], **reply}).encode() + b"\n")
+            refused = error_line(request["id"], RequestRefused("BUSY", "no"))
+            writer.write(refused if request["method"] == "park" else result_line(request["id"], {"state": "holding"}))
         self._note(self.left, number)
         writer.close()
 
     def tell(self, number: int, method: str, **params: Any) -> None:
-        self.writers[number].write(json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n")
+        self.writers[number].write(notification_line(method, params))
 
     async def until(self, done: Callable[[], bool]) -> None:
         while not done():

@@ -7,12 +7,13 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from armctl.cli import main
+from armctl.client import Client
 from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError, ConfigError, NoDaemon
 from armctl.host.snapshot import JOINT_KEYS, Statistics, arm_snapshot
@@ -218,18 +219,15 @@ def test_a_viewer_sees_what_the_daemon_says_of_the_same_tick() -> None:
         assert -1.0 < age_s < DEADLINE_S
 
 
-class Restarted:
+class Restarted(Client):
     """A daemon that ends after one snapshot, and is back; the person leaves then."""
 
     connections = 0
 
-    def __init__(self, socket: str | None) -> None:
+    def __init__(self, *_: object) -> None:
         Restarted.connections += 1
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
+    def close(self) -> None: ...
 
     def subscribe(self) -> Iterator[dict[str, Any]]:
         yield snapshot()

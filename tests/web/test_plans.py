@@ -1,28 +1,13 @@
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from armctl.errors import RequestRefused
-from armctl.files import load_arm
-from armctl.trajectory.plan import Plan, plan_to_text
+from armctl.trajectory.plan import plan_to_text
 from armctl.web import plans
+from tests.trajectory.test_plan import make_plan
 
-ARM = load_arm("ax12-line")
-PLAN = Plan(
-    arm_id=ARM.arm_id,
-    calibration_hash=ARM.calibration_hash,
-    from_m=(0.18, -0.1, 0.1),
-    to_m=(0.18, 0.1, 0.1),
-    duration_s=5.0,
-    via=0,
-    waypoints_rad=tuple(map(tuple, np.zeros((2, 6)).tolist())),
-    waypoint_progress=(0.0, 1.0),
-    predicted_mean_error_mm=1.0,
-    predicted_max_error_mm=2.0,
-    interpolation="linear",
-    seed=0,
-)
+PLAN = make_plan()
 
 
 def test_a_plan_is_kept_and_never_overwritten(tmp_path: Path) -> None:
@@ -38,7 +23,7 @@ def test_the_list_leaves_out_what_is_no_plan(tmp_path: Path) -> None:
     plans.save(tmp_path, "good", plan_to_text(PLAN))
     (tmp_path / "bad.json").write_text("{")
     [found] = plans.listed(tmp_path)
-    assert (found["name"], found["via"], found["predicted_mean_error_mm"]) == ("good", 0, 1.0)
+    assert (found["name"], found["via"], found["predicted_mean_error_mm"]) == ("good", 2, 0.2)
     assert plans.listed(tmp_path / "none") == []
 
 
