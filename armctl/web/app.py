@@ -36,6 +36,8 @@ REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(
     (400, 401, 403, 404, 405, 409, 413, 415, 421, 422, 503), ErrorBody
 )
 
+# HTTP status of an error of armctl; of every other kind 409.
+STATUSES: dict[type[ArmctlError], int] = {NoDaemon: 503, LogError: 404, ConfigError: 422}
 
 # What is handed to the daemon as it is: path, parameters, and what it does. The socket's method has the path's words.
 HandedOn = tuple[tuple[str, type[Frozen], str], ...]
@@ -98,9 +100,7 @@ def create_app(arm: ArmConfig, config: Config, *, socket: Path, token: str, port
 
 async def _refused(_: Request, error: Exception) -> Response:
     assert isinstance(error, ArmctlError)
-    status = 503 if isinstance(error, NoDaemon) else 404 if isinstance(error, LogError) else 409
-    if isinstance(error, ConfigError):
-        status = 422
+    status = next((status for kind, status in STATUSES.items() if isinstance(error, kind)), 409)
     data = error_data(error)  # the socket's codes
     return _error(status, data["code"], str(error), data["reasons"])
 

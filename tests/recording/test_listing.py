@@ -11,7 +11,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from armctl.kinematics import robots
 from armctl.messages import Event
 from armctl.recording import recordings
 from armctl.recording.recordings import describe, listing
@@ -86,7 +85,7 @@ def test_a_take_that_was_cut_at_any_byte_disturbs_no_other(tmp_path: Path) -> No
 def test_a_take_of_an_arm_with_fewer_joints_has_no_errors_to_show(tmp_path: Path) -> None:
     recording = recordings.load(write_take(tmp_path / "a.mcap", [[0.1 * i] * N for i in range(3)]))
     short = replace(recording, positions_rad=recording.positions_rad[:, :2])
-    assert describe(short, robots.get(ARM.robot, ARM.lengths_m))["mean_error_mm"] is None
+    assert describe(short, ROBOT)["mean_error_mm"] is None
 
 
 @pytest.mark.parametrize("note", ["no JSON", "[]", "5", '{"event":"VIA_MARK"}', '{"request":1}', "[" * 100_000])

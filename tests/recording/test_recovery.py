@@ -30,9 +30,14 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory, part: bytes) -> list[LogMessage]:
-    path = tmp_path_factory.mktemp("whole") / "a.mcap.part"
-    path.write_bytes(part)
-    return messages(path)
+    return messages(put(tmp_path_factory.mktemp("whole"), part))
+
+
+def put(folder: Path, data: bytes) -> Path:
+    """The bytes as a part in a folder."""
+    path = folder / "a.mcap.part"
+    path.write_bytes(data)
+    return path
 
 
 def test_a_cut_loses_the_chunk_it_hits_and_nothing_else(tmp_path: Path, part: bytes) -> None:
@@ -79,8 +84,7 @@ def test_a_lost_chunk_costs_itself_and_the_loss_is_stated(
     """The first one too, although it holds schemas and channels."""
     begin, end = chunk_places(part)[index]
     middle = (begin + end) // 2
-    path = tmp_path / "a.mcap.part"
-    path.write_bytes(part[:middle] + bytes(40) + part[middle + 40 :])
+    path = put(tmp_path, part[:middle] + bytes(40) + part[middle + 40 :])
     found = messages(path)
     missing = [one for one in whole if one not in set(found)]
     result = recover(path, disk=DISK)
@@ -97,9 +101,7 @@ def test_two_damaged_places_and_what_lies_between_them(tmp_path: Path, part: byt
     data = bytearray(part)
     for begin, end in (places[3], places[9]):
         data[(begin + end) // 2] ^= 0xFF
-    path = tmp_path / "a.mcap.part"
-    path.write_bytes(data)
-    result = recover(path, disk=DISK)
+    result = recover(put(tmp_path, data), disk=DISK)
     assert result.lost_s == pytest.approx(2.0, abs=0.1)
     assert set(messages(result.path)) < set(whole)
 
@@ -108,17 +110,13 @@ def test_metadata_that_was_damaged_is_taken_from_where_a_checksum_confirms_it(tm
     data = bytearray(part)
     at = part.index(b"/dev/ttyUSB0", part.index(b"calibration.yaml"))
     data[at + 5] ^= 1
-    path = tmp_path / "a.mcap.part"
-    path.write_bytes(data)
-    result = recover(path, disk=DISK)
+    result = recover(put(tmp_path, data), disk=DISK)
     with LogFile(result.path) as log:
         assert log.metadata["armctl"]["port"] == log.facts["port"] == "/dev/ttyUSB0"
 
 
 def test_recovered_files_compact_and_stay_what_they_are(tmp_path: Path, part: bytes) -> None:
-    path = tmp_path / "a.mcap.part"
-    path.write_bytes(part[: len(part) * 9 // 10])
-    result = recover(path, disk=DISK)
+    result = recover(put(tmp_path, part[: len(part) * 9 // 10]), disk=DISK)
     before = messages(result.path)
     assert compact(result.path, disk=DISK)
     assert messages(result.path) == before

@@ -21,11 +21,12 @@ RECORDS = make_records(100, keyframe_ticks=40)
 
 
 @pytest.mark.parametrize("limit", [{"rotate_s": 2.0}, {"rotate_bytes": 2**16}])
-def test_a_full_file_is_followed_by_one_that_replays_alone(tmp_path: Path, limit: dict[str, Any]) -> None:
+def test_a_full_file_is_compacted_and_followed_by_one_that_replays_alone(tmp_path: Path, limit: dict[str, Any]) -> None:
     rig = Rig(tmp_path, **limit)
     rig.put(make_records(400, keyframe_ticks=70))
     paths = rig.close()
     assert 2 <= len(paths) <= 20
+    assert rig.compacted == [rig.logs] * (len(paths) - 1)
     assert [tick for path in paths for tick in ticks(path)] == list(range(400))
     assert sum(check(path).ticks for path in paths) == 399
     assert all(check(path).mismatches == 0 for path in paths)
@@ -82,13 +83,6 @@ def test_a_snapshot_that_cannot_be_written_disturbs_nothing(rig: Rig, monkeypatc
     (log,) = rig.close()
     assert ticks(log) == list(range(100))
     assert rig.recorder.problem == ""
-
-
-def test_a_rotated_log_is_handed_to_the_compactor(tmp_path: Path) -> None:
-    rig = Rig(tmp_path, rotate_s=2.0)
-    rig.put(make_records(50))
-    assert rig.compacted == [rig.logs] * 2
-    rig.close()
 
 
 def test_a_compactor_that_cannot_start_stops_nothing(tmp_path: Path) -> None:

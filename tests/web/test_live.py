@@ -1,8 +1,8 @@
 """The live view: what a viewer is sent equals what the daemon says."""
 
-import builtins
 import json
 import struct
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -82,13 +82,12 @@ def test_a_change_of_state_and_a_fault_are_told_once() -> None:
 
 def test_what_is_not_known_is_not_sent() -> None:
     unknown = [joint | dict.fromkeys(JOINT_KEYS) for joint in snapshot()["joints"]]
-    messages = dict(live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="off"), EPOCH_NS))
+    limp = snapshot(joints=unknown, tool=None, state="off")
+    messages = dict(live.Encoder(ARM).messages(limp, EPOCH_NS))
     assert messages["/joint_states"]["name"] == []
     assert not {"/tf", "/tcp_pose"} & messages.keys()
     assert [status["message"] for status in messages["/diagnostics"]["status"]][1:] == ["never answered"] * 6
-    starting = dict(
-        live.Encoder(ARM).messages(snapshot(joints=unknown, tool=None, state="starting", tick=None), EPOCH_NS)
-    )
+    starting = dict(live.Encoder(ARM).messages({**limp, "state": "starting", "tick": None}, EPOCH_NS))
     assert starting.keys() == {"/armctl/status", "/rosout"}
 
 
@@ -105,14 +104,7 @@ def test_the_daemon_of_another_arm_is_refused() -> None:
 
 
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *arguments: Any) -> Any:
-        if name.startswith("foxglove"):
-            raise ImportError(name)
-        return real(name, *arguments)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(ArmctlError, match=r"armctl\[live\]"):
         live.Stream(0)
 
