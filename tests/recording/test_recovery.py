@@ -33,7 +33,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory, part: bytes) -> list[LogMess
     return messages(put(tmp_path_factory.mktemp("whole"), part))
 
 
-def put(folder: Path, data: bytes) -> Path:
+def put(folder: Path, data: bytes | bytearray) -> Path:
     """The bytes as a part in a folder."""
     path = folder / "a.mcap.part"
     path.write_bytes(data)
