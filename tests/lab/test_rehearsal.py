@@ -24,7 +24,7 @@ RECORDS = make_records(60, seed=3)
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Timeline:
-    return timeline.load(write_log(tmp_path_factory.mktemp("log") / "a.mcap", simulated_records()))
+    return timeline.load(write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS))
 
 
 class Witness:
