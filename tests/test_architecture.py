@@ -18,8 +18,8 @@ NAMES = {
     for name in (getattr(node, kind, None) for kind in ("name", "id", "attr", "arg"))
     if name
 }
+# Of tests, of the system, or for a name to be chosen.
 ELSEWHERE = {"ROWS", "NAME", "NAME_command", "SOCK_SEQPACKET", "SCHED_FIFO", "PYTHONPATH"}
-"""Of tests, of the system, or for a name to be chosen."""
 
 
 def exists(path: str) -> bool:

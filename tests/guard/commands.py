@@ -34,10 +34,10 @@ from tests.terminal import free_port
 FILE = "commands.json"
 LINE = "--from 0.18,-0.1,0.10 --to 0.18,0.1,0.10"
 SHORT = "--from 0.18,-0.03,0.10 --to 0.18,0.03,0.10"
+# What is asked, by where; some of it is refused.
 COMMANDS: dict[str, list[str]] = yaml.safe_load(
     (FOLDER / "commands.yaml").read_text(encoding="utf-8").replace("LINE", LINE).replace("SHORT", SHORT)
 )
-"""What is asked, by where; some of it is refused."""
 MASKED = ("seconds", "realtime_ratio", "evaluations_per_s", "version", "host", "message", "reasons", "text", "script")
 DIGITS = 5
 # A search that goes on from what LAPACK gave.

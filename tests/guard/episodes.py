@@ -29,8 +29,8 @@ SEED = 1
 EPISODES = 200
 CHUNK = 20
 CHUNKS = [range(begin, begin + CHUNK) for begin in range(0, EPISODES, CHUNK)]
+# Virtual time of an episode: all of them take about 80 s in plain Python.
 LONGEST_S = 30.0
-"""Virtual time of an episode: all of them take about 80 s in plain Python."""
 FAULTS = set(KINDS)
 
 

@@ -31,15 +31,15 @@ from tests.guard.episodes import context, records
 from tests.guard.kept import digest, save
 
 FILE = "logs.json"
+# Its arm moves, jogs, parks, grows hot on the way (a fault, and a snapshot) and is switched on again.
 EPISODE = 7
-"""Its arm moves, jogs, parks, grows hot on the way (a fault, and a snapshot) and is switched on again."""
+# Ticks at which a take begins and ends.
 TAKE = (30, 150)
-"""Ticks at which a take begins and ends."""
 WALL_NS = 1_750_000_000 * NS_PER_S
 LIMITS = LogConfig(free_bytes=0, rotate_s=12.0, snapshot_s=3.0)
 KEYFRAMES = "/armctl/state"
+# Of the facts about a log: which armctl wrote it, and on which machine.
 VOLATILE = ("version", "host")
-"""Of the facts about a log: which armctl wrote it, and on which machine."""
 
 
 def recorded(folder: Path, ticks: Sequence[TickRecord], about: LogContext) -> None:
