@@ -68,7 +68,7 @@ def teach_command(
         if not yes:
             warn_of_limpness(output, commander, countdown, "the arm will go limp. Go on?")
         output.after_interrupt = "the arm stays limp, so support it; takes that were begun are kept; `armctl torque on`"
-        commander.call("teach_begin")
+        commander.call("teach_begin", confirm=True)
         output.say("the arm is limp; support it")
         start = from_m
         try:

@@ -41,6 +41,13 @@ class Confirmed(Frozen):
 
     confirm: Literal[True]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _meant(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("confirm") is not True:
+            raise ValueError("confirm: the arm goes limp and drops; support it, then give confirm: true")
+        return given
+
 
 class Named(Frozen):
     name: Name
@@ -126,7 +133,7 @@ class Methods:
             "stop": Method(Nothing, lambda _, __: host.stop(), always=True),
             "hold": Method(Nothing, lambda _, __: host.stop(), always=True),
             **{name: _command(host, name) for name in COMMANDS},
-            "teach_begin": Method(Nothing, lambda client, _: teaching.begin(host, client)),
+            "teach_begin": Method(Confirmed, lambda client, _: teaching.begin(host, client)),
             "take_begin": Method(Named, lambda client, p: teaching.take_begin(host, client, p.name)),
             "take_mark": Method(Nothing, lambda client, _: teaching.take_mark(host, client)),
             "take_end": Method(Nothing, lambda client, _: teaching.take_end(host, client)),

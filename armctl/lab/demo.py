@@ -106,7 +106,7 @@ def _teach(session: _Session, seed: int) -> list[str]:
     """Record the candidates: the simulator's hand guides the limp arm."""
     client, period_s = session.client, next(session.watcher)["period_s"]
     session.wait_ticks(5)
-    client.call("teach_begin")
+    client.call("teach_begin", confirm=True)
     session.wait_ticks(2)
     names = [f"candidate-{take}" for take in range(1, TAKES + 1)]
     for take, name in enumerate(names):

@@ -48,7 +48,7 @@ COMMANDS: HandedOn = (
     ("/release", Confirmed, "Switch torque off: the arm drops unless it is supported, which `confirm` says."),
 )
 TEACHING: HandedOn = (
-    ("/teach/begin", Nothing, "Make the arm limp for guiding by hand."),
+    ("/teach/begin", Confirmed, "Make the arm limp for guiding by hand: it drops unless `confirm` says it is supported."),
     ("/teach/end", Nothing, "Leave teaching; the arm stays limp."),
     ("/take/begin", Named, "Record a candidate."),
     ("/take/end", Nothing, "The candidate is complete."),

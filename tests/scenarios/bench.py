@@ -266,7 +266,7 @@ def bring_up(bench: Bench, simulator: Simulator) -> None:
     client = bench.client()
     if client.call("status")["state"] == "holding":
         return
-    client.call("teach_begin")
+    client.call("teach_begin", confirm=True)
     x, y, z = LINE_M[0]
     # The hand supports the arm where a take ends, for as long as nobody lets go.
     guided = simulator.client.guide((x, y + 0.02, z + 0.01), (x, y, z), seed=1, duration_s=0.5)

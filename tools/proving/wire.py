@@ -168,7 +168,7 @@ def _in_state(running: Rig, state: Before) -> Iterator[_Motion]:
     motion = _Motion()
     assert running.wait(lambda s: s["state"] == "off", 5.0), f"the daemon is {running.snapshot.get('state')}, not off"
     if state == "teaching":
-        running.client.call("teach_begin")
+        running.client.call("teach_begin", confirm=True)
     elif state != "off":
         running.client.call("torque_on")
     mover = Client(running.socket)

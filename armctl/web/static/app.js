@@ -596,7 +596,7 @@ function wire() {
   $("teach-begin").addEventListener("click", async (event) => {
     const needed = snapshot && snapshot.joints.some((joint) => joint.torque_enabled);
     if (needed && !await confirmed("The arm goes limp and drops. Support it by hand first.", "It is supported")) return;
-    await act(event.target, () => post("/teach/begin"));
+    await act(event.target, () => post("/teach/begin", { confirm: true }));
   });
   $("take").addEventListener("click", (event) => act(event.target, toggleTake));
   $("teach-end").addEventListener("click", (event) => act(event.target, () => post("/teach/end")));

@@ -34,6 +34,7 @@ LINE: dict[str, Any] = {"from_m": [0.18, -0.1, 0.1], "to_m": [0.18, 0.1, 0.1]}
 POSTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("/api/stop", {}),
     ("/api/release", {"confirm": True}),
+    ("/api/teach/begin", {"confirm": True}),
     ("/api/take/begin", {"name": "take"}),
     ("/api/optimize", {**LINE, "name": "x", "recordings": ["none"], "via": [0], "seed": 1, "settings": {"elite": 2}}),
     ("/api/plans/none/run", {}),

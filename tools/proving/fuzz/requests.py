@@ -65,9 +65,9 @@ def requests_to(arm: ArmConfig) -> list[tuple[str, dict[str, Any]]]:
     optimize = {"recordings": list(TAKES), **line, "via": [0, 2], "duration_s": 5.0, "seed": 1}
     return [
         *((method, {}) for method in ("status", "log", "subscribe", "stop", "hold", "pause", "resume")),
-        *((method, {}) for method in ("torque_on", "torque_on", "park", "clear", "teach_begin", "teach_end")),
+        *((method, {}) for method in ("torque_on", "torque_on", "park", "clear", "teach_end")),
         *((method, {}) for method in ("take_mark", "take_end", "recordings_list")),
-        ("release", {"confirm": True}),
+        *((method, {"confirm": True}) for method in ("release", "teach_begin")),
         ("take_begin", {"name": "take"}),
         ("run", {"plan": plan}),
         ("move", {"joints_rad": rest, "duration_s": 1.0}),
