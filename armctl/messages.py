@@ -208,8 +208,15 @@ class HostLost:
     kind: Literal["host_lost"] = "host_lost"
 
 
+@dataclass(frozen=True, slots=True)
+class HostSilent:
+    """The host process is there and says nothing: slow down and hold, since nobody could stop the arm."""
+
+    kind: Literal["host_silent"] = "host_silent"
+
+
 Request = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Pause | Resume | SetRate | Jog | Park | Clear
-Command = Request | Connected | HostLost
+Command = Request | Connected | HostLost | HostSilent
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,16 @@ class StartFailed:
     error: BusError
 
 
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """The host is there; said again and again, since a host that hangs does not close its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identifying:
+    """The servos are being identified: the next tick comes later than the others."""
+
+
 class Link:
     """One end of the connection."""
 

@@ -26,14 +26,27 @@ class ControlLoop:
     """Owns the bus and the state; one call of `tick` is one tick."""
 
     def __init__(
-        self, bus: ServoBus, clock: Clock, arm: ArmConfig, robot: Robot, period_s: float, *, restarted: bool = False
+        self,
+        bus: ServoBus,
+        clock: Clock,
+        arm: ArmConfig,
+        robot: Robot,
+        period_s: float,
+        *,
+        restarted: bool = False,
+        before_identify: Callable[[], object] = lambda: None,
     ) -> None:
+        """With all it needs.
+
+        Args:
+            before_identify: Called when this tick takes longer than others, because servos are identified.
+        """
         self.state = State()
         self._bus, self._clock, self._arm, self._robot = bus, clock, arm, robot
         self._period_s = period_s
         self._period_ns = round(period_s * NS_PER_S)
         self._skip_ns = min(SKIP_NS, self._period_ns // 2)
-        self._restarted = restarted
+        self._restarted, self._before_identify = restarted, before_identify
         self._tick = 0
         self._deadline_ns = 0
         self._next_open_ns = 0
@@ -126,5 +139,6 @@ class ControlLoop:
         clearing = self.state.fault is not None and any(isinstance(command, Clear) for command in commands)
         if not self._bus.is_open or not (due or first or clearing):
             return ()
+        self._before_identify()
         problems = self._bus.identify(self._arm.joints)
         return (Connected(problems, restarted=self._restarted and first, firmware=self._bus.firmware),)

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Self, cast
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock, ask_for_real_time
 from armctl.config import ArmConfig
-from armctl.control.link import Link, LinkClosed, Ready, StartFailed
+from armctl.control.link import Beat, Identifying, Link, LinkClosed, Ready, StartFailed
 from armctl.errors import BusError, PortBusy
-from armctl.messages import Command, Hold, HostLost, Reply
+from armctl.messages import Command, Hold, HostLost, HostSilent, Reply
 
 if TYPE_CHECKING:
     from armctl.control.loop import ControlLoop
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 SETTINGS_TIMEOUT_S = 10.0
 # How long a busy port is waited for: a control process whose host died comes to rest and leaves well within.
 BUSY_NS = 2 * NS_PER_S
+# A host that was not heard for so long hangs: it says something every 50 ms.
+SILENT_NS = 300_000_000
 BUSY_POLL_NS = NS_PER_S // 10
 
 
@@ -71,6 +73,10 @@ class ControlProcess:
         """Exit status, or None while it runs."""
         return self._process.poll()
 
+    def kill(self) -> None:
+        """End it at once, also where it hangs."""
+        self._process.kill()
+
     def terminate(self, timeout_s: float) -> None:
         """Ask it to come to rest and leave; insist after `timeout_s`."""
         self.link.close()
@@ -95,6 +101,9 @@ class Inbox:
         self.leaving = False
         self._link, self._loop, self._clock = link, loop, clock
         self._commands: list[Command] = []
+        # When the host's last word came; 0: none has come yet.
+        self._heard_ns = 0
+        self._silent = False
 
     def wait(self, deadline_ns: int) -> None:
         """Take in what comes until `deadline_ns`."""
@@ -111,15 +120,20 @@ class Inbox:
         if self.leaving:
             return (HostLost(),)
         commands, self._commands = self._commands, []
-        return commands
+        before, self._silent = self._silent, 0 < self._heard_ns < self._clock.now_ns() - SILENT_NS
+        return (*commands, HostSilent()) if self._silent and not before else commands
 
     def _receive(self) -> None:
         try:
-            received = cast("list[Command]", self._link.receive())
+            received = cast("list[Command | Beat]", self._link.receive())
         except LinkClosed:
             self.leaving = True
             return
+        if received:
+            self._heard_ns = self._clock.now_ns()
         for command in received:
+            if isinstance(command, Beat):
+                continue
             self._commands.append(command)
             if isinstance(command, Hold) and self._loop.at_rest and all(isinstance(c, Hold) for c in self._commands):
                 self._link.send(Reply(command.request_id, True))
@@ -139,7 +153,15 @@ def main(descriptor: int) -> int:
     clock = MonotonicClock()
     bus = ServoBus(SerialPort(settings.port, settings.baud, clock), settings.arm.servo_ids)
     robot = robots.get(settings.arm.robot, settings.arm.lengths_m)
-    loop = ControlLoop(bus, clock, settings.arm, robot, settings.period_s, restarted=restarted)
+    loop = ControlLoop(
+        bus,
+        clock,
+        settings.arm,
+        robot,
+        settings.period_s,
+        restarted=restarted,
+        before_identify=lambda: link.send(Identifying()),
+    )
     inbox = Inbox(link, loop, clock)
 
     def leave(_signal: int, _frame: object) -> None:

@@ -57,6 +57,10 @@ def _carry_out(s: Tick, command: Command) -> str | None:
             if state.jog is not None:
                 s.finish_jog("HOST_LOST")
             return None
+        case messages.HostSilent():
+            s.events.append(Event("warning", "HOST_SILENT", "no word of the daemon for 0.3 s; a motion slows down"))
+            _slow_down(s, "HOST_SILENT", "the daemon is silent")
+            return None
         case messages.Hold(request_id):
             return _hold(s, request_id)
         case messages.TorqueOn(request_id):
@@ -112,12 +116,17 @@ def _connected(s: Tick, command: messages.Connected) -> None:
         s.latch(first.code, "; ".join(problem.text for problem in command.problems), first.servo_id)
 
 
+def _slow_down(s: Tick, code: str, why: str) -> None:
+    """Bring to rest whatever moves, on its path."""
+    if s.state.phase in TO_REST:
+        give_up_rest(s, code, why)
+    s.stop_motion(code)
+
+
 def _hold(s: Tick, request_id: int) -> str | None:
     state = s.state
-    if state.phase in TO_REST:
-        give_up_rest(s, "STOPPED", "it was stopped")
+    _slow_down(s, "STOPPED", "it was stopped")
     if state.motion is not None or state.jog is not None:
-        s.stop_motion("STOPPED")
         state.hold_request_ids = (*state.hold_request_ids, request_id)
         return None
     return "the arm is limp; there is nothing to hold" if state.mode in (Mode.OFF, Mode.TEACHING) else ""

@@ -24,11 +24,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import Link, LinkClosed, Ready, StartFailed
+from armctl.control.link import Identifying, Link, LinkClosed, Ready, StartFailed
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, RequestRefused
 from armctl.files import data_dir
 from armctl.host import service_manager
+from armctl.host.pulse import OVERDUE_S, START_S, Pulse, beat
 from armctl.messages import Reply, TickRecord
 
 if TYPE_CHECKING:
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     MakeRecorder = Callable[[LogContext, Path, Path], TakeRecorder]
 
 # Longest wait for the first tick.
-START_S = 20.0
 # Longest wait for the arm to come to rest at the end.
 STILL_S = 1.0
 LEAVE_S = 0.5
@@ -57,6 +57,7 @@ class ControlHandle(Protocol):
     @property
     def link(self) -> Link: ...
     def poll(self) -> int | None: ...
+    def kill(self) -> None: ...
     def terminate(self, timeout_s: float) -> None: ...
 
 
@@ -74,6 +75,7 @@ class Outside:
     # None: a `Recorder`.
     make_recorder: MakeRecorder | None = None
     clock: Clock = field(default_factory=MonotonicClock)
+    overdue_s: float = OVERDUE_S
 
 
 async def run_daemon(
@@ -124,7 +126,7 @@ async def run_daemon(
             service_manager.notify("WATCHDOG=1")
 
         restart = partial(outside.start_control, settings, restarted=True)
-        supervising = asyncio.create_task(supervise(control, restart, host, tick, outside.clock))
+        supervising = asyncio.create_task(supervise(control, restart, host, tick, outside))
         try:
             await _first_tick(host, supervising, ending)
             await server.start(listening)
@@ -178,7 +180,7 @@ async def supervise(
     restart: Callable[[], ControlHandle],
     host: Host,
     tick: Callable[[TickRecord], None],
-    clock: Clock,
+    outside: Outside,
 ) -> None:
     """Keep a control process alive, beginning with `control`, until cancelled: when it is gone, another is started.
 
@@ -189,10 +191,10 @@ async def supervise(
     """
     deaths_ns: deque[int] = deque(maxlen=MAX_DEATHS + 1)
     while True:
-        failed = await _until_gone(control, host, tick)
+        failed = await _until_gone(control, host, tick, Pulse(host.period_s, outside.overdue_s))
         if failed is not None and not deaths_ns:
             raise failed
-        deaths_ns.append(clock.now_ns())
+        deaths_ns.append(outside.clock.now_ns())
         wait_s = restart_wait_s(deaths_ns)
         why = f"exit status {control.poll()}" if failed is None else str(failed)
         logger.error("RESTARTED: the control process is gone (%s); starting another in %g s", why, wait_s)
@@ -201,7 +203,9 @@ async def supervise(
         control = restart()
 
 
-async def _until_gone(control: ControlHandle, host: Host, tick: Callable[[TickRecord], None]) -> BusError | None:
+async def _until_gone(
+    control: ControlHandle, host: Host, tick: Callable[[TickRecord], None], pulse: Pulse
+) -> BusError | None:
     """Take in what the process sends until it is gone; returns why it could not start, if so."""
     loop = asyncio.get_running_loop()
     descriptor = control.link.fileno()
@@ -219,7 +223,10 @@ async def _until_gone(control: ControlHandle, host: Host, tick: Callable[[TickRe
         for message in messages:
             match message:
                 case TickRecord():
+                    pulse.ticked()
                     tick(message)
+                case Identifying():
+                    pulse.identifying()
                 case Reply():
                     host.exchange.answer(message)
                 case Ready():
@@ -228,10 +235,12 @@ async def _until_gone(control: ControlHandle, host: Host, tick: Callable[[TickRe
                     failed = message.error
 
     loop.add_reader(descriptor, receive)
+    beating = asyncio.create_task(beat(control, pulse))
     try:
         await gone.wait()
         host.control_lost()
     finally:
+        beating.cancel()
         loop.remove_reader(descriptor)
         # The next one can have the port only when this one has let go of it.
         await asyncio.to_thread(control.terminate, LEAVE_S)

@@ -37,6 +37,8 @@ STUCK_S = 60.0
 PARK_S = 60.0
 # What a run's recording keeps after the motion has ended.
 TAIL_NS = 300_000_000
+# What the arm does is not told from a tick that is later than its period by more than this.
+STALE_NS = 300_000_000
 
 logger = logging.getLogger(__name__)
 
@@ -291,6 +293,8 @@ class Host:
         """What the arm does now: the answer to most requests."""
         if self.latest is None or self.exchange.pid is None:
             return {"state": "restarting" if self._lost_ns is not None else "starting"}
+        if self._clock.now_ns() - self.latest.inputs.now_ns > round(self.period_s * NS_PER_S) + STALE_NS:
+            return {"state": "stalled"}
         return {"state": self.latest.outputs.mode.value}
 
     def log(self) -> dict[str, Any]:

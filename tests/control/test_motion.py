@@ -13,7 +13,7 @@ from armctl.control.motion import sample_trajectory
 from armctl.control.requests import START_TOLERANCE_RAD
 from armctl.control.tick import MINIMUM_SPEED_UNITS
 from armctl.dynamixel import ax12a
-from armctl.messages import Hold, HostLost, JointTrajectory, Mode, Release, Run
+from armctl.messages import Hold, HostLost, HostSilent, JointTrajectory, Mode, Release, Run
 from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line, running
 
 
@@ -75,6 +75,18 @@ def test_a_stop_comes_to_rest_on_the_path_within_300_ms(after: int) -> None:
     assert len(arm.goals) <= 2
     columns = list(zip(*arm.goals, strict=True))
     assert all(len(set(column)) == 1 for column in columns[1:])
+
+
+@given(st.integers(0, 18))
+@settings(deadline=None, max_examples=10)
+def test_a_silent_host_slows_the_arm_down_as_a_stop_does(after: int) -> None:
+    arm, stopped = running(), running()
+    for one, word in ((arm, HostSilent()), (stopped, Hold(6))):
+        one.run_ticks(after)
+        one.run_ticks(4, word)
+    assert (arm.mode(), arm.goals) == (Mode.HOLDING, stopped.goals)
+    assert arm.replies[5].code == "HOST_SILENT"
+    assert arm.events.count("HOST_SILENT") == 1
 
 
 def test_losing_the_host_stops_the_arm() -> None:

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from armctl.clock import VirtualClock
-from armctl.control.link import Link
+from armctl.control.link import Beat, Link
 from armctl.control.loop import ControlLoop
 from armctl.control.machine import TO_REST, Jogging, Motion, State
-from armctl.control.process import Inbox
-from armctl.messages import Command, Hold, HostLost, JointTrajectory, Park, Reply, Run, SetRate
+from armctl.control.process import SILENT_NS, Inbox
+from armctl.messages import Command, Hold, HostLost, HostSilent, JointTrajectory, Park, Reply, Run, SetRate
 from tests.control.test_loop import Rig, holding
 
 SOON_NS = 1_000_000
@@ -110,3 +110,24 @@ def test_nothing_moves_after_a_hold_that_was_answered_at_once(stopped: bool) -> 
     assert any(record.outputs.goal for record in rig.records) != stopped
     bench.host.close()
     bench.ours.close()
+
+
+def test_a_host_that_has_fallen_silent_is_told_to_one_tick(bench: Bench) -> None:
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 10 * SILENT_NS)
+    assert bench.inbox.take() == []  # it has never said anything: it is still starting
+    for word in (Beat(), Hold(1)):
+        assert bench.host.send(word)
+        bench.inbox.take()
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + SILENT_NS)
+        assert bench.inbox.take() == []
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + SOON_NS)
+        assert bench.inbox.take() == (HostSilent(),)
+        assert bench.inbox.take() == []
+
+
+def test_words_that_waited_while_this_process_hung_count_as_heard(bench: Bench) -> None:
+    assert bench.host.send(Beat())
+    bench.inbox.take()
+    assert bench.host.send(Beat())
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 10 * SILENT_NS)
+    assert bench.inbox.take() == []

@@ -1,6 +1,5 @@
 """Stand-ins for what the host talks to: ideal servos behind the real control step, and a recorder in memory."""
 
-import select
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ import pytest
 
 from armctl.clock import VirtualClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import Link, LinkClosed, Ready
+from armctl.control.link import Beat, Link, LinkClosed, Ready
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, LogError, RequestRefused
 from armctl.host.host import Host
@@ -38,6 +37,8 @@ class IdealControl:
         self.link, theirs = Link.pair()
         self._theirs = Link(theirs)
         self._clock = clock
+        # Commands that no tick has seen yet.
+        self._waiting: list[Command] = []
         self._connect: tuple[Command, ...] = (Connected(restarted=restarted),)
         self.commands: list[Command] = []
         self.alive = True
@@ -52,15 +53,20 @@ class IdealControl:
         self._connect = (Connected(restarted=True),)
 
     def take(self) -> list[Command]:
-        """Commands that wait in the link; no tick will see them."""
-        return cast("list[Command]", self._theirs.receive())
+        """Commands that wait; no tick will see them."""
+        self._hear()
+        taken, self._waiting = self._waiting, []
+        return taken
+
+    def _hear(self) -> None:
+        self._waiting += [word for word in cast("list[Command]", self._theirs.receive()) if not isinstance(word, Beat)]
 
     def say(self, message: object) -> None:
         self._theirs.send(message)
 
     def tick(self) -> TickRecord:
         """One tick with the commands that wait in the link."""
-        commands = tuple(cast("list[Command]", self._theirs.receive()))
+        commands = tuple(self.take())
         self.commands += commands
         arm = self.arm
         outputs = arm.run_tick(*self._connect, *commands)
@@ -84,7 +90,11 @@ class IdealControl:
     def undisturbed(self) -> bool:
         """Whether a motion is under way and no command waits."""
         moving = self.arm.mode() is Mode.MOVING and bool(self.commands) and isinstance(self.commands[-1], Run)
-        return moving and not select.select([self._theirs], [], [], 0.0)[0]
+        try:
+            self._hear()
+        except LinkClosed:  # the next tick finds out
+            return False
+        return moving and not self._waiting
 
     def die(self) -> None:
         self.alive = False
@@ -92,6 +102,9 @@ class IdealControl:
 
     def poll(self) -> int | None:
         return -9
+
+    def kill(self) -> None:
+        self.die()
 
     def terminate(self, timeout_s: float) -> None:
         assert timeout_s > 0.0

@@ -23,7 +23,7 @@ from armctl.control.link import StartFailed
 from armctl.control.process import ControlSettings
 from armctl.errors import BusError, PortBusy, PortGone, PortMissing, RequestRefused
 from armctl.files import load_arm
-from armctl.host import daemon
+from armctl.host import daemon, pulse
 from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, Outside, restart_wait_s, run_daemon
 from armctl.messages import Hold, Mode
 from armctl.recording.writer import LogContext
@@ -45,8 +45,12 @@ class Bench:
         self.controls: list[IdealControl] = []
         self.ready = asyncio.Event()
         self.failing_start: StartFailed | None = None
+        # Longer than any test keeps a motion waiting.
+        self.overdue_s = PATIENCE_S
         # Whether a motion waits where it is for the next command.
         self.frozen = False
+        # The control process that ticks no more.
+        self.hung: IdealControl | None = None
         self.status = 0
         self.lines: list[str] = []
         self.threads = ThreadPoolExecutor()
@@ -81,14 +85,16 @@ class Bench:
             socket=self.socket,
             log_dir=None,
             ready=self.say_ready,
-            outside=Outside(self.start_control, self.make_recorder, self.clock),
+            outside=Outside(self.start_control, self.make_recorder, self.clock, self.overdue_s),
         )
 
     async def tick(self) -> None:
         """Tick whatever control process lives, for ever."""
         while True:
-            if self.controls and self.controls[-1].alive and not (self.frozen and self.controls[-1].undisturbed()):
-                self.controls[-1].tick_over_link()
+            for control in self.controls[-1:]:
+                waits = control is self.hung or not control.alive or (self.frozen and control.undisturbed())
+                if not waits:
+                    control.tick_over_link()
             await asyncio.sleep(0)
 
     @property
@@ -300,6 +306,22 @@ async def test_a_dead_control_process_fails_the_run_and_another_takes_the_arm_ov
         assert "RESTARTED" in b.arm.events
         assert await b.call(client, "stop") == {"state": "holding"}
         assert any("RESTARTED" in note for note in b.recorder.notes)
+
+
+async def test_a_control_process_that_hangs_is_killed_and_another_adopts_the_arm(
+    idle: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pulse, "BEAT_S", 0.001)
+    idle.overdue_s = 0.0
+    run = asyncio.create_task(idle.run())
+    await until(idle.ready.is_set)
+    hung, ticks = idle.controls[0], idle.clock.now_ns()
+    idle.hung = hung
+    await until(lambda: len(idle.controls) == 2 and idle.clock.now_ns() > ticks)
+    assert not hung.alive
+    assert "RESTARTED" in idle.arm.events
+    run.cancel()
+    await asyncio.gather(run, return_exceptions=True)
 
 
 async def test_control_processes_that_fail_to_start_again_are_tried_again(b: Bench) -> None:

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
+from armctl.host.host import STALE_NS
 from armctl.kinematics.chain import forward_kinematics
 from armctl.kinematics.transform import rpy_from_matrix
 from armctl.messages import Mode
@@ -76,6 +78,15 @@ async def test_a_fault_tells_code_servo_time_what_the_arm_does_and_what_to_type(
     assert (fault["code"], fault["servo_id"]) == ("SERVO_SILENT", 2)
     assert fault["since_s"] == pytest.approx(2.0, abs=0.01)
     assert "armctl clear" in fault["next"]
+
+
+async def test_what_an_arm_does_is_not_told_from_a_tick_long_ago(limp: Bench) -> None:
+    limp.clock.advance_ns(round(limp.host.period_s * NS_PER_S) + STALE_NS - 1_000_000)
+    assert limp.host.status()["state"] == "off"
+    limp.clock.advance_ns(2_000_000)
+    assert limp.host.status()["state"] == "stalled"
+    limp.tick()
+    assert limp.host.status()["state"] == "off"
 
 
 async def test_a_dead_control_process_is_a_fault_until_the_next_one_ticks(limp: Bench) -> None:

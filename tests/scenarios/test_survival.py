@@ -138,3 +138,38 @@ def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on(holding: Benc
     assert not holding.socket.exists()
     assert_replays(holding.logs)
     assert_replays(holding.recordings)
+
+
+def test_a_hung_host_stops_the_arm_and_finds_it_holding(holding: Bench, arm: Simulator) -> None:
+    run = holding.run_to_the_middle(arm)
+    daemon = holding.daemons[0].process
+    hung_ns = time.monotonic_ns()
+    os.kill(daemon.pid, signal.SIGSTOP)
+    try:
+        # 0.3 s of silence, a tick, 0.2 s to slow down, and the last goal.
+        moved_deg = arm.motion_deg(hung_ns + 700 * MS, hung_ns + 1700 * MS)
+    finally:
+        os.kill(daemon.pid, signal.SIGCONT)
+    assert moved_deg < STOPPED_DEG
+    with refused("HOST_SILENT"):
+        run.result()
+    assert holding.until(lambda snapshot: snapshot["state"] == "holding")["fault"] is None
+    assert arm.torque() == [True] * 6
+    assert holding.daemons[0].end() == 0
+    assert_replays(holding.logs)
+
+
+def test_a_hung_control_process_is_replaced_and_the_arm_adopted(holding: Bench, arm: Simulator) -> None:
+    run = holding.run_to_the_middle(arm)
+    hung_ns = time.monotonic_ns()
+    os.kill(holding.controls[0], signal.SIGSTOP)
+    with refused("RESTARTED"):
+        run.result()
+    adopted = holding.until(lambda snapshot: snapshot["pids"]["control"] not in (None, holding.controls[0]))
+    holding.controls.append(adopted["pids"]["control"])
+    holding.until(lambda snapshot: snapshot["state"] == "holding")
+    assert arm.motion_deg(hung_ns + 250 * MS, hung_ns + 1250 * MS) < STOPPED_DEG
+    assert not alive(holding.controls[0])
+    assert arm.torque() == [True] * 6
+    assert holding.daemons[0].end() == 0
+    assert_replays(holding.logs)
