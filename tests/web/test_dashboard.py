@@ -110,6 +110,7 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     expect(page.locator("#optimise-figures")).to_contain_text("exact optimum")
     expect(page.locator("#convergence .scatterlayer .trace")).to_have_count(2)
     expect(page.locator("#plan-choice")).to_have_value("line-via1")
+    acknowledge(stand)  # the optimisation, too, keeps a small machine busy
     page.click("#run")
     state(page, "moving")
     stand.simulator.let_go()
@@ -129,7 +130,7 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
 
 
 def test_stop_is_served_under_load_while_the_arm_moves(page: Page, stand: Stand) -> None:
-    state(page, "holding")
+    state(page, "holding", "off")
     page.click("nav [data-view=guide]")
     expect(page.locator("#plan-choice")).to_have_value("line-via1")
     ending = threading.Event()
