@@ -48,7 +48,11 @@ COMMANDS: HandedOn = (
     ("/release", Confirmed, "Switch torque off: the arm drops unless it is supported, which `confirm` says."),
 )
 TEACHING: HandedOn = (
-    ("/teach/begin", Confirmed, "Make the arm limp for guiding by hand: it drops unless `confirm` says it is supported."),
+    (
+        "/teach/begin",
+        Confirmed,
+        "Make the arm limp for guiding by hand. It drops unless it is supported, see `confirm`.",
+    ),
     ("/teach/end", Nothing, "Leave teaching; the arm stays limp."),
     ("/take/begin", Named, "Record a candidate."),
     ("/take/end", Nothing, "The candidate is complete."),

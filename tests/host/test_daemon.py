@@ -206,16 +206,6 @@ async def test_commands_and_their_outcome_stand_in_the_log(b: Bench) -> None:
     assert f"uid {os.getuid()}" in notes[0]["who"]
 
 
-@pytest.mark.parametrize(("method", "state"), [("release", "off"), ("teach_begin", "teaching")])
-async def test_what_makes_the_arm_fall_has_to_be_confirmed(b: Bench, method: str, state: str) -> None:
-    with await holding(b) as client:
-        for params in ({}, {"confirm": False}, {"confirm": 1}):
-            with pytest.raises(ConfigError, match=r"support it, then give confirm: true"):
-                await b.call(client, method, **params)
-            assert (await b.call(client, "status"))["state"] == "holding"
-        assert await b.call(client, method, confirm=True) == {"state": state}
-
-
 async def test_subscribers_see_every_tick(b: Bench) -> None:
     with await b.client() as client:
 
