@@ -1,11 +1,19 @@
-"""Where configuration, data and sockets are, and the configuration read from there."""
+"""Where configuration, data and sockets are, and the configuration read from there.
+
+What reads a configuration imports it when it is called: `armctl stop` only asks where the socket is.
+"""
+
+from __future__ import annotations
 
 import os
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from armctl.config import NAME_PATTERN, ArmConfig, Config, M, parse_yaml, validate
 from armctl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from armctl.config import ArmConfig, Config, M
 
 
 def read_text(path: Path, what: str) -> str:
@@ -28,6 +36,8 @@ def _user_dir(variable: str, below_home: str) -> Path:
 
 
 def _loaded(model: type[M], path: Path, what: str) -> M:
+    from armctl.config import parse_yaml, validate
+
     return validate(model, parse_yaml(read_text(path, what), str(path)), str(path))
 
 
@@ -48,6 +58,8 @@ def find_arm_file(arm: str) -> Path:
     Raises:
         ConfigError: there is none; the message lists the known names.
     """
+    from armctl.config import NAME_PATTERN
+
     if "/" in arm or arm.endswith((".yaml", ".yml")):
         return Path(arm)
     known: set[str] = set()
@@ -63,11 +75,15 @@ def find_arm_file(arm: str) -> Path:
 
 def load_arm(arm: str) -> ArmConfig:
     """The arm of that name or path."""
+    from armctl.config import ArmConfig
+
     return _loaded(ArmConfig, find_arm_file(arm), "calibration")
 
 
 def load_config(path: str | None = None) -> Config:
     """The daemon's configuration: `path`, else `ARMCTL_CONFIG`, else the user's or the system's file, else defaults."""
+    from armctl.config import Config
+
     chosen = path or os.environ.get("ARMCTL_CONFIG")
     places = (_user_dir("XDG_CONFIG_HOME", ".config") / "armctl" / "armctl.yaml", Path("/etc/armctl/armctl.yaml"))
     file = Path(chosen) if chosen else next(filter(Path.is_file, places), None)
@@ -76,7 +92,16 @@ def load_config(path: str | None = None) -> Config:
 
 def data_dir(config: Config) -> Path:
     """Folder that holds `logs/`, `recordings/` and `plans/`."""
-    return Path(config.data_dir) if config.data_dir else _user_dir("XDG_DATA_HOME", ".local/share") / "armctl"
+    return Path(config.data_dir) if config.data_dir else _own_data_dir()
+
+
+def _own_data_dir() -> Path:
+    return _user_dir("XDG_DATA_HOME", ".local/share") / "armctl"
+
+
+def stop_path(socket: Path) -> Path:
+    """Where the daemon that listens at `socket` takes a stop, and nothing else."""
+    return socket.with_name(f"{socket.name}.stop")
 
 
 def socket_path(override: str | None = None) -> Path:
@@ -91,4 +116,4 @@ def socket_path(override: str | None = None) -> Path:
     except PermissionError:  # there is a service, for another group
         return service
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    return (Path(runtime) if runtime else data_dir(Config())) / "armctl.sock"
+    return (Path(runtime) if runtime else _own_data_dir()) / "armctl.sock"

@@ -17,7 +17,7 @@ NAMES = {
     for node in ast.walk(tree)
     for name in (getattr(node, kind, None) for kind in ("name", "id", "attr", "arg"))
     if name
-}
+} | {path.stem for path in TREES}
 # Of tests, of the system, or for a name to be chosen.
 ELSEWHERE = {"ROWS", "NAME", "NAME_command", "SOCK_SEQPACKET", "SCHED_FIFO", "PYTHONPATH"}
 

@@ -17,7 +17,7 @@ LAYERS = [
     [room.strip("`/") for room in rooms.split(", ")]
     for rooms in re.findall(r"^\| \d+ \| (.*?) \|", ARCHITECTURE, flags=re.MULTILINE)
 ] + [["__main__"]]
-IMPURE_CONTROL = ("loop", "link", "process")
+IMPURE_CONTROL = ("loop", "link", "process", "stop_lane")
 PURE = (
     "armctl.errors",
     "armctl.messages",

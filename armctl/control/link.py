@@ -40,6 +40,13 @@ class Beat:
 
 
 @dataclass(frozen=True, slots=True)
+class StopAsked:
+    """Somebody asked for a stop on its own lane."""
+
+    who: str
+
+
+@dataclass(frozen=True, slots=True)
 class Identifying:
     """The servos are being identified: the next tick comes later than the others."""
 

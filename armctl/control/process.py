@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, Self, cast
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock, ask_for_real_time
 from armctl.config import ArmConfig
-from armctl.control.link import Beat, Identifying, Link, LinkClosed, Ready, StartFailed
+from armctl.control.link import Beat, Identifying, Link, LinkClosed, Ready, StartFailed, StopAsked
+from armctl.control.stop_lane import REQUEST_ID, StopLane
 from armctl.errors import BusError, PortBusy
-from armctl.messages import Command, Hold, HostLost, HostSilent, Reply
+from armctl.messages import Command, Hold, HostLost, HostSilent, Reply, TickRecord
 
 if TYPE_CHECKING:
     from armctl.control.loop import ControlLoop
@@ -45,6 +46,8 @@ class ControlSettings:
     baud: int
     arm: ArmConfig
     period_s: float
+    # Descriptor of the socket on which anybody may ask for a stop; it is inherited.
+    stop_fd: int
 
 
 class ControlProcess:
@@ -61,7 +64,7 @@ class ControlProcess:
         with theirs:
             process = subprocess.Popen(
                 [sys.executable, "-m", "armctl.control.process", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
+                pass_fds=[theirs.fileno(), settings.stop_fd],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C in a terminal is the host's to answer
@@ -96,19 +99,21 @@ class Inbox:
     rest is answered by the tick in which it lies still.
     """
 
-    def __init__(self, link: Link, loop: "ControlLoop", clock: Clock) -> None:
+    def __init__(self, link: Link, lane: StopLane, loop: "ControlLoop", clock: Clock) -> None:
         # Whether the host is gone, or wants this process to be.
         self.leaving = False
-        self._link, self._loop, self._clock = link, loop, clock
+        self._link, self._lane, self._loop, self._clock = link, lane, loop, clock
         self._commands: list[Command] = []
         # When the host's last word came; 0: none has come yet.
         self._heard_ns = 0
         self._silent = False
+        # Whether a stop of the lane is under way.
+        self._stopping = False
 
     def wait(self, deadline_ns: int) -> None:
         """Take in what comes until `deadline_ns`."""
         while not self.leaving and (left_ns := deadline_ns - self._clock.now_ns()) > 0:
-            if not select.select([self._link], [], [], left_ns / NS_PER_S)[0]:
+            if not select.select([self._link, *self._lane.ends()], [], [], left_ns / NS_PER_S)[0]:
                 break
             self._receive()
         self._clock.sleep_until_ns(deadline_ns)
@@ -132,11 +137,32 @@ class Inbox:
         if received:
             self._heard_ns = self._clock.now_ns()
         for command in received:
-            if isinstance(command, Beat):
-                continue
-            self._commands.append(command)
-            if isinstance(command, Hold) and self._loop.at_rest and all(isinstance(c, Hold) for c in self._commands):
-                self._link.send(Reply(command.request_id, True))
+            if not isinstance(command, Beat):
+                self._put(command)
+        who = self._lane.receive()
+        if who and not self._stopping:
+            self._stopping = True
+            self._link.send(StopAsked(", ".join(who)))
+            self._put(Hold(REQUEST_ID))
+
+    def _put(self, command: Command) -> None:
+        self._commands.append(command)
+        if isinstance(command, Hold) and self._loop.at_rest and all(isinstance(c, Hold) for c in self._commands):
+            self._answer(Reply(command.request_id, True))
+
+    def _answer(self, reply: Reply) -> None:
+        if reply.request_id == REQUEST_ID:
+            self._stopping = False
+            self._lane.answer(f"ok {self._loop.state.mode}" if reply.ok else f"{reply.code}: {reply.message}")
+        else:
+            self._link.send(reply)
+
+    def told(self, record: TickRecord) -> bool:
+        """Pass a tick on to the host, and its answers to the lane; whether the host took it."""
+        for reply in record.outputs.replies:
+            if reply.request_id == REQUEST_ID:
+                self._answer(reply)
+        return self._link.send(record)
 
 
 def main(descriptor: int) -> int:
@@ -162,12 +188,14 @@ def main(descriptor: int) -> int:
         restarted=restarted,
         before_identify=lambda: link.send(Identifying()),
     )
-    inbox = Inbox(link, loop, clock)
+    lane = StopLane(socket.socket(fileno=settings.stop_fd), clock)
+    inbox = Inbox(link, lane, loop, clock)
 
     def leave(_signal: int, _frame: object) -> None:
         inbox.leaving = True
 
     signal.signal(signal.SIGTERM, leave)
+    signal.signal(signal.SIGUSR1, lambda *_: lane.signal())
     give_up_ns = clock.now_ns() + BUSY_NS
     while not bus.is_open:
         try:
@@ -180,8 +208,9 @@ def main(descriptor: int) -> int:
     link.send(Ready(os.getpid()))
     gc.freeze()
     ask_for_real_time()
-    loop.run(inbox.take, link.send, lambda: inbox.leaving, inbox.wait)
+    loop.run(inbox.take, inbox.told, lambda: inbox.leaving, inbox.wait)
     bus.close()
+    lane.close()
     return 0
 
 

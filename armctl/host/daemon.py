@@ -13,10 +13,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 import socket
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -24,10 +25,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import Identifying, Link, LinkClosed, Ready, StartFailed
+from armctl.control.link import Identifying, Link, LinkClosed, Ready, StartFailed, StopAsked
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, RequestRefused
-from armctl.files import data_dir
+from armctl.files import data_dir, stop_path
 from armctl.host import service_manager
 from armctl.host.pulse import OVERDUE_S, START_S, Pulse, beat
 from armctl.messages import Reply, TickRecord
@@ -105,9 +106,10 @@ async def run_daemon(
     """
     outside = outside or Outside()
     folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
-    listening = listen(socket)
-    try:
-        settings = ControlSettings(port=port, baud=config.baud, arm=arm, period_s=config.period_s)
+    with _listening(socket) as listening, _listening(stop_path(socket)) as lane:
+        settings = ControlSettings(
+            port=port, baud=config.baud, arm=arm, period_s=config.period_s, stop_fd=lane.fileno()
+        )
         ending = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -119,6 +121,13 @@ async def run_daemon(
         except BaseException:
             control.terminate(LEAVE_S)
             raise
+
+        def pass_on() -> None:
+            """A stop by signal is the control process's to answer."""
+            if host.exchange.pid is not None:
+                os.kill(host.exchange.pid, signal.SIGUSR1)
+
+        loop.add_signal_handler(signal.SIGUSR1, pass_on)
 
         def tick(record: TickRecord) -> None:
             host.receive(record)
@@ -140,9 +149,6 @@ async def run_daemon(
         finally:
             supervising.cancel()
             await asyncio.gather(asyncio.to_thread(recorder.close), supervising, return_exceptions=True)
-    finally:
-        listening.close()
-        socket.unlink(missing_ok=True)
     return 0
 
 
@@ -225,6 +231,8 @@ async def _until_gone(
                 case TickRecord():
                     pulse.ticked()
                     tick(message)
+                case StopAsked():
+                    host.stop_asked(message.who)
                 case Identifying():
                     pulse.identifying()
                 case Reply():
@@ -251,6 +259,16 @@ def restart_wait_s(deaths_ns: deque[int]) -> float:
     """How long to wait before the next start, by the times of the latest deaths [ns], oldest first."""
     often = len(deaths_ns) > MAX_DEATHS and deaths_ns[-1] - deaths_ns[0] < DEATHS_WINDOW_NS
     return PATIENT_WAIT_S if often else 0.0
+
+
+@contextlib.contextmanager
+def _listening(path: Path) -> Iterator[socket.socket]:
+    """`listen`; nothing is left behind."""
+    with listen(path) as listening:
+        try:
+            yield listening
+        finally:
+            path.unlink(missing_ok=True)
 
 
 def listen(path: Path) -> socket.socket:

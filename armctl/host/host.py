@@ -159,6 +159,12 @@ class Host:
         await self.exchange.hold(self._clock.now_ns(), round(self.period_s * NS_PER_S) // 2)
         return self.state()
 
+    def stop_asked(self, who: str) -> None:
+        """Somebody stops the arm through the control process's own socket: what is being checked begins no more."""
+        if self.leases.current is not None:
+            self.leases.current.stopped = True
+        self.note({"request": "stop", "who": who, "outcome": "ok"})
+
     async def command(self, client: Client, what: str) -> dict[str, Any]:
         """One of `COMMANDS`; returns when the control process has carried it out, or refused it.
 

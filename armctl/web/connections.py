@@ -1,8 +1,8 @@
 """The dashboard's connections to the daemon.
 
 Rules.
-1. One connection watches: it is made again whenever it breaks, and everything seen goes to every page. `stop` goes
-   over it too, so that no request under way is in its way.
+1. One connection watches: it is made again whenever it breaks, and everything seen goes to every page. `stop` has its
+   own way to the control process; where there is none it goes over this connection, before any request under way.
 2. One connection commands, for all pages together: it is made with the first command and closed when the last page
    has left, which ends teaching and lets go of the arm as for any client that leaves.
 """
@@ -16,8 +16,11 @@ from typing import Any
 
 from armctl.client.asynchronous import AsyncClient, put_newest
 from armctl.errors import ArmctlError, NoDaemon
+from armctl.files import stop_path
 
 RETRY_S = 0.5
+# Longest wait for an answer to STOP on its own way.
+STOP_S = 1.0
 # How long a page may be away, as while it is loaded again, before it counts as left.
 LEAVE_S = 3.0
 # Messages a slow page may lag behind; then it loses the oldest.
@@ -70,7 +73,15 @@ class Connections:
         return await commander.call(method, **params)
 
     async def stop(self) -> dict[str, Any]:
-        """`stop`, over whatever connection there is."""
+        """`stop`, straight to the control process; else over whatever connection there is."""
+        with contextlib.suppress(OSError):
+            async with asyncio.timeout(STOP_S):
+                reader, writer = await asyncio.open_unix_connection(stop_path(self.socket))
+                with contextlib.closing(writer):
+                    writer.write(b"stop\n")
+                    done, _, state = (await reader.readline()).decode().strip().partition(" ")
+                if done == "ok":
+                    return {"state": state}
         watcher = self._watcher
         if watcher is not None and not watcher.closed:
             return await watcher.call("stop")

@@ -1,18 +1,38 @@
 """What the control process does with its host's commands between two ticks."""
 
+import os
+import select
+import socket
 from collections.abc import Iterator
 
 import pytest
 
-from armctl.clock import VirtualClock
-from armctl.control.link import Beat, Link
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.control.link import Beat, Link, StopAsked
 from armctl.control.loop import ControlLoop
 from armctl.control.machine import TO_REST, Jogging, Motion, State
 from armctl.control.process import SILENT_NS, Inbox
-from armctl.messages import Command, Hold, HostLost, HostSilent, JointTrajectory, Park, Reply, Run, SetRate
+from armctl.control.stop_lane import PLACES, REQUEST_ID, StopLane
+from armctl.messages import (
+    Command,
+    Hold,
+    HostLost,
+    HostSilent,
+    Inputs,
+    JointTrajectory,
+    Mode,
+    Outputs,
+    Park,
+    Reply,
+    Run,
+    Sample,
+    SetRate,
+    TickRecord,
+)
 from tests.control.test_loop import Rig, holding
 
 SOON_NS = 1_000_000
+NOTHING = Inputs(0, 1, Sample(1, ()))
 WAY = JointTrajectory(0.1, ((0.0,) * 6, (0.1,) * 6))
 MOVING = (
     State(motion=Motion(WAY, 1)),
@@ -29,7 +49,23 @@ class Bench:
         self.ours = Link(theirs)
         self.clock = VirtualClock()
         self.loop = loop
-        self.inbox = Inbox(self.ours, loop, self.clock)
+        self.lane = socket.socket(socket.AF_UNIX)
+        self.lane.bind("")  # any free abstract address
+        self.lane.listen()
+        self.stop_lane = StopLane(self.lane, self.clock)
+        self.inbox = Inbox(self.ours, self.stop_lane, loop, self.clock)
+
+    def close(self) -> None:
+        for end in (self.host, self.ours, self.stop_lane):
+            end.close()
+
+    def caller(self, line: bytes = b"stop\n") -> socket.socket:
+        """Somebody at the stop lane who has said that much."""
+        caller = socket.socket(socket.AF_UNIX)
+        caller.connect(self.lane.getsockname())
+        caller.sendall(line)
+        caller.settimeout(5.0)
+        return caller
 
     def tell(self, *commands: Command) -> list[object]:
         """What is answered at once."""
@@ -43,8 +79,7 @@ class Bench:
 def bench() -> Iterator[Bench]:
     found = Bench(Rig().loop)
     yield found
-    found.host.close()
-    found.ours.close()
+    found.close()
 
 
 def test_a_hold_of_an_arm_at_rest_is_answered_at_once_and_still_comes_to_the_tick(bench: Bench) -> None:
@@ -108,8 +143,7 @@ def test_nothing_moves_after_a_hold_that_was_answered_at_once(stopped: bool) -> 
     rig.ticks(20, *bench.inbox.take())
     assert "HOT" in rig.codes()
     assert any(record.outputs.goal for record in rig.records) != stopped
-    bench.host.close()
-    bench.ours.close()
+    bench.close()
 
 
 def test_a_host_that_has_fallen_silent_is_told_to_one_tick(bench: Bench) -> None:
@@ -131,3 +165,61 @@ def test_words_that_waited_while_this_process_hung_count_as_heard(bench: Bench) 
     assert bench.host.send(Beat())
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 10 * SILENT_NS)
     assert bench.inbox.take() == []
+
+
+# ----------------------------------------------------------------------------------------------- the stop lane
+
+
+def test_a_stop_on_its_lane_is_answered_at_once_where_nothing_moves_and_still_comes_to_the_tick(bench: Bench) -> None:
+    with bench.caller() as caller:
+        assert bench.tell() == [StopAsked(f"uid {os.getuid()}, pid {os.getpid()}")]
+        assert caller.recv(99) == b"ok off\n"
+        assert caller.recv(99) == b""
+    assert bench.inbox.take() == [Hold(REQUEST_ID)]
+
+
+def test_a_stop_of_a_moving_arm_is_answered_by_the_tick_in_which_it_lies_still(bench: Bench) -> None:
+    bench.loop.state = MOVING[0]
+    with bench.caller() as one, bench.caller() as two:
+        bench.tell()
+        assert bench.inbox.take() == [Hold(REQUEST_ID)], "two who ask at once are one command"
+        still = Outputs(Mode.HOLDING, None, (), None, replies=(Reply(REQUEST_ID, True),))
+        assert bench.inbox.told(TickRecord(NOTHING, still))
+        assert one.recv(99) == two.recv(99) == b"ok off\n"
+
+
+@pytest.mark.parametrize("before", [0, 1, 500])
+def test_nobody_fills_the_lane_of_a_user(bench: Bench, before: int) -> None:
+    idle = []
+    for _ in range(before):
+        idle.append(bench.caller(b"st"))
+        bench.inbox.wait(bench.clock.now_ns() + SOON_NS)
+    with bench.caller() as caller:
+        bench.inbox.wait(bench.clock.now_ns() + SOON_NS)
+        assert caller.recv(99) == b"ok off\n"
+    gone = [one for one in idle if select.select([one], [], [], 0.0)[0]]
+    assert len(gone) == max(0, before - PLACES + 1)
+    for one in idle:
+        one.close()
+
+
+@pytest.mark.parametrize("line", [b"go\n", b"x" * 257, b"\n", b"stop now\n"])
+def test_who_says_anything_else_is_sent_away(bench: Bench, line: bytes) -> None:
+    with bench.caller(line) as caller:
+        assert bench.tell() == []
+        assert caller.recv(99) == b""
+    assert bench.inbox.take() == []
+
+
+def test_who_says_nothing_is_sent_away_in_time(bench: Bench) -> None:
+    with bench.caller(b"sto") as caller:
+        bench.inbox.wait(bench.clock.now_ns() + SOON_NS)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 2 * NS_PER_S)
+        bench.inbox.take()
+        assert caller.recv(99) == b""
+
+
+def test_a_signal_asks_for_a_stop(bench: Bench) -> None:
+    bench.stop_lane.signal()
+    assert bench.tell() == [StopAsked("a signal")]
+    assert bench.inbox.take() == [Hold(REQUEST_ID)]

@@ -6,8 +6,11 @@ shaft trails by what its controller needs against friction and gravity, and catc
 death takes up to one tick to be noticed and 200 ms to slow down on the path; 500 ms are what the fault matrix allows.
 """
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -171,5 +174,42 @@ def test_a_hung_control_process_is_replaced_and_the_arm_adopted(holding: Bench, 
     assert arm.motion_deg(hung_ns + 250 * MS, hung_ns + 1250 * MS) < STOPPED_DEG
     assert not alive(holding.controls[0])
     assert arm.torque() == [True] * 6
+    assert holding.daemons[0].end() == 0
+    assert_replays(holding.logs)
+
+
+def test_a_signal_to_the_daemon_stops_the_arm(holding: Bench, arm: Simulator) -> None:
+    run = holding.run_to_the_middle(arm)
+    holding.daemons[0].process.send_signal(signal.SIGUSR1)
+    with refused("STOPPED"):
+        run.result()
+    assert holding.daemons[0].end() == 0
+    assert_replays(holding.logs)
+
+
+@pytest.mark.parametrize("way", ["armctl", "signal"])
+def test_a_stop_is_served_while_the_host_hangs(holding: Bench, arm: Simulator, way: str) -> None:
+    run = holding.run_to_the_middle(arm)
+    daemon = holding.daemons[0].process
+    os.kill(daemon.pid, signal.SIGSTOP)
+    asked_ns = time.monotonic_ns()
+    try:
+        if way == "signal":
+            os.kill(holding.controls[0], signal.SIGUSR1)
+        else:
+            said = subprocess.run(
+                [sys.executable, "-m", "armctl", "stop", "--json", "--socket", str(holding.socket)],
+                stdout=subprocess.PIPE,
+                check=True,
+                timeout=60,
+            )
+            assert json.loads(said.stdout) == {"state": "holding"}
+            asked_ns = time.monotonic_ns()  # it is answered when the arm is still
+        moved_deg = arm.motion_deg(asked_ns + 500 * MS, asked_ns + 1000 * MS)
+    finally:
+        os.kill(daemon.pid, signal.SIGCONT)
+    assert moved_deg < STOPPED_DEG
+    with refused("STOPPED"):
+        run.result()
     assert holding.daemons[0].end() == 0
     assert_replays(holding.logs)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from armctl.errors import NoDaemon, RequestRefused
+from armctl.files import stop_path
 from armctl.host.jsonrpc import error_line, notification_line, result_line
 from armctl.web import connections as module
 from armctl.web.connections import MAX_WAITING, Connections
@@ -99,6 +100,18 @@ async def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_pat
             await daemon.call("park")
         assert stub.asked[1:] == [(1, "status"), (1, "run"), (0, "stop"), (1, "park")]
         running.cancel()
+
+
+async def test_stop_goes_its_own_way_where_there_is_one(tmp_path: Path) -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"ok holding\n" if await reader.readline() == b"stop\n" else b"no\n")
+        writer.close()
+
+    async with stubbed(tmp_path / "daemon.sock") as (stub, daemon):
+        lane = await asyncio.start_unix_server(serve, stop_path(daemon.socket))
+        async with lane:
+            assert await daemon.stop() == {"state": "holding"}
+        assert all(method != "stop" for _, method in stub.asked)
 
 
 async def test_the_commander_leaves_with_the_last_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

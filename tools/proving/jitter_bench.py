@@ -8,6 +8,7 @@ import contextlib
 import multiprocessing
 import os
 import select
+import socket
 import tempfile
 import time
 from collections.abc import Iterator
@@ -73,8 +74,11 @@ def lateness_ms(seed: int, period_s: float, seconds: float, hogs: int) -> list[f
         port = Path(name) / "servos"
         options = ("--link", str(port), "--seed", str(seed), "--return-delay-us", "0")
         with program(Path(name) / "simulator.log", "sim", *options):
-            settings = ControlSettings(port=str(port), baud=1_000_000, arm=load_arm(ARM), period_s=period_s)
-            control = ControlProcess.start(settings)
+            with socket.socket(socket.AF_UNIX) as lane:
+                lane.bind("")
+                lane.listen()
+                settings = ControlSettings(str(port), 1_000_000, load_arm(ARM), period_s, lane.fileno())
+                control = ControlProcess.start(settings)
             try:
                 _records(control, SETTLE_S)
                 with busy(hogs, seconds):

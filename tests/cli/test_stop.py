@@ -1,0 +1,59 @@
+"""`armctl stop` on its own way: what it takes over from the command line, and what it leaves to it."""
+
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from armctl.client.stop import typed
+from armctl.files import stop_path
+
+
+@pytest.fixture
+def lane(tmp_path: Path) -> Iterator[tuple[Path, list[bytes]]]:
+    """The daemon's socket, and what its lane has heard; the first caller is let down, as by a process that dies."""
+    path = tmp_path / "s"
+    heard: list[bytes] = []
+
+    def serve() -> None:
+        for answer in (b"", b"ok holding\n"):
+            caller, _ = listening.accept()
+            with caller:
+                heard.append(caller.recv(256))
+                caller.sendall(answer)
+
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(stop_path(path)))
+        listening.listen()
+        serving = threading.Thread(target=serve)
+        serving.start()
+        yield path, heard
+        serving.join()
+
+
+@pytest.mark.parametrize("options", ["--json --socket {}", "--socket={} --json"])
+def test_the_next_control_process_answers_for_one_that_died(
+    options: str, lane: tuple[Path, list[bytes]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, heard = lane
+    assert typed(["stop", *options.format(path).split()]) == 0
+    assert capsys.readouterr().out == '{"state": "holding"}\n'
+    assert heard == [b"stop\n", b"stop\n"]
+
+
+def test_the_state_is_said_in_a_word(
+    lane: tuple[Path, list[bytes]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ARMCTL_SOCKET", str(lane[0]))
+    assert typed(["stop"]) == 0
+    assert capsys.readouterr().out == "holding\n"
+
+
+@pytest.mark.parametrize(
+    "line", ["", "status", "stop --help", "stop --socket", "stop now", "hold", "stop --socket no/s"]
+)
+def test_all_else_is_left_to_the_command_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert typed(line.split()) is None
+    assert capsys.readouterr().out == ""
