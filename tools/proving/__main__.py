@@ -40,6 +40,7 @@ PROOFS: dict[str, Work] = {
     "wire": _work("wire", "prove", tells=True),
     "unit": _work("unit", "prove"),
     "kill": _work("kill", "prove", tells=True),
+    "hang": _work("hang", "prove", tells=True),
     "load": _work("load", "prove", tells=True),
 }
 # What a proof takes beside the seed.

@@ -39,9 +39,9 @@ class Seen:
 class Rig:
     """A daemon and a simulator that run, watched by two threads."""
 
-    def __init__(self, socket: Path, port: Path, daemon_pid: int) -> None:
+    def __init__(self, socket: Path, port: Path, daemon_pid: int, simulator_pid: int) -> None:
         self.arm: ArmConfig = load_arm(ARM)
-        self.socket, self.port, self.daemon_pid = socket, port, daemon_pid
+        self.socket, self.port, self.daemon_pid, self.simulator_pid = socket, port, daemon_pid, simulator_pid
         self.client = Client(socket, timeout_s=15.0)
         self.simulator = SimulatorClient(control_path(port))
         self.seen = Seen()
@@ -213,7 +213,7 @@ def rig(
         cleanup.enter_context(installed(folder / "bytecode"))
         port, socket, config = folder / "servos", folder / "daemon.sock", folder / "armctl.yaml"
         config.write_text(yaml.safe_dump({"port": str(port), "arm": ARM, "data_dir": str(folder)}), encoding="utf-8")
-        cleanup.enter_context(
+        servos = cleanup.enter_context(
             program(folder / "simulator.log", "sim", "--link", str(port), "--seed", str(seed), *simulator_options)
         )
         if before_daemon is not None:
@@ -222,6 +222,6 @@ def rig(
         daemon = cleanup.enter_context(
             program(folder / "daemon.log", "daemon", "--config", str(config), "--socket", str(socket))
         )
-        running = Rig(socket, port, daemon.pid)
+        running = Rig(socket, port, daemon.pid, servos.pid)
         cleanup.callback(running.close)
         yield running
