@@ -18,8 +18,8 @@ LOAD_RATIO = 0.8
 LOAD_NS = 2_000_000_000
 NOISE_S = 10.0
 NOISE_SHARE = 0.1
-# After so many ticks a servo that was switched off must show it.
-TORQUE_OFF_TICKS = 2
+# After this a servo that was switched off must show it.
+TORQUE_OFF_S = 0.2
 
 
 def detect_faults(s: Tick) -> None:
@@ -42,7 +42,7 @@ def detect_faults(s: Tick) -> None:
         for detect in (_detect_power_faults, _detect_strain, _detect_noise):
             if s.state.fault is None:
                 detect(s)
-    elif phase is Phase.TEACHING or (phase is Phase.OFF and s.state.ticks > TORQUE_OFF_TICKS):
+    elif phase is Phase.TEACHING or (phase is Phase.OFF and s.state.ticks > s.ticks_in(TORQUE_OFF_S)):
         for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
             if reading.fresh and servo is not None and servo.torque_enabled:
                 s.latch_servo("NOT_LIMP", i, "torque is on although the arm is limp, and not from here")

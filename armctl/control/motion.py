@@ -8,8 +8,8 @@ from armctl.messages import Event, Grip, JointTrajectory
 
 # Time in which a stop brings the trajectory's rate from 1 to 0: gentle to the gears, and yet hardly any way on.
 STOP_S = 0.2
-# A load felt once may be the servo setting off.
-GRIP_TICKS = 2
+# A load felt for less may be the servo setting off.
+GRIP_S = 0.2
 
 
 def duration_s(trajectory: JointTrajectory) -> float:
@@ -33,7 +33,7 @@ def move(s: Tick, motion: Motion) -> None:
     if trajectory.grip is not None and s.fresh and not motion.stop_code:
         resisted = _resists(s, trajectory.grip)
         motion.resisted_ticks = motion.resisted_ticks + 1 if resisted else 0
-        if motion.resisted_ticks >= GRIP_TICKS:
+        if motion.resisted_ticks >= s.ticks_in(GRIP_S):
             return _hold_gripped(s, motion, trajectory.grip)
         if resisted:
             return None  # no closer: the goal stays where its distance made the load

@@ -19,16 +19,16 @@ STILL_TICKS = 3
 SOFT_TORQUE = 128
 # No servo takes torque with a goal farther from its shaft (0.6 deg).
 ENERGISE_AWAY_TICKS = 2
-# The torque limit rises in so many ticks.
-RAMP_TICKS = 5
+# How long the torque limit rises.
+RAMP_S = 0.5
 # A servo that does not show its full torque limit by then refuses it.
-CONFIRM_TICKS = 8
+CONFIRM_S = 0.8
 JUMP_RAD = math.radians(6.0)
 # How long teaching waits for every servo to show that it is limp.
-LIMP_TICKS = 5
+LIMP_S = 0.5
 REST_TOLERANCE_RAD = math.radians(3.0)
 # How long an arm that has arrived may take to settle at its rest pose.
-VERIFY_TICKS = 20
+VERIFY_S = 2.0
 
 
 # ----------------------------------------------------------------------------------------------- adoption
@@ -88,10 +88,11 @@ def energise(s: Tick) -> None:
         case Phase.ENABLING:
             s.go(Trigger.TORQUE_SEEN)
         case Phase.RAMPING:
+            steps = s.ticks_in(RAMP_S, least=1)
             for joint in s.wire:
-                limit = round(SOFT_TORQUE + (joint.full_torque - SOFT_TORQUE) * state.ticks / RAMP_TICKS)
+                limit = round(SOFT_TORQUE + (joint.full_torque - SOFT_TORQUE) * state.ticks / steps)
                 s.write(joint.servo_id, ax12a.TORQUE_LIMIT, limit)
-            if state.ticks == RAMP_TICKS:
+            if state.ticks == steps:
                 s.go(Trigger.RAMPED)
         case Phase.CONFIRMING if _at_full_torque(s):
             s.reply(state.request_id, True)
@@ -135,7 +136,7 @@ def _surprise(s: Tick, index: int, anchor: int) -> str:
         return f"{who} shows torque limit {servo.torque_limit} where {SOFT_TORQUE} was written"
     if not preparing and not servo.torque_enabled:
         return f"{who} did not take torque"
-    if s.state.phase is Phase.CONFIRMING and s.state.ticks > CONFIRM_TICKS and servo.torque_limit != full:
+    if s.state.phase is Phase.CONFIRMING and servo.torque_limit != full and s.state.ticks > s.ticks_in(CONFIRM_S):
         return f"{who} shows torque limit {servo.torque_limit}; it does not take {full}"
     return ""
 
@@ -151,7 +152,7 @@ def verify_limp(s: Tick) -> None:
         s.reply(s.state.request_id, True)
         s.state.request_id = None
         s.go(Trigger.LIMP_SEEN)
-    elif s.state.ticks > LIMP_TICKS:
+    elif s.state.ticks > s.ticks_in(LIMP_S):
         index = next((i for i, servo in enumerate(s.servos) if servo is not None and servo.torque_enabled), 0)
         s.latch_servo("NOT_LIMP", index, "torque stayed on although it was switched off")
 
@@ -189,7 +190,7 @@ def go_to_rest(s: Tick) -> None:
             s.reply(state.request_id, True)
             state.request_id = None
             s.go(Trigger.PARKED)
-        case _ if state.ticks > VERIFY_TICKS:
+        case _ if state.ticks > s.ticks_in(VERIFY_S):
             give_up_rest(s, "NOT_AT_REST", "the arm is over 3 deg from its rest pose")
     return None
 

@@ -95,6 +95,10 @@ class Tick:
         if self.state.mode != before:
             self.events.append(Event("info", "STATE", f"{before} -> {self.state.mode}"))
 
+    def ticks_in(self, seconds: float, least: int = 2) -> int:
+        """So many ticks are a time, whatever the period; a lost reply is to be outlived by the slowest one too."""
+        return max(least, round(seconds / self.period_s))
+
     def reply(self, request_id: int | None, ok: bool, code: str = "", message: str = "") -> None:
         if request_id is not None:
             self.replies.append(Reply(request_id, ok, code, message))

@@ -223,3 +223,19 @@ def test_torque_that_appears_or_stays_on_a_limp_arm_is_a_fault(
     arm.run_ticks(ticks)
     assert arm.fault() == ("NOT_LIMP", 2)
     assert "armctl release" in arm.ask(Clear(6)).message
+
+
+@pytest.mark.parametrize("period_s", [0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0])
+def test_the_torque_limit_rises_for_half_a_second_at_every_period(period_s: float) -> None:
+    arm = IdealArm(period_s=period_s).connect()
+    arm.run_tick()
+    arm.run_tick(TorqueOn(1))
+    limits: list[int] = []
+    while arm.mode() is not Mode.HOLDING and len(limits) < 500:
+        arm.run_tick()
+        if arm.get(0, ax12a.TORQUE_ENABLE):
+            limits.append(arm.get(0, ax12a.TORQUE_LIMIT))
+    rising = [limit for limit in limits if limit < limits[-1]]
+    assert limits == sorted(limits)
+    assert limits[0] == SOFT_TORQUE
+    assert 0.5 <= len(rising) * period_s <= max(0.5, period_s) + 2.0 * period_s
