@@ -75,15 +75,15 @@ class StopLane:
     def receive(self) -> list[str]:
         """Take in what has come; who has asked for a stop."""
         askers = ["a signal"] if self._signalled() else []
-        self._accept()
-        now_ns = self._clock.now_ns()
         for caller in [caller for caller in self._callers if not caller.asked]:
-            line = self._line(caller)
-            if line is not None and line.strip() == b"stop":
-                caller.asked = True
-                askers.append(f"uid {caller.uid}, pid {caller.pid}")
-            elif line is not None or now_ns - caller.since_ns > IDLE_S * NS_PER_S:
-                self._close(caller)
+            askers += self._hear(caller)
+        for _ in range(ACCEPTED):
+            try:
+                connection, _address = self._listening.accept()
+            except OSError:
+                break
+            # At once: who has said it already loses its place to nobody.
+            askers += self._hear(self._take_in(connection))
         return askers
 
     def answer(self, text: str) -> None:
@@ -99,22 +99,28 @@ class StopLane:
         except BlockingIOError:
             return False
 
-    def _accept(self) -> None:
-        for _ in range(ACCEPTED):
-            try:
-                connection, _address = self._listening.accept()
-            except OSError:
-                return
-            connection.setblocking(False)
-            pid, uid, _ = _CREDENTIALS.unpack(
-                connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-            )
-            same = [caller for caller in self._callers if caller.uid == uid]
-            if len(same) >= PLACES:
-                self._close(next((caller for caller in same if not caller.asked), same[0]))
-            if len(self._callers) >= ALL_PLACES:
-                self._close(self._callers[0])
-            self._callers.append(_Caller(connection, uid, pid, self._clock.now_ns()))
+    def _take_in(self, connection: socket.socket) -> _Caller:
+        connection.setblocking(False)
+        pid, uid, _ = _CREDENTIALS.unpack(
+            connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        )
+        same = [caller for caller in self._callers if caller.uid == uid]
+        if len(same) >= PLACES:
+            self._close(next((caller for caller in same if not caller.asked), same[0]))
+        if len(self._callers) >= ALL_PLACES:
+            self._close(self._callers[0])
+        self._callers.append(caller := _Caller(connection, uid, pid, self._clock.now_ns()))
+        return caller
+
+    def _hear(self, caller: _Caller) -> list[str]:
+        """Who asks for a stop, if this caller does; one that says something else, or nothing for long, is sent away."""
+        line = self._line(caller)
+        if line is not None and line.strip() == b"stop":
+            caller.asked = True
+            return [f"uid {caller.uid}, pid {caller.pid}"]
+        if line is not None or self._clock.now_ns() - caller.since_ns > IDLE_S * NS_PER_S:
+            self._close(caller)
+        return []
 
     def _line(self, caller: _Caller) -> bytes | None:
         """The line of a caller, empty if it has hung up or says too much; None: it is not yet complete."""

@@ -1,5 +1,6 @@
 """What the control process does with its host's commands between two ticks."""
 
+import contextlib
 import os
 import select
 import socket
@@ -12,7 +13,7 @@ from armctl.control.link import Beat, Link, StopAsked
 from armctl.control.loop import ControlLoop
 from armctl.control.machine import TO_REST, Jogging, Motion, State
 from armctl.control.process import SILENT_NS, Inbox
-from armctl.control.stop_lane import PLACES, REQUEST_ID, StopLane
+from armctl.control.stop_lane import ACCEPTED, PLACES, REQUEST_ID, StopLane
 from armctl.messages import (
     Command,
     Hold,
@@ -201,6 +202,18 @@ def test_nobody_fills_the_lane_of_a_user(bench: Bench, before: int) -> None:
     assert len(gone) == max(0, before - PLACES + 1)
     for one in idle:
         one.close()
+
+
+def test_a_crowd_behind_a_caller_does_not_take_its_place(bench: Bench) -> None:
+    bench.loop.state = MOVING[0]
+    with contextlib.ExitStack() as crowd:
+        caller = crowd.enter_context(bench.caller())
+        for _ in range(2 * ACCEPTED):
+            crowd.enter_context(bench.caller(b""))
+        bench.inbox.take()
+        still = Outputs(Mode.HOLDING, None, (), None, replies=(Reply(REQUEST_ID, True),))
+        assert bench.inbox.told(TickRecord(NOTHING, still))
+        assert caller.recv(99) == b"ok off\n"
 
 
 @pytest.mark.parametrize("line", [b"go\n", b"x" * 257, b"\n", b"stop now\n"])
