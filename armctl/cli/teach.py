@@ -151,7 +151,7 @@ class Tool:
     def _next(self) -> tuple[Point, float, str]:
         """The tool's place after the next tick, the tick's length, and the key that was pressed."""
         snapshot = next(self._snapshots)
-        if snapshot["state"] != "teaching":
+        if snapshot["state"] not in ("teaching", "stalled"):
             fault = snapshot["fault"]
             why = f"{fault['code']}: {fault['text']}" if fault else f"the arm is {snapshot['state']}"
             raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")

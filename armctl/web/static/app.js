@@ -181,7 +181,8 @@ function controls() {
   command("park").disabled = state !== "holding";
   $("release").disabled = state === "unreachable";
   teaching = state === "teaching";
-  if (!teaching) taking = null;
+  // A gap in what is heard of the arm does not end a take.
+  if (!teaching && state !== "stalled" && state !== "unreachable") taking = null;
   $("teach-begin").disabled = !(state === "off" || state === "holding");
   $("take").disabled = !teaching;
   $("take").textContent = taking ? "End the take" : "Begin a take";
