@@ -163,8 +163,8 @@ def test_the_five_minutes_of_readme_work_in_three_terminals_as_they_are_typed(st
     assert [line.split("#")[0].split()[:2] for line in (servos, daemon)] == [["armctl", "sim"], ["armctl", "daemon"]]
     with ExitStack() as terminals:
         first, second, third = (terminals.enter_context(shell(stand.folder)) for _ in range(3))
-        first.until("ready ", first.start(servos))
-        second.until("ready ", second.start(daemon.replace("PORT", str(stand.port))))
+        first.until("\nready ", first.start(servos))
+        second.until("\nready ", second.start(daemon.replace("PORT", str(stand.port))))
         said = "".join(third.type(line) for line in rest)
         assert "Stopped" not in said
         assert said.count("Done") == 2, said  # both times teaching in the background
