@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     MakeRecorder = Callable[[LogContext, Path, Path], TakeRecorder]
 
-# Longest wait for the first tick.
 # Longest wait for the arm to come to rest at the end.
 STILL_S = 1.0
 LEAVE_S = 0.5

@@ -18,7 +18,6 @@ OVERDUE_S = 0.5
 START_S = 20.0
 IDENTIFY_S = 3.0
 
-
 logger = logging.getLogger(__name__)
 
 

@@ -9,10 +9,9 @@ is stopped, and goes on after `HANG_S` (a control process that hangs is killed b
    of a motion from a tick that is older than its period and `STALE_S`.
 3. Dashboard: nothing changes for the arm; the motion ends as asked.
 4. Simulator: it stands for an arm without supply. The silence latches; `clear` leads back.
-5. Within `TRUE_S` of coming back the status says what the servos do. No torque changes, and HOST_SILENT is said of a
-   host that hung alone.
+5. Within `TRUE_S` of coming back the status says what the servos do. No torque changes.
 
-What the kernel kept back over the pseudo terminal meanwhile is measured and added to each bound.
+What the kernel kept back over the pseudo terminal meanwhile is measured and added to the time in which the arm stands.
 """
 
 import contextlib
