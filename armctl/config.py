@@ -151,6 +151,8 @@ class ArmConfig(Frozen):
     """Supply voltage outside which the arm goes to rest."""
     temperature_limit_degC: float = Field(65.0, gt=0.0, le=80.0)
     """Temperature from which the arm goes to rest, before a servo's own trip drops it."""
+    rest_on_strain: bool = True
+    """Whether lasting heat, wrong voltage or overload send the arm to its rest pose; if not, it holds where it is."""
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
     """From the base to the tool."""
     gripper: GripperConfig | None = None

@@ -255,6 +255,8 @@ class Fault:
     text: str
     since_ns: int
     servo_id: int | None = None
+    # Code of the fault that it follows from, if another of those latched explains it.
+    follows: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,7 +324,8 @@ class Outputs:
     """Everything one control step says."""
 
     mode: Mode
-    fault: Fault | None
+    # Every one that is latched, the worst first.
+    faults: tuple[Fault, ...]
     joints: tuple[JointState, ...]
     # None until every joint is known.
     tool: ToolPose | None
@@ -335,6 +338,13 @@ class Outputs:
     progress: float | None = None
     # Trajectory seconds per second asked for, 0 while paused; None when none runs.
     rate: float | None = None
+    # Time until the arm sets off for its rest pose because of a fault, 0 once it has; None: it does not.
+    rest_in_s: float | None = None
+
+    @property
+    def fault(self) -> Fault | None:
+        """The worst of those latched."""
+        return self.faults[0] if self.faults else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,9 +95,12 @@ def picture(snapshot: dict[str, Any]) -> RenderableType:
         parts.append(Text(f"recording {snapshot['recording']}"))
     if snapshot["log"]["problem"]:
         parts.append(Text(f"logging has stopped: {snapshot['log']['problem']}", style="red"))
-    if fault := snapshot["fault"]:
-        card = f"{fault['code']} since {fault['since_s']:.0f} s: {fault['text']}\n  the arm: {fault['arm']}"
+    for fault in snapshot["faults"]:
+        follows = f" (follows from {fault['follows']})" if fault["follows"] else ""
+        card = f"{fault['code']} since {fault['since_s']:.0f} s{follows}: {fault['text']}"
         parts.append(Text(f"{card}\n  next: {fault['next']}", style="red"))
+    if fault := snapshot["fault"]:
+        parts.append(Text(f"the arm: {fault['arm']}", style="red"))
     return Group(*parts)
 
 
@@ -135,8 +138,7 @@ def _line(snapshot: dict[str, Any]) -> str:
         parts.append(f"lowest {min(joint['voltage_V'] for joint in known):.1f} V")
     if snapshot["progress"] is not None:
         parts.append(_progress(snapshot))
-    if fault := snapshot["fault"]:
-        parts.append(f"{fault['code']}: {fault['text']}; next: {fault['next']}")
+    parts += [f"{fault['code']}: {fault['text']}; next: {fault['next']}" for fault in snapshot["faults"]]
     return "; ".join(parts)
 
 

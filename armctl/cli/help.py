@@ -61,15 +61,22 @@ def page(topic: str) -> str:
 
 def faults_page() -> str:
     """Every code a fault can latch with, from the table the cards are made from."""
-    from armctl.control.faults import NEXT, SETTLING, WHAT
+    from armctl.control.faults import FAULTS
 
     rows = []
-    for code, following in NEXT.items():
-        way = " The arm goes to its rest pose and goes limp there, while it can." if code in SETTLING else ""
-        rows.append(f"## {code}\n\n{WHAT[code][0].upper()}{WHAT[code][1:]}.{way}\n\n*Next:* {following}.\n")
+    for kind in FAULTS:
+        way = (
+            " While that lasts, the arm goes to its rest pose and goes limp there: 3 s after it says so, unless you "
+            "type `armctl stop`; never with `rest_on_strain: false` in the arm's file."
+        )
+        rows.append(
+            f"## {kind.code}\n\n{kind.what[0].upper()}{kind.what[1:]}.{way if kind.to_rest else ''}\n\n"
+            f"*Next:* {kind.remedy}.\n"
+        )
     intro = (
         "# Faults\n\nA fault latches: the arm comes to rest, torque stays as it is, and `armctl status` shows this "
-        "card until the cause is gone and you typed `armctl clear`.\n"
+        "card until the cause is gone and you typed `armctl clear`. None hides another: all that are latched are "
+        "shown, the worst first.\n"
     )
     return "\n".join([intro, *rows])
 

@@ -1,21 +1,29 @@
-"""The fault matrix as far as a sample shows it: the first row that holds latches."""
+"""The fault matrix as far as a sample shows it: every row that holds latches."""
 
 import math
 from collections.abc import Sequence
 
-from armctl.control.machine import LATCHED, POWERED, Phase
+from armctl.control.faults import KINDS, Cause
+from armctl.control.machine import Phase, Trigger
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Status
+from armctl.messages import NS_PER_S, Event
 
 # A servo unheard for this long is not just a lost reply.
 PAUSE_AGE_S = 0.2
 # A servo unheard for this long latches a fault.
 SILENT_AGE_S = 0.5
 BLOCKED_RAD = math.radians(8.0)
-BLOCKED_NS = 300_000_000
+BLOCKED_S = 0.3
 LOAD_RATIO = 0.8
 # Load above 80 % for this long: a servo's own trip is near.
-LOAD_NS = 2_000_000_000
+LOAD_S = 2.0
+# A dip of the supply, or one reading of a sensor, moves no arm.
+HEAT_S = 2.0
+SUPPLY_S = 0.5
+# Time in which a `stop` calls the way to rest off.
+REST_AHEAD_S = 3.0
 NOISE_S = 10.0
 NOISE_SHARE = 0.1
 # After this a servo that was switched off must show it.
@@ -23,10 +31,7 @@ TORQUE_OFF_S = 0.2
 
 
 def detect_faults(s: Tick) -> None:
-    """Latch the first fault of the sample; what each does stands in `faults.FAULTS`."""
-    phase = s.state.phase
-    if phase in LATCHED:
-        return
+    """Latch every fault of the sample, in every mode; what each does stands in `faults.FAULTS`."""
     if not s.inputs.sample.port_open:
         s.latch("PORT_GONE", "the serial port is gone (adapter unplugged?)")
         return
@@ -36,17 +41,32 @@ def detect_faults(s: Tick) -> None:
     # The ages of a silent bus straddle the bound: its servos were not heard last in one instant.
     if silent and len(s.joints) > 1 and all(joint.age_s > PAUSE_AGE_S for joint in s.joints):
         s.latch("BUS_DEAD", "no servo has answered for 0.5 s")
-    elif silent:
-        s.latch_servo("SERVO_SILENT", silent[0], "no reply for 0.5 s")
-    elif phase in POWERED:
-        for detect in (_detect_power_faults, _detect_strain, _detect_noise):
-            if s.state.fault is None:
-                detect(s)
-    elif phase is Phase.TEACHING or (phase is Phase.OFF and s.state.ticks > s.ticks_in(TORQUE_OFF_S)):
-        for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
-            if reading.fresh and servo is not None and servo.torque_enabled:
-                s.latch_servo("NOT_LIMP", i, "torque is on although the arm is limp, and not from here")
-                break
+        return
+    for i in silent:
+        s.latch_servo("SERVO_SILENT", i, "no reply for 0.5 s")
+    phase, powered = s.state.phase, s.state.powered
+    if powered:
+        _detect_power_faults(s)
+    elif phase is Phase.TEACHING or (
+        powered is False and phase is not Phase.LETTING_GO and s.state.ticks > s.ticks_in(TORQUE_OFF_S)
+    ):
+        _detect_torque(s)
+    _detect_strain(s)
+    _detect_noise(s)
+    _call_for_rest(s)
+
+
+def _call_for_rest(s: Tick) -> None:
+    """Announce the way to rest while what would soon drop the arm lasts, if the arm can go, and nobody said no."""
+    may = s.arm.rest_on_strain and not s.state.stays and s.state.powered and s.all_powered()
+    kinds = [KINDS[code] for code in s.found]
+    if not (s.state.phase is Phase.FAULTED and may and any(kind.to_rest for kind in kinds)):
+        return
+    if any(kind.motion == "ends" or kind.until is Cause.SILENCE for kind in kinds):
+        return
+    s.go(Trigger.STRAIN)
+    text = f"the arm goes to its rest pose in {REST_AHEAD_S:g} s, and goes limp there; `armctl stop` keeps it here"
+    s.events.append(Event("warning", "REST_AHEAD", text))
 
 
 def _since(s: Tick, since_ns: tuple[int, ...], over: Sequence[bool]) -> tuple[int, ...]:
@@ -58,61 +78,86 @@ def _since(s: Tick, since_ns: tuple[int, ...], over: Sequence[bool]) -> tuple[in
     ])  # fmt: skip
 
 
+def _detect_torque(s: Tick) -> None:
+    """Torque on an arm that is meant to be limp."""
+    for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
+        if reading.fresh and servo is not None and servo.torque_enabled:
+            s.latch_servo("NOT_LIMP", i, "torque is on although the arm is limp, and not from here")
+
+
+def _lasts(s: Tick, since_ns: int, seconds: float) -> bool:
+    return since_ns > 0 and s.inputs.now_ns - since_ns >= seconds * NS_PER_S
+
+
 def _detect_power_faults(s: Tick) -> None:
     """Lost torque, a trip, a second writer, a blocked joint: faults of an arm under torque."""
     state = s.state
-    goal, settings, previous = state.goal, state.settings, state.previous_goal or state.goal
+    goal, previous = state.goal, state.previous_goal or state.goal
     errors_rad = [
         abs(servo.position - tick) * ax12a.TICK_RAD if servo else 0.0
         for servo, tick in zip(s.servos, goal, strict=True)
     ]
-    since_ns = _since(s, state.error_since_ns, [error > BLOCKED_RAD for error in errors_rad])
-    lost = False
+    state.error_since_ns = since_ns = _since(s, state.error_since_ns, [error > BLOCKED_RAD for error in errors_rad])
+    lost = blocked = False
     for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
-        if servo is None or not reading.fresh:
+        if servo is None or not reading.fresh or _overruled(s, i, servo):
             continue
-        if servo.torque_limit == 0:
-            return s.latch_servo("TRIPPED", i, "the servo shut itself down (torque limit 0)")
-        if not servo.torque_enabled:
-            return s.latch_servo("LOST_TORQUE", i, "torque is off, and not by a command from here")
-        if servo.settings != settings[i]:
-            if servo.settings == ax12a.POWER_ON_SETTINGS:
-                return s.latch_servo("LOST_TORQUE", i, "its settings are those of a servo that has just restarted")
-            return s.latch_servo("OTHER_WRITER", i, "its settings changed: another program writes to the bus")
-        if servo.goal != goal[i]:
-            if servo.goal != previous[i]:
-                found = f"goal {servo.goal} read back, {goal[i]} sent"
-                return s.latch_servo("OTHER_WRITER", i, f"{found}: another program writes to the bus")
-            lost = True
-        if since_ns[i] and s.inputs.now_ns - since_ns[i] >= BLOCKED_NS:
+        if servo.goal not in (goal[i], previous[i]):
+            found = f"goal {servo.goal} read back, {goal[i]} sent"
+            s.latch_servo("OTHER_WRITER", i, f"{found}: another program writes to the bus")
+            continue
+        lost = lost or servo.goal != goal[i]
+        if _lasts(s, since_ns[i], BLOCKED_S):
             found = f"{math.degrees(errors_rad[i]):.1f} deg away from its goal for 0.3 s (bound 8)"
             s.latch_servo("BLOCKED", i, found)
-            # Once, so that the servo stops pushing; never again and again, or gravity walks the arm down.
-            if s.fresh and s.all_powered():
-                s.send_goal([servo.position for servo in s.servos if servo])
-            return None
-    state.error_since_ns = since_ns
-    if lost and s.fresh:
+            blocked = True
+    if blocked and s.fresh and s.all_powered():
+        # Once, so that the servo stops pushing; never again and again, or gravity walks the arm down.
+        s.send_goal([servo.position for servo in s.servos if servo])
+        state.error_since_ns = ()
+    elif lost and s.fresh:
         s.send_goal(goal)
-    return None
+
+
+def _overruled(s: Tick, i: int, servo: Status) -> bool:
+    """Whether a servo has lost its torque or its settings, which is latched."""
+    if servo.torque_limit == 0:
+        s.latch_servo("TRIPPED", i, "the servo shut itself down (torque limit 0)")
+    elif not servo.torque_enabled:
+        s.latch_servo("LOST_TORQUE", i, "torque is off, and not by a command from here")
+    elif servo.settings == s.state.settings[i]:
+        return False
+    elif servo.settings == ax12a.POWER_ON_SETTINGS:
+        s.latch_servo("LOST_TORQUE", i, "its settings are those of a servo that has just restarted")
+    else:
+        s.latch_servo("OTHER_WRITER", i, "its settings changed: another program writes to the bus")
+    return True
 
 
 def _detect_strain(s: Tick) -> None:
-    """Heat, voltage and lasting load: what comes before a servo's own trip."""
-    since_ns = _since(s, s.state.load_since_ns, [abs(joint.load_ratio) > LOAD_RATIO for joint in s.joints])
+    """Lasting heat, voltage and load: what comes before a servo's own trip."""
+    state, joints, readings = s.state, s.joints, s.inputs.sample.servos
     low_V, high_V = s.arm.voltage_V
     limit_degC = s.arm.temperature_limit_degC
-    for i, (joint, reading) in enumerate(zip(s.joints, s.inputs.sample.servos, strict=True)):
-        if not reading.fresh:
-            continue
-        if joint.temperature_degC >= limit_degC or (reading.error and reading.error & ax12a.ErrorBit.OVERHEAT):
-            return s.latch_servo("HOT", i, f"{joint.temperature_degC:g} degC (bound {limit_degC:g})")
-        if not low_V <= joint.voltage_V <= high_V or (reading.error and reading.error & ax12a.ErrorBit.VOLTAGE):
-            return s.latch_servo("VOLTAGE", i, f"{joint.voltage_V:.1f} V (bounds {low_V:g} to {high_V:g})")
-        if since_ns[i] and s.inputs.now_ns - since_ns[i] >= LOAD_NS:
-            return s.latch_servo("OVERLOAD", i, f"load {abs(joint.load_ratio):.0%} for 2 s (bound 80%)")
-    s.state.load_since_ns = since_ns
-    return None
+    hot = [
+        joint.temperature_degC >= limit_degC or bool(reading.error & ErrorBit.OVERHEAT)
+        for joint, reading in zip(joints, readings, strict=True)
+    ]
+    wrong = [
+        not low_V <= joint.voltage_V <= high_V or bool(reading.error & ErrorBit.VOLTAGE)
+        for joint, reading in zip(joints, readings, strict=True)
+    ]
+    state.heat_since_ns = _since(s, state.heat_since_ns, hot)
+    state.supply_since_ns = _since(s, state.supply_since_ns, wrong)
+    state.load_since_ns = _since(s, state.load_since_ns, [abs(joint.load_ratio) > LOAD_RATIO for joint in joints])
+    for i, joint in enumerate(joints):
+        if _lasts(s, state.heat_since_ns[i], HEAT_S):
+            s.latch_servo("HOT", i, f"{joint.temperature_degC:g} degC for {HEAT_S:g} s (bound {limit_degC:g})")
+        if _lasts(s, state.supply_since_ns[i], SUPPLY_S):
+            bounds = f"bounds {low_V:g} to {high_V:g}"
+            s.latch_servo("VOLTAGE", i, f"{joint.voltage_V:.1f} V for {SUPPLY_S:g} s ({bounds})")
+        if _lasts(s, state.load_since_ns[i], LOAD_S):
+            s.latch_servo("OVERLOAD", i, f"load {abs(joint.load_ratio):.0%} for {LOAD_S:g} s (bound 80%)")
 
 
 def _detect_noise(s: Tick) -> None:

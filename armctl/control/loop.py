@@ -136,7 +136,7 @@ class ControlLoop:
             except BusError:
                 return ()
         first = self._tick == 0
-        clearing = self.state.fault is not None and any(isinstance(command, Clear) for command in commands)
+        clearing = bool(self.state.faults) and any(isinstance(command, Clear) for command in commands)
         if not self._bus.is_open or not (due or first or clearing):
             return ()
         self._before_identify()

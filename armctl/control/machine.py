@@ -8,7 +8,8 @@ nothing.
 Who may ask for what, and in which words a request is refused, follows from the same table.
 
 A latched arm keeps the torque it has; only `release` and `clear` are heard. Nothing advances but the deceleration and,
-for a fault that would soon drop the arm anyway (`Trigger.STRAIN`), the slow way to rest. That way is the one of `park`:
+while something lasts that would soon drop the arm anyway (`Trigger.STRAIN`), the slow way to rest. That way is the one
+of `park`, after some time in which a `stop` calls it off:
 
     come to a stop --set_off--> go there --arrived--> see that the arm is there --parked--> torque off
     each of them --give_up--> hold: torque is never cut but at the rest pose
@@ -60,7 +61,7 @@ class Phase(StrEnum):
     TEACHING = "teaching"
 
     FAULTED = "faulted"
-    # Whatever moves comes to rest, before the arm sets off for its rest pose.
+    # Announced: whatever moves comes to rest, and the arm waits before it sets off for its rest pose.
     FAULT_STOPPING = "fault_stopping"
     FAULT_GOING = "fault_going"
     FAULT_CHECKING = "fault_checking"
@@ -95,16 +96,15 @@ class Trigger(StrEnum):
     GIVE_UP = "give_up"
 
     FAULT = "fault"
-    # A fault that would soon end in a dropped arm.
+    # What would soon end in a dropped arm lasts.
     STRAIN = "strain"
 
 
 P, T = Phase, Trigger
 _FAULT = {T.FAULT: P.FAULTED}
-# Only an arm under torque can be on its way to being dropped.
-_STRAIN = _FAULT | {T.STRAIN: P.FAULT_STOPPING}
+_CLEAR = {T.CLEAR_LIMP: P.OFF, T.CLEAR_POWERED: P.HOLDING}
 _COMING_ON = _FAULT | {T.ENERGISE_FAILED: P.OFF, T.RELEASE: P.OFF}
-_PARKING = _STRAIN | {T.GIVE_UP: P.PARK_ENDING}
+_PARKING = _FAULT | {T.GIVE_UP: P.PARK_ENDING}
 _LATCHED = {T.RELEASE: P.FAULTED}
 _TO_REST = _LATCHED | {T.GIVE_UP: P.FAULTED}
 
@@ -120,20 +120,20 @@ TRANSITIONS: Mapping[Phase, Mapping[Trigger, Phase]] = MappingProxyType({
     P.CONFIRMING: {T.ENERGISED: P.HOLDING} | _COMING_ON,
 
     P.HOLDING: {T.RUN: P.MOVING, T.JOG: P.JOGGING, T.PARK: P.PARK_STARTING,
-                T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _STRAIN,
-    P.MOVING:  {T.STOPPED: P.HOLDING} | _STRAIN,
-    P.JOGGING: {T.STOPPED: P.HOLDING} | _STRAIN,
+                T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _FAULT,
+    P.MOVING:  {T.STOPPED: P.HOLDING} | _FAULT,
+    P.JOGGING: {T.STOPPED: P.HOLDING} | _FAULT,
 
     P.PARK_STARTING: {T.SET_OFF: P.PARK_GOING} | _PARKING,
     P.PARK_GOING:    {T.ARRIVED: P.PARK_CHECKING} | _PARKING,
     P.PARK_CHECKING: {T.PARKED: P.OFF} | _PARKING,
-    P.PARK_ENDING:   {T.STOPPED: P.HOLDING} | _STRAIN,
+    P.PARK_ENDING:   {T.STOPPED: P.HOLDING} | _FAULT,
 
     P.LETTING_GO: {T.LIMP_SEEN: P.TEACHING, T.TEACH_END: P.OFF, T.RELEASE: P.OFF} | _FAULT,
     P.TEACHING:   {T.TEACH_END: P.OFF, T.RELEASE: P.OFF} | _FAULT,
 
-    P.FAULTED:        {T.CLEAR_LIMP: P.OFF, T.CLEAR_POWERED: P.HOLDING} | _LATCHED,
-    P.FAULT_STOPPING: {T.SET_OFF: P.FAULT_GOING} | _TO_REST,
+    P.FAULTED:        {T.STRAIN: P.FAULT_STOPPING} | _CLEAR | _LATCHED,
+    P.FAULT_STOPPING: {T.SET_OFF: P.FAULT_GOING} | _CLEAR | _TO_REST,
     P.FAULT_GOING:    {T.ARRIVED: P.FAULT_CHECKING} | _TO_REST,
     P.FAULT_CHECKING: {T.PARKED: P.FAULTED} | _TO_REST,
 })
@@ -153,8 +153,6 @@ _SHOWN: dict[Mode, tuple[Phase, ...]] = {
 MODE: Mapping[Phase, Mode] = {phase: mode for mode, phases in _SHOWN.items() for phase in phases}
 
 ENERGISING = frozenset(_SHOWN[Mode.ENERGISING])
-# Every servo has torque and is watched for losing it.
-POWERED = frozenset(phase for mode in (Mode.HOLDING, Mode.MOVING, Mode.JOGGING, Mode.PARKING) for phase in _SHOWN[mode])
 LATCHED = frozenset(_SHOWN[Mode.FAULTED])
 # On the way to rest.
 TO_REST = frozenset(phase for phase, row in TRANSITIONS.items() if T.GIVE_UP in row)
@@ -240,7 +238,12 @@ class State:
     # Whether the servos of the open port have been identified.
     connected: bool = False
     problems: tuple[Problem, ...] = ()
-    fault: Fault | None = None
+    # What is latched, the worst first.
+    faults: tuple[Fault, ...] = ()
+    # Whether the servos are meant to have torque; None: unknown, or it is just coming on.
+    powered: bool | None = None
+    # The way to rest was ended or given up: there is none until the faults are cleared.
+    stays: bool = False
     # Whose reply is due when the present sequence ends.
     request_id: int | None = None
     # Who waits to hear that the arm is still.
@@ -261,12 +264,19 @@ class State:
     jog: Jogging | None = None
     # Since when each joint has been farther from its goal than allowed; 0: it is not; empty: not looked at yet.
     error_since_ns: tuple[int, ...] = ()
-    # Since when each servo's load has been above what it can bear; 0: it is not; empty: not looked at yet.
+    # Since when each servo's heat, supply and load have been beyond what it can bear, as in `error_since_ns`.
+    heat_since_ns: tuple[int, ...] = ()
+    supply_since_ns: tuple[int, ...] = ()
     load_since_ns: tuple[int, ...] = ()
     # Readings lost to noise in each of the latest ticks.
     noise: tuple[int, ...] = ()
     # Positions of the previous sample [tick].
     last_ticks: tuple[int, ...] = ()
+
+    @property
+    def fault(self) -> Fault | None:
+        """The worst of those latched."""
+        return self.faults[0] if self.faults else None
 
     @property
     def mode(self) -> Mode:

@@ -12,8 +12,8 @@ from armctl.config import ArmConfig
 from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
 from armctl.control.faults import Cause
-from armctl.control.machine import LATCHED, TO_REST, Motion, Phase, Trigger, target
-from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS, give_up_rest
+from armctl.control.machine import TO_REST, Motion, Phase, Trigger, target
+from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
@@ -104,22 +104,21 @@ def _carry_out(s: Tick, command: Command) -> str | None:
 
 def _connected(s: Tick, command: messages.Connected) -> None:
     state = s.state
-    if state.fault is not None and state.fault.code == "PORT_GONE" and not state.connected:
+    if not state.connected and any(fault.code == "PORT_GONE" for fault in state.faults):
         s.events.append(Event("warning", "PORT_BACK", "the port is back; the fault stays until `armctl clear`"))
     if command.restarted:
         s.events.append(Event("warning", "RESTARTED", "the control process was restarted; the arm is taken as found"))
     state.connected, state.problems = True, command.problems
     if not command.problems:
         s.events.append(Event("info", "CONNECTED", "every servo answers as the calibration says"))
-    elif state.phase not in LATCHED:
-        first = command.problems[0]
-        s.latch(first.code, "; ".join(problem.text for problem in command.problems), first.servo_id)
+    for problem in command.problems:
+        s.latch(problem.code, problem.text, problem.servo_id)
 
 
 def _slow_down(s: Tick, code: str, why: str) -> None:
     """Bring to rest whatever moves, on its path."""
     if s.state.phase in TO_REST:
-        give_up_rest(s, code, why)
+        s.give_up_rest(code, why)
     s.stop_motion(code)
 
 
@@ -139,6 +138,9 @@ def _torque_on(s: Tick, request_id: int) -> None:
         target(state.phase, Trigger.TORQUE_ON)
     if found or not s.fresh or len(state.last_ticks) != len(s.joints):
         raise RequestRefused("NO_REPLY", "not every servo answered just now; see `armctl status`")
+    for cause, text in persisting_causes(s):
+        if code := {Cause.HEAT: "HOT", Cause.SUPPLY: "VOLTAGE"}.get(cause):
+            raise RequestRefused(code, f"the arm would go to rest: {text}")
     ticks = []
     for index, (joint, last) in enumerate(zip(s.arm.joints, state.last_ticks, strict=True)):
         position = s.status(index).position
@@ -233,14 +235,15 @@ def _clear(s: Tick) -> str:
     state = s.state
     if state.fault is None:
         return "no fault is latched"
-    if state.motion is not None or state.phase in TO_REST:
+    if state.motion is not None or (state.phase in TO_REST and state.phase is not Phase.FAULT_STOPPING):
         raise RequestRefused("NOT_CLEARED", "the arm is still coming to rest; try again")
     causes = "; ".join(text for _, text in persisting_causes(s))
     if causes:
         raise RequestRefused("NOT_CLEARED", f"the cause of {state.fault.code} persists: {causes}")
     powered = all(servo and servo.torque_enabled for servo in s.servos)
     s.go(Trigger.CLEAR_POWERED if powered else Trigger.CLEAR_LIMP)
-    state.fault = None
+    state.faults, state.stays = (), False
+    state.powered = powered
     if powered:
         s.take_over()
     return ""

@@ -6,7 +6,8 @@ written to them; and none is decided while one of them is unheard.
 
 import math
 
-from armctl.control.detect import SILENT_AGE_S
+from armctl.control.detect import REST_AHEAD_S, SILENT_AGE_S
+from armctl.control.faults import KINDS
 from armctl.control.machine import Motion, Phase, Trigger
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
@@ -44,7 +45,7 @@ def adopt(s: Tick) -> None:
     if not any(powered):
         limp_ticks = s.state.ticks
         s.go(Trigger.ADOPT_LIMP)
-        s.state.ticks = limp_ticks  # nobody switched it off just now: it was limp all the time
+        s.state.powered, s.state.ticks = False, limp_ticks  # nobody switched it off just now: it was limp all the time
     elif tripped:
         s.latch_servo("TRIPPED", tripped[0], "found shut down (torque limit 0) while other servos hold")
     elif not all(powered):
@@ -83,6 +84,7 @@ def energise(s: Tick) -> None:
             s.send_goal(state.anchor)
         case Phase.PREPARING:
             s.write_all(ax12a.TORQUE_ENABLE, 1)
+            state.powered = None
             s.send_goal(anchor)  # again: a limp servo may have let its goal follow the shaft
             s.go(Trigger.SETTINGS_SEEN)
         case Phase.ENABLING:
@@ -164,19 +166,22 @@ def go_to_rest(s: Tick) -> None:
     """The slow way to rest: come to a stop, go there, see that it is there, switch torque off."""
     state, joints = s.state, s.arm.joints
     if not s.all_powered():
-        return give_up_rest(s, "LOST_TORQUE", "a servo has no torque")
-    if any(_overruled(s, i) for i in range(len(joints))):
-        return give_up_rest(s, "OTHER_WRITER", "a servo restarted, or another program writes to the bus")
+        return s.give_up_rest("LOST_TORQUE", "a servo has no torque")
     if any(joint.age_s > SILENT_AGE_S for joint in s.joints):
-        return give_up_rest(s, "SERVO_SILENT", "a servo does not answer")
+        return s.give_up_rest("SERVO_SILENT", "a servo does not answer")
     if state.motion is not None:
         return None
     match state.phase:
+        case Phase.FAULT_STOPPING if state.ticks < s.ticks_in(REST_AHEAD_S):
+            return None
+        case Phase.FAULT_STOPPING if not any(KINDS[code].to_rest for code in s.found):
+            s.events.append(Event("info", "REST_CALLED_OFF", "what sent the arm to rest is over; it holds"))
+            s.go(Trigger.GIVE_UP)
         case Phase.PARK_STARTING | Phase.FAULT_STOPPING:
             q = [joint.position_rad(tick) for joint, tick in zip(joints, state.goal, strict=True)]
             way = approach_trajectory(q, [joint.rest_rad for joint in joints], s.arm, s.robot, s.period_s, "to rest")
             if lowest_link_m(way, s.robot) < s.arm.floor_m:
-                return give_up_rest(s, "LIMIT", "the straight way to rest leads below the floor")
+                return s.give_up_rest("LIMIT", "the straight way to rest leads below the floor")
             state.motion = Motion(way, None)
             s.go(Trigger.SET_OFF)
         case Phase.PARK_GOING | Phase.FAULT_GOING:
@@ -191,23 +196,5 @@ def go_to_rest(s: Tick) -> None:
             state.request_id = None
             s.go(Trigger.PARKED)
         case _ if state.ticks > s.ticks_in(VERIFY_S):
-            give_up_rest(s, "NOT_AT_REST", "the arm is over 3 deg from its rest pose")
+            s.give_up_rest("NOT_AT_REST", "the arm is over 3 deg from its rest pose")
     return None
-
-
-def _overruled(s: Tick, index: int) -> bool:
-    """Whether a servo shows a goal or settings that are not from here; a latched arm is not watched for that else."""
-    servo, goal = s.status(index), s.state.goal
-    known = (goal[index], (s.state.previous_goal or goal)[index])
-    return servo.goal not in known or servo.settings != s.state.settings[index]
-
-
-def give_up_rest(s: Tick, code: str, why: str) -> None:
-    """Hold instead: torque is never cut but at rest."""
-    s.stop_motion(code)
-    text = f"the arm does not go to rest: {why}; it holds"
-    s.events.append(Event("warning", code, text))
-    s.end_sequence(code, text)
-    s.go(Trigger.GIVE_UP)
-    if s.state.motion is None and s.state.phase is Phase.PARK_ENDING:
-        s.go(Trigger.STOPPED)

@@ -8,14 +8,15 @@ Rules.
 3. A stop runs the trajectory's own time down to zero within `STOP_S`, so the arm stays on its path.
 4. Torque is enabled only by the energising sequence, on request, at the position the arm has; it is disabled
    only on request (`release`, `teach`), at a rest pose that is seen, or to undo an energising that went wrong.
-5. A fault latches. While it is latched nothing advances, save the deceleration of rule 3 and, for a fault that
-   would soon end in a dropped arm, the slow way to rest.
+5. A fault latches, and hides no other: all of them are judged in every mode. While one is latched nothing advances,
+   save the deceleration of rule 3 and, while what would soon end in a dropped arm lasts, the slow way to rest, which is
+   announced and can be called off.
 6. What the servos report, not what was written, decides whether a sequence goes on.
 7. The state that is given in is never changed. The step copies it once, works on the copy, and returns that.
 """
 
 from armctl.config import ArmConfig
-from armctl.control.detect import detect_faults
+from armctl.control.detect import REST_AHEAD_S, detect_faults
 from armctl.control.jog import advance_jog
 from armctl.control.machine import ENERGISING, MODE, TO_REST, Jogging, Motion, Phase, State
 from armctl.control.motion import duration_s, move
@@ -60,7 +61,7 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     motion = state.motion
     return state, Outputs(
         mode=MODE[state.phase],
-        fault=state.fault,
+        faults=state.faults,
         joints=s.joints,
         tool=_tool_pose(s.joints, robot),
         writes=tuple(s.writes),
@@ -69,7 +70,14 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
         events=tuple(s.events),
         progress=None if motion is None else motion.progress_s / max(duration_s(motion.trajectory), 1e-9),
         rate=None if motion is None else 0.0 if motion.paused else motion.wanted_rate,
+        rest_in_s=_rest_in_s(s),
     )
+
+
+def _rest_in_s(s: Tick) -> float | None:
+    if s.state.phase is Phase.FAULT_STOPPING:
+        return max(0.0, (s.ticks_in(REST_AHEAD_S) - s.state.ticks) * s.period_s)
+    return 0.0 if s.state.phase in (Phase.FAULT_GOING, Phase.FAULT_CHECKING) else None
 
 
 def _own(state: State) -> State:

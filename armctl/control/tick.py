@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from armctl.config import ArmConfig, JointConfig
-from armctl.control.faults import KINDS
-from armctl.control.machine import TRANSITIONS, State, Trigger
+from armctl.control.faults import KINDS, with_fault
+from armctl.control.machine import ENERGISING, LATCHED, TO_REST, TRANSITIONS, Phase, State, Trigger
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register, Status
 from armctl.kinematics.robots.robot import Robot
@@ -82,6 +82,8 @@ class Tick:
     # Where the servos' own speed ramps are when that goal is sent.
     ramp: tuple[float, ...] = ()
     replies: list[Reply] = field(default_factory=list)
+    # Codes of the faults that this very sample shows, latched before or not.
+    found: set[str] = field(default_factory=set)
     events: list[Event] = field(default_factory=list)
 
     def go(self, trigger: Trigger) -> None:
@@ -135,19 +137,26 @@ class Tick:
         self.latch(code, f"servo {joint.servo_id} ({joint.name}): {problem}", joint.servo_id)
 
     def latch(self, code: str, text: str, servo_id: int | None = None) -> None:
-        """Latch a fault and do what its row in `faults.FAULTS` says."""
+        """Latch a fault, if it is not latched, and do what its row in `faults.FAULTS` says."""
         state, kind = self.state, KINDS[code]
-        self.events.append(Event("error", code, text, servo_id))
-        if state.motion is not None and kind.motion == "ends":
+        self.found.add(code)
+        if kind.motion == "ends" and state.phase in TO_REST & LATCHED:
+            self.give_up_rest(code, text)
+        if kind.motion == "ends" and state.motion is not None:
             self.finish_motion(code, text)
-        elif state.motion is not None:
+        if any(fault.code == code and (kind.of == "supply" or fault.servo_id == servo_id) for fault in state.faults):
+            return
+        self.events.append(Event("error", code, text, servo_id))
+        if state.motion is not None:
             state.motion.stop_code = code
         if state.jog is not None:
             self.finish_jog(code)
         self.end_sequence(code, text)
-        self.go(Trigger.STRAIN if kind.to_rest else Trigger.FAULT)
-        state.fault = Fault(code, text, self.inputs.now_ns, servo_id)
-        state.error_since_ns = state.load_since_ns = state.noise = ()
+        if state.phase in ENERGISING and kind.to_rest:
+            self.torque_off()
+        if state.phase not in LATCHED:
+            self.go(Trigger.FAULT)
+        state.faults = with_fault(state.faults, Fault(code, text, self.inputs.now_ns, servo_id))
         state.connected = state.connected and self.inputs.sample.port_open
 
     # -------------------------------------------------------------------------------- ends of what was under way
@@ -183,7 +192,24 @@ class Tick:
         self.reply(self.state.request_id, False, code, text or "another request came first")
         self.state.request_id, self.state.anchor = None, ()
 
+    def give_up_rest(self, code: str, why: str) -> None:
+        """Hold instead of going to rest: torque is never cut but there.
+
+        For a fault it is tried again once the servos can be relied on, but not where a person, an obstacle or the way
+        itself is against it.
+        """
+        state = self.state
+        self.stop_motion(code)
+        text = f"the arm does not go to rest: {why}; it holds"
+        self.events.append(Event("warning", code, text))
+        self.end_sequence(code, text)
+        state.stays = state.phase in LATCHED and (code == "BLOCKED" or code not in KINDS)
+        self.go(Trigger.GIVE_UP)
+        if state.motion is None and state.phase is Phase.PARK_ENDING:
+            self.go(Trigger.STOPPED)
+
     def torque_off(self) -> None:
+        self.state.powered = False
         self.goal = None  # a goal after it would switch the torque on again
         self.write_all(ax12a.TORQUE_ENABLE, 0)
 
@@ -195,7 +221,7 @@ class Tick:
         state = self.state
         state.goal, state.previous_goal, state.ramp = tuple(servo.goal for servo in known), (), ()
         state.settings = tuple(servo.settings for servo in known)
-        state.error_since_ns = ()
+        state.error_since_ns, state.powered = (), True
 
     def whole_ticks(self, position_rad: Sequence[float]) -> list[int]:
         """The nearest servo position of every joint position [rad]."""

@@ -24,7 +24,7 @@ from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Leases
-from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshot
+from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots
 from armctl.host.takes import TakeRecorder, Takes
 from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
@@ -317,9 +317,11 @@ class Host:
         """The snapshot every client sees, as of now."""
         now_ns = self._clock.now_ns()
         commander = self.leases.current
+        faults = fault_snapshots(self.latest, self._lost_ns, now_ns)
         return {
             **self.state(),
-            "fault": fault_snapshot(self.latest, self._lost_ns, now_ns),
+            "fault": faults[0] if faults else None,
+            "faults": faults,
             "period_s": self.period_s,
             **arm_snapshot(self.arm, self.latest, self._statistics, now_ns),
             "recording": self.takes.name,

@@ -88,23 +88,26 @@ def arm_snapshot(arm: ArmConfig, latest: TickRecord | None, statistics: Statisti
     }
 
 
-def fault_snapshot(latest: TickRecord | None, lost_ns: int | None, now_ns: int) -> dict[str, Any] | None:
-    """The card of the latched fault; None: there is none.
+def fault_snapshots(latest: TickRecord | None, lost_ns: int | None, now_ns: int) -> list[dict[str, Any]]:
+    """The card of every fault that is latched, the worst first.
 
     Args:
         lost_ns: Since when there is no control process; None: there is one.
     """
+    cards = []
     if lost_ns is not None:
         fault = Fault("RESTARTED", "the control process died; a new one is being started", lost_ns)
-        arm, following = (
-            "still; every servo keeps its last goal with the torque it has",
-            "wait a second, then type `armctl status`",
-        )
-    elif latest is None or latest.outputs.fault is None:
-        return None
-    else:
-        fault = latest.outputs.fault
-        arm, following = card(fault, latest.outputs.joints, latest.outputs.progress is not None)
+        arm = "still; every servo keeps its last goal with the torque it has"
+        cards.append(_card(fault, (arm, "wait a second, then type `armctl status`"), now_ns))
+    if latest is not None:
+        now = latest.outputs
+        moving = now.progress is not None
+        cards += [_card(fault, card(fault, now.joints, moving, now.rest_in_s), now_ns) for fault in now.faults]
+    return cards
+
+
+def _card(fault: Fault, told: tuple[str, str], now_ns: int) -> dict[str, Any]:
+    arm, following = told
     return {
         "code": fault.code,
         "servo_id": fault.servo_id,
@@ -112,6 +115,7 @@ def fault_snapshot(latest: TickRecord | None, lost_ns: int | None, now_ns: int) 
         "arm": arm,
         "next": following,
         "text": fault.text,
+        "follows": fault.follows or None,
     }
 
 

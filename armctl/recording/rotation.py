@@ -143,11 +143,12 @@ class Files:
         self._ensure_log()
         self._write(lambda writer: writer.write_tick(record))
         self._history.add(record)
-        before = None if self._last is None else self._last.outputs.fault
+        before = set() if self._last is None else {(fault.code, fault.since_ns) for fault in self._last.outputs.faults}
         self._last = record
-        fault, time_ns = record.outputs.fault, record.inputs.sample.time_ns
-        if fault is not None and fault != before:
-            self._keep_snapshot(fault.code, time_ns)
+        time_ns = record.inputs.sample.time_ns
+        new = [fault.code for fault in record.outputs.faults if (fault.code, fault.since_ns) not in before]
+        if new:
+            self._keep_snapshot(new[0], time_ns)
             return True
         if SNAPSHOT in self._open and time_ns >= self._snapshot_end_ns:
             self.close(SNAPSHOT)

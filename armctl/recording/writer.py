@@ -123,7 +123,7 @@ class LogWriter:
             if record.dropped:
                 text = f"{record.dropped} tick records were lost before tick {record.inputs.tick}"
                 self.write_event(Event("warning", "DROPPED", text), time_ns)
-            now = (time_ns // DIAGNOSTICS_PERIOD_NS, record.outputs.mode, record.outputs.fault)
+            now = (time_ns // DIAGNOSTICS_PERIOD_NS, record.outputs.mode, record.outputs.faults)
             if now != self._diagnosed:
                 self._diagnosed = now
                 self._add(channels.diagnostics(record, anchor, self.context.arm), anchor.epoch_ns(time_ns))

@@ -108,10 +108,9 @@ class Encoder:
             ServoReading(servo_id, b"", 0, state.age_s < STALE_S, problem=_problem(state))
             for servo_id, state in zip(self._arm.servo_ids, joints, strict=True)
         )
-        fault = snapshot["fault"]
         outputs = Outputs(
             mode=Mode(snapshot["state"]),
-            fault=None if fault is None else Fault(fault["code"], fault["text"], 0, fault["servo_id"]),
+            faults=tuple(Fault(fault["code"], fault["text"], 0, fault["servo_id"]) for fault in snapshot["faults"]),
             joints=joints,
             tool=self._tool(snapshot, joints),
         )

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from armctl.control import faults
-from armctl.control.machine import TO_REST
 from armctl.dynamixel import ax12a
 from armctl.messages import Clear, Connected, Fault, JointState, Mode, Problem
 from tests.control.ideal_arm import IdealArm, holding, running
@@ -50,7 +49,7 @@ def test_every_code_in_the_source_has_a_row_and_every_row_a_code() -> None:
 @pytest.mark.parametrize(("code", "calls"), named_codes().items())
 def test_a_row_says_whether_one_servo_is_named(code: str, calls: set[str]) -> None:
     if latched := calls & {"latch", "latch_servo"}:
-        assert latched == {"latch_servo" if faults.KINDS[code].of == "servo" else "latch"}
+        assert latched == {"latch" if faults.KINDS[code].of == "bus" else "latch_servo"}
 
 
 # What makes each cause persist.
@@ -82,10 +81,9 @@ def test_a_fault_does_to_a_run_what_its_row_says(kind: faults.FaultKind) -> None
     assert arm.state.fault is not None
     assert (arm.state.fault.code, arm.mode()) == (kind.code, Mode.FAULTED)
     assert (arm.state.motion is None) == (kind.motion == "ends")
-    assert (arm.state.phase in TO_REST) == kind.to_rest
     arm.run_ticks(60)
     assert arm.replies[5].code == kind.code
-    assert all(arm.get(i, ax12a.TORQUE_ENABLE) != kind.to_rest for i in range(6))
+    assert all(arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)), "nothing that lasts sends it to rest"
 
 
 @pytest.mark.parametrize("code", faults.CODES)
@@ -103,4 +101,5 @@ def test_a_card_tells_a_limp_arm_from_a_holding_one_and_one_that_is_half_limp() 
     assert "holds the last goal" in told[0]
     assert told[1] == "limp"
     assert "partly limp" in faults.card(fault, joints(True, False), False)[0]
-    assert "rest pose" in faults.card(Fault("HOT", "", 0), joints(True, True), True)[0]
+    for rest_in_s, what in ((2.0, "about to go to its rest pose (in 2 s)"), (0.0, "on its way to the rest pose")):
+        assert what in faults.card(fault, joints(True, True), True, rest_in_s)[0]

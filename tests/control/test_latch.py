@@ -1,10 +1,15 @@
 """Faults in the control step: what latches, what happens to the arm, and what clears it."""
 
-import pytest
+from collections.abc import Callable
 
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.control.faults import CODES
 from armctl.dynamixel import ax12a
 from armctl.files import load_arm
-from armctl.messages import Clear, Connected, Mode, Problem, Release, Run, TorqueOn
+from armctl.messages import Clear, Connected, Mode, Park, Problem, Release, Run, Teach, TorqueOn
 from tests.control.ideal_arm import IdealArm, holding, line, running
 
 
@@ -157,3 +162,86 @@ def test_an_unheard_servo_has_an_age_that_grows_and_no_tool_pose() -> None:
     assert first.tool is None
     assert not first.joints[1].known
     assert second.joints[1].age_s > first.joints[1].age_s
+
+
+# What a servo shows of each fault, lasting; and whether only an arm under torque can have it.
+SHOWN: dict[str, tuple[Callable[[IdealArm], object], bool]] = {
+    "SERVO_SILENT": (lambda arm: arm.silent.add(1), False),
+    "TRIPPED": (lambda arm: arm.put(0, ax12a.TORQUE_LIMIT, 0), True),
+    "LOST_TORQUE": (lambda arm: arm.put(2, ax12a.TORQUE_ENABLE, 0), True),
+    "HOT": (lambda arm: arm.put(2, ax12a.PRESENT_TEMPERATURE, 70), False),
+    "VOLTAGE": (lambda arm: arm.put(3, ax12a.PRESENT_VOLTAGE, 80), False),
+    "OVERLOAD": (lambda arm: arm.put(3, ax12a.PRESENT_LOAD, 900), False),
+    "OTHER_WRITER": (lambda arm: arm.put(4, ax12a.PUNCH, 100), True),
+}
+SITUATIONS: dict[str, Callable[[], IdealArm]] = {
+    "off": lambda: IdealArm().connect(),
+    "holding": holding,
+    "moving": lambda: running(3),
+    "teaching": lambda: taught(),
+    "parking": lambda: parking(),
+}
+
+
+def taught() -> IdealArm:
+    arm = holding()
+    arm.run_ticks(4, Teach(6))
+    return arm
+
+
+def parking() -> IdealArm:
+    arm = running(25)
+    arm.run_ticks(4, Park(6))
+    return arm
+
+
+@given(st.sampled_from(sorted(SITUATIONS)), st.permutations(sorted(SHOWN)), st.lists(st.integers(0, 12), min_size=2))
+@settings(max_examples=40)
+def test_no_fault_hides_another_in_any_mode_and_in_any_order(situation: str, codes: list[str], gaps: list[int]) -> None:
+    arm = SITUATIONS[situation]()
+    arm.arm = arm.arm.model_copy(update={"rest_on_strain": False})
+    happened = set()
+    for code, gap in zip(codes, gaps, strict=False):
+        show, powered = SHOWN[code]
+        if not powered or situation in ("holding", "moving", "parking"):
+            show(arm)
+            happened.add(code)
+            arm.run_ticks(gap)
+    arm.run_ticks(100)
+    assert {fault.code for fault in arm.state.faults} == happened
+    order = [CODES.index(fault.code) for fault in arm.state.faults]
+    assert order == sorted(order), "the worst first"
+    assert arm.outputs is not None
+    assert arm.outputs.faults == arm.state.faults
+
+
+def test_another_writer_does_not_hide_heat_which_sends_the_arm_to_rest_once_that_has_ended() -> None:
+    arm = running(5)
+    arm.put(3, ax12a.PUNCH, 100)
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(60)
+    assert [fault.code for fault in arm.state.faults] == ["HOT", "OTHER_WRITER"]
+    assert not arm.goals_in(20)
+    arm.put(3, ax12a.PUNCH, arm.arm.joints[3].compliance.punch)
+    arm.run_ticks(150)
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
+
+
+def test_a_fault_that_another_one_explains_says_so() -> None:
+    arm = holding()
+    arm.silent = set(range(6))
+    arm.run_ticks(8)
+    arm.silent = set()
+    for i in (1, 2):
+        arm.put(i, ax12a.TORQUE_ENABLE, 0)  # the supply was off
+    arm.put(3, ax12a.PRESENT_TEMPERATURE, 70)
+    arm.put(3, ax12a.TORQUE_LIMIT, 0)
+    arm.run_ticks(25)
+    found = [(fault.code, fault.servo_id, fault.follows) for fault in arm.state.faults]
+    assert found == [
+        ("BUS_DEAD", None, ""),
+        ("LOST_TORQUE", 2, "BUS_DEAD"),
+        ("LOST_TORQUE", 3, "BUS_DEAD"),
+        ("TRIPPED", 4, "HOT"),
+        ("HOT", 4, ""),
+    ]

@@ -66,7 +66,8 @@ def test_every_phase_can_fault_and_only_clearing_leaves_a_fault() -> None:
         assert EDGES[phase, Trigger.FAULT] is Phase.FAULTED
     leaving = {trigger for (phase, trigger), after in EDGES.items() if phase in LATCHED and after not in LATCHED}
     assert leaving == {Trigger.CLEAR_LIMP, Trigger.CLEAR_POWERED}
-    assert {phase for phase, trigger in EDGES if trigger in leaving} == {Phase.FAULTED}, "not on the way to rest"
+    still = {Phase.FAULTED, Phase.FAULT_STOPPING}
+    assert {phase for phase, trigger in EDGES if trigger in leaving} == still, "not on the way to rest"
 
 
 def test_torque_comes_on_only_through_energising_or_adoption() -> None:
@@ -78,6 +79,7 @@ def test_torque_comes_on_only_through_energising_or_adoption() -> None:
         (Phase.JOGGING, Trigger.STOPPED),
         (Phase.PARK_ENDING, Trigger.STOPPED),
         (Phase.FAULTED, Trigger.CLEAR_POWERED),
+        (Phase.FAULT_STOPPING, Trigger.CLEAR_POWERED),
     }
     assert {edge for edge, after in EDGES.items() if after in ENERGISING and edge[0] not in ENERGISING} == {
         (Phase.OFF, Trigger.TORQUE_ON)
@@ -101,7 +103,7 @@ def test_state_survives_json_bit_for_bit() -> None:
         Phase.FAULT_CHECKING,
         connected=True,
         problems=(Problem("EEPROM_MISMATCH", "servo 3: …", 3),),
-        fault=Fault("BLOCKED", "stuck", 123456789, 4),
+        faults=(Fault("TRIPPED", "weak", 123456789, 4, "HOT"), Fault("HOT", "66 degC", 5, 4)),
         goal=(1, 2, 3),
         settings=(1 << 59, 7),
         motion=Motion(

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from armctl.dynamixel import ax12a
-from armctl.messages import Clear, Hold, Mode, Park, Release, Run
+from armctl.messages import Clear, Hold, Mode, Park, Release, Run, TorqueOn
 from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line, running
 
 
@@ -22,7 +22,8 @@ def strained() -> IdealArm:
     """On its way to rest for heat."""
     arm = away()
     arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
-    arm.run_ticks(5)
+    arm.run_ticks(55)
+    assert arm.code() == "HOT"
     return arm
 
 
@@ -72,8 +73,8 @@ def test_a_way_to_rest_below_the_floor_is_not_taken() -> None:
 @pytest.mark.parametrize(
     ("register", "value", "code", "seconds"),
     [
-        (ax12a.PRESENT_TEMPERATURE, 66, "HOT", 0.1),
-        (ax12a.PRESENT_VOLTAGE, 85, "VOLTAGE", 0.1),
+        (ax12a.PRESENT_TEMPERATURE, 66, "HOT", 2.2),
+        (ax12a.PRESENT_VOLTAGE, 85, "VOLTAGE", 0.7),
         (ax12a.PRESENT_LOAD, 900, "OVERLOAD", 2.2),
     ],
 )
@@ -83,8 +84,14 @@ def test_strain_sends_the_arm_to_rest_before_a_servo_trips(
     arm = away()
     arm.run_tick(Run(5, line(arm, delta_rad=0.3, seconds=4.0)))
     arm.put(2, register, value)
-    arm.run_ticks(round(seconds / PERIOD_S))
+    arm.run_ticks(round(seconds / PERIOD_S) - 2)
+    assert not arm.state.faults, "a dip moves no arm"
+    arm.run_ticks(2)
     assert arm.fault() == (code, 3)
+    while "REST_AHEAD" not in arm.events:
+        arm.run_tick()
+    arm.run_ticks(3)
+    assert not arm.goals_in(25), "it says so 3 s ahead"
     arm.run_ticks(70)
     assert arm.replies[5].code == code
     assert at_rest(arm)
@@ -101,7 +108,7 @@ def test_strain_sends_the_arm_to_rest_before_a_servo_trips(
     ("register", "value", "code"),
     [
         (ax12a.TORQUE_ENABLE, 0, "LOST_TORQUE"),
-        (ax12a.TORQUE_LIMIT, 0, "LOST_TORQUE"),
+        (ax12a.TORQUE_LIMIT, 0, "TRIPPED"),
         (ax12a.TORQUE_LIMIT, 700, "OTHER_WRITER"),
         (ax12a.GOAL, 300, "OTHER_WRITER"),
         (ax12a.PUNCH, 0, "OTHER_WRITER"),
@@ -144,15 +151,61 @@ def test_release_on_the_way_to_rest_is_limp_at_once() -> None:
 
 
 def test_clear_waits_for_the_arm_to_come_to_rest() -> None:
-    arm = running(5)
-    arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
+    arm = strained()
     assert "coming to rest" in arm.ask(Clear(1)).message
 
 
 def test_release_while_a_fault_decelerates_ends_the_motion() -> None:
     arm = running(5)
     arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
+    arm.run_ticks(6)
+    assert arm.mode() is Mode.FAULTED
     arm.run_tick(Release(6))
     assert arm.state.motion is None
     assert arm.outputs is not None
     assert arm.outputs.goal is None
+
+
+def test_an_obstacle_on_the_way_to_rest_ends_it_and_is_not_pushed_against() -> None:
+    arm = strained()
+    arm.stuck = {0}
+    arm.run_ticks(20)
+    assert [fault.code for fault in arm.state.faults] == ["HOT", "BLOCKED"]
+    assert arm.goals[-1][0] == arm.get(0, ax12a.PRESENT_POSITION)
+    assert not arm.goals_in(60), "nor does it set off again"
+
+
+@pytest.mark.parametrize("asked", ["stop", "configuration", "cause over"])
+def test_the_way_to_rest_is_called_off(asked: str) -> None:
+    arm = away()
+    if asked == "configuration":
+        arm.arm = arm.arm.model_copy(update={"rest_on_strain": False})
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(30)
+    assert (arm.code(), "REST_AHEAD" in arm.events) == ("HOT", asked != "configuration")
+    if asked == "stop":
+        arm.run_tick(Hold(6))
+    elif asked == "cause over":
+        arm.put(2, ax12a.PRESENT_TEMPERATURE, 60)
+    assert not arm.goals_in(80)
+    assert (arm.mode(), arm.code(), arm.outputs and arm.outputs.rest_in_s) == (Mode.FAULTED, "HOT", None)
+
+
+def test_heat_that_comes_back_sends_the_arm_to_rest_after_all() -> None:
+    arm = away()
+    for temperature_degC, ticks in ((66, 30), (60, 60), (66, 150)):
+        arm.put(2, ax12a.PRESENT_TEMPERATURE, temperature_degC)
+        arm.run_ticks(ticks)
+    assert at_rest(arm)
+    assert not arm.get(2, ax12a.TORQUE_ENABLE)
+
+
+@pytest.mark.parametrize(("register", "value", "code"), [
+    (ax12a.PRESENT_TEMPERATURE, 68, "HOT"), (ax12a.PRESENT_VOLTAGE, 80, "VOLTAGE")
+])  # fmt: skip
+def test_torque_is_refused_while_it_would_send_the_arm_to_rest(register: ax12a.Register, value: int, code: str) -> None:
+    arm = IdealArm().connect()
+    arm.run_tick()
+    arm.put(2, register, value)
+    reply = arm.ask(TorqueOn(1))
+    assert (reply.ok, reply.code, arm.mode()) == (False, code, Mode.OFF)

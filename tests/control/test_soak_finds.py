@@ -67,7 +67,7 @@ def test_a_servo_that_restarts_while_a_latched_run_slows_down_gets_no_goal() -> 
     arm = holding()
     arm.run_ticks(9, Run(2, line(arm)))
     arm.put(3, ax12a.PRESENT_VOLTAGE, 80)
-    arm.run_tick()
+    arm.run_ticks(6)
     assert arm.code() == "VOLTAGE"
     arm.put(4, ax12a.TORQUE_ENABLE, 0)
     assert not arm.goals_in(20)

@@ -255,9 +255,9 @@ def _settle(recorder: Recorder) -> None:
 @cache
 def _records(seed: int) -> list[TickRecord]:
     records = simulated_records(seed, TICKS)
-    fault = Fault("HOT", "made up for the snapshot", records[FAULT_TICK].inputs.now_ns, 3)
+    faults = (Fault("HOT", "made up for the snapshot", records[FAULT_TICK].inputs.now_ns, 3),)
     return [
-        replace(record, outputs=replace(record.outputs, fault=fault)) if record.inputs.tick >= FAULT_TICK else record
+        replace(record, outputs=replace(record.outputs, faults=faults if record.inputs.tick >= FAULT_TICK else ()))
         for record in records
     ]
 

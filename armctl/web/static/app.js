@@ -103,7 +103,7 @@ function show(latest) {
   const state = latest ? latest.state : "unreachable";
   if ($("state").textContent !== state) $("state").textContent = state;
   $("state").dataset.state = state;
-  showFault(latest && latest.fault);
+  showFaults(latest ? latest.faults : []);
   controls();
   if (!latest) return;
   latest.joints.forEach(showJoint);
@@ -125,9 +125,12 @@ function show(latest) {
   drawArm();
 }
 
-function showFault(fault) {
+function showFaults([fault, ...others]) {
   $("fault").hidden = !fault;
   if (!fault) return;
+  $("fault-others").hidden = !others.length;
+  $("fault-others").textContent = "Also: " + others.map((other) => `${other.code}, ${other.text}` +
+    (other.follows ? ` (follows from ${other.follows})` : "")).join("; ");
   $("fault-code").textContent = fault.code;
   $("fault-servo").textContent = (fault.servo_id === null ? "" : `servo ${fault.servo_id}, `) + `for ${fault.since_s.toFixed(0)} s`;
   $("fault-text").textContent = fault.text ?? "";
