@@ -62,7 +62,8 @@ class Encoder:
     def __init__(self, arm: ArmConfig) -> None:
         self._arm = arm
         self._robot: Robot = robots.get(arm.robot, arm.lengths_m)
-        self._seen: tuple[str, str] = "", ""
+        self._state = ""
+        self._faults: list[Event] = []
 
     def latched(self, epoch_ns: int) -> list[Message]:
         """What a viewer needs once: the description and the frames that do not move."""
@@ -78,14 +79,12 @@ class Encoder:
             ConfigError: it is of another arm than this encoder's.
         """
         self._check(snapshot)
-        fault = snapshot["fault"]
-        now = snapshot["state"], "" if fault is None else f"{fault['code']}: {fault['text']}"
         events: list[Event] = []
-        if now[0] != self._seen[0]:
-            events.append(Event("info", "STATE", f"{self._seen[0] or 'first seen'} -> {now[0]}"))
-        if now[1] != self._seen[1] and fault is not None:
-            events.append(Event("error", fault["code"], fault["text"], fault["servo_id"]))
-        self._seen = now
+        if snapshot["state"] != self._state:
+            events.append(Event("info", "STATE", f"{self._state or 'first seen'} -> {snapshot['state']}"))
+        faults = [Event("error", fault["code"], fault["text"], fault["servo_id"]) for fault in snapshot["faults"]]
+        events += [fault for fault in faults if fault not in self._faults]
+        self._state, self._faults = snapshot["state"], faults
         messages = [channels.string_message(STATUS.name, json.dumps(snapshot, allow_nan=False))]
         if snapshot["state"] in set(Mode):  # while the control process starts, nothing is known of the arm
             record, anchor = self._record(snapshot), Anchor(epoch_ns, 0)

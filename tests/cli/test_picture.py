@@ -17,14 +17,19 @@ def _snapshot(**changes: Any) -> dict[str, Any]:
     }  # fmt: skip
     silent = dict.fromkeys(joint) | {"name": "shoulder", "servo_id": 2, "limits_rad": (-1.5, 1.5)}
     return {
-        "arm_id": "arm", "tick": 7, "period_s": 0.1, "state": "holding", "fault": None, "joints": [joint, silent],
+        "arm_id": "arm", "tick": 7, "period_s": 0.1, "state": "holding", "fault": None, "faults": [],
+        "joints": [joint, silent],
         "tool": {"position_m": [0.18, 0.0, 0.1], "rpy_rad": [0.0, 0.0, 0.0], "speed_m_s": 0.3},
         "tool_speed_limit_m_s": 0.25, "progress": None, "rate": None, "recording": None,
         "log": {"path": "x", "problem": "", "dropped": 0}, **changes,
     }  # fmt: skip
 
 
-FAULT = {"code": "BLOCKED", "servo_id": 1, "since_s": 3.2, "arm": "still", "next": "free it", "text": "stuck"}
+FAULT = {
+    "code": "BLOCKED", "servo_id": 1, "since_s": 3.2, "arm": "still", "next": "free it", "text": "stuck",
+    "follows": None,
+}  # fmt: skip
+HOT = {**FAULT, "code": "HOT", "next": "let it cool", "text": "66 degC", "follows": "BLOCKED"}
 
 
 def _text(snapshot: dict[str, Any]) -> str:
@@ -45,8 +50,17 @@ def test_the_picture_shows_how_far_a_run_is_and_whether_it_is_paused() -> None:
 
 
 def test_the_picture_of_a_snapshot_shows_the_fault_card() -> None:
-    text = _text(_snapshot(fault=FAULT, recording="line-1", tool=None))
-    for expected in ("28.6", "never", "BLOCKED", "next: free it", "recording line-1", "unknown"):
+    text = _text(_snapshot(fault=HOT, faults=[HOT, FAULT], recording="line-1", tool=None))
+    for expected in (
+        "28.6",
+        "never",
+        "BLOCKED",
+        "follows from BLOCKED",
+        "next: let it cool",
+        "next: free it",
+        "recording line-1",
+        "unknown",
+    ):
         assert expected in text
 
 
@@ -74,7 +88,8 @@ def test_the_longest_picture_fits_80_columns() -> None:
         rate=0.5,
         recording=LONGEST_NAME,
         log={"problem": "no space left on the disk that holds the logs; recording goes on when there is some"},
-        fault={**FAULT, "code": "EEPROM_MISMATCH", "text": "servo 253: " + "a sentence of many words " * 5},
+        fault=FAULT,
+        faults=[{**FAULT, "code": "EEPROM_MISMATCH", "text": "servo 253: " + "a sentence of many words " * 5}],
     )
     text = assert_whole(lambda output: output.console.print(picture(shown)))
     assert text.count("-149.0") == 6
@@ -83,7 +98,7 @@ def test_the_longest_picture_fits_80_columns() -> None:
 
 
 def test_a_snapshot_in_one_line_tells_state_place_heat_and_fault() -> None:
-    line = _line(_snapshot(fault=FAULT, progress=0.4, rate=0.0))
+    line = _line(_snapshot(fault=FAULT, faults=[FAULT], progress=0.4, rate=0.0))
     for expected in ("tick 7; holding", "180.0, 0.0, 100.0 mm", "31 degC (base)", "12.0 V", "40%", "next: free it"):
         assert expected in line
     nothing = dict.fromkeys(_snapshot()["joints"][0])

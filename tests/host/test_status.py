@@ -20,7 +20,7 @@ from tests.host.bench import Bench
 # Keys of the snapshot, as the guard keeps them.
 CONTRACT = load("commands.json")["on an arm"]["status"]["answer"]
 JOINT_KEYS = CONTRACT["joints"][0].keys()
-FAULT_KEYS = {"code", "servo_id", "since_s", "arm", "next", "text"}
+FAULT_KEYS = {"code", "servo_id", "since_s", "arm", "next", "text", "follows"}
 
 
 async def test_the_snapshot_has_the_keys_of_the_contract_before_and_after_the_first_tick(fresh: Bench) -> None:

@@ -25,5 +25,5 @@ def without_first_joint(record: TickRecord) -> TickRecord:
 
 def faulty(records: Sequence[TickRecord], first: int, last: int, code: str = "TRIPPED") -> list[TickRecord]:
     """The records with a fault from one tick to another."""
-    fault = Fault(code, "it did", first, 2)
-    return [with_outputs(r, fault=fault) if first <= r.inputs.tick <= last else r for r in records]
+    faults = (Fault(code, "it did", first, 2),)
+    return [with_outputs(r, faults=faults) if first <= r.inputs.tick <= last else r for r in records]

@@ -96,7 +96,7 @@ def test_an_event_keeps_its_code_and_severity() -> None:
 def test_diagnostics_tell_fault_and_silent_servos() -> None:
     first, second, *others = MOVING.inputs.sample.servos
     record = with_sample(without_first_joint(MOVING), servos=(first, replace(second, error=0x24), *others))
-    record = with_outputs(record, fault=Fault("TRIPPED", "it tripped", 5, 2))
+    record = with_outputs(record, faults=(Fault("TRIPPED", "it tripped", 5, 2),))
     topic, value = channels.diagnostics(record, ANCHOR, ARM)
     assert topic == "/diagnostics"
     assert [status["level"] for status in value["status"]] == [2, 3, 1, 0, 0, 0, 0]

@@ -47,7 +47,7 @@ def odd(record: TickRecord) -> TickRecord:
     servos[1] = replace(servos[1], fresh=False, problem="NO_REPLY", error=0x24)
     servos[2] = replace(servos[2], registers=b"", stamp_ns=0, fresh=False, problem="PORT_GONE")
     record = with_sample(record, servos=tuple(servos), port_open=False, retries=3)
-    record = with_outputs(without_first_joint(record), goal=None, fault=Fault("HOT", "it is", 5, 2))
+    record = with_outputs(without_first_joint(record), goal=None, faults=(Fault("HOT", "it is", 5, 2),))
     return replace(record, inputs=replace(record.inputs, late_ns=10**9), dropped=2)
 
 

@@ -57,7 +57,7 @@ def test_states_are_right_at_every_tick(log: Path) -> None:
 
 def test_a_fault_is_known_from_its_first_tick_on(tmp_path: Path) -> None:
     fault = Fault("HOT", "servo 3 (elbow): 66 degC (bound 65)", 0, 3)
-    later = [with_outputs(record, mode=Mode.FAULTED, fault=fault) for record in RECORDS[7:20]]
+    later = [with_outputs(record, mode=Mode.FAULTED, faults=(fault,)) for record in RECORDS[7:20]]
     found = timeline.load(write(tmp_path / "a.mcap", [*RECORDS[:7], *later]))
     assert found.faults == ((0, ""), (7, "HOT: servo 3 (elbow): 66 degC (bound 65)"))
     assert (found.state(6), found.state(7)) == ("energising", "faulted")

@@ -34,7 +34,7 @@ def snapshot(**changes: Any) -> dict[str, Any]:
     """A daemon's snapshot of an arm that holds, as its clients get it."""
     told = arm_snapshot(ARM, RECORD, Statistics(), RECORD.inputs.now_ns + NS_PER_S // 200)
     plain: dict[str, Any] = json.loads(json.dumps(told))
-    return {**plain, "arm_id": ARM.arm_id, "state": "holding", "fault": None, **changes}
+    return {**plain, "arm_id": ARM.arm_id, "state": "holding", "fault": None, "faults": [], **changes}
 
 
 FAULT = {"code": "HOT", "text": "servo 3 at 66 degC", "servo_id": 3, "since_s": 1.0, "arm": "", "next": ""}
@@ -59,7 +59,7 @@ def test_a_snapshot_becomes_the_messages_of_a_tick() -> None:
 
 def test_every_message_fits_the_schema_it_is_announced_with() -> None:
     encoder = live.Encoder(ARM)
-    messages = [*encoder.latched(EPOCH_NS), *encoder.messages(snapshot(fault=FAULT, state="faulted"), EPOCH_NS)]
+    messages = [*encoder.latched(EPOCH_NS), *encoder.messages(snapshot(faults=[FAULT], state="faulted"), EPOCH_NS)]
     assert {topic for topic, _ in messages} == set(live.PUBLISHED)
     for topic, value in messages:
         codec = live.PUBLISHED[topic].codec
@@ -70,7 +70,7 @@ def test_a_change_of_state_and_a_fault_are_told_once() -> None:
     encoder = live.Encoder(ARM)
     said = [
         [value["msg"] for topic, value in encoder.messages(data, EPOCH_NS) if topic == "/rosout"]
-        for data in [snapshot()] * 2 + [snapshot(state="faulted", fault=FAULT)] * 2
+        for data in [snapshot()] * 2 + [snapshot(state="faulted", faults=[FAULT])] * 2
     ]
     assert said == [
         ["STATE: first seen -> holding"],
