@@ -355,6 +355,10 @@ class TickRecord:
     outputs: Outputs
     lateness_us: int = 0
     write_us: int = 0
+    # Whether each servo confirmed its write, in the order of `outputs.writes`.
+    confirmed: tuple[bool, ...] = ()
+    # Whether the goal left, which no servo answers; False where there was none.
+    goal_sent: bool = False
     # JSON of the step's state after this tick, on some ticks: where a replay can begin.
     keyframe: str = ""
     # Tick records lost before this one because the host did not take them.

@@ -72,11 +72,9 @@ class ControlLoop:
         inputs = Inputs(self._tick, clock.now_ns(), sample, commands, late_ns)
         self.state, outputs = step(self.state, inputs, self._arm, self._robot, self._period_s)
         write_begin_ns = clock.now_ns()
-        for write in outputs.writes:
-            # A write that fails is seen where it counts: the next sample does not show its value.
-            self._bus.write(write)
-        if outputs.goal is not None:
-            self._bus.write_goal(outputs.goal)
+        # For the log alone: what failed is seen where it counts, for the next sample does not show its value.
+        confirmed = tuple([self._bus.write(write) for write in outputs.writes])
+        goal_sent = outputs.goal is not None and self._bus.write_goal(outputs.goal)
         keyframe = ""
         if self._keyframe_due or self._tick % KEYFRAME_TICKS == 0:
             keyframe, self._keyframe_due = to_json(self.state), False
@@ -86,6 +84,8 @@ class ControlLoop:
             outputs,
             lateness_us=late_ns // 1000,
             write_us=(end_ns - write_begin_ns) // 1000,
+            confirmed=confirmed,
+            goal_sent=goal_sent,
             keyframe=keyframe,
             dropped=self._dropped,
         )

@@ -2,7 +2,7 @@
 
 Rules.
 1. All is pure: a tick record, the file's clock anchor, arm and robot give the messages, bit for bit.
-   Replay calls `output_messages` with outputs it computed itself, and compares bytes.
+   Replay calls `output_messages` and `cycle_row` with outputs it computed itself, and compares bytes.
 2. Every message of a tick carries the instant of its sample, as log time, publish time and header stamp;
    its sequence number is the tick.
 3. Inputs come first, outputs after them, and `/armctl/cycle` is last: a tick whose cycle is missing was cut.
@@ -12,9 +12,9 @@ Rules.
 import json
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import chain
+from itertools import chain, repeat
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -25,7 +25,7 @@ from armctl.dynamixel import ax12a
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Event, JointTrajectory, Run, ServoReading, TickRecord, to_json
+from armctl.messages import Event, Fault, JointTrajectory, Outputs, Run, ServoReading, TickRecord, to_json
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 
@@ -41,6 +41,7 @@ TF = "/tf"
 TF_STATIC = "/tf_static"
 TCP_POSE = "/tcp_pose"
 SERVOS = "/armctl/servos"
+WRITES = "/armctl/writes"
 CYCLE = "/armctl/cycle"
 COMMAND = "/armctl/command"
 STATE = "/armctl/state"
@@ -94,6 +95,7 @@ TOPICS: dict[str, Topic] = {
         Topic(TF_STATIC, full_name("tf2_msgs/TFMessage"), latched=True),
         Topic(TCP_POSE, full_name("geometry_msgs/PoseStamped")),
         Topic(SERVOS, full_name("armctl_msgs/ServoArray")),
+        Topic(WRITES, full_name("armctl_msgs/WriteArray")),
         Topic(CYCLE, full_name("armctl_msgs/Cycle")),
         Topic(COMMAND, full_name("std_msgs/String")),
         Topic(STATE, full_name("std_msgs/String")),
@@ -183,7 +185,7 @@ def output_rows(record: TickRecord, arm: ArmConfig, robot: Robot) -> list[Row]:
 
 
 def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
-    """Those outputs that do not come every tick: accepted trajectories, replies, events."""
+    """Those outputs that do not come every tick: accepted trajectories, register writes, replies, events."""
     inputs, outputs = record.inputs, record.outputs
     epoch_ns = anchor.epoch_ns(inputs.sample.time_ns)
     header = _header(epoch_ns, BASE)
@@ -192,6 +194,10 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
         for command in inputs.commands
         if isinstance(command, Run)
     ]
+    if outputs.writes:
+        results = chain(record.confirmed, repeat(False))
+        writes = [asdict(write) | {"confirmed": done} for write, done in zip(outputs.writes, results, strict=False)]
+        messages.append((WRITES, {"header": header, "writes": writes}))
     messages += [
         string_message(COMMAND, f'{{"tick":{inputs.tick},"reply":{to_json(reply)}}}') for reply in outputs.replies
     ]
@@ -200,9 +206,10 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
 
 
 def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
-    """How the tick went, and the times of its inputs; the last message of every tick."""
-    inputs, sample = record.inputs, record.inputs.sample
-    fields = {
+    """How the tick went, the times of its inputs, mode and faults; the last message of every tick."""
+    inputs, outputs, sample = record.inputs, record.outputs, record.inputs.sample
+    faults = [_fault(fault) for fault in _faults(outputs)]
+    numbers = {
         "tick": inputs.tick,
         "now_ns": inputs.now_ns,
         "time_ns": sample.time_ns,
@@ -215,8 +222,24 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
         "overrun": inputs.late_ns > OVERRUN_NS,
         "port_open": sample.port_open,
         "inputs_only": inputs_only,
+        "goal_sent": record.goal_sent,
+        "progress": -1.0 if outputs.progress is None else outputs.progress,
+        "rate": -1.0 if outputs.rate is None else outputs.rate,
     }
-    return Row(CYCLE, (), [*fields.values()], lambda header: {"header": header, **fields})
+    since = [fault[key] for fault in faults for key in ("since_ns", "servo_id")]
+    shape = (outputs.mode, *[(fault["code"], fault["text"], fault["follows"]) for fault in faults])
+    said = {"mode": outputs.mode, "faults": faults}
+    return Row(CYCLE, shape, [*numbers.values(), *since], lambda header: {"header": header, **numbers, **said})
+
+
+def _faults(outputs: Outputs) -> tuple[Fault, ...]:
+    """Every fault there is, the worst first."""
+    return (outputs.fault,) if outputs.fault else ()
+
+
+def _fault(fault: Fault) -> Value:
+    servo_id = -1 if fault.servo_id is None else fault.servo_id
+    return {"follows": ""} | asdict(fault) | {"servo_id": servo_id}
 
 
 def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:

@@ -19,11 +19,14 @@ ARM = load_arm("ax12-line")
 
 
 class LosablePort(LoopbackPort):
-    """A port that may be pulled out just as a goal is written to it."""
+    """A port that may be pulled out just as a goal is written to it, or lose every write to one servo."""
 
     lose_at_next_write = False
+    unwritten_id = -1
 
     def _send(self, packet: bytes) -> int:
+        if packet[2] == self.unwritten_id and packet[4] == Instruction.WRITE:
+            return len(packet)
         if self.lose_at_next_write and packet[4] == Instruction.SYNC_WRITE:
             self.lose_at_next_write = False
             self.unplug()
@@ -142,6 +145,27 @@ def test_a_lost_port_latches_and_a_replug_leads_back_to_holding_by_clear(at_writ
     assert (rig.replies()[2].code, rig.mode()) == ("PORT_GONE", Mode.FAULTED)
     rig.ticks(1, Clear(3))
     assert (rig.replies()[3].ok, rig.mode()) == (True, Mode.HOLDING)
+
+
+def test_a_record_tells_which_servo_confirmed_its_write() -> None:
+    rig = holding()
+    confirmed = [record.confirmed for record in rig.records]
+    assert confirmed == [(True,) * len(record.outputs.writes) for record in rig.records]
+    assert any(confirmed)
+    rig.port.unwritten_id = 3
+    (record,) = rig.ticks(1, Release(2))
+    assert record.confirmed == tuple(write.servo_id != 3 for write in record.outputs.writes)
+    assert not all(record.confirmed)
+
+
+def test_a_record_tells_whether_the_goal_left() -> None:
+    rig = holding()
+    rig.ticks(5, Run(2, rig.line()))
+    assert [record.goal_sent for record in rig.records] == [record.outputs.goal is not None for record in rig.records]
+    rig.port.lose_at_next_write = True
+    rig.ticks(1)
+    assert rig.records[-1].outputs.goal is not None
+    assert not rig.records[-1].goal_sent
 
 
 def test_a_limp_arm_can_be_taught() -> None:

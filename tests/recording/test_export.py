@@ -22,6 +22,7 @@ from tests.recording.factory import ANCHOR, ARM, make_records
 from tests.recording.logs import write
 
 RECORDS = make_records(60, seed=3)
+WRITE = ("servo_id", "address", "size", "confirmed", "value")
 FORMATS: tuple[Format, ...] = ("csv", "xlsx", "parquet")
 
 
@@ -88,7 +89,9 @@ def test_the_table_of_ticks_holds_what_rosbags_reads(log: Path, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-@pytest.mark.parametrize("topic", ["/joint_states", "/joint_commands", "/tcp_pose", "/armctl/cycle", "/rosout"])
+@pytest.mark.parametrize(
+    "topic", ["/joint_states", "/joint_commands", "/tcp_pose", "/armctl/cycle", "/armctl/writes", "/rosout"]
+)
 def test_a_topic_holds_what_rosbags_reads(log: Path, tmp_path: Path, kind: Format, topic: str) -> None:
     export(log, tmp_path / f"t.{kind}", kind, (topic,))
     header, rows = table(tmp_path / f"t.{kind}")
@@ -107,6 +110,10 @@ def test_a_topic_holds_what_rosbags_reads(log: Path, tmp_path: Path, kind: Forma
         elif topic == "/armctl/cycle":
             for key in ("tick", "now_ns", "bus_us", "late_ns"):
                 assert number(cells[key]) == getattr(message, key)
+            assert (cells["mode"], cells["faults"]) == (message.mode, "[]")
+        elif topic == "/armctl/writes":
+            told = [{key: getattr(write, key) for key in WRITE} for write in message.writes]
+            assert json.loads(cells["writes"]) == told
         else:
             assert (cells["msg"], number(cells["level"])) == (message.msg, message.level)
 
@@ -115,7 +122,7 @@ def test_every_topic_can_be_exported_and_no_two_columns_share_a_name(log: Path, 
     topics = [topic for topic in TOPICS if ros(log, topic)]
     result = export(log, tmp_path / "all", "csv", topics)
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == sorted(path.name for path in result.paths)
-    assert len(topics) == 13
+    assert len(topics) == 14
     for topic, path in zip(topics, result.paths, strict=True):
         header, rows = table(path)
         assert len(set(header)) == len(header)

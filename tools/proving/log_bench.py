@@ -147,12 +147,13 @@ class _Messages:
         self.values: list[tuple[str, int, Value]] = []
         self.ready: list[tuple[str, int, bytes]] = []
         self.numbers: list[tuple[str, int, Callable[[list[Any]], bytes], list[Any]]] = []
-        self._templates: dict[tuple[str, int], Template] = {}
+        # By what makes up their shapes here.
+        self._templates: dict[tuple[str, int, str | None], Template] = {}
 
     def add(self, topic: str, time_ns: int, value: Value, data: bytes) -> None:
         name = short_name(TOPICS[topic].type)
         numbers = [*divmod(time_ns, NS_PER_S), *message_numbers(name, value)]
-        template = self._templates.setdefault((topic, len(data)), Template(name, value))
+        template = self._templates.setdefault((topic, len(data), value.get("mode")), Template(name, value))
         assert template.encode(numbers) == data, topic
         self.values.append((topic, time_ns, value))
         self.ready.append((topic, time_ns, data))
