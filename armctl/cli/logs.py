@@ -102,6 +102,9 @@ def _checked(output: Output, log: Path) -> ReplayResult:
             f"{result.ticks} ticks, {result.messages} messages re-run in {result.seconds:.2f} s "
             f"({result.realtime_ratio:.0f} x real time): {verdict}"
         )
+        if result.not_compared:
+            names = ", ".join(result.not_compared)
+            output.say(f"not compared, since the log's armctl wrote them otherwise or not at all: {names}")
     return result
 
 

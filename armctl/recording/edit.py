@@ -150,6 +150,11 @@ def _checked(first: LogFile, path: Path) -> LogSetup:
                     "FOREIGN_LOG",
                     f"{path}: {key} is {theirs}, in {first.path} it is {ours}; only files of one daemon are merged",
                 )
+        for topic, text in log.declarations.items():
+            if first.declarations.get(topic, text) != text:
+                raise LogError(
+                    f"{path}: has another type for {topic} than {first.path}; they are of two versions of armctl"
+                )
         return setup
 
 

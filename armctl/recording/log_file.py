@@ -196,6 +196,12 @@ class LogFile:
             raise LogError(f"{self.path}: schema {schema.name} is damaged: {error}") from None
 
     @property
+    def declarations(self) -> dict[str, bytes]:
+        """The text of every topic's schema, as far as they are known."""
+        declared = [(channel.topic, self.schemas.get(channel.schema_id)) for channel in self.channels.values()]
+        return {topic: schema.data for topic, schema in declared if schema is not None}
+
+    @property
     def topics(self) -> frozenset[str]:
         return frozenset(channel.topic for channel in self.channels.values())
 

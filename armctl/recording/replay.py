@@ -7,11 +7,14 @@ Rules.
 3. The messages are made by the very function that made them for the log (channels.py).
 4. A tick whose cycle is missing was cut off and is not judged.
 5. Each file of a merged one keeps its own clock anchor: a tick uses the anchor that gives its log time.
+6. What the world answered to the outputs (times, confirmed writes) is taken over from the log: no step can compute it.
+7. A topic that the file lacks or declares otherwise, being of another build, is not compared, and the result says so.
 """
 
 import json
+import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
@@ -24,19 +27,24 @@ from armctl.control.step import step as control_step
 from armctl.errors import ConfigError, LogError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Inputs, Outputs, Sample, ServoReading, TickRecord, command_from_json, from_json
+from armctl.messages import Inputs, Outputs, Sample, ServoReading, TickRecord, command_from_json, from_json, to_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.schemas import schema_text, short_name
 
 PROGRESS_TICKS = 500
+# Characters of a value in `first_mismatch`.
+SHOWN = 200
 # Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic.
 MERGED = "merged"
 _COMPARED = (
     channels.JOINT_STATES, channels.JOINT_COMMANDS, channels.TF, channels.TCP_POSE, channels.JOINT_TRAJECTORY,
-    channels.COMMAND, channels.ROSOUT,
+    channels.WRITES, channels.COMMAND, channels.ROSOUT, channels.CYCLE, channels.DIAGNOSTICS,
 )  # fmt: skip
+# What a cycle tells of the world beside the inputs.
+_TOLD = ("lateness_us", "write_us", "dropped", "goal_sent")
 # A control step (see control/step.py); the last argument is its period [s].
 Step = Callable[[State, Inputs, ArmConfig, Robot, float], tuple[State, Outputs]]
 
@@ -51,6 +59,10 @@ class ReplayResult:
     seconds: float
     realtime_ratio: float
     first_mismatch: str
+    # The same in parts: `tick`, `field`, `logged` and `computed`; `ulps` between them where both are floats.
+    first: dict[str, Any] | None
+    # Topics that the log's armctl did not write, or not as this one does.
+    not_compared: tuple[str, ...]
     # Of the armctl that made the log: another one may decide otherwise.
     version: str
 
@@ -101,6 +113,7 @@ class _Tick:
 
     servos: Value | None = None
     records: list[tuple[int, str, Any]] = field(default_factory=list)
+    confirmed: tuple[bool, ...] = ()
     logged: dict[str, list[bytes]] = field(default_factory=dict)
 
 
@@ -123,10 +136,11 @@ def check(path: Path, progress: Callable[[float], None] | None = None, *, step: 
         version = log.facts.get("version", "")
     if not replay.keyframes:
         raise LogError(f"{path}: holds no keyframe; there is no state to begin at")
-    counts = {key: getattr(replay, key) for key in ("ticks", "messages", "mismatches", "first_mismatch")}
+    figures = ("ticks", "messages", "mismatches", "first_mismatch", "first", "not_compared")
+    found = {key: getattr(replay, key) for key in figures}
     seconds = time.perf_counter() - begun_s
     ratio = replay.duration_ns / NS_PER_S / max(seconds, 1e-9)
-    return ReplayResult(seconds=seconds, realtime_ratio=ratio, version=version, **counts)
+    return ReplayResult(seconds=seconds, realtime_ratio=ratio, version=version, **found)
 
 
 class Rerun:
@@ -134,13 +148,24 @@ class Rerun:
 
     def __init__(self, log: LogFile, setup: LogSetup, step: Step = control_step) -> None:
         self.ticks = self.messages = self.mismatches = self.keyframes = self.duration_ns = 0
-        self.first_mismatch = ""
+        self.first: dict[str, Any] | None = None
+        # Known from the first tick on that is judged.
+        self.not_compared: tuple[str, ...] = ()
         # State after the last tick; None: not known.
         self.state: State | None = None
         self._log, self._setup, self._step = log, setup, step
         self._last_tick: int | None = None
         self._last_ns = 0
         self._tick = _Tick()
+
+    @property
+    def first_mismatch(self) -> str:
+        """Where the first difference is; empty if there is none."""
+        if self.first is None:
+            return ""
+        tick, field, *values = (self.first[key] for key in ("tick", "field", "logged", "computed"))
+        logged, computed = ("nothing" if value is None else json.dumps(value)[:SHOWN] for value in values)
+        return f"tick {tick}, {field}: logged {logged}, computed {computed}"
 
     def take(self, message: LogMessage) -> None:
         """The next message of the file.
@@ -166,19 +191,24 @@ class Rerun:
             if record is not None:
                 self._tick.records.append(record)
             compared = record is not None and record[1] == "reply"
-        elif topic == channels.CYCLE:
-            tick, self._tick = self._tick, _Tick()
-            self._finish(tick, self._log.decode(message), message.log_time_ns)
         elif topic == channels.ROSOUT:
             compared = self._log.decode(message)["name"] == channels.CONTROL
         if compared:
             self._tick.logged.setdefault(topic, []).append(message.data)
+        if topic == channels.WRITES:
+            writes = self._log.decode(message)["writes"]
+            self._tick.confirmed = tuple(write["confirmed"] for write in writes)
+        elif topic == channels.CYCLE:
+            tick, self._tick = self._tick, _Tick()
+            self._finish(tick, self._log.decode(message), message.log_time_ns)
 
     def _keyframe(self, text: str) -> None:
         self.keyframes += 1
         state = self._parsed(from_json, State, text)
         if self.state is not None:
-            self._compare(channels.STATE, [state], [self.state])
+            self.messages += 1
+            if state != self.state:
+                self._differs(channels.STATE, state, self.state, lambda one: json.loads(to_json(one)))
         self.state = state
 
     def _finish(self, tick: _Tick, cycle: Value, epoch_ns: int) -> None:
@@ -198,14 +228,30 @@ class Rerun:
             raise LogError(f"{self._log.path}: tick {number}: the control step cannot take it: {error!r}") from error
         if cycle["inputs_only"]:
             return
+        if not self.ticks:
+            declared = self._log.declarations
+            self.not_compared = tuple(topic for topic in _COMPARED if declared.get(topic) != _declaration(topic))
         self.ticks += 1
         self.duration_ns += time_ns - previous_ns if previous_ns else 0
-        computed: dict[str, list[bytes]] = {}
-        anchor = setup.anchor_of(time_ns, epoch_ns)
-        for topic, value in channels.output_messages(TickRecord(inputs, outputs), anchor, setup.arm, setup.robot):
-            computed.setdefault(topic, []).append(TOPICS[topic].codec.encode(value))
+        told = {key: cycle[key] for key in _TOLD if key in cycle}
+        record = TickRecord(inputs, outputs, confirmed=tick.confirmed, **told)
+        before = self.mismatches
+        for topic, logged, computed in self._pairs(tick, record, setup.anchor_of(time_ns, epoch_ns)):
+            # Diagnostics sum up the others: what these have shown is not counted again.
+            if topic != channels.DIAGNOSTICS or self.mismatches == before:
+                self._compare(topic, logged, computed)
+
+    def _pairs(self, tick: _Tick, record: TickRecord, anchor: Anchor) -> Iterator[tuple[str, list[bytes], list[bytes]]]:
+        """What the log holds of each topic in a tick, and what is computed."""
+        arm, robot = self._setup.arm, self._setup.robot
+        messages = channels.output_messages(record, anchor, arm, robot)
+        messages.append(channels.row_message(channels.cycle_row(record), record, anchor))
+        if channels.DIAGNOSTICS in tick.logged:  # which comes when the recorder thinks it time
+            messages.append(channels.diagnostics(record, anchor, arm))
         for topic in _COMPARED:
-            self._compare(topic, tick.logged.get(topic, []), computed.get(topic, []))
+            if topic not in self.not_compared:
+                encode = TOPICS[topic].codec.encode
+                yield topic, tick.logged.get(topic, []), [encode(value) for name, value in messages if name == topic]
 
     def _inputs(self, servos: Value, records: list[tuple[int, str, Any]], cycle: Value) -> Inputs:
         ids = tuple(servo["id"] for servo in servos["servos"])
@@ -228,9 +274,41 @@ class Rerun:
         except (ValueError, RecursionError) as error:
             raise LogError(f"{self._log.path}: a record cannot be understood: {error}") from None
 
-    def _compare(self, topic: str, logged: list[Any], computed: list[Any]) -> None:
+    def _compare(self, topic: str, logged: list[bytes], computed: list[bytes]) -> None:
         self.messages += max(len(logged), len(computed))
-        wrong = sum(a != b for a, b in zip_longest(logged, computed))
-        self.mismatches += wrong
-        if wrong and not self.first_mismatch:
-            self.first_mismatch = f"tick {self._last_tick}, {topic}: {wrong} of {len(logged)} messages differ"
+        for ours, theirs in zip_longest(logged, computed):
+            if ours != theirs:
+                self._differs(topic, ours, theirs, TOPICS[topic].codec.decode)
+
+    def _differs(self, topic: str, logged: Any, computed: Any, plain: Callable[[Any], Value]) -> None:
+        self.mismatches += 1
+        if self.first is None:
+            values = (None if one is None else plain(one) for one in (logged, computed))
+            field, *found = _difference(topic, *values)
+            # As JSON that everybody reads: what is no number is a word.
+            ours, theirs = json.loads(json.dumps(found), parse_constant=str)
+            ulps = _ulps(ours, theirs) if isinstance(ours, float) and isinstance(theirs, float) else None
+            self.first = {"tick": self._last_tick, "field": field, "logged": ours, "computed": theirs, "ulps": ulps}
+
+
+def _declaration(topic: str) -> bytes:
+    return schema_text(short_name(TOPICS[topic].type)).encode()
+
+
+def _difference(name: str, logged: Any, computed: Any) -> tuple[str, Any, Any]:
+    """Name and values of the first field in which two messages differ; those of one that lists more are None."""
+    parts: Iterator[tuple[str, Any, Any]] = iter(())
+    if isinstance(logged, dict) and isinstance(computed, dict):
+        parts = ((f"{name}.{key}", value, computed.get(key)) for key, value in logged.items())
+    elif isinstance(logged, list) and isinstance(computed, list):
+        pairs = zip_longest(logged, computed)
+        parts = ((f"{name}[{index}]", ours, theirs) for index, (ours, theirs) in enumerate(pairs))
+    # By their texts: 0.0 is not -0.0 in the bytes.
+    differing = next((part for part in parts if repr(part[1]) != repr(part[2])), None)
+    return (name, logged, computed) if differing is None else _difference(*differing)
+
+
+def _ulps(a: float, b: float) -> int:
+    """How many floats lie from one to the other."""
+    places = (bits if bits >= 0 else -(bits & 2**63 - 1) for bits in struct.unpack("<2q", struct.pack("<2d", a, b)))
+    return abs(int.__sub__(*places))

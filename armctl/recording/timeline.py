@@ -10,7 +10,7 @@ Rules.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
@@ -36,14 +36,15 @@ _TORQUE, _VOLTAGE, _TEMPERATURE = (
 )
 _TOPICS = (
     channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE, channels.DIAGNOSTICS, channels.ROSOUT,
-    channels.COMMAND, channels.CYCLE,
+    channels.COMMAND, channels.WRITES, channels.CYCLE,
 )  # fmt: skip
+_NAMES = {register.address: register.name for register in ax12a.REGISTERS}
 _UNKNOWN_TOOL = (math.nan,) * 7
 
 
 @dataclass(frozen=True, slots=True)
 class Happening:
-    """Something that is no sample: a request, its outcome, an event. `level` is that of /rosout."""
+    """Something that is no sample: a request, its outcome, register writes, an event. `level` is that of /rosout."""
 
     time_ns: int
     level: int
@@ -173,6 +174,9 @@ class Frames:
             source = "" if value["name"] == channels.CONTROL else f"{value['name']}: "
             self.happenings.append(Happening(time_ns, value["level"], value["function"], f"{source}{value['msg']}"))
             self._mark(value["function"], time_ns)
+        elif message.topic == channels.WRITES:
+            failed = any(not write["confirmed"] for write in value["writes"])
+            self.happenings.append(Happening(time_ns, 30 if failed else 20, "WRITE", _written(value["writes"])))
         elif (record := channels.parse_record(value["data"])) is None:
             if (asked := _request(value["data"])) is not None:
                 self.happenings.append(Happening(time_ns, 20, *asked))
@@ -192,6 +196,15 @@ class Frames:
         rows, period_s = path["positions_rad"], path["period_s"]
         begin, end = (rows[min(round(path[key] / period_s), len(rows) - 1)] for key in ("begin_s", "end_s"))
         self._run = Motion(str(path["label"]), tuple(begin), tuple(end))
+
+
+def _written(writes: Sequence[Value]) -> str:
+    """What was written to whom, and who did not confirm it."""
+    servos: dict[str, list[str]] = {}
+    for write in writes:
+        what = f"{_NAMES.get(write['address'], write['address'])} = {write['value']}"
+        servos.setdefault(what, []).append(f"{write['servo_id']}{'' if write['confirmed'] else ' (not confirmed)'}")
+    return "wrote " + "; ".join(f"{what} to servo {', '.join(ids)}" for what, ids in servos.items())
 
 
 def _request(text: str) -> tuple[str, str] | None:

@@ -21,6 +21,7 @@ from armctl.recording import reader, timeline
 from armctl.recording.player import Player
 from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import CONTEXT, make_records
+from tests.recording.logs import of_an_older_build
 from tests.recording.logs import write as write_log
 from tests.recording.test_player import waiting
 
@@ -54,7 +55,7 @@ def wrong(tmp_path: Path) -> Path:
 def test_a_log_that_does_not_repeat_fails_the_check(wrong: Path, answer: Answer) -> None:
     found = answer("replay", wrong, status=1)
     assert found["mismatches"] > 0
-    assert found["first_mismatch"].startswith("tick 30, ")
+    assert found["first_mismatch"].startswith(f"tick 30, {found['first']['field']}: ")
 
 
 def test_a_log_of_another_version_that_does_not_repeat_says_so(
@@ -63,6 +64,19 @@ def test_a_log_of_another_version_that_does_not_repeat_says_so(
     monkeypatch.setattr(logs, "__version__", "99.0")
     said = typed("replay", wrong, "--check", status=1)
     assert f"made by armctl {__version__}, this is 99.0" in " ".join(said.out.split())
+
+
+def test_a_log_of_an_older_build_says_in_a_line_what_was_not_compared(
+    log: Path, tmp_path: Path, typed: Typed, answer: Answer
+) -> None:
+    old = of_an_older_build(log, tmp_path / "old.mcap")
+    said = " ".join(typed("replay", old, "--check").out.split())
+    assert "bit for bit the same" in said
+    assert said.endswith(
+        "not compared, since the log's armctl wrote them otherwise or not at all: /armctl/writes, /armctl/cycle"
+    )
+    assert answer("replay", old)["not_compared"] == ["/armctl/writes", "/armctl/cycle"]
+    assert "not compared" not in typed("replay", log, "--check").out
 
 
 def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, answer: Answer) -> None:

@@ -1,5 +1,6 @@
 """Log files for tests: written from tick records, and read back as they are."""
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,11 +10,13 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from armctl.messages import TickRecord
+from armctl.recording.cdr import schema_codec
+from armctl.recording.channels import CYCLE, TOPICS, WRITES
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.reader import read
 from armctl.recording.replay import check
-from armctl.recording.schemas import schema_text
-from armctl.recording.writer import LogContext, LogWriter
+from armctl.recording.schemas import fields, parse_schema, schema_text, short_name
+from armctl.recording.writer import SEED, LogContext, LogWriter
 from proving.damage import UnsyncedDisk
 from tests.recording.factory import ANCHOR, CONTEXT
 
@@ -84,6 +87,37 @@ def foreign(path: Path, compression: CompressionType = CompressionType.NONE, **o
         writer.start("ros2", "somebody")
         yield writer
         writer.finish()  # type: ignore[no-untyped-call]
+
+
+def of_an_older_build(log: Path, path: Path) -> Path:
+    """The log as a build would have written it that knew of no register writes, and of neither mode nor faults."""
+    new = schema_text("armctl_msgs/Cycle")
+    begin, end = new.index("bool goal_sent"), new.index("=" * 80)
+    text = new[:begin] + new[end:]
+    cycle = schema_codec("armctl_msgs/Cycle", text)
+    kept = [field.name for field in fields("armctl_msgs/Cycle", parse_schema("armctl_msgs/Cycle", text))]
+    with foreign(path) as writer, LogFile(log) as source:
+        ids = {}
+        seed: dict[str, Any] = {"schemas": [], "channels": []}
+        for topic in TOPICS.values():
+            if topic.name != WRITES:
+                declared = text if topic.name == CYCLE else schema_text(short_name(topic.type))
+                schema = writer.register_schema(topic.type, "ros2msg", declared.encode())
+                number = ids[topic.name] = writer.register_channel(topic.name, "cdr", schema, topic.metadata)
+                seed["schemas"].append({"id": schema, "name": topic.type, "text": declared})
+                about = {"id": number, "topic": topic.name, "schema": schema, "metadata": topic.metadata}
+                seed["channels"].append(about)
+        for attachment in source.attachments.values():
+            own = json.dumps(source.seed() | seed).encode() if attachment.name == SEED else attachment.data
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, own)
+        for message in source.messages(ids):
+            data = message.data
+            if message.topic == CYCLE:
+                value = source.decode(message)
+                data = cycle.encode({key: value[key] for key in kept})
+            time_ns = message.log_time_ns
+            writer.add_message(ids[message.topic], time_ns, data, time_ns, message.sequence)
+    return path
 
 
 def add_string_channel(writer: Writer, topic: str = "/chatter") -> int:

@@ -12,11 +12,12 @@ from armctl.errors import LogError
 from armctl.messages import Hold, Inputs, Outputs, Release, Teach, TeachEnd
 from armctl.recording import reader, recordings, replay
 from armctl.recording.channels import Anchor
+from armctl.recording.edit import merge, trim
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import LogSetup, Rerun, check, log_setup
 from tests.recording.altered import with_sample
 from tests.recording.factory import ANCHOR, ARM, PERIOD_S, ROBOT, RUN_SCRIPT, make_records
-from tests.recording.logs import recorder_lines, replayed, write
+from tests.recording.logs import of_an_older_build, recorder_lines, replayed, write
 
 RECORDS = make_records(100, keyframe_ticks=40)
 
@@ -78,7 +79,7 @@ def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
 
     result = check(log, step=other)
     assert result.mismatches == 1
-    assert "tick 50, /joint_states" in result.first_mismatch
+    assert "tick 50, /joint_states.effort[0]: " in result.first_mismatch
 
 
 def test_replay_goes_on_at_the_next_keyframe_after_a_gap(tmp_path: Path) -> None:
@@ -104,6 +105,19 @@ def test_a_step_that_cannot_take_the_log_is_a_log_error(log: Path) -> None:
 
     with pytest.raises(LogError, match="tick 1: the control step cannot take it"):
         check(log, step=broken)
+
+
+def test_a_log_of_a_build_without_the_writes_replays_and_says_what_was_not_compared(log: Path, tmp_path: Path) -> None:
+    old = of_an_older_build(log, tmp_path / "old.mcap")
+    result, now = check(old), check(log)
+    assert (result.ticks, result.mismatches) == (99, 0)
+    assert (result.not_compared, now.not_compared) == (("/armctl/writes", "/armctl/cycle"), ())
+    writes = sum(bool(record.outputs.writes) for record in RECORDS[1:])
+    assert result.messages == now.messages - 99 - writes
+    trim(old, tmp_path / "part.mcap", 2.05, 5.0)
+    assert replayed(tmp_path / "part.mcap") == (30, 0)
+    with pytest.raises(LogError, match=r"has another type for /armctl/cycle than .*two versions of armctl"):
+        merge([write(tmp_path / "b.mcap", RECORDS[:5]), old], tmp_path / "c.mcap")
 
 
 def test_a_log_of_other_servos_or_states_is_a_log_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,7 +75,7 @@ def test_a_run_is_found_with_its_window_and_its_ends(log: Path) -> None:
 def test_requests_and_events_are_told_in_order(tmp_path: Path) -> None:
     note = {"request": "torque_on", "who": "uid 1", "outcome": "BUSY", "reasons": ["taken"]}
     found = timeline.load(write(tmp_path / "a.mcap", RECORDS[:5], notes={2: [json.dumps(note), "no JSON"]}))
-    assert [one.code for one in found.happenings] == ["CONNECTED", "REQUEST", "STATE"]
+    assert [one.code for one in found.happenings] == ["CONNECTED", "REQUEST", "WRITE", "STATE", "WRITE"]
     assert found.happenings[1].text == "torque_on by uid 1: BUSY: taken"
 
 
@@ -118,7 +118,15 @@ def test_a_log_without_ticks_is_refused(tmp_path: Path) -> None:
 
 def test_our_topics_with_something_else_in_them_are_an_error_of_the_log(log: Path, tmp_path: Path) -> None:
     text = codec("std_msgs/String").encode({"data": '{"tick": 1, "command": 5}'})
-    for topic in ("/armctl/servos", "/joint_states", "/tcp_pose", "/armctl/cycle", "/diagnostics", "/rosout"):
+    for topic in (
+        "/armctl/servos",
+        "/joint_states",
+        "/tcp_pose",
+        "/armctl/cycle",
+        "/armctl/writes",
+        "/diagnostics",
+        "/rosout",
+    ):
         path = tmp_path / f"{topic.replace('/', '-')}.mcap"
         with foreign(path) as writer, LogFile(log) as source:
             for attachment in source.attachments.values():
