@@ -2,8 +2,9 @@
 
 A mutant is an edit of the syntax tree, see `syntax.py`; `planted.py` lists them. It counts as caught when the judge of
 `invariants.py` reports a violation in an episode that the sound copy plays without one. Only what survives is also
-given to the unit tests of the control package, which is told beside it and does not count. A pattern that no longer
-fits one place is an error, so that mutants do not rot. None is in the simulator, nor in `proving`.
+given to the unit tests of the control package, which is told beside it and does not count. A bug in what is logged or
+replayed moves no arm: it counts as caught when the tests that it names fail. A pattern that no longer fits one place is
+an error, so that mutants do not rot. None is in the simulator, nor in `proving`.
 """
 
 import ast
@@ -40,6 +41,8 @@ class Mutant:
     room: str
     # Each fits one place of the room.
     edits: tuple[Edit, ...]
+    # The tests that are to notice it, where no episode can.
+    tests: str = ""
 
 
 class StaleMutant(ArmctlError):
@@ -104,8 +107,11 @@ def judge(mutant: Mutant | None, seed: int, episodes: int) -> Result:
             shutil.copytree(calibration, Path(folder) / "calibration")
         if mutant is not None:
             plant(mutant, Path(folder) / "armctl")
-        violation = _soak(folder, seed, episodes)
-        tests = "" if violation or mutant is None else _unit_tests(folder)
+        asked = "" if mutant is None else mutant.tests
+        violation = "" if asked else _soak(folder, seed, episodes)
+        tests = "" if violation or mutant is None else _unit_tests(folder, asked or "tests/control")
+    if asked and tests == "caught":
+        violation, tests = f"{asked} fails", ""
     return Result(name, violation, time.monotonic() - begin_s, tests)
 
 
@@ -128,13 +134,13 @@ def _soak(folder: str, seed: int, episodes: int) -> str:
     return str(json.loads(done.stdout)["violation"])
 
 
-def _unit_tests(folder: str) -> str:
-    """What the control package's own tests say; they lie beside the package, where it is not installed."""
+def _unit_tests(folder: str, which: str = "tests/control") -> str:
+    """What the package's own tests say; they lie beside the package, where it is not installed."""
     tests = ROOT.parent / "tests"
     if not tests.is_dir():
         return "none here"
     shutil.copytree(tests, Path(folder) / "tests", ignore=shutil.ignore_patterns("__pycache__"))
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "tests/control"]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", which]
     done = subprocess.run(command, cwd=folder, env=_environment(folder), capture_output=True, check=False)
     return "caught" if done.returncode == 1 else "nothing" if done.returncode == 0 else "did not run"
 

@@ -1,14 +1,21 @@
 """The planted bugs: what each is, where it is looked for, and its edits of the syntax tree."""
 
+from dataclasses import replace
+
 from proving.mutants import Mutant
 from proving.syntax import Edit
+
+CONTROL, BUS = "control", "dynamixel"
+OUTPUTS = "tests/recording/test_outputs.py"
 
 
 def _m(name: str, room: str, *edits: tuple[str, str]) -> Mutant:
     return Mutant(name, room, tuple(Edit(old, new) for old, new in edits))
 
 
-CONTROL, BUS = "control", "dynamixel"
+def _log(name: str, *edits: tuple[str, str], room: str = "recording", tests: str = OUTPUTS) -> Mutant:
+    return replace(_m(name, room, *edits), tests=tests)
+
 
 # fmt: off
 MUTANTS: tuple[Mutant, ...] = (
@@ -125,5 +132,22 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("the EEPROM is not compared", BUS,
        ("__cw == __ccw == 0", "__cw < 0"),
        ("if __ccw < __high:\n    __faults.append(__text)", "if __ccw < 0:\n    __faults.append(__text)")),
+
+    # ------------------------------------------------------------- what no episode shows: what is logged, and replay
+    _log("replay leaves out writes", (
+        "if __topic not in __replay.not_compared:\n    ...",
+        "if __topic not in (*__replay.not_compared, '/armctl/writes'):\n    ...")),
+    _log("replay leaves out mode and faults", (
+        "if __topic not in __replay.not_compared:\n    ...",
+        "if __topic not in (*__replay.not_compared, '/armctl/cycle'):\n    ...")),
+    _log("replay leaves out goals", (
+        "if __topic not in __replay.not_compared:\n    ...",
+        "if __topic not in (*__replay.not_compared, '/joint_commands'):\n    ...")),
+    _log("the mode is not logged", ("{'mode': __mode, 'faults': __faults}", "{'mode': 'off', 'faults': __faults}")),
+    _log("faults are logged without their servo", ("{'servo_id': __servo_id}", "{'servo_id': -1}")),
+    _log("writes are logged as confirmed", ("{'confirmed': __done}", "{'confirmed': True}")),
+    _log("confirmations are thrown away", (
+        "[__bus.write(__write) for __write in __writes]", "[__bus.write(__write) or True for __write in __writes]"),
+        room=CONTROL, tests="tests/control/test_loop.py"),
 )
 # fmt: on
