@@ -25,7 +25,7 @@ from armctl.dynamixel import ax12a
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Event, Fault, JointTrajectory, Outputs, Run, ServoReading, TickRecord, to_json
+from armctl.messages import Event, Fault, JointTrajectory, Run, ServoReading, TickRecord, to_json
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 
@@ -208,7 +208,7 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
 def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
     """How the tick went, the times of its inputs, mode and faults; the last message of every tick."""
     inputs, outputs, sample = record.inputs, record.outputs, record.inputs.sample
-    faults = [_fault(fault) for fault in _faults(outputs)]
+    faults = [_fault(fault) for fault in outputs.faults]
     numbers = {
         "tick": inputs.tick,
         "now_ns": inputs.now_ns,
@@ -225,6 +225,7 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
         "goal_sent": record.goal_sent,
         "progress": -1.0 if outputs.progress is None else outputs.progress,
         "rate": -1.0 if outputs.rate is None else outputs.rate,
+        "rest_in_s": -1.0 if outputs.rest_in_s is None else outputs.rest_in_s,
     }
     since = [fault[key] for fault in faults for key in ("since_ns", "servo_id")]
     shape = (outputs.mode, *[(fault["code"], fault["text"], fault["follows"]) for fault in faults])
@@ -232,14 +233,9 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
     return Row(CYCLE, shape, [*numbers.values(), *since], lambda header: {"header": header, **numbers, **said})
 
 
-def _faults(outputs: Outputs) -> tuple[Fault, ...]:
-    """Every fault there is, the worst first."""
-    return (outputs.fault,) if outputs.fault else ()
-
-
 def _fault(fault: Fault) -> Value:
     servo_id = -1 if fault.servo_id is None else fault.servo_id
-    return {"follows": ""} | asdict(fault) | {"servo_id": servo_id}
+    return asdict(fault) | {"servo_id": servo_id}
 
 
 def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:
