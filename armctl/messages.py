@@ -95,7 +95,10 @@ class Hold(Answered):
 
 @dataclass(frozen=True, slots=True)
 class Release(Answered):
-    """Switch torque off. The caller has done the countdown and warned that the arm drops."""
+    """Switch torque off; answered when every servo is seen limp, or names one that is not.
+
+    The caller has done the countdown and warned that the arm drops.
+    """
 
     kind: Literal["release"] = "release"
 
@@ -244,6 +247,7 @@ class Mode(StrEnum):
     JOGGING = "jogging"
     PARKING = "parking"
     TEACHING = "teaching"
+    RELEASING = "releasing"
     FAULTED = "faulted"
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from armctl.control.faults import KINDS, Cause
 from armctl.control.machine import Phase, Trigger
+from armctl.control.relief import PUSH_RATIO, pushes, relieve
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Status
@@ -26,8 +27,8 @@ SUPPLY_S = 0.5
 REST_AHEAD_S = 3.0
 NOISE_S = 10.0
 NOISE_SHARE = 0.1
-# After this a servo that was switched off must show it.
-TORQUE_OFF_S = 0.2
+# A standing joint pushes for so long before that is a fault.
+PUSH_S = 2.0
 
 
 def detect_faults(s: Tick) -> None:
@@ -44,12 +45,13 @@ def detect_faults(s: Tick) -> None:
         return
     for i in silent:
         s.latch_servo("SERVO_SILENT", i, "no reply for 0.5 s")
-    phase, powered = s.state.phase, s.state.powered
-    if powered:
+    state = s.state
+    if state.powered and s.fresh and not state.goal:
+        s.find_goals()
+    if state.powered and state.goal:
         _detect_power_faults(s)
-    elif phase is Phase.TEACHING or (
-        powered is False and phase is not Phase.LETTING_GO and s.state.ticks > s.ticks_in(TORQUE_OFF_S)
-    ):
+        _detect_contact(s)
+    elif state.powered is False and state.letting_go is None:
         _detect_torque(s)
     _detect_strain(s)
     _detect_noise(s)
@@ -92,31 +94,26 @@ def _lasts(s: Tick, since_ns: int, seconds: float) -> bool:
 def _detect_power_faults(s: Tick) -> None:
     """Lost torque, a trip, a second writer, a blocked joint: faults of an arm under torque."""
     state = s.state
-    goal, previous = state.goal, state.previous_goal or state.goal
+    # Of one that shows a goal from elsewhere: it is led, and not kept from where it is to be.
     errors_rad = [
-        abs(servo.position - tick) * ax12a.TICK_RAD if servo else 0.0
-        for servo, tick in zip(s.servos, goal, strict=True)
+        abs(servo.position - tick) * ax12a.TICK_RAD if servo and s.is_from_here(i) else 0.0
+        for i, (servo, tick) in enumerate(zip(s.servos, state.goal, strict=True))
     ]
     state.error_since_ns = since_ns = _since(s, state.error_since_ns, [error > BLOCKED_RAD for error in errors_rad])
-    lost = blocked = False
+    if state.yielded:
+        s.found.add("OVERRULED")
     for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
         if servo is None or not reading.fresh or _overruled(s, i, servo):
             continue
-        if servo.goal not in (goal[i], previous[i]):
-            found = f"goal {servo.goal} read back, {goal[i]} sent"
-            s.latch_servo("OTHER_WRITER", i, f"{found}: another program writes to the bus")
+        if state.yielded:
             continue
-        lost = lost or servo.goal != goal[i]
-        if _lasts(s, since_ns[i], BLOCKED_S):
+        if not s.is_from_here(i):
+            found = f"goal {servo.goal} read back, {state.goal[i]} sent"
+            s.latch_servo("OTHER_WRITER", i, f"{found}: another program writes to the bus")
+        elif _lasts(s, since_ns[i], BLOCKED_S):
             found = f"{math.degrees(errors_rad[i]):.1f} deg away from its goal for 0.3 s (bound 8)"
-            s.latch_servo("BLOCKED", i, found)
-            blocked = True
-    if blocked and s.fresh and s.all_powered():
-        # Once, so that the servo stops pushing; never again and again, or gravity walks the arm down.
-        s.send_goal([servo.position for servo in s.servos if servo])
-        state.error_since_ns = ()
-    elif lost and s.fresh:
-        s.send_goal(goal)
+            if s.latch_servo("BLOCKED", i, found):
+                relieve(s, i)
 
 
 def _overruled(s: Tick, i: int, servo: Status) -> bool:
@@ -158,6 +155,21 @@ def _detect_strain(s: Tick) -> None:
             s.latch_servo("VOLTAGE", i, f"{joint.voltage_V:.1f} V for {SUPPLY_S:g} s ({bounds})")
         if _lasts(s, state.load_since_ns[i], LOAD_S):
             s.latch_servo("OVERLOAD", i, f"load {abs(joint.load_ratio):.0%} for {LOAD_S:g} s (bound 80%)")
+
+
+def _detect_contact(s: Tick) -> None:
+    """A joint that stands and pushes, beyond what gravity explains."""
+    state = s.state
+    if not any(abs(joint.load_ratio) > PUSH_RATIO for joint in s.joints):
+        state.push_since_ns = ()
+        return
+    push_ratio = pushes(s)
+    state.push_since_ns = _since(s, state.push_since_ns, [push > PUSH_RATIO for push in push_ratio])
+    for i, since_ns in enumerate(state.push_since_ns):
+        if _lasts(s, since_ns, PUSH_S):
+            found = f"pushes with {push_ratio[i]:.0%} of its strength beyond what gravity explains"
+            if s.latch_servo("CONTACT", i, f"{found} for {PUSH_S:g} s (bound {PUSH_RATIO:.0%})"):
+                relieve(s, i)
 
 
 def _detect_noise(s: Tick) -> None:

@@ -25,6 +25,8 @@ class Cause(StrEnum):
     SILENCE = "silence"
     HEAT = "heat"
     SUPPLY = "supply"
+    # A servo does not show the goal that was decided for it yet.
+    GOAL = "goal"
     # Some servos have full torque, others have not: neither limp nor holding.
     TORQUE = "torque"
     # Nothing: to be cleared as soon as the arm is still.
@@ -86,6 +88,10 @@ FAULTS: tuple[FaultKind, ...] = (
         "support the arm, remove the load, type `armctl release`, let the servo cool, then `armctl clear` "
         "and `armctl torque on`",
         follows=("HOT", "OVERLOAD", "BLOCKED", "VOLTAGE")),
+    FaultKind("OVERRULED", "servo", "ends", False, Cause.NONE,
+        "another program has gone on writing goals for a second, and has the arm until `armctl clear`",
+        "end the other program that writes to the bus, then type `armctl clear`",
+        follows=("OTHER_WRITER",)),
     FaultKind("HOT", "servo", "slows", True, Cause.HEAT,
         "a servo is near the temperature at which it gives up",
         "let the servo cool; see its temperature in `armctl status`, then type `armctl clear`"),
@@ -99,9 +105,12 @@ FAULTS: tuple[FaultKind, ...] = (
     FaultKind("BUS_NOISE", "bus", "slows", False, Cause.NONE,
         "more than a tenth of the replies came damaged in ten seconds",
         "check the bus cable, its length and its ground, then type `armctl clear`"),
-    FaultKind("OTHER_WRITER", "servo", "ends", False, Cause.NONE,
-        "a servo shows a goal or a setting that was not sent from here",
+    FaultKind("OTHER_WRITER", "servo", "ends", False, Cause.GOAL,
+        "a servo shows a goal or a setting that was not sent from here; the arm is taken back at once, slowly",
         "end the other program that writes to the bus, then type `armctl clear`"),
+    FaultKind("CONTACT", "servo", "slows", False, Cause.NONE,
+        "a joint that stands has pushed for two seconds, beyond what gravity explains; its goal is now where it is",
+        "take away what the arm pushes against, then type `armctl clear`"),
     FaultKind("BLOCKED", "servo", "ends", False, Cause.NONE,
         "a joint has been 8 degrees from its goal for 0.3 s",
         "free the joint, then type `armctl clear`"),
@@ -153,6 +162,8 @@ def card(fault: Fault, joints: Sequence[JointState], moving: bool, rest_in_s: fl
         arm = "coming to rest on its path"
     elif not any(powered):
         arm = "limp"
+    elif fault.code == "OVERRULED":
+        arm = "led by the other program: armctl sends no goal"
     elif all(powered):
         arm = "still; every servo holds the last goal it was given"
     else:

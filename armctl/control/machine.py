@@ -1,7 +1,7 @@
 """The control machine: its phases, what may happen in each, and nothing else.
 
 Theory. The arm is limp, coming to torque, under torque, or latched by a fault. What the outside sees of that is one of
-eight modes (`messages.Mode`). Some modes take several steps, each of which ends when the servos *show* something, so
+nine modes (`messages.Mode`). Some modes take several steps, each of which ends when the servos *show* something, so
 the machine itself knows more: it is always in one *phase*, and every phase shows as one mode (`MODE`). Every change of
 phase is an entry of `TRANSITIONS`. A trigger that the row of the present phase does not name is illegal, and changes
 nothing.
@@ -14,10 +14,13 @@ of `park`, after some time in which a `stop` calls it off:
     come to a stop --set_off--> go there --arrived--> see that the arm is there --parked--> torque off
     each of them --give_up--> hold: torque is never cut but at the rest pose
 
-Torque comes on in four steps, and each of them may fail (`energise_failed`: back to off):
+Torque comes on in five steps, and each of them may fail (`energise_failed`: torque goes off again):
 
-    settings and goal written --settings_seen--> torque enabled --torque_seen--> torque limit rises
-                              --ramped--> full limit to be shown --energised--> holding
+    soft limit written --soft_seen--> goal written --settings_seen--> torque enabled --torque_seen--> torque limit rises
+                       --ramped--> full limit to be shown --energised--> holding
+
+Torque goes off in one (`State.letting_go`): it is written until every servo is seen limp (`limp_seen`), also while a
+fault is latched.
 """
 
 from collections.abc import Mapping
@@ -36,7 +39,9 @@ class Phase(StrEnum):
     FOUND = "found"
     OFF = "off"
 
-    # Settings, a soft torque limit and the present position as goal are written; to be read back.
+    # Settings and a soft torque limit are written; to be read back before any goal, which may energise.
+    SOFTENING = "softening"
+    # The present position is written as goal; to be read back.
     PREPARING = "preparing"
     # Torque is enabled; every servo has to show it.
     ENABLING = "enabling"
@@ -59,6 +64,8 @@ class Phase(StrEnum):
     # Torque is switched off for teaching; every servo has to show it.
     LETTING_GO = "letting_go"
     TEACHING = "teaching"
+    # Torque is switched off for good; every servo has to show it.
+    RELEASING = "releasing"
 
     FAULTED = "faulted"
     # Announced: whatever moves comes to rest, and the arm waits before it sets off for its rest pose.
@@ -82,6 +89,7 @@ class Trigger(StrEnum):
 
     ADOPT_LIMP = "adopt_limp"
     ADOPT_POWERED = "adopt_powered"
+    SOFT_SEEN = "soft_seen"
     SHAFT_MOVED = "shaft_moved"
     SETTINGS_SEEN = "settings_seen"
     TORQUE_SEEN = "torque_seen"
@@ -103,7 +111,7 @@ class Trigger(StrEnum):
 P, T = Phase, Trigger
 _FAULT = {T.FAULT: P.FAULTED}
 _CLEAR = {T.CLEAR_LIMP: P.OFF, T.CLEAR_POWERED: P.HOLDING}
-_COMING_ON = _FAULT | {T.ENERGISE_FAILED: P.OFF, T.RELEASE: P.OFF}
+_COMING_ON = _FAULT | {T.ENERGISE_FAILED: P.RELEASING, T.RELEASE: P.RELEASING}
 _PARKING = _FAULT | {T.GIVE_UP: P.PARK_ENDING}
 _LATCHED = {T.RELEASE: P.FAULTED}
 _TO_REST = _LATCHED | {T.GIVE_UP: P.FAULTED}
@@ -111,26 +119,28 @@ _TO_REST = _LATCHED | {T.GIVE_UP: P.FAULTED}
 # fmt: off
 TRANSITIONS: Mapping[Phase, Mapping[Trigger, Phase]] = MappingProxyType({
     P.FOUND:     {T.ADOPT_LIMP: P.OFF, T.ADOPT_POWERED: P.HOLDING,
-                  T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _FAULT,
-    P.OFF:       {T.TORQUE_ON: P.PREPARING, T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _FAULT,
+                  T.TEACH: P.LETTING_GO, T.RELEASE: P.RELEASING} | _FAULT,
+    P.OFF:       {T.TORQUE_ON: P.SOFTENING, T.TEACH: P.LETTING_GO, T.RELEASE: P.RELEASING} | _FAULT,
 
+    P.SOFTENING:  {T.SOFT_SEEN: P.PREPARING} | _COMING_ON,
     P.PREPARING:  {T.SETTINGS_SEEN: P.ENABLING, T.SHAFT_MOVED: P.PREPARING} | _COMING_ON,
     P.ENABLING:   {T.TORQUE_SEEN: P.RAMPING} | _COMING_ON,
     P.RAMPING:    {T.RAMPED: P.CONFIRMING} | _COMING_ON,
     P.CONFIRMING: {T.ENERGISED: P.HOLDING} | _COMING_ON,
 
     P.HOLDING: {T.RUN: P.MOVING, T.JOG: P.JOGGING, T.PARK: P.PARK_STARTING,
-                T.TEACH: P.LETTING_GO, T.RELEASE: P.OFF} | _FAULT,
+                T.TEACH: P.LETTING_GO, T.RELEASE: P.RELEASING} | _FAULT,
     P.MOVING:  {T.STOPPED: P.HOLDING} | _FAULT,
     P.JOGGING: {T.STOPPED: P.HOLDING} | _FAULT,
 
     P.PARK_STARTING: {T.SET_OFF: P.PARK_GOING} | _PARKING,
     P.PARK_GOING:    {T.ARRIVED: P.PARK_CHECKING} | _PARKING,
-    P.PARK_CHECKING: {T.PARKED: P.OFF} | _PARKING,
+    P.PARK_CHECKING: {T.PARKED: P.RELEASING} | _PARKING,
     P.PARK_ENDING:   {T.STOPPED: P.HOLDING} | _FAULT,
 
-    P.LETTING_GO: {T.LIMP_SEEN: P.TEACHING, T.TEACH_END: P.OFF, T.RELEASE: P.OFF} | _FAULT,
-    P.TEACHING:   {T.TEACH_END: P.OFF, T.RELEASE: P.OFF} | _FAULT,
+    P.LETTING_GO: {T.LIMP_SEEN: P.TEACHING, T.TEACH_END: P.RELEASING, T.RELEASE: P.RELEASING} | _FAULT,
+    P.TEACHING:   {T.TEACH_END: P.OFF, T.RELEASE: P.RELEASING} | _FAULT,
+    P.RELEASING:  {T.LIMP_SEEN: P.OFF, T.RELEASE: P.RELEASING} | _FAULT,
 
     P.FAULTED:        {T.STRAIN: P.FAULT_STOPPING} | _CLEAR | _LATCHED,
     P.FAULT_STOPPING: {T.SET_OFF: P.FAULT_GOING} | _CLEAR | _TO_REST,
@@ -141,12 +151,13 @@ TRANSITIONS: Mapping[Phase, Mapping[Trigger, Phase]] = MappingProxyType({
 
 _SHOWN: dict[Mode, tuple[Phase, ...]] = {
     Mode.OFF: (P.FOUND, P.OFF),
-    Mode.ENERGISING: (P.PREPARING, P.ENABLING, P.RAMPING, P.CONFIRMING),
+    Mode.ENERGISING: (P.SOFTENING, P.PREPARING, P.ENABLING, P.RAMPING, P.CONFIRMING),
     Mode.HOLDING: (P.HOLDING,),
     Mode.MOVING: (P.MOVING,),
     Mode.JOGGING: (P.JOGGING,),
     Mode.PARKING: (P.PARK_STARTING, P.PARK_GOING, P.PARK_CHECKING, P.PARK_ENDING),
     Mode.TEACHING: (P.LETTING_GO, P.TEACHING),
+    Mode.RELEASING: (P.RELEASING,),
     Mode.FAULTED: (P.FAULTED, P.FAULT_STOPPING, P.FAULT_GOING, P.FAULT_CHECKING),
 }
 # What the outside sees of each phase.
@@ -165,6 +176,7 @@ _ADVICE: dict[Mode, str] = {
     Mode.JOGGING: "the arm is being jogged; end that first, or `armctl stop`",
     Mode.PARKING: "the arm is on its way to rest; `armctl stop` first",
     Mode.TEACHING: "the arm is limp for teaching; end the teaching first",
+    Mode.RELEASING: "torque is going off; wait until every servo is seen limp",
     Mode.FAULTED: "a fault is latched; see `armctl status`, then `armctl clear`",
 }
 
@@ -228,6 +240,29 @@ class Jogging:
     stop_code: str = ""
 
 
+@dataclass(frozen=True)
+class LettingGo:
+    """Torque is being switched off, until every servo has been seen without (see enforce.py)."""
+
+    # When it was decided last.
+    since_ns: int
+    # Servos, by index, that have not been seen limp since.
+    stiff: tuple[int, ...]
+    # Who waits to hear that the arm is limp, or which servo is not.
+    request_ids: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Look:
+    """A joint that may push against something is to be looked at once it stands (see relief.py)."""
+
+    joint: int
+    # Since when it has stood at the goal that was decided for it; 0: it has not.
+    since_ns: int = 0
+    # Whether it has been relieved.
+    relieved: bool = False
+
+
 @dataclass
 class State:
     """Everything the control step remembers from one tick to the next; plain values only."""
@@ -248,16 +283,27 @@ class State:
     request_id: int | None = None
     # Who waits to hear that the arm is still.
     hold_request_ids: tuple[int, ...] = ()
-    # Last goal sent, or taken over [tick]; empty: none yet. It is there whenever the arm is under torque.
+    # Where the servos are to be: the last goal sent, taken over or decided [tick]; empty: armctl has no say in it.
     goal: tuple[int, ...] = ()
-    # The goal before it: what a servo shows that missed the last one.
-    previous_goal: tuple[int, ...] = ()
+    # Goals before it, latest first: what a servo shows that missed what came after. Any other is not from here.
+    sent: tuple[tuple[int, ...], ...] = ()
     # Where the servos' own speed ramps stood when the last goal was sent [tick]; empty: at it.
     ramp: tuple[float, ...] = ()
     # When the last goal was sent.
     goal_ns: int = 0
     # Of each servo the registers that only torque-on writes (see ax12a.py), from when torque was taken over.
     settings: tuple[int, ...] = ()
+    letting_go: LettingGo | None = None
+    # Since when goals from elsewhere have been found again and again, and when the last one was; 0: none.
+    foreign_since_ns: int = 0
+    foreign_ns: int = 0
+    # Whether the arm is left to another program that goes on writing, until `clear`.
+    yielded: bool = False
+    looks: tuple[Look, ...] = ()
+    # Output of each joint that came back after a relief: a weight; empty: none did.
+    borne_ratio: tuple[float, ...] = ()
+    # Since when each standing joint has pushed beyond what gravity explains; 0: it does not; empty: not looked at yet.
+    push_since_ns: tuple[int, ...] = ()
     # Positions [tick] when energising began.
     anchor: tuple[int, ...] = ()
     motion: Motion | None = None

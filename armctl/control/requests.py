@@ -13,7 +13,7 @@ from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
 from armctl.control.faults import Cause
 from armctl.control.machine import TO_REST, Motion, Phase, Trigger, target
-from armctl.control.sequences import SOFT_TORQUE, STILL_TICKS
+from armctl.control.sequences import STILL_TICKS, soften
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
@@ -66,20 +66,22 @@ def _carry_out(s: Tick, command: Command) -> str | None:
         case messages.TorqueOn(request_id):
             _torque_on(s, request_id)
             return None
-        case messages.Release():
+        case messages.Release(request_id):
+            target(state.phase, Trigger.RELEASE)
+            s.end_sequence("RELEASED")
             s.go(Trigger.RELEASE)
             if state.motion is not None:
                 s.finish_motion("RELEASED", "")
-            s.end_sequence("RELEASED")
-            s.torque_off()
+            s.let_go(request_id)
+            return None
         case messages.Teach(request_id):
             s.go(Trigger.TEACH)
-            s.torque_off()
-            state.request_id = request_id
+            s.let_go(request_id)
             return None
         case messages.TeachEnd():
-            s.go(Trigger.TEACH_END)
+            target(state.phase, Trigger.TEACH_END)
             s.end_sequence("TEACH_ENDED")
+            s.go(Trigger.TEACH_END)
         case messages.Run(request_id, trajectory):
             _run(s, request_id, trajectory)
             return None
@@ -128,7 +130,8 @@ def _hold(s: Tick, request_id: int) -> str | None:
     if state.motion is not None or state.jog is not None:
         state.hold_request_ids = (*state.hold_request_ids, request_id)
         return None
-    return "the arm is limp; there is nothing to hold" if state.mode in (Mode.OFF, Mode.TEACHING) else ""
+    limp = state.mode in (Mode.OFF, Mode.TEACHING, Mode.RELEASING)
+    return "the arm is limp; there is nothing to hold" if limp else ""
 
 
 def _torque_on(s: Tick, request_id: int) -> None:
@@ -156,19 +159,8 @@ def _torque_on(s: Tick, request_id: int) -> None:
             )
         ticks.append(min(max(position, low), high))
     s.go(Trigger.TORQUE_ON)
-    for joint, reading in zip(s.arm.joints, s.inputs.sample.servos, strict=True):
-        compliance = joint.compliance
-        for register, value in (
-            (ax12a.CW_MARGIN, compliance.margin),
-            (ax12a.CCW_MARGIN, compliance.margin),
-            (ax12a.CW_SLOPE, compliance.slope),
-            (ax12a.CCW_SLOPE, compliance.slope),
-            (ax12a.PUNCH, compliance.punch),
-            (ax12a.TORQUE_LIMIT, SOFT_TORQUE),
-        ):
-            if ax12a.register_value(register, reading.registers) != value:
-                s.write(joint.servo_id, register, value)
-    s.send_goal(ticks)
+    soften(s)
+    state.powered = None
     state.request_id, state.anchor = request_id, tuple(ticks)
 
 
@@ -267,6 +259,14 @@ def persisting_causes(s: Tick) -> Iterator[tuple[Cause, str]]:
     if wrong := [f"{now.voltage_V:.1f} V" for now in s.joints if not low_V <= now.voltage_V <= high_V]:
         text = f"the supply gives {wrong[0]}, outside {low_V:g} to {high_V:g} V; check the power supply"
         yield Cause.SUPPLY, text
+    if s.state.letting_go is not None:
+        names = ", ".join(s.arm.joint_names[i] for i in s.state.letting_go.stiff)
+        yield Cause.TORQUE, f"torque is still going off ({names}); support the arm and type `armctl release`"
+        return
+    if goal := () if s.state.yielded else s.state.goal:
+        away = [bool(now and now.torque_enabled and now.goal != at) for now, at in zip(s.servos, goal, strict=True)]
+        if any(away):
+            yield Cause.GOAL, f"{_names(s, away)} is still being taken back to its last goal from here; try again"
     on = [bool(servo and servo.torque_enabled) for servo in s.servos]
     limp = _names(s, [not (servo and servo.torque_limit) for servo in s.servos])
     limp = limp or _names(s, [not torque for torque in on])

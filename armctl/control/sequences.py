@@ -1,4 +1,4 @@
-"""What goes on over several ticks: taking an arm over, torque coming on and going, the way to rest.
+"""What goes on over several ticks: taking an arm over, torque coming on, the way to rest.
 
 Which step comes next stands in `machine.TRANSITIONS`. Every step is decided by what the servos report, not by what was
 written to them; and none is decided while one of them is unheard.
@@ -25,8 +25,6 @@ RAMP_S = 0.5
 # A servo that does not show its full torque limit by then refuses it.
 CONFIRM_S = 0.8
 JUMP_RAD = math.radians(6.0)
-# How long teaching waits for every servo to show that it is limp.
-LIMP_S = 0.5
 REST_TOLERANCE_RAD = math.radians(3.0)
 # How long an arm that has arrived may take to settle at its rest pose.
 VERIFY_S = 2.0
@@ -43,9 +41,8 @@ def adopt(s: Tick) -> None:
     tripped = [i for i, servo in enumerate(s.servos) if servo is not None and servo.torque_limit == 0]
     weak = s.weak_joints()
     if not any(powered):
-        limp_ticks = s.state.ticks
         s.go(Trigger.ADOPT_LIMP)
-        s.state.powered, s.state.ticks = False, limp_ticks  # nobody switched it off just now: it was limp all the time
+        s.state.powered = False
     elif tripped:
         s.latch_servo("TRIPPED", tripped[0], "found shut down (torque limit 0) while other servos hold")
     elif not all(powered):
@@ -62,7 +59,7 @@ def adopt(s: Tick) -> None:
 
 
 def energise(s: Tick) -> None:
-    """The careful torque-on: soft limit and goal read back, enable, watch, ramp the limit up."""
+    """The careful torque-on: soft limit read back, then the goal; enable, watch, ramp the limit up."""
     state, anchor = s.state, s.state.anchor
     if state.ticks == 0:
         return  # asked for in this very tick: the next sample shows what was written
@@ -71,20 +68,25 @@ def energise(s: Tick) -> None:
         return
     surprise = next(filter(None, (_surprise(s, i, anchor[i]) for i in range(len(anchor)))), "")
     if surprise:
-        s.torque_off()
         s.events.append(Event("warning", "JUMP_REFUSED", surprise))
         s.go(Trigger.ENERGISE_FAILED)
         s.end_sequence("JUMP_REFUSED", surprise)
+        s.let_go()
         return
+    moved = any(_drifted(s, i, was) > ENERGISE_AWAY_TICKS for i, was in enumerate(anchor))
     match state.phase:
-        case Phase.PREPARING if any(_drifted(s, i, was) > ENERGISE_AWAY_TICKS for i, was in enumerate(anchor)):
-            # Torque would pull a shaft back to where it was: another goal, to be looked at again.
-            state.anchor = tuple(_within_limits(s, i) if _drifted(s, i, was) else was for i, was in enumerate(anchor))
-            s.go(Trigger.SHAFT_MOVED)
+        case Phase.SOFTENING if soften(s):
+            pass
+        case Phase.SOFTENING | Phase.PREPARING if moved or state.phase is Phase.SOFTENING:
+            # Torque would pull a shaft that has moved back to where it was: another goal, to be looked at again.
+            if moved:
+                state.anchor = tuple(
+                    _within_limits(s, i) if _drifted(s, i, was) else was for i, was in enumerate(anchor)
+                )
+            s.go(Trigger.SOFT_SEEN if state.phase is Phase.SOFTENING else Trigger.SHAFT_MOVED)
             s.send_goal(state.anchor)
         case Phase.PREPARING:
             s.write_all(ax12a.TORQUE_ENABLE, 1)
-            state.powered = None
             s.send_goal(anchor)  # again: a limp servo may have let its goal follow the shaft
             s.go(Trigger.SETTINGS_SEEN)
         case Phase.ENABLING:
@@ -101,6 +103,24 @@ def energise(s: Tick) -> None:
             s.go(Trigger.ENERGISED)
             state.request_id, state.anchor = None, ()
             s.take_over()
+
+
+def soften(s: Tick) -> bool:
+    """Write the settings and the soft torque limit that some servo does not show yet; whether there was one."""
+    before = len(s.writes)
+    for joint, reading in zip(s.arm.joints, s.inputs.sample.servos, strict=True):
+        compliance = joint.compliance
+        for register, value in (
+            (ax12a.CW_MARGIN, compliance.margin),
+            (ax12a.CCW_MARGIN, compliance.margin),
+            (ax12a.CW_SLOPE, compliance.slope),
+            (ax12a.CCW_SLOPE, compliance.slope),
+            (ax12a.PUNCH, compliance.punch),
+            (ax12a.TORQUE_LIMIT, SOFT_TORQUE),
+        ):
+            if ax12a.register_value(register, reading.registers) != value:
+                s.write(joint.servo_id, register, value)
+    return len(s.writes) > before
 
 
 def _within_limits(s: Tick, index: int) -> int:
@@ -127,36 +147,22 @@ def _surprise(s: Tick, index: int, anchor: int) -> str:
     """What is not as it should be with one servo while torque comes on; empty if nothing."""
     joint, servo, full = s.arm.joints[index], s.status(index), s.wire[index].full_torque
     who = f"servo {joint.servo_id} ({joint.name})"
-    preparing = s.state.phase is Phase.PREPARING
-    if preparing and _drifted(s, index, anchor) > STILL_TICKS:
+    softening, preparing = s.state.phase is Phase.SOFTENING, s.state.phase is Phase.PREPARING
+    if (softening or preparing) and _drifted(s, index, anchor) > STILL_TICKS:
         return f"{who} moved while torque came on; hold the arm still and try again"
     if abs(servo.position - anchor) * ax12a.TICK_RAD > JUMP_RAD:
         return f"{who} moved while torque came on; support the arm and try again"
-    if abs(servo.goal - anchor) > (STILL_TICKS if preparing else 0):
+    if not softening and abs(servo.goal - anchor) > (STILL_TICKS if preparing else 0):
         return f"{who} shows goal {servo.goal} where {anchor} was written"
-    if preparing and servo.torque_limit != SOFT_TORQUE:
+    if softening and s.state.ticks <= s.ticks_in(CONFIRM_S):
+        return ""
+    if (softening or preparing) and servo.torque_limit != SOFT_TORQUE:
         return f"{who} shows torque limit {servo.torque_limit} where {SOFT_TORQUE} was written"
-    if not preparing and not servo.torque_enabled:
+    if not (softening or preparing) and not servo.torque_enabled:
         return f"{who} did not take torque"
     if s.state.phase is Phase.CONFIRMING and servo.torque_limit != full and s.state.ticks > s.ticks_in(CONFIRM_S):
         return f"{who} shows torque limit {servo.torque_limit}; it does not take {full}"
     return ""
-
-
-# ------------------------------------------------------------------------------------ torque goes, to teach
-
-
-def verify_limp(s: Tick) -> None:
-    """Answer the teach request once every servo is seen without torque."""
-    if s.state.ticks == 0:
-        return  # asked for in this very tick
-    if s.fresh and not any(servo is None or servo.torque_enabled for servo in s.servos):
-        s.reply(s.state.request_id, True)
-        s.state.request_id = None
-        s.go(Trigger.LIMP_SEEN)
-    elif s.state.ticks > s.ticks_in(LIMP_S):
-        index = next((i for i, servo in enumerate(s.servos) if servo is not None and servo.torque_enabled), 0)
-        s.latch_servo("NOT_LIMP", index, "torque stayed on although it was switched off")
 
 
 # ----------------------------------------------------------------------------------------- the way to rest
@@ -190,11 +196,10 @@ def go_to_rest(s: Tick) -> None:
             abs(now.position_rad - joint.rest_rad) <= REST_TOLERANCE_RAD
             for now, joint in zip(s.joints, joints, strict=True)
         ):
-            s.torque_off()
-            s.events.append(Event("info", "PARKED", "the arm is at its rest pose; torque is off"))
-            s.reply(state.request_id, True)
-            state.request_id = None
+            s.events.append(Event("info", "PARKED", "the arm is at its rest pose; torque goes off"))
             s.go(Trigger.PARKED)
+            s.let_go(state.request_id)
+            state.request_id = None
         case _ if state.ticks > s.ticks_in(VERIFY_S):
             s.give_up_rest("NOT_AT_REST", "the arm is over 3 deg from its rest pose")
     return None

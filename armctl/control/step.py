@@ -11,17 +11,20 @@ Rules.
 5. A fault latches, and hides no other: all of them are judged in every mode. While one is latched nothing advances,
    save the deceleration of rule 3 and, while what would soon end in a dropped arm lasts, the slow way to rest, which is
    announced and can be called off.
-6. What the servos report, not what was written, decides whether a sequence goes on.
+6. What the servos report, not what was written, decides whether a sequence goes on; and what was decided is sent until
+   they report it (`enforce.py`).
 7. The state that is given in is never changed. The step copies it once, works on the copy, and returns that.
 """
 
 from armctl.config import ArmConfig
 from armctl.control.detect import REST_AHEAD_S, detect_faults
+from armctl.control.enforce import hold_goals, switch_off
 from armctl.control.jog import advance_jog
 from armctl.control.machine import ENERGISING, MODE, TO_REST, Jogging, Motion, Phase, State
 from armctl.control.motion import duration_s, move
+from armctl.control.relief import look_for_push
 from armctl.control.requests import carry_out
-from armctl.control.sequences import adopt, energise, go_to_rest, verify_limp
+from armctl.control.sequences import adopt, energise, go_to_rest
 from armctl.control.tick import Tick, WireJoint, wire_joints
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Status
@@ -49,6 +52,8 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     s = Tick(state, inputs, arm, wire, robot, period_s, joints, servos, fresh)
     state.ticks += 1
     detect_faults(s)
+    if state.letting_go is not None:
+        switch_off(s)
     for command in inputs.commands:
         carry_out(s, command)
     if state.phase is Phase.FOUND:
@@ -56,8 +61,8 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     _advance(s)
     state.last_ticks = () if None in servos else tuple([servo.position for servo in servos if servo])
     if s.goal is not None:
-        state.previous_goal, state.goal = state.goal, s.goal.ticks
-        state.ramp, state.goal_ns = s.ramp, inputs.now_ns
+        s.remember(s.goal.ticks)
+        state.ramp = s.ramp
     motion = state.motion
     return state, Outputs(
         mode=MODE[state.phase],
@@ -94,8 +99,6 @@ def _advance(s: Tick) -> None:
     """Whatever is under way goes on by a tick."""
     if s.state.phase in ENERGISING:
         energise(s)
-    elif s.state.phase is Phase.LETTING_GO:
-        verify_limp(s)
     if s.inputs.late_ns > LATE_NS:
         s.events.append(Event("warning", "LATE", f"a tick came {s.inputs.late_ns / 1e6:.0f} ms late (bound 250)"))
         s.stop_motion("LATE")
@@ -105,6 +108,10 @@ def _advance(s: Tick) -> None:
         move(s, s.state.motion)
     if s.state.jog is not None:
         advance_jog(s, s.state.jog)
+    if s.state.looks:
+        look_for_push(s)
+    if s.goal is None:
+        hold_goals(s)
 
 
 def _joint_states(

@@ -2,12 +2,22 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import KINDS, with_fault
-from armctl.control.machine import ENERGISING, LATCHED, TO_REST, TRANSITIONS, Phase, State, Trigger
+from armctl.control.machine import (
+    ENERGISING,
+    LATCHED,
+    TO_REST,
+    TRANSITIONS,
+    LettingGo,
+    Look,
+    Phase,
+    State,
+    Trigger,
+)
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register, Status
 from armctl.kinematics.robots.robot import Robot
@@ -18,6 +28,8 @@ from armctl.messages import NS_PER_S, Event, Fault, Goal, Inputs, JointState, Re
 LEAD_TICKS = math.radians(9.0) / ax12a.TICK_RAD
 # What rounding may add to the goal sent last and to a part of the way to the next one.
 ROUNDING_TICKS = 1.0
+# The goals of so long are remembered, and some at the slowest period.
+SENT_S, SENT_LEAST = 1.0, 8
 # Share of a period: a tick that comes no sooner after the last one is in time.
 IN_TIME = 0.9
 # Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal.
@@ -132,12 +144,13 @@ class Tick:
 
     # ------------------------------------------------------------------------------------------------- faults
 
-    def latch_servo(self, code: str, index: int, problem: str) -> None:
+    def latch_servo(self, code: str, index: int, problem: str) -> bool:
+        """See `latch`."""
         joint = self.arm.joints[index]
-        self.latch(code, f"servo {joint.servo_id} ({joint.name}): {problem}", joint.servo_id)
+        return self.latch(code, f"servo {joint.servo_id} ({joint.name}): {problem}", joint.servo_id)
 
-    def latch(self, code: str, text: str, servo_id: int | None = None) -> None:
-        """Latch a fault, if it is not latched, and do what its row in `faults.FAULTS` says."""
+    def latch(self, code: str, text: str, servo_id: int | None = None) -> bool:
+        """Latch a fault, and do what its row in `faults.FAULTS` says; False: it is latched already."""
         state, kind = self.state, KINDS[code]
         self.found.add(code)
         if kind.motion == "ends" and state.phase in TO_REST & LATCHED:
@@ -145,7 +158,7 @@ class Tick:
         if kind.motion == "ends" and state.motion is not None:
             self.finish_motion(code, text)
         if any(fault.code == code and (kind.of == "supply" or fault.servo_id == servo_id) for fault in state.faults):
-            return
+            return False
         self.events.append(Event("error", code, text, servo_id))
         if state.motion is not None:
             state.motion.stop_code = code
@@ -153,19 +166,28 @@ class Tick:
             self.finish_jog(code)
         self.end_sequence(code, text)
         if state.phase in ENERGISING and kind.to_rest:
-            self.torque_off()
+            self.let_go()
         if state.phase not in LATCHED:
             self.go(Trigger.FAULT)
         state.faults = with_fault(state.faults, Fault(code, text, self.inputs.now_ns, servo_id))
+        self.look_for_push()
         state.connected = state.connected and self.inputs.sample.port_open
+        return True
 
     # -------------------------------------------------------------------------------- ends of what was under way
 
     def stop_motion(self, code: str) -> None:
-        """Bring whatever motion is under way to rest."""
+        """Bring whatever motion is under way to rest; a joint that pushes then is relieved (see relief.py)."""
+        self.look_for_push()
         for moving in (self.state.motion, self.state.jog):
             if moving is not None and not moving.stop_code:
                 moving.stop_code = code
+
+    def look_for_push(self) -> None:
+        """Have every joint looked at once it stands (see relief.py), but those relieved just now."""
+        waiting = tuple([look for look in self.state.looks if look.relieved])
+        others = set(range(len(self.wire))).difference([look.joint for look in waiting])
+        self.state.looks = (*waiting, *map(Look, sorted(others)))
 
     def finish_motion(self, code: str, text: str) -> None:
         motion = self.state.motion
@@ -188,9 +210,15 @@ class Tick:
             self.go(Trigger.STOPPED)
 
     def end_sequence(self, code: str, text: str = "") -> None:
-        """Tell whoever waits for the present sequence that it will not end well."""
-        self.reply(self.state.request_id, False, code, text or "another request came first")
-        self.state.request_id, self.state.anchor = None, ()
+        """Tell whoever waits for the present sequence that it will not end well; not a `release`, which goes on."""
+        state, going = self.state, self.state.letting_go
+        request_ids: tuple[int | None, ...] = (state.request_id,)
+        if going is not None and state.phase is Phase.LETTING_GO:
+            request_ids += going.request_ids
+            state.letting_go = replace(going, request_ids=())
+        for request_id in request_ids:
+            self.reply(request_id, False, code, text or "another request came first")
+        state.request_id, state.anchor = None, ()
 
     def give_up_rest(self, code: str, why: str) -> None:
         """Hold instead of going to rest: torque is never cut but there.
@@ -208,9 +236,15 @@ class Tick:
         if state.motion is None and state.phase is Phase.PARK_ENDING:
             self.go(Trigger.STOPPED)
 
-    def torque_off(self) -> None:
-        self.state.powered = False
-        self.goal = None  # a goal after it would switch the torque on again
+    def let_go(self, request_id: int | None = None) -> None:
+        """Switch torque off, for as long as it takes until every servo is seen limp (see enforce.py)."""
+        state = self.state
+        waiting = state.letting_go.request_ids if state.letting_go else ()
+        if request_id is not None:
+            waiting = (*waiting, request_id)
+        state.letting_go = LettingGo(self.inputs.now_ns, tuple(range(len(self.wire))), waiting)
+        self.forget_goals()
+        state.powered, state.looks, state.borne_ratio = False, (), ()
         self.write_all(ax12a.TORQUE_ENABLE, 0)
 
     # -------------------------------------------------------------------------------------------------- goals
@@ -219,9 +253,31 @@ class Tick:
         """Take goals and settings of powered servos as they are."""
         known = [servo for servo in self.servos if servo is not None]
         state = self.state
-        state.goal, state.previous_goal, state.ramp = tuple(servo.goal for servo in known), (), ()
+        self.find_goals()
         state.settings = tuple(servo.settings for servo in known)
-        state.error_since_ns, state.powered = (), True
+        state.error_since_ns = state.push_since_ns = ()
+        state.foreign_since_ns, state.foreign_ns, state.yielded, state.powered = 0, 0, False, True
+
+    def find_goals(self) -> None:
+        """Take the goals of servos that have all been heard as they are."""
+        self.state.goal, self.state.ramp = tuple(servo.goal for servo in self.servos if servo is not None), ()
+
+    def forget_goals(self) -> None:
+        """No goal is sent any more: armctl has no say in where the servos are."""
+        self.goal = None  # after a torque-off it would switch the torque on again
+        self.state.goal, self.state.sent, self.state.ramp = (), (), ()
+
+    def remember(self, goal: tuple[int, ...]) -> None:
+        """A goal is sent, or decided: what the servos are to show from now on."""
+        state, now_ns = self.state, self.inputs.now_ns
+        if state.goal and goal != state.goal:
+            state.sent = (state.goal, *state.sent)[: self.ticks_in(SENT_S, SENT_LEAST)]
+        state.goal, state.goal_ns = goal, now_ns
+
+    def is_from_here(self, index: int) -> bool:
+        """Whether a servo that has been heard shows one of the latest goals sent to it."""
+        shown = self.status(index).goal
+        return shown == self.state.goal[index] or any(goal[index] == shown for goal in self.state.sent)
 
     def whole_ticks(self, position_rad: Sequence[float]) -> list[int]:
         """The nearest servo position of every joint position [rad]."""
@@ -231,7 +287,12 @@ class Tick:
         ]
 
     def send_goal(self, ticks: Sequence[int]) -> None:
-        """Goal and speed for every servo, inside the limits; each arrives in one tick from where its ramp is by now."""
+        """Goal and speed for every servo, inside the limits; each arrives in one tick from where its ramp is by now.
+
+        None is sent to an arm that is being let go: it would energise what is limp already.
+        """
+        if self.state.letting_go is not None:
+            return
         goal = [min(max(tick, joint.low_tick), joint.high_tick) for joint, tick in zip(self.wire, ticks, strict=True)]
         before = self.ramp = self._ramps()
         tick_rad_s = ax12a.TICK_RAD / self.period_s

@@ -165,6 +165,12 @@ def _settings(cw_margin: int, ccw_margin: int, cw_slope: int, ccw_slope: int, pu
     return cw_margin << 50 | ccw_margin << 40 | cw_slope << 30 | ccw_slope << 20 | punch << 10 | torque_limit
 
 
+def compliance(settings: int) -> tuple[int, int, int]:
+    """Margin [tick], slope [tick] and punch in a status's settings, of the softer side."""
+    cw_margin, ccw_margin, cw_slope, ccw_slope, punch = [settings >> shift & 0x3FF for shift in (50, 40, 30, 20, 10)]
+    return max(cw_margin, ccw_margin), compliance_slope(max(cw_slope, ccw_slope)), punch
+
+
 # Settings of a servo that has just restarted.
 POWER_ON_SETTINGS = _settings(*(
     register.default for register in (CW_MARGIN, CCW_MARGIN, CW_SLOPE, CCW_SLOPE, PUNCH, TORQUE_LIMIT)

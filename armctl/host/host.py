@@ -340,5 +340,6 @@ _TO_HOLD = {
     Mode.JOGGING: "end the jog, or `armctl stop`",
     Mode.PARKING: "wait, or `armctl stop`",
     Mode.TEACHING: "end the teaching first",
+    Mode.RELEASING: "wait until torque is off, then `armctl torque on`",
     Mode.FAULTED: "see `armctl status`, then `armctl clear`",
 }

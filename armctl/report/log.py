@@ -30,6 +30,7 @@ STATE_COLOURS = {
     "moving": "#3f7fd0",
     "parking": "#6fb7c9",
     "teaching": "#9a6bd1",
+    "releasing": "#b39ddb",
     "faulted": "#d1495b",
 }
 _UNKNOWN_COLOUR = "#7d8b99"

@@ -158,10 +158,10 @@ def line(
 
 
 def energising() -> IdealArm:
-    """Asked for torque in the tick just over."""
+    """Torque was asked for, and the goals were sent in the tick just over."""
     arm = IdealArm().connect()
     arm.run_tick()
-    arm.run_tick(TorqueOn(1))
+    arm.run_ticks(2, TorqueOn(1))
     return arm
 
 

@@ -60,6 +60,7 @@ SPOILT: dict[faults.Cause, Callable[[IdealArm], object]] = {
     faults.Cause.HEAT: lambda arm: arm.put(2, ax12a.PRESENT_TEMPERATURE, 70),
     faults.Cause.SUPPLY: lambda arm: arm.put(2, ax12a.PRESENT_VOLTAGE, 80),
     faults.Cause.TORQUE: lambda arm: arm.put(2, ax12a.TORQUE_LIMIT, 0),
+    faults.Cause.GOAL: lambda arm: setattr(arm, "after_write", lambda arm: arm.put(2, ax12a.GOAL, 40)),
 }
 
 

@@ -87,8 +87,10 @@ def test_what_a_servo_reports_against_us_latches_in_one_tick(register: ax12a.Reg
     arm.run_tick()
     arm.run_ticks(21, TorqueOn(1))
     assert arm.mode() is Mode.HOLDING
+    held = arm.state.goal
     arm.put(3, register, value)
-    assert arm.run_tick().goal is None
+    goal = arm.run_tick().goal
+    assert (goal and goal.ticks) == (held if register is ax12a.GOAL else None), "taken back at once"
     assert arm.fault() == (code, 4)
 
 
@@ -208,7 +210,7 @@ def test_no_fault_hides_another_in_any_mode_and_in_any_order(situation: str, cod
             happened.add(code)
             arm.run_ticks(gap)
     arm.run_ticks(100)
-    assert {fault.code for fault in arm.state.faults} == happened
+    assert {fault.code for fault in arm.state.faults} - {"CONTACT"} == happened, "a load that lasts is a push as well"
     order = [CODES.index(fault.code) for fault in arm.state.faults]
     assert order == sorted(order), "the worst first"
     assert arm.outputs is not None

@@ -88,7 +88,7 @@ def test_torque_comes_on_only_through_energising_or_adoption() -> None:
 
 def test_the_way_to_rest_is_the_same_for_parking_and_under_a_fault() -> None:
     for way, end in (
-        ((Phase.PARK_STARTING, Phase.PARK_GOING, Phase.PARK_CHECKING), Phase.OFF),
+        ((Phase.PARK_STARTING, Phase.PARK_GOING, Phase.PARK_CHECKING), Phase.RELEASING),
         ((Phase.FAULT_STOPPING, Phase.FAULT_GOING, Phase.FAULT_CHECKING), Phase.FAULTED),
     ):
         assert TO_REST.issuperset(way)
@@ -115,5 +115,9 @@ def test_state_survives_json_bit_for_bit() -> None:
         ),
         jog=machine.Jogging((0.1,), (1 / 3,), (), (0.1, 0.0, -0.2), 77, rate=0.3, stop_code="LATE"),
         error_since_ns=(0, 5),
+        sent=((1, 2, 3), (1, 2, 2)),
+        letting_go=machine.LettingGo(17, (0, 2), (8,)),
+        looks=(machine.Look(2, 17, True),),
+        borne_ratio=(0.1, 1 / 3, 0.0),
     )
     assert from_json(State, to_json(state)) == state

@@ -43,9 +43,7 @@ def test_a_servo_that_catches_up_lets_the_run_go_on_to_its_end() -> None:
 @pytest.mark.parametrize(("command", "mode"), [(Teach(2), Mode.TEACHING), (Release(2), Mode.OFF)])
 def test_an_arm_that_is_let_go_in_its_first_tick_is_not_taken_over(command: Command, mode: Mode) -> None:
     arm = IdealArm().power()
-    arm.run_tick(Connected(restarted=True), command)
-    assert arm.mode() is mode
-    arm.run_ticks(10)
+    arm.run_ticks(11, Connected(restarted=True), command)
     assert (arm.mode(), arm.state.fault) == (mode, None)
     assert not any(arm.get(index, ax12a.TORQUE_ENABLE) for index in range(6))
     assert arm.replies[2].ok

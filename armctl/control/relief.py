@@ -1,0 +1,136 @@
+"""A joint that stands and pushes against something: how it is told from one that bears a weight, and relieved.
+
+Rules.
+1. Gravity explains, in the pose the arm has, any output between none (it leans on something) and what holds the
+   lightest or heaviest arm that may be built of the robot's chain: an AX-12A with its brackets on every axis
+   (`SERVO_KG`), and a tool with all it may carry (`TOOL_KG`). A gripper may grip besides. The servo's own slope and
+   margin make a distance from the goal of an output.
+2. After a stop or a fault, once the arm stands, a joint whose goal lies over `PUSH_RAD` farther off than that is
+   relieved: its goal becomes where it is. One that stands and gives `PUSH_RATIO` more output than that for 2 s is
+   a fault, CONTACT (see detect.py), and relieved too.
+3. What comes back after a relief is a weight, such as a load in the gripper: from then on gravity explains that as
+   well, until torque goes off. So no joint is relieved twice for it, and gravity walks no arm down.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from armctl.control.enforce import holds, stay
+from armctl.control.machine import Look
+from armctl.control.tick import Tick
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import Status
+from armctl.kinematics.chain import joint_axes
+
+PUSH_RAD = math.radians(3.0)
+PUSH_RATIO = 0.3
+# A joint that has been slower than this for so long stands.
+STAND_RAD_S = math.radians(5.0)
+STAND_NS = 300_000_000
+# Lightest and heaviest: bare, and with brackets, screws and cables; none, and with all that is carried.
+SERVO_KG = (0.05, 0.09)
+TOOL_KG = (0.0, 0.15)
+# Of its stall torque: what a weak one has.
+STRENGTH_SHARE = 0.8
+GRAVITY_M_S2 = 9.81
+RATED_V = 12.0
+# A gripper holds with at most this.
+GRIP_RATIO = 0.5
+
+
+def look_for_push(s: Tick) -> None:
+    """Relieve what was to be looked at once it stands, and learn what it bears where that was in vain."""
+    looks, s.state.looks, now_ns = s.state.looks, (), s.inputs.now_ns
+    for look in looks:
+        i = look.joint
+        there = stands(s, i) and s.status(i).goal == s.state.goal[i]
+        if not there or now_ns - (look.since_ns or now_ns) < STAND_NS:
+            s.state.looks += (replace(look, since_ns=there and (look.since_ns or now_ns)),)
+        elif look.relieved:
+            borne = s.state.borne_ratio or (0.0,) * len(s.wire)
+            low, high = explained_ratio(s)[i]
+            load_ratio = s.joints[i].load_ratio
+            weight = borne[i] + load_ratio - min(max(load_ratio, low), high)
+            s.state.borne_ratio = (*borne[:i], weight, *borne[i + 1 :])
+        elif _is_too_far(s, i):
+            relieve(s, i)
+
+
+def _is_too_far(s: Tick, index: int) -> bool:
+    """Whether a joint is farther from its goal than gravity explains."""
+    servo, (low, high) = s.status(index), explained_ratio(s)[index]
+    ahead_rad = s.wire[index].direction * (servo.goal - servo.position) * ax12a.TICK_RAD
+    return not -_distance_rad(servo, -low) - PUSH_RAD <= ahead_rad <= _distance_rad(servo, high) + PUSH_RAD
+
+
+def relieve(s: Tick, index: int) -> None:
+    """Let a joint's goal be where it is, and look at it again once it stands."""
+    stay(s, index)
+    s.state.looks = (*(look for look in s.state.looks if look.joint != index), Look(index, relieved=True))
+
+
+def stands(s: Tick, index: int) -> bool:
+    """Whether a joint that is heard and has torque is asked for no motion, and does not move."""
+    state = s.state
+    asked = state.jog is not None or (state.motion is not None and not state.motion.paused)
+    return (
+        not asked
+        and bool(state.goal)
+        and holds(s, index) is not None
+        and abs(s.joints[index].velocity_rad_s) <= STAND_RAD_S
+    )
+
+
+def pushes(s: Tick) -> list[float]:
+    """By how much every joint's output is beyond what gravity explains, as a share of its strength; 0 of one that
+    moves, or is limp or unheard.
+    """
+    return [
+        max(low - joint.load_ratio, joint.load_ratio - high, 0.0) if stands(s, i) else 0.0
+        for i, (joint, (low, high)) in enumerate(zip(s.joints, explained_ratio(s), strict=True))
+    ]
+
+
+def explained_ratio(s: Tick) -> list[tuple[float, float]]:
+    """Lowest and highest output of every joint that gravity, a grip or a weight found before explains."""
+    borne = s.state.borne_ratio or (0.0,) * len(s.wire)
+    gripper = s.arm.gripper.joint if s.arm.gripper else ""
+    found = []
+    for joint, now, (low_Nm, high_Nm), weight in zip(s.arm.joints, s.joints, _holding_Nm(s), borne, strict=True):
+        strength_Nm = STRENGTH_SHARE * ax12a.STALL_TORQUE_NM * max(now.voltage_V, 1.0) / RATED_V
+        grip = GRIP_RATIO if joint.name == gripper else 0.0
+        low, high = low_Nm / strength_Nm - grip, high_Nm / strength_Nm + grip
+        found.append((low + min(weight, 0.0), high + max(weight, 0.0)))
+    return found
+
+
+def _holding_Nm(s: Tick) -> list[tuple[float, float]]:
+    """Lowest and highest torque of every joint that holds the arm in its present pose, or leaves it leaning.
+
+    g sum(m z x r) along z of the base, each m as light or heavy as it may be.
+    """
+    chain = s.robot.chain
+    axes, tool = joint_axes(chain, np.array([[joint.position_rad for joint in s.joints[: chain.n]]]))
+    points = [(float(P[0, 0]), float(P[1, 0]), *SERVO_KG) for _, P in axes]
+    # Servos of a wrist roll or a gripper sit anywhere from the last axis to the tool.
+    beyond_kg = (len(s.wire) - chain.n) * SERVO_KG[1]
+    points.append((*points[-1][:2], 0.0, beyond_kg))
+    points.append((float(tool[0, 0]), float(tool[1, 0]), TOOL_KG[0], TOOL_KG[1] + beyond_kg))
+    found = []
+    for i, (z, P) in enumerate(axes):
+        low = high = 0.0
+        for x, y, light_kg, heavy_kg in points[i + 1 :]:
+            Nm_kg = GRAVITY_M_S2 * (float(z[0, 0]) * (y - float(P[1, 0])) - float(z[1, 0]) * (x - float(P[0, 0])))
+            low += Nm_kg * (light_kg if Nm_kg > 0.0 else heavy_kg)
+            high += Nm_kg * (heavy_kg if Nm_kg > 0.0 else light_kg)
+        found.append((min(low, 0.0), max(high, 0.0)))
+    return found + [(0.0, 0.0)] * (len(s.wire) - chain.n)
+
+
+def _distance_rad(servo: Status, ratio: float) -> float:
+    """How far from its goal a servo stands that gives an output >= 0, by its compliance."""
+    margin, slope, punch = ax12a.compliance(servo.settings)
+    rise = max(0.0, min(ratio, 1.0) - punch / ax12a.LOAD_MAX) / (1.0 - punch / ax12a.LOAD_MAX)
+    return (margin + rise * slope) * ax12a.TICK_RAD

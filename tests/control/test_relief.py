@@ -1,0 +1,149 @@
+"""A joint that pushes against something is relieved and told of; one that bears a weight is not."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from armctl.config import ArmConfig
+from armctl.control.machine import State
+from armctl.control.relief import PUSH_RATIO, explained_ratio
+from armctl.control.step import _joint_states
+from armctl.control.tick import Tick, wire_joints
+from armctl.dynamixel import ax12a
+from armctl.files import load_arm
+from armctl.kinematics import robots
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import Clear, Hold, Inputs, Mode, Run, Sample, ServoReading
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import RANDOM_SPEC
+from tests.control.damaged_arm import Rig, is_goal
+from tests.control.ideal_arm import IdealArm, holding
+
+NEAR_ZERO = 0.3
+
+
+def blocked(joint: int = 0, seed: int = 3) -> Rig:
+    """A run against something that holds a joint, until the joint is 5 to 7 degrees from its goal."""
+    rig = Rig(seed).holding()
+    rig.ticks(8, Run(5, rig.turned(60.0 if joint == 0 else -60.0, joint, seconds=6.0)))
+    rig.fault("blocked_joint", joint + 1)
+    while abs(math.degrees(rig.goals_rad[joint]) - rig.joint_deg(joint)) < 5.0:
+        rig.ticks(1)
+    return rig
+
+
+def goals_in(rig: Rig, *ticks: int) -> Callable[[bytes], bool]:
+    """Which goals are sent in some ticks."""
+    return lambda packet: is_goal(packet) and len(rig.records) in ticks
+
+
+@pytest.mark.parametrize("disturb", ["nothing", "another servo unheard", "the goal damaged"])
+def test_a_blocked_joint_is_relieved_whatever_is_lost_then(disturb: str) -> None:
+    rig = blocked()
+    while rig.code() != "BLOCKED":
+        if disturb == "another servo unheard" and rig.loop.state.error_since_ns[:1] > (0,):
+            rig.fault("mute", 5, duration_s=0.6)
+        if disturb == "the goal damaged":
+            now = len(rig.records)
+            rig.port.damages = goals_in(rig, now, now + 1)
+        rig.ticks(1)
+    rig.ticks(5)
+    assert rig.outputs()[0] < NEAR_ZERO
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+def test_a_stop_against_something_does_not_go_on_pushing(joint: int) -> None:
+    rig = blocked(joint)
+    rig.ticks(1, Hold(6))
+    rig.ticks(12)
+    assert rig.outputs()[joint] < NEAR_ZERO
+    assert rig.mode() is Mode.HOLDING
+
+
+def test_a_relief_is_sent_until_it_is_read_back() -> None:
+    rig = blocked()
+    rig.ticks(1, Hold(6))
+    rig.ticks(2)
+    rig.port.damages = goals_in(rig, *range(len(rig.records), len(rig.records) + 6))
+    rig.ticks(12)
+    assert rig.outputs()[0] < NEAR_ZERO
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hundred_stops_in_a_row_lower_the_tool_by_2_mm_at_most(seed: int) -> None:
+    rig = Rig(seed, RANDOM_SPEC).holding().at()
+    rig.ticks(10)
+    before_m = rig.simulated.true_tool_position()[2]
+    for count in range(100):
+        rig.ticks(5, Hold(1000 + count))
+    assert rig.mode() is Mode.HOLDING
+    assert before_m - rig.simulated.true_tool_position()[2] < 2e-3
+
+
+def test_a_lasting_push_at_standstill_is_a_fault_and_is_relieved() -> None:
+    rig = Rig().holding()
+    rig.fault("blocked_joint", 1)
+    rig.ticks(35, Run(5, rig.turned(5.0, seconds=1.0)))
+    assert rig.code() == "CONTACT"
+    assert rig.loop.state.fault is not None
+    assert rig.loop.state.fault.servo_id == 1
+    rig.ticks(10)
+    assert rig.outputs()[0] < NEAR_ZERO
+    rig.ticks(1, Clear(6))
+    assert rig.mode() is Mode.HOLDING
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stretched_arm_that_bears_its_weight_pushes_against_nothing(seed: int) -> None:
+    rig = Rig(seed, RANDOM_SPEC).holding().at()
+    rig.ticks(60)
+    assert (rig.mode(), rig.code()) == (Mode.HOLDING, "")
+
+
+def test_what_comes_back_after_a_relief_is_a_weight_and_walks_no_arm_down() -> None:
+    arm = holding()
+    arm.put(0, ax12a.PRESENT_LOAD, 500)
+
+    def sag(arm: IdealArm) -> None:
+        arm.put(0, ax12a.PRESENT_POSITION, arm.get(0, ax12a.GOAL) - 16)
+
+    arm.after_write = sag
+    goals = {arm.state.goal[0]}
+    for count in range(10):
+        arm.run_ticks(15, Hold(100 + count))
+        arm.run_ticks(15, Clear(200 + count))
+        goals.add(arm.state.goal[0])
+    assert len(goals) == 2, "relieved once"
+    assert (arm.mode(), arm.code()) == (Mode.HOLDING, "")
+
+
+@pytest.mark.parametrize("name", ["ax12-line", "lanzhou-4dof", "xiang-6dof", "transfer-6dof"])
+def test_gravity_of_every_arm_that_may_be_built_is_explained_in_every_pose(name: str) -> None:
+    arm = load_arm(name)
+    robot, rng = robots.get(arm.robot, arm.lengths_m), np.random.default_rng(7)
+    for seed in range(20):
+        simulated = SimulatedArm(arm, seed=seed, spec=RANDOM_SPEC)
+        for _ in range(20):
+            q = np.array([rng.uniform(*joint.limits_rad) for joint in arm.joints])
+            needed_Nm = [-torque for torque, _ in simulated._body.masses.loads(q[: robot.chain.n].tolist())]
+            for (low, high), needed, joint in zip(explained(arm, robot, q), needed_Nm, simulated._joints, strict=False):
+                ratio = needed / joint.stall_Nm
+                # A servo may sit elsewhere on its axis.
+                assert low - 0.2 * PUSH_RATIO <= ratio <= high + 0.2 * PUSH_RATIO
+
+
+def explained(arm: ArmConfig, robot: Robot, q: FloatArray) -> list[tuple[float, float]]:
+    """What the step takes for explained in a pose."""
+    readings = []
+    for joint, angle in zip(arm.joints, q, strict=True):
+        block = bytearray(26)
+        block[ax12a.POSITION_AT : ax12a.POSITION_AT + 2] = round(joint.tick(angle)).to_bytes(2, "little")
+        block[ax12a.PRESENT_VOLTAGE.address - 24] = 120
+        readings.append(ServoReading(joint.servo_id, bytes(block), 1, True))
+    inputs = Inputs(0, 1, Sample(1, tuple(readings)))
+    servos, wire = tuple(ax12a.decode(reading.registers) for reading in readings), wire_joints(arm)
+    joints = _joint_states(inputs, servos, wire)
+    return explained_ratio(Tick(State(), inputs, arm, wire, robot, 0.1, joints, servos, True))
