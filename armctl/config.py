@@ -24,6 +24,7 @@ from armctl.errors import ConfigError
 MAX_YAML_BYTES = 65536
 MAX_YAML_DEPTH = 16
 MAX_GRIP_TICK = 20
+MAX_FAULTS = 20
 """5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked."""
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
@@ -320,14 +321,13 @@ def validate(model: type[M], data: object, file: str) -> M:
     """`data` as a `model`.
 
     Raises:
-        ConfigError: naming the file and, for every fault in it, key, value and bound.
+        ConfigError: naming the file and, for every fault in it up to `MAX_FAULTS`, key, value and bound.
     """
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        faults = error.errors()
         lines = []
-        for fault in faults:
+        for fault in error.errors(include_url=False)[:MAX_FAULTS]:
             key = ".".join(str(part) for part in fault["loc"])
             message = fault["msg"].removeprefix("Value error, ")
             if fault["type"] == "extra_forbidden":
@@ -337,4 +337,6 @@ def validate(model: type[M], data: object, file: str) -> M:
             lines.append((key, message))
         first, *rest = lines
         text = first[1] + "".join(f"\n  {key}: {message}" for key, message in rest)
+        if (more := error.error_count() - MAX_FAULTS) > 0:
+            text += f"\n  and {more} more"
         raise ConfigError(file, first[0], text) from None

@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.config import MAX_YAML_BYTES, MAX_YAML_DEPTH, ArmConfig, parse_yaml, validate
+from armctl.config import MAX_YAML_BYTES, MAX_YAML_DEPTH, ArmConfig, Config, parse_yaml, validate
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, load_arm
 
@@ -91,3 +91,10 @@ def test_a_gripper_does_not_make_logs_foreign() -> None:
 def test_a_gripper_that_cannot_work_is_refused_with_the_reason(refused: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=refused["says"]):
         arm_with(GRIPPER | refused.get("gripper", {}), **refused.get("joint", {}))
+
+
+def test_a_thousand_faults_are_counted_and_not_listed() -> None:
+    with pytest.raises(ConfigError) as caught:
+        validate(Config, {f"key{number}": 1 for number in range(1000)}, "armctl.yaml")
+    assert "and 980 more" in str(caught.value)
+    assert str(caught.value).count("unknown key") == 20

@@ -33,7 +33,7 @@ class AsyncClient(Protocol):
     def __init__(self, path: str | Path | None = None) -> None:
         super().__init__(path)
         self._waiting: dict[int, asyncio.Future[Message]] = {}
-        self._notifications: asyncio.Queue[Notification | None] = asyncio.Queue(MAX_WAITING_NOTIFICATIONS)
+        self._opening = asyncio.Lock()
 
     @classmethod
     async def connect(cls, path: str | Path | None = None) -> Self:
@@ -45,12 +45,16 @@ class AsyncClient(Protocol):
             NoDaemon: nobody answers there.
         """
         client = cls(path)
-        try:
-            client._reader, client._writer = await asyncio.open_unix_connection(client.path, limit=MAX_LINE_BYTES)
-        except OSError as error:
-            raise client.no_daemon(error) from None
-        client._receiving = asyncio.create_task(client._receive())
+        await client._open()
         return client
+
+    async def _open(self) -> None:
+        try:
+            self._reader, self._writer = await asyncio.open_unix_connection(self.path, limit=MAX_LINE_BYTES)
+        except OSError as error:
+            raise self.no_daemon(error) from None
+        self._notifications: asyncio.Queue[Notification | None] = asyncio.Queue(MAX_WAITING_NOTIFICATIONS)
+        self._receiving = asyncio.create_task(self._receive())
 
     async def __aenter__(self) -> Self:
         return self
@@ -78,6 +82,10 @@ class AsyncClient(Protocol):
             ArmctlError: whatever the daemon answered.
             NoDaemon: it is gone.
         """
+        async with self._opening:
+            if self.closed and not self._last_id:
+                self._writer.close()
+                await self._open()  # the daemon keeps no connection that asks nothing for long
         if self.closed:
             raise self.no_daemon("the connection is closed")
         line = self.request(method, params)

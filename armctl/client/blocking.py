@@ -10,6 +10,7 @@ What fails in the daemon is raised here as the same error. One connection is one
 """
 
 import json
+import select
 import socket
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -35,13 +36,7 @@ class Client(Protocol):
         self._timeout_s = timeout_s
         self._received = bytearray()
         self._notifications: deque[Notification] = deque(maxlen=MAX_WAITING_NOTIFICATIONS)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(timeout_s)
-        try:
-            self._socket.connect(str(self.path))
-        except OSError as error:
-            self._socket.close()
-            raise self.no_daemon(error) from None
+        self._connect()
 
     def __enter__(self) -> Self:
         return self
@@ -61,6 +56,9 @@ class Client(Protocol):
             ArmctlError: whatever the daemon answered.
             NoDaemon: it is gone, or does not answer in time.
         """
+        if not self._last_id and select.select([self._socket], [], [], 0.0)[0]:
+            self.close()  # the daemon keeps no connection that asks nothing for long
+            self._connect()
         line = self.request(method, params)
         try:
             self._socket.sendall(line)
@@ -89,6 +87,15 @@ class Client(Protocol):
                 yield self._notifications.popleft()
             if (told := self.notification(self._receive())) is not None:
                 yield told
+
+    def _connect(self) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(self._timeout_s)
+        try:
+            self._socket.connect(str(self.path))
+        except OSError as error:
+            self._socket.close()
+            raise self.no_daemon(error) from None
 
     def _receive(self) -> Message:
         while (end := self._received.find(b"\n")) < 0:

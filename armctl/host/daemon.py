@@ -176,6 +176,7 @@ async def _parts(
         outside.clock,
         on_close=methods.client_gone,
         may_command=partial(may_command, commanders=config.commanders),
+        holds_lease=host.leases.held_by,
     )
     return host, server, recorder
 

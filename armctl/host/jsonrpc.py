@@ -11,6 +11,7 @@ Rules.
 
 import json
 import math
+import re
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -25,6 +26,10 @@ METHOD_NOT_FOUND = -32601
 INVALID_PARAMS = -32602
 INTERNAL_ERROR = -32603
 ARMCTL_ERROR = -32000
+
+_STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"')
+_AS_LISTS = bytes.maketrans(b"{}", b"[]")
+_NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 RequestId = int | str | None
 
@@ -95,7 +100,7 @@ def strict_json(line: bytes) -> object:
     except (ValueError, RecursionError) as error:
         text = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise ProtocolError(PARSE_ERROR, f"not strict JSON: {text[:200]}") from None
-    if _deeper_than(message, MAX_DEPTH):
+    if _deeper_than(line, MAX_DEPTH):
         raise ProtocolError(PARSE_ERROR, f"not strict JSON: nested more than {MAX_DEPTH} deep")
     if b"\\u" in line:
         try:
@@ -125,12 +130,12 @@ def _no_constant(text: str) -> NoReturn:
     raise ValueError(f"{text} is not a number")
 
 
-def _deeper_than(value: object, depth: int) -> bool:
-    """Whether objects and lists stand in one another more than `depth` deep."""
-    if not isinstance(value, dict | list):
-        return False
-    inside = value.values() if isinstance(value, dict) else value
-    return depth == 0 or any(_deeper_than(one, depth - 1) for one in inside)
+def _deeper_than(text: bytes, depth: int) -> bool:
+    """Whether objects and lists stand in one another more than `depth` deep in a text that is JSON."""
+    brackets = _STRING.sub(b"", text).translate(_AS_LISTS, _NO_BRACKETS)
+    for _ in range(depth):
+        brackets = brackets.replace(b"[]", b"")  # the innermost ones
+    return bool(brackets)
 
 
 def _shown(value: object) -> str:
@@ -183,20 +188,3 @@ def error_data(error: ArmctlError) -> dict[str, Any]:
         "type": type(error).__name__,
         "fields": {key: list(value) if isinstance(value, tuple) else value for key, value in vars(error).items()},
     }
-
-
-class TokenBucket:
-    """Allowance of `rate` requests a second with bursts up to `burst`; time is an argument."""
-
-    def __init__(self, rate: float, burst: float, now_s: float) -> None:
-        self._rate, self._burst = rate, burst
-        self._tokens, self._since_s = burst, now_s
-
-    def take(self, now_s: float) -> bool:
-        """Whether one more request is allowed now."""
-        self._tokens = min(self._burst, self._tokens + (now_s - self._since_s) * self._rate)
-        self._since_s = now_s
-        if self._tokens < 1.0:
-            return False
-        self._tokens -= 1.0
-        return True

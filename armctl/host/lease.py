@@ -62,6 +62,9 @@ class Leases:
         """From a request on, until `end`, the client commands."""
         self.current = Lease(client, what)
 
+    def held_by(self, client: Client) -> bool:
+        return self.current is not None and self.current.client is client
+
     def end(self, what: str) -> None:
         """End a lasting lease, if it is that."""
         if self.current is not None and self.current.what == what:

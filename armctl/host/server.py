@@ -2,16 +2,20 @@
 
 Rules.
 1. A connection's requests are served side by side, so that `stop` never waits behind a `run`.
-2. Every request costs a token; without one it is refused, save methods marked `always` (`stop`, `hold`).
-   After each line the other connections get their turn, so a flood slows down nobody but its sender.
+2. Every line is charged by its bytes before it is parsed (`allowance.py`); a request that is not paid for is refused,
+   save methods marked `always` (`stop`, `hold`). After each line the other connections get their turn, so a flood
+   slows down nobody but its sender.
 3. What is waiting to be sent is bounded: snapshots by dropping the oldest and counting the gap, answers by
-   cutting the connection. A client that takes nothing for `STALL_S` is cut.
+   cutting the connection. A client that takes nothing for `STALL_S` is cut. So is one that has sent no whole request
+   within `IDLE_S` of connecting, and one that leaves a line unfinished for `LINE_S`; who has asked once may be silent.
 4. A client who may not command may look: it is served the methods that `observes`, and those marked `always`.
-5. End of file means the client is gone. What it began is told so (`on_close`); answers still due are sent.
+5. A user has so many places, and all users together (`allowance.py`); who has to make room is told why.
+6. End of file means the client is gone. What it began is told so (`on_close`); answers still due are sent.
 """
 
 import asyncio
 import logging
+import math
 import socket
 import struct
 from collections import deque
@@ -24,13 +28,16 @@ from pydantic import BaseModel
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import validate
 from armctl.errors import ArmctlError, ConfigError, RequestRefused
-from armctl.host import jsonrpc
-from armctl.host.jsonrpc import ProtocolError, Request, TokenBucket
+from armctl.host import allowance, jsonrpc
+from armctl.host.allowance import Account, TokenBucket, make_room
+from armctl.host.jsonrpc import ProtocolError, Request
 
-RATE = 200.0
-BURST = 400.0
 STALL_S = 5.0
-MAX_CONNECTIONS = 64
+IDLE_S = 10.0
+LINE_S = 5.0
+# How many are let in at one turn, so that a crowd does not hold up who is there; the others wait in the kernel.
+ACCEPTED = 8
+WAITING = 512
 MAX_SNAPSHOTS = 64
 MAX_UNSENT_BYTES = 1 << 20
 MAX_REQUESTS = 32
@@ -44,14 +51,18 @@ logger = logging.getLogger(__name__)
 class Connection:
     """One client: who it is, and what is to be sent to it."""
 
-    def __init__(self, writer: asyncio.StreamWriter, bucket: TokenBucket, may_command: MayCommand) -> None:
+    def __init__(
+        self, writer: asyncio.StreamWriter, may_command: MayCommand, holds_lease: Callable[["Connection"], bool]
+    ) -> None:
         peer = writer.get_extra_info("socket")
         # Process, user and group at the other end, an int each.
         pid, self.uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
         self.name = f"pid {pid} (uid {self.uid})"
         self.commands = may_command(self.uid)
-        self.bucket = bucket
+        self.asked = False
+        self.heard_s = 0.0
         self.subscribed = False
+        self._holds_lease = holds_lease
         self.requests: set[asyncio.Task[None]] = set()
         self._writer = writer
         self._lines: deque[bytes] = deque()
@@ -62,6 +73,19 @@ class Connection:
         self._wake = asyncio.Event()
         # Whatever the kernel has not taken counts as no progress.
         writer.transport.set_write_buffer_limits(high=0)
+
+    @property
+    def closing(self) -> bool:
+        return self._writer.transport.is_closing()
+
+    @property
+    def commanding(self) -> bool:
+        """Whether the arm does what this client wants."""
+        return self._holds_lease(self)
+
+    @property
+    def in_use(self) -> bool:
+        return self.subscribed or bool(self.requests) or self.commanding
 
     def send(self, line: bytes) -> None:
         """Send an answer or a notification that must not get lost; cuts a client that lets them pile up."""
@@ -90,9 +114,15 @@ class Connection:
 
     def cut(self, why: str) -> None:
         """Close at once."""
-        if not self._writer.transport.is_closing():
+        if not self.closing:
             logger.warning("client %s is cut: %s", self.name, why)
         self._writer.transport.abort()
+
+    def dismiss(self, last_words: RequestRefused) -> None:
+        """Close at once, with a last line if the client takes it."""
+        self._writer.write(jsonrpc.error_line(None, last_words))
+        self._writer.transport.abort()
+        logger.info("%s", last_words)
 
     async def send_all(self) -> None:
         """Send what comes until finished, cut or gone; then the transport is closed."""
@@ -144,18 +174,26 @@ class Server:
         clock: Clock,
         on_close: Callable[[Connection], None],
         may_command: MayCommand,
+        holds_lease: Callable[[Connection], bool] = lambda _: False,
     ) -> None:
         self._methods = methods
+        self._holds_lease = holds_lease
         self._may_command = may_command
         self._clock = clock
         self._on_close = on_close
-        self._connections: set[Connection] = set()
+        # The oldest first.
+        self._connections: dict[Connection, None] = {}
+        # By uid; kept, so that nobody gets a new allowance by leaving.
+        self._users: dict[int, TokenBucket] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
 
     async def start(self, listening: socket.socket) -> None:
         """Accept connections on a bound socket."""
-        self._server = await asyncio.start_unix_server(self._accept, sock=listening, limit=jsonrpc.MAX_LINE_BYTES)
+        self._server = await asyncio.start_unix_server(
+            self._accept, sock=listening, limit=jsonrpc.MAX_LINE_BYTES, backlog=ACCEPTED
+        )
+        listening.listen(WAITING)
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         # A task of asyncio's own would leave a traceback in the log where `close` has to cancel it.
@@ -188,20 +226,23 @@ class Server:
                 connection.send_snapshot(body)
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        bucket = TokenBucket(RATE, BURST, self._now_s())
-        connection = Connection(writer, bucket, self._may_command)
-        sender = asyncio.create_task(connection.send_all())
-        if len(self._connections) >= MAX_CONNECTIONS:
-            refusal = RequestRefused("BUSY", f"{MAX_CONNECTIONS} clients are connected already; close one")
-            connection.send(jsonrpc.error_line(None, refusal))
-            connection.finish()
-            await sender
+        connection = Connection(writer, self._may_command, self._holds_lease)
+        connection.heard_s = now_s = self._now_s()
+        try:
+            if (victim := make_room(self._connections, connection.uid)) is not None:
+                del self._connections[victim]
+                victim.dismiss(_displaced(victim, connection))
+        except RequestRefused as refusal:
+            connection.dismiss(refusal)
             return
-        self._connections.add(connection)
+        bucket = TokenBucket(allowance.USER_RATE, allowance.USER_BURST, now_s)
+        account = Account(self._users.setdefault(connection.uid, bucket), now_s)
+        sender = asyncio.create_task(connection.send_all())
+        self._connections[connection] = None
         logger.info("client %s connected", connection.name)
         try:
             try:
-                await self._read(connection, reader)
+                await self._read(connection, account, reader)
             finally:
                 connection.subscribed = False
                 self._on_close(connection)
@@ -213,30 +254,58 @@ class Server:
             for request in connection.requests:
                 request.cancel()
             sender.cancel()
-            self._connections.discard(connection)
+            self._connections.pop(connection, None)
             logger.info("client %s is gone", connection.name)
 
-    async def _read(self, connection: Connection, reader: asyncio.StreamReader) -> None:
-        """Dispatch lines until the client is gone or sends one that is too long."""
+    async def _read(self, connection: Connection, account: Account, reader: asyncio.StreamReader) -> None:
+        """Dispatch lines until the client is gone, takes too long over one, or sends one that is too long."""
+        loop = asyncio.get_running_loop()
+        idle_until_s, line_until_s = loop.time() + IDLE_S, math.inf
+        unfinished = b""
         while True:
+            until_s = line_until_s if connection.asked else min(idle_until_s, line_until_s)
             try:
-                line = await reader.readuntil(b"\n")
-            except asyncio.LimitOverrunError:
+                async with asyncio.timeout_at(until_s if until_s < math.inf else None):
+                    data = await reader.read(jsonrpc.MAX_LINE_BYTES)
+            except TimeoutError:
+                connection.dismiss(_too_slow(connection, len(unfinished)))
+                return
+            except ConnectionError:
+                return
+            if not data:
+                return
+            *lines, rest = (unfinished + data).split(b"\n")
+            for line in lines:
+                if len(line) > jsonrpc.MAX_LINE_BYTES or connection.closing:
+                    break
+                await asyncio.sleep(self._dispatch(connection, account, line))
+            if max(map(len, (*lines, rest))) > jsonrpc.MAX_LINE_BYTES:
                 problem = f"a line is longer than {jsonrpc.MAX_LINE_BYTES} bytes; the connection is closed"
                 connection.send(jsonrpc.error_line(None, ProtocolError(jsonrpc.PARSE_ERROR, problem)))
                 return
-            except (asyncio.IncompleteReadError, ConnectionError):
-                return
-            self._dispatch(connection, line)
-            await asyncio.sleep(0)
+            if not rest:
+                line_until_s = math.inf
+            elif lines or not unfinished:
+                line_until_s = loop.time() + LINE_S
+            unfinished = rest
 
-    def _dispatch(self, connection: Connection, line: bytes) -> None:
-        paid = connection.bucket.take(self._now_s())
+    def _dispatch(self, connection: Connection, account: Account, line: bytes) -> float:
+        """Begin what a line asks for; how long the connection rests after it [s]."""
+        connection.heard_s = now_s = self._now_s()
+        paid, rest_s = account.charge(len(line), now_s)
+        if paid or len(line) <= allowance.SHORT_BYTES:
+            self._begin(connection, line, paid)
+        else:
+            connection.send(jsonrpc.error_line(None, _unpaid(len(line))))
+        return rest_s
+
+    def _begin(self, connection: Connection, line: bytes, paid: bool) -> None:
         try:
             request = jsonrpc.decode(line)
         except ProtocolError as error:
             connection.send(jsonrpc.error_line(error.id, error))
             return
+        connection.asked = True
         try:
             method = self._admit(connection, request, paid)
             params = _parameters(method, request)
@@ -260,7 +329,9 @@ class Server:
                 "`commanders` in the daemon's configuration",
             )
         if not paid and not method.always:
-            raise RequestRefused("RATE_LIMIT", f"more than {RATE:g} requests a second; wait (`stop` is served always)")
+            raise RequestRefused(
+                "RATE_LIMIT", f"more than {allowance.RATE:g} requests a second; wait (`stop` is served always)"
+            )
         bound = MAX_ALWAYS_REQUESTS if method.always else MAX_REQUESTS
         if len(connection.requests) >= bound:
             raise RequestRefused("RATE_LIMIT", f"{bound} requests of this client are under way already; wait")
@@ -268,6 +339,31 @@ class Server:
 
     def _now_s(self) -> float:
         return self._clock.now_ns() / NS_PER_S
+
+
+def _unpaid(size: int) -> RequestRefused:
+    short, long_bytes_s = size // allowance.TOKEN_BYTES, allowance.USER_RATE * allowance.TOKEN_BYTES
+    return RequestRefused(
+        "RATE_LIMIT",
+        f"a line of {size} bytes is not read: it costs as much as {short} short ones; a connection has "
+        f"{allowance.RATE:g} of these a second, and its user {long_bytes_s:.0f} bytes of long lines; wait",
+    )
+
+
+def _displaced(victim: Connection, newcomer: Connection) -> RequestRefused:
+    return RequestRefused(
+        "BUSY",
+        f"{victim.name} gives its place to {newcomer.name}: {allowance.USER_PLACES} connections a user or "
+        f"{allowance.PLACES} in all are open, and it was silent longest; connect again when there is something to ask",
+    )
+
+
+def _too_slow(connection: Connection, unfinished: int) -> RequestRefused:
+    if unfinished:
+        what = f"its line of {unfinished} bytes so far is not finished after {LINE_S:g} s; send a request at once"
+    else:
+        what = f"it sent no whole request within {IDLE_S:g} s; connect when there is something to ask"
+    return RequestRefused("IDLE", f"{connection.name} is disconnected: {what}")
 
 
 def _parameters(method: Method, request: Request) -> BaseModel:

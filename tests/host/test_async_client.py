@@ -55,6 +55,27 @@ async def test_a_daemon_that_goes_ends_calls_and_notifications(tmp_path: Path) -
             await client.call("status")
 
 
+async def test_a_client_that_was_sent_away_before_it_asked_anything_connects_again_once(tmp_path: Path) -> None:
+    away = asyncio.Event()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if not away.is_set():
+            writer.write(jsonrpc.error_line(None, RequestRefused("IDLE", "it sent no whole request")))
+            away.set()
+        else:
+            for number in (1, 2):
+                await reader.readline()
+                writer.write(jsonrpc.result_line(number, {"answer": number}))
+        writer.close()
+
+    server = await asyncio.start_unix_server(serve, tmp_path / "sock")
+    async with server, await AsyncClient.connect(tmp_path / "sock") as client:
+        while not client.closed:
+            await asyncio.sleep(0)
+        answers = await asyncio.gather(client.call("status"), client.call("status"))
+        assert [answer["answer"] for answer in answers] == [1, 2]
+
+
 async def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
     snapshots = [jsonrpc.notification_line("snapshot", {"tick": tick}) for tick in range(100)]
     end = jsonrpc.result_line(None, {})

@@ -89,6 +89,28 @@ def test_an_answer_to_no_request_in_particular_is_raised_too(tmp_path: Path) -> 
         client.call("status")
 
 
+def test_a_client_that_was_sent_away_before_it_asked_anything_connects_again(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
+        listening.bind(str(tmp_path / "s"))
+        listening.listen()
+        with Client(tmp_path / "s", timeout_s=PATIENCE_S) as client:
+            away, _ = listening.accept()
+            away.sendall(jsonrpc.error_line(None, errors.RequestRefused("IDLE", "it sent no whole request")))
+            away.close()
+            listening.settimeout(PATIENCE_S)
+
+            def serve() -> None:
+                connection, _ = listening.accept()
+                with connection, connection.makefile("rb") as lines:
+                    lines.readline()
+                    connection.sendall(jsonrpc.result_line(1, {"state": "off"}))
+
+            thread = threading.Thread(target=serve)
+            thread.start()
+            assert client.call("status") == {"state": "off"}
+            thread.join(PATIENCE_S)
+
+
 def test_parameters_and_results_pass_as_they_are(tmp_path: Path) -> None:
     with daemon(tmp_path, jsonrpc.result_line(1, {"name": "z"})) as (client, asked):
         assert client.call("recordings_rename", name="a", to="z") == {"name": "z"}

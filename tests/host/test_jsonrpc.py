@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl.host import jsonrpc
-from armctl.host.jsonrpc import MAX_DEPTH, MAX_LINE_BYTES, ProtocolError, TokenBucket, decode
+from armctl.host.jsonrpc import MAX_DEPTH, MAX_LINE_BYTES, ProtocolError, decode
 
 
 def request(**changes: Any) -> bytes:
@@ -113,16 +113,17 @@ def test_a_defect_shows_no_more_than_its_kind() -> None:
     assert "secret" not in json.dumps(answer)
 
 
-@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=300))
-def test_a_token_bucket_never_grants_more_than_burst_and_rate(steps_s: list[float]) -> None:
-    bucket, now_s, granted = TokenBucket(20.0, 10.0, 0.0), 0.0, 0
-    for step_s in steps_s:
-        now_s += step_s
-        granted += bucket.take(now_s)
-        assert granted <= 10.0 + 20.0 * now_s + 1e-6
+def depth(value: object) -> int:
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
+    return 0 if inside is None else 1 + max(map(depth, inside), default=0)
 
 
-def test_a_token_bucket_serves_a_burst_and_then_the_rate() -> None:
-    bucket = TokenBucket(200.0, 400.0, 0.0)
-    assert sum(bucket.take(0.0) for _ in range(1000)) == 400
-    assert sum(bucket.take(1.0) for _ in range(1000)) == 200
+@given(
+    st.recursive(
+        st.text('a"\\[]{}') | st.none(), lambda inner: st.lists(inner) | st.dictionaries(st.text("[}"), inner)
+    ),
+    st.integers(0, 6),
+)
+def test_a_text_is_as_deep_as_its_value(value: object, bound: int) -> None:
+    text = json.dumps(value).encode()
+    assert jsonrpc._deeper_than(text, bound) == (depth(value) > bound)

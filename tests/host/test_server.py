@@ -1,15 +1,19 @@
 """Connections: refusals by name, floods, slow readers, gaps, and the end of a client."""
 
 import asyncio
+import json
 import os
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from armctl.clock import NS_PER_S, MonotonicClock
 from armctl.host import jsonrpc, server
-from armctl.host.server import BURST, MAX_SNAPSHOTS
+from armctl.host.allowance import BURST, USER_PLACES
+from armctl.host.server import MAX_SNAPSHOTS
 from tests.host.peers import PATIENCE_S, Bench, bench, until
 
 
@@ -184,13 +188,107 @@ async def test_a_half_closed_client_gets_its_answers(b: Bench) -> None:
     assert await b.peer.ended()
 
 
-async def test_too_many_clients_are_refused_in_words(b: Bench) -> None:
-    for _ in range(server.MAX_CONNECTIONS - 1):
+async def test_one_client_too_many_takes_the_place_of_the_one_that_never_asked(b: Bench) -> None:
+    await b.peer.call("look")
+    first = await b.connect()
+    for _ in range(USER_PLACES - 2):
         await b.connect()
-    await until(lambda: len(b.server._connections) == server.MAX_CONNECTIONS)
+    await until(lambda: len(b.server._connections) == USER_PLACES)
     late = await b.connect()
-    assert (await late.receive())["error"]["data"]["code"] == "BUSY"
+    assert "result" in await late.call("stop")
+    error = (await first.receive())["error"]
+    assert error["data"]["code"] == "BUSY"
+    assert f"{USER_PLACES} connections a user" in error["message"]
+    assert await first.ended()
+    assert len(b.server._connections) == USER_PLACES
+    assert "result" in await b.peer.call("look")
+
+
+async def test_too_many_clients_that_all_want_something_are_refused_in_words(b: Bench) -> None:
+    for _ in range(USER_PLACES - 1):
+        await (await b.connect()).call("subscribe")
+    await b.peer.call("subscribe")
+    late = await b.connect()
+    error = (await late.receive())["error"]
+    assert error["data"]["code"] == "BUSY"
+    assert all(word in error["message"] for word in (f"uid {os.getuid()}", str(USER_PLACES), "armctl stop"))
     assert await late.ended()
+
+
+async def test_a_place_that_was_given_up_is_free_at_once_though_its_client_reads_nothing(b: Bench) -> None:
+    for _ in range(3 * USER_PLACES):
+        await b.connect()
+    await until(lambda: len(b.gone) == 2 * USER_PLACES + 1)
+    assert len(b.server._connections) == USER_PLACES
+
+
+async def test_who_never_asks_is_sent_away_with_a_word_and_who_has_asked_or_subscribed_may_be_silent(
+    b: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "IDLE_S", 0.2)
+    subscriber, silent = await b.connect(), await b.connect()
+    await subscriber.call("subscribe")
+    await b.peer.call("look")
+    nonsense = await b.connect()
+    nonsense.send_raw(b"hello\n")
+    assert (await nonsense.receive())["error"]["code"] == jsonrpc.PARSE_ERROR
+    for idle in (silent, nonsense):
+        error = (await idle.receive())["error"]
+        assert error["data"]["code"] == "IDLE"
+        assert all(word in error["message"] for word in (str(os.getpid()), "0.2 s", "connect when"))
+        assert await idle.ended()
+    assert len(b.server._connections) == 2
+    assert "result" in await b.peer.call("echo", number=1)
+
+
+async def test_a_line_left_unfinished_ends_the_connection_however_often_a_byte_comes(
+    b: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "LINE_S", 0.2)
+    await b.peer.call("look")
+
+    async def trickle() -> None:
+        while not b.peer.writer.is_closing():
+            b.peer.send_raw(b" ")
+            await asyncio.sleep(0.02)
+
+    trickling = asyncio.create_task(trickle())
+    error = (await b.peer.receive())["error"]
+    assert error["data"]["code"] == "IDLE"
+    assert all(word in error["message"] for word in ("0.2 s", "bytes", "at once"))
+    await until(lambda: len(b.gone) == 1)
+    trickling.cancel()
+
+
+@given(cuts=st.lists(st.integers(0, 200), max_size=20))
+@settings(max_examples=20, deadline=None)
+def test_requests_are_the_same_wherever_their_bytes_are_cut(cuts: list[int]) -> None:
+    async def ask() -> list[int]:
+        async with bench() as b:
+            whole = b"".join(
+                json.dumps({"jsonrpc": "2.0", "id": n, "method": "echo", "params": {"number": n}}).encode() + b"\n"
+                for n in range(3)
+            )
+            ends = sorted({min(cut, len(whole)) for cut in cuts} | {len(whole)})
+            for begin, end in zip([0, *ends], ends, strict=False):
+                b.peer.send_raw(whole[begin:end])
+                await asyncio.sleep(0)
+            return [(await b.peer.receive())["result"]["number"] for _ in range(3)]
+
+    assert asyncio.run(ask()) == [0, 1, 2]
+
+
+async def test_a_long_line_that_is_not_paid_for_is_refused_unread_and_stop_is_served_behind_it(b: Bench) -> None:
+    # Each is refused as unread or as no request, which tells whether it was parsed.
+    for _ in range(10):
+        b.peer.send_raw(b"[" + b" " * 65000 + b"]\n")
+    b.peer.send("stop", 7)
+    codes = []
+    while (answer := await b.peer.receive())["id"] != 7:
+        codes.append(answer["error"]["data"]["code"])
+    assert "result" in answer
+    assert codes[1:] == ["RATE_LIMIT"] * 9
+    assert codes[0] != "RATE_LIMIT"
 
 
 async def test_clients_are_known_by_process_and_user(b: Bench) -> None:
