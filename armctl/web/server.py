@@ -31,6 +31,7 @@ def serve(
         import uvicorn
 
         from armctl.web.app import create_app
+        from armctl.web.crowd import Connection
     except ImportError as error:
         raise ArmctlError(f"the dashboard needs {error.name}; install it with: pip install 'armctl[web]'") from None
 
@@ -46,7 +47,8 @@ def serve(
         proxy_headers=False,
         ws_max_size=4096,
         ws_max_queue=4,
-        limit_concurrency=64,
+        http=Connection,
+        backlog=128,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=2,
     )
