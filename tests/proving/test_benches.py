@@ -1,11 +1,13 @@
 """The benches run, and say what they say they say; their figures mean nothing on a machine that runs tests."""
 
 import os
+import sys
 import time
 
 import pytest
 
-from proving import bus_bench, jitter_bench, sim_bench, web_bench
+from armctl.errors import ArmctlError
+from proving import bus_bench, jitter_bench, sim_bench, start_bench, web_bench
 
 
 def test_wire_time_is_the_bytes_and_the_return_delays() -> None:
@@ -60,3 +62,20 @@ def test_web_bench_watches_like_a_page_and_weighs_web_and_control() -> None:
     assert values["nobody looks", "control"] > 0.0
     assert 1.0 < values["first page", "index, script, style, packed"] < 100.0
     assert len(result["checks"]) >= 4
+
+
+@pytest.mark.pty
+def test_start_bench_weighs_whole_processes_side_by_side() -> None:
+    result = start_bench.bench(seed=1, rounds=1)
+    assert [row["who"] for row in result["rows"]] == ["python3 -c pass", "armctl stop"] * 2
+    assert min(row["value"] for row in result["rows"]) > 0.0
+    assert [row["ratio"] for row in result["rows"]][::2] == [1.0, 1.0]
+    [check] = result["checks"]
+    assert check["value"] == pytest.approx(result["rows"][1]["value"] - result["rows"][0]["value"])
+    assert (check["bound"], check["ok"]) == (80.0, check["value"] <= 80.0)
+    assert result["violations"] == (not check["ok"])
+
+
+def test_start_bench_says_what_a_command_that_fails_said() -> None:
+    with pytest.raises(ArmctlError, match="exit status 3"):
+        start_bench._run([sys.executable, "-c", "import sys; sys.exit(3)"])

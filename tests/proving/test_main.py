@@ -42,6 +42,19 @@ def test_all_benches_make_one_object(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "held   c: 1.000, bound 2" in shown.stdout
 
 
+@pytest.mark.parametrize(("violations", "status"), [(0, 0), (1, 1)])
+@pytest.mark.parametrize("how", [(), ("--json",)])
+def test_a_bench_that_counts_violations_fails_on_them(
+    monkeypatch: pytest.MonkeyPatch, violations: int, status: int, how: tuple[str, ...]
+) -> None:
+    check = {"name": "c", "value": 1.0 + violations, "bound": 1.0, "ok": not violations}
+    answer = {"rows": [], "checks": [check], "violations": violations, "seed": 1}
+    monkeypatch.setitem(proving.BENCHES, "start", lambda _: answer)
+    result = CliRunner().invoke(proving.main, ["bench", "start", *how])
+    assert result.exit_code == status
+    assert ("MISSED" in result.stdout) == (bool(violations) and not how)
+
+
 def test_a_missing_peer_is_one_sentence_and_no_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
