@@ -1,14 +1,17 @@
-"""A daemon under load: 1,000 requests a second, 16 subscribers that read nothing, every core busy with something else.
+"""A daemon and its dashboard under load: 1,000 requests a second, 16 subscribers that read nothing and 50 that do, 64
+idle connections, 20 that send lines of 64 KiB, 70 half-sent HTTP requests, every core busy with something else.
 
 Several clients ask for the status at an even pace, each in a process of its own; the stalled subscribers have filled
 their sockets before anything counts, and come again whenever the daemon cuts them off; another client says `stop`
-again and again, three times while the arm holds and then while it moves. Judged:
+again and again, three times while the arm holds and then while it moves. In between, others stop the arm by every way,
+each over a fresh connection (`crowd.py`). Judged:
 
 1. No tick is skipped or begins more than 50 ms late: by the log, which the control process's own records fill.
 2. Every `stop` of a holding arm is answered within 100 ms. One of a moving arm is in the hands of the control step
    within a period and 50 ms, and answered, the arm being still, at most 300 ms after that.
 3. 99 of 100 `status` requests are answered within 50 ms, and every single one is answered.
 4. No fault latches.
+5. By every way 99 of 100 stops are answered within 50 ms of their connect, each within 100 ms.
 
 A request counts from when it was due, not from when the client came to send it. The clients ask for real-time
 priority, so that what they measure is the daemon's time and not their own. The achieved rate is told; less than 95 % of
@@ -16,7 +19,7 @@ the wanted one is a violation too.
 
 How soon the daemon's host answers, which has no real-time priority, depends on who else wants the processors. Where
 programs that are none of this proof have used more than a tenth of a core meanwhile (by the kernel's accounts), points
-2 to 4 are told (`unjudged`), and only what must hold whatever the machine is busy with is judged: point 1.
+2 to 5 are told (`unjudged`), and only what must hold whatever the machine is busy with is judged: point 1.
 """
 
 from __future__ import annotations
@@ -31,21 +34,21 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from multiprocessing.synchronize import Barrier
+from multiprocessing.synchronize import Barrier, Lock
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from armctl.client import Client
 from armctl.errors import ArmctlError
 from armctl.files import load_arm
-from armctl.lab.demo import program
 from armctl.recording import reader
 from armctl.recording.channels import COMMAND, CYCLE, ROSOUT, SERVOS, parse_record
+from proving.crowd import CROWD, PATIENCE_S, START_S, WAYS, Place, Stalled, Stopped, crowded, stop_by_ways, stop_typed
+from proving.dashboard import dashboard
 from proving.jitter_bench import busy, cpu_s
 from proving.rig import ARM, OtherWork, hold
 
@@ -62,6 +65,9 @@ MOVING_S = 0.6
 # How far the last joint, which nothing hangs on, moves from its rest.
 SWAY_RAD = math.radians(20.0)
 STOP_BOUND_MS = 100.0
+# By any way, from its connect.
+WAY_P99_BOUND_MS = 50.0
+WAY_BOUND_MS = 100.0
 TAKEN_BOUND_MS = 150.0
 STILL_BOUND_MS = 300.0
 STATUS_BOUND_MS = 50.0
@@ -73,9 +79,7 @@ ALWAYS = ("lateness_ms_max", "skipped_ticks")
 # From the first request to the first that counts.
 SETTLE_S = 2.0
 DRAIN_S = 2.0
-PATIENCE_S = 20.0
-# Answers that each stalled subscriber leaves unread from the first: as many as fill a socket.
-FILLING = 200
+TELL_EVERY_S = 5.0
 
 
 def prove(
@@ -84,43 +88,63 @@ def prove(
     rate_hz: float = RATE_HZ,
     stalled: int = STALLED,
     hogs: int = HOGS,
+    crowd: Mapping[str, int] = CROWD,
     tell: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Load a daemon on a simulated arm for so long; one object of figures."""
     with tempfile.TemporaryDirectory(prefix="armctl-") as name, contextlib.ExitStack() as cleanup:
         folder = Path(name)
-        port, daemon_socket, config = folder / "servos", folder / "daemon.sock", folder / "armctl.yaml"
-        config.write_text(yaml.safe_dump({"port": str(port), "arm": ARM, "data_dir": str(folder)}), encoding="utf-8")
-        cleanup.enter_context(program(folder / "simulator.log", "sim", "--link", str(port), "--seed", str(seed)))
-        daemon = contextlib.ExitStack()
-        cleanup.callback(daemon.close)
-        command = ("daemon", "--config", str(config), "--socket", str(daemon_socket))
-        host = daemon.enter_context(program(folder / "daemon.log", *command))
-        with Client(daemon_socket, timeout_s=PATIENCE_S) as client:
+        programs = contextlib.ExitStack()
+        cleanup.callback(programs.close)
+        running = programs.enter_context(dashboard(folder, seed))
+        place = Place(str(running.socket), running.port, running.token)
+        with Client(running.socket, timeout_s=PATIENCE_S) as client:
             hold(client, PATIENCE_S)
-            control_pid = client.call("status")["pids"]["control"]
+            pids = {
+                "host": running.daemon.pid,
+                "control": client.call("status")["pids"]["control"],
+                "web": running.web.pid,
+            }
         context = multiprocessing.get_context("spawn")
-        there = context.Barrier(CLIENTS + 2)
-        pool = cleanup.enter_context(context.Pool(CLIENTS + 1, _arrive, (there,)))
-        there.wait(PATIENCE_S)  # every client process has started before anything is measured
-        with busy(hogs, SETTLE_S + seconds + DRAIN_S), _Stalled(daemon_socket, stalled) as crowd:
+        there, still = context.Barrier(CLIENTS + 4), context.Lock()
+        pool = cleanup.enter_context(context.Pool(CLIENTS + 3, _arrive, (there, still)))
+        there.wait(START_S)  # every client process has started before anything is measured
+        with (
+            busy(hogs, SETTLE_S + seconds + DRAIN_S),
+            crowded(place, crowd) as tallies,
+            Stalled(running.socket, stalled) as unread,
+        ):
             begin_s = time.monotonic() + 0.5
             counting_s, end_s = begin_s + SETTLE_S, begin_s + SETTLE_S + seconds
             asked = [
-                pool.apply_async(_ask, (str(daemon_socket), begin_s + i / rate_hz, CLIENTS / rate_hz, end_s))
+                pool.apply_async(_ask, (place.socket, begin_s + i / rate_hz, CLIENTS / rate_hz, end_s))
                 for i in range(CLIENTS)
             ]
-            stopping = pool.apply_async(_stop_often, (str(daemon_socket), counting_s, end_s))
+            stopping = pool.apply_async(_stop_often, (place.socket, counting_s, end_s))
+            by_way = [pool.apply_async(_stop_by, (typed, place, counting_s, end_s)) for typed in (False, True)]
             time.sleep(max(0.0, counting_s - time.monotonic()))
             other_work = OtherWork()
-            before_s = {pid: cpu_s(pid) for pid in (host.pid, control_pid)}
-            time.sleep(max(0.0, end_s - time.monotonic()))
-            used = {pid: (cpu_s(pid) - before) / seconds for pid, before in before_s.items()}
+            before_s = {who: cpu_s(pid) for who, pid in pids.items()}
+            while (left_s := end_s - time.monotonic()) > 0.0:
+                tell(f"{seconds - left_s:3.0f} of {seconds:g} s; {_told(tallies)}")
+                time.sleep(min(TELL_EVERY_S, left_s))
+            used = {who: (cpu_s(pid) - before_s[who]) / seconds for who, pid in pids.items()}
             other_cores = other_work.cores()
             stops = stopping.get()
+            ways = [stop for one in by_way for stop in one.get()]
             answers = [answer for one in asked for answer in one.get()]
-            connections, cuts = crowd.connections, crowd.cuts
-        daemon.close()  # and with it the log
+            connections, cuts = unread.connections, unread.cuts
+            crowds = [
+                {
+                    "crowd": kind,
+                    "of": crowd[kind],
+                    "connections": tally[0],
+                    "sent_away": tally[1],
+                    "MiB": tally[2] >> 20,
+                }
+                for kind, tally in tallies.items()
+            ]
+        programs.close()  # and with it the log
         log = _Log(folder / "logs", counting_s, end_s)
         late = log.figures()
         held_ms = [1e3 * (stop.answer_s - stop.sent_s) for stop in stops if not stop.moving]
@@ -130,7 +154,7 @@ def prove(
     counted = [(due_s, answer_s) for due_s, answer_s in answers if counting_s <= due_s < end_s]
     status_ms = [1e3 * (answer_s - due_s) for due_s, answer_s in counted if answer_s < math.inf]
     result: dict[str, Any] = {
-        "runs": len(counted) + len(stops),
+        "runs": len(counted) + len(stops) + len(ways),
         "request_rate_hz": len(status_ms) / seconds,
         "unanswered": len(counted) - len(status_ms),
         "status_ms_p50": _share(status_ms, 50),
@@ -144,9 +168,12 @@ def prove(
         "taken_ms_max": _share(taken_ms, 100),
         "still_ms_p50": _share(still_ms, 50),
         "still_ms_max": _share(still_ms, 100),
+        "ways": [_way(way, ways) for way in WAYS],
+        "unanswered_stops": sum(stop.answered_s == math.inf for stop in ways),
         **late,
         "stalled": {"subscribers": stalled, "connections": connections, "cut": cuts},
-        "cpu": {"host": used[host.pid], "control": used[control_pid]},
+        "crowds": crowds,
+        "cpu": used,
         "other_work_cores": other_cores,
         "seed": seed,
     }
@@ -166,10 +193,15 @@ def _judge(result: dict[str, Any], rate_hz: float) -> tuple[list[str], list[str]
         ("still_ms_max", STILL_BOUND_MS, "ms, the slowest to come to rest"),
         ("status_ms_p99", STATUS_BOUND_MS, "ms, status p99"),
         ("unanswered", 0, "requests without a good answer"),
+        ("unanswered_stops", 0, "stops without a good answer"),
         ("latched", 0, "faults latched"),
     )
     # Written so that a figure that is missing (NaN) is a violation.
     found = {key: f"{result[key]:.1f} {what}; bound {bound}" for key, bound, what in bounds if not result[key] <= bound}
+    for row in result["ways"]:
+        for key, bound in (("ms_p99", WAY_P99_BOUND_MS), ("ms_max", WAY_BOUND_MS)):
+            if not row[key] <= bound:
+                found[f"{row['way']} {key}"] = f"{row[key]:.1f} ms, {key[3:]} of stops by {row['way']}; bound {bound:g}"
     if not result["request_rate_hz"] >= LEAST_RATE * rate_hz:
         found["request_rate_hz"] = f"{result['request_rate_hz']:.0f} requests a second answered of {rate_hz:.0f}"
     alone = result["other_work_cores"] <= OTHER_WORK_CORES
@@ -177,11 +209,33 @@ def _judge(result: dict[str, Any], rate_hz: float) -> tuple[list[str], list[str]
     return judged, [text for text in found.values() if text not in judged]
 
 
-def _arrive(there: Barrier) -> None:
-    """Begin of a client process."""
-    with contextlib.suppress(OSError):  # refused; below the control process's own priority
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    there.wait(PATIENCE_S)
+def _way(way: str, stops: list[Stopped]) -> dict[str, Any]:
+    """What the stops by one way came to."""
+    own = [stop for stop in stops if stop.way == way]
+    ms = [1e3 * (stop.answered_s - stop.connected_s) for stop in own]
+    figures = {f"ms_{name}": _share(ms, percent) for name, percent in (("p50", 50), ("p99", 99), ("max", 100))}
+    whole = {"whole_ms_p50": 1e3 * float(np.median([stop.whole_s for stop in own]))} if way == "typed" and own else {}
+    return {"way": way, "stops": len(own), **figures, **whole}
+
+
+def _told(tallies: Mapping[str, Any]) -> str:
+    return ", ".join(f"{kind} {tally[0]} connected, {tally[1]} sent away" for kind, tally in tallies.items())
+
+
+def _arrive(there: Barrier, still: Lock) -> None:
+    """Begin of a client process; `still` is held by whoever moves the arm, or stops it and counts on its holding."""
+    _ARRIVED.append(still)
+    with contextlib.suppress(OSError):  # refused; below the control process's own priority, which no child has
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    there.wait(START_S)
+
+
+# Of this client process.
+_ARRIVED: list[Lock] = []
+
+
+def _stop_by(typed: bool, place: Place, begin_s: float, end_s: float) -> list[Stopped]:
+    return (stop_typed if typed else stop_by_ways)(place, _ARRIVED[0], begin_s, end_s)
 
 
 def _ask(path: str, begin_s: float, period_s: float, end_s: float) -> list[tuple[float, float]]:
@@ -233,16 +287,17 @@ def _stop_often(path: str, begin_s: float, end_s: float) -> list[_Stop]:
         while due_s < end_s:
             way = threading.Thread(target=_sway, args=(mover, [*rest[:-1], rest[-1] + side * SWAY_RAD]))
             swaying = len(stops) % (HOLDING_STOPS + 1) == HOLDING_STOPS
-            if swaying:
-                way.start()
-                due_s, side = due_s + MOVING_S, -side
-            time.sleep(max(0.0, due_s - time.monotonic()))
-            moving = swaying and client.call("status")["state"] == "moving"
-            sent_s = time.monotonic()
-            client.call("stop")
-            stops.append(_Stop(moving, sent_s, time.monotonic()))
-            if swaying:
-                way.join()
+            with _ARRIVED[0] if swaying else contextlib.nullcontext():
+                if swaying:
+                    way.start()
+                    due_s, side = max(due_s, time.monotonic()) + MOVING_S, -side
+                time.sleep(max(0.0, due_s - time.monotonic()))
+                moving = swaying and client.call("status")["state"] == "moving"
+                sent_s = time.monotonic()
+                client.call("stop")
+                stops.append(_Stop(moving, sent_s, time.monotonic()))
+                if swaying:
+                    way.join()
             due_s = max(due_s, time.monotonic()) + STOP_EVERY_S
     return stops
 
@@ -250,48 +305,6 @@ def _stop_often(path: str, begin_s: float, end_s: float) -> list[_Stop]:
 def _sway(mover: Client, q: list[float]) -> None:
     with contextlib.suppress(ArmctlError):  # it is stopped; that is the point
         mover.call("move", joints_rad=q)
-
-
-class _Stalled:
-    """Subscribers that never read, and connect again when they are cut."""
-
-    def __init__(self, path: Path, count: int) -> None:
-        self.connections = self.cuts = 0
-        self._path, self._count = path, count
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._keep_up, daemon=True)
-
-    def __enter__(self) -> _Stalled:
-        self._sockets = [self._connect() for _ in range(self._count)]
-        for one in self._sockets:
-            one.sendall(b'{"jsonrpc":"2.0","id":1,"method":"status"}\n' * FILLING)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ending.set()
-        self._thread.join()
-        for one in self._sockets:
-            one.close()
-
-    def _connect(self) -> socket.socket:
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        connection.connect(str(self._path))
-        self.connections += 1
-        connection.sendall(b'{"jsonrpc":"2.0","id":0,"method":"subscribe"}\n')
-        return connection
-
-    def _keep_up(self) -> None:
-        poll = select.poll()
-        while not self._ending.wait(0.25):
-            for index, connection in enumerate(self._sockets):
-                poll.register(connection, 0)
-                gone = poll.poll(0)  # only a hang-up is told: nothing is read
-                poll.unregister(connection)
-                if gone:
-                    connection.close()
-                    self.cuts += 1
-                    self._sockets[index] = self._connect()
 
 
 @dataclass
