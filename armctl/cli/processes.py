@@ -40,6 +40,7 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
     import asyncio
     import logging
 
+    from armctl.clock import ask_for_precedence
     from armctl.files import socket_path
     from armctl.host.daemon import run_daemon
 
@@ -47,7 +48,12 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
     port = output.port or output.config.port
     if not port:
         raise ConfigError("armctl daemon", "--port", "no serial port named", "give --port PATH, or start `armctl sim`")
-    socket, ready = socket_path(output.socket), partial(output.ready, "socket")
+    socket = socket_path(output.socket)
+
+    def ready(path: str) -> None:
+        ask_for_precedence()
+        output.ready("socket", path)
+
     return asyncio.run(run_daemon(output.config, output.arm, port=port, socket=socket, log_dir=log_dir, ready=ready))
 
 
@@ -218,6 +224,7 @@ def web_command(output: Output, port: int) -> None:
 
     Example: armctl web
     """
+    from armctl.clock import ask_for_precedence
     from armctl.files import socket_path
     from armctl.host.service_manager import notify
     from armctl.web.server import serve
@@ -226,6 +233,7 @@ def web_command(output: Output, port: int) -> None:
     socket, token_file = socket_path(output.socket), Path(runtime) / "address" if runtime else None
 
     def ready(address: str) -> None:
+        ask_for_precedence()  # STOP over the page does not wait for whatever else is computed
         notify("READY=1")
         output.ready("address", address)
 

@@ -29,11 +29,11 @@ def stop(path: Path) -> str | None:
                 answer = lane.recv(256).decode()
             except (FileNotFoundError, ConnectionRefusedError, PermissionError):
                 return None
-            except ConnectionError:
+            except (ConnectionError, BlockingIOError):  # it died just now, or too many wait to be let in
                 answer = ""
         if answer.startswith("ok "):
             return answer[3:].strip()
-        # The control process died; the next one listens on the same socket.
+        # Whoever comes next listens on the same socket.
         time.sleep(AGAIN_S)
     raise TimeoutError(f"no answer in {PATIENCE_S:g} s")
 

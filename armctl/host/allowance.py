@@ -5,11 +5,12 @@ Rules.
    longest, those that never asked first; one in use (it commands, subscribes or waits for an answer) is not taken.
 2. All users together have `PLACES`. One more takes a place of the user who has most of them, in the same order, and
    then one in use, unless it commands.
+   A user who connects again and again is sent away before anything is made for the connection.
 3. A line is charged by its bytes before it is parsed, `TOKEN_BYTES` a token: to its connection, and a long one to its
    user as well, whatever connection it comes by. What is not paid for is not parsed, but for short lines: one of
    those may be `stop`.
-4. Refusals cost the user as well. Once they are not paid for either, the connection is not read for `REST_S` after
-   each line: a flood is held up in its sender and does not keep the daemon busy.
+4. A connection is not read for `REST_S` after a long line that is not paid for, and after any short one once its user
+   sends more of them than `USER_SHORT_RATE`. So a flood is held up in its sender and does not keep the daemon busy.
 """
 
 from collections import Counter
@@ -18,14 +19,19 @@ from typing import Protocol, TypeVar
 
 from armctl.errors import RequestRefused
 
-USER_PLACES = 128
-PLACES = 256
+USER_PLACES = 192
+PLACES = 384
 # Requests a second of one connection, and at once.
 RATE = 200.0
 BURST = 400.0
-# Tokens of a user's, for long lines and refusals: two lines of 64 KiB a second, and four at once.
-USER_RATE = 512.0
-USER_BURST = 1024.0
+# Tokens of a user's for long lines: one of 64 KiB a second, and two at once.
+USER_LONG_RATE = 256.0
+USER_LONG_BURST = 512.0
+# Short lines of a user's, a second and at once.
+USER_SHORT_RATE = 2000.0
+# New connections of a user's, a second and at once.
+COMINGS_RATE = 100.0
+COMINGS_BURST = 400.0
 TOKEN_BYTES = 256
 # A line up to this long is looked at even when it is not paid for.
 SHORT_BYTES = 1024
@@ -49,10 +55,19 @@ class TokenBucket:
         return True
 
 
+class User:
+    """What all connections of a user may send."""
+
+    def __init__(self, now_s: float) -> None:
+        self.long = TokenBucket(USER_LONG_RATE, USER_LONG_BURST, now_s)
+        self.short = TokenBucket(USER_SHORT_RATE, USER_SHORT_RATE, now_s)
+        self.comings = TokenBucket(COMINGS_RATE, COMINGS_BURST, now_s)
+
+
 class Account:
     """What one connection may send, on its own allowance and its user's."""
 
-    def __init__(self, user: TokenBucket, now_s: float) -> None:
+    def __init__(self, user: User, now_s: float) -> None:
         self._own, self._user = TokenBucket(RATE, BURST, now_s), user
 
     def charge(self, size: int, now_s: float) -> tuple[bool, float]:
@@ -62,9 +77,11 @@ class Account:
             Whether it is paid for, and how long [s] the connection is to rest after it.
         """
         tokens = max(1.0, -(-size // TOKEN_BYTES))
-        if self._own.take(now_s, tokens) and (size <= SHORT_BYTES or self._user.take(now_s, tokens)):
-            return True, 0.0
-        return False, 0.0 if self._user.take(now_s) else REST_S
+        paid = self._own.take(now_s, tokens)
+        if size <= SHORT_BYTES:
+            return paid, 0.0 if self._user.short.take(now_s) else REST_S
+        paid = paid and self._user.long.take(now_s, tokens)
+        return paid, 0.0 if paid else REST_S
 
 
 class Guest(Protocol):
@@ -109,3 +126,36 @@ def make_room(guests: Collection[G], uid: int) -> G | None:
     if not victims:
         raise RequestRefused("BUSY", f"{problem}; close one (`armctl stop` is served regardless, on its own socket)")
     return min(victims, key=lambda guest: (guest.in_use, guest.asked, guest.heard_s))
+
+
+def unpaid(size: int) -> RequestRefused:
+    short, long_bytes_s = size // TOKEN_BYTES, USER_LONG_RATE * TOKEN_BYTES
+    return RequestRefused(
+        "RATE_LIMIT",
+        f"a line of {size} bytes is not read: it costs as much as {short} short ones; a connection has "
+        f"{RATE:g} of these a second, and its user {long_bytes_s:.0f} bytes of long lines; wait",
+    )
+
+
+def displaced(victim: str, newcomer: str) -> RequestRefused:
+    return RequestRefused(
+        "BUSY",
+        f"{victim} gives its place to {newcomer}: {USER_PLACES} connections a user or "
+        f"{PLACES} in all are open, and it was silent longest; connect again when there is something to ask",
+    )
+
+
+def too_often(uid: int) -> RequestRefused:
+    return RequestRefused(
+        "RATE_LIMIT",
+        f"uid {uid} connects more than {COMINGS_RATE:g} times a second; keep a connection, or wait (`armctl stop` is "
+        "served regardless, on its own socket)",
+    )
+
+
+def too_slow(name: str, unfinished: int, within_s: float) -> RequestRefused:
+    if unfinished:
+        what = f"its line of {unfinished} bytes so far is not finished after {within_s:g} s; send a request at once"
+    else:
+        what = f"it sent no whole request within {within_s:g} s; connect when there is something to ask"
+    return RequestRefused("IDLE", f"{name} is disconnected: {what}")

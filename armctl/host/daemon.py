@@ -137,7 +137,7 @@ async def run_daemon(
         supervising = asyncio.create_task(supervise(control, restart, host, tick, outside))
         try:
             await _first_tick(host, supervising, ending)
-            await server.start(listening)
+            server.start(listening)
             if not ending.is_set():
                 service_manager.notify("READY=1")
                 ready(str(socket))

@@ -14,6 +14,7 @@ Rules.
 """
 
 import asyncio
+import contextlib
 import logging
 import math
 import socket
@@ -29,7 +30,7 @@ from armctl.clock import NS_PER_S, Clock
 from armctl.config import validate
 from armctl.errors import ArmctlError, ConfigError, RequestRefused
 from armctl.host import allowance, jsonrpc
-from armctl.host.allowance import Account, TokenBucket, make_room
+from armctl.host.allowance import Account, User, make_room
 from armctl.host.jsonrpc import ProtocolError, Request
 
 STALL_S = 5.0
@@ -38,6 +39,7 @@ LINE_S = 5.0
 # How many are let in at one turn, so that a crowd does not hold up who is there; the others wait in the kernel.
 ACCEPTED = 8
 WAITING = 512
+AGAIN_S = 0.5
 MAX_SNAPSHOTS = 64
 MAX_UNSENT_BYTES = 1 << 20
 MAX_REQUESTS = 32
@@ -54,9 +56,7 @@ class Connection:
     def __init__(
         self, writer: asyncio.StreamWriter, may_command: MayCommand, holds_lease: Callable[["Connection"], bool]
     ) -> None:
-        peer = writer.get_extra_info("socket")
-        # Process, user and group at the other end, an int each.
-        pid, self.uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+        pid, self.uid = _credentials(writer.get_extra_info("socket"))
         self.name = f"pid {pid} (uid {self.uid})"
         self.commands = may_command(self.uid)
         self.asked = False
@@ -154,6 +154,12 @@ class Connection:
         return None
 
 
+def _credentials(peer: socket.socket) -> tuple[int, int]:
+    """Process and user at the other end."""
+    pid, uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    return pid, uid
+
+
 @dataclass(frozen=True)
 class Method:
     """One thing a client can ask for: its parameters, and what carries it out."""
@@ -184,27 +190,54 @@ class Server:
         # The oldest first.
         self._connections: dict[Connection, None] = {}
         # By uid; kept, so that nobody gets a new allowance by leaving.
-        self._users: dict[int, TokenBucket] = {}
+        self._users: dict[int, User] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        self._server: asyncio.Server | None = None
+        self._listening: socket.socket | None = None
 
-    async def start(self, listening: socket.socket) -> None:
+    def start(self, listening: socket.socket) -> None:
         """Accept connections on a bound socket."""
-        self._server = await asyncio.start_unix_server(
-            self._accept, sock=listening, limit=jsonrpc.MAX_LINE_BYTES, backlog=ACCEPTED
-        )
+        listening.setblocking(False)
         listening.listen(WAITING)
+        self._listening = listening
+        self._listen()
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        # A task of asyncio's own would leave a traceback in the log where `close` has to cancel it.
-        task = asyncio.create_task(self._connected(reader, writer))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+    def _listen(self) -> None:
+        if self._listening is not None:
+            asyncio.get_running_loop().add_reader(self._listening, self._accept)
+
+    def _accept(self) -> None:
+        """Let in who waits; whoever's user comes too often is sent away before anything is made for it."""
+        assert self._listening is not None
+        for _ in range(ACCEPTED):
+            try:
+                peer, _address = self._listening.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:  # no files left, say; not asked again at every turn
+                logger.warning("no connection can be let in: %s", error)
+                asyncio.get_running_loop().remove_reader(self._listening)
+                asyncio.get_running_loop().call_later(AGAIN_S, self._listen)
+                return
+            now_s = self._now_s()
+            _, uid = _credentials(peer)
+            user = self._users.setdefault(uid, User(now_s))
+            if not user.comings.take(now_s):
+                with contextlib.suppress(OSError):
+                    peer.send(jsonrpc.error_line(None, allowance.too_often(uid)))
+                peer.close()
+                continue
+            # A task of asyncio's own would leave a traceback in the log where `close` has to cancel it.
+            task = asyncio.create_task(self._connected(peer, user))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
 
     async def close(self) -> None:
         """Send what is still due, briefly, and close every connection."""
-        if self._server is not None:
-            self._server.close()
+        if self._listening is not None:
+            asyncio.get_running_loop().remove_reader(self._listening)
+            self._listening.close()
+            self._listening = None
+            await asyncio.sleep(0)  # who was let in just now has begun
         tasks = tuple(self._tasks)
         requests = [request for connection in self._connections for request in connection.requests]
         if requests:
@@ -225,18 +258,18 @@ class Server:
             for connection in subscribers:
                 connection.send_snapshot(body)
 
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _connected(self, peer: socket.socket, user: User) -> None:
+        reader, writer = await asyncio.open_unix_connection(sock=peer, limit=jsonrpc.MAX_LINE_BYTES)
         connection = Connection(writer, self._may_command, self._holds_lease)
         connection.heard_s = now_s = self._now_s()
         try:
             if (victim := make_room(self._connections, connection.uid)) is not None:
                 del self._connections[victim]
-                victim.dismiss(_displaced(victim, connection))
+                victim.dismiss(allowance.displaced(victim.name, connection.name))
         except RequestRefused as refusal:
             connection.dismiss(refusal)
             return
-        bucket = TokenBucket(allowance.USER_RATE, allowance.USER_BURST, now_s)
-        account = Account(self._users.setdefault(connection.uid, bucket), now_s)
+        account = Account(user, now_s)
         sender = asyncio.create_task(connection.send_all())
         self._connections[connection] = None
         logger.info("client %s connected", connection.name)
@@ -268,7 +301,9 @@ class Server:
                 async with asyncio.timeout_at(until_s if until_s < math.inf else None):
                     data = await reader.read(jsonrpc.MAX_LINE_BYTES)
             except TimeoutError:
-                connection.dismiss(_too_slow(connection, len(unfinished)))
+                connection.dismiss(
+                    allowance.too_slow(connection.name, len(unfinished), LINE_S if unfinished else IDLE_S)
+                )
                 return
             except ConnectionError:
                 return
@@ -296,7 +331,7 @@ class Server:
         if paid or len(line) <= allowance.SHORT_BYTES:
             self._begin(connection, line, paid)
         else:
-            connection.send(jsonrpc.error_line(None, _unpaid(len(line))))
+            connection.send(jsonrpc.error_line(None, allowance.unpaid(len(line))))
         return rest_s
 
     def _begin(self, connection: Connection, line: bytes, paid: bool) -> None:
@@ -339,31 +374,6 @@ class Server:
 
     def _now_s(self) -> float:
         return self._clock.now_ns() / NS_PER_S
-
-
-def _unpaid(size: int) -> RequestRefused:
-    short, long_bytes_s = size // allowance.TOKEN_BYTES, allowance.USER_RATE * allowance.TOKEN_BYTES
-    return RequestRefused(
-        "RATE_LIMIT",
-        f"a line of {size} bytes is not read: it costs as much as {short} short ones; a connection has "
-        f"{allowance.RATE:g} of these a second, and its user {long_bytes_s:.0f} bytes of long lines; wait",
-    )
-
-
-def _displaced(victim: Connection, newcomer: Connection) -> RequestRefused:
-    return RequestRefused(
-        "BUSY",
-        f"{victim.name} gives its place to {newcomer.name}: {allowance.USER_PLACES} connections a user or "
-        f"{allowance.PLACES} in all are open, and it was silent longest; connect again when there is something to ask",
-    )
-
-
-def _too_slow(connection: Connection, unfinished: int) -> RequestRefused:
-    if unfinished:
-        what = f"its line of {unfinished} bytes so far is not finished after {LINE_S:g} s; send a request at once"
-    else:
-        what = f"it sent no whole request within {IDLE_S:g} s; connect when there is something to ask"
-    return RequestRefused("IDLE", f"{connection.name} is disconnected: {what}")
 
 
 def _parameters(method: Method, request: Request) -> BaseModel:

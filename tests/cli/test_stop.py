@@ -1,5 +1,6 @@
 """`armctl stop` on its own way: what it takes over from the command line, and what it leaves to it."""
 
+import contextlib
 import socket
 import threading
 from collections.abc import Iterator
@@ -48,6 +49,42 @@ def test_the_state_is_said_in_a_word(
 ) -> None:
     monkeypatch.setenv("ARMCTL_SOCKET", str(lane[0]))
     assert typed(["stop"]) == 0
+    assert capsys.readouterr().out == "holding\n"
+
+
+def test_where_too_many_wait_to_be_let_in_it_comes_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with contextlib.ExitStack() as crowd:
+        listening = crowd.enter_context(socket.socket(socket.AF_UNIX))
+        listening.bind(str(stop_path(tmp_path / "s")))
+        listening.listen(0)
+        waiting: list[socket.socket] = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                one = crowd.enter_context(socket.socket(socket.AF_UNIX))
+                one.setblocking(False)
+                one.connect(listening.getsockname())
+                waiting.append(one)
+
+        def serve() -> None:
+            for one in waiting:
+                listening.accept()[0].close()
+                one.close()
+            caller, _ = listening.accept()
+            with caller:
+                assert caller.recv(256) == b"stop\n"
+                caller.sendall(b"ok holding\n")
+
+        serving = threading.Thread(target=serve)
+
+        def wait(_: float) -> None:
+            if serving.ident is None:
+                serving.start()
+
+        monkeypatch.setattr("time.sleep", wait)
+        assert typed(["stop", "--socket", str(tmp_path / "s")]) == 0
+        serving.join()
     assert capsys.readouterr().out == "holding\n"
 
 

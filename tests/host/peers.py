@@ -128,7 +128,7 @@ async def bench(clock: Clock | None = None, may_command: bool = True) -> AsyncIt
         listening.bind(str(path))
         listening.listen()
         found = Bench(path, clock, may_command)
-        await found.server.start(listening)
+        found.server.start(listening)
         found.peer = await found.connect()
         try:
             yield found

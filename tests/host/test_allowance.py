@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from armctl.errors import RequestRefused
 from armctl.host import allowance
-from armctl.host.allowance import PLACES, REST_S, SHORT_BYTES, USER_PLACES, Account, TokenBucket, make_room
+from armctl.host.allowance import PLACES, REST_S, SHORT_BYTES, USER_PLACES, Account, TokenBucket, User, make_room
 
 KIB64 = 65536
 
@@ -76,7 +76,7 @@ def test_who_never_asked_goes_first_then_who_is_silent_longest_and_never_who_is_
 
 
 def test_a_long_line_costs_as_much_as_as_many_short_ones() -> None:
-    accounts = [Account(TokenBucket(0.0, 1e9, 0.0), 0.0) for _ in range(2)]
+    accounts = [Account(User(0.0), 0.0) for _ in range(2)]
     assert accounts[0].charge(KIB64, 0.0) == (True, 0.0)
     assert all(accounts[1].charge(60, 0.0)[0] for _ in range(KIB64 // allowance.TOKEN_BYTES))
     left = [sum(account.charge(60, 0.0)[0] for _ in range(1000)) for account in accounts]
@@ -84,26 +84,27 @@ def test_a_long_line_costs_as_much_as_as_many_short_ones() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 19), st.integers(1, KIB64), st.floats(0.0, 0.2)), max_size=300))
-def test_a_user_does_not_get_more_long_lines_by_opening_more_connections(lines: list[tuple[int, int, float]]) -> None:
-    user, now_s, parsed, free = TokenBucket(allowance.USER_RATE, allowance.USER_BURST, 0.0), 0.0, 0, 0
+def test_a_user_gets_no_more_by_opening_more_connections(lines: list[tuple[int, int, float]]) -> None:
+    user, now_s, tokens, short = User(0.0), 0.0, 0, 0
     accounts = [Account(user, 0.0) for _ in range(20)]
     for number, size, step_s in lines:
         now_s += step_s
         paid, rest_s = accounts[number].charge(size, now_s)
-        parsed += size * (paid and size > SHORT_BYTES)
-        free += not paid and not rest_s
         assert rest_s in (0.0, REST_S)
-        assert parsed / allowance.TOKEN_BYTES + free <= allowance.USER_BURST + allowance.USER_RATE * now_s + 1e-6
+        tokens += -(-size // allowance.TOKEN_BYTES) * (paid and size > SHORT_BYTES)
+        short += not rest_s and size <= SHORT_BYTES
+        assert tokens <= allowance.USER_LONG_BURST + allowance.USER_LONG_RATE * now_s + 1e-6
+        assert short <= allowance.USER_SHORT_RATE * (1.0 + now_s)
+        assert paid or rest_s or size <= SHORT_BYTES
 
 
-def test_a_flood_of_one_connection_leaves_the_short_requests_of_the_users_others_alone() -> None:
-    user = TokenBucket(allowance.USER_RATE, allowance.USER_BURST, 0.0)
-    flooder, other = Account(user, 0.0), Account(user, 0.0)
-    assert flooder.charge(60, 0.0) == (True, 0.0)
-    rests = [flooder.charge(KIB64, 0.0)[1] for _ in range(2000)]
-    assert rests[0] == 0.0
-    assert rests[-1] == REST_S
-    assert other.charge(60, 0.0) == (True, 0.0)
+def test_a_flood_is_held_up_and_leaves_the_users_other_connections_their_short_requests() -> None:
+    user = User(0.0)
+    flooders, other = [Account(user, 0.0) for _ in range(3)], Account(user, 0.0)
+    assert [flooders[0].charge(KIB64, 0.0) for _ in range(9)] == [(True, 0.0)] + [(False, REST_S)] * 8
+    rests = [flooders[1].charge(60, 0.0)[1] for _ in range(int(allowance.USER_SHORT_RATE) + 1)]
+    assert (rests[0], rests[-2], rests[-1]) == (0.0, 0.0, REST_S)
+    assert other.charge(60, 0.0) == (True, REST_S)
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=300))

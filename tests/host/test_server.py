@@ -1,8 +1,10 @@
 """Connections: refusals by name, floods, slow readers, gaps, and the end of a client."""
 
 import asyncio
+import errno
 import json
 import os
+import socket
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
@@ -12,9 +14,19 @@ from hypothesis import strategies as st
 
 from armctl.clock import NS_PER_S, MonotonicClock
 from armctl.host import jsonrpc, server
-from armctl.host.allowance import BURST, USER_PLACES
+from armctl.host.allowance import BURST, COMINGS_BURST, USER_PLACES
 from armctl.host.server import MAX_SNAPSHOTS
 from tests.host.peers import PATIENCE_S, Bench, bench, until
+
+
+class Full:
+    """A listening socket of a process that has as many files open as it may."""
+
+    def __init__(self, listening: socket.socket) -> None:
+        self.fileno = listening.fileno
+
+    def accept(self) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
 
 
 @pytest.fixture
@@ -216,10 +228,37 @@ async def test_too_many_clients_that_all_want_something_are_refused_in_words(b: 
 
 
 async def test_a_place_that_was_given_up_is_free_at_once_though_its_client_reads_nothing(b: Bench) -> None:
-    for _ in range(3 * USER_PLACES):
+    for _ in range(2 * USER_PLACES):
         await b.connect()
-    await until(lambda: len(b.gone) == 2 * USER_PLACES + 1)
+    await until(lambda: len(b.gone) == USER_PLACES + 1)
     assert len(b.server._connections) == USER_PLACES
+
+
+async def test_who_connects_too_often_is_sent_away_and_who_is_there_is_served(b: Bench) -> None:
+    await b.peer.call("look")
+    for _ in range(int(COMINGS_BURST) - 1):
+        await (await b.connect()).close()
+    late = await b.connect()
+    error = (await late.receive())["error"]
+    assert error["data"]["code"] == "RATE_LIMIT"
+    assert all(word in error["message"] for word in (f"uid {os.getuid()}", "100 times a second", "armctl stop"))
+    assert await late.ended()
+    assert "result" in await b.peer.call("stop")
+    b.clock.advance_ns(NS_PER_S)
+    assert "result" in await (await b.connect()).call("stop")
+
+
+async def test_where_no_file_is_left_for_a_connection_the_next_one_is_let_in_later(
+    b: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "AGAIN_S", 0.01)
+    await b.peer.call("look")
+    there = b.server._listening
+    assert there is not None
+    b.server._listening = Full(there)  # type: ignore[assignment]
+    b.server._accept()
+    b.server._listening = there
+    assert "result" in await (await b.connect()).call("stop")
 
 
 async def test_who_never_asks_is_sent_away_with_a_word_and_who_has_asked_or_subscribed_may_be_silent(

@@ -206,7 +206,7 @@ async def served(seed: int, folder: Path) -> AsyncIterator[_Rig]:
     server = Server(table, clock, on_close=methods.client_gone, may_command=lambda _uid: True)
     listening = listen(folder / "fuzz.sock")
     try:
-        await server.start(listening)
+        server.start(listening)
         rig = _Rig(folder / "fuzz.sock", table, host, server, control, takes)
         rig.tick()
         yield rig
