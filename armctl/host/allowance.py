@@ -9,8 +9,9 @@ Rules.
 3. A line is charged by its bytes before it is parsed, `TOKEN_BYTES` a token: to its connection, and a long one to its
    user as well, whatever connection it comes by. What is not paid for is not parsed, but for short lines: one of
    those may be `stop`.
-4. A connection is not read for `REST_S` after a long line that is not paid for, and after any short one once its user
-   sends more of them than `USER_SHORT_RATE`. So a flood is held up in its sender and does not keep the daemon busy.
+4. A connection is not read for `REST_S` after a long line that is not paid for, for `LONG_REST_S` once its user sends
+   more of those than `UNPAID_RATE`, and for `REST_S` after a short line beyond `USER_SHORT_RATE`. So a flood is held
+   up in its sender and does not keep the daemon busy.
 """
 
 from collections import Counter
@@ -36,6 +37,8 @@ TOKEN_BYTES = 256
 # A line up to this long is looked at even when it is not paid for.
 SHORT_BYTES = 1024
 REST_S = 0.1
+LONG_REST_S = 0.5
+UNPAID_RATE = 40.0
 
 
 class TokenBucket:
@@ -61,6 +64,7 @@ class User:
     def __init__(self, now_s: float) -> None:
         self.long = TokenBucket(USER_LONG_RATE, USER_LONG_BURST, now_s)
         self.short = TokenBucket(USER_SHORT_RATE, USER_SHORT_RATE, now_s)
+        self.unpaid = TokenBucket(UNPAID_RATE, UNPAID_RATE, now_s)
         self.comings = TokenBucket(COMINGS_RATE, COMINGS_BURST, now_s)
 
 
@@ -81,7 +85,9 @@ class Account:
         if size <= SHORT_BYTES:
             return paid, 0.0 if self._user.short.take(now_s) else REST_S
         paid = paid and self._user.long.take(now_s, tokens)
-        return paid, 0.0 if paid else REST_S
+        if paid:
+            return True, 0.0
+        return False, REST_S if self._user.unpaid.take(now_s) else LONG_REST_S
 
 
 class Guest(Protocol):

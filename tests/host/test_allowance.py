@@ -9,7 +9,17 @@ from hypothesis import strategies as st
 
 from armctl.errors import RequestRefused
 from armctl.host import allowance
-from armctl.host.allowance import PLACES, REST_S, SHORT_BYTES, USER_PLACES, Account, TokenBucket, User, make_room
+from armctl.host.allowance import (
+    LONG_REST_S,
+    PLACES,
+    REST_S,
+    SHORT_BYTES,
+    USER_PLACES,
+    Account,
+    TokenBucket,
+    User,
+    make_room,
+)
 
 KIB64 = 65536
 
@@ -90,7 +100,7 @@ def test_a_user_gets_no_more_by_opening_more_connections(lines: list[tuple[int, 
     for number, size, step_s in lines:
         now_s += step_s
         paid, rest_s = accounts[number].charge(size, now_s)
-        assert rest_s in (0.0, REST_S)
+        assert rest_s in (0.0, REST_S, LONG_REST_S)
         tokens += -(-size // allowance.TOKEN_BYTES) * (paid and size > SHORT_BYTES)
         short += not rest_s and size <= SHORT_BYTES
         assert tokens <= allowance.USER_LONG_BURST + allowance.USER_LONG_RATE * now_s + 1e-6
@@ -102,6 +112,8 @@ def test_a_flood_is_held_up_and_leaves_the_users_other_connections_their_short_r
     user = User(0.0)
     flooders, other = [Account(user, 0.0) for _ in range(3)], Account(user, 0.0)
     assert [flooders[0].charge(KIB64, 0.0) for _ in range(9)] == [(True, 0.0)] + [(False, REST_S)] * 8
+    unpaid = [flooders[2].charge(KIB64, 0.0)[1] for _ in range(1 + int(allowance.UNPAID_RATE))]
+    assert (unpaid[1], unpaid[-1]) == (REST_S, LONG_REST_S)
     rests = [flooders[1].charge(60, 0.0)[1] for _ in range(int(allowance.USER_SHORT_RATE) + 1)]
     assert (rests[0], rests[-2], rests[-1]) == (0.0, 0.0, REST_S)
     assert other.charge(60, 0.0) == (True, REST_S)
