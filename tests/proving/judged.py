@@ -3,13 +3,15 @@
 from dataclasses import replace
 
 from armctl.dynamixel import ax12a
-from armctl.files import load_arm
 from armctl.messages import Mode
 from armctl.sim.faults import Fault
-from proving.duties import Sent, Servo
+from proving.arms import arm_of, arm_text
+from proving.evidence import Sent, Servo, Strain
 from proving.invariants import Judge
+from proving.reading import read
 
-ARM = load_arm("ax12-line")
+TEXT = arm_text("ax12-line")
+ARM, JUDGED = arm_of(TEXT), read(TEXT)
 PERIOD_S = 0.1
 N = len(ARM.joints)
 MIDDLE = 500
@@ -19,8 +21,10 @@ class Bench:
     """Servos that hold what is written to them, at the middle of their range, before a judge."""
 
     def __init__(self, torque: bool = True) -> None:
-        self.judge = Judge(ARM, PERIOD_S, [joint.limits_tick for joint in ARM.joints])
+        self.judge = Judge(JUDGED, PERIOD_S, [joint.limits_tick for joint in ARM.joints])
         self.servos = [Servo(torque, MIDDLE, 100, 1023 if torque else 128, float(MIDDLE), MIDDLE) for _ in range(N)]
+        # What the motors work and the servos feel; none: nobody has looked.
+        self.strains: list[Strain] = []
         self.now_s = 1.0
         self.judge.back()
         self.judge.asked(0.0, "clear")
@@ -31,14 +35,16 @@ class Bench:
         for index, servo in enumerate(self.servos):
             self.judge.heard(self.now_s, index, servo.sensed_tick, servo.goal if servo.torque else None)
 
-    def tick(self, mode: Mode | None = None, code: str = "", *, heard: bool = True) -> None:
-        """The end of a tick, a period later."""
+    def tick(self, mode: Mode | None = None, code: str = "", *, heard: bool = True, also: str = "") -> None:
+        """The end of a tick, a period later; `also` is told beside the latched code."""
         self.now_s += PERIOD_S
         if heard:
             self.hear()
-        self.judge.ticked(self.now_s, self.servos)
+        self.judge.polled(self.now_s, [] if heard else [(0, 2)], N if heard else 0, N)
+        self.judge.ticked(self.now_s, self.servos, self.strains)
         if mode is not None:
-            self.judge.reported(self.now_s, mode, code)
+            codes = frozenset(filter(None, (code, also)))
+            self.judge.reported(self.now_s, mode, code, codes=codes)
 
     def ticks(self, count: int, mode: Mode | None = None, code: str = "", *, heard: bool = True) -> None:
         for _ in range(count):
@@ -75,6 +81,15 @@ class Bench:
 
     def at(self, ticks: float, index: int = 0) -> None:
         self.servos[index].shaft_tick, self.servos[index].sensed_tick = ticks, round(ticks)
+
+    def feel(self, output: float = 0.0, *, gravity: float = 0.0, volts: float = 12.0, celsius: float = 30.0) -> None:
+        """What joint 0 works and feels from now on; the others rest."""
+        self.strains = [Strain(output, gravity, volts, celsius), *(Strain(0.0, 0.0, 12.0, 30.0) for _ in range(N - 1))]
+
+    @property
+    def red(self) -> set[str]:
+        """Rules broken, whether they are kept yet or not."""
+        return self.broken | {violation.invariant for violation in self.judge.red}
 
     @property
     def broken(self) -> set[str]:

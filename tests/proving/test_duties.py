@@ -43,7 +43,7 @@ def test_what_began_while_nobody_could_hear_it_is_reported_afterwards(
     moving.tick(Mode.MOVING, heard=False)
     hot = Fault(kind="hot", servo_id=ARM.servo_ids[1], begin_s=moving.now_s, duration_s=2.0, value=68.9)
     moving.judge.plan(hot)
-    moving.ticks(6, Mode.MOVING)
+    moving.ticks(26, Mode.MOVING, heard=silent == 2)
     moving.tick(Mode.FAULTED, "HOT")
     assert moving.broken & {"rows"} == broken
 
@@ -59,7 +59,8 @@ def test_what_was_silent_before_anybody_heard_it_is_reported_afterwards(
     ]
     for fault in both if planned_first else both[::-1]:
         moving.judge.plan(fault)
-    moving.ticks(9, Mode.HOLDING, heard=False)
+    moving.tick(Mode.HOLDING, heard=later_s > 0.1)
+    moving.ticks(8, Mode.HOLDING, heard=False)
     moving.tick(Mode.FAULTED, "TRIPPED")
     assert moving.broken & {"rows"} == broken
 
@@ -175,7 +176,7 @@ def test_6_a_motion_asked_for_together_with_a_clear_ends_an_older_hold(
 ) -> None:
     moving.ask("hold")
     moving.ticks(8, Mode.HOLDING)
-    moving.ticks(8, Mode.FAULTED, "PORT_GONE")
+    moving.ticks(8, Mode.FAULTED, "SERVO_SILENT")
     moving.ask(*asked)
     moving.goal(MIDDLE + 5)
     moving.tick(Mode.MOVING)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from armctl.dynamixel import ax12a
 from armctl.messages import Mode
-from proving.duties import Sent
+from proving.evidence import Sent
 from tests.proving.judged import ARM, MIDDLE, Bench, N, running
 
 

@@ -15,9 +15,10 @@ from armctl.messages import Event, Inputs, Mode, Outputs, SetRate, TickRecord
 from armctl.sim.faults import KINDS, Fault
 from proving import __main__ as proving
 from proving import soak
-from proving.duties import TICK_DEG, Servo
 from proving.episode import Episode, Stage, stage
+from proving.evidence import Servo
 from proving.invariants import Judge
+from proving.reading import TICK_DEG
 from proving.story import WISHES, Kill, Late, Line, Story, Strike, Wish, Word, draw, shrink
 
 

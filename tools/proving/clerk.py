@@ -6,18 +6,11 @@ fault still strikes. Each of his doings is a generator of one tick's commands; w
 
 from __future__ import annotations
 
-import math
-from collections.abc import Generator
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
-from armctl.config import ArmConfig
-from armctl.control.faults import SETTLING
 from armctl.dynamixel import ax12a
-from armctl.errors import UnreachableTarget
-from armctl.kinematics.chain import tool_position
-from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (
     Clear,
     Command,
@@ -27,21 +20,18 @@ from armctl.messages import (
     Park,
     Pause,
     Release,
-    Reply,
     Resume,
     Run,
     SetRate,
     Teach,
     TeachEnd,
     TickRecord,
-    TorqueOn,
 )
 from armctl.sim.faults import Fault
-from proving.requests import PERIOD_S, Requests
-from proving.story import Story, Strike, Wish, Word
-
-if TYPE_CHECKING:
-    from proving.episode import Episode
+from armctl.trajectory.preflight import preflight_motion
+from proving.person import Doing, Person
+from proving.reading import RESTING
+from proving.story import Wish
 
 # When faults end, the arm is ready (latched) within this time.
 READY_S = 3.0
@@ -53,23 +43,9 @@ PATIENCE_S = 60.0
 WRONG_SHARE = 0.2
 LEAN_S = 4.0
 
-Doing = Generator[tuple[Command, ...], None, None]
 
-
-class Clerk:
+class Clerk(Person):
     """One user; `commands` is asked before each tick, `see` told after it."""
-
-    def __init__(self, story: Story, arm: ArmConfig, robot: Robot, episode: Episode) -> None:
-        self._arm, self._robot, self._episode = arm, robot, episode
-        self._wishes = [line for line in story.lines if isinstance(line, Wish)]
-        self._words = [line for line in story.lines if isinstance(line, Word)]
-        self._faults = [line.fault for line in story.lines if isinstance(line, Strike)]
-        self._requests = Requests(arm, robot, episode.postures)
-        self._request_id = 0
-        self._replies: dict[int, Reply] = {}
-        self._record: TickRecord | None = None
-        self._doing: Doing | None = None
-        self._now_s = 0.0
 
     # ------------------------------------------------------------------------------------ the loop's side
 
@@ -100,67 +76,6 @@ class Clerk:
         """The program in charge is gone: whatever was asked for is void."""
         self._record, self._doing = None, None
 
-    def persisting(self, energising: bool = False) -> str:
-        """Why no fault can be cleared now, as the simulator knows; empty: nothing that must forbid it.
-
-        Args:
-            energising: Whether the same tick has begun to switch torque on: what little there is comes from that.
-        """
-        faults, servos = self._episode.body.faults, self._episode.body.servos
-        for kind in ("mute", "dead_bus", "unplug"):
-            planned = faults.in_force(kind)
-            # Begun after this tick's reading it is next tick's business.
-            if planned is not None and planned.begin_s < self._now_s - PERIOD_S:
-                return f"{kind} is in force"
-        if any(servo.temperature_degC >= self._arm.temperature_limit_degC + 1.0 for servo in servos):
-            return "a servo is hot"
-        on = self._stiff()
-        explained = any(faults.in_force(kind) is not None for kind in ("brown_out", "trip", "second_writer"))
-        if any(on) and not all(on) and not explained:
-            return "some servos are limp while others hold"
-        if self._weak() and not energising:
-            return "a servo holds with a part of its torque"
-        return ""
-
-    def _weak(self) -> bool:
-        """Whether a servo has torque, but not what its calibration asks for."""
-        return any(
-            servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) < round(ax12a.LOAD_MAX * joint.torque_limit_ratio)
-            for servo, joint in zip(self._episode.body.servos, self._arm.joints, strict=True)
-        )
-
-    # -------------------------------------------------------------------------------------- what is seen
-
-    @property
-    def _mode(self) -> Mode:
-        assert self._record is not None
-        return self._record.outputs.mode
-
-    @property
-    def _code(self) -> str:
-        assert self._record is not None
-        fault = self._record.outputs.fault
-        return "" if fault is None else fault.code
-
-    def _commanded(self) -> list[float] | None:
-        """Where the arm is commanded to be [rad], as the host knows it: by the goals the servos show."""
-        assert self._record is not None
-        found = []
-        for joint, reading in zip(self._arm.joints, self._record.inputs.sample.servos, strict=True):
-            if not reading.registers:
-                return None
-            found.append(joint.position_rad(ax12a.register_value(ax12a.GOAL, reading.registers)))
-        return found
-
-    def _faulty_until_s(self) -> float:
-        """When the last of the faults under way will end."""
-        begun = [fault for fault in self._faults if fault.begin_s <= self._now_s]
-        return max((fault.begin_s + (fault.duration_s or 0.0) for fault in begun), default=-math.inf)
-
-    def _id(self) -> int:
-        self._request_id += 1
-        return self._request_id
-
     # ------------------------------------------------------------------------------------------- doings
 
     def _next(self) -> Doing | None:
@@ -180,6 +95,8 @@ class Clerk:
         match wish.what:
             case "run" | "mixed":
                 yield from self._run(rng, wish.what == "mixed")
+            case "plan":
+                yield from self._run(rng, mixed=False, planned=True)
             case "park":
                 yield from self._power_up(rng)
                 yield from self._ask(Park(self._id()), 30.0)
@@ -192,57 +109,6 @@ class Clerk:
             case "release":
                 yield from self._ask(Release(self._id()), 1.0)
 
-    def _ask(self, command: Command, patience_s: float) -> Doing:
-        """Say it, and wait for the answer, a fault, or until it takes too long."""
-        request_id = getattr(command, "request_id")  # noqa: B009
-        until_s = self._now_s + patience_s
-        yield (command,)
-        while request_id not in self._replies and not self._code and self._now_s < until_s:
-            yield ()
-
-    def _wait(self, duration_s: float) -> Doing:
-        until_s = self._now_s + duration_s
-        while self._now_s < until_s:
-            yield ()
-
-    def _power_up(self, rng: np.random.Generator) -> Doing:
-        """Torque on; a limp arm away from its rest is carried to some posture, and supported meanwhile."""
-        if self._mode is not Mode.OFF or any(self._stiff()):
-            return
-        hand = self._episode.body.hand
-        rest = np.array([joint.rest_rad for joint in self._arm.joints])
-        lying = np.abs(self._episode.body.true_positions() - rest).max() < math.radians(4.0)
-        if not lying:
-            yield from self._guide(rng)
-        if not self._code:
-            yield from self._ask(TorqueOn(self._id()), 3.0)
-        if self._code:  # whoever supports an arm goes on until its card is followed
-            return
-        if hand.holding:
-            yield from self._wait(0.3)
-        hand.release()
-
-    def _stiff(self) -> list[bool]:
-        """Which joints resist a hand; a status that is a tick behind does not show it."""
-        return [servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) > 0 for servo in self._episode.body.servos]
-
-    def _let_go(self) -> Doing:
-        """A hand that was still at the arm when another program took over."""
-        yield from self._wait(1.0)
-        self._episode.body.hand.release()
-
-    def _guide(self, rng: np.random.Generator) -> Doing:
-        """A hand leads the limp arm along a short line; it stays at the arm."""
-        postures = self._episode.postures
-        q = postures[int(rng.integers(len(postures)))]
-        point = tool_position(self._robot.chain, q[: self._robot.chain.n])
-        body = self._episode.body
-        try:
-            when = body.hand.guide(point, 0.97 * point, seed=int(rng.integers(1000)), duration_s=0.5)
-        except UnreachableTarget:  # whatever the hand cannot do, it leaves
-            return
-        yield from self._wait(when.duration_s)
-
     def _teach(self, rng: np.random.Generator) -> Doing:
         yield from self._ask(Teach(self._id()), 2.0)
         if self._mode is Mode.TEACHING:
@@ -253,11 +119,14 @@ class Clerk:
         if rng.random() < 0.5:
             self._episode.body.hand.release()
 
-    def _run(self, rng: np.random.Generator, mixed: bool) -> Doing:
+    def _run(self, rng: np.random.Generator, mixed: bool, planned: bool = False) -> Doing:
         yield from self._power_up(rng)
         if self._mode is not Mode.HOLDING or self._code:
             return
         q_now = self._commanded()
+        if planned and q_now is not None:
+            yield from self._plan(rng, q_now)
+            return
         if rng.random() < WRONG_SHARE and q_now is not None:
             yield from self._ask(Run(self._id(), self._requests.wrong(rng, q_now)), 1.0)
             q_now = self._commanded()
@@ -274,6 +143,20 @@ class Clerk:
             if self._code or request.request_id in self._replies:
                 return
             yield from self._aside(rng)
+
+    def _plan(self, rng: np.random.Generator, q_now: Sequence[float]) -> Doing:
+        """Motions of all sorts, as the host takes them: it looks at each, and lets some through."""
+        for _ in range(8):
+            trajectory = self._requests.planned(rng, q_now)
+            refused = preflight_motion(
+                np.array(trajectory.positions_rad), trajectory.period_s, self._arm, self._robot, start_rad=q_now
+            )
+            self._episode.rows["refused by the host" if refused else "let through by the host"] += 1
+            if not refused:
+                request = Run(self._id(), trajectory)
+                self._episode.let_through(request)
+                yield from self._ask(request, 60.0)
+                return
 
     def _aside(self, rng: np.random.Generator) -> Doing:
         """Something said during a run."""
@@ -352,7 +235,7 @@ class Clerk:
 
     def _reason(self) -> str:
         """Why a `clear` may be refused though nothing is broken any more: the arm is on its way, hot or limp."""
-        if self._code in SETTLING and self._now_s - self._settling_since() < PATIENCE_S:
+        if self._code in RESTING and self._now_s - self._settling_since() < PATIENCE_S:
             return "on its way to rest"
         return self.persisting()
 

@@ -7,19 +7,19 @@ Rules:
 2. A program that was not run for a while has so much longer: its duties begin later by the gap.
 3. Only what is certain obliges: a fault that strikes now and then may never have struck. What the matrix says of those
    shows in the other invariants.
-4. A fault that moves joints (a dead motor, a frozen sensor, a sagging supply) or a hand excuses their motion until they
+4. A state that servos tell of (a trip, heat) has to be reported from when one of them was heard, and under its own name
+   though another fault is reported already.
+5. A fault that moves joints (a dead motor, a frozen sensor, a sagging supply) or a hand excuses their motion until they
    are back at their goals.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence, Set
 
-from armctl.dynamixel import ax12a
-from armctl.messages import Mode
 from armctl.sim.faults import Fault
+from proving.evidence import Duty, Expected, Known, Servo
+from proving.reading import OFF, POWERED, RESTING, TICK_DEG, Arm
 
-TICK_DEG = math.degrees(ax12a.TICK_RAD)
 # From a hold, or a fault's bound, to the last goal that advances: 200 ms of them, and the tick under way.
 STOP_S = 0.3
 SILENCE_S = 0.2
@@ -28,18 +28,22 @@ LATCH_S = 0.5
 REPORT_SLACK_S = 0.3
 # An adapter that is in again is found, and its servos are identified, within this time.
 BACK_S = 3.0
+# A reply that comes so long after a fault's begin tells of it.
+HEARD_S = 0.006
 # For so long a fault still excuses what its joints do, once they are back at their goals.
 RECOVERING_S = 1.0
+# And so long ago something may still be told of it.
+OVER_S = 4.0
 BACK_TICKS = 3.5 / TICK_DEG
+# For so long a goal that damage made is excused: one that repeats a good one is to be there long before.
+FORGED_S = 1.0
 # A limp joint has found its rest by then.
 FALL_S = 6.0
-# Surely above the calibration's 65 degC, whatever has cooled by the next reading.
-HOT_DEGC = 67.0
-# Surely below the calibration's 9 V, as the register rounds.
-LOW_V = 8.5
+# Surely above an arm's limit, whatever has cooled by the next reading.
+HOT_ABOVE_DEGC = 2.0
+# Surely below an arm's lowest supply, as the register rounds.
+LOW_BELOW_V = 0.5
 
-ADVANCING = frozenset({Mode.MOVING, Mode.JOGGING, Mode.PARKING})
-POWERED = ADVANCING | {Mode.HOLDING}
 # Faults by which a servo's shaft leaves its goal, or its goal the program's.
 MOVES_JOINT = frozenset({"stuck_joint", "blocked_joint", "frozen_sensor", "second_writer"})
 # Faults that take torque from some and thereby load from others.
@@ -60,73 +64,24 @@ CODES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Sent:
-    """A register write on the wire, to the servo at `index`."""
-
-    index: int
-    address: int
-    data: bytes
-
-    def value(self, register: ax12a.Register) -> int | None:
-        """What it writes into a register; None: nothing."""
-        begin = register.address - self.address
-        end = begin + register.size
-        return int.from_bytes(self.data[begin:end], "little") if begin >= 0 and end <= len(self.data) else None
-
-
-@dataclass(slots=True)
-class Servo:
-    """What one servo held at an instant."""
-
-    # Enabled, with a torque limit above 0.
-    torque: bool
-    goal: int
-    speed: int
-    limit: int
-    shaft_tick: float
-    # What its own sensor reads, without noise.
-    sensed_tick: int
-
-
-@dataclass(slots=True)
-class Duty:
-    """From `from_s` no goal may advance, until it is over."""
-
-    from_s: float
-    # The end of a short fault; infinite: until the user ends it.
-    until_s: float
-    # Whether `clear` ends it, else the next motion asked for.
-    by_clear: bool
-    invariant: str
-    why: str
-    # Whether an arm that is let go on request, before anybody had to latch, is past it: what took its torque.
-    by_release: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """What else is known when a fault begins."""
-
-    # As reported.
-    mode: Mode
-    # Whether a fault was reported before.
-    latched: bool
-    # Whether a program is in charge.
-    alive: bool
-
-
 class Duties:
     """All duties and excuses of one arm."""
 
-    def __init__(self, servo_ids: Sequence[int], period_s: float) -> None:
-        self._servo_ids, self._period_s = servo_ids, period_s
+    def __init__(self, arm: Arm, period_s: float) -> None:
+        self._arm, self._servo_ids, self._period_s = arm, arm.servo_ids, period_s
+        # When each servo was last heard.
+        self.heard_s = [-math.inf] * len(arm.joints)
         self._duties: list[Duty] = []
         # Begin and end of every fault not begun yet.
         self._planned: list[tuple[float, float, Fault]] = []
         self._faults: list[tuple[float, float, Fault]] = []
-        # By when a fault has to be reported, which, and under what codes; none: any will do.
-        self._expected: list[tuple[float, str, frozenset[str]]] = []
+        self._expected: list[Expected] = []
+        # Until when damaged packets may have told a servo what nobody sent.
+        self._forged_until_s = [-math.inf] * len(arm.joints)
+        # Begin and end of damage to packets of the host.
+        self._garbled: list[tuple[float, float]] = []
+        # Those that are over since a short while.
+        self._over: list[tuple[float, float, Fault]] = []
         # By when a port that was reported gone has to be reported back.
         self._back_by_s = math.inf
         # When a hand was last at the arm.
@@ -147,7 +102,19 @@ class Duties:
 
     def must_report(self, by_s: float, what: str, codes: frozenset[str] = frozenset()) -> None:
         """A fault has to be reported by then, under one of the codes (none: any will do)."""
-        self._expected.append((by_s, what, codes))
+        self._expected.append(Expected(by_s, what, codes))
+
+    def garbled(self, begin_s: float, end_s: float) -> None:
+        """What the host says may come damaged from then to then."""
+        self._garbled.append((begin_s, end_s))
+
+    def forged(self, now_s: float, i: int) -> None:
+        """A damaged packet has told a servo what nobody sent."""
+        self._forged_until_s[i] = now_s + FORGED_S
+
+    def may_be_forged(self, now_s: float) -> bool:
+        """Whether packets of the host come damaged, or did just now."""
+        return any(begin_s <= now_s < end_s + RECOVERING_S for begin_s, end_s in self._garbled)
 
     def plan(self, fault: Fault) -> None:
         """Take note of a fault that will begin, at `begin_s` of the arm's time."""
@@ -172,10 +139,19 @@ class Duties:
 
     def reported(self, code: str) -> list[str]:
         """A fault is latched: whichever it is, it was noticed; what was to be reported under another code, if alone."""
-        alone = len(self._faults) == 1
-        wrong = [what for _, what, codes in self._expected if alone and codes and code not in codes]
-        self._expected.clear()
-        return wrong
+        alone = len(self._faults) == 1 and not self._garbled
+        latched = [one for one in self._expected if not one.by_name]
+        self._expected = [one for one in self._expected if one.by_name]
+        return [one.what for one in latched if alone and one.codes and code not in one.codes]
+
+    def told(self, codes: Set[str]) -> None:
+        """All faults that are reported now."""
+        # Nothing can be said of servos that nobody hears.
+        unheard = codes & (_SILENT | {"PORT_GONE", "BUS_NOISE"})
+        if codes:
+            self._expected = [
+                one for one in self._expected if not (one.by_name and (one.codes & codes or (unheard and one.servos)))
+            ]
 
     def port_gone(self, now_s: float) -> None:
         """The port is reported gone: once the adapter is in again it has to be reported back."""
@@ -187,13 +163,31 @@ class Duties:
         """The port is reported back, or nobody is there to do so."""
         self._back_by_s = math.inf
 
+    def lately(self, now_s: float, kinds: Set[str], within_s: float) -> bool:
+        """Whether a fault of some kinds strikes, or did so long ago at most."""
+        return any(
+            fault.kind in kinds and begin_s <= now_s < end_s + within_s
+            for begin_s, end_s, fault in (*self._faults, *self._planned, *self._over)
+        )
+
+    def any_forged(self, now_s: float) -> bool:
+        """Whether a damaged packet told some servo what nobody sent."""
+        return now_s < max(self._forged_until_s) + RECOVERING_S
+
     def may_restart(self) -> bool:
         """Whether a servo may restart, or have restarted just now."""
         return any(fault.kind == "brown_out" for _, _, fault in (*self._faults, *self._planned))
 
     def other_writer(self, now_s: float, i: int) -> bool:
         """Whether another program may just have written a joint's goal."""
-        return self._written_until_s(now_s, i) > -math.inf
+        return self._written_until_s(now_s, i) > -math.inf or now_s < self._forged_until_s[i]
+
+    def writer_in_force(self, now_s: float, within_s: float) -> bool:
+        """Whether another program writes to the arm, or did so long ago at most."""
+        return any(
+            fault.kind == "second_writer" and begin_s <= now_s < fault.begin_s + (fault.duration_s or 0.0) + within_s
+            for begin_s, _, fault in (*self._faults, *self._planned)
+        )
 
     def _written_until_s(self, now_s: float, i: int) -> float:
         """When the last of the other programs ends that write to a joint, or did just now."""
@@ -217,20 +211,24 @@ class Duties:
             if duty.from_s + later_s + (gap_s if duty.from_s > last_s else 0.0) <= now_s <= duty.until_s
         )
 
-    def overdue(self, now_s: float) -> list[str]:
-        """What should have been reported by now; each told once."""
+    def overdue(self, now_s: float) -> list[tuple[str, bool]]:
+        """What should have been reported by now, and whether it is its name that lacks; each told once."""
         if now_s > self._back_by_s:
             self.port_back()
-            return [f"the adapter has been in again for {BACK_S:g} s"]
-        if not any(by_s < now_s for by_s, _, _ in self._expected):
+            return [(f"the adapter has been in again for {BACK_S:g} s", False)]
+        for one in self._expected:
+            if one.by_s == math.inf and any(self.heard_s[i] > one.begin_s + HEARD_S for i in one.servos):
+                one.by_s = now_s + one.within_s
+        if not any(one.by_s < now_s for one in self._expected):
             return []
-        found = [what for by_s, what, _ in self._expected if by_s < now_s]
-        self._expected = [one for one in self._expected if one[0] >= now_s]
+        found = [(one.what, one.by_name) for one in self._expected if one.by_s < now_s]
+        self._expected = [one for one in self._expected if one.by_s >= now_s]
         return found
 
     def excused(self, now_s: float, i: int | None = None) -> bool:
         """Whether a fault, or a hand, may be what moves a joint; None: whichever, for it shakes the others."""
-        return now_s < self._hand_s + RECOVERING_S or any(
+        forged_s = max(self._forged_until_s) if i is None else self._forged_until_s[i]
+        return now_s < max(self._hand_s + RECOVERING_S, forged_s) or any(
             begin_s <= now_s < end_s + RECOVERING_S
             and (
                 fault.kind in MOVES_ARM
@@ -246,7 +244,8 @@ class Duties:
             for duty in self._duties:
                 if duty.from_s > last_s:
                     duty.from_s += gap_s
-            self._expected = [(by_s + gap_s, what, codes) for by_s, what, codes in self._expected]
+            for expected in self._expected:
+                expected.by_s += gap_s
             self._back_by_s += gap_s
             self._forget_silences(last_s, now_s)
         begun = [planned for planned in self._planned if planned[0] <= now_s]
@@ -266,7 +265,9 @@ class Duties:
             if moves and end_s <= now_s and recovering:
                 self._faults[k] = (begin_s, now_s, fault)
         self._duties = [duty for duty in self._duties if duty.until_s + 1.0 > now_s]
+        self._over = [fault for fault in (*self._over, *self._faults) if now_s - OVER_S < fault[1] <= now_s]
         self._faults = [fault for fault in self._faults if fault[1] + RECOVERING_S > now_s]
+        self._garbled = [garbled for garbled in self._garbled if garbled[1] + RECOVERING_S > now_s]
 
     def _forget_silences(self, last_s: float, now_s: float) -> None:
         """A silence that ends while the program is late was a short one for it, and is over."""
@@ -274,7 +275,7 @@ class Duties:
             if fault.kind in SILENCES and end_s <= now_s and last_s - begin_s < LATCH_S:
                 what = _named(fault, end_s - begin_s)
                 self._duties = [duty for duty in self._duties if duty.why != what]
-                self._expected = [expected for expected in self._expected if expected[1] != what]
+                self._expected = [expected for expected in self._expected if expected.what != what]
 
     def _begin(self, begin_s: float, end_s: float, fault: Fault, servos: Sequence[Servo], known: Known) -> None:
         """What a fault obliges the program to, by the rows of the matrix."""
@@ -288,7 +289,7 @@ class Duties:
         if fault.kind in SILENCES and certain and lasts_s > SILENCE_S:
             stop_within_s = SILENCE_S
             if lasts_s > LATCH_S + REPORT_SLACK_S:
-                report_within_s = None if known.mode is Mode.OFF else LATCH_S
+                report_within_s = None if known.mode is OFF else LATCH_S
             else:
                 until_s = end_s
         elif fault.kind == "unplug":
@@ -298,44 +299,36 @@ class Duties:
                 until_s = end_s
             if self._back_by_s < math.inf:
                 self._back_by_s = max(self._back_by_s, end_s + BACK_S)
-        elif not powered:
+        elif not (powered or (known.latched and any(servo.torque for servo in servos))):
             return
         elif fault.kind == "trip" and certain and self._takes_torque(servos, fault):
             stop_within_s = report_within_s = self._period_s
         elif fault.kind == "brown_out" and certain:
             stop_within_s, report_within_s = SILENCE_S, LATCH_S
-        elif (fault.kind == "brown_out" and fault.probability == 0.0 and lasts_s > 0.2 and value < LOW_V) or (
-            fault.kind == "hot" and certain and value >= HOT_DEGC
-        ):
-            report_within_s = self._period_s
+        elif fault.kind == "brown_out" and fault.probability == 0.0:
+            if lasts_s > RESTING["VOLTAGE"] + REPORT_SLACK_S and value < self._arm.voltage_V[0] - LOW_BELOW_V:
+                report_within_s = RESTING["VOLTAGE"] + self._period_s
+        elif fault.kind == "hot" and certain and value >= self._arm.temperature_limit_degC + HOT_ABOVE_DEGC:
+            report_within_s = RESTING["HOT"] + self._period_s
         what = _named(fault, lasts_s)
-        if stop_within_s is not None:
+        if stop_within_s is not None and (powered or fault.kind not in MOVES_ARM):
             from_s = begin_s + stop_within_s + STOP_S
             by_clear, by_release = until_s == math.inf, fault.kind in MOVES_ARM
             self.must_stop(from_s, what, until_s=until_s, by_clear=by_clear, by_release=by_release, invariant="6")
-        if report_within_s is not None and not known.latched:
-            seen_s = self._heard_again_s(begin_s, fault)
-            self.must_report(seen_s + report_within_s + REPORT_SLACK_S, what, CODES[fault.kind])
-
-    def _heard_again_s(self, begin_s: float, fault: Fault) -> float:
-        """From when on what a servo says of a fault that began then can be heard; silence itself can at once.
-
-        It may have been read just before, so that silence which begins within a period comes first.
-        """
-        silences = [
-            end_s
-            for other_s, end_s, other in (*self._faults, *self._planned)
-            if other.kind in SILENCES
-            and other.probability == 1.0
-            and other.servo_id in (None, fault.servo_id)
-            and other_s <= begin_s + self._period_s
-        ]
-        return begin_s if fault.kind in SILENCES else max([begin_s, *silences])
+        if report_within_s is None:
+            return
+        within_s, servos_struck = report_within_s + REPORT_SLACK_S, tuple(i for i, _ in self._struck(servos, fault))
+        for by_name in (False, True):
+            if by_name or not known.latched:
+                expected = Expected(begin_s + within_s, what, CODES[fault.kind], by_name, begin_s, within_s)
+                if fault.kind not in SILENCES and fault.kind != "unplug":
+                    expected.by_s, expected.servos = math.inf, servos_struck
+                self._expected.append(expected)
 
     def overruled(self, now_s: float, i: int) -> None:
         """A servo under torque has a goal that the program in charge did not send."""
         until_s = self._written_until_s(now_s, i)
-        if until_s > now_s + 0.15 and not any("second_writer" in what for _, what, _ in self._expected):
+        if until_s > now_s + 0.15 and not any("second_writer" in one.what for one in self._expected):
             what = f"second_writer, until {until_s:.2f} s"
             self.must_stop(now_s + self._period_s + STOP_S, what, by_clear=True, invariant="6")
             self.must_report(now_s + self._period_s + REPORT_SLACK_S, what, CODES["second_writer"])

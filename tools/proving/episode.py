@@ -25,22 +25,25 @@ from armctl.control.machine import State
 from armctl.control.step import step
 from armctl.dynamixel import ax12a
 from armctl.errors import BusError
-from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import Command, Connected, HostLost, Mode, TickRecord, to_json
+from armctl.messages import Command, Connected, HostLost, Mode, Run, TickRecord, to_json
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault, Faults
 from armctl.sim.servo import ServoVariants
 from armctl.sim.spec import DEFAULT_SPEC
 from armctl.sim.virtual_arm import VirtualArm
+from proving import reading
+from proving.arms import arm_of, arm_text
 from proving.clerk import Clerk
 from proving.invariants import Judge
+from proving.meetings import Meetings
+from proving.motions import MotionJudge
 from proving.requests import PERIOD_S, postures
 from proving.shafts import Violation
-from proving.story import HostGone, Kill, Late, Story, Strike, Tamper
-from proving.watch import Killed, Watch, WatchedPort
+from proving.story import Garble, HostGone, Kill, Late, Story, Strike, Tamper
+from proving.watch import Killed, Watch, WatchedPort, damaged
 
 ARM = "ax12-line"
 # A fault is planned so long before it begins: the next tick comes earlier, however late.
@@ -73,13 +76,20 @@ class Stage:
     robot: Robot
     # Some that the arm can take [rad].
     postures: Sequence[FloatArray]
+    # The arm as the judge reads it.
+    judged: reading.Arm
 
 
 def stage(arm_name: str = ARM) -> Stage:
     """The stage for an arm given by name or path."""
-    arm = load_arm(arm_name)
+    return stage_of(arm_text(arm_name))
+
+
+def stage_of(text: str) -> Stage:
+    """The stage for the arm that a file describes."""
+    arm = arm_of(text)
     robot = robots.get(arm.robot, arm.lengths_m)
-    return Stage(arm, robot, postures(arm, robot))
+    return Stage(arm, robot, postures(arm, robot), reading.read(text))
 
 
 @dataclass
@@ -93,6 +103,10 @@ class Outcome:
     wire: str
     # The course of it in plain words, with its times.
     told: list[tuple[float, str]] = field(default_factory=list)
+    # Of rules that are not kept yet.
+    red: list[Violation] = field(default_factory=list)
+    # Which two faults began within a tick, under torque.
+    met: Counter[tuple[str, str]] = field(default_factory=Counter)
 
 
 def variants(seed: int) -> ServoVariants:
@@ -124,14 +138,28 @@ class Episode:
         self.body = SimulatedArm(arm, seed=story.seed, spec=spec, faults=Faults(seed=story.seed))
         self.body.advance(self._clock.now_ns())
         limits = [(servo.get(ax12a.CW_LIMIT), servo.get(ax12a.CCW_LIMIT)) for servo in self.body.servos]
-        self.judge = Judge(arm, PERIOD_S, limits)
-        self.watch = Watch(arm, self.body, self.judge)
+        self.judge = Judge(stage.judged, PERIOD_S, limits)
+        self.watch = Watch(stage.judged, self.body, self.judge)
         self._virtual = VirtualArm(
             self.body, PERIOD_S, clock=self._clock, make_port=lambda wire, clock: WatchedPort(wire, clock, self.watch)
         )
         self.rows: Counter[str] = Counter()
         self.told: list[tuple[float, str]] = [(line.at_s, str(line)) for line in story.lines]
         self.clerk = Clerk(story, arm, stage.robot, self)
+        self._garbles = [line for line in story.lines if isinstance(line, Garble)]
+        for garble in self._garbles:
+            self.judge.garbled(garble.at_s, garble.at_s + garble.duration_s)
+        if self._garbles:
+            self.watch.spoil = self._spoil
+        self._spoiling = np.random.default_rng((story.seed, 6))
+        # What was asked, by its number.
+        self._asked: dict[int, str] = {}
+        # Why runs that no host has looked at are plainly wrong; empty: they are not.
+        self._unseen: dict[int, str] = {}
+        # Runs that the host has let through.
+        self._through: dict[int, Run] = {}
+        self._motions = MotionJudge(stage.judged, self.body.chain)
+        self.meetings = Meetings(story)
         for line in story.lines:
             if isinstance(line, Tamper):
                 index = arm.servo_ids.index(line.servo_id)
@@ -160,6 +188,21 @@ class Episode:
         if fault.kind == "unplug":
             assert fault.duration_s is not None
             self.watch.unplugged(fault.begin_s + fault.duration_s)
+
+    def let_through(self, run: Run) -> None:
+        """The host has looked at a motion and found nothing against it."""
+        self._through[run.request_id] = run
+        for reason in self._motions.against(run.trajectory.positions_rad, run.trajectory.period_s):
+            self.judge.found(self.now_s, "preflight", f"let through by the host: {reason}")
+
+    def _spoil(self, packet: bytes, now_ns: int) -> bytes:
+        """What of a packet of the host comes to the servos."""
+        now_s = self.watch.now_s(now_ns)
+        for line in self._garbles:
+            if line.at_s <= now_s < line.at_s + line.duration_s and self._spoiling.random() < line.probability:
+                self.rows["damaged requests"] += 1
+                return damaged(packet, line.how, self._spoiling)
+        return packet
 
     def note(self, text: str) -> None:
         """A line of the course of events."""
@@ -201,7 +244,8 @@ class Episode:
                 self._idle(back_s)
                 restarted = False
         told = sorted(self.told, key=lambda one: one[0])
-        return Outcome(self.judge.violations, self.rows, self.now_s, self.watch.wire.hexdigest(), told)
+        judge, wire = self.judge, self.watch.wire.hexdigest()
+        return Outcome(judge.violations, self.rows, self.now_s, wire, told, judge.red, self.meetings.met)
 
     def _over(self) -> bool:
         return bool(self.judge.violations) or self.now_s >= self._story.duration_s
@@ -229,7 +273,7 @@ class Episode:
         self.body.advance(self._clock.now_ns())
         if self.body.hand.holding:
             self.judge.led(self.now_s)
-        self.judge.ticked(self.now_s, self.watch.servos())
+        self.judge.ticked(self.now_s, self.watch.servos(), self.watch.strains())
 
     def _approach(self, now_s: float) -> None:
         """Plan the faults that are near."""
@@ -258,6 +302,9 @@ class Episode:
         commands = self.clerk.commands(now_s)
         for command in commands:
             self.judge.asked(now_s, command.kind)
+            self._asked[getattr(command, "request_id", -1)] = command.kind
+            if isinstance(command, Run) and command.request_id not in self._through:
+                self._unseen[command.request_id] = self._motions.plainly_wrong(command.trajectory)
             self.told.append((now_s, f"-> {command.kind}"))
         return commands
 
@@ -271,7 +318,9 @@ class Episode:
         outputs = record.outputs
         code = "" if outputs.fault is None else outputs.fault.code
         cause = self.clerk.persisting(outputs.mode is Mode.ENERGISING) if self._code and not code else ""
-        self.judge.reported(now_s, outputs.mode, code, cause)
+        codes = frozenset(fault.code for fault in getattr(outputs, "faults", ())) | ({code} if code else frozenset())
+        self.judge.reported(now_s, outputs.mode, code, cause, codes)
+        self.meetings.tick(now_s, any(servo.torque for servo in self.watch.servos()))
         if code != self._code or outputs.mode != self._mode:
             self.note(f"state {outputs.mode}" + (f", {code}: {outputs.fault.text}" if outputs.fault and code else ""))
             self._code, self._mode = code, outputs.mode
@@ -281,6 +330,14 @@ class Episode:
         if self._log is not None:
             self._log(record)
         return True
+
+    def _accepted(self, record: TickRecord) -> None:
+        """A run begins, of those asked for in this tick."""
+        refused = {reply.request_id for reply in record.outputs.replies if not reply.ok}
+        for command in record.inputs.commands:
+            wrong = self._unseen.get(getattr(command, "request_id", -1), "")
+            if wrong and getattr(command, "request_id", -1) not in refused:
+                self.judge.found(self.now_s, "1", f"a run is accepted: {wrong}")
 
     def _repeat(self, record: TickRecord) -> None:
         """Run the step on a record's inputs once more."""
@@ -296,7 +353,14 @@ class Episode:
                 self.note(f"   {event.code}: {event.text}")
             if event.code == "PORT_BACK":
                 self.judge.port_back()
+        for event in record.outputs.events:
+            if event.code == "RUN_ACCEPTED":
+                self._accepted(record)
         for reply in record.outputs.replies:
+            self.judge.replied(self.now_s, self._asked.get(reply.request_id, ""), reply.ok, self.watch.servos())
+            if not reply.ok and reply.code == "LIMIT" and reply.request_id in self._through:
+                text = f"let through by the host, and refused by the control process: {reply.message}"
+                self.judge.found(self.now_s, "preflight", text)
             if not reply.ok:
                 self.rows[f"refused or ended: {reply.code}"] += 1
                 self.note(f"   refused or ended: {reply.code} {reply.message}")

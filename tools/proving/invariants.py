@@ -38,24 +38,32 @@ Rules:
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
-from armctl.config import ArmConfig
-from armctl.control.faults import SETTLING
-from armctl.dynamixel import ax12a
-from armctl.messages import Mode
 from armctl.sim.faults import Fault
-from proving.duties import ADVANCING, POWERED, STOP_S, TICK_DEG, Known, Sent, Servo
-from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, ShaftJudge, copied
+from proving.duties import STOP_S
+from proving.evidence import Known, Sent, Servo, Strain
+from proving.reading import (
+    ADVANCING,
+    EEPROM_END,
+    GOAL,
+    HOLDING,
+    JOGGING,
+    LIMP,
+    MOVING,
+    MOVING_SPEED,
+    OFF,
+    PARKING,
+    POWERED,
+    RESTING,
+    TICK_DEG,
+    Arm,
+)
+from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, copied
+from proving.torque import HERE_TICKS, TorqueJudge
 
-# A goal this near to the servo's own position asks for no motion.
-HERE_TICKS = 0.6 / TICK_DEG + NOISE_TICKS
 LEAD_TICKS = 12.0 / TICK_DEG
-SOFT_LIMIT = 0.2 * ax12a.TORQUE_LIMIT.maximum
-REST_TICKS = 3.0 / TICK_DEG + 2.0
 REST_SPEED_DEG_S = 20.0
-# A torque-on takes so long at most, without the ticks in which a servo is not heard.
-ASKED_S = 2.0
 # From the last goal that may advance to an arm that is still.
 REST_S = 0.3
 AGE_S = 0.25
@@ -69,47 +77,34 @@ DEAD_S = 0.25
 MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
 
 
-class Judge(ShaftJudge):
+class Judge(TorqueJudge):
     """Watches one arm from its servos' side, and notes what must not be."""
 
-    def __init__(self, arm: ArmConfig, period_s: float, eeprom_limits: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, arm: Arm, period_s: float, eeprom_limits: Sequence[tuple[int, int]]) -> None:
         super().__init__(arm, period_s)
         n = len(arm.joints)
         self._limits = [
-            (max(low, joint.limits_tick[0]), min(high, joint.limits_tick[1]))
+            (max(low, joint.low), min(high, joint.high))
             for joint, (low, high) in zip(arm.joints, eeprom_limits, strict=True)
         ]
-        self._steps = [joint.speed_limit_rad_s * period_s / ax12a.TICK_RAD + 1.0 for joint in arm.joints]
-        self._speeds = [ax12a.moving_speed_units(joint.speed_limit_rad_s) for joint in arm.joints]
-        self._rest = [joint.tick(joint.rest_rad) for joint in arm.joints]
+        self._steps = [joint.speed_deg_s * period_s / TICK_DEG + 1.0 for joint in arm.joints]
+        self._speeds = [joint.speed_units for joint in arm.joints]
         self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + 1.0
-        # Goals of the program in charge, while their servos have torque.
-        self._sent: list[int | None] = [None] * n
-        # And those before them: what a servo holds that missed one.
-        self._sent_before: list[int | None] = [None] * n
         self._goal_times: deque[float] = deque(maxlen=BURST + 1)
-        # Whose EEPROM forbids torque.
-        self._unfit: set[int] = set()
         # When each servo was last heard, and where it said it was.
-        self._heard_s = [-math.inf] * n
+        self._heard_s = self._duties.heard_s
         self._told = [0] * n
-        # Whether every servo answered in the last tick.
-        self._all_heard = False
-        self._time_s = -math.inf
+        # How many goals in a row each servo may have missed, for they were damaged.
+        self._missed = [0] * n
         self._asked_s: dict[str, float] = {}
-        # In this tick.
-        self._asked_now: set[str] = set()
-        # What this tick's `clear`, if it is granted, makes right.
-        self._unless_cleared: list[tuple[str, float, int, str]] = []
+        # In the tick that is reported of.
+        self._asked_before: set[str] = set()
         # Whether this tick's `clear` comes together with a request to move.
         self._clears_and_moves = False
         # What is right if this tick's report tells of a fault that sends the arm to rest at once.
         self._unless_settling: list[tuple[str, float, int, str]] = []
-        self._torque_asked_s = -math.inf
         # Since when a fault is reported.
         self._fault_s = -math.inf
-        # Whether there is a program at all.
-        self._in_charge = False
         # Whether another program is taking over, and nobody has asked it for anything yet.
         self._adopting = False
 
@@ -118,6 +113,10 @@ class Judge(ShaftJudge):
     def plan(self, fault: Fault) -> None:
         """Take note of a fault that will begin, at `begin_s` of the arm's time."""
         self._duties.plan(fault)
+
+    def garbled(self, begin_s: float, end_s: float) -> None:
+        """Packets of the host will come damaged from then to then."""
+        self._duties.garbled(begin_s, end_s)
 
     def led(self, now_s: float) -> None:
         """A hand is at the arm."""
@@ -128,15 +127,16 @@ class Judge(ShaftJudge):
         self._asked_s[kind] = now_s
         self._asked_now.add(kind)
         self._adopting = False
-        calm = self._mode in (Mode.HOLDING, Mode.OFF) and not self._code
-        if (kind in MOTION_REQUESTS and calm) or (kind == "resume" and self._mode is Mode.MOVING):
+        self._stopped = kind in ("hold", "pause", "host_lost") or (self._stopped and kind not in MOTION_REQUESTS)
+        calm = self._mode in (HOLDING, OFF) and not self._code
+        if (kind in MOTION_REQUESTS and calm) or (kind == "resume" and self._mode == MOVING):
             self._duties.motion_asked()
         self._clears_and_moves |= kind in MOTION_REQUESTS and "clear" in self._asked_now
         if kind in ("release", "teach"):
             self._duties.nobody_reports()
         if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
             self._torque_asked_s = now_s
-        if kind in ("hold", "host_lost") or (kind == "pause" and self._mode is Mode.MOVING):
+        if kind in ("hold", "host_lost") or (kind == "pause" and self._mode == MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
     def heard(self, now_s: float, index: int, position: int, goal: int | None = None) -> None:
@@ -152,14 +152,16 @@ class Judge(ShaftJudge):
         if goal not in (None, self._sent[index], self._sent_before[index]) and self._sent[index] is not None and looks:
             self._duties.overruled(now_s, index)
 
-    def reported(self, now_s: float, mode: Mode, code: str, cause: str = "") -> None:
+    def reported(self, now_s: float, mode: str, code: str, cause: str = "", codes: Set[str] | None = None) -> None:
         """What the program in charge says after a tick.
 
         Args:
             code: Of the fault that is latched; empty: none is.
             cause: Why a fault cannot be cleared now, as far as the simulator knows; empty: nothing.
+            codes: Of all faults that are told; None: that one.
         """
-        for unless_settling in self._unless_settling if code not in SETTLING else ():
+        codes = (frozenset({code}) if code else frozenset()) if codes is None else codes
+        for unless_settling in self._unless_settling if not codes & RESTING.keys() else ():
             self._violate(*unless_settling)
         self._unless_settling.clear()
         if code:
@@ -172,26 +174,28 @@ class Judge(ShaftJudge):
                 self._duties.port_gone(now_s)
             for what in self._duties.reported(code):
                 self._violate("rows", now_s, -1, f"{what} is reported as {code}")
-            if code in SETTLING:
-                self._duties.motion_asked()
-            else:
+            if code not in RESTING:
                 from_s = now_s + 1.5 * self._period_s + 0.1
                 self._duties.must_stop(from_s, f"{code} is latched", by_clear=True, invariant="7")
-        elif self._code and not code:
+        if codes & RESTING.keys() - self._codes:
+            self._duties.motion_asked()
+            self._duties.cleared()
+        if self._code and not code:
             self._duties.cleared()
             if self._clears_and_moves:
                 self._duties.motion_asked()
             self._sent = [None] * len(self._sent)
             if cause:
                 self._violate("7", now_s, -1, f"{self._code} was cleared although {cause}")
-        elif not code and mode in (Mode.OFF, Mode.TEACHING):
+        elif not code and mode in LIMP:
             self._duties.let_go()
         for unless_cleared in self._unless_cleared if code else ():
             self._violate(*unless_cleared)
         self._unless_cleared.clear()
         self._clears_and_moves = False
+        self._hear_codes(now_s, mode, codes, bool(MOTION_REQUESTS & self._asked_before))
         self._mode, self._code = mode, code
-        self._adopting &= mode is Mode.OFF  # from now on a fault may send the arm to rest
+        self._adopting &= mode == OFF  # from now on a fault may send the arm to rest
 
     def tampered(self, i: int) -> None:
         """Somebody has set a servo's EEPROM such that the arm must not be moved."""
@@ -213,7 +217,7 @@ class Judge(ShaftJudge):
         self._duties.port_back()
         self._duties.cleared()
         self._duties.must_stop(now_s, "the program died, and the next one adopts", by_clear=False, invariant="6")
-        self._mode, self._code = Mode.OFF, ""
+        self._forget_words()
         self._unless_cleared.clear()
         self._unless_settling.clear()
         self._clears_and_moves = False
@@ -234,14 +238,15 @@ class Judge(ShaftJudge):
         goals = False
         for one in sent:
             i, was, now = one.index, before[one.index], after[one.index]
-            if one.address < ax12a.EEPROM_END:
+            if one.address < EEPROM_END:
                 self._violate("9", now_s, i, f"a write to address {one.address}: EEPROM")
-            speed, goal = one.value(ax12a.MOVING_SPEED), one.value(ax12a.GOAL)
+            speed, goal = one.value(MOVING_SPEED), one.value(GOAL)
             if speed is not None and not 1 <= speed <= self._speeds[i]:
                 self._violate("3" if speed == 0 else "2", now_s, i, f"speed {speed} (bound 1 to {self._speeds[i]})")
             if goal is not None:
                 goals = True
                 self._goal(now_s, i, goal, before)
+                self._missed[i] = 0 if now.goal == goal else self._missed[i] + 1
             if now.torque and not was.torque:
                 self._energised(now_s, i, now)
             elif was.torque and not now.torque:
@@ -273,7 +278,8 @@ class Judge(ShaftJudge):
         moved = abs(was.shaft_tick - self._before[i].shaft_tick) if self._before else 0.0
         here, told = (min(max(tick, low), high) for tick in (was.sensed_tick, self._told[i]))
         thrown = self._duties.excused(now_s, i)
-        if abs(goal - here) > HERE_TICKS + moved / (1.0 if thrown else 4.0) and not (thrown and goal == told):
+        near = HERE_TICKS + moved / (1.0 if thrown else 4.0)
+        if abs(goal - here) > near and not (thrown and goal == told):
             self._advance(now_s, i, known, goal, was.goal)
         ahead = abs(goal - told)
         if ahead > max(LEAD_TICKS + NOISE_TICKS, abs(known - told)):
@@ -283,8 +289,9 @@ class Judge(ShaftJudge):
     def _advance(self, now_s: float, i: int, known: int, goal: int, held: int) -> None:
         """A goal that moves a servo, from the one sent before, or held by the servo."""
         step, way = self._steps[i], abs(goal - known)
-        if way > step or (abs(goal - held) > 2.0 * step and not self._duties.excused(now_s, i)):
+        if way > step or (abs(goal - held) > (2.0 + self._missed[i]) * step and not self._duties.excused(now_s, i)):
             self._violate("2", now_s, i, f"goal {goal} after {known} sent, {held} held (bound {step:.1f} ticks)")
+        self._advanced.append((i, f"goal {known} -> {goal}"))
         for duty in self._duties.in_force(self._time_s, now_s):
             text = f"goal {known} -> {goal}, {now_s - duty.from_s:.2f} s too late: {duty.why}"
             if "clear" in self._asked_now and (duty.by_clear or self._clears_and_moves):
@@ -293,82 +300,46 @@ class Judge(ShaftJudge):
                 self._unless_settling.append((duty.invariant, now_s, i, text))
             else:
                 self._violate(duty.invariant, now_s, i, text)
-        if self._mode is Mode.JOGGING and (since_s := now_s - self._asked_s["jog"]) > JOG_S:
+        if self._mode == JOGGING and (since_s := now_s - self._asked_s["jog"]) > JOG_S:
             self._violate("6", now_s, i, f"jogs on {since_s:.2f} s after the last heartbeat (bound {JOG_S:.2f})")
         for j, heard_s in enumerate(self._heard_s):
             if now_s - heard_s > AGE_S:
                 self._violate("8", now_s, j, f"the arm moves on, {now_s - heard_s:.3f} s after its last reply")
-        settling = self._code in SETTLING
+        settling = self._settling()
         since_s = now_s - max(self._fault_s, self._asked_s.get("park", -math.inf))
-        if (settling or self._mode is Mode.PARKING) and since_s > STOP_S:
+        if (settling or self._mode == PARKING) and since_s > STOP_S:
             if way > self._rest_step:
                 self._violate("5", now_s, i, f"goal {known} -> {goal} on the way to rest (bound {self._rest_step:.1f})")
+            if settling:
+                self._advances_to_rest(now_s, i, f"goal {known} -> {goal}")
             if settling and abs(goal - self._rest[i]) > abs(known - self._rest[i]) + 1.0:
                 self._violate("7", now_s, i, f"goal {known} -> {goal}, away from rest, {self._code} being latched")
 
-    def _energised(self, now_s: float, i: int, now: Servo) -> None:
-        for unfit in self._unfit:
-            text = f"torque came on although {self._names[unfit]} is in wheel mode"
-            self._violate("rows", now_s, i, text)
-        self._enabled[i] = (now_s, now.shaft_tick)
-        own = now.goal == self._sent[i] or not self._duties.other_writer(now_s, i)
-        self._sent[i] = now.goal
-        if own and abs(now.goal - now.sensed_tick) > HERE_TICKS:
-            text = f"torque came on at {now.sensed_tick} with goal {now.goal} (bound {HERE_TICKS:.1f} ticks)"
-            self._violate("3", now_s, i, text)
-        if now.limit > SOFT_LIMIT or now.speed == 0:
-            text = f"torque came on with limit {now.limit} (bound {SOFT_LIMIT:.0f}), speed {now.speed} (not 0)"
-            self._violate("3", now_s, i, text)
-        text = "torque came on, which nobody asked for since the last fault"
-        if not self._energising(now_s):
-            self._violate("4", now_s, i, text)
-        elif self._code:  # asked for behind a `clear` of the same tick
-            self._unless_cleared.append(("4", now_s, i, text))
+    def _alive(self) -> bool:
+        return self._in_charge
 
-    def _released(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
-        self._sent[i] = None
-        if self._asked_now & {"release", "teach"} or self._energising(now_s):
-            return
-        settling = self._mode is Mode.PARKING or self._code in SETTLING
-        away = max(abs(servo.sensed_tick - rest) for servo, rest in zip(before, self._rest, strict=True))
-        if not settling or away > REST_TICKS:
-            self._violate("5", now_s, i, f"torque cut, {away * TICK_DEG:.1f} deg from rest, and nobody asked")
-
-    def _energising(self, now_s: float) -> bool:
-        """Whether a torque-on may be under way; a tick that is late does not count."""
-        late_s = max(0.0, now_s - self._time_s - self._period_s)
-        return now_s - late_s - self._torque_asked_s <= ASKED_S
-
-    def polled(self, now_s: float, unheard: Sequence[tuple[int, int]], heard: int, asked: int) -> None:
-        """Which servos were asked in vain in a tick, each how often, how many answered and how often all were asked.
-
-        Where all answered a tick ago, the first that does not deserves a second try, unless two others had one. A
-        torque-on waits for all of them.
-        """
-        n = len(self._names)
-        if unheard and self._all_heard and unheard[0][1] < 2 and asked < n + 2 and self._in_charge:
-            self._violate("rows", now_s, unheard[0][0], "a lost reply was not asked for again")
-        self._all_heard = heard == n
-        if not self._all_heard and self._mode is Mode.ENERGISING:
-            self._torque_asked_s += self._period_s
-
-    def ticked(self, now_s: float, servos: Sequence[Servo]) -> None:
+    def ticked(self, now_s: float, servos: Sequence[Servo], strains: Sequence[Strain] = ()) -> None:
         """Another tick is over (or a period without any program)."""
         last_s, self._time_s = self._time_s, now_s
         gap_s = now_s - last_s - self._period_s
         if gap_s > 0.05:
             self._torque_asked_s += gap_s
-        mode = Mode.OFF if self._asked_now & {"release", "teach"} else self._mode
-        self._asked_now.clear()
+        mode = OFF if self._asked_now & {"release", "teach"} else self._mode
+        self._asked_now, self._asked_before = set(), self._asked_now
         known = Known(mode, bool(self._code), self._in_charge)
         self._duties.tick(last_s, now_s, servos, known)
         if gap_s > LATE_S and self._mode in ADVANCING:
             from_s = now_s + 1.5 * self._period_s
             self._duties.must_stop(from_s, f"a tick came {gap_s:.2f} s late", by_clear=False, invariant="6")
-        for what in self._duties.overdue(now_s):
-            self._violate("rows", now_s, -1, f"{what}, and nobody reports it")
+        for what, by_name in self._duties.overdue(now_s):
+            text = f"{what}, and nobody reports it" + (f" beside {self._code}" if by_name else "")
+            self._violate("faults" if by_name else "rows", now_s, -1, text)
+        self._watch_standing(now_s, servos, strains)
         before, self._before = self._before, [copied(servo) for servo in servos]
         for i, servo in enumerate(servos):
+            ours = (self._sent[i], self._sent_before[i], before[i].goal if before else servo.goal)
+            if servo.goal not in ours and self._duties.may_be_forged(now_s):
+                self._duties.forged(now_s, i)
             if not servo.torque:
                 self._enabled.pop(i, None)
                 self._far_s[i] = math.inf
@@ -381,7 +352,7 @@ class Judge(ShaftJudge):
             if i in self._enabled:
                 self._watch_jump(now_s, i, servo)
         if before and gap_s <= 0.05:
-            if self._code not in SETTLING:
+            if not self._settling():
                 for duty in self._duties.in_force(last_s, now_s, REST_S):
                     self._watch_rest(now_s, servos, before, duty.invariant, duty.why)
             if self._dead is not None and self._duties.excused(now_s):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -97,6 +98,23 @@ class Requests:
             trajectory = joint_trajectory(slow_plan, self._arm, q_now.tolist(), PERIOD_S)
         return trajectory
 
+    def planned(self, rng: np.random.Generator, q_now: Sequence[float]) -> JointTrajectory:
+        """A motion at which nobody has looked: between its ends it may leave the limits, hit the floor or the arm."""
+        limits = np.array([joint.limits_rad for joint in self._arm.joints])
+        others = rng.uniform(limits[:, 0], limits[:, 1], size=(int(rng.integers(1, 4)), len(limits)))
+        rows = [np.array(q_now), *others]
+        what = rng.random()
+        if what < 0.3 and len(rows) > 2:  # a via point beyond a limit, far or by little
+            joint, side = int(rng.integers(len(limits))), int(rng.integers(2))
+            beyond = float(rng.choice((0.03, 0.2)))
+            rows[1] = np.array(q_now)
+            rows[1][joint] = limits[joint, side] + (beyond if side else -beyond)
+            rows[-1] = rows[0]
+        elif what < 0.6:  # there and back again: its ends tell nothing
+            rows[-1] = rows[0]
+        slow = float(rng.uniform(1.05, 3.0) if rng.random() < 0.8 else rng.uniform(0.6, 1.0))
+        return _paced(rows, self._arm, self._robot, slow)
+
     def going_on(self, q_now: Sequence[float]) -> JointTrajectory:
         """A few degrees of every joint, towards the middle of its range."""
         target = [
@@ -183,3 +201,22 @@ def postures(arm: ArmConfig, robot: Robot) -> Sequence[FloatArray]:
         if lowest_link_m(still, robot) > arm.floor_m + 0.02:
             found.append(q)
     return found
+
+
+def _paced(rows: Sequence[FloatArray], arm: ArmConfig, robot: Robot, slow: float) -> JointTrajectory:
+    """Smooth from one row to the next, at rest at each; `slow` below 1 is too fast for a joint or for the tool."""
+    speeds = np.array([joint.speed_limit_rad_s for joint in arm.joints])
+    accelerations = np.array([joint.acceleration_limit_rad_s2 for joint in arm.joints])
+    points = [rows[0]]
+    for begin, end in pairwise(rows):
+        way = np.abs(end - begin)
+        # The fastest of s = u^2 (3 - 2 u): 1.5 of the mean speed; its acceleration at the ends: 6 ways by time squared.
+        least_s = max((1.5 * way / speeds).max(), np.sqrt(6.0 * way / accelerations).max(), 4.0 * PERIOD_S)
+        tool = tool_position(robot.chain, np.linspace(begin, end, 40)[:, : robot.chain.n])
+        least_s = max(
+            least_s, 1.5 * 39.0 * np.linalg.norm(np.diff(tool, axis=0), axis=1).max() / arm.tool_speed_limit_m_s
+        )
+        count = math.ceil(slow * least_s / PERIOD_S)
+        u = np.arange(1, count + 1)[:, None] / count
+        points += list(begin + u * u * (3.0 - 2.0 * u) * (end - begin))
+    return JointTrajectory(PERIOD_S, tuple(tuple(point.tolist()) for point in points), label="planned")

@@ -7,9 +7,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from armctl.config import ArmConfig
-from armctl.messages import Mode
-from proving.duties import POWERED, REPORT_SLACK_S, TICK_DEG, Duties, Servo
+from proving.duties import REPORT_SLACK_S, Duties
+from proving.evidence import Servo
+from proving.reading import OFF, POWERED, TICK_DEG, Arm
+from proving.rules import RED
 
 # Two standard deviations of one reading: a program that has one reading knows a shaft no better.
 NOISE_TICKS = 1.0
@@ -34,14 +35,17 @@ class Violation:
 class ShaftJudge:
     """Watches the shafts of one arm, and notes what must not be."""
 
-    def __init__(self, arm: ArmConfig, period_s: float) -> None:
+    def __init__(self, arm: Arm, period_s: float) -> None:
         self.violations: list[Violation] = []
-        self._names = arm.joint_names
+        # Of rules that are not kept yet.
+        self.red: list[Violation] = []
+        self._arm = arm
+        self._names = [joint.name for joint in arm.joints]
         self._period_s = period_s
         self._seen: set[tuple[str, int]] = set()
-        self._duties = Duties(arm.servo_ids, period_s)
+        self._duties = Duties(arm, period_s)
         # What is reported: the mode, and the code of a fault.
-        self._mode, self._code = Mode.OFF, ""
+        self._mode, self._code = OFF, ""
         # The servos a tick ago.
         self._before: list[Servo] = []
         # When and where [tick] each servo took torque, for the half second of watching.
@@ -59,7 +63,7 @@ class ShaftJudge:
         if (invariant, index) not in self._seen:
             self._seen.add((invariant, index))
             who = f"{self._names[index]}: " if index >= 0 else ""
-            self.violations.append(Violation(invariant, now_s, who + text))
+            (self.red if invariant in RED else self.violations).append(Violation(invariant, now_s, who + text))
 
     def _watch_tripped(self, now_s: float) -> None:
         """Servos that shut themselves down say so by their torque limit: the card is another than for lost torque."""

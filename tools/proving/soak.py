@@ -31,10 +31,12 @@ from armctl.config import Config
 from armctl.messages import Command, Run, SetRate, TickRecord
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter
-from proving.episode import Episode, Outcome, Stage, stage
+from proving.arms import drawn
+from proving.episode import Episode, Outcome, Stage, stage_of
+from proving.meetings import never_met, table
 from proving.requests import PERIOD_S
 from proving.shafts import Violation
-from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink
+from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink, thickened
 
 SEED = 1
 # Of so many episodes one is played twice, and its log replayed; as is each worker's first, and every failure.
@@ -90,14 +92,25 @@ class Tally:
     # Episode, invariant, when and what.
     failures: list[tuple[int, str, float, str]] = field(default_factory=list)
     grown_mib: float = 0.0
+    # Which two faults met, and rules that are not kept yet by episode.
+    met: Counter[tuple[str, str]] = field(default_factory=Counter)
+    red: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Tally) -> None:
         self.runs += other.runs
         self.virtual_s += other.virtual_s
         self.busy_s += other.busy_s
         self.rows.update(other.rows)
+        self.met.update(other.met)
+        self.red.update(other.red)
         self.failures += other.failures
         self.grown_mib = max(self.grown_mib, other.grown_mib)
+
+
+def drawn_by(seed: int, episode: int) -> tuple[Stage, Story]:
+    """The arm and the story of an episode, the same for the same numbers."""
+    on = stage_of(drawn(seed, episode))
+    return on, thickened(draw(seed, episode, on.arm), seed, episode, on.arm)
 
 
 def play(story: Story, on: Stage, *, twice: bool = False) -> Outcome:
@@ -154,7 +167,6 @@ def _finite(command: Command) -> bool:
     return not isinstance(command, SetRate) or math.isfinite(command.rate)
 
 
-_stage: Stage | None = None
 # Memory [MiB], open files and simulated time [s] of this worker once it was warm.
 _baseline: tuple[float, int, float] | None = None
 # Of this worker, since it began.
@@ -162,9 +174,7 @@ _tally = Tally()
 
 
 def _begin() -> None:
-    global _stage
     logging.disable(logging.CRITICAL)
-    _stage = stage()
 
 
 def _begin_worker() -> None:
@@ -176,18 +186,19 @@ def _begin_worker() -> None:
 
 def _episodes(work: tuple[int, range]) -> Tally:
     """Play some episodes in this process."""
-    assert _stage is not None
     seed, episodes = work
     tally = Tally()
     for episode in episodes:
         begin_s = time.process_time()
-        story = draw(seed, episode, _stage.arm)
+        on, story = drawn_by(seed, episode)
         twice = episode % TWICE_EVERY == 0 or not (_tally.runs or tally.runs)
-        outcome = play(story, _stage, twice=twice)
+        outcome = play(story, on, twice=twice)
         tally.runs += 1
         tally.virtual_s += outcome.virtual_s
         tally.busy_s += time.process_time() - begin_s
         tally.rows.update(outcome.rows)
+        tally.met.update(outcome.met)
+        tally.red.update(f"{v.invariant}: {episode}" for v in outcome.red)
         tally.failures += [(episode, v.invariant, v.time_s, v.text) for v in outcome.violations]
     _tally.add(tally)
     _watch_process(tally, episodes[-1])
@@ -270,10 +281,22 @@ def prove(
             {"episode": number, "invariant": invariant, "time_s": round(at_s, 3), "text": text}
             for number, invariant, at_s, text in sorted(total.failures)[:100]
         ],
+        "red": [{"rule": rule, "episodes": len(found), "first": min(found)} for rule, found in _by_rule(total.red)],
+        "pairs_never_met": never_met(total.met),
+        "pairs": list(table(total.met)),
         "grown_MiB": round(total.grown_mib, 2),
         "repeat": repeat,
         "seed": seed,
     }
+
+
+def _by_rule(red: Counter[str]) -> list[tuple[str, set[int]]]:
+    """Episodes in which each rule that is not kept yet was broken."""
+    found: dict[str, set[int]] = {}
+    for name in red:
+        rule, episode = name.split(": ")
+        found.setdefault(rule, set()).add(int(episode))
+    return sorted(found.items())
 
 
 def _played(seed: int, episodes: range, workers: int) -> Iterator[Tally]:
@@ -290,8 +313,7 @@ def _played(seed: int, episodes: range, workers: int) -> Iterator[Tally]:
 
 def tell_story(seed: int, episode: int, budget_s: float, tell: Callable[[str], None]) -> None:
     """Shrink a failing episode and tell it."""
-    on = stage()
-    story = draw(seed, episode, on.arm)
+    on, story = drawn_by(seed, episode)
     first = play(story, on, twice=True)
     if not first.violations:
         tell(f"episode {episode} fails no more when played alone")

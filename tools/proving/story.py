@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -18,6 +19,20 @@ SHORTEST_S, LONGEST_S = 120.0, 240.0
 # What a user wants of an arm; `mixed` is a run with pauses, other rates and stops in between, `lean` one against
 # something that holds a joint.
 WISHES = ("run", "run", "run", "mixed", "mixed", "jog", "jog", "park", "teach", "release", "lean")
+# What may become of a packet on its way to the servos.
+DAMAGES = ("flipped", "short", "cut", "dropped")
+# What beside the simulator's faults may meet one of them.
+OTHERS = ("requests", "late tick", "kill")
+HAPPENINGS = (*KINDS, *OTHERS)
+# The whole bus is struck once at a time.
+ALONE = frozenset({"dead_bus", "echo", "unplug", "latency", *OTHERS})
+PAIRS: tuple[tuple[str, str], ...] = tuple(
+    pair for pair in combinations_with_replacement(HAPPENINGS, 2) if pair[0] != pair[1] or pair[0] not in ALONE
+)
+# So many an episode, at least: they begin with another one in the next.
+PAIRS_EACH = 3
+# Two that begin within a tick.
+TOGETHER_S = 0.08
 # What is asked without regard to the state; `nonsense` is a run outside the limits, `elsewhere` one that starts so.
 WORDS = (
     "hold", "clear", "release", "torque_on", "park", "run", "teach", "teach_end", "pause", "resume", "set_rate", "jog",
@@ -115,7 +130,21 @@ class Tamper:
         return f"servo {self.servo_id} was left in wheel mode before the start"
 
 
-Line = Wish | Word | Strike | Late | Kill | HostGone | Tamper
+@dataclass(frozen=True, slots=True)
+class Garble:
+    """For a while packets of the host come damaged to the servos."""
+
+    at_s: float
+    duration_s: float
+    probability: float
+    # One of `DAMAGES`.
+    how: str
+
+    def __str__(self) -> str:
+        return f"requests come {self.how} for {self.duration_s:.2f} s, with probability {self.probability:.2f}"
+
+
+Line = Wish | Word | Strike | Late | Kill | HostGone | Tamper | Garble
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +191,61 @@ def draw(seed: int, episode: int, arm: ArmConfig) -> Story:
     return Story(int(rng.integers(2**31)), duration_s, tuple(sorted(lines, key=lambda line: line.at_s)))
 
 
-def _fault(rng: np.random.Generator, arm: ArmConfig, begin_s: float) -> Fault:
-    """Any fault, as it may happen: short or long, on one servo or all, always or now and then."""
-    kind = str(rng.choice((*KINDS, "brown_out", "hot", "noise")))
+def thickened(story: Story, seed: int, episode: int, arm: ArmConfig) -> Story:
+    """A story with more in it: faults that come in pairs within a tick, damaged requests, motions that the host judges.
+
+    Every pair has its turn, whatever the seed.
+    """
+    rng = np.random.default_rng((seed, episode, 5))
+    lines: list[Line] = []
+    begin_s, turn = 6.0 + float(rng.uniform(0.0, 20.0)), 0
+    while begin_s < story.duration_s - 10.0:
+        pair = PAIRS[(seed * 37 + episode * PAIRS_EACH + turn) % len(PAIRS)]
+        lines += _together(rng, arm, pair, begin_s, story.duration_s)
+        begin_s, turn = begin_s + float(rng.uniform(22.0, 50.0)), turn + 1
+    for _ in range(int(rng.integers(2))):
+        lines.append(_garble(rng, float(rng.uniform(2.0, story.duration_s - 2.0))))
+    lines += [
+        Wish(round(float(rng.uniform(2.0, story.duration_s)), 4), "plan", int(rng.integers(2**31))) for _ in range(4)
+    ]
+    # Half of what strikes alone makes room for what strikes together.
+    kept = tuple(line for line in story.lines if not isinstance(line, Strike) or rng.random() < 0.5)
+    return replace(story, lines=tuple(sorted((*kept, *lines), key=lambda line: line.at_s)))
+
+
+def _together(
+    rng: np.random.Generator, arm: ArmConfig, pair: tuple[str, str], begin_s: float, duration_s: float
+) -> list[Line]:
+    """Two happenings within a tick; of one kind they strike two servos."""
+    begins_s = [round(begin_s, 4), round(begin_s + float(rng.uniform(0.0, TOGETHER_S)), 4)]
+    lines: list[Line] = []
+    taken: list[int] = []
+    for what, at_s in zip(rng.permutation(pair).tolist(), begins_s, strict=True):
+        if what == "requests":
+            lines.append(_garble(rng, at_s))
+        elif what == "late tick":
+            lines.append(Late(at_s, round(float(rng.choice((120, 300, 600)) * rng.uniform(0.8, 1.2)), 1)))
+        elif what == "kill":
+            lines.append(Kill(at_s, int(rng.integers(8)), round(float(rng.uniform(0.3, 2.0)), 3)))
+        else:
+            fault = _fault(rng, arm, at_s, what)
+            if fault.servo_id in taken and pair[0] == pair[1]:
+                free = [servo_id for servo_id in arm.servo_ids if servo_id not in taken]
+                fault = fault.model_copy(update={"servo_id": int(rng.choice(free))})
+            taken += [] if fault.servo_id is None else [fault.servo_id]
+            lines.append(Strike(fault))
+    return lines
+
+
+def _garble(rng: np.random.Generator, at_s: float) -> Garble:
+    probability = 1.0 if rng.random() < 0.2 else round(float(rng.uniform(0.02, 0.6)), 3)
+    lasts_s = float(rng.uniform(0.1, 0.9) if probability == 1.0 else rng.uniform(0.2, 10.0))
+    return Garble(round(at_s, 4), round(lasts_s, 3), probability, str(rng.choice(DAMAGES)))
+
+
+def _fault(rng: np.random.Generator, arm: ArmConfig, begin_s: float, kind: str = "") -> Fault:
+    """Any fault (or one of a kind), as it may happen: short or long, on one servo or all, always or now and then."""
+    kind = kind or str(rng.choice((*KINDS, "brown_out", "hot", "noise")))
     one: int | None = int(rng.choice(arm.servo_ids))
     everyone = rng.random() < 0.2
     duration_s = round(math.exp(rng.uniform(math.log(0.03), math.log(6.0))), 4)

@@ -4,27 +4,43 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from armctl.clock import NS_PER_S, VirtualClock
-from armctl.config import ArmConfig
-from armctl.dynamixel import ax12a
-from armctl.dynamixel.packet import BROADCAST_ID, Instruction
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
-from proving.duties import Sent, Servo
+from proving.evidence import Sent, Servo, Strain
 from proving.invariants import Judge
+from proving.reading import (
+    BROADCAST_ID,
+    GOAL,
+    MOVING_SPEED,
+    PING,
+    PRESENT_POSITION,
+    READ,
+    REG_WRITE,
+    STATUS_BEGIN,
+    STATUS_SIZE,
+    SYNC_WRITE,
+    TORQUE_ENABLE,
+    TORQUE_LIMIT,
+    WRITE,
+    Arm,
+    At,
+)
 
 # Bytes of a good reply to a READ of 24..49.
-STATUS_REPLY = 32
+STATUS_REPLY = STATUS_SIZE + 6
+# The supply at which a motor gives its stall torque.
+RATED_V = 12.0
 # Places in such a reply behind its header.
-TORQUE_AT = 3 + ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN
-GOAL_AT = 3 + ax12a.GOAL.address - ax12a.STATUS_BEGIN
-POSITION_AT = 3 + ax12a.PRESENT_POSITION.address - ax12a.STATUS_BEGIN
-WATCHED = (ax12a.TORQUE_LIMIT, ax12a.GOAL, ax12a.MOVING_SPEED)
-# As plain numbers: every packet is looked at.
-READ, PING = int(Instruction.READ), int(Instruction.PING)
+TORQUE_AT = 3 + TORQUE_ENABLE.address - STATUS_BEGIN
+GOAL_AT = 3 + GOAL.address - STATUS_BEGIN
+POSITION_AT = 3 + PRESENT_POSITION.address - STATUS_BEGIN
+WATCHED = (TORQUE_LIMIT, GOAL, MOVING_SPEED)
 
 
 class Killed(BaseException):
@@ -51,21 +67,27 @@ class WatchedPort(LoopbackPort):
     def _send(self, packet: bytes) -> int:
         watch = self._watch
         watch.before(packet, self.clock.now_ns())
-        sent = super()._send(packet)
+        arrives = watch.spoil(packet, self.clock.now_ns())
+        if arrives:
+            super()._send(arrives)
+        else:
+            self._check()
         watch.after(self.clock.now_ns())
-        return sent
+        return len(packet)
 
 
 class Watch:
     """The servos of an arm, seen from outside: before and after each packet, and once a tick."""
 
-    def __init__(self, arm: ArmConfig, body: SimulatedArm, judge: Judge) -> None:
+    def __init__(self, arm: Arm, body: SimulatedArm, judge: Judge) -> None:
         self.received = bytearray()
         # Everything the host ever said.
         self.wire = hashlib.blake2b(digest_size=16)
         self.packets = 0
         # Raises `Killed` once so many packets are sent.
         self.kill_at = -1
+        # What becomes of a packet of the host on its way to the servos.
+        self.spoil: Callable[[bytes, int], bytes] = lambda packet, now_ns: packet
         # Whether the adapter may be out of the host.
         self.unpluggable = False
         # When it surely will not be.
@@ -103,7 +125,7 @@ class Watch:
         self.hear(now_ns)
         self._sent = []
         if packet[4] == READ:
-            if packet[5] == ax12a.STATUS_BEGIN:
+            if packet[5] == STATUS_BEGIN:
                 self._pending = packet[2]
                 index = self._index[packet[2]]
                 self._asked[index] = self._asked.get(index, 0) + 1
@@ -163,9 +185,25 @@ class Watch:
             known.sensed_tick = math.floor(servo.position_tick + 0.5) if frozen is None else frozen
             if servo.writes != self._writes[i]:
                 self._writes[i] = servo.writes
-                known.limit, known.goal, known.speed = map(servo.get, WATCHED)
+                known.limit, known.goal, known.speed = (_value(servo.table, register) for register in WATCHED)
                 known.torque = servo.torque_enabled and known.limit > 0
         return self._servos
+
+    def strains(self) -> list[Strain]:
+        """What each motor works, and what its servo feels, now."""
+        return [
+            Strain(
+                joint.servo.output,
+                -joint.gravity_Nm / (joint.stall_Nm * max(joint.servo.voltage_V, 1.0) / RATED_V),
+                joint.servo.voltage_V,
+                joint.servo.temperature_degC,
+            )
+            for joint in self._body._joints
+        ]
+
+
+def _value(table: bytearray, register: At) -> int:
+    return int.from_bytes(table[register.address : register.address + register.size], "little")
 
 
 def _copy(servo: Servo) -> Servo:
@@ -175,13 +213,26 @@ def _copy(servo: Servo) -> Servo:
 def _writes(packet: bytes, index: dict[int, int]) -> list[Sent]:
     """What a packet of the host tells each servo."""
     parameters = packet[5:-1]
-    match packet[4]:
-        case Instruction.WRITE | Instruction.REG_WRITE:
-            asked = index.values() if packet[2] == BROADCAST_ID else (index[packet[2]],)
-            return [Sent(i, parameters[0], parameters[1:]) for i in asked]
-        case Instruction.SYNC_WRITE:
-            size = parameters[1] + 1
-            rows = [parameters[at : at + size] for at in range(2, len(parameters), size)]
-            return [Sent(index[row[0]], parameters[0], row[1:]) for row in rows]
-        case _:  # RESET and whatever else changes the table
-            return [Sent(i, 0, b"\0") for i in index.values()]
+    if packet[4] in (WRITE, REG_WRITE):
+        asked = index.values() if packet[2] == BROADCAST_ID else (index[packet[2]],)
+        return [Sent(i, parameters[0], parameters[1:]) for i in asked]
+    if packet[4] == SYNC_WRITE:
+        size = parameters[1] + 1
+        rows = [parameters[at : at + size] for at in range(2, len(parameters), size)]
+        return [Sent(index[row[0]], parameters[0], row[1:]) for row in rows]
+    return [Sent(i, 0, b"\0") for i in index.values()]  # RESET and whatever else changes the table
+
+
+def damaged(packet: bytes, how: str, rng: np.random.Generator) -> bytes:
+    """What is left of a packet of the host: nothing of it, a part, all but a byte, or all with a bit turned over."""
+    if how == "dropped":
+        return b""
+    if how == "cut":
+        return packet[: int(rng.integers(1, len(packet)))]
+    while True:
+        at = int(rng.integers(len(packet)))
+        if how == "flipped":
+            return packet[:at] + bytes((packet[at] ^ 1 << int(rng.integers(8)),)) + packet[at + 1 :]
+        left = packet[:at] + packet[at + 1 :]
+        if sum(left[2:]) & 0xFF:  # else the next packet's first byte would make a good checksum
+            return left

@@ -1,0 +1,132 @@
+"""The judge on arms that stand: what is told of them, what they push, and what may send them to rest."""
+
+import pytest
+
+from armctl.messages import Mode
+from proving.rules import RED
+from tests.proving.judged import ARM, MIDDLE, PERIOD_S, Bench, running
+
+
+def test_every_rule_that_is_not_kept_yet_is_one_of_the_judges() -> None:
+    assert {"faults", "rest", "stall", "yields", "limp", "cause", "soft", "held"} >= RED
+
+
+@pytest.mark.parametrize(("mode", "torque", "broken"), [
+    (Mode.OFF, True, {"status"}), (Mode.TEACHING, True, {"status"}), (Mode.HOLDING, True, set()),
+    (Mode.HOLDING, False, {"status"}), (Mode.MOVING, False, {"status"}), (Mode.OFF, False, set()),
+])  # fmt: skip
+def test_what_is_told_of_torque_is_so(mode: Mode, torque: bool, broken: set[str]) -> None:
+    bench = Bench()
+    for servo in bench.servos:
+        servo.torque = torque
+    bench.ticks(8, mode)
+    assert bench.red == broken
+
+
+def test_torque_is_not_told_of_before_every_servo_is_heard(holding: Bench) -> None:
+    holding.servos[2].torque = False
+    holding.ticks(20, Mode.HOLDING, heard=False)
+    assert "status" not in holding.red
+
+
+def test_an_arm_that_is_told_to_hold_gets_no_goal_that_advances(holding: Bench) -> None:
+    holding.tick(Mode.HOLDING)
+    holding.move(5, mode=Mode.HOLDING)
+    assert holding.red == {"status"}
+
+
+@pytest.mark.parametrize(("output", "gravity", "seconds", "broken"), [
+    (0.5, 0.0, 3.0, set()), (0.5, 0.0, 4.0, {"stall"}), (-0.5, 0.0, 4.0, {"stall"}),
+    (0.7, 0.6, 9.0, set()), (0.4, 0.0, 9.0, set()), (0.3, -0.3, 4.0, {"stall"}),
+])  # fmt: skip
+def test_no_motor_pushes_for_good_beyond_gravity(
+    holding: Bench, output: float, gravity: float, seconds: float, broken: set[str]
+) -> None:
+    holding.feel(output, gravity=gravity)
+    holding.ticks(round(seconds / PERIOD_S), Mode.HOLDING)
+    assert holding.red == broken
+
+
+@pytest.mark.parametrize("why", ["hold", "latch"])
+def test_what_is_stopped_pushes_for_two_seconds_at_most(holding: Bench, why: str) -> None:
+    holding.feel(0.5)
+    if why == "hold":
+        holding.ask("hold")
+    holding.ticks(24, *((Mode.HOLDING, "") if why == "hold" else (Mode.FAULTED, "BLOCKED")))
+    assert holding.red == {"stall"}
+
+
+@pytest.mark.parametrize(("lasts", "volts", "celsius", "code", "broken"), [
+    (0.2, 8.0, 30.0, "VOLTAGE", {"rest"}), (0.8, 8.0, 30.0, "VOLTAGE", set()),
+    (1.0, 12.0, 67.0, "HOT", {"rest"}), (2.2, 12.0, 67.0, "HOT", set()), (0.2, 12.0, 71.0, "HOT", set()),
+    (0.5, 12.0, 30.0, "HOT", {"rest", "rows"}),
+])  # fmt: skip
+def test_what_sends_the_arm_to_rest_has_lasted(
+    holding: Bench, lasts: float, volts: float, celsius: float, code: str, broken: set[str]
+) -> None:
+    holding.feel(volts=volts, celsius=celsius)
+    holding.ticks(round(lasts / PERIOD_S), Mode.HOLDING)
+    holding.tick(Mode.FAULTED, code)
+    assert holding.red == broken
+
+
+@pytest.mark.parametrize(("told", "broken"), [(20, {"rest"}), (29, set())])
+def test_the_way_to_rest_is_announced_three_seconds_ahead(holding: Bench, told: int, broken: set[str]) -> None:
+    holding.servos[0].goal = 400  # the base rests at 512
+    holding.at(400.0)
+    holding.tick(Mode.FAULTED, "OVERLOAD")
+    holding.ticks(told, Mode.FAULTED, "OVERLOAD")
+    for _ in range(3):
+        holding.move(5, mode=Mode.FAULTED, code="OVERLOAD")
+    assert holding.red == broken
+
+
+@pytest.mark.parametrize(("also", "broken"), [("", {"faults"}), ("TRIPPED", set()), ("HOT", {"faults"})])
+def test_a_fault_is_told_by_its_name_though_another_one_is_latched(holding: Bench, also: str, broken: set[str]) -> None:
+    holding.tick(Mode.FAULTED, "BLOCKED")
+    holding.plan("trip", 0.1, 2)
+    holding.tick(Mode.FAULTED, "BLOCKED")
+    for _ in range(10):
+        holding.tick(Mode.FAULTED, "BLOCKED", also=also)
+    assert holding.red == broken
+
+
+@pytest.mark.parametrize("code", ["OTHER_WRITER", "TRIPPED", "LOST_TORQUE", "PORT_GONE"])
+def test_a_fault_that_is_told_has_its_cause(code: str) -> None:
+    bench = running()
+    for servo in bench.servos:
+        servo.limit = 1023
+    bench.ticks(2, Mode.MOVING)
+    bench.tick(Mode.FAULTED, code)
+    assert bench.red == {"held" if code == "OTHER_WRITER" else "rows"}
+
+
+@pytest.mark.parametrize(("again", "broken"), [(True, set()), (False, {"yields"})])
+def test_a_foreign_goal_does_not_stay(moving: Bench, again: bool, broken: set[str]) -> None:
+    moving.goal(MIDDLE + 5)
+    moving.goal(MIDDLE + 5)
+    moving.plan("second_writer", 0.2)
+    moving.tick(Mode.MOVING)
+    moving.servos[0].goal = MIDDLE + 30
+    moving.ticks(5, Mode.FAULTED, "OTHER_WRITER")
+    if again:
+        moving.goal(MIDDLE + 5)
+    moving.ticks(7, Mode.FAULTED, "OTHER_WRITER")
+    assert moving.red == broken
+
+
+@pytest.mark.parametrize(("ok", "torque", "broken"), [
+    (True, True, {"limp"}), (True, False, set()), (False, True, set())])  # fmt: skip
+def test_release_says_what_is(ok: bool, torque: bool, broken: set[str]) -> None:
+    bench = Bench(torque=torque)
+    bench.judge.replied(bench.now_s, "release", ok, bench.servos)
+    assert bench.red == broken
+
+
+def test_torque_does_not_come_on_while_a_servo_is_hot(limp: Bench) -> None:
+    limp.feel(celsius=68.0)
+    limp.ticks(25, Mode.OFF)
+    limp.ask("torque_on")
+    limp.goal(MIDDLE, torque=True, limit=128)
+    assert limp.red == {"cause"}
+    assert ARM.temperature_limit_degC == 65.0

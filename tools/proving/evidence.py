@@ -1,0 +1,88 @@
+"""What the judge sees and what it expects: packets, servos and motors at an instant, duties, faults to be reported."""
+
+from dataclasses import dataclass
+
+from proving.reading import At
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A register write on the wire, to the servo at `index`."""
+
+    index: int
+    address: int
+    data: bytes
+
+    def value(self, register: At) -> int | None:
+        """What it writes into a register; None: nothing."""
+        begin = register.address - self.address
+        end = begin + register.size
+        return int.from_bytes(self.data[begin:end], "little") if begin >= 0 and end <= len(self.data) else None
+
+
+@dataclass(slots=True)
+class Servo:
+    """What one servo held at an instant."""
+
+    # Enabled, with a torque limit above 0.
+    torque: bool
+    goal: int
+    speed: int
+    limit: int
+    shaft_tick: float
+    # What its own sensor reads, without noise.
+    sensed_tick: int
+
+
+@dataclass(frozen=True, slots=True)
+class Strain:
+    """What one motor works, and what its servo feels, at an instant."""
+
+    # Of its full one, and as much of it as gravity asks for; counter-clockwise positive.
+    output: float
+    gravity: float
+    voltage_V: float
+    temperature_degC: float
+
+
+@dataclass(slots=True)
+class Duty:
+    """From `from_s` no goal may advance, until it is over."""
+
+    from_s: float
+    # The end of a short fault; infinite: until the user ends it.
+    until_s: float
+    # Whether `clear` ends it, else the next motion asked for.
+    by_clear: bool
+    invariant: str
+    why: str
+    # Whether an arm that is let go on request, before anybody had to latch, is past it: what took its torque.
+    by_release: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What else is known when a fault begins."""
+
+    # As reported.
+    mode: str
+    # Whether a fault was reported before.
+    latched: bool
+    # Whether a program is in charge.
+    alive: bool
+
+
+@dataclass(slots=True)
+class Expected:
+    """A fault that has to be reported."""
+
+    # By when; infinite: it counts from the first reply of one of `servos`.
+    by_s: float
+    what: str
+    # Under which codes; none: any will do.
+    codes: frozenset[str]
+    # Whether one of the codes has to be among all that are reported, else anything that is latched will do.
+    by_name: bool = False
+    begin_s: float = 0.0
+    within_s: float = 0.0
+    servos: tuple[int, ...] = ()

@@ -1,0 +1,197 @@
+"""What an arm does while it stands, and whether what is told of it is true: the part of the judge that compares words.
+
+| rule | checked | bound here |
+|-|-|-|
+| status | the mode that is told, once every servo is heard | `off`, `teaching`: no torque; under torque: all of it, |
+| | | within 5 such ticks; `holding`: no goal advances |
+| rows, held | a fault that is newly told | its cause is there, or was just now; a lost goal is no other program |
+| faults | every fault that is certain | under its own name among all that are told, another one being latched |
+| stall | a motor's output beyond what gravity asks for, at standstill | 0.3 (and 0.12 of friction) for 3.5 s; 2 s |
+| | | after a stop or a latch |
+| rest | the way to rest for heat, supply, load | after a cause that lasted (2, 0.5, 2 s), 3 s after it was told |
+| yields | goals held while OTHER_WRITER is told, its writer gone for 0.6 s | this program's |
+| limp | what `release` answers | every servo is without torque, or it is refused |
+| cause | torque that comes on | not while the cause of a rest stands |
+"""
+
+import math
+from collections.abc import Iterator, Sequence, Set
+
+from proving.duties import RECOVERING_S
+from proving.evidence import Servo, Strain
+from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, Arm
+from proving.shafts import STILL_TICKS, ShaftJudge
+
+# More than gravity asks for: what is a fault, and what stiction may keep.
+PUSH = 0.3 + 0.12
+PUSH_S, PUSH_STOPPED_S = 3.5, 2.0
+# Of a cause that has to last: the reading before it, and the one that ends it.
+SLACK_S = 0.25
+# Ticks in which all servos are heard and what is told of torque is wrong.
+WRONG_TICKS = 5
+HEARD_LATELY_S = 0.35
+WRITER_GONE_S = 0.6
+# For so long a cause that is over may still be told of.
+JUST_NOW_S = 1.5
+# Above this a servo tells its overheating by itself.
+OVERHEAT_DEGC = 70.0
+
+
+class StandingJudge(ShaftJudge):
+    """Watches an arm that stands, and what is told of it."""
+
+    def __init__(self, arm: Arm, period_s: float) -> None:
+        super().__init__(arm, period_s)
+        n = len(arm.joints)
+        # All faults that are told.
+        self._codes: Set[str] = frozenset()
+        # Since when one is told that may send the arm to rest.
+        self._announced_s = math.inf
+        # Since when each servo pushes against something.
+        self._push_s = [math.inf] * n
+        # Since when, and when last, some servo has been too hot, or its supply out of range.
+        self._since_s = {"HOT": math.inf, "VOLTAGE": math.inf}
+        self._last_s = {"HOT": -math.inf, "VOLTAGE": -math.inf}
+        self._hottest_degC = 0.0
+        # Whether anybody has said what the servos feel.
+        self._strained = False
+        # Ticks in which what is told of torque was wrong.
+        self._wrong_ticks = 0
+        # Whether every servo answered in the last tick.
+        self._all_heard = False
+        # Whether the arm was told to stop and has not been told to move since.
+        self._stopped = False
+        # Goals of this tick that advance.
+        self._advanced: list[tuple[int, str]] = []
+
+    def replied(self, now_s: float, kind: str, ok: bool, servos: Sequence[Servo]) -> None:
+        """The program answers a request."""
+        if kind == "release" and ok:
+            for i, servo in enumerate(servos):
+                if servo.torque:
+                    self._violate("limp", now_s, i, "`release` is answered well, and the servo has torque")
+
+    def _hear_codes(self, now_s: float, mode: str, codes: Set[str], moves: bool) -> None:
+        """What is told after a tick.
+
+        Args:
+            moves: Whether a motion was asked for in it.
+        """
+        for code in codes - self._codes:
+            if why := self._without_cause(now_s, code):
+                self._violate("held" if code == "OTHER_WRITER" else "rows", now_s, -1, f"{code} is told, and {why}")
+            since_s = self._since_s.get(code, -math.inf)
+            if (
+                self._strained
+                and now_s - since_s < RESTING.get(code, 0.0) - SLACK_S
+                and self._hottest_degC <= OVERHEAT_DEGC
+            ):
+                text = f"{code} is told {max(0.0, now_s - since_s):.2f} s after its cause began (bound {RESTING[code]})"
+                self._violate("rest", now_s, -1, text)
+        if not codes & RESTING.keys():
+            self._announced_s = math.inf
+        elif not self._codes & RESTING.keys():
+            self._announced_s = now_s
+        if self._mode == mode == HOLDING and not (codes or self._codes or moves):
+            for i, text in self._advanced:
+                self._violate("status", now_s, i, f"{text}, and the arm is told to hold")
+        self._advanced.clear()
+        self._codes = codes
+        self._duties.told(codes)
+
+    def _without_cause(self, now_s: float, code: str) -> str:
+        """Why a fault cannot be; empty: it can, as far as this looks."""
+        duties, before = self._duties, self._before
+        if self._strained and code in self._last_s and now_s - self._last_s[code] > JUST_NOW_S:
+            return "no servo is too hot" if code == "HOT" else "the supply is in range"
+        if code == "OTHER_WRITER" and not duties.lately(
+            now_s, {"second_writer", "brown_out", "same_id", "trip"}, RECOVERING_S + JUST_NOW_S
+        ):
+            return "" if duties.any_forged(now_s) else "no other program wrote"
+        if code == "TRIPPED" and before and all(servo.limit for servo in before):
+            return (
+                ""
+                if duties.lately(now_s, {"trip", "brown_out", "hot", "same_id"}, JUST_NOW_S)
+                else "no servo shut down"
+            )
+        if code == "LOST_TORQUE" and before and all(servo.torque and servo.limit == FULL_LIMIT for servo in before):
+            return "" if duties.lately(now_s, {"trip", "brown_out", "same_id"}, JUST_NOW_S) else "every servo holds"
+        if code == "PORT_GONE" and not duties.lately(now_s, {"unplug"}, JUST_NOW_S):
+            return "the adapter is in"
+        return ""
+
+    def _advances_to_rest(self, now_s: float, i: int, text: str) -> None:
+        """A goal goes on towards rest, for a fault."""
+        if not self._arm.rests:
+            self._violate("rest", now_s, i, f"{text}: the arm's file forbids it")
+        elif now_s - self._announced_s < ANNOUNCED_S - SLACK_S:
+            told_s = max(0.0, now_s - self._announced_s)
+            self._violate("rest", now_s, i, f"{text}, {told_s:.1f} s after it was told (bound {ANNOUNCED_S:g})")
+
+    def _standing_causes(self, now_s: float) -> Iterator[str]:
+        """Why torque must not come on: what would send the arm to rest."""
+        return (code for code, since_s in self._since_s.items() if now_s - since_s > RESTING[code] + SLACK_S)
+
+    def _watch_standing(self, now_s: float, servos: Sequence[Servo], strains: Sequence[Strain]) -> None:
+        """Once a tick, with the servos of the tick before in `_before`."""
+        self._strained |= bool(strains)
+        hot = [strain.temperature_degC + 0.5 >= self._arm.temperature_limit_degC for strain in strains]
+        low_V, high_V = self._arm.voltage_V
+        out = [not low_V <= round(strain.voltage_V, 1) <= high_V for strain in strains]
+        self._hottest_degC = max((strain.temperature_degC for strain in strains), default=0.0)
+        for code, found in (("HOT", hot), ("VOLTAGE", out)):
+            if any(found):
+                self._since_s[code], self._last_s[code] = min(self._since_s[code], now_s), now_s
+            else:
+                self._since_s[code] = math.inf
+        for i, (servo, strain) in enumerate(zip(servos, strains, strict=False)):
+            self._watch_push(now_s, i, servo, strain)
+        self._watch_torque(now_s, servos)
+        gone = not self._duties.writer_in_force(now_s, WRITER_GONE_S) and not self._duties.may_be_forged(now_s)
+        if "OTHER_WRITER" in self._codes and gone and not self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT"}:
+            self._watch_held(now_s, servos)
+
+    def _watch_held(self, now_s: float, servos: Sequence[Servo]) -> None:
+        """Another program has gone: whose goals are left."""
+
+    def _watch_push(self, now_s: float, i: int, servo: Servo, strain: Strain) -> None:
+        before = self._before[i] if self._before else servo
+        duties = self._duties
+        reachable = now_s - duties.heard_s[i] < HEARD_LATELY_S and not duties.may_be_forged(now_s)
+        still = abs(servo.shaft_tick - before.shaft_tick) <= STILL_TICKS and servo.goal == before.goal
+        pushes = servo.torque and abs(strain.output - strain.gravity) > PUSH
+        if not (pushes and still and reachable and self._alive()) or duties.writer_in_force(now_s, JUST_NOW_S):
+            self._push_s[i] = math.inf
+            return
+        self._push_s[i] = min(self._push_s[i], now_s)
+        told = self._codes or (self._stopped and self._mode == HOLDING)
+        bound_s = PUSH_STOPPED_S if told else PUSH_S
+        if now_s - self._push_s[i] > bound_s:
+            text = f"pushes with {strain.output:.2f} where gravity asks for {strain.gravity:.2f}"
+            text += f", for {now_s - self._push_s[i]:.1f} s (bound {bound_s:g}), {self._mode} {'+'.join(self._codes)}"
+            self._violate("stall", now_s, i, text)
+
+    def _alive(self) -> bool:
+        """Whether a program is in charge."""
+        return False
+
+    def _watch_torque(self, now_s: float, servos: Sequence[Servo]) -> None:
+        """What is told of torque, and what is."""
+        on = [servo.torque for servo in servos]
+        limp = self._mode in LIMP and any(on)
+        powered = self._mode in POWERED and not all(on)
+        if self._codes or not (limp or powered) or not self._alive():
+            self._wrong_ticks = 0
+            return
+        self._wrong_ticks += self._all_heard
+        if self._wrong_ticks > WRONG_TICKS:
+            who = on.index(limp)
+            told = f"the arm is told to be {self._mode}, and the servo has {'torque' if limp else 'none'}"
+            self._violate("status", now_s, who, told)
+
+    def _forget_words(self) -> None:
+        """The program is gone, and what it said."""
+        self._codes, self._announced_s, self._stopped = frozenset(), math.inf, False
+        self._advanced.clear()
+        self._mode, self._code = OFF, ""
+        self._push_s = [math.inf] * len(self._push_s)

@@ -1,0 +1,99 @@
+"""Torque that comes on and goes off, and goals that are not this program's: invariants 3, 4 and 5 at the packets."""
+
+import math
+from collections.abc import Sequence
+
+from proving.evidence import Servo
+from proving.reading import ENERGISING, FULL_LIMIT, PARKING, RESTING, TICK_DEG, Arm
+from proving.shafts import NOISE_TICKS
+from proving.standing import StandingJudge
+
+# A goal this near to the servo's own position asks for no motion.
+HERE_TICKS = 0.6 / TICK_DEG + NOISE_TICKS
+SOFT_LIMIT = 0.2 * FULL_LIMIT
+REST_TICKS = 3.0 / TICK_DEG + 2.0
+# A torque-on takes so long at most, without the ticks in which a servo is not heard.
+ASKED_S = 2.0
+
+
+class TorqueJudge(StandingJudge):
+    """Watches who gets torque, when and how."""
+
+    def __init__(self, arm: Arm, period_s: float) -> None:
+        super().__init__(arm, period_s)
+        n = len(arm.joints)
+        self._rest = [joint.rest_tick for joint in arm.joints]
+        # Goals of the program in charge, while their servos have torque; and those before them: what a servo holds
+        # that missed one.
+        self._sent: list[int | None] = [None] * n
+        self._sent_before: list[int | None] = [None] * n
+        # Whose EEPROM forbids torque.
+        self._unfit: set[int] = set()
+        # When the last tick was over.
+        self._time_s = -math.inf
+        # In this tick.
+        self._asked_now: set[str] = set()
+        self._torque_asked_s = -math.inf
+        # What this tick's `clear`, if it is granted, makes right.
+        self._unless_cleared: list[tuple[str, float, int, str]] = []
+        # Whether there is a program at all.
+        self._in_charge = False
+
+    def _energised(self, now_s: float, i: int, now: Servo) -> None:
+        for unfit in self._unfit:
+            text = f"torque came on although {self._names[unfit]} is in wheel mode"
+            self._violate("rows", now_s, i, text)
+        self._enabled[i] = (now_s, now.shaft_tick)
+        twin = self._duties.lately(now_s, {"same_id"}, 0.2)  # whose position it is, nobody can tell
+        own = not twin and (now.goal == self._sent[i] or not self._duties.other_writer(now_s, i))
+        self._sent[i] = now.goal
+        if own and abs(now.goal - now.sensed_tick) > HERE_TICKS:
+            text = f"torque came on at {now.sensed_tick} with goal {now.goal} (bound {HERE_TICKS:.1f} ticks)"
+            self._violate("3", now_s, i, text)
+        if now.limit > SOFT_LIMIT or now.speed == 0:
+            text = f"torque came on with limit {now.limit} (bound {SOFT_LIMIT:.0f}), speed {now.speed} (not 0)"
+            self._violate("soft" if self._duties.may_be_forged(now_s) and now.speed else "3", now_s, i, text)
+        for code in self._standing_causes(now_s):
+            self._violate("cause", now_s, i, f"torque came on while the cause of {code} stands")
+        text = "torque came on, which nobody asked for since the last fault"
+        if not self._energising(now_s):
+            self._violate("4", now_s, i, text)
+        elif self._code:  # asked for behind a `clear` of the same tick
+            self._unless_cleared.append(("4", now_s, i, text))
+
+    def _settling(self) -> bool:
+        """Whether a fault is told that may send the arm to rest."""
+        return bool(self._codes & RESTING.keys())
+
+    def _energising(self, now_s: float) -> bool:
+        """Whether a torque-on may be under way; a tick that is late does not count."""
+        late_s = max(0.0, now_s - self._time_s - self._period_s)
+        return now_s - late_s - self._torque_asked_s <= ASKED_S
+
+    def _watch_held(self, now_s: float, servos: Sequence[Servo]) -> None:
+        for i, servo in enumerate(servos):
+            known = {self._sent[i], self._sent_before[i]}
+            if servo.torque and None not in known and servo.goal not in known:
+                self._violate("yields", now_s, i, f"holds goal {servo.goal}, which another program sent; sent: {known}")
+
+    def _released(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
+        self._sent[i] = None
+        if self._asked_now & {"release", "teach"} or self._energising(now_s):
+            return
+        settling = self._mode == PARKING or self._settling()
+        away = max(abs(servo.sensed_tick - rest) for servo, rest in zip(before, self._rest, strict=True))
+        if not settling or away > REST_TICKS:
+            self._violate("5", now_s, i, f"torque cut, {away * TICK_DEG:.1f} deg from rest, and nobody asked")
+
+    def polled(self, now_s: float, unheard: Sequence[tuple[int, int]], heard: int, asked: int) -> None:
+        """Which servos were asked in vain in a tick, each how often, how many answered and how often all were asked.
+
+        Where all answered a tick ago, the first that does not deserves a second try, unless two others had one. A
+        torque-on waits for all of them.
+        """
+        n = len(self._names)
+        if unheard and self._all_heard and unheard[0][1] < 2 and asked < n + 2 and self._in_charge:
+            self._violate("rows", now_s, unheard[0][0], "a lost reply was not asked for again")
+        self._all_heard = heard == n
+        if not self._all_heard and self._mode == ENERGISING:
+            self._torque_asked_s += self._period_s
