@@ -47,7 +47,7 @@ def test_every_edit_fits_one_place_whatever_files_and_local_names_are_called(mut
 
 
 def test_there_are_enough_with_names_of_their_own_and_none_in_the_simulator() -> None:
-    assert len({mutant.name for mutant in MUTANTS}) == len(MUTANTS) >= 43
+    assert len({mutant.name for mutant in MUTANTS}) == len(MUTANTS) >= 77
     assert not [mutant for mutant in MUTANTS if mutant.room.startswith("sim")]
 
 

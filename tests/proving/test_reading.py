@@ -15,7 +15,19 @@ from proving.arms import SHIPPED, arm_of, arm_text, drawn, varied
 from proving.motions import MotionJudge
 
 TOOLS = Path(reading.__file__).parent
-JUDGING = ("invariants", "torque", "standing", "shafts", "duties", "evidence", "reading", "motions", "rules", "watch")
+JUDGING = (
+    "invariants",
+    "torque",
+    "standing",
+    "shafts",
+    "duties",
+    "evidence",
+    "reading",
+    "motions",
+    "rules",
+    "watch",
+    "readings",
+)
 # The simulated arm, on which all is judged: its planned faults, its servos, its line and its clock.
 ALLOWED = {"armctl.sim.faults", "armctl.sim.arm", "armctl.sim.bus", "armctl.sim.loopback", "armctl.clock"}
 

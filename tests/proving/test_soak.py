@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -18,8 +19,25 @@ from proving import soak
 from proving.episode import Episode, Stage, stage
 from proving.evidence import Servo
 from proving.invariants import Judge
+from proving.meetings import Meetings, never_met, table
 from proving.reading import TICK_DEG
-from proving.story import WISHES, Kill, Late, Line, Story, Strike, Wish, Word, draw, shrink
+from proving.story import (
+    DAMAGES,
+    HAPPENINGS,
+    PAIRS,
+    WISHES,
+    Garble,
+    Kill,
+    Late,
+    Line,
+    Story,
+    Strike,
+    Wish,
+    Word,
+    draw,
+    shrink,
+    thickened,
+)
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +65,23 @@ def test_stories_hold_every_kind_of_fault_wish_and_word(on: Stage) -> None:
     lines = [line for episode in range(60) for line in draw(1, episode, on.arm).lines]
     assert {line.fault.kind for line in lines if isinstance(line, Strike)} == set(KINDS)
     assert {line.what for line in lines if isinstance(line, Wish)} == set(WISHES)
+    lines += [line for episode in range(60) for line in thickened(draw(1, episode, on.arm), 1, episode, on.arm).lines]
+    assert {line.how for line in lines if isinstance(line, Garble)} == set(DAMAGES)
     assert {type(line) for line in lines} == set(Line.__args__)
     assert all(str(line) for line in lines)
+
+
+def test_every_two_happenings_are_drawn_together_in_a_hundred_and_thirty_episodes(on: Stage) -> None:
+    drawn: Counter[tuple[str, str]] = Counter()
+    for episode in range(130):
+        story = thickened(draw(2, episode, on.arm), 2, episode, on.arm)
+        meetings = Meetings(story)
+        for tick in range(2500):
+            meetings.tick(0.1 * tick, powered=True)
+        drawn.update(meetings.met)
+    assert never_met(drawn) == []
+    assert len(list(table(drawn))) == len(HAPPENINGS) + 1
+    assert never_met({PAIRS[0]: 1}) == [" + ".join(pair) for pair in PAIRS[1:]]
 
 
 def test_shrinking_keeps_what_the_failure_needs_and_nothing_else() -> None:

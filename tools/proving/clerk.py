@@ -100,6 +100,8 @@ class Clerk(Person):
             case "park":
                 yield from self._power_up(rng)
                 yield from self._ask(Park(self._id()), 30.0)
+            case "halt":
+                yield from self._halt(rng)
             case "jog":
                 yield from self._jog(rng)
             case "lean":
@@ -108,6 +110,15 @@ class Clerk(Person):
                 yield from self._teach(rng)
             case "release":
                 yield from self._ask(Release(self._id()), 1.0)
+
+    def _halt(self, rng: np.random.Generator) -> Doing:
+        """On its way to rest the arm is stopped."""
+        yield from self._power_up(rng)
+        if self._mode is Mode.HOLDING and not self._code:
+            yield (Park(self._id()),)
+            yield from self._wait(float(rng.uniform(0.1, 4.0)))
+            yield from self._ask(Hold(self._id()), 2.0)
+            yield from self._wait(1.0)
 
     def _teach(self, rng: np.random.Generator) -> Doing:
         yield from self._ask(Teach(self._id()), 2.0)

@@ -170,6 +170,17 @@ class Duties:
             for begin_s, end_s, fault in (*self._faults, *self._planned, *self._over)
         )
 
+    def struck_lately(self, now_s: float, kinds: Set[str], i: int) -> bool:
+        """Whether one of those faults strikes one servo, or did just now."""
+        return any(
+            fault.kind in kinds and begin_s <= now_s < end_s + OVER_S and fault.servo_id in (None, self._servo_ids[i])
+            for begin_s, end_s, fault in (*self._faults, *self._planned, *self._over)
+        )
+
+    def may_be_lost(self, now_s: float) -> bool:
+        """Whether goals may not have reached a servo, or told what it holds."""
+        return self.may_be_forged(now_s) or self.lately(now_s, {"mute", "dead_bus", "lost", "unplug"}, OVER_S)
+
     def any_forged(self, now_s: float) -> bool:
         """Whether a damaged packet told some servo what nobody sent."""
         return now_s < max(self._forged_until_s) + RECOVERING_S

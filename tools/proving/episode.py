@@ -40,6 +40,7 @@ from proving.clerk import Clerk
 from proving.invariants import Judge
 from proving.meetings import Meetings
 from proving.motions import MotionJudge
+from proving.readings import differences
 from proving.requests import PERIOD_S, postures
 from proving.shafts import Violation
 from proving.story import Garble, HostGone, Kill, Late, Story, Strike, Tamper
@@ -130,6 +131,7 @@ class Episode:
             log: Takes every record of the control process.
         """
         arm = stage.arm
+        self._judged = stage.judged
         self._story, self._arm, self._robot = story, arm, stage.robot
         self.postures = stage.postures
         self._clock = LateClock()
@@ -318,13 +320,22 @@ class Episode:
         outputs = record.outputs
         code = "" if outputs.fault is None else outputs.fault.code
         cause = self.clerk.persisting(outputs.mode is Mode.ENERGISING) if self._code and not code else ""
+        code_before = self._code
         codes = frozenset(fault.code for fault in getattr(outputs, "faults", ())) | ({code} if code else frozenset())
+        faults = (*getattr(outputs, "faults", ()), *filter(None, (outputs.fault,)))
+        self.judge.names({fault.code: fault.servo_id for fault in faults})
         self.judge.reported(now_s, outputs.mode, code, cause, codes)
         self.meetings.tick(now_s, any(servo.torque for servo in self.watch.servos()))
         if code != self._code or outputs.mode != self._mode:
             self.note(f"state {outputs.mode}" + (f", {code}: {outputs.fault.text}" if outputs.fault and code else ""))
             self._code, self._mode = code, outputs.mode
         self._count(record)
+        for index, text in differences(self._judged, self.watch.replies, record.inputs.sample.servos, outputs.joints):
+            self.judge.misread(now_s, index, text)
+        if code_before and not code and len(self.watch.identified) < len(self._arm.joints):
+            self.judge.found(now_s, "7", f"{code_before} was cleared, and the servos were not identified anew")
+        self.watch.replies.clear()
+        self.watch.identified.clear()
         self.clerk.see(now_s, record)
         self._repeat(record)
         if self._log is not None:

@@ -71,9 +71,12 @@ BURST_S = 0.25
 BURST = 4
 # A heartbeat counts for 80 ms; then the arm stops.
 JOG_S = 0.08 + 0.1 + STOP_S
+# And half a second after it the jog is over.
+JOGS_S = 0.5 + 0.1 + STOP_S
 # Late by the bound of 250 ms, whatever the two readings took.
 LATE_S = 0.35
 DEAD_S = 0.25
+STOPS = frozenset({"hold", "pause", "host_lost", "host_silent"})
 MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
 
 
@@ -127,7 +130,7 @@ class Judge(TorqueJudge):
         self._asked_s[kind] = now_s
         self._asked_now.add(kind)
         self._adopting = False
-        self._stopped = kind in ("hold", "pause", "host_lost") or (self._stopped and kind not in MOTION_REQUESTS)
+        self._stopped = kind in STOPS or (self._stopped and kind not in MOTION_REQUESTS)
         calm = self._mode in (HOLDING, OFF) and not self._code
         if (kind in MOTION_REQUESTS and calm) or (kind == "resume" and self._mode == MOVING):
             self._duties.motion_asked()
@@ -136,7 +139,7 @@ class Judge(TorqueJudge):
             self._duties.nobody_reports()
         if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
             self._torque_asked_s = now_s
-        if kind in ("hold", "host_lost") or (kind == "pause" and self._mode == MOVING):
+        if kind in ("hold", "host_lost", "host_silent") or (kind == "pause" and self._mode == MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
     def heard(self, now_s: float, index: int, position: int, goal: int | None = None) -> None:
@@ -249,6 +252,8 @@ class Judge(TorqueJudge):
                 self._missed[i] = 0 if now.goal == goal else self._missed[i] + 1
             if now.torque and not was.torque:
                 self._energised(now_s, i, now)
+            elif now.torque and now.limit > was.limit:
+                self._watch_ramp(now_s, i, now)
             elif was.torque and not now.torque:
                 self._released(now_s, i, before)
         if goals:
@@ -331,6 +336,8 @@ class Judge(TorqueJudge):
         if gap_s > LATE_S and self._mode in ADVANCING:
             from_s = now_s + 1.5 * self._period_s
             self._duties.must_stop(from_s, f"a tick came {gap_s:.2f} s late", by_clear=False, invariant="6")
+        if self._mode == JOGGING and now_s - self._asked_s.get("jog", now_s) > JOGS_S + max(0.0, gap_s):
+            self._violate("status", now_s, -1, "the arm is told to be jogged, and nobody asks for it")
         for what, by_name in self._duties.overdue(now_s):
             text = f"{what}, and nobody reports it" + (f" beside {self._code}" if by_name else "")
             self._violate("faults" if by_name else "rows", now_s, -1, text)
@@ -346,7 +353,9 @@ class Judge(TorqueJudge):
                 continue
             away = abs(servo.goal - servo.shaft_tick)
             if away > LEAD_TICKS and not self._duties.excused(now_s, i):
-                self._violate("2", now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
+                # One that kept its torque while the others lost theirs cannot hold the arm.
+                rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
+                self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
             if before:
                 self._watch_strain(now_s, i, abs(before[i].goal - servo.sensed_tick))
             if i in self._enabled:

@@ -16,6 +16,7 @@ def _m(name: str, room: str, *edits: tuple[str, str]) -> Mutant:
 def _log(name: str, *edits: tuple[str, str], room: str = "recording", tests: str = OUTPUTS) -> Mutant:
     return replace(_m(name, room, *edits), tests=tests)
 
+CONTROL, BUS, TRAJECTORY = "control", "dynamixel", "trajectory"
 
 # fmt: off
 MUTANTS: tuple[Mutant, ...] = (
@@ -149,5 +150,95 @@ MUTANTS: tuple[Mutant, ...] = (
     _log("confirmations are thrown away", (
         "[__bus.write(__write) for __write in __writes]", "[__bus.write(__write) or True for __write in __writes]"),
         room=CONTROL, tests="tests/control/test_loop.py"),
+    # ----------------------------------------------- those that an independent trial planted, of which few were seen
+    _m("error bits of another servo", BUS, (
+        "__packet, __problem = __bus._exchange(__track.request, __size)\nif __problem:\n    return __problem\n"
+        "__data, __error = __packet[DATA_AT:-1], __packet[ERROR_AT]",
+        "__packet, __problem = __bus._exchange(__track.request, __size)\nif __problem:\n    return __problem\n"
+        "__data, __error = __packet[DATA_AT:-1], __bus._tracks[0].reading.error")),
+    _m("limits of via points are skipped", TRAJECTORY, (
+        "(float(__column.min()), float(__column.max()))",
+        "(float(min(__column[0], __column[-1])), float(max(__column[0], __column[-1])))")),
+    _m("direction is dropped in speed and load", CONTROL,
+       ("__joint.direction * __servo.speed_rad_s", "__servo.speed_rad_s"),
+       ("__joint.direction * __servo.load_ratio", "__servo.load_ratio")),
+    _m("two servos that are silent at once", CONTROL, (
+        "__s.latch_servo('SERVO_SILENT', __silent[0], __text)",
+        "len(__silent) == 1 and __s.latch_servo('SERVO_SILENT', __silent[0], __text)")),
+    _m("a goal that is read back may be 60 ticks off", CONTROL, (
+        "if __servo.goal != __goal:\n    if __servo.goal != __previous:\n        ...\n    __lost = True",
+        "if __servo.goal != __goal:\n    if abs(__servo.goal - __previous) > 60:\n        ...\n    __lost = True")),
+    _m("a limit is off by one", CONTROL, (
+        "[min(max(__tick, __joint.low_tick), __joint.high_tick) for __joint, __tick in __pairs]",
+        "[min(max(__tick, __joint.low_tick - 1), __joint.high_tick + 1) for __joint, __tick in __pairs]")),
+    _m("a fault is cleared without looking who is there", CONTROL, (
+        "not (__due or __first or __clearing)", "not (__due or __first)")),
+    _m("a jog never ends", CONTROL, (
+        "return __s.finish_jog(__jog.stop_code or 'NO_HEARTBEAT')", "return None")),
+    _m("overload is never seen", CONTROL, ("LOAD_RATIO = 0.8", "LOAD_RATIO = 1.8")),
+    _m("a blocked joint is not relieved", CONTROL, (
+        "__s.send_goal([__servo.position for __servo in __s.servos if __servo])", "None")),
+    _m("a stop on the way to rest is lost", CONTROL, (
+        "if __s.state.phase in TO_REST:\n    give_up_rest(__s, __code, __why)\n__s.stop_motion(__code)",
+        "if __s.state.phase not in TO_REST:\n    __s.stop_motion(__code)")),
+    _m("a garbled reading counts as fresh", BUS, (
+        "if int.from_bytes(__data, 'little') & IMPOSSIBLE_BITS:\n    ...\n__now_ns = __bus.port.arrived_ns",
+        "__now_ns = __bus.port.arrived_ns"),
+       ("sum(__port._received[:__size]) & 255 == WHOLE_SUM", "sum(__port._received[:__size]) >= 0")),
+    _m("contact along the path is not looked at", TRAJECTORY, (
+        "_against_contact(_every_degree(__q, __period_s, __arm), __arm, __robot)",
+        "_against_contact(__q[::len(__q) - 1], __arm, __robot)")),
+
+    # ------------------------------------------------------------------------------------ what the host lets through
+    _m("the host does not look at the floor", TRAJECTORY, (
+        "len(__too_low_m) and __too_low_m.min() < -SAME_M", "len(__too_low_m) and __too_low_m.min() < -9.0")),
+    _m("the host does not look at links that touch", TRAJECTORY, (
+        "np.flatnonzero(__gap_m < __bound_m - SAME_M)", "np.flatnonzero(__gap_m < __bound_m - 9.0)")),
+    _m("the host does not look at the tool's speed", TRAJECTORY, (
+        "(peak_tool_speed(__tool_m, __period_s), __arm.tool_speed_limit_m_s)",
+        "(peak_tool_speed(__tool_m, __period_s), 9.0 * __arm.tool_speed_limit_m_s)")),
+    _m("the host does not look at joint speeds", TRAJECTORY, (
+        "(float(__speed[__i]), __joint.speed_limit_deg_s, 'deg/s', 1.0)",
+        "(0.0, __joint.speed_limit_deg_s, 'deg/s', 1.0)")),
+    _m("the control process does not look at limits", CONTROL, (
+        "not __low - ax12a.TICK_RAD <= __worst <= __high + ax12a.TICK_RAD", "not -9.0 <= __worst <= 9.0")),
+
+    # ------------------------------------------------------------------------------------------------ what is told
+    _m("a fault names the servo beside", CONTROL, (
+        "__joint = __s.arm.joints[__index]\n__s.latch(__code, __text, __joint.servo_id)",
+        "__joint = __s.arm.joints[__index - 1]\n__s.latch(__code, __text, __joint.servo_id)")),
+    _m("direction is dropped in position", CONTROL, (
+        "__joint.direction * (__servo.position - __joint.zero_tick) * __tick_rad",
+        "(__servo.position - __joint.zero_tick) * __tick_rad")),
+    _m("a limp arm that has torque is not noticed", CONTROL, (
+        "__reading.fresh and __servo is not None and __servo.torque_enabled",
+        "__reading.fresh and __servo is not None and __servo.torque_enabled > 9")),
+    _m("teaching begins before the arm is limp", CONTROL, (
+        "__s.fresh and not any((__servo is None or __servo.torque_enabled for __servo in __s.servos))", "True")),
+    _m("parked, and torque stays on", CONTROL, (
+        "__s.torque_off()\n__s.events.append(Event('info', 'PARKED', __text))",
+        "__s.events.append(Event('info', 'PARKED', __text))")),
+    _m("the silence of the daemon is ignored", CONTROL, ("_slow_down(__s, 'HOST_SILENT', __text)", "None")),
+
+    # ------------------------------------------------------------------------------------------------- more of faults
+    _m("a supply that is too low is not noticed", CONTROL, (
+        "not __low_V <= __joint.voltage_V <= __high_V or __alarm", "__joint.voltage_V > __high_V")),
+    _m("strain one way round is not noticed", CONTROL, (
+        "abs(__joint.load_ratio) > LOAD_RATIO", "__joint.load_ratio > LOAD_RATIO")),
+    _m("cleared while a servo is hot", CONTROL, (
+        "[__now.temperature_degC >= __limit_degC for __now in __s.joints]", "[False for __now in __s.joints]")),
+    _m("cleared while a servo is silent", CONTROL, (
+        "[not __now.known or __now.age_s > PAUSE_AGE_S for __now in __s.joints]", "[False for __now in __s.joints]")),
+    _m("servos that are limp beside others are adopted", CONTROL, (
+        "__s.latch_servo('LOST_TORQUE', __powered.index(False), __text)",
+        "(__s.go(Trigger.ADOPT_POWERED), __s.take_over())")),
+    _m("the torque limit rises at once", CONTROL, ("RAMP_S = 0.5", "RAMP_S = 0.01")),
+    _m("a jog is three times as fast", CONTROL, (
+        "SPEED_RAD_S = math.radians(20.0)", "SPEED_RAD_S = math.radians(95.0)")),
+    _m("the id of a reply is not looked at", BUS, ("__reply[:3] == __request[:3]", "__reply[:2] == __request[:2]")),
+    _m("the last servo gets no goal", BUS, (
+        "zip(__bus.servo_ids, __goal.ticks, __goal.speeds, strict=True)",
+        "zip(__bus.servo_ids[:-1], __goal.ticks, __goal.speeds)")),
+    _m("a run goes on from where it is not", CONTROL, ("__away > START_TOLERANCE_RAD", "__away > 9.0")),
 )
 # fmt: on

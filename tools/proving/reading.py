@@ -40,7 +40,9 @@ class At(Protocol):
 EEPROM_END = 24
 CW_LIMIT, CCW_LIMIT = Register(6, 2), Register(8, 2)
 TORQUE_ENABLE, GOAL, MOVING_SPEED, TORQUE_LIMIT = Register(24, 1), Register(30, 2), Register(32, 2), Register(34, 2)
-PRESENT_POSITION = Register(36, 2)
+PRESENT_POSITION, PRESENT_SPEED, PRESENT_LOAD = Register(36, 2), Register(38, 2), Register(40, 2)
+PRESENT_VOLTAGE, PRESENT_TEMPERATURE = Register(42, 1), Register(43, 1)
+LOAD_FULL = 1023
 FULL_LIMIT = 1023
 # The block that a program reads of each servo in each tick: address and size.
 STATUS_BEGIN, STATUS_SIZE = 24, 26

@@ -15,6 +15,7 @@ from armctl.messages import (
     Clear,
     Command,
     Hold,
+    HostSilent,
     Jog,
     JointTrajectory,
     Park,
@@ -101,7 +102,11 @@ class Requests:
     def planned(self, rng: np.random.Generator, q_now: Sequence[float]) -> JointTrajectory:
         """A motion at which nobody has looked: between its ends it may leave the limits, hit the floor or the arm."""
         limits = np.array([joint.limits_rad for joint in self._arm.joints])
-        others = rng.uniform(limits[:, 0], limits[:, 1], size=(int(rng.integers(1, 4)), len(limits)))
+        # Many at a limit, where an arm folds on itself; raised, for most that fold touch the floor first.
+        shares = np.clip(rng.uniform(-0.4, 1.4, size=(int(rng.integers(1, 4)), len(limits))), 0.0, 1.0)
+        others = limits[:, 0] + shares * (limits[:, 1] - limits[:, 0])
+        if rng.random() < 0.5:
+            others[:, :2] = self._postures[int(rng.integers(len(self._postures)))][:2]
         rows = [np.array(q_now), *others]
         what = rng.random()
         if what < 0.3 and len(rows) > 2:  # a via point beyond a limit, far or by little
@@ -112,6 +117,10 @@ class Requests:
             rows[-1] = rows[0]
         elif what < 0.6:  # there and back again: its ends tell nothing
             rows[-1] = rows[0]
+        elif what < 0.75:  # one joint that hardly moves the tool: too fast for its own limit alone
+            rows = [rows[0], rows[0].copy()]
+            rows[1][-1] = others[0, -1]
+            return _paced(rows, self._arm, self._robot, float(rng.uniform(0.6, 1.2)))
         slow = float(rng.uniform(1.05, 3.0) if rng.random() < 0.8 else rng.uniform(0.6, 1.0))
         return _paced(rows, self._arm, self._robot, slow)
 
@@ -152,6 +161,8 @@ class Requests:
         match word.what:
             case "hold":
                 return (Hold(request_id),)
+            case "host_silent":
+                return (HostSilent(),)
             case "clear":
                 return (Clear(request_id),)
             case "release":

@@ -12,5 +12,6 @@ RED: frozenset[str] = frozenset({
     "limp",  # `release` answers only when every servo is limp
     "cause",  # torque comes on while the cause of a rest stands
     "soft",  # a damaged write leaves a servo at full torque while torque comes on
+    "diagnosis",  # damaged packets end in no code of another cause (wire_damage.py)
     "held",  # a goal that was lost twice is no other program
 })  # fmt: skip

@@ -15,11 +15,11 @@
 """
 
 import math
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 
 from proving.duties import RECOVERING_S
 from proving.evidence import Servo, Strain
-from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, Arm
+from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, TICK_DEG, Arm
 from proving.shafts import STILL_TICKS, ShaftJudge
 
 # More than gravity asks for: what is a fault, and what stiction may keep.
@@ -31,6 +31,13 @@ SLACK_S = 0.25
 WRONG_TICKS = 5
 HEARD_LATELY_S = 0.35
 WRITER_GONE_S = 0.6
+# From when a servo's silence is told, and by when.
+SILENT_S, UNHEARD_TICKS = 0.5, 6
+# By these a reply may come that a program rightly does not believe.
+STRAYS = frozenset({"late", "latency", "duplicated", "garbage", "echo", "wrong_id", "corrupted", "truncated"})
+BLOCKED_DEG = 6.0
+# Of a motor's output, as the load's own rounding has it; and by when it is told of, lasting 2 s.
+OVERLOADED, OVERLOADED_S = 0.805, 2.6
 # For so long a cause that is over may still be told of.
 JUST_NOW_S = 1.5
 # Above this a servo tells its overheating by itself.
@@ -55,10 +62,23 @@ class StandingJudge(ShaftJudge):
         self._hottest_degC = 0.0
         # Whether anybody has said what the servos feel.
         self._strained = False
+        # When each servo was last too hot; what the motors worked a tick ago, since when too much.
+        self._hot_s = [-math.inf] * n
+        # When each servo was last far from its goal.
+        self._away_s = [-math.inf] * n
+        self._strains: Sequence[Strain] = ()
+        self._load_s = [math.inf] * n
+        # Which servo each fault names.
+        self._named: Mapping[str, int | None] = {}
+        # Since when a program is there that has heard every servo.
+        self._all_known = False
+        self._unheard_ticks = 0
         # Ticks in which what is told of torque was wrong.
         self._wrong_ticks = 0
         # Whether every servo answered in the last tick.
         self._all_heard = False
+        # Whether all servos were heard when a fault came to be told.
+        self._clean = False
         # Whether the arm was told to stop and has not been told to move since.
         self._stopped = False
         # Goals of this tick that advance.
@@ -66,10 +86,19 @@ class StandingJudge(ShaftJudge):
 
     def replied(self, now_s: float, kind: str, ok: bool, servos: Sequence[Servo]) -> None:
         """The program answers a request."""
-        if kind == "release" and ok:
+        if kind in ("release", "teach") and ok:
             for i, servo in enumerate(servos):
-                if servo.torque:
-                    self._violate("limp", now_s, i, "`release` is answered well, and the servo has torque")
+                if servo.torque and not self._duties.writer_in_force(now_s, JUST_NOW_S):
+                    rule = "limp" if kind == "release" else "status"
+                    self._violate(rule, now_s, i, f"`{kind}` is answered well, and the servo has torque")
+
+    def misread(self, now_s: float, i: int, text: str) -> None:
+        """A reading is not what its servo said."""
+        self._violate("status", now_s, i, text)
+
+    def names(self, named: Mapping[str, int | None]) -> None:
+        """Which servo each fault that is told names."""
+        self._named = named
 
     def _hear_codes(self, now_s: float, mode: str, codes: Set[str], moves: bool) -> None:
         """What is told after a tick.
@@ -79,14 +108,16 @@ class StandingJudge(ShaftJudge):
         """
         for code in codes - self._codes:
             if why := self._without_cause(now_s, code):
-                self._violate("held" if code == "OTHER_WRITER" else "rows", now_s, -1, f"{code} is told, and {why}")
-            since_s = self._since_s.get(code, -math.inf)
-            if (
-                self._strained
-                and now_s - since_s < RESTING.get(code, 0.0) - SLACK_S
-                and self._hottest_degC <= OVERHEAT_DEGC
-            ):
-                text = f"{code} is told {max(0.0, now_s - since_s):.2f} s after its cause began (bound {RESTING[code]})"
+                lost = code == "OTHER_WRITER" and self._duties.may_be_lost(now_s)
+                self._violate("held" if lost else "rows", now_s, -1, f"{code} is told, and {why}")
+            who = self._named.get(code)
+            index = self._arm.servo_ids.index(who) if who in self._arm.servo_ids else -1
+            if index >= 0 and self._before and (why := self._not_this_one(now_s, code, index)):
+                self._violate("rows", now_s, index, f"{code} names this servo, and {why}")
+            lasted_s = max(0.0, now_s - self._since_s.get(code, -math.inf))
+            own = self._hottest_degC > OVERHEAT_DEGC
+            if self._strained and not own and lasted_s < RESTING.get(code, 0.0) - SLACK_S:
+                text = f"{code} is told {lasted_s:.2f} s after its cause began (bound {RESTING[code]})"
                 self._violate("rest", now_s, -1, text)
         if not codes & RESTING.keys():
             self._announced_s = math.inf
@@ -96,14 +127,35 @@ class StandingJudge(ShaftJudge):
             for i, text in self._advanced:
                 self._violate("status", now_s, i, f"{text}, and the arm is told to hold")
         self._advanced.clear()
+        if codes and not self._codes:
+            self._clean = self._all_heard and not self._duties.may_be_forged(now_s)
         self._codes = codes
         self._duties.told(codes)
+
+    def _not_this_one(self, now_s: float, code: str, i: int) -> str:
+        """Why a fault cannot be that of a servo; empty: it can, as far as this looks."""
+        servo, duties = self._before[i], self._duties
+        if duties.lately(now_s, {"same_id"}, JUST_NOW_S):
+            return ""
+        if code == "HOT" and self._strains and now_s - self._hot_s[i] > JUST_NOW_S:
+            return f"it has {self._strains[i].temperature_degC:.1f} degC"
+        strays = duties.may_be_forged(now_s) or duties.lately(now_s, STRAYS, JUST_NOW_S)
+        if code == "SERVO_SILENT" and not strays and now_s - duties.heard_s[i] < SILENT_S - SLACK_S and self._all_known:
+            return "it was heard just now"
+        if code == "BLOCKED" and now_s - self._away_s[i] > JUST_NOW_S:
+            return "it is where it is told to be"
+        struck = {"TRIPPED": {"trip", "brown_out", "hot"}, "LOST_TORQUE": {"trip", "brown_out"}}.get(code, set())
+        if struck and servo.torque and servo.limit == FULL_LIMIT and not duties.struck_lately(now_s, struck, i):
+            return "it holds"
+        return ""
 
     def _without_cause(self, now_s: float, code: str) -> str:
         """Why a fault cannot be; empty: it can, as far as this looks."""
         duties, before = self._duties, self._before
         if self._strained and code in self._last_s and now_s - self._last_s[code] > JUST_NOW_S:
-            return "no servo is too hot" if code == "HOT" else "the supply is in range"
+            if code == "HOT":
+                return "no servo is too hot"
+            return "" if duties.lately(now_s, {"brown_out"}, JUST_NOW_S) else "the supply is in range"
         if code == "OTHER_WRITER" and not duties.lately(
             now_s, {"second_writer", "brown_out", "same_id", "trip"}, RECOVERING_S + JUST_NOW_S
         ):
@@ -116,6 +168,9 @@ class StandingJudge(ShaftJudge):
             )
         if code == "LOST_TORQUE" and before and all(servo.torque and servo.limit == FULL_LIMIT for servo in before):
             return "" if duties.lately(now_s, {"trip", "brown_out", "same_id"}, JUST_NOW_S) else "every servo holds"
+        struck_by = {"second_writer", "mute", "dead_bus", "lost", "unplug", "same_id", "brown_out"}
+        if code == "NOT_LIMP" and not duties.lately(now_s, struck_by, JUST_NOW_S):
+            return "" if duties.may_be_forged(now_s) else "torque is where it was asked for"
         if code == "PORT_GONE" and not duties.lately(now_s, {"unplug"}, JUST_NOW_S):
             return "the adapter is in"
         return ""
@@ -146,7 +201,15 @@ class StandingJudge(ShaftJudge):
                 self._since_s[code] = math.inf
         for i, (servo, strain) in enumerate(zip(servos, strains, strict=False)):
             self._watch_push(now_s, i, servo, strain)
+            self._watch_load(now_s, i)
+        for i, is_hot in enumerate(hot):
+            self._hot_s[i] = now_s if is_hot else self._hot_s[i]
+        self._strains = strains
+        for i, servo in enumerate(servos):
+            if abs(servo.goal - servo.sensed_tick) * TICK_DEG > BLOCKED_DEG:
+                self._away_s[i] = now_s
         self._watch_torque(now_s, servos)
+        self._watch_silence(now_s)
         gone = not self._duties.writer_in_force(now_s, WRITER_GONE_S) and not self._duties.may_be_forged(now_s)
         if "OTHER_WRITER" in self._codes and gone and not self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT"}:
             self._watch_held(now_s, servos)
@@ -157,10 +220,15 @@ class StandingJudge(ShaftJudge):
     def _watch_push(self, now_s: float, i: int, servo: Servo, strain: Strain) -> None:
         before = self._before[i] if self._before else servo
         duties = self._duties
-        reachable = now_s - duties.heard_s[i] < HEARD_LATELY_S and not duties.may_be_forged(now_s)
+        lately = now_s - duties.heard_s[i] < HEARD_LATELY_S and self._alive()
+        loaded = servo.torque and abs(strain.output) > OVERLOADED and servo.limit == FULL_LIMIT
+        self._load_s[i] = min(self._load_s[i], now_s) if loaded and lately else math.inf
+        reachable = lately and not duties.may_be_forged(now_s) and not duties.writer_in_force(now_s, JUST_NOW_S)
         still = abs(servo.shaft_tick - before.shaft_tick) <= STILL_TICKS and servo.goal == before.goal
-        pushes = servo.torque and abs(strain.output - strain.gravity) > PUSH
-        if not (pushes and still and reachable and self._alive()) or duties.writer_in_force(now_s, JUST_NOW_S):
+        # A motor that does less than gravity asks for holds back; it does not push.
+        needed = min(max(strain.output, min(strain.gravity, 0.0)), max(strain.gravity, 0.0))
+        pushes = servo.torque and abs(strain.output - needed) > PUSH
+        if not (pushes and still and reachable):
             self._push_s[i] = math.inf
             return
         self._push_s[i] = min(self._push_s[i], now_s)
@@ -169,7 +237,28 @@ class StandingJudge(ShaftJudge):
         if now_s - self._push_s[i] > bound_s:
             text = f"pushes with {strain.output:.2f} where gravity asks for {strain.gravity:.2f}"
             text += f", for {now_s - self._push_s[i]:.1f} s (bound {bound_s:g}), {self._mode} {'+'.join(self._codes)}"
-            self._violate("stall", now_s, i, text)
+            # A joint that is told to be blocked is relieved by now, if every servo was heard.
+            blocked = self._codes == {"BLOCKED"} and self._named.get("BLOCKED") == self._arm.servo_ids[i]
+            self._violate("relief" if blocked and self._clean else "stall", now_s, i, text)
+
+    def _watch_load(self, now_s: float, i: int) -> None:
+        if now_s - self._load_s[i] > OVERLOADED_S and not self._codes and self._mode in POWERED:
+            self._violate(
+                "rows", now_s, i, f"works above 80 % for {now_s - self._load_s[i]:.1f} s, and nobody tells it"
+            )
+
+    def _watch_silence(self, now_s: float) -> None:
+        """A servo that nobody hears, for whatever reason, has to be told of."""
+        if not self._alive():
+            self._all_known = False
+        elif not self._all_known:
+            self._all_known = self._all_heard
+        quiet = self._all_known and now_s - min(self._duties.heard_s) > SILENT_S
+        self._unheard_ticks = self._unheard_ticks + 1 if quiet and not self._codes else 0
+        if self._unheard_ticks > UNHEARD_TICKS:
+            i = self._duties.heard_s.index(min(self._duties.heard_s))
+            text = f"not heard for {now_s - self._duties.heard_s[i]:.1f} s, and nobody tells it"
+            self._violate("rows", now_s, i, text)
 
     def _alive(self) -> bool:
         """Whether a program is in charge."""

@@ -208,6 +208,10 @@ def thickened(story: Story, seed: int, episode: int, arm: ArmConfig) -> Story:
     lines += [
         Wish(round(float(rng.uniform(2.0, story.duration_s)), 4), "plan", int(rng.integers(2**31))) for _ in range(4)
     ]
+    lines += [
+        Wish(round(float(rng.uniform(2.0, story.duration_s)), 4), "halt", int(rng.integers(2**31))) for _ in range(2)
+    ]
+    lines += [Word(round(float(rng.uniform(2.0, story.duration_s)), 4), "host_silent", 0) for _ in range(2)]
     # Half of what strikes alone makes room for what strikes together.
     kept = tuple(line for line in story.lines if not isinstance(line, Strike) or rng.random() < 0.5)
     return replace(story, lines=tuple(sorted((*kept, *lines), key=lambda line: line.at_s)))

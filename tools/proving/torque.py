@@ -11,6 +11,8 @@ from proving.standing import StandingJudge
 # A goal this near to the servo's own position asks for no motion.
 HERE_TICKS = 0.6 / TICK_DEG + NOISE_TICKS
 SOFT_LIMIT = 0.2 * FULL_LIMIT
+# More than this no servo has so soon after torque came on.
+FIRM_LIMIT, FIRM_S = 0.9 * FULL_LIMIT, 0.35
 REST_TICKS = 3.0 / TICK_DEG + 2.0
 # A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
@@ -60,6 +62,12 @@ class TorqueJudge(StandingJudge):
             self._violate("4", now_s, i, text)
         elif self._code:  # asked for behind a `clear` of the same tick
             self._unless_cleared.append(("4", now_s, i, text))
+
+    def _watch_ramp(self, now_s: float, i: int, now: Servo) -> None:
+        """Strength comes slowly, after torque."""
+        since_s = now_s - self._enabled.get(i, (-math.inf, 0.0))[0]
+        if now.limit > FIRM_LIMIT and since_s < FIRM_S:
+            self._violate("3", now_s, i, f"limit {now.limit} {since_s:.2f} s after torque came on (bound {FIRM_S})")
 
     def _settling(self) -> bool:
         """Whether a fault is told that may send the arm to rest."""

@@ -31,6 +31,7 @@ from proving.reading import (
     Arm,
     At,
 )
+from proving.readings import Heard
 
 # Bytes of a good reply to a READ of 24..49.
 STATUS_REPLY = STATUS_SIZE + 6
@@ -106,6 +107,9 @@ class Watch:
         self._heard: set[int] = set()
         self._sent: list[Sent] = []
         self._before: list[Servo] = []
+        # The good replies of this tick, and whose EEPROM was read in it.
+        self.replies: dict[int, Heard] = {}
+        self.identified: set[int] = set()
 
     def now_s(self, now_ns: int) -> float:
         """The judge's time: the clock's."""
@@ -131,6 +135,7 @@ class Watch:
                 self._asked[index] = self._asked.get(index, 0) + 1
             else:
                 self._identifying = True
+                self.identified.add(packet[2])
             return
         if packet[4] == PING:
             return
@@ -155,6 +160,7 @@ class Watch:
             reply = received[at + 2 : at + STATUS_REPLY]
             if at >= 0 and len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
                 index = self._index[pending]
+                self.replies[index] = Heard(reply[2], bytes(reply[3:-1]))
                 torque, goal = reply[TORQUE_AT], reply[GOAL_AT] | reply[GOAL_AT + 1] << 8
                 position = reply[POSITION_AT] | reply[POSITION_AT + 1] << 8
                 self._judge.heard(self.now_s(now_ns), index, position, goal if torque else None)

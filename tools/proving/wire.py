@@ -28,6 +28,7 @@ from armctl.client import Client
 from armctl.control.detect import PAUSE_AGE_S
 from armctl.errors import ArmctlError, RequestRefused
 from armctl.trajectory.plan import Plan
+from proving import wire_damage
 from proving.rig import Rig, rig
 from proving.wire_rows import LATER, SCENARIOS, SWING_S, TICK_S, Before, Scenario, spoil
 
@@ -72,9 +73,12 @@ def prove(seed: int, names: Sequence[str] = (), tell: Callable[[str], None] = la
     while left:
         results += (done := _session(left, seed + len(results), tell))
         left = left[len(done) :]
+    damage = wire_damage.prove(seed, 0 if names else wire_damage.TRIALS)
     return {
-        "runs": len(results),
-        "violations": sum(len(result.violations) for result in results),
+        "runs": len(results) + damage["runs"],
+        "violations": sum(len(result.violations) for result in results) + damage["violations"],
+        "red": damage["red"],
+        "damage": damage["damage"],
         "scenarios": [vars(result) for result in results],
         "later": [{"row": row, "reason": reason} for row, reason in LATER],
         "seed": seed,
