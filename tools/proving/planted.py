@@ -5,7 +5,7 @@ from dataclasses import replace
 from proving.mutants import Mutant
 from proving.syntax import Edit
 
-CONTROL, BUS = "control", "dynamixel"
+CONTROL, BUS, TRAJECTORY = "control", "dynamixel", "trajectory"
 OUTPUTS = "tests/recording/test_outputs.py"
 
 
@@ -16,7 +16,6 @@ def _m(name: str, room: str, *edits: tuple[str, str]) -> Mutant:
 def _log(name: str, *edits: tuple[str, str], room: str = "recording", tests: str = OUTPUTS) -> Mutant:
     return replace(_m(name, room, *edits), tests=tests)
 
-CONTROL, BUS, TRAJECTORY = "control", "dynamixel", "trajectory"
 
 # fmt: off
 MUTANTS: tuple[Mutant, ...] = (

@@ -115,7 +115,7 @@ def read(text: str) -> Arm:
         told.get("floor_m", 0.0),
         told.get("tool_speed_limit_m_s", 0.25),
         told.get("link_radius_m", 0.025),
-        told.get("rest_on_fault", True),
+        told.get("rest_on_strain", True),
     )
 
 
