@@ -106,8 +106,6 @@ class Judge(TorqueJudge):
         self._clears_and_moves = False
         # What is right if this tick's report tells of a fault that sends the arm to rest at once.
         self._unless_settling: list[tuple[str, float, int, str]] = []
-        # Since when a fault is reported.
-        self._fault_s = -math.inf
         # Whether another program is taking over, and nobody has asked it for anything yet.
         self._adopting = False
 
@@ -339,6 +337,8 @@ class Judge(TorqueJudge):
         if self._mode == JOGGING and now_s - self._asked_s.get("jog", now_s) > JOGS_S + max(0.0, gap_s):
             self._violate("status", now_s, -1, "the arm is told to be jogged, and nobody asks for it")
         for what, by_name in self._duties.overdue(now_s):
+            if by_name and now_s - max(self._heard_s) > AGE_S:
+                continue  # of a bus that is not heard at all there is nothing more to tell
             text = f"{what}, and nobody reports it" + (f" beside {self._code}" if by_name else "")
             self._violate("faults" if by_name else "rows", now_s, -1, text)
         self._watch_standing(now_s, servos, strains)

@@ -51,6 +51,8 @@ class StandingJudge(ShaftJudge):
         super().__init__(arm, period_s)
         n = len(arm.joints)
         # All faults that are told.
+        # Since when the worst of them is told.
+        self._fault_s = -math.inf
         self._codes: Set[str] = frozenset()
         # Since when one is told that may send the arm to rest.
         self._announced_s = math.inf
@@ -233,7 +235,8 @@ class StandingJudge(ShaftJudge):
             return
         self._push_s[i] = min(self._push_s[i], now_s)
         told = self._codes or (self._stopped and self._mode == HOLDING)
-        bound_s = PUSH_STOPPED_S if told else PUSH_S
+        stopped_s = now_s - max(self._push_s[i], self._fault_s if self._codes else 0.0)
+        bound_s = PUSH_STOPPED_S if told and stopped_s > PUSH_STOPPED_S else PUSH_S
         if now_s - self._push_s[i] > bound_s:
             text = f"pushes with {strain.output:.2f} where gravity asks for {strain.gravity:.2f}"
             text += f", for {now_s - self._push_s[i]:.1f} s (bound {bound_s:g}), {self._mode} {'+'.join(self._codes)}"
