@@ -67,6 +67,9 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
 @click.option(
     "--faults", "faults_file", type=click.Path(path_type=Path), metavar="FILE", help="What goes wrong and when (YAML)."
 )
+@click.option(
+    "--factory", is_flag=True, help="The servos have the factory's EEPROM, unfit for torque until it is mended."
+)
 @click.option("--lockstep", is_flag=True, help="The arm's time advances with the bus master's ticks, not the clock's.")
 def sim_command(
     output: Output, arm: str, link: Path | None, echo: bool, faults_file: Path | None, **servos: Any

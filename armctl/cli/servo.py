@@ -74,9 +74,7 @@ def set_return_delay_command(output: Output, servo: str, delay_us: int) -> None:
     from armctl.commissioning.eeprom import require_writable, write_register
     from armctl.dynamixel import ax12a
 
-    if servo != "all" and not servo.isdecimal():
-        raise click.BadParameter(f"{servo!r} is neither an id nor `all`", param_hint="ID")
-    servo_ids = output.arm.servo_ids if servo == "all" else (int(servo),)
+    servo_ids = _servo_ids(output, servo)
     steps = delay_us // 2
     with opened(output) as bus:
         for servo_id in servo_ids:
@@ -85,6 +83,32 @@ def set_return_delay_command(output: Output, servo: str, delay_us: int) -> None:
             write_register(bus, servo_id, ax12a.RETURN_DELAY, steps)
     answer = {"ids": list(servo_ids), "return_delay_us": steps * 2}
     output.answer(answer, f"servo {', '.join(map(str, servo_ids))}: return delay {steps * 2} us")
+
+
+def _servo_ids(output: Output, servo: str) -> tuple[int, ...]:
+    if servo != "all" and not servo.isdecimal():
+        raise click.BadParameter(f"{servo!r} is neither an id nor `all`", param_hint="ID")
+    return output.arm.servo_ids if servo == "all" else (int(servo),)
+
+
+@command("mend", ARM, *WIRING, group=servo_command)
+@click.argument("servo", metavar="ID|all")
+def mend_command(output: Output, servo: str) -> None:
+    """Write what the daemon needs before it switches torque on: angle limits of the arm's file, and protection.
+
+    Nothing else is written, and nothing unless every servo can be.
+
+    Example: armctl servo mend all
+    """
+    from armctl.commissioning.eeprom import mend
+
+    servo_ids, arm = _servo_ids(output, servo), output.arm
+    if strangers := [servo_id for servo_id in servo_ids if servo_id not in arm.servo_ids]:
+        raise click.BadParameter(f"servo {strangers[0]} is not of the arm {arm.arm_id}", param_hint="ID")
+    with opened(output) as bus:
+        changed = mend(bus, [joint for joint in arm.joints if joint.servo_id in servo_ids])
+    shown = partial(show_differences, output, changed, "now", "was")
+    output.answer({"mended": [asdict(it) for it in changed]}, shown if changed else "nothing to mend")
 
 
 @command("set", *WIRING, group=servo_command)

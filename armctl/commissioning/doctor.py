@@ -22,6 +22,7 @@ from armctl.config import ArmConfig, JointConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS, ServoBus
+from armctl.dynamixel.fitness import unfit_registers
 from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS
 from armctl.errors import BusError, PortBusy, PortGone
@@ -33,7 +34,6 @@ MAX_RETURN_DELAY_US = 20
 # ROBOTIS names 9 to 12 V; a full battery of three cells has 12.6 V.
 VOLTAGE_V = (9.0, 12.6)
 HOT_DEGC = 65
-NEEDED_SHUTDOWN = ErrorBit.OVERHEAT | ErrorBit.OVERLOAD
 CYCLES = 10
 # Of the period; the rest is for what the bus does not do, and for repetitions.
 CYCLE_SHARE = 0.5
@@ -242,9 +242,10 @@ def _servo_checks(
     wire_ns = (2 * OVERHEAD_BYTES + 2 + ax12a.EEPROM_END) * bus.port.byte_ns
     round_trips_ns.append(table.elapsed_ns - wire_ns - 1000 * delay_us)
     model, level, mask = (stored(register) for register in (ax12a.MODEL, ax12a.RETURN_LEVEL, ax12a.SHUTDOWN))
-    safe = mask | NEEDED_SHUTDOWN
-    (low, high), cw, ccw = joint.limits_tick, stored(ax12a.CW_LIMIT), stored(ax12a.CCW_LIMIT)
-    limit_fix = set_to(ax12a.CCW_LIMIT, high) if ccw < high else set_to(ax12a.CW_LIMIT, low)
+    unfit = {it.register: it for it in unfit_registers(joint, table.data)}
+    asked = "..".join(map(str, joint.limits_tick))
+    limits = f"{stored(ax12a.CW_LIMIT)}..{stored(ax12a.CCW_LIMIT)}, the calibration asks for {asked}"
+    hottest, mend = stored(ax12a.TEMPERATURE_LIMIT), f"armctl servo mend {servo_id}{options}"
     volts, heat = now(ax12a.PRESENT_VOLTAGE) / 10.0, now(ax12a.PRESENT_TEMPERATURE)
     error, tripped = status.error | table.error, now(ax12a.TORQUE_LIMIT) == 0
     error_fix = next((remedy for bit, remedy in ERROR_REMEDIES.items() if error & bit), "")
@@ -257,8 +258,9 @@ def _servo_checks(
         ("round_trip", True, f"{table.elapsed_ns // 1000} us for {ax12a.EEPROM_END} bytes", ""),
         ("return_delay", delay_us <= MAX_RETURN_DELAY_US, f"{delay_us} us (register {delay_us // 2})", delay_fix),
         ("return_level", level == ax12a.RETURN_LEVEL.default, str(level), set_to(ax12a.RETURN_LEVEL, 2)),
-        ("angle_limits", cw <= low and ccw >= high, f"{cw}..{ccw}, the calibration asks for {low}..{high}", limit_fix),
-        ("shutdown", mask == safe, _bits(mask), set_to(ax12a.SHUTDOWN, safe)),
+        ("angle_limits", not {ax12a.CW_LIMIT, ax12a.CCW_LIMIT} & unfit.keys(), limits, mend),
+        ("shutdown", ax12a.SHUTDOWN not in unfit, _bits(mask), mend),
+        ("temperature_limit", ax12a.TEMPERATURE_LIMIT not in unfit, f"{hottest} degC", mend),
         ("voltage", VOLTAGE_V[0] <= volts <= VOLTAGE_V[1], f"{volts:.1f} V", volts_fix),
         ("temperature", heat < HOT_DEGC, f"{heat} degC", heat_fix),
         ("error_bits", not error, _bits(error), error_fix),

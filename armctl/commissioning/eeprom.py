@@ -23,6 +23,7 @@ from armctl.config import Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
 from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, PORT_GONE, ServoBus
+from armctl.dynamixel.fitness import ServoJoint, unfit_registers
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from armctl.files import read_text
 from armctl.messages import Write
@@ -216,6 +217,26 @@ def restore(bus: ServoBus, snapshot: Snapshot, servo_ids: Sequence[int] = ()) ->
     changed = [difference for difference in differences(bus, subset) if BY_NAME[difference.register] in SETTABLE]
     for difference in changed:
         _write(bus, difference.servo_id, BY_NAME[difference.register], difference.wanted)
+    return changed
+
+
+def mend(bus: ServoBus, joints: Sequence[ServoJoint]) -> list[Difference]:
+    """Write what forbids the joints to move (`unfit_registers`), and nothing else; every write is read back.
+
+    Returns:
+        What was changed, with the value each register had.
+    Raises:
+        RequestRefused: a servo is not fit to be written (found before anything is written), or did not take a value.
+        PortGone: the port vanished.
+    """
+    for joint in joints:
+        require_writable(bus, joint.servo_id)
+    tables = [_read(bus, joint.servo_id, 0, ax12a.EEPROM_END) for joint in joints]
+    changed: list[Difference] = []
+    for joint, table in zip(joints, tables, strict=True):
+        for it in unfit_registers(joint, table):
+            _write(bus, joint.servo_id, it.register, it.value)
+            changed.append(Difference(joint.servo_id, it.register.name, it.value, it.found))
     return changed
 
 

@@ -278,7 +278,7 @@ class ServoBus:
             elif table.problem or self.answers_twice(joint.servo_id):
                 problems.append(duplicate_id(joint))
             else:
-                problems += table_problems(joint, table.data)
+                problems += table_problems(joint, table.data, self.port.port_name)
         return problems
 
     def _adapter_problems(self, joints: Sequence[ServoJoint], tables: Sequence[Reply]) -> list[Problem]:

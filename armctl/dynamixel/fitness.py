@@ -1,9 +1,16 @@
 """What makes servos unfit for an arm, in words that say what to do about it."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.messages import Problem
+
+# How far outside a joint's limits those of its servo may lie and still be a wall: not quite 5 deg.
+WALL_TICKS = 16
+NEEDED_SHUTDOWN = ErrorBit.OVERHEAT | ErrorBit.OVERLOAD
+# The factory's highest: 70 degC for an AX-12A, 85 for an AX-12+, which has the same model number.
+HOTTEST_DEGC = 85
 
 
 class ServoJoint(Protocol):
@@ -54,31 +61,56 @@ def duplicate_id(joint: ServoJoint) -> Problem:
     return Problem("DUPLICATE_ID", f"{_servo(joint)}: {text}", joint.servo_id)
 
 
-def table_problems(joint: ServoJoint, table: bytes) -> list[Problem]:
-    """What in the EEPROM (bytes 0..23) of a joint's servo forbids its motion."""
+class Unfit(NamedTuple):
+    """A register that forbids motion."""
+
+    register: Register
+    found: int
+    # What it is to hold, in words.
+    wanted: str
+    # What mends it.
+    value: int
+
+
+def unfit_registers(joint: ServoJoint, table: bytes) -> list[Unfit]:
+    """What in the EEPROM (bytes 0..23) of a joint's servo is to be written before the joint may move.
+
+    The servo is the second wall behind the daemon: its own angle limits, and its own shutdown at heat and overload.
+    """
+    low, high = joint.limits_tick
+    lowest, highest = max(0, low - WALL_TICKS), min(ax12a.TICK_MAX, high + WALL_TICKS)
+    protects = ax12a.register_value(ax12a.SHUTDOWN, table, 0) | NEEDED_SHUTDOWN
+    level, hottest = ax12a.RETURN_LEVEL.default, ax12a.TEMPERATURE_LIMIT.default
+    bounds = (
+        (ax12a.CW_LIMIT, lowest, low, f"{lowest} to {low}", low),
+        (ax12a.CCW_LIMIT, high, highest, f"{high} to {highest}", high),
+        (ax12a.RETURN_LEVEL, level, level, f"{level}", level),
+        (ax12a.SHUTDOWN, protects, protects, f"{NEEDED_SHUTDOWN:d} in it (overheat, overload)", protects),
+        (ax12a.TEMPERATURE_LIMIT, 0, HOTTEST_DEGC, f"at most {HOTTEST_DEGC}", hottest),
+    )
+    found = [(ax12a.register_value(row[0], table, 0), row) for row in bounds]
+    return [
+        Unfit(register, held, wanted, value)
+        for held, (register, least, most, wanted, value) in found
+        if not least <= held <= most
+    ]
+
+
+def table_problems(joint: ServoJoint, table: bytes, port_name: str) -> list[Problem]:
+    """Why the EEPROM (bytes 0..23) of a joint's servo forbids its motion, and the command that mends it."""
     servo, servo_id = _servo(joint), joint.servo_id
     model = ax12a.register_value(ax12a.MODEL, table, 0)
     if model != ax12a.MODEL_NUMBER:
         text = f"{servo}: model number {model}, wanted {ax12a.MODEL_NUMBER} (AX-12A); use an AX-12A, or the right id"
         return [Problem("WRONG_MODEL", text, servo_id)]
-    cw, ccw, level = (
-        ax12a.register_value(register, table, 0) for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT, ax12a.RETURN_LEVEL)
-    )
-    low, high = joint.limits_tick
-    faults = []
-    if cw == ccw == 0:
-        faults.append(
-            f"cw_angle_limit and ccw_angle_limit are 0 (wheel mode), wanted at most {low} and at least {high}"
-        )
-    else:
-        if cw > low:
-            faults.append(f"cw_angle_limit is {cw}, wanted at most {low}")
-        if ccw < high:
-            faults.append(f"ccw_angle_limit is {ccw}, wanted at least {high}")
-    if level != ax12a.RETURN_LEVEL.default:
-        faults.append(f"status_return_level is {level}, wanted {ax12a.RETURN_LEVEL.default}")
-    remedy = "; write the servo's EEPROM with its torque off, or correct the calibration file"
-    return [Problem("EEPROM_MISMATCH", f"{servo}: {fault}{remedy}", servo_id) for fault in faults]
+    unfit = unfit_registers(joint, table)
+    if not unfit:
+        return []
+    faults = "; ".join(f"{it.register.name} is {it.found}, wanted {it.wanted}" for it in unfit)
+    if not any(ax12a.register_value(limit, table, 0) for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT)):
+        faults += " (wheel mode)"
+    remedy = f"end the daemon, type `armctl servo mend {servo_id} --port {port_name}` (with its --arm if it has one)"
+    return [Problem("EEPROM_MISMATCH", f"{servo}: {faults}; {remedy}", servo_id)]
 
 
 def _servo(joint: ServoJoint) -> str:

@@ -127,6 +127,7 @@ def run(
     seed: int = 0,
     latency_ms: float = 0.0,
     return_delay_us: int | None = None,
+    factory: bool = False,
     lockstep: bool = False,
     faults: Sequence[Fault] = (),
 ) -> None:
@@ -139,14 +140,17 @@ def run(
         faults: What goes wrong, beside the live faults of the control socket.
         lockstep: Whether the world follows the bus master's cycles instead of the wall clock, see `Lockstep`.
         return_delay_us: Of every servo, 0..508 in steps of 2; None: the factory's 500.
+        factory: Whether the servos' angle limits are the factory's, not the arm's.
     Raises:
         ConfigError: a path that cannot be used.
         PortBusy: another simulator serves this link.
     """
     simulated = SimulatedArm(arm, seed=seed, faults=Faults(faults, seed=seed))
-    if return_delay_us is not None:
-        for servo in simulated.servos:
+    for servo in simulated.servos:
+        if return_delay_us is not None:
             servo.set(ax12a.RETURN_DELAY, return_delay_us // 2)
+        for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT) if factory else ():
+            servo.set(limit, limit.default)
     bus = SimulatedBus(simulated, latency_ms=latency_ms, seed=seed)
     terminal = PseudoTerminal(link)
     ring = TruthRing()

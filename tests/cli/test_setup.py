@@ -118,6 +118,17 @@ def test_servo_commands_write_and_say_so(bench: Bench, answer: Answer, typed: Ty
     assert not any(servo.torque_enabled for servo in bench.servos)
 
 
+def test_servos_of_the_factory_are_mended_by_one_command(bench: Bench, answer: Answer, typed: Typed) -> None:
+    bench.servos[1].set(ax12a.CCW_LIMIT, 1023)
+    bench.servos[4].set(ax12a.SHUTDOWN, 0)
+    assert answer("servo", "mend", "5", "--port", "x") == {
+        "mended": [{"servo_id": 5, "register": "shutdown", "wanted": 36, "found": 0}]
+    }
+    assert "ccw_angle_limit" in typed("servo", "mend", "all", "--port", "x").out
+    assert "nothing to mend" in typed("servo", "mend", "all", "--port", "x").out
+    assert "not of the arm" in typed("servo", "mend", "9", "--port", "x", status=2).err
+
+
 @pytest.mark.parametrize(("status", "line", "text"), refusals("at the bench"))
 def test_what_is_refused_is_one_clear_sentence_and_nothing_is_written(
     bench: Bench, status: int, line: str, text: str, typed: Typed
@@ -321,6 +332,17 @@ def test_scan_and_a_change_of_baud_on_a_real_terminal(tmp_path: Path, answer: An
         assert [servo["id"] for servo in answer("scan", "--port", link)["servos"]] == [1, 2, 3, 4, 5, 6]
         answer("servo", "set-baud", "3", "57600", "--port", link)
         answer("servo", "set-baud", "3", "1000000", "--baud", "57600", "--port", link)
+
+
+@pytest.mark.pty
+def test_simulated_servos_of_the_factory_fail_the_doctor_until_they_are_mended(tmp_path: Path, answer: Answer) -> None:
+    link = tmp_path / "servos"
+    with program(tmp_path / "log", "sim", "--link", str(link), "--factory", "--return-delay-us", "0"):
+        assert fixes(answer("doctor", "--port", link, status=1)) == {
+            "angle_limits": f"armctl servo mend 6 --port {link}"
+        }
+        assert len(answer("servo", "mend", "all", "--port", link)["mended"]) == 12
+        answer("doctor", "--port", link)
 
 
 @pytest.mark.pty

@@ -46,7 +46,7 @@ def test_a_fit_arm_passes_and_nothing_is_written(bench: Bench, tmp_path: Path) -
         checks = examine(bench, tmp_path)
     assert failed(checks) == set()
     assert checks["cycle_rate", None].value.startswith("2.4 ms a cycle of 100 ms")
-    assert len(checks) == 3 + 6 * 12
+    assert len(checks) == 3 + 6 * 13
 
 
 @pytest.mark.parametrize("seed", range(4))

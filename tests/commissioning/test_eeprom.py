@@ -218,6 +218,33 @@ def test_restoring_names_every_obstacle_and_writes_nothing(tmp_path: Path) -> No
         eeprom.restore(bench.bus, saved, (7,))
 
 
+WRONG = {ax12a.CW_LIMIT: 0, ax12a.CCW_LIMIT: 1023, ax12a.SHUTDOWN: 1, ax12a.TEMPERATURE_LIMIT: 150}
+
+
+def test_what_identify_refuses_is_mended_and_nothing_else_is_written(bench: Bench) -> None:
+    joints = bench.config.joints
+    fit = [[servo.get(register) for register in eeprom.EEPROM_REGISTERS] for servo in bench.servos]
+    with unwritten(bench):
+        assert eeprom.mend(bench.bus, joints) == []
+    for register, value in WRONG.items():
+        bench.servos[3].set(register, value)
+    assert ("EEPROM_MISMATCH", 4) in {(problem.code, problem.servo_id) for problem in bench.bus.identify(joints)}
+    done = eeprom.mend(bench.bus, joints[3:4])
+    assert {(it.register, it.found) for it in done} == {(register.name, value) for register, value in WRONG.items()}
+    assert bench.servos[3].get(ax12a.SHUTDOWN) == 37
+    bench.servos[3].set(ax12a.SHUTDOWN, 36)
+    bench.servos[3].set(ax12a.TEMPERATURE_LIMIT, 70)
+    assert [[servo.get(register) for register in eeprom.EEPROM_REGISTERS] for servo in bench.servos] == fit
+    assert not any(problem.code == "EEPROM_MISMATCH" for problem in bench.bus.identify(joints))
+
+
+def test_no_servo_is_mended_while_one_of_them_must_not_be_written(bench: Bench) -> None:
+    bench.servos[0].set(ax12a.SHUTDOWN, 0)
+    bench.servos[5].set(ax12a.TORQUE_ENABLE, 1)
+    with unwritten(bench), pytest.raises(RequestRefused, match="servo 6: torque is on"):
+        eeprom.mend(bench.bus, bench.config.joints)
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [

@@ -157,7 +157,12 @@ def arm() -> ArmConfig:
 
 @pytest.fixture
 def bus(arm: ArmConfig) -> ServoBus:
-    return scripted(*arm.servo_ids)[1]
+    """Of servos whose angle limits are those of the arm."""
+    port, bus = scripted(*arm.servo_ids)
+    for joint in arm.joints:
+        for register, limit in zip((ax12a.CW_LIMIT, ax12a.CCW_LIMIT), joint.limits_tick, strict=True):
+            port.place(joint.servo_id, register, limit)
+    return bus
 
 
 @pytest.fixture

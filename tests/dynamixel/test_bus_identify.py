@@ -47,13 +47,20 @@ def test_other_model_is_named_and_its_table_not_judged(bus: ServoBus, port: Scri
 @pytest.mark.parametrize(
     ("register", "value", "text"),
     [
-        (ax12a.CW_LIMIT, 100, "cw_angle_limit is 100, wanted at most 18"),
-        (ax12a.CCW_LIMIT, 1000, "ccw_angle_limit is 1000, wanted at least 1006"),
-        (ax12a.CCW_LIMIT, 0, "wheel mode"),
+        (ax12a.CW_LIMIT, 100, "cw_angle_limit is 100, wanted 2 to 18"),
+        (ax12a.CW_LIMIT, 0, "cw_angle_limit is 0, wanted 2 to 18"),
+        (ax12a.CCW_LIMIT, 1000, "ccw_angle_limit is 1000, wanted 1006 to 1022"),
+        (ax12a.CCW_LIMIT, 0, "ccw_angle_limit is 0, wanted 1006"),
         (ax12a.RETURN_LEVEL, 1, "status_return_level is 1, wanted 2"),
+        (ax12a.SHUTDOWN, 0, "shutdown is 0, wanted 36 in it"),
+        (ax12a.SHUTDOWN, 4, "shutdown is 4, wanted 36 in it"),
+        (ax12a.TEMPERATURE_LIMIT, 150, "temperature_limit is 150, wanted at most 85"),
+        (ax12a.TEMPERATURE_LIMIT, 86, "temperature_limit is 86"),
+        (ax12a.TEMPERATURE_LIMIT, 60, ""),
+        (ax12a.SHUTDOWN, 127, ""),
         (ax12a.RETURN_DELAY, 0, ""),
         (ax12a.MAX_TORQUE, 500, ""),
-        (ax12a.CW_LIMIT, 18, ""),
+        (ax12a.CW_LIMIT, 2, ""),
     ],
 )
 def test_eeprom_that_forbids_motion_is_shown_and_no_other(
@@ -65,6 +72,17 @@ def test_eeprom_that_forbids_motion_is_shown_and_no_other(
     for problem in problems:
         assert problem.text.startswith("servo 3 (elbow): ")
         assert text in problem.text
+        assert "type `armctl servo mend 3 --port scripted`" in problem.text
+
+
+def test_a_servo_from_the_factory_is_one_problem_that_names_both_missing_walls(
+    bus: ServoBus, port: ScriptedPort, arm: ArmConfig
+) -> None:
+    for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT):
+        port.place(2, register, register.default)
+    (problem,) = bus.identify(arm.joints)
+    assert (problem.code, problem.servo_id) == ("EEPROM_MISMATCH", 2)
+    assert "cw_angle_limit is 0, wanted 155 to 171; ccw_angle_limit is 1023, wanted 750 to 766" in problem.text
 
 
 @pytest.mark.parametrize("spoils", [[fine, *[twice(400)] * 6], [bad_checksum] * 20], ids=["second reply", "collision"])
