@@ -42,7 +42,7 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
             asked[name] = (*asked[name][:metres], *map(math.radians, asked[name][metres:]))
     request = validate(MoveRequest, asked, "move")
     with output.motion("moving") as client:
-        result = client.call("move", **request.model_dump(exclude_none=True))
+        result = client.call("move", on_progress=output.warned, **request.model_dump(exclude_none=True))
     output.answer(
         result,
         f"{result['recording']}: at {millimetres(result['position_m'])} after {result['duration_s']:.1f} s, "
@@ -121,7 +121,7 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     gripper = "grip" if grip else "let_go" if let_go else "stay"
     request = validate(ReachRequest, {**way, "gripper": gripper}, "reach")
     with output.motion("reaching") as client:
-        result = client.call("reach", **request.model_dump())
+        result = client.call("reach", on_progress=output.warned, **request.model_dump())
     words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
     output.answer(
         result,
@@ -171,7 +171,7 @@ def transfer_command(
         if log_path is not None:
             raise ConfigError("armctl transfer", "--log", "the daemon keeps its own recordings", "leave it out")
         with output.motion("transferring") as client:
-            answer = client.call("transfer", **request.model_dump())
+            answer = client.call("transfer", on_progress=output.warned, **request.model_dump())
             log_path = Path(client.call("recordings_show", name=answer["recording"])["path"])
     done = report.load(log_path)
     if out is not None:

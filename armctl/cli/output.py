@@ -105,6 +105,10 @@ class Output:
         """A message for a person, on stderr whatever was asked for."""
         self.messages.print(text, markup=False, highlight=False, soft_wrap=True)
 
+    def warned(self, told: dict[str, Any]) -> None:
+        """What the daemon warns of while it carries a request out."""
+        self.warn(f"{told['warning']}: {told['text']}")
+
     def failure(self, error: ArmctlError) -> None:
         """Tell an expected failure."""
         code = getattr(error, "code", type(error).__name__)

@@ -219,6 +219,11 @@ class Motion:
     resisted_ticks: int = 0
     begun: bool = False
     ended: bool = False
+    # What `rate` would be if no reply had been lost; trajectory seconds that lost ones have cost, and their ticks.
+    free_rate: float = 1.0
+    lost_s: float = 0.0
+    unheard_ticks: int = 0
+    slowness_told: bool = False
 
 
 @dataclass

@@ -10,6 +10,9 @@ from armctl.messages import Event, Grip, JointTrajectory
 STOP_S = 0.2
 # A load felt for less may be the servo setting off.
 GRIP_S = 0.2
+# A motion that lost replies make longer by this share, and by so much time, says so.
+SLOWED_SHARE = 0.2
+SLOWED_S = 0.5
 
 
 def duration_s(trajectory: JointTrajectory) -> float:
@@ -40,14 +43,15 @@ def move(s: Tick, motion: Motion) -> None:
     if motion.progress_s >= end_s:
         return s.finish_motion(motion.stop_code, "")
     # A goal would energise a servo that has just restarted: none goes out while one is unheard.
-    wanted = 0.0 if motion.stop_code or motion.paused or not s.fresh else motion.wanted_rate
-    change = s.period_s / STOP_S
-    rate = max(wanted, motion.rate - change) if motion.rate > wanted else min(wanted, motion.rate + change)
+    wanted = 0.0 if motion.stop_code or motion.paused else motion.wanted_rate
+    rate = _nearer(motion.rate, wanted if s.fresh else 0.0, s.period_s)
     if rate == 0.0 and motion.stop_code:
         return s.finish_motion(motion.stop_code, "")
     if s.fresh and not s.all_powered():
         return s.finish_motion(motion.stop_code or "LOST_TORQUE", "")
-    motion.rate = rate
+    motion.rate, motion.free_rate = rate, _nearer(motion.free_rate, wanted, s.period_s)
+    if not motion.stop_code:
+        _tell_slowness(s, motion, end_s)
     if not s.fresh:
         return None
     progress_s = min(motion.progress_s + rate * s.period_s, end_s)
@@ -59,6 +63,27 @@ def move(s: Tick, motion: Motion) -> None:
     motion.progress_s = progress_s
     s.send_goal(goal)
     return None
+
+
+def _nearer(rate: float, wanted: float, period_s: float) -> float:
+    """The next tick's rate on the way to the one that is wanted."""
+    change = period_s / STOP_S
+    return max(wanted, rate - change) if rate > wanted else min(wanted, rate + change)
+
+
+def _tell_slowness(s: Tick, motion: Motion, end_s: float) -> None:
+    """Say once that lost replies make the motion much longer; pauses and a lower rate are no loss."""
+    motion.lost_s += (motion.free_rate - (motion.rate if s.fresh else 0.0)) * s.period_s
+    motion.unheard_ticks += not s.fresh
+    late_s = motion.lost_s / motion.wanted_rate
+    if motion.slowness_told or motion.lost_s <= SLOWED_SHARE * end_s or late_s < SLOWED_S:
+        return
+    motion.slowness_told = True
+    text = (
+        f"replies were lost in {motion.unheard_ticks} of {s.state.ticks} ticks: late by {late_s:.1f} s so far, of a "
+        f"motion of {end_s / motion.wanted_rate:.1f} s (bound {SLOWED_SHARE:.0%}); check the bus cable and its plugs"
+    )
+    s.events.append(Event("warning", "SLOWED", text))
 
 
 def _tell_marks(s: Tick, motion: Motion) -> None:

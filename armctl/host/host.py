@@ -84,6 +84,9 @@ class Host:
         for event in record.outputs.events:
             if event.severity != "info":
                 logger.warning("%s: %s", event.code, event.text)
+                if self._watch is not None and self.leases.current is not None:
+                    told = {"warning": event.code, "text": event.text}
+                    self.leases.current.client.notify("progress", told)
         ticked, self._ticked = self._ticked, asyncio.Event()
         ticked.set()
 

@@ -6,7 +6,7 @@ A lease lasts as long as its request; while teaching or jogging, as long as that
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from armctl.errors import IllegalTransition, RequestRefused
 
@@ -22,6 +22,10 @@ class Client(Protocol):
 
     name: str
     uid: int
+
+    def notify(self, method: str, params: dict[str, Any]) -> None:
+        """Tell it something that it did not ask for."""
+        ...
 
 
 @dataclass(eq=False)

@@ -154,6 +154,27 @@ def test_an_interrupt_is_130_and_says_what_it_leaves_behind(
     assert json.loads(captured.out)["error"]["code"] == "INTERRUPTED"
 
 
+@pytest.mark.parametrize("words", ["move --joints 0", "reach --xyz 0.2,0,0.1"])
+def test_what_goes_wrong_on_the_way_is_said_while_the_motion_lasts(
+    words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Slow(Client):
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def close(self) -> None:
+            pass
+
+        def call(self, method: str, *, on_progress: Any = None, **_: Any) -> dict[str, Any]:
+            on_progress({"warning": "SLOWED", "text": "replies were lost"})
+            assert "SLOWED: replies were lost" in capsys.readouterr().err
+            raise RequestRefused("STOPPED", "it was stopped")
+
+    monkeypatch.setattr("armctl.client.Client", Slow)
+    assert main(words.split()) == 1
+    assert "it was stopped" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_prints_a_script_for_the_shell(shell: str, typed: Typed, answer: Answer) -> None:
     script = answer("completion", shell)["script"]

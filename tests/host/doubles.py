@@ -174,6 +174,10 @@ class NamedClient:
 
     name: str
     uid: int = 1000
+    told: list[tuple[str, dict[str, object]]] = field(default_factory=list)
+
+    def notify(self, method: str, params: dict[str, object]) -> None:
+        self.told.append((method, params))
 
 
 @contextmanager

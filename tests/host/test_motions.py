@@ -40,6 +40,21 @@ async def test_a_run_is_recorded_and_compared_with_its_line(bench: Bench) -> Non
     assert ended_ns - result["end_ns"] >= host_module.TAIL_NS, "the recording goes on a little after the motion"
 
 
+async def test_who_asked_for_a_run_hears_of_lost_replies_while_it_lasts(bench: Bench) -> None:
+    running = asyncio.ensure_future(run(bench.host, bench.anna, bench.plan(duration_s=4.0)))
+    await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
+    while not bench.anna.told:
+        bench.arm.silent = set() if bench.arm.silent else {3}
+        bench.tick()
+    assert not running.done()
+    [(method, params)] = bench.anna.told
+    assert (method, params["warning"]) == ("progress", "SLOWED")
+    assert "replies were lost" in str(params["text"])
+    bench.arm.silent = set()
+    await bench.served(running)
+    assert len(bench.anna.told) == 1
+
+
 async def test_a_refused_preflight_tells_every_reason_and_moves_nothing(bench: Bench) -> None:
     error = await bench.refused(run(bench.host, bench.anna, bench.plan(arm_id="other", duration_s=0.05)), "PREFLIGHT")
     assert len(error.reasons) > 1
