@@ -6,7 +6,7 @@ the calibration file's order everywhere; positions are radians, time is monotoni
 """
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from functools import cache
 from typing import Annotated, Any, Literal, TypeVar
@@ -14,6 +14,18 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import Field, TypeAdapter
 
 NS_PER_S = 1_000_000_000
+
+# Longest motion that anybody may ask for; slow ways to where it begins, dwell and settling come on top.
+LONGEST_S = 600.0
+# Most numbers of a trajectory: with its command and a keyframe that holds it, a tick's record is one message between
+# two processes, and a kernel with net.core.wmem_max as it comes takes 416 KiB.
+MAX_NUMBERS = 12_000
+
+
+def most_points(joints: int) -> int:
+    """Of a trajectory of so many joints; each has its time too."""
+    return MAX_NUMBERS // (joints + 1)
+
 
 # ---------------------------------------------------------------------------------------------- bus -> step
 
@@ -62,7 +74,7 @@ class Grip:
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectory:
-    """Joint positions on a uniform time grid; straight lines in joint space between neighbours.
+    """Joint positions on a uniform time grid, or at times of their own; straight joint lines between neighbours.
 
     The plan proper occupies [begin_s, end_s]; what lies before is approach, what lies after is settling.
     """
@@ -73,10 +85,12 @@ class JointTrajectory:
     end_s: float = 0.0
     label: str = ""
     grip: Grip | None = None
+    # When each position is due, rising from 0; empty: one every `period_s`.
+    times_s: tuple[float, ...] = ()
 
     @property
     def duration_s(self) -> float:
-        return self.period_s * (len(self.positions_rad) - 1)
+        return self.times_s[-1] if self.times_s else self.period_s * (len(self.positions_rad) - 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,6 +394,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def _plain(value: object) -> object:
+    if is_dataclass(value):  # not `asdict`, which copies every number of a trajectory
+        return {name.name: getattr(value, name.name) for name in fields(value)}
     if isinstance(value, bytes):
         return value.hex()
     raise TypeError(f"no JSON form for {type(value).__name__}")
@@ -387,7 +403,7 @@ def _plain(value: object) -> object:
 
 def to_json(message: Any) -> str:
     """Any message of this module as one line of JSON; bytes become hexadecimal."""
-    return json.dumps(asdict(message), default=_plain, separators=(",", ":"), allow_nan=False)
+    return json.dumps(message, default=_plain, separators=(",", ":"), allow_nan=False)
 
 
 def from_json(kind: type[T], text: str) -> T:

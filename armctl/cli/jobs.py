@@ -207,7 +207,7 @@ def run_command(output: Output, plan: Path) -> None:
 
     parsed = plan_from_text(read_text(plan, "plan"), str(plan))
     with output.motion("running", kept=", and what was recorded is kept") as client:
-        result = client.call("run", on_progress=output.warned, plan=parsed.model_dump())
+        result = client.call("run", plan=parsed.model_dump())
     output.answer(
         result,
         f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from armctl.cli.output import FILE, HOLDS, IK_METHODS, POINT, SOCKET, Numbers, Output, command, millimetres
+from armctl.cli.output import FILE, HOLDS, IK_METHODS, POINT, SOCKET, Numbers, Output, Seconds, command, millimetres
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
@@ -22,9 +22,7 @@ POSE = Numbers(6, "six numbers x,y,z,roll,pitch,yaw")
 @click.option("--xyz", "point_m", type=POINT, help="Tool point, metres; the pose nearest to the present one is taken.")
 @click.option("--pose", type=POSE, metavar="x,y,z,r,p,y", help="Tool point, and roll, pitch, yaw in radians.")
 @click.option("--deg", is_flag=True, help="Angles are in degrees.")
-@click.option(
-    "--duration", "duration_s", type=click.FloatRange(0.1, 600.0), help="Seconds.  [default: at most 20 deg/s]"
-)
+@click.option("--duration", "duration_s", type=Seconds(0.1), help="Seconds.  [default: at most 20 deg/s]")
 def move_command(output: Output, deg: bool, **asked: Any) -> None:
     """Go somewhere and hold there: all joints start and arrive at once, slowly unless a duration is given.
 
@@ -42,7 +40,7 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
             asked[name] = (*asked[name][:metres], *map(math.radians, asked[name][metres:]))
     request = validate(MoveRequest, asked, "move")
     with output.motion("moving") as client:
-        result = client.call("move", on_progress=output.warned, **request.model_dump(exclude_none=True))
+        result = client.call("move", **request.model_dump(exclude_none=True))
     output.answer(
         result,
         f"{result['recording']}: at {millimetres(result['position_m'])} after {result['duration_s']:.1f} s, "
@@ -121,7 +119,7 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     gripper = "grip" if grip else "let_go" if let_go else "stay"
     request = validate(ReachRequest, {**way, "gripper": gripper}, "reach")
     with output.motion("reaching") as client:
-        result = client.call("reach", on_progress=output.warned, **request.model_dump())
+        result = client.call("reach", **request.model_dump())
     words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
     output.answer(
         result,
@@ -171,7 +169,7 @@ def transfer_command(
         if log_path is not None:
             raise ConfigError("armctl transfer", "--log", "the daemon keeps its own recordings", "leave it out")
         with output.motion("transferring") as client:
-            answer = client.call("transfer", on_progress=output.warned, **request.model_dump())
+            answer = client.call("transfer", **request.model_dump())
             log_path = Path(client.call("recordings_show", name=answer["recording"])["path"])
     done = report.load(log_path)
     if out is not None:

@@ -59,7 +59,7 @@ class Output:
     def motion(self, doing: str, *, kept: str = "") -> Iterator[Client]:
         """A connection whose requests move the arm; Ctrl-C stops it, and what was recorded may be kept."""
         with self.client() as client:
-            self.after_interrupt = HOLDS + kept
+            self.after_interrupt, client.on_progress = HOLDS + kept, self.warned
             self.say(f"{doing}; Ctrl-C stops the arm")
             yield client
 
@@ -287,7 +287,17 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in som
         return numbers
 
 
+class Seconds(click.FloatRange):
+    """How long a motion takes: at most what `messages` says, which is imported when somebody gives a duration."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from armctl.messages import LONGEST_S
+
+        self.max = LONGEST_S
+        return super().convert(value, param, ctx)
+
+
 POINT = Numbers(3, "three numbers x,y,z in metres, such as 0.18,-0.125,0.10", metres=True)
 START = click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
 END = click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
-DURATION = click.option("--duration", "duration_s", type=click.FloatRange(0.5, 600.0), default=5.0)
+DURATION = click.option("--duration", "duration_s", type=Seconds(0.5), default=5.0)

@@ -1,6 +1,7 @@
 """A trajectory under way: its goals one tick ahead, its pauses and stops on the path, and the grip that may end it."""
 
 import math
+from bisect import bisect_right
 
 from armctl.control.machine import Motion
 from armctl.control.tick import Tick
@@ -17,15 +18,20 @@ SLOWED_S = 0.5
 
 def duration_s(trajectory: JointTrajectory) -> float:
     """What `JointTrajectory.duration_s` says; every tick asks for it several times."""
-    return trajectory.period_s * (len(trajectory.positions_rad) - 1)
+    times = trajectory.times_s
+    return times[-1] if times else trajectory.period_s * (len(trajectory.positions_rad) - 1)
 
 
 def sample_trajectory(trajectory: JointTrajectory, time_s: float) -> tuple[float, ...]:
     """Joint positions [rad] at `time_s`, linear between grid points."""
-    points = trajectory.positions_rad
-    place = min(max(time_s / trajectory.period_s, 0.0), len(points) - 1.0)
-    index = min(int(place), len(points) - 2)
-    part = place - index
+    points, times = trajectory.positions_rad, trajectory.times_s
+    if times:
+        index = min(max(bisect_right(times, time_s) - 1, 0), len(points) - 2)
+        part = min(max((time_s - times[index]) / (times[index + 1] - times[index]), 0.0), 1.0)
+    else:
+        place = min(max(time_s / trajectory.period_s, 0.0), len(points) - 1.0)
+        index = min(int(place), len(points) - 2)
+        part = place - index
     return tuple([a + part * (b - a) for a, b in zip(points[index], points[index + 1], strict=True)])
 
 

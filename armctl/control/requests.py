@@ -17,12 +17,11 @@ from armctl.control.sequences import STILL_TICKS, soften
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.messages import Command, Event, JointTrajectory, Mode
+from armctl.messages import Command, Event, JointTrajectory, Mode, most_points
 
 START_TOLERANCE_RAD = math.radians(2.0)
 # How far outside its limits a joint may be found and still be energised, at the limit.
 EDGE_TICKS = 2
-MAX_POINTS = 4000
 MINIMUM_RATE = 0.1
 # A servo that grips harder for good gets hotter than it may.
 MAX_GRIP_RATIO = 0.5
@@ -194,9 +193,13 @@ def _under_way(s: Tick, what: str) -> Motion:
 
 def _against(trajectory: JointTrajectory, arm: ArmConfig) -> str:
     """The last wall before the wire: what shape, numbers, limits or joint speed forbid, with joint, value and bound."""
-    points = trajectory.positions_rad
-    if not 2 <= len(points) <= MAX_POINTS:
-        return f"a trajectory has 2 to {MAX_POINTS} points, not {len(points)}"
+    points, times, most = trajectory.positions_rad, trajectory.times_s, most_points(len(arm.joints))
+    if not 2 <= len(points) <= most:
+        return f"a trajectory has 2 to {most} points, not {len(points)}"
+    if times and len(times) != len(points):
+        return f"every point needs a time of its own, or none has one: {len(times)} for {len(points)} points"
+    if times and not (times[0] == 0.0 and all(a < b for a, b in pairwise(times)) and math.isfinite(times[-1])):
+        return "the times of a trajectory must rise from 0"
     if not (math.isfinite(trajectory.period_s) and 0.001 <= trajectory.period_s <= 1.0):
         return f"trajectory period {trajectory.period_s} s lies outside 0.001 to 1 s"
     for point in points:
@@ -213,7 +216,11 @@ def _against(trajectory: JointTrajectory, arm: ArmConfig) -> str:
         if not low - ax12a.TICK_RAD <= worst <= high + ax12a.TICK_RAD:
             bounds = f"{joint.limits_deg[0]:g} to {joint.limits_deg[1]:g}"
             return f"joint {joint.name} would go to {math.degrees(worst):.1f} deg, outside {bounds}"
-        speed = max(abs(b - a) for a, b in pairwise(column)) / trajectory.period_s
+        ways = [abs(b - a) for a, b in pairwise(column)]
+        if times:
+            speed = max(way / (b - a) for way, (a, b) in zip(ways, pairwise(times), strict=True))
+        else:
+            speed = max(ways) / trajectory.period_s
         if speed > joint.speed_limit_rad_s * 1.001:
             bound = f"its limit is {joint.speed_limit_deg_s:g}"
             return f"joint {joint.name} would turn at {math.degrees(speed):.0f} deg/s; {bound}"

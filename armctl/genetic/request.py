@@ -9,12 +9,12 @@ from pydantic import Field, TypeAdapter, field_validator
 from armctl.config import Frozen
 from armctl.errors import ConfigError
 from armctl.genetic.algorithm import DEFAULT, Settings
+from armctl.messages import LONGEST_S
 from armctl.trajectory.bounds import Point
 from armctl.trajectory.interpolate import Interpolation
 from armctl.trajectory.placement import Objective
 
 MAX_VIA = 20
-LONGEST_DURATION_S = 600.0
 
 # Numbers of via points, one for each plan wanted.
 ViaCounts = Annotated[tuple[Annotated[int, Field(ge=0, le=MAX_VIA)], ...], Field(max_length=MAX_VIA + 1, strict=False)]
@@ -29,7 +29,7 @@ class OptimizeRequest(Frozen):
     to_m: Point
     via: ViaCounts
     # Nominal time from A to B.
-    duration_s: float = Field(5.0, gt=0.0, le=LONGEST_DURATION_S)
+    duration_s: float = Field(5.0, gt=0.0, le=LONGEST_S)
     # Same seed, same result, bit for bit.
     seed: int = Field(0, ge=0, lt=2**63)
     interpolation: Interpolation = "cubic"

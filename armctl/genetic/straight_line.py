@@ -19,12 +19,13 @@ from armctl.genetic.algorithm import GeneticAlgorithm, Settings
 from armctl.genetic.alignment import Candidates, align
 from armctl.genetic.free_path import free_path
 from armctl.genetic.path_cost import PathCost, path_cost
-from armctl.genetic.request import LONGEST_DURATION_S, OptimizeRequest
+from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.shortest_path import shortest_path
 from armctl.genetic.triple_cost import evaluate
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, IntArray
+from armctl.messages import LONGEST_S
 from armctl.trajectory.interpolate import time_of_progress
 from armctl.trajectory.placement import StraightMotion, place
 from armctl.trajectory.plan import Plan
@@ -101,7 +102,7 @@ class StraightLineResult:
     # One for each entry of `via`.
     plans: tuple[Plan, ...]
     # Where no path keeps the limits: the duration from which on one over recorded genes does; None: there is none
-    # within `LONGEST_DURATION_S`, or none is needed.
+    # within `LONGEST_S`, or none is needed.
     least_duration_s: float | None
 
     @property
@@ -185,9 +186,9 @@ def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | 
     """The shortest duration above `begin_s`, in whole tenths of a second, that is `kept`; to a few per cent."""
     low = high = int(10.0 * begin_s)
     while not kept(high / 10.0):
-        if high >= 10.0 * LONGEST_DURATION_S:
+        if high >= 10.0 * LONGEST_S:
             return None  # some limits know no time: every recording goes back
-        low, high = high, min(2 * high + 1, int(10.0 * LONGEST_DURATION_S))
+        low, high = high, min(2 * high + 1, int(10.0 * LONGEST_S))
     while high - low > max(1, high // 20):
         middle = (low + high) // 2
         low, high = (low, middle) if kept(middle / 10.0) else (middle, high)

@@ -30,6 +30,7 @@ from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import Jog, JointTrajectory, Mode, Pause, Reply, Resume, Run, SetRate, TeachEnd, TickRecord
 from armctl.recording.channels import COMMAND
+from armctl.trajectory.thinning import thinned
 
 # How long a motion may go without any progress, unless somebody paused it, before it is given up.
 STUCK_S = 60.0
@@ -262,7 +263,7 @@ class Host:
         q_now = self._commanded_joints(what)
         assert self.latest is not None
         q_measured = tuple(joint.position_rad for joint in self.latest.outputs.joints)
-        return await asyncio.to_thread(leg, q_now, q_measured)
+        return await asyncio.to_thread(lambda: thinned(leg(q_now, q_measured)))
 
     async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
         request = asyncio.ensure_future(self.exchange.request(lambda request_id: Run(request_id, trajectory), None))

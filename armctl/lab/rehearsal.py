@@ -16,11 +16,10 @@ from functools import partial
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.control.requests import MAX_POINTS
 from armctl.errors import LogError, RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import JointTrajectory, Run, TickRecord
+from armctl.messages import JointTrajectory, Run, TickRecord, most_points
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
@@ -107,13 +106,14 @@ def rehearse(
     virtual.carry_out(Run(virtual.next_id(), approach))
     virtual.ticks(round(DWELL_S / period_s))  # it comes to rest
     records: list[TickRecord] = []
-    for begin in range(0, len(motion) - 1, MAX_POINTS - 1):
-        rows = motion[begin : begin + MAX_POINTS]
+    most = most_points(len(arm.joints))
+    for begin in range(0, len(motion) - 1, most - 1):
+        rows = motion[begin : begin + most]
         part = JointTrajectory(period_s, tuple(map(tuple, rows.tolist())), label="log")
         # Each part ends at rest; what follows its last row until that is reported belongs to no row.
         records += virtual.carry_out(Run(virtual.next_id(), part))[: len(rows) - 1]
         if progress is not None:
-            progress(min(1.0, (begin + MAX_POINTS) / len(motion)))
+            progress(min(1.0, (begin + most) / len(motion)))
     followed = np.array([[joint.position_rad for joint in record.outputs.joints] for record in records])
     then = np.stack([np.interp(grid[:-1], run_s, column) for column in measured.T], axis=-1)
     error = np.abs(followed - then)

@@ -348,7 +348,8 @@ def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig
     unsaid: Value = {key: [] for key in ("velocities", "accelerations", "effort")}
 
     def point(index: int, positions: tuple[float, ...]) -> Value:
-        time_ns = round(index * trajectory.period_s * NS_PER_S)
+        time_s = trajectory.times_s[index] if trajectory.times_s else index * trajectory.period_s
+        time_ns = round(time_s * NS_PER_S)
         return unsaid | {"positions": list(positions), "time_from_start": _stamp(time_ns)}
 
     points = [point(index, positions) for index, positions in enumerate(trajectory.positions_rad)]

@@ -194,7 +194,13 @@ class Frames:
     def _commanded(self, run: dict[str, Any]) -> None:
         path = run["trajectory"]
         rows, period_s = path["positions_rad"], path["period_s"]
-        begin, end = (rows[min(round(path[key] / period_s), len(rows) - 1)] for key in ("begin_s", "end_s"))
+        if times := path.get("times_s"):
+            begin, end = (
+                [float(np.interp(path[key], times, column)) for column in zip(*rows, strict=True)]
+                for key in ("begin_s", "end_s")
+            )
+        else:
+            begin, end = (rows[min(round(path[key] / period_s), len(rows) - 1)] for key in ("begin_s", "end_s"))
         self._run = Motion(str(path["label"]), tuple(begin), tuple(end))
 
 

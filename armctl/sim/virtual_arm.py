@@ -5,6 +5,7 @@ the system's or the daemon, so the same seeds and the same commands give the sam
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from armctl.clock import VirtualClock
 from armctl.control.loop import ControlLoop
@@ -15,6 +16,7 @@ from armctl.messages import Command, Mode, Reply, Run, TickRecord, TorqueOn
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.loopback import LoopbackPort
+from armctl.trajectory.thinning import thinned
 
 # So long an arm is looked at before it is known to stand still.
 FIRST_TICKS = 3
@@ -104,7 +106,10 @@ class VirtualArm:
         Raises:
             RequestRefused: it was refused, or a fault or a stop ended it.
         """
-        patience_s = PATIENCE_S + (command.trajectory.duration_s if isinstance(command, Run) else 0.0)
+        patience_s = PATIENCE_S
+        if isinstance(command, Run):
+            command = replace(command, trajectory=thinned(command.trajectory))
+            patience_s += command.trajectory.duration_s
         records: list[TickRecord] = []
         reply: Reply | None = None
         while reply is None or self.loop.state.mode is Mode.MOVING:

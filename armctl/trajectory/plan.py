@@ -21,7 +21,7 @@ from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import JointTrajectory
+from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.interpolate import Interpolation, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import preflight_motion
@@ -49,7 +49,7 @@ class Plan(Frozen):
     calibration_hash: str = Field(max_length=64)
     from_m: Point
     to_m: Point
-    duration_s: float = Field(gt=0.0, le=3600.0)
+    duration_s: float = Field(gt=0.0, le=LONGEST_S)
     # Waypoints between the first and the last.
     via: int = Field(ge=0, le=MAX_VIA)
     interpolation: Interpolation

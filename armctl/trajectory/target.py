@@ -17,6 +17,7 @@ from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import within_limits
 from armctl.kinematics.transform import FloatArray
+from armctl.messages import LONGEST_S
 from armctl.trajectory.bounds import Joints, Point, Pose
 
 STARTS = 12
@@ -31,7 +32,7 @@ class MoveRequest(Frozen):
     point_m: Point | None = None
     pose: Pose | None = None
     # How long the motion takes; None: as long as it needs at a slow speed.
-    duration_s: float | None = Field(None, gt=0.0, le=600.0)
+    duration_s: float | None = Field(None, gt=0.0, le=LONGEST_S)
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:

@@ -14,9 +14,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from armctl.config import ArmConfig, Frozen
 from armctl.errors import RequestRefused
@@ -25,7 +26,7 @@ from armctl.kinematics.chain import jacobian
 from armctl.kinematics.differential import jacobian_rate, joint_rates
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import JointTrajectory
+from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.bounds import Point
 from armctl.trajectory.plan import approached
@@ -53,6 +54,13 @@ class TransferRequest(Frozen):
     # Time at each station.
     dwell_s: float = Field(0.5, ge=0.0, le=60.0)
     cycles: int = Field(1, ge=1, le=20)
+
+    @model_validator(mode="after")
+    def _no_longer_than_any_motion(self) -> Self:
+        whole_s = self.cycles * (4.0 * self.lift_s + 2.0 * self.carry_s + 2.0 * self.dwell_s)
+        if whole_s > LONGEST_S:
+            raise ValueError(f"{whole_s:.1f} s in all, at most {LONGEST_S:g} s; ask for fewer cycles, or quicker ones")
+        return self
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,8 +165,9 @@ def test_what_goes_wrong_on_the_way_is_said_while_the_motion_lasts(
         def close(self) -> None:
             pass
 
-        def call(self, method: str, *, on_progress: Any = None, **_: Any) -> dict[str, Any]:
-            on_progress({"warning": "SLOWED", "text": "replies were lost"})
+        def call(self, method: str, **_: Any) -> dict[str, Any]:
+            assert self.on_progress is not None
+            self.on_progress({"warning": "SLOWED", "text": "replies were lost"})
             assert "SLOWED: replies were lost" in capsys.readouterr().err
             raise RequestRefused("STOPPED", "it was stopped")
 

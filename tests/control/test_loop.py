@@ -1,13 +1,14 @@
 """The loop with the real bus and SDK on simulated servos and a virtual clock; and the link between processes."""
 
 import socket
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from armctl import messages
 from armctl.control.link import Link, LinkClosed, Ready
-from armctl.control.machine import State
+from armctl.control.machine import Motion, State
 from armctl.dynamixel.packet import Instruction
 from armctl.files import load_arm
 from armctl.messages import Clear, Command, Hold, JointTrajectory, Mode, Release, Reply, Run, Teach, TickRecord
@@ -231,6 +232,24 @@ def test_a_link_whose_other_side_does_not_read_refuses_instead_of_blocking() -> 
     assert sent > 10
     link.close()
     theirs.close()
+
+
+def test_the_largest_motion_and_its_keyframe_pass_a_link_of_an_untuned_kernel() -> None:
+    joints = 6
+    row = tuple(-1.2345678901234567 - index for index in range(joints))
+    count = messages.most_points(joints)
+    way = JointTrajectory(0.1, (row,) * count, times_s=tuple(0.1234567890123456 + 0.1 * i for i in range(count)))
+    rig = Rig()
+    record = rig.tick()
+    keyframe = messages.to_json(State(motion=Motion(way, 1)))
+    record = replace(record, inputs=replace(record.inputs, commands=(Run(1, way),)), keyframe=keyframe)
+    link, theirs = Link.pair()
+    link._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 212_992)  # net.core.wmem_max as kernels have it
+    other = Link(theirs)
+    assert link.send(record)
+    assert other.receive() == [record]
+    link.close()
+    other.close()
 
 
 def test_a_command_that_comes_while_the_loop_sleeps_is_served_by_the_very_next_tick() -> None:

@@ -121,7 +121,12 @@ def test_release_is_refused_while_moving() -> None:
 @pytest.mark.parametrize(
     ("change", "code", "text"),
     [
-        (lambda t: replace(t, positions_rad=t.positions_rad[:1]), "LIMIT", "2 to 4000 points"),
+        (lambda t: replace(t, positions_rad=t.positions_rad[:1]), "LIMIT", "2 to 1714 points"),
+        (lambda t: replace(t, positions_rad=t.positions_rad[:1] * 1715), "LIMIT", "1714 points, not 1715"),
+        (lambda t: replace(t, times_s=(0.0, 1.0)), "LIMIT", "every point needs a time"),
+        (lambda t: replace(t, times_s=(*(0.1 * i for i in range(20)), 1.9)), "LIMIT", "must rise"),
+        (lambda t: replace(t, times_s=(*(0.1 * i for i in range(20)), math.nan)), "LIMIT", "must rise"),
+        (lambda t: replace(t, times_s=tuple(0.01 * i for i in range(21))), "LIMIT", "its limit is 60"),
         (lambda t: replace(t, period_s=0.0), "LIMIT", "period 0.0 s"),
         (lambda t: replace(t, positions_rad=tuple(p[:5] for p in t.positions_rad)), "LIMIT", "6 finite"),
         (lambda t: replace(t, positions_rad=((math.nan,) * 6, *t.positions_rad[1:])), "LIMIT", "6 finite"),
@@ -177,6 +182,21 @@ def test_sampling_holds_the_ends() -> None:
     assert [sample_trajectory(t, x)[0] for x in (-1.0, 0.0, 0.05, 0.15, 0.2, 9.0)] == pytest.approx(
         [0, 0, 0.5, 2, 3, 3]
     )
+
+
+def test_points_with_times_of_their_own_are_gone_through_at_those() -> None:
+    t = JointTrajectory(0.1, ((0.0,), (1.0,), (3.0,)), times_s=(0.0, 2.0, 3.0))
+    assert [sample_trajectory(t, x)[0] for x in (-1.0, 0.0, 1.0, 2.0, 2.5, 3.0, 9.0)] == [0, 0, 0.5, 1, 2, 3, 3]
+    arm = holding()
+    start = arm.positions_rad()
+    there = (start[0] - 0.4, *start[1:])
+    arm.goals.clear()
+    arm.run_tick(Run(5, JointTrajectory(0.1, (start, there, there), times_s=(0.0, 2.0, 3.0))))
+    arm.run_ticks(29)
+    assert 5 not in arm.replies
+    arm.run_ticks(3)
+    assert arm.replies[5].ok
+    assert arm.goals[19:30] == [arm.goals[-1]] * 11
 
 
 def test_start_tolerance_is_the_documented_two_degrees() -> None:

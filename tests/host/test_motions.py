@@ -55,6 +55,22 @@ async def test_who_asked_for_a_run_hears_of_lost_replies_while_it_lasts(bench: B
     assert len(bench.anna.told) == 1
 
 
+@pytest.mark.parametrize("duration_s", [401.0, 600.0])
+async def test_long_motions_reach_the_control_step_that_accepts_them(bench: Bench, duration_s: float) -> None:
+    there = (bench.arm.positions_rad()[0] + 0.2, *bench.arm.positions_rad()[1:])
+    for asked in (
+        move(bench.host, bench.anna, MoveRequest(joints_rad=there, duration_s=duration_s)),
+        run(bench.host, bench.anna, bench.plan(duration_s=duration_s, via=0)),
+    ):
+        running = asyncio.ensure_future(asked)
+        await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
+        assert isinstance(command := bench.control.commands[-1], Run)
+        assert command.trajectory.duration_s >= duration_s
+        await bench.served(bench.host.stop())
+        with refused("STOPPED"):
+            await bench.served(running)
+
+
 async def test_a_refused_preflight_tells_every_reason_and_moves_nothing(bench: Bench) -> None:
     error = await bench.refused(run(bench.host, bench.anna, bench.plan(arm_id="other", duration_s=0.05)), "PREFLIGHT")
     assert len(error.reasons) > 1

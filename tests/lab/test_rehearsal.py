@@ -119,7 +119,7 @@ def test_a_log_that_knows_no_joint_has_no_motion(log: Timeline) -> None:
 
 def test_a_long_log_is_run_in_parts(log: Timeline, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = rehearse(log, ARM, seed=3)
-    monkeypatch.setattr("armctl.lab.rehearsal.MAX_POINTS", 20)
+    monkeypatch.setattr("armctl.lab.rehearsal.most_points", lambda joints: 20)
     seen: list[float] = []
     parts = rehearse(log, ARM, seed=3, progress=seen.append)
     assert (len(seen), seen[-1]) == (4, 1.0)

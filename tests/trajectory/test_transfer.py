@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from armctl.errors import RequestRefused
 from armctl.files import load_arm
@@ -18,6 +19,11 @@ ARM = load_arm("transfer-6dof")
 ROBOT = robots.get(ARM.robot, ARM.lengths_m)
 REST = [joint.rest_rad for joint in ARM.joints]
 CYCLE = TransferRequest(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
+
+
+def test_cycles_longer_than_any_motion_are_refused_at_once() -> None:
+    with pytest.raises(ValidationError, match=r"660.0 s .*at most 600 s; ask for fewer cycles"):
+        TransferRequest(pick_m=CYCLE.pick_m, place_m=CYCLE.place_m, lift_s=5.0, carry_s=6.0, dwell_s=0.5, cycles=20)
 
 
 def test_the_paw_is_at_both_stations_when_it_should_be_and_points_down_there() -> None:
