@@ -35,7 +35,8 @@ from pydantic import Field
 from armctl.clock import Clock
 from armctl.config import ArmConfig, Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, ServoBus
+from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from armctl.files import read_text
 from armctl.kinematics import robots

@@ -21,8 +21,9 @@ from armctl.commissioning.scan import ALL_IDS, USUAL_BAUDS, FoundServo, Progress
 from armctl.config import ArmConfig, JointConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
-from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS, ServoBus
+from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.fitness import unfit_registers
+from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS
 from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS
 from armctl.errors import BusError, PortBusy, PortGone

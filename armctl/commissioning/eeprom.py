@@ -22,8 +22,9 @@ from armctl.commissioning.scan import scan
 from armctl.config import Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
-from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, PORT_GONE, ServoBus
+from armctl.dynamixel.bus import PORT_GONE, ServoBus
 from armctl.dynamixel.fitness import ServoJoint, unfit_registers
+from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from armctl.files import read_text
 from armctl.messages import Write

@@ -5,7 +5,7 @@ Rules:
 1. Only PING and READ are sent: nothing moves and nothing changes.
 2. A silent id costs its request and the slowest reply over a quick adapter, about 4 ms at 1 Mbps.
 3. A reply that comes while a later id is being asked tells of a slow adapter: from there on the patience is
-   `bus.IDENTIFY_LATENCY_MS`, and the ids asked meanwhile are asked again. An id from which only noise comes is asked
+   `IDENTIFY_LATENCY_MS`, and the ids asked meanwhile are asked again. An id from which only noise comes is asked
    again with that patience.
 4. A PING's echo looks like a reply with the voltage bit set; such an id counts only if it can also be read. An id
    from which only noise comes counts if every read of it is noise, too: several servos talk at once.
@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import IDENTIFY_LATENCY_MS, ServoBus
+from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
 from armctl.dynamixel.packet import OVERHEAD_BYTES, Decoder, Instruction, Packet, encode_instruction
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, ServoPort
 from armctl.errors import PortGone, PortMissing

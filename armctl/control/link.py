@@ -46,11 +46,6 @@ class StopAsked:
     who: str
 
 
-@dataclass(frozen=True, slots=True)
-class Identifying:
-    """The servos are being identified: the next tick comes later than the others."""
-
-
 class Link:
     """One end of the connection."""
 

@@ -13,6 +13,7 @@ from armctl.config import ArmConfig
 from armctl.control.machine import ENERGISING, TO_REST, State
 from armctl.control.step import step
 from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.identify import Identification
 from armctl.errors import BusError
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import Clear, Command, Connected, Inputs, TickRecord, to_json
@@ -20,6 +21,9 @@ from armctl.messages import Clear, Command, Connected, Inputs, TickRecord, to_js
 REOPEN_NS = NS_PER_S // 2
 SKIP_NS = 50_000_000
 KEYFRAME_TICKS = 600
+# How much longer a tick may take because servos are identified, two silent ones for example; and at a long period.
+IDENTIFY_NS = 46_000_000
+IDENTIFY_SHARE = 0.4
 
 
 class ControlLoop:
@@ -34,19 +38,17 @@ class ControlLoop:
         period_s: float,
         *,
         restarted: bool = False,
-        before_identify: Callable[[], object] = lambda: None,
     ) -> None:
-        """With all it needs.
-
-        Args:
-            before_identify: Called when this tick takes longer than others, because servos are identified.
-        """
         self.state = State()
         self._bus, self._clock, self._arm, self._robot = bus, clock, arm, robot
         self._period_s = period_s
         self._period_ns = round(period_s * NS_PER_S)
         self._skip_ns = min(SKIP_NS, self._period_ns // 2)
-        self._restarted, self._before_identify = restarted, before_identify
+        self._restarted = restarted
+        # Under way until its outcome has been told, and the requests that wait for that.
+        self._identification: Identification | None = None
+        self._waiting: tuple[Command, ...] = ()
+        self._identify_ns = max(IDENTIFY_NS, round(IDENTIFY_SHARE * self._period_ns))
         self._tick = 0
         self._deadline_ns = 0
         self._next_open_ns = 0
@@ -66,7 +68,7 @@ class ControlLoop:
         clock.sleep_until_ns(self._due_ns())
         begin_ns = clock.now_ns()
         late_ns = begin_ns - self._deadline_ns
-        commands = (*self._connect(commands, begin_ns), *commands)
+        commands = self._connect(commands, begin_ns)
         sample = self._bus.read_sample()
         self._loss_told = not sample.port_open
         inputs = Inputs(self._tick, clock.now_ns(), sample, commands, late_ns)
@@ -126,7 +128,10 @@ class ControlLoop:
         return self._deadline_ns
 
     def _connect(self, commands: Sequence[Command], now_ns: int) -> tuple[Command, ...]:
-        """Open a lost port again, and identify the servos where that is due."""
+        """Open a lost port again, and identify the servos where that is due; the commands, and what came of it.
+
+        A `clear` of a fault waits until they are identified, which silent servos make several ticks long.
+        """
         due = not self._bus.is_open and self._loss_told and now_ns >= self._next_open_ns
         if due:
             self._next_open_ns = now_ns + REOPEN_NS
@@ -134,11 +139,17 @@ class ControlLoop:
             try:
                 self._bus.open()
             except BusError:
-                return ()
-        first = self._tick == 0
-        clearing = bool(self.state.faults) and any(isinstance(command, Clear) for command in commands)
-        if not self._bus.is_open or not (due or first or clearing):
-            return ()
-        self._before_identify()
-        problems = self._bus.identify(self._arm.joints)
-        return (Connected(problems, restarted=self._restarted and first, firmware=self._bus.firmware),)
+                due = False
+        clears = [isinstance(command, Clear) and bool(self.state.faults) for command in commands]
+        if self._bus.is_open and (due or self._tick == 0 or (any(clears) and self._identification is None)):
+            self._identification = Identification(self._bus, self._arm.joints)
+        if self._identification is None:
+            return tuple(commands)
+        problems = self._identification.advance(now_ns + self._identify_ns)
+        if problems is None:
+            self._waiting += tuple(command for command, waits in zip(commands, clears, strict=True) if waits)
+            return tuple(command for command, waits in zip(commands, clears, strict=True) if not waits)
+        found = Connected(problems, restarted=self._restarted, firmware=self._bus.firmware)
+        commands = (found, *self._waiting, *commands)
+        self._identification, self._restarted, self._waiting = None, False, ()
+        return commands

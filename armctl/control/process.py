@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Self, cast
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock, ask_for_real_time
 from armctl.config import ArmConfig
-from armctl.control.link import Beat, Identifying, Link, LinkClosed, Ready, StartFailed, StopAsked
+from armctl.control.link import Beat, Link, LinkClosed, Ready, StartFailed, StopAsked
 from armctl.control.stop_lane import REQUEST_ID, StopLane
 from armctl.errors import BusError, PortBusy
 from armctl.messages import Command, Hold, HostLost, HostSilent, Reply, TickRecord
@@ -186,7 +186,6 @@ def main(descriptor: int) -> int:
         robot,
         settings.period_s,
         restarted=restarted,
-        before_identify=lambda: link.send(Identifying()),
     )
     lane = StopLane(socket.socket(fileno=settings.stop_fd), clock)
     inbox = Inbox(link, lane, loop, clock)

@@ -14,29 +14,27 @@ Rules:
 5. Whatever may have come since the last exchange is thrown away before a sample's first request, and before every
    other one. A stray reply within a sample is less likely, and met by rule 1.
 6. No read asks for two bytes: such a request could be mistaken for a reply to itself (length 4, error bit 1).
-7. What a reply that comes late on a busy machine may look like (a silent servo, a second one with its id, a slow
-   adapter) is believed by `identify` only if it shows again and again.
+
+What is found when connecting is in `identify.py`.
 """
 
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from statistics import median
-from typing import NamedTuple
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL
 
-from armctl.dynamixel import ax12a
+from armctl.dynamixel import ax12a, identify
 from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS, ErrorBit, Register, Seen, believable, position_tick
-from armctl.dynamixel.fitness import ServoJoint, bus_dead, duplicate_id, servo_silent, slow_adapter, table_problems
+from armctl.dynamixel.fitness import ServoJoint
 from armctl.dynamixel.packet import BROADCAST_ID, HEADER, OVERHEAD_BYTES, Instruction, encode_instruction
-from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS, QUIET_MS, ServoPort
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS, DRAIN_ROUNDS, NS_PER_MS, QUIET_MS, ServoPort
+from armctl.dynamixel.reply import BUS_NOISE as BUS_NOISE
+from armctl.dynamixel.reply import NO_REPLY as NO_REPLY
+from armctl.dynamixel.reply import PORT_GONE as PORT_GONE
+from armctl.dynamixel.reply import Reply as Reply
 from armctl.errors import PortGone
 from armctl.messages import Goal, Problem, Sample, ServoReading, Write
-
-NO_REPLY = "NO_REPLY"
-BUS_NOISE = "BUS_NOISE"
-PORT_GONE = "PORT_GONE"
 
 SAMPLE_RETRIES = 2
 # Long enough (0.5 s at 10 Hz) that a servo which restarts after a brown-out, 0.3 s, is heard as soon as it speaks.
@@ -45,37 +43,15 @@ PROBE_EVERY = 5
 
 # How far into a sample a busy machine may make replies late: half a tick of 100 ms.
 SAMPLE_PATIENCE_NS = 50 * NS_PER_MS
-IDENTIFY_PATIENCE_NS = 300 * NS_PER_MS
-
-# Allowance while identifying: an adapter with the 16 ms latency timer is slow, not silent.
-IDENTIFY_LATENCY_MS = 20.0
-# Six reads with this much each fit half a tick of 100 ms; the usual timers are 1 and 16 ms.
-SLOW_ADAPTER_MS = 8.0
-# Reads of changing registers per servo that tell two servos with one id.
-DUPLICATE_PROBES = 3
-# How long the line is to be silent before each reading that confirms a suspicion.
-CONFIRM_QUIET_MS = (20.0, 40.0, 80.0)
-# Further readings of an adapter that seems slow.
-LATENCY_PROBES = 6
 
 ID_MAX = ax12a.ID.maximum
 ERROR_AT = 4
 DATA_AT = 5
 STATUS_BLOCK = (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
-EEPROM = (0, ax12a.EEPROM_END)
 # Error bits that say the very request was not carried out.
 REFUSED = ErrorBit.RANGE | ErrorBit.CHECKSUM | ErrorBit.INSTRUCTION
 
 _log = logging.getLogger(__name__)
-
-
-class Reply(NamedTuple):
-    """What came back to one request; `problem` is empty when it is good."""
-
-    data: bytes = b""
-    error: int = 0
-    problem: str = ""
-    elapsed_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -103,6 +79,8 @@ class ServoBus:
         self.servo_ids = tuple(servo_ids)
         # Firmware version of every servo as `identify` read it; -1: it did not answer.
         self.firmware: tuple[int, ...] = ()
+        # What samples allow the adapter.
+        self.latency_ms = ADAPTER_LATENCY_MS
         self._tracks = [
             _Track(
                 encode_instruction(servo_id, Instruction.READ, bytes(STATUS_BLOCK)),
@@ -111,7 +89,8 @@ class ServoBus:
             for servo_id in self.servo_ids
         ]
         self._sample_count = 0
-        self._closed_because = f"{port.port_name}: the bus is closed; open it first"
+        # Why it is not open.
+        self.closed_because = f"{port.port_name}: the bus is closed; open it first"
 
     def open(self) -> None:
         """Open the port.
@@ -120,7 +99,7 @@ class ServoBus:
             PortMissing, PortBusy, PortGone: see the port.
         """
         self.port.openPort()
-        self.port.allow_latency(ADAPTER_LATENCY_MS)
+        self.allow_latency(ADAPTER_LATENCY_MS)
         self.is_open = True
         for track in self._tracks:
             track.misses, track.suspect = 0, None
@@ -223,91 +202,29 @@ class ServoBus:
             raise ValueError("a read of two bytes looks like a reply to itself; read three")
         return self._read(servo_id, begin, size)
 
+    def read_once(self, servo_id: int, begin: int, size: int) -> Reply:
+        """As `read_block`, and a bad or missing reply is not asked for again."""
+        return self._read(servo_id, begin, size, tries=1)
+
     def answers_twice(self, servo_id: int) -> bool:
-        """Whether more than one servo answers to an id: replies with changing content collide, or follow each other.
-
-        As far as their replies differ; False without a port.
-        """
-        doubled = sum(self._is_doubled(servo_id) for _ in range(DUPLICATE_PROBES))
-        if doubled <= DUPLICATE_PROBES // 2:
-            return False
-        doubled = 0
-        for quiet_ms in CONFIRM_QUIET_MS:
-            self._drain(quiet_ms)
-            doubled += self._is_doubled(servo_id)
-        return doubled > len(CONFIRM_QUIET_MS) // 2
-
-    def _is_doubled(self, servo_id: int) -> bool:
-        reply = self._read(servo_id, *STATUS_BLOCK, tries=1)
-        return reply.problem == BUS_NOISE or self._drain() > 0
+        """See `identify.answers_twice`; with the port's present allowance for the adapter."""
+        steps = identify.answers_twice(self, servo_id)
+        try:
+            while True:
+                next(steps)
+        except StopIteration as end:
+            return bool(end.value)
 
     # ------------------------------------------------------------------------------------------- connecting
 
     def identify(self, joints: Sequence[ServoJoint]) -> tuple[Problem, ...]:
-        """Everything that makes this bus unfit for an arm with these joints; empty: fit.
+        """See `identify.identify`; at one go, up to 50 ms a silent servo and as much to make sure."""
+        return identify.Identification(self, joints).advance() or ()
 
-        Also measures the adapter's latency and sets the port's allowance for it. Takes up to 50 ms a silent servo.
-        """
-        problems = self._identify(joints) if self.is_open else []
-        return tuple(problems) if self.is_open else (Problem(PORT_GONE, self._closed_because),)
-
-    def _identify(self, joints: Sequence[ServoJoint]) -> list[Problem]:
-        port = self.port
-        port.allow_latency(IDENTIFY_LATENCY_MS)
-        port.begin_round(IDENTIFY_PATIENCE_NS)
-        tables = [self._read(joint.servo_id, *EEPROM) for joint in joints]
-        if all(table.problem for table in tables):
-            port.allow_latency(ADAPTER_LATENCY_MS)
-            garbled = any(table.problem == BUS_NOISE for table in tables)
-            return [bus_dead(len(tables), garbled, port.port_name, port.baudrate)]
-        for quiet_ms in CONFIRM_QUIET_MS:
-            if not any(table.problem for table in tables):
-                break
-            self._drain(quiet_ms)
-            tables = [
-                self._read(joint.servo_id, *EEPROM, tries=1) if table.problem else table
-                for joint, table in zip(joints, tables, strict=True)
-            ]
-        self.firmware = tuple(
-            -1 if table.problem else ax12a.register_value(ax12a.FIRMWARE, table.data, 0) for table in tables
-        )
-        problems = self._adapter_problems(joints, tables)
-        for joint, table in zip(joints, tables, strict=True):
-            if table.problem == NO_REPLY:
-                problems.append(servo_silent(joint))
-            elif table.problem or self.answers_twice(joint.servo_id):
-                problems.append(duplicate_id(joint))
-            else:
-                problems += table_problems(joint, table.data, self.port.port_name)
-        return problems
-
-    def _adapter_problems(self, joints: Sequence[ServoJoint], tables: Sequence[Reply]) -> list[Problem]:
-        """Judge the adapter by its faster replies, less wire time and that servo's own return delay.
-
-        By the lower quartile: a busy machine is slow now and then, a slow adapter is fast now and then, when a reply
-        meets its timer just before that fires.
-        """
-        wire_ns = (2 * OVERHEAD_BYTES + 2 + ax12a.EEPROM_END) * self.port.byte_ns
-
-        def added_ms(replies: Sequence[Reply]) -> list[float]:
-            return sorted(
-                (reply.elapsed_ns - wire_ns) / NS_PER_MS
-                - 0.002 * ax12a.register_value(ax12a.RETURN_DELAY, reply.data, 0)
-                for reply in replies
-                if not reply.problem
-            )
-
-        latencies_ms = added_ms(tables)
-        if median(latencies_ms) > SLOW_ADAPTER_MS:
-            answering = next(joint for joint, table in zip(joints, tables, strict=True) if not table.problem)
-            probes = [self._read(answering.servo_id, *EEPROM, tries=1) for _ in range(LATENCY_PROBES)]
-            latencies_ms = added_ms([*tables, *probes])
-        latency_ms, allowance_ms = latencies_ms[len(latencies_ms) // 4], max(ADAPTER_LATENCY_MS, median(latencies_ms))
-        if latency_ms > SLOW_ADAPTER_MS:
-            self.port.allow_latency(allowance_ms)
-            return [slow_adapter(self.port.port_name, latency_ms, SLOW_ADAPTER_MS)]
-        self.port.allow_latency(min(allowance_ms, SLOW_ADAPTER_MS))
-        return []
+    def allow_latency(self, latency_ms: float) -> None:
+        """From now on wait so much longer for a reply in samples, because the adapter may keep it back."""
+        self.latency_ms = latency_ms
+        self.port.allow_latency(latency_ms)
 
     # ----------------------------------------------------------------------------------------- transactions
 
@@ -318,7 +235,7 @@ class ServoBus:
             return problem
         data, error = packet[DATA_AT:-1], packet[ERROR_AT]
         if int.from_bytes(data, "little") & IMPOSSIBLE_BITS:
-            self._drain()
+            self.drain()
             return BUS_NOISE
         now_ns = self.port.arrived_ns
         old, seen = track.reading, (position_tick(data), now_ns)
@@ -372,13 +289,13 @@ class ServoBus:
         if result == COMM_SUCCESS and len(packet) == size and packet != request:
             return packet, ""
         silent = result == COMM_TX_FAIL or (result == COMM_RX_TIMEOUT and not self.port.heard)
-        self._drain()  # of an echo, or of a late reply to another request, the reply itself is still to come
+        self.drain()  # of an echo, or of a late reply to another request, the reply itself is still to come
         return b"", PORT_GONE if not self.is_open else NO_REPLY if silent else BUS_NOISE
 
-    def _drain(self, quiet_ms: float = QUIET_MS) -> int:
+    def drain(self, quiet_ms: float = QUIET_MS, rounds: int = DRAIN_ROUNDS) -> int:
         """See the port; 0 if it is lost."""
         try:
-            return self.port.drain(quiet_ms)
+            return self.port.drain(quiet_ms, rounds)
         except PortGone as error:
             self._lose_port(error)
             return 0
@@ -386,4 +303,4 @@ class ServoBus:
     def _lose_port(self, error: PortGone) -> None:
         if self.is_open:
             _log.error("%s", error)
-        self.is_open, self._closed_because = False, str(error)
+        self.is_open, self.closed_because = False, str(error)

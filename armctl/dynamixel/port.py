@@ -237,14 +237,14 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
         self._latency_ms = latency_ms
         self._slack_ns = round((RETURN_DELAY_WORST_US / 1000.0 + latency_ms + MARGIN_MS) * NS_PER_MS)
 
-    def drain(self, quiet_ms: float = QUIET_MS) -> int:
-        """Read until the line is silent for `quiet_ms`, or has spoken a few times; the number of bytes thrown away."""
+    def drain(self, quiet_ms: float = QUIET_MS, rounds: int = DRAIN_ROUNDS) -> int:
+        """Read until the line is silent for `quiet_ms`, or has spoken `rounds` times; how many bytes were dropped."""
         if self.heard < self._due:  # the reply may still come
             quiet_ms = max(quiet_ms, (self._deadline_ns - self._now_ns()) / NS_PER_MS)
         quiet_ms += 4 * self.byte_ns / NS_PER_MS
         self._clean = False
         drained = 0
-        for _ in range(DRAIN_ROUNDS):
+        for _ in range(rounds):
             self.setPacketTimeoutMillis(quiet_ms)
             data = self.readPort(DRAIN_BYTES)
             if not data and not self._kept_back():

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import Identifying, Link, LinkClosed, Ready, StartFailed, StopAsked
+from armctl.control.link import Link, LinkClosed, Ready, StartFailed, StopAsked
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, RequestRefused
 from armctl.files import data_dir, stop_path
@@ -233,8 +233,6 @@ async def _until_gone(
                     tick(message)
                 case StopAsked():
                     host.stop_asked(message.who)
-                case Identifying():
-                    pulse.identifying()
                 case Reply():
                     host.exchange.answer(message)
                 case Ready():

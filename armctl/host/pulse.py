@@ -14,9 +14,8 @@ from armctl.control.link import Beat, Link
 BEAT_S = 0.05
 # How much later than its period a tick may come.
 OVERDUE_S = 0.5
-# Longest wait for the first tick, and for one in which the servos are identified.
+# Longest wait for the first tick.
 START_S = 20.0
-IDENTIFY_S = 3.0
 
 logger = logging.getLogger(__name__)
 
@@ -42,10 +41,6 @@ class Pulse:
     def ticked(self) -> None:
         """A tick has come."""
         self._left_s = self._usual_s
-
-    def identifying(self) -> None:
-        """The next one comes later."""
-        self._left_s = max(self._usual_s, IDENTIFY_S)
 
     def overdue(self) -> bool:
         """Look once, `BEAT_S` after the last time: whether the tick should have come."""

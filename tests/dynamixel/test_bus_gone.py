@@ -33,7 +33,7 @@ def test_port_that_vanishes_while_draining_closes_the_bus(
     bus.read_sample()
     port.spoils[1] = [at(16384)]
 
-    def gone(quiet_ms: float) -> int:
+    def gone(*_: float) -> int:
         raise PortGone("scripted: the port vanished; plug the adapter in again")
 
     monkeypatch.setattr(port, "drain", gone)

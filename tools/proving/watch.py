@@ -132,6 +132,8 @@ class Watch:
             if packet[5] == STATUS_BEGIN:
                 self._pending = packet[2]
                 index = self._index[packet[2]]
+                # A sample goes through the servos once, and asks none again that it has heard.
+                self._identifying |= index in self._heard or index < max(self._asked, default=0)
                 self._asked[index] = self._asked.get(index, 0) + 1
             else:
                 self._identifying = True

@@ -1,0 +1,217 @@
+"""Connecting: what makes the servos behind a bus unfit for an arm.
+
+Rules:
+
+1. It goes on in steps, each of them one request or a short listening, so that whoever has other things to do on the bus
+   does them in between. Before each step it says how long a silent servo makes it.
+2. What a reply that comes late on a busy machine may look like (a silent servo, a second one with its id, a slow
+   adapter) is believed only if it shows again and again.
+3. Between two steps the port's allowance for the adapter is that of the samples.
+"""
+
+from collections.abc import Generator, Sequence
+from statistics import median
+from typing import Protocol, TypeVar
+
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.fitness import ServoJoint, bus_dead, duplicate_id, servo_silent, slow_adapter, table_problems
+from armctl.dynamixel.packet import OVERHEAD_BYTES
+from armctl.dynamixel.port import (
+    ADAPTER_LATENCY_MS,
+    DRAIN_ROUNDS,
+    MARGIN_MS,
+    NS_PER_MS,
+    QUIET_MS,
+    RETURN_DELAY_WORST_US,
+    ServoPort,
+)
+from armctl.dynamixel.reply import BUS_NOISE, NO_REPLY, PORT_GONE, Reply
+from armctl.messages import Problem
+
+# For how long a busy machine may make replies late.
+PATIENCE_NS = 300 * NS_PER_MS
+# Allowance while identifying: an adapter with the 16 ms latency timer is slow, not silent.
+IDENTIFY_LATENCY_MS = 20.0
+# Six reads with this much each fit half a tick of 100 ms; the usual timers are 1 and 16 ms.
+SLOW_ADAPTER_MS = 8.0
+# Reads of changing registers per servo that tell two servos with one id.
+DUPLICATE_PROBES = 3
+# How long the line is to be silent before each reading that confirms a suspicion, and at one go.
+CONFIRM_QUIET_MS = (20.0, 40.0, 80.0)
+LISTEN_MS = 10.0
+# Listenings to a line that does not fall silent.
+LISTENINGS = 30
+# Further readings of an adapter that seems slow.
+LATENCY_PROBES = 6
+
+EEPROM = (0, ax12a.EEPROM_END)
+STATUS_BLOCK = (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+FOREVER_NS = 2**63
+
+T = TypeVar("T")
+# Yields how long the next step may take [ns]; nothing is done before it is asked for.
+Steps = Generator[int, None, T]
+
+
+class Bus(Protocol):
+    """What identifying needs of the bus."""
+
+    port: ServoPort
+    is_open: bool
+    closed_because: str
+    latency_ms: float
+    firmware: tuple[int, ...]
+
+    def allow_latency(self, latency_ms: float) -> None: ...
+    def read_once(self, servo_id: int, begin: int, size: int) -> Reply: ...
+    def drain(self, quiet_ms: float = QUIET_MS, rounds: int = DRAIN_ROUNDS) -> int: ...
+
+
+class Identification:
+    """Identifying the servos of an arm, now and then a little."""
+
+    def __init__(self, bus: Bus, joints: Sequence[ServoJoint]) -> None:
+        self._port, self._steps = bus.port, identify(bus, joints)
+        self._needs_ns = next(self._steps)
+
+    def advance(self, until_ns: int = FOREVER_NS) -> tuple[Problem, ...] | None:
+        """Go on for as long as silent servos let it end in time, at least by a step.
+
+        Returns:
+            Everything that makes the bus unfit; None: it has not come to its end.
+        """
+        now_ns = self._port.begin_round()
+        self._port.begin_round(min(PATIENCE_NS, until_ns - now_ns))
+        try:
+            while True:
+                self._needs_ns = next(self._steps)
+                if self._port.clock.now_ns() + self._needs_ns > until_ns:
+                    return None
+        except StopIteration as end:
+            found: tuple[Problem, ...] = end.value
+            return found
+
+
+def identify(bus: Bus, joints: Sequence[ServoJoint]) -> Steps[tuple[Problem, ...]]:
+    """Everything that makes this bus unfit for an arm with these joints; empty: fit.
+
+    Also measures the adapter's latency, and says in `bus.firmware` what the servos run.
+    """
+    yield 0
+    problems = (yield from _problems(bus, joints)) if bus.is_open else []
+    return tuple(problems) if bus.is_open else (Problem(PORT_GONE, bus.closed_because),)
+
+
+def _problems(bus: Bus, joints: Sequence[ServoJoint]) -> Steps[list[Problem]]:
+    port, tables = bus.port, list[Reply]()
+    for joint in joints:
+        tables.append((yield from _read_table(bus, joint, tries=2)))
+    if all(table.problem for table in tables):
+        bus.allow_latency(ADAPTER_LATENCY_MS)
+        garbled = any(table.problem == BUS_NOISE for table in tables)
+        return [bus_dead(len(tables), garbled, port.port_name, port.baudrate)]
+    for quiet_ms in CONFIRM_QUIET_MS:
+        if not any(table.problem for table in tables):
+            break
+        yield from _silence(bus, quiet_ms)
+        for index, joint in enumerate(joints):
+            if tables[index].problem:
+                tables[index] = yield from _read_table(bus, joint)
+    bus.firmware = tuple(
+        -1 if table.problem else ax12a.register_value(ax12a.FIRMWARE, table.data, 0) for table in tables
+    )
+    problems = yield from _adapter_problems(bus, joints, tables)
+    for joint, table in zip(joints, tables, strict=True):
+        if table.problem == NO_REPLY:
+            problems.append(servo_silent(joint))
+        elif table.problem or (yield from answers_twice(bus, joint.servo_id)):
+            problems.append(duplicate_id(joint))
+        else:
+            problems += table_problems(joint, table.data, port.port_name)
+    return problems
+
+
+def _adapter_problems(bus: Bus, joints: Sequence[ServoJoint], tables: Sequence[Reply]) -> Steps[list[Problem]]:
+    """Judge the adapter by its faster replies, less wire time and that servo's own return delay.
+
+    By the lower quartile: a busy machine is slow now and then, a slow adapter is fast now and then, when a reply
+    meets its timer just before that fires.
+    """
+    wire_ns = _wire_ns(bus, EEPROM)
+
+    def added_ms(replies: Sequence[Reply]) -> list[float]:
+        return sorted(
+            (reply.elapsed_ns - wire_ns) / NS_PER_MS - 0.002 * ax12a.register_value(ax12a.RETURN_DELAY, reply.data, 0)
+            for reply in replies
+            if not reply.problem
+        )
+
+    latencies_ms = added_ms(tables)
+    if median(latencies_ms) > SLOW_ADAPTER_MS:
+        answering = next(joint for joint, table in zip(joints, tables, strict=True) if not table.problem)
+        probes = list[Reply]()
+        for _ in range(LATENCY_PROBES):
+            probes.append((yield from _read_table(bus, answering)))
+        latencies_ms = added_ms([*tables, *probes])
+    latency_ms, allowance_ms = latencies_ms[len(latencies_ms) // 4], max(ADAPTER_LATENCY_MS, median(latencies_ms))
+    if latency_ms > SLOW_ADAPTER_MS:
+        bus.allow_latency(allowance_ms)
+        return [slow_adapter(bus.port.port_name, latency_ms, SLOW_ADAPTER_MS)]
+    bus.allow_latency(min(allowance_ms, SLOW_ADAPTER_MS))
+    return []
+
+
+def answers_twice(bus: Bus, servo_id: int) -> Steps[bool]:
+    """Whether more than one servo answers to an id: replies with changing content collide, or follow each other.
+
+    As far as their replies differ; False without a port.
+    """
+    doubled = 0
+    for _ in range(DUPLICATE_PROBES):
+        doubled += yield from _is_doubled(bus, servo_id)
+    if doubled <= DUPLICATE_PROBES // 2:
+        return False
+    doubled = 0
+    for quiet_ms in CONFIRM_QUIET_MS:
+        yield from _silence(bus, quiet_ms)
+        doubled += yield from _is_doubled(bus, servo_id)
+    return doubled > len(CONFIRM_QUIET_MS) // 2
+
+
+def _is_doubled(bus: Bus, servo_id: int) -> Steps[bool]:
+    yield _needs_ns(bus, STATUS_BLOCK, bus.latency_ms)
+    reply = bus.read_once(servo_id, *STATUS_BLOCK)
+    return reply.problem == BUS_NOISE or bus.drain() > 0
+
+
+def _read_table(bus: Bus, joint: ServoJoint, tries: int = 1) -> Steps[Reply]:
+    """A servo's EEPROM, at a slow adapter's pace."""
+    reply = Reply(problem=NO_REPLY)
+    for _ in range(tries):
+        yield _needs_ns(bus, EEPROM, IDENTIFY_LATENCY_MS)
+        bus.port.allow_latency(IDENTIFY_LATENCY_MS)
+        reply = bus.read_once(joint.servo_id, *EEPROM)
+        bus.port.allow_latency(bus.latency_ms)
+        if not reply.problem:
+            break
+    return reply
+
+
+def _silence(bus: Bus, quiet_ms: float) -> Steps[None]:
+    """Listen until the line has been silent for so long, all in all; one that goes on speaking is not waited for."""
+    silent_ms = 0.0
+    for _ in range(LISTENINGS):
+        yield round(LISTEN_MS * NS_PER_MS)
+        silent_ms = 0.0 if bus.drain(LISTEN_MS, rounds=2) else silent_ms + LISTEN_MS
+        if silent_ms >= quiet_ms:
+            return
+
+
+def _wire_ns(bus: Bus, block: tuple[int, int]) -> int:
+    return (2 * OVERHEAD_BYTES + 2 + block[1]) * bus.port.byte_ns
+
+
+def _needs_ns(bus: Bus, block: tuple[int, int], latency_ms: float) -> int:
+    """How long a read takes that nobody answers, until the line has fallen quiet."""
+    waited_ms = RETURN_DELAY_WORST_US / 1000.0 + latency_ms + MARGIN_MS + QUIET_MS
+    return _wire_ns(bus, block) + 4 * bus.port.byte_ns + round(waited_ms * NS_PER_MS)
