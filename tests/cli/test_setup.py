@@ -335,14 +335,13 @@ def test_scan_and_a_change_of_baud_on_a_real_terminal(tmp_path: Path, answer: An
 
 
 @pytest.mark.pty
-def test_simulated_servos_of_the_factory_fail_the_doctor_until_they_are_mended(tmp_path: Path, answer: Answer) -> None:
+def test_simulated_servos_of_the_factory_fail_the_doctor_and_are_mended_at_once(tmp_path: Path, answer: Answer) -> None:
     link = tmp_path / "servos"
     with program(tmp_path / "log", "sim", "--link", str(link), "--factory", "--return-delay-us", "0"):
-        assert fixes(answer("doctor", "--port", link, status=1)) == {
-            "angle_limits": f"armctl servo mend 6 --port {link}"
-        }
+        fix = fixes(answer("doctor", "--port", link, status=1))["angle_limits"]
+        assert fix == f"armctl servo mend 6 --port {link}"
         assert len(answer("servo", "mend", "all", "--port", link)["mended"]) == 12
-        answer("doctor", "--port", link)
+        assert answer("servo", "mend", "all", "--port", link) == {"mended": []}
 
 
 @pytest.mark.pty
