@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from armctl.control.enforce import LIMP_NS
 from armctl.control.motion import STOP_S
-from armctl.control.sequences import LIMP_S, RAMP_S, VERIFY_S
+from armctl.control.sequences import RAMP_S, VERIFY_S
 from armctl.dynamixel import ax12a
 from armctl.messages import (
     NS_PER_S,
@@ -75,6 +76,6 @@ def test_every_limit_of_time_is_in_seconds_at_every_period(period_s: float) -> N
 
     rig.ticks(3)
     answered(rig, TorqueOn(5), RAMP_S + 8.0 * period_s)
-    answered(rig, Teach(6), max(LIMP_S, 2.0 * period_s) + ticks_s)
+    answered(rig, Teach(6), max(LIMP_NS / NS_PER_S, 2.0 * period_s) + ticks_s)
     assert rig.mode() is Mode.TEACHING
     assert not any(servo.torque_enabled for servo in rig.simulated.servos)
