@@ -2,7 +2,8 @@
 
 Two files exist. `Config` says how the daemon runs (`armctl.yaml`, optional: every key has a default).
 `ArmConfig` describes one physical arm (`calibration/NAME.yaml`). Units stand in the key; angles are degrees in
-the files, because people write them, and radians in every property the code reads.
+the files, because people write them, and radians in every property the code reads. The comment above a key is what
+`armctl help configuration` tells of it.
 
 A file is refused as a whole, with file, key, value and bound of everything that is wrong in it. YAML is read
 without its surprises: no aliases, tags or duplicate keys, no `.nan`, no `1:30` or `0o17` numbers, at most 64 KiB and
@@ -23,9 +24,9 @@ from armctl.errors import ConfigError
 
 MAX_YAML_BYTES = 65536
 MAX_YAML_DEPTH = 16
+# 5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked.
 MAX_GRIP_TICK = 20
 MAX_FAULTS = 20
-"""5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked."""
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
@@ -42,37 +43,37 @@ class Frozen(BaseModel):
 class Compliance(Frozen):
     """Position-control registers of one servo, in register units."""
 
+    # Ticks around the goal within which the motor does nothing.
     margin: int = Field(1, ge=0, le=254)
-    """Ticks around the goal within which the motor does nothing."""
+    # Ticks over which torque grows to its full value; the servo rounds it down to 2, 4, 8, ..., 128.
     slope: int = Field(32, ge=1, le=254)
-    """Ticks over which torque grows to its full value; the servo rounds it down to 2, 4, 8, ..., 128."""
+    # Torque at the edge of the margin, of 1023.
     punch: int = Field(32, ge=0, le=1023)
-    """Torque at the edge of the margin, of 1023."""
 
 
 class JointConfig(Frozen):
     """One servo and the joint it turns: position_rad = direction * (tick - zero_tick) * TICK_RAD."""
 
+    # Of the joint, wherever one is shown or asked for.
     name: Name
-    """Of the joint, wherever one is shown or asked for."""
+    # Its ID on the bus.
     servo_id: int = Field(ge=0, le=253)
-    """Its ID on the bus."""
+    # -1 where the servo is mounted the other way round.
     direction: Literal[1, -1] = 1
-    """-1 where the servo is mounted the other way round."""
+    # What the servo reads at joint position 0; `armctl calibrate` finds it.
     zero_tick: float = Field(512.0, ge=-1023.0, le=2046.0)
-    """What the servo reads at joint position 0; `armctl calibrate` finds it."""
+    # Lowest and highest joint position of any goal.
     limits_deg: tuple[Degrees, Degrees] = Field(strict=False)
-    """Lowest and highest joint position of any goal."""
+    # No motion asks more of the joint.
     speed_limit_deg_s: float = Field(60.0, gt=0.0, le=354.0)
-    """No motion asks more of the joint."""
+    # No plan asks more of the joint.
     acceleration_limit_deg_s2: float = Field(400.0, gt=0.0, le=20000.0)
-    """No plan asks more of the joint."""
+    # Where the joint lies when the arm is parked, and may go limp.
     rest_deg: Degrees = 0.0
-    """Where the joint lies when the arm is parked, and may go limp."""
+    # Fraction of full torque the daemon allows once the arm holds.
     torque_limit_ratio: float = Field(1.0, gt=0.0, le=1.0)
-    """Fraction of full torque the daemon allows once the arm holds."""
+    # How stiffly the servo holds.
     compliance: Compliance = Compliance()
-    """How stiffly the servo holds."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -123,41 +124,41 @@ class JointConfig(Frozen):
 class GripperConfig(Frozen):
     """The joint that grips. It moves no tool point, and gets from open to closed unless something is in between."""
 
+    # Its name among the joints.
     joint: Name
-    """Its name among the joints."""
+    # Where it has let go.
     open_deg: Degrees
-    """Where it has let go."""
+    # Where it is closed with nothing in between.
     closed_deg: Degrees
-    """Where it is closed with nothing in between."""
+    # The load that tells a grip, and that holds it: above friction, below what makes the servo hot.
     load_ratio: float = Field(0.3, ge=0.15, le=0.5)
-    """The load that tells a grip, and that holds it: above friction, below what makes the servo hot."""
 
 
 class ArmConfig(Frozen):
     """One physical arm: its servos, their calibration and the robot model they form."""
 
+    # Of this one arm; recordings, plans and logs carry it, and another arm refuses them.
     arm_id: Name
-    """Of this one arm; recordings, plans and logs carry it, and another arm refuses them."""
+    # Kinematic model, one of `armctl robots`.
     robot: Name
-    """Kinematic model, one of `armctl robots`."""
+    # Link lengths that differ from the robot's own, by the robot's parameter names.
     lengths_m: dict[str, float] = {}
-    """Link lengths that differ from the robot's own, by the robot's parameter names."""
+    # Height of the surface the arm stands on, in the base frame; no plan goes below it.
     floor_m: float = 0.0
-    """Height of the surface the arm stands on, in the base frame; no plan goes below it."""
+    # How thick the links are all round, for what may touch; half the longest side of an AX-12A.
     link_radius_m: float = Field(0.025, gt=0.0, le=0.5)
-    """How thick the links are all round, for what may touch; half the longest side of an AX-12A."""
+    # No motion moves the tool point faster; while teaching, a faster hand is warned.
     tool_speed_limit_m_s: float = Field(0.25, gt=0.0, le=2.0)
-    """No motion moves the tool point faster; while teaching, a faster hand is warned."""
+    # Supply voltage outside which the arm goes to rest.
     voltage_V: tuple[float, float] = Field((9.0, 13.0), strict=False)
-    """Supply voltage outside which the arm goes to rest."""
+    # Temperature from which the arm goes to rest, before a servo's own trip drops it.
     temperature_limit_degC: float = Field(65.0, gt=0.0, le=80.0)
-    """Temperature from which the arm goes to rest, before a servo's own trip drops it."""
+    # Whether lasting heat, wrong voltage or overload send the arm to its rest pose; if not, it holds where it is.
     rest_on_strain: bool = True
-    """Whether lasting heat, wrong voltage or overload send the arm to its rest pose; if not, it holds where it is."""
+    # From the base to the tool.
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
-    """From the base to the tool."""
+    # What `reach --grip` closes.
     gripper: GripperConfig | None = None
-    """What `reach --grip` closes."""
 
     @model_validator(mode="after")
     def _check_gripper(self) -> Self:
@@ -213,38 +214,38 @@ class ArmConfig(Frozen):
 class LogConfig(Frozen):
     """Where logs go and when a file is full."""
 
+    # A file is finished, and the next begun, after this long.
     rotate_s: float = Field(3600.0, ge=1.0)
-    """A file is finished, and the next begun, after this long."""
+    # And when it holds this much.
     rotate_bytes: int = Field(128 * 2**20, ge=2**16)
-    """And when it holds this much."""
+    # Logging stops, and control goes on, when less than this is free and no old log is left to delete.
     free_bytes: int = Field(256 * 2**20, ge=0)
-    """Logging stops, and control goes on, when less than this is free and no old log is left to delete."""
+    # What all finished logs together may take; the oldest are deleted beyond it.
     quota_bytes: int = Field(4 * 2**30, ge=2**20)
-    """What all finished logs together may take; the oldest are deleted beyond it."""
+    # Logs older than this, counted back from the newest, are deleted; 0: none is for its age.
     max_age_s: float = Field(0.0, ge=0.0)
-    """Logs older than this, counted back from the newest, are deleted; 0: none is for its age."""
+    # So much before and after a fault is kept in a file of its own, which no bound deletes.
     snapshot_s: float = Field(30.0, ge=1.0, le=600.0)
-    """So much before and after a fault is kept in a file of its own, which no bound deletes."""
 
 
 class Config(Frozen):
     """How the daemon runs."""
 
+    # Serial device, or the link of a simulator; empty: the --port option must name one.
     port: str = ""
-    """Serial device, or the link of a simulator; empty: the --port option must name one."""
+    # Bit rate of the servos.
     baud: int = Field(1_000_000, ge=7_843, le=1_000_000)
-    """Bit rate of the servos."""
+    # Name of a file in `calibration/`, or a path.
     arm: str = "ax12-line"
-    """Name of a file in `calibration/`, or a path."""
+    # Of the control tick.
     period_s: float = Field(0.1, ge=0.01, le=1.0)
-    """Of the control tick."""
+    # Folder of logs, recordings and plans; empty: below the user's XDG data folder.
     data_dir: str = ""
-    """Folder of logs, recordings and plans; empty: below the user's XDG data folder."""
+    # Users, and groups as @name, who may command; others that reach the socket may look, and stop the arm. Empty:
+    # everybody who reaches it.
     commanders: tuple[UserOrGroup, ...] = Field((), strict=False)
-    """Users, and groups as @name, who may command; others that reach the socket may look, and stop the arm. Empty:
-    everybody who reaches it."""
+    # Bounds of the log.
     log: LogConfig = LogConfig()
-    """Bounds of the log."""
 
 
 class _StrictLoader(yaml.SafeLoader):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
-import itertools
 import json
-import textwrap
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,7 +105,7 @@ def _keys(model: type[BaseModel]) -> str:
     """A line a key: type, default, bounds, and what the source says about it."""
     schema = model.model_json_schema()
     required = set(schema.get("required", ()))
-    said = attribute_docstrings(model)
+    said = key_comments(model)
     rows = []
     for key, about in schema["properties"].items():
         facts = [_kind(about), "required" if key in required else _default(about.get("default"))]
@@ -131,16 +129,10 @@ def _default(default: object) -> str:
     return f"default {json.dumps(default)}"
 
 
-def attribute_docstrings(model: type) -> dict[str, str]:
-    """Attribute of a class -> the string that follows it in the source, as one line."""
-    [found] = ast.parse(textwrap.dedent(inspect.getsource(model))).body
-    assert isinstance(found, ast.ClassDef)
-    texts = {}
-    for attribute, following in itertools.pairwise(found.body):
-        match attribute, following:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                texts[name] = " ".join(text.split())
-    return texts
+def key_comments(model: type) -> dict[str, str]:
+    """Key of a configuration -> the comment above it in the source, as one line."""
+    comments = re.findall(r"((?:^    # .*\n)+)    (\w+):", inspect.getsource(model), re.MULTILINE)
+    return {key: " ".join(comment.replace("    # ", "").split()) for comment, key in comments}
 
 
 FILES = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/armctl.fish"}

@@ -1,7 +1,7 @@
 import pytest
 from pydantic import BaseModel
 
-from armctl.cli.help import TOPICS, attribute_docstrings
+from armctl.cli.help import TOPICS, key_comments
 from armctl.config import ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig
 from tests.cli.conftest import Answer, Typed
 
@@ -19,4 +19,4 @@ def test_every_topic_is_explained(topic: str, typed: Typed, answer: Answer) -> N
 
 @pytest.mark.parametrize("model", [ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig])
 def test_every_key_says_what_it_is_for(model: type[BaseModel]) -> None:
-    assert set(attribute_docstrings(model)) >= set(model.model_fields)
+    assert set(key_comments(model)) >= set(model.model_fields)
