@@ -189,8 +189,7 @@ def show_fit(output: Output, fit: Fit) -> None:
         values = (parameter.before, parameter.after, parameter.standard_error)
         shown = ("-" if value is None else f"{value * factor:.2f}" for value in values)
         rows.append((parameter.name, *shown, unit))
-    columns = ("parameter", "before", "after", "+-", "unit")
-    show_table(output.console, "", columns, rows, words=("parameter", "unit"))
+    show_table(output.console, "", ("parameter", "before", "after", "+-", "unit"), rows, words=("parameter", "unit"))
     for parameter in fit.parameters:
         if parameter.standard_error is None:
             output.say(f"{parameter.name} is left alone: {parameter.held}")

@@ -32,8 +32,7 @@ def help_command(output: Output, topic: str | None) -> None:
     """
     if topic is None:
         topics = "\n".join(f"  {name:<14}{text}" for name, text in TOPICS.items())
-        said = f"armctl help TOPIC:\n{topics}\narmctl COMMAND --help explains a command."
-        output.answer({"topics": TOPICS}, said)
+        output.answer({"topics": TOPICS}, f"armctl help TOPIC:\n{topics}\narmctl COMMAND --help explains a command.")
         return
     text = page(topic)
     if not output.result({"topic": topic, "text": text}):

@@ -177,8 +177,7 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
     rows += [(path, f"{error['mean_error_mm']:.2f}", "") for path, error in found.items() if error]
     mean, worst = (f"{plan[f'predicted_{kind}_error_mm']:.2f}" for kind in ("mean", "max"))
     rows.append((f"plan with {plan['via']} via points, on perfect servos", mean, worst))
-    title = "Distance from the line, mm"
-    show_table(output.console, title, ("path", "mean", "maximum"), rows, words=("path",))
+    show_table(output.console, "Distance from the line, mm", ("path", "mean", "maximum"), rows, words=("path",))
     output.say(f"run it with: armctl run {plan['path']}")
 
 

@@ -191,8 +191,7 @@ def usb_adapter(port: Path, sysfs: Path) -> dict[str, str]:
     Raises:
         ConfigError: there is no such device, or it is none of USB.
     """
-    name = Path(os.path.realpath(port)).name
-    device = sysfs / "class" / "tty" / name / "device"
+    device = sysfs / "class" / "tty" / Path(os.path.realpath(port)).name / "device"
     if not device.exists():
         raise ConfigError(str(port), "", "no such serial device", "plug the adapter in; see ls -l /dev/serial/by-id")
     for folder in (resolved := device.resolve(), *resolved.parents):

@@ -279,10 +279,7 @@ def _refuse_below_floor(arm: ArmConfig, A: FloatArray, B: FloatArray) -> None:
 
 
 def _evolve(
-    costs: PathCost,
-    settings: Settings,
-    rng: np.random.Generator,
-    progress: Callable[[int, float, float], None] | None,
+    costs: PathCost, settings: Settings, rng: np.random.Generator, progress: Callable[[int, float, float], None] | None
 ) -> tuple[IntArray, tuple[float, ...], tuple[float, ...], int]:
     stations, recordings = costs.distance_m.shape
     # The first population is the recordings themselves, as in the paper (Fig. 8).

@@ -94,8 +94,7 @@ def _horn(link: str) -> str:
 
 def _row_parts(chain: SerialChain, row: DHRow) -> tuple[FloatArray, FloatArray]:
     """(G, F) of one row: its transform is G Rz(q) F."""
-    one = SerialChain((row,), chain.convention)
-    A0 = link_frames(one, np.zeros(1))[1]
+    A0 = link_frames(SerialChain((row,), chain.convention), np.zeros(1))[1]
     # Standard: Rz(q) comes first. Modified: it stands before Tz(d), with which it commutes.
     return (np.eye(4), A0) if chain.convention == "standard" else (A0, np.eye(4))
 

@@ -148,8 +148,7 @@ def _run(session: _Session, out: Path, plan: Plan) -> tuple[Plan, dict[str, Any]
     if len(truth.time_ns) < 2:
         raise RequestRefused("SIMULATOR", "the simulator kept no truth of this run")
     seen = measured_run(_recording(out, answer["recording"]), answer["duration_s"])
-    true_time_s = (truth.time_ns - answer["begin_ns"]) / 1e9
-    return plan, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m)
+    return plan, answer, replace(seen, true_time_s=(truth.time_ns - answer["begin_ns"]) / 1e9, true_tool_m=truth.tool_m)
 
 
 def _recording(out: Path, name: str) -> recordings.Recording:

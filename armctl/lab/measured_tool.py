@@ -69,8 +69,7 @@ def unseen_m(time_s: FloatArray, tool_m: FloatArray, run: Recording, chain: Seri
             "measure all of it, time counted from the plan's begin",
         )
     at_s = np.linspace(0.0, duration_s, EVEN)
-    q = run.positions_rad[:, : chain.n]
-    by_encoder = tool_position(chain, columns_at(at_s, run.time_s - begin_s, q))
+    by_encoder = tool_position(chain, columns_at(at_s, run.time_s - begin_s, run.positions_rad[:, : chain.n]))
     u = np.linspace(0.0, 1.0, EVEN)
     window = np.exp(-0.5 * ((u[:, None] - u) / SMOOTH) ** 2)
     difference = columns_at(at_s, time_s, tool_m) - by_encoder

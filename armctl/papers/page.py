@@ -83,8 +83,7 @@ def write(reports: Sequence[PaperReport], errata: Sequence[Erratum], path: Path)
     )
     for report in reports:
         page.heading(f"{report.paper}: {report.title}")
-        for note in report.notes:
-            page.text(note)
+        page.text(*report.notes)
         page.table(
             ("quantity", "printed", "armctl", "unit", "verdict"),
             [(row.quantity, shown(row.printed), shown(row.armctl), row.unit, row.verdict) for row in report.rows],

@@ -18,7 +18,7 @@ from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, 
 from armctl.papers.transcription import introduced, transcription
 from armctl.papers.verdict import Effort, claim, error
 from armctl.report import kinematics as drawn
-from armctl.report.page import Figure, plotly
+from armctl.report.page import Figure, axes
 
 SIDE_CM = np.arange(21.0, 31.0)
 HEIGHT_CM = 10.0
@@ -150,11 +150,9 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
 
 def _grid_rows(robot: Robot, runs: dict[bool, list[Evolution]]) -> list[Row]:
     rows = [claim("cells of the six tables that agree", "600", str(consistent_cells()), consistent_cells() == 600)]
-    harder = "four angles are harder than the three that eq. (18) names"
-    unknown = "settings that the paper does not print"
     for waist_given, what, why in (
-        (False, "GA over theta1 to theta4", harder),
-        (True, "GA over theta2 to theta4, theta1 by eq. (12)", unknown),
+        (False, "GA over theta1 to theta4", "four angles are harder than the three that eq. (18) names"),
+        (True, "GA over theta2 to theta4, theta1 by eq. (12)", "settings that the paper does not print"),
     ):
         reached = [tool_position(robot.chain, run.q_rad) for run in runs[waist_given]]
         found = np.array([statistics(grid_errors_cm(points)) for points in reached])
@@ -238,11 +236,10 @@ def _population_table() -> Table:
 
 
 def _curves(run: Evolution) -> Figure:
-    figure = plotly()()
+    figure = axes("generation", "distance [cm]", 400, yaxis_type="log")
     for k, (x, y, z) in enumerate(TARGETS_CM):
         costs = (np.sqrt(cost[:, k]) * 100.0 for cost in (run.best_cost, run.mean_cost))
         by_generation(figure, f"({x:.0f}, {y:.0f}, {z:.0f}) {{}}", drawn.COLOURS[2 * k], *costs)
-    figure.update_layout(xaxis_title="generation", yaxis_title="distance [cm]", yaxis_type="log", height=400)
     return figure
 
 
@@ -256,8 +253,7 @@ def _heat_maps(robot: Robot, run: Evolution) -> Figure:
     found = grid_errors_cm(tool_position(robot.chain, run.q_rad))[0].reshape(10, 10)
     both = np.concatenate((np.abs(printed()["delta_xy0"]), np.full((10, 1), np.nan), np.abs(found)), axis=1)
     ticks = [f"{y:.0f}" for y in SIDE_CM]
-    figure = plotly()()
+    figure = axes("y [cm]: print | one run of the GA", "x [cm]", 420)
     figure.add_heatmap(z=both, y=ticks, colorbar={"title": "|dxy| [cm]"}, colorscale="Viridis")
-    axis = {"tickvals": list(range(21)), "ticktext": [*ticks, "", *ticks], "title": "y [cm]: print | one run of the GA"}
-    figure.update_layout(xaxis=axis, yaxis_title="x [cm]", height=420)
+    figure.update_xaxes(tickvals=list(range(21)), ticktext=[*ticks, "", *ticks])
     return figure

@@ -20,7 +20,7 @@ from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, 
 from armctl.papers.transcription import introduced
 from armctl.papers.verdict import Effort, claim, error
 from armctl.report import kinematics as drawn
-from armctl.report.page import Figure, plotly
+from armctl.report.page import Figure, axes
 
 # The standard algorithm with as many evaluations as the improved one.
 STANDARD = replace(plain.PAPER, population=improved.DEFAULT.populations * improved.DEFAULT.individuals)
@@ -196,19 +196,17 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
 
 
 def _curves(better: Evolution, standard: Evolution) -> Figure:
-    figure = plotly()()
+    figure = axes("generation", "error of eq. (4)", 420, yaxis_type="log")
     for run, name, colour in ((better, "improved", drawn.COLOURS[2]), (standard, "standard", drawn.COLOURS[0])):
         costs = (np.median(cost, axis=1) for cost in (run.best_cost, run.mean_cost))
         by_generation(figure, f"{name}, {{}} (median)", colour, *costs)
-    figure.update_layout(xaxis_title="generation", yaxis_title="error of eq. (4)", yaxis_type="log", height=420)
     return figure
 
 
 def _spread(found: Errors, standard: Errors) -> Figure:
-    figure = plotly()()
+    figure = axes("", "position error [mm]", 420, yaxis_type="log")
     for one, name, colour in ((found, "improved", drawn.COLOURS[2]), (standard, "standard", drawn.COLOURS[0])):
         figure.add_box(y=one.position_m * 1e3, name=name, boxpoints="all", marker={"color": colour})
     for row, name in ((IMPROVED_XYZ_RPY, "print, improved"), (STANDARD_XYZ_RPY, "print, standard")):
         figure.add_hline(y=table_2_errors(row)[0] * 1e3, line={"dash": "dot", "color": "#888"}, annotation_text=name)
-    figure.update_layout(yaxis_title="position error [mm]", yaxis_type="log", height=420)
     return figure

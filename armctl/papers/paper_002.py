@@ -13,8 +13,10 @@ from armctl.papers.transcription import introduced
 from armctl.papers.verdict import Effort, error
 from armctl.report import kinematics as drawn
 from armctl.report.line import PRINTED
-from armctl.report.page import Figure, plotly
+from armctl.report.page import Figure, axes
 from armctl.trajectory.straightness import distance_to_line, progress_along_line
+
+ALONG_AND_AWAY = ("along the line [mm]", "distance from the line [mm]")
 
 
 def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
@@ -62,22 +64,20 @@ def _rows(done: Corrected, via: int, effort: Effort) -> list[Row]:
 
 
 def _takes_figure(done: Corrected) -> Figure:
-    figure = plotly()()
+    figure = axes(*ALONG_AND_AWAY, 380)
     for k, take in enumerate(done.takes_m):
         _add_path(figure, take, done, f"recording {k + 1}", drawn.COLOURS[3], 1)
     _add_path(figure, done.optimum.ga.path.tool_m, done, "genetic algorithm", drawn.COLOURS[2], 3)
-    _label(figure)
     return figure
 
 
 def _deviation(done: Corrected, via: int) -> Figure:
-    figure = plotly()()
+    figure = axes(*ALONG_AND_AWAY, 380)
     for run in done.before[via]:
         _add_path(figure, run.true_tool_m, done, "before correction", drawn.COLOURS[0], 2)
     for k, run in enumerate(done.after[via]):
         _add_path(figure, run.true_tool_m, done, f"final plan, run {k + 1}", drawn.COLOURS[2], 2)
     figure.add_hline(y=PRINTED[via][0], line={"dash": "dot", "color": "#888"}, annotation_text="mean in print")
-    _label(figure)
     return figure
 
 
@@ -89,12 +89,8 @@ def _add_path(figure: Figure, points: FloatArray | None, done: Corrected, name: 
     figure.add_scatter(x=along, y=away, mode="lines", name=name, line={"color": colour, "width": width})
 
 
-def _label(figure: Figure) -> None:
-    figure.update_layout(xaxis_title="along the line [mm]", yaxis_title="distance from the line [mm]", height=380)
-
-
 def _bars(done: Corrected) -> Figure:
-    figure = plotly()()
+    figure = axes("", "distance from the line [mm]", 420)
     names = [f"experiment {via + 1}" for via in VIA]
     before, after = ([done.errors_mm(runs[via]) for via in VIA] for runs in (done.before, done.after))
     for k, what in enumerate(("mean", "maximum")):
@@ -105,5 +101,4 @@ def _bars(done: Corrected) -> Figure:
         ):
             opacity = 1.0 if k == 0 else 0.55
             figure.add_bar(x=names, y=values, name=f"{what}, {who}", marker={"color": colour, "opacity": opacity})
-    figure.update_layout(yaxis_title="distance from the line [mm]", height=420)
     return figure

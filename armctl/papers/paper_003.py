@@ -67,10 +67,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         *_trajectory_rows(robot, motion),
     )
     return PaperReport(
-        *introduced("003"),
-        rows,
-        (_extent_table(extent, points),),
-        tuple(_pictures(robot, extent, points, motion)),
+        *introduced("003"), rows, (_extent_table(extent, points),), tuple(_pictures(robot, extent, points, motion))
     )
 
 
@@ -110,8 +107,7 @@ def _workspace_rows(robot: Robot, extent: FloatArray, points: FloatArray) -> lis
 
 
 def _trajectory_rows(robot: Robot, motion: Curves) -> list[Row]:
-    wanted = tool_position(robot.chain, np.radians(END_DEG))
-    missed = float(np.linalg.norm(motion.tool_position_m[-1] - wanted))
+    missed = float(np.linalg.norm(motion.tool_position_m[-1] - tool_position(robot.chain, np.radians(END_DEG))))
     ends = max(float(np.abs(values[[0, -1]]).max()) for values in (motion.velocity_rad_s, motion.acceleration_rad_s2))
     inside = bool(within_limits(motion.position_rad, robot.limits_rad).all())
     steps = float(np.abs(np.diff(motion.acceleration_rad_s2, axis=0)).max() / np.abs(motion.acceleration_rad_s2).max())

@@ -57,8 +57,7 @@ def stops(robot: Robot) -> FloatArray:
     way = [home]
     for x, y, z in (PICK_M, PLACE_M):
         for height in (z + ABOVE_M, z, z + ABOVE_M):
-            T = pose_from_xyz_rpy(x, y, height, *DOWN_RPY)
-            answer = solve(robot, pose_target(T), present=way[-1])
+            answer = solve(robot, pose_target(pose_from_xyz_rpy(x, y, height, *DOWN_RPY)), present=way[-1])
             way.append(np.array(answer.solutions[0].q_rad))
     return np.unwrap(np.stack([*way, home]), axis=0)
 
@@ -146,8 +145,7 @@ def _inverse_rows(robot: Robot, q: FloatArray) -> list[Row]:
 def _jacobian_rows(robot: Robot, q: FloatArray) -> list[Row]:
     columns = [tool_rate(robot.chain, q, rate) for rate in np.eye(robot.chain.n)]
     gap = float(np.abs(np.stack(columns, axis=-1) - jacobian(robot.chain, q)).max())
-    J = jacobian(robot.chain, np.radians(INITIAL_DEG))
-    found = dexterity(J)
+    found = dexterity(jacobian(robot.chain, np.radians(INITIAL_DEG)))
     best = max(dexterity(one).manipulability for one in jacobian(robot.chain, q))
     why = "differs: print gives none"
     return [

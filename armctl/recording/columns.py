@@ -241,8 +241,7 @@ class _Walk:
         if count == 0:
             return np.zeros((n, 0), dtype)
         if isinstance(at, int) and self._stride:
-            begin = int(self._starts[0]) + at
-            return np.ndarray((n, count), dtype, self._buffer, begin, (self._stride, size)).copy()
+            return np.ndarray((n, count), dtype, self._buffer, int(self._starts[0]) + at, (self._stride, size)).copy()
         places = np.ndarray((len(self._buffer) - size + 1,), dtype, self._buffer, 0, (1,))
         first: IntArray = self._starts + at
         column: Column = places[first[:, None] + np.arange(0, size * count, size)]

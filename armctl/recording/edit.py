@@ -242,8 +242,7 @@ class _Before:
     def write(self, copy: Rewrite, first: LogMessage) -> bool:
         """Say it again just before the first message behind the cut; whether a replay can begin there."""
         for topic, message in self._standing.items():
-            value = self._log.decode(message)
-            copy.say(topic, _stamped(value, first.log_time_ns), first)
+            copy.say(topic, _stamped(self._log.decode(message), first.log_time_ns), first)
         state = self._state() if self._since else None
         if state is not None:
             copy.say(channels.STATE, {"data": to_json(state)}, first)

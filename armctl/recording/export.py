@@ -57,11 +57,7 @@ class ExportResult:
 
 
 def export(
-    path: Path,
-    out: Path,
-    kind: Format,
-    topics: Sequence[str] = (),
-    progress: Progress | None = None,
+    path: Path, out: Path, kind: Format, topics: Sequence[str] = (), progress: Progress | None = None
 ) -> ExportResult:
     """Write tables of a log.
 
@@ -275,8 +271,7 @@ def _write_csv(stream: BinaryIO, tables: Iterator[_Table]) -> None:
 
 
 def _write_excel(stream: BinaryIO, tables: Iterator[_Table]) -> None:
-    openpyxl = extra("Excel files", "openpyxl")
-    book = openpyxl.Workbook(write_only=True)
+    book = extra("Excel files", "openpyxl").Workbook(write_only=True)
     sheet: Any = None
     try:
         for table in tables:

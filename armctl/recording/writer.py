@@ -258,8 +258,7 @@ class LogWriter:
 
     def _add(self, message: Message, epoch_ns: int) -> None:
         topic, value = message
-        data = TOPICS[topic].codec.encode(value)
-        self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
+        self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, TOPICS[topic].codec.encode(value))
 
 
 def _yaml(data: dict[str, Any]) -> str:

@@ -20,9 +20,7 @@ def write(report: line.ExperimentReport, path: Path) -> None:
         return
     page = Page("Straight line: before and after correction")
     begin, end = map(line.point_text, report.ends)
-    page.text(f"The tool was to move from ({begin}) to ({end}) m in a straight line.")
-    for note in report.notes:
-        page.text(note)
+    page.text(f"The tool was to move from ({begin}) to ({end}) m in a straight line.", *report.notes)
     _table(page, report)
     _paths(page, report)
     _deviation(page, report)

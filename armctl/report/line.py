@@ -131,10 +131,9 @@ def write(report: LineReport, path: Path) -> None:
     page.text(
         f"The tool was to move from ({begin}) to ({end}) m in a straight line. "
         f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
-        "result through 0, 1 and 2 intermediate points."
+        "result through 0, 1 and 2 intermediate points.",
+        *report.notes,
     )
-    for note in report.notes:
-        page.text(note)
     _table(page, report)
     _path_figures(page, report)
     _deviation_figure(page, report)

@@ -32,6 +32,13 @@ def plotly() -> type[Figure]:
     return figure
 
 
+def axes(x: str, y: str, height: int, **more: Any) -> Figure:
+    """A figure without curves, its axes named."""
+    figure = plotly()()
+    figure.update_layout(xaxis_title=x, yaxis_title=y, height=height, **more)
+    return figure
+
+
 def curve(
     chart: Any, x: Any, y: Any, name: str, colour: str, *, width: float = 2, dash: str = "solid", **more: Any
 ) -> None:
@@ -64,8 +71,8 @@ class Page:
     def heading(self, text: str) -> None:
         self._blocks.append(f"<h2>{html.escape(text)}</h2>")
 
-    def text(self, text: str) -> None:
-        self._blocks.append(f"<p>{html.escape(text)}</p>")
+    def text(self, *texts: str) -> None:
+        self._blocks += [f"<p>{html.escape(text)}</p>" for text in texts]
 
     def table(
         self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "", *, words: bool = False

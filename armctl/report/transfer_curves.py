@@ -21,7 +21,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.recording import channels, timeline
 from armctl.recording.reader import read
 from armctl.report.kinematics import COLOURS
-from armctl.report.page import Figure, Page, plotly
+from armctl.report.page import Figure, Page, axes
 from armctl.trajectory.quintic import Curves, curves
 from armctl.trajectory.smoothing import local_cubics
 from armctl.trajectory.transfer import NOTED, TransferRequest, motion
@@ -57,8 +57,7 @@ def load(log: Path) -> Transfer:
     Raises:
         LogError: the file is no log of armctl's, or holds no whole cycle.
     """
-    cycle = _cycle(log)
-    seen = timeline.load(log)
+    cycle, seen = _cycle(log), timeline.load(log)
     run = next((one for one in reversed(seen.motions) if one.label == "transfer"), None)
     if run is None:
         raise LogError(f"{log}: the cycle was not run to its end; there is nothing to draw")
@@ -78,13 +77,12 @@ def load(log: Path) -> Transfer:
 def draw(transfer: Transfer, title: str) -> Figure:
     """One of `TITLES` of a cycle that was loaded."""
     what, field, unit = TITLES[title]
-    chart = plotly()()
+    chart = axes("time [s]", f"{what} [{unit}]", 420)
     for letter, colour, axis in zip("xyz", COLOURS, range(3), strict=False):
         for who, name, dash in ((transfer.model, "model", "dash"), (transfer.recorded, "recorded", "solid")):
             values = getattr(who, field)[:, axis]
             line = {"color": colour, "width": 1.6, "dash": dash}
             chart.add_scatter(x=who.time_s, y=values, name=f"{letter}, {name}", line=line)
-    chart.update_layout(height=420, xaxis_title="time [s]", yaxis_title=f"{what} [{unit}]")
     return chart
 
 

@@ -42,8 +42,7 @@ def refusal(table: bytearray, parameters: bytes) -> int:
     for register in touched(begin, end).values():
         wanted = value(after, register)
         highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not wheel else register.maximum
-        in_range = register.minimum <= wanted <= highest
-        if not (register.writable and in_range) or (register.eeprom and torque):
+        if not (register.writable and (register.minimum <= wanted <= highest)) or (register.eeprom and torque):
             error |= int(ErrorBit.RANGE)
         elif register is ax12a.GOAL and not (wheel or low <= wanted <= high):
             error |= int(ErrorBit.ANGLE_LIMIT)

@@ -92,8 +92,7 @@ def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
     refused: list[RequestRefused] = []
     for q in _solutions(point, q_now, arm, robot, request.ik, request.seed):
         try:
-            path = _straight(q, point, arm, robot, request.off_m, request.along)
-            grasp = Grasp(point, path)
+            grasp = Grasp(point, _straight(q, point, arm, robot, request.off_m, request.along))
             way = approach(grasp, q_now, arm, robot, period_s)
             straight(grasp.path_rad, way.positions_rad[-1], arm, robot, period_s)
         except RequestRefused as reason:

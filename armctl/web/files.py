@@ -142,14 +142,13 @@ class Files:
         inside = np.flatnonzero((track.time_s >= from_s) & (track.time_s <= (np.inf if to_s is None else to_s)))
         kept = inside[_thinned(len(inside))]
         links = link_frames(self._chain, track.position_rad[kept][:, : self._chain.n])[:, 1:, :3, 3].round(5)
-        base = np.zeros((len(kept), 1, 3))
         return {
             "name": name,
             "names": list(track.names),
             "duration_s": float(track.time_s[-1]),
             "time_s": track.time_s[kept].round(4).tolist(),
             "position_rad": track.position_rad[kept].round(5).tolist(),
-            "links_m": np.concatenate([base, links], axis=1).tolist(),
+            "links_m": np.concatenate([np.zeros((len(kept), 1, 3)), links], axis=1).tolist(),
             "tool_m": links[:, -1].tolist(),
         }
 

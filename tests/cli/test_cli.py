@@ -150,8 +150,7 @@ def test_an_interrupt_is_130_and_says_what_it_leaves_behind(
     assert main(["park"]) == 130
     assert capsys.readouterr().err == f"\ninterrupted: {HOLDS}\n"
     assert main(["park", "--json"]) == 130
-    captured = capsys.readouterr()
-    assert json.loads(captured.out)["error"]["code"] == "INTERRUPTED"
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == "INTERRUPTED"
 
 
 @pytest.mark.parametrize("words", ["move --joints 0", "reach --xyz 0.2,0,0.1"])

@@ -157,8 +157,7 @@ def test_the_log_of_another_arm_is_refused_on_the_simulator(log: Path, tmp_path:
     other = tmp_path / "other.yaml"
     text = Path(__file__).parents[2].joinpath("calibration", "ax12-line.yaml").read_text()
     other.write_text(re.sub(r"^arm_id: .*$", "arm_id: other", text, flags=re.MULTILINE))
-    refused = answer("replay", log, "--onto-sim", "--arm", other, status=1)
-    assert refused["error"]["code"] == "FOREIGN_LOG"
+    assert answer("replay", log, "--onto-sim", "--arm", other, status=1)["error"]["code"] == "FOREIGN_LOG"
     assert answer("replay", log, "--onto-sim", "--arm", other, "--foreign")["ticks"] > 0
 
 

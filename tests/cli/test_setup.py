@@ -78,8 +78,7 @@ def fixes(result: dict[str, Any]) -> dict[str, str]:
 def test_doctor_names_every_trouble_with_its_fix_and_fails(
     monkeypatch: pytest.MonkeyPatch, typed: Typed, answer: Answer
 ) -> None:
-    bench = plugged(Bench(latency_ms=16.0), monkeypatch)
-    bench.servos[3].set(ax12a.ID, 9)
+    plugged(Bench(latency_ms=16.0), monkeypatch).servos[3].set(ax12a.ID, 9)
     result = answer("doctor", "--port", "x", status=1)
     assert fixes(result).keys() == TROUBLES
     assert all(fixes(result).values())
@@ -140,8 +139,7 @@ def test_what_is_refused_is_one_clear_sentence_and_nothing_is_written(
 
 
 def test_without_a_port_the_remedy_is_named(typed: Typed) -> None:
-    said = typed("scan", status=2)
-    assert said.err.startswith("armctl scan: --port: no serial port named; give --port PATH")
+    assert typed("scan", status=2).err.startswith("armctl scan: --port: no serial port named; give --port PATH")
 
 
 def test_eeprom_is_saved_compared_and_restored(bench: Bench, tmp_path: Path, answer: Answer, typed: Typed) -> None:

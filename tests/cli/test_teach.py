@@ -54,8 +54,7 @@ END: Place = (0.18, 0.12, 0.1)
 
 
 def test_a_take_begins_when_the_tool_rests_at_the_start() -> None:
-    places = rest(END, 20) + way(END, START, 20) + rest(START, 6) + rest(START, 30)
-    tool, snapshots = follow(places)
+    tool, snapshots = follow(rest(END, 20) + way(END, START, 20) + rest(START, 6) + rest(START, 30))
     assert tool.settle(START) == START
     assert snapshots.left == 32  # half a second, the arrival included
 

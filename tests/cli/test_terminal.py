@@ -49,8 +49,7 @@ def armctl(*arguments: str) -> Iterator[Terminal]:
 def test_watch_is_a_live_picture_that_ctrl_c_ends_well(daemon: Path) -> None:
     with armctl("watch") as watching:
         watching.until("wrist")
-        first = len(watching.said)
-        watching.until("ax12-line:", since=first)
+        watching.until("ax12-line:", since=len(watching.said))
         watching.press(CTRL_C)
         assert watching.status() == 0
         assert "Traceback" not in watching.said

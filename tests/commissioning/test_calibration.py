@@ -127,8 +127,7 @@ def test_standard_errors_own_up_to_what_was_left_alone(seed: int) -> None:
 def test_points_in_one_direction_hold_nothing_but_what_they_do_not_show() -> None:
     """One posture for all: hardly anything is observable, and the calibration stays near what it was."""
     rng = np.random.default_rng(4)
-    one = ideal_touches(ARM, 1, rng) * 12
-    found = fit(ARM, one)
+    found = fit(ARM, ideal_touches(ARM, 1, rng) * 12)
     assert sum(parameter.standard_error is not None for parameter in found.parameters) == 3
     assert found.rms_mm < 1e-6
 
@@ -181,8 +180,7 @@ def test_zeroing_in_a_known_pose_takes_the_ticks_as_they_are() -> None:
 def test_a_still_arm_is_read_to_a_fraction_of_a_tick(latency_ms: float) -> None:
     bench = Bench(latency_ms=latency_ms)
     ticks = read_ticks(bench.bus, bench.config, bench.clock)
-    true = [servo.position_tick for servo in bench.servos]
-    assert ticks == pytest.approx(true, abs=0.4)
+    assert ticks == pytest.approx([servo.position_tick for servo in bench.servos], abs=0.4)
 
 
 def test_readings_of_an_arm_that_is_powered_silent_moving_or_gone_are_refused() -> None:

@@ -176,8 +176,7 @@ def opened(kind: str, folder: Path, hardware: str | None) -> Iterator[Wire]:
         wire.servo_ids = tuple(scan(wire, SCANNED_IDS if kind == "hardware" else range(9)))
         if not wire.servo_ids:
             pytest.exit(f"no servo with an id in {SCANNED_IDS} answers on {hardware} at {BAUD} baud", 2)
-        limp = [not wire.value(servo_id, ax12a.TORQUE_ENABLE) for servo_id in wire.servo_ids]
-        if not all(limp):
+        if any(wire.value(servo_id, ax12a.TORQUE_ENABLE) for servo_id in wire.servo_ids):
             pytest.exit("a servo is under torque; support the arm and switch its torque off first", 2)
         yield wire
 

@@ -125,8 +125,7 @@ def test_a_goal_is_reached_at_the_moving_speed_and_moving_tells_so(wire: Wire, s
     assert wire.put(servo, ax12a.TORQUE_ENABLE, 1) == 0
     assert wire.value(servo, ax12a.MOVING) == 1
     wire.sleep(0.15)
-    half_way = wire.value(servo, ax12a.PRESENT_POSITION)
-    assert 2 <= abs(half_way - start) <= 38
+    assert 2 <= abs(wire.value(servo, ax12a.PRESENT_POSITION) - start) <= 38
     wire.sleep(0.6)
     assert abs(wire.value(servo, ax12a.PRESENT_POSITION) - goal) <= 8
     assert wire.value(servo, ax12a.MOVING) == 0

@@ -122,8 +122,7 @@ def test_malformed_sync_write_changes_nothing(wire: Wire, servo: int) -> None:
 @pytest.mark.parametrize("to_all", [False, True])
 def test_a_registered_write_waits_for_action(wire: Wire, servo: int, to_all: bool) -> None:
     before = wire.value(servo, ax12a.LED)
-    registered = bytes((ax12a.LED.address, 1 - before))
-    assert wire.ask(servo, Instruction.REG_WRITE, registered).code == 0
+    assert wire.ask(servo, Instruction.REG_WRITE, bytes((ax12a.LED.address, 1 - before))).code == 0
     assert (wire.value(servo, ax12a.LED), wire.value(servo, ax12a.REGISTERED)) == (before, 1)
     if to_all:
         wire.broadcast(Instruction.ACTION)

@@ -83,8 +83,7 @@ def recording(rng: np.random.Generator, posture: tuple[float, ...]) -> FloatArra
     null = np.eye(5) - inverse @ J
     held = POSTURE_RAD * (rng.standard_normal(5) + 0.2 * smooth(5))
     q = line + (inverse @ (WOBBLE_M * smooth(3))[..., None])[..., 0] + (null @ held[..., None])[..., 0]
-    roll = 0.3 + 0.02 * smooth(1)
-    raw = np.concatenate([q, roll], axis=1)
+    raw = np.concatenate([q, 0.3 + 0.02 * smooth(1)], axis=1)
     ticks = np.stack([np.round([joint.tick(x) for x in raw[:, i]]) for i, joint in enumerate(arm().joints)], axis=1)
     return np.stack([[joint.position_rad(t) for t in ticks[:, i]] for i, joint in enumerate(arm().joints)], axis=1)
 

@@ -52,8 +52,7 @@ def crossed(initial: IntArray, generations: int) -> tuple[GeneticAlgorithm, Floa
 
 
 def test_the_first_population_is_the_initial_one_repeated() -> None:
-    initial = np.arange(6).reshape(2, 3)
-    algorithm = started(initial, 6, replace(PLAIN, population=5))
+    algorithm = started(np.arange(6).reshape(2, 3), 6, replace(PLAIN, population=5))
     assert algorithm.ask().tolist() == [[0, 1, 2], [3, 4, 5], [0, 1, 2], [3, 4, 5], [0, 1, 2]]
 
 
@@ -77,8 +76,7 @@ def test_same_seed_gives_the_same_individuals_and_another_does_not(settings: Set
 
 
 def test_truncation_keeps_the_best_of_parents_and_offspring_one_for_each_cost() -> None:
-    settings = replace(UNCHANGED, population=4)
-    algorithm = started(uniform(4, 3), 9, settings)
+    algorithm = started(uniform(4, 3), 9, replace(UNCHANGED, population=4))
     algorithm.tell(np.array([3.0, 1.0, 1.0, 2.0]))
     assert algorithm.ask()[:, 0].tolist() == [1, 3, 0, 1]
     algorithm.tell(np.array([9.0, 0.5, 9.0, 9.0]))

@@ -54,8 +54,7 @@ def test_default_comes_within_1_percent_of_the_optimum(count: int) -> None:
 
 
 def test_evolution_without_a_table_to_search_in_falls_short_of_it() -> None:
-    result = optimized(hand.recordings(15, 15), settings=replace(PAPER, generations=100))
-    assert result.gap_ratio > 0.01
+    assert optimized(hand.recordings(15, 15), settings=replace(PAPER, generations=100)).gap_ratio > 0.01
 
 
 def test_free_genes_are_straighter_than_any_recorded_ones_and_keep_the_same_limits(five: StraightLineResult) -> None:
@@ -103,14 +102,12 @@ def test_a_stalled_run_goes_on_from_the_recordings_and_never_loses_its_best() ->
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("settings", [SMALL, replace(PAPER, generations=40)])
 def test_the_genetic_algorithm_never_beats_the_exact_search(settings: Settings, seed: int) -> None:
-    result = optimized(hand.recordings(6, seed), settings=settings, seed=seed)
-    assert result.gap_ratio >= -1e-12
+    assert optimized(hand.recordings(6, seed), settings=settings, seed=seed).gap_ratio >= -1e-12
 
 
 def test_a_path_is_made_of_recorded_genes_and_holds_both_ends(five: StraightLineResult) -> None:
     for path in (five.ga.path, five.exact):
-        station = np.arange(50)
-        picked = five.candidates.positions_rad[path.genes, station]
+        picked = five.candidates.positions_rad[path.genes, np.arange(50)]
         assert np.array_equal(path.positions_rad[:, :5], picked[:, :5])
         assert np.array_equal(path.tool_m, tool_position(ROBOT.chain, path.positions_rad[:, :5]))
         np.testing.assert_allclose(path.tool_m[[0, -1]], [hand.A, hand.B], atol=1e-8)
@@ -139,8 +136,7 @@ def test_plans_begin_on_A_end_on_B_and_predict_what_they_simulate(five: Straight
 
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 def test_every_plan_passes_pre_flight_from_the_rest_pose(interpolation: Interpolation) -> None:
-    result = optimized(hand.recordings(5, 4), via=(0, 1, 2), interpolation=interpolation)
-    for plan in result.plans:
+    for plan in optimized(hand.recordings(5, 4), via=(0, 1, 2), interpolation=interpolation).plans:
         assert plan.interpolation == interpolation
         assert preflight(plan, ARM, ROBOT, [joint.rest_rad for joint in ARM.joints]) == ()
 
@@ -162,8 +158,7 @@ def test_same_seed_gives_the_same_bits(settings: Settings) -> None:
 
 def test_progress_is_told_after_every_generation_and_kept_as_history() -> None:
     told: list[tuple[int, float, float]] = []
-    settings = replace(SMALL, generations=10)
-    asked = request(duration_s=3.0, seed=1, settings=settings)
+    asked = request(duration_s=3.0, seed=1, settings=replace(SMALL, generations=10))
     result = optimize(hand.recordings(3, 5), ARM, ROBOT, asked, lambda *args: told.append(args))
     assert told == list(zip(range(1, 11), result.ga.best_cost_mm, result.ga.mean_cost_mm, strict=True))
     assert (result.ga.generations, result.ga.evaluations, len(result.ga.path.genes)) == (10, 600, 30)

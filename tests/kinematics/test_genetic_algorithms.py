@@ -58,8 +58,7 @@ def test_only_joints_that_move_the_tool_are_searched() -> None:
     assert problems.moving(XIANG.chain) == (0, 1, 2, 3)
     assert points().free == (0, 1, 2, 3)
     assert problems.behind_the_waist(points()).free == (1, 2, 3)
-    present = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
-    held = points_problem(XIANG.chain, POINTS, XIANG.limits_rad, present)
+    held = points_problem(XIANG.chain, POINTS, XIANG.limits_rad, np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
     assert (plain.evolve(held, SHORT, [0, 1, 2, 3]).q_rad[:, 4] == 0.5).all()
 
 
@@ -88,8 +87,7 @@ def test_the_best_is_what_it_is_said_to_be_and_never_gets_worse(evolve: Callable
     np.testing.assert_array_equal(found.best_cost[-1], found.cost)
     assert (np.diff(found.best_cost, axis=0) <= 0.0).all()
     assert (found.best_cost <= found.mean_cost).all()
-    other = evolve(problem, short, [5, 6, 7, 8])
-    assert not np.array_equal(found.q_rad, other.q_rad)
+    assert not np.array_equal(found.q_rad, evolve(problem, short, [5, 6, 7, 8]).q_rad)
 
 
 @pytest.mark.parametrize(("evolve", "short"), ALGORITHMS)
@@ -149,8 +147,7 @@ def test_migration_takes_the_first_of_each_population_to_the_next_of_its_run() -
 def test_a_catastrophe_brings_newcomers_and_keeps_the_best() -> None:
     calm = replace(SHORT_IMPROVED, catastrophe_generations=1000)
     struck = improved.evolve(poses(3), SHORT_IMPROVED, [0, 1, 2])
-    quiet = improved.evolve(poses(3), calm, [0, 1, 2])
-    assert struck.mean_cost[-1].mean() > quiet.mean_cost[-1].mean()
+    assert struck.mean_cost[-1].mean() > improved.evolve(poses(3), calm, [0, 1, 2]).mean_cost[-1].mean()
     assert (np.diff(struck.best_cost, axis=0) <= 0.0).all()
 
 
@@ -172,8 +169,7 @@ def test_solve_answers_as_the_other_methods_do(method: Any) -> None:
     assert found.reachable
     assert found.least_position_error_m == 0.0
     assert found.solutions[0].position_error_m < 1e-9
-    again = solve(XIANG, point_target((0.2, 0.25, 0.3)), method=method, seed=3)
-    assert again == found
+    assert solve(XIANG, point_target((0.2, 0.25, 0.3)), method=method, seed=3) == found
 
 
 def test_solve_without_polish_says_what_the_algorithm_missed() -> None:

@@ -137,8 +137,7 @@ def test_solutions_outside_the_ranges_are_marked_and_come_last() -> None:
 
 def test_a_rotation_the_arm_cannot_take_leaves_the_position_exact() -> None:
     robot = robots.get("lanzhou-4dof")
-    T = pose_from_xyz_rpy(0.2, 0.1, -0.05, 0.4, 0.3, -0.2)
-    answer = solve(robot, pose_target(T))
+    answer = solve(robot, pose_target(pose_from_xyz_rpy(0.2, 0.1, -0.05, 0.4, 0.3, -0.2)))
     assert not answer.reachable
     assert answer.least_position_error_m == 0.0
     assert answer.solutions[0].position_error_m < 1e-12

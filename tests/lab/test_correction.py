@@ -107,8 +107,7 @@ def refined(on: Scripted, rounds: int) -> list[correction.Round]:
 
 
 def test_rounds_end_by_themselves_once_they_are_no_better() -> None:
-    on = Scripted(0.02, 0.02, 0.01, 0.01, 0.011)
-    rounds = refined(on, 20)
+    rounds = refined(Scripted(0.02, 0.02, 0.01, 0.01, 0.011), 20)
     assert [one.kept for one in rounds] == [True, True, False, False]
     assert [len(one.runs) for one in rounds] == [2, 2, 1, 1]
     assert correction.best_of(rounds) is rounds[1]
@@ -203,8 +202,7 @@ def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points(on: Virt
 
 def test_a_tool_seen_beside_where_the_encoders_have_it_is_brought_to_the_line(on: VirtualRig) -> None:
     aside = replace(LINE, unseen_m=np.tile([0.0, 0.0, 0.01], (5, 1)))
-    course = next(courses(on, aside, None, None, ways()))
-    tool = tool_position(ROBOT.chain, course.expected_rad)
+    tool = tool_position(ROBOT.chain, next(courses(on, aside, None, None, ways())).expected_rad)
     np.testing.assert_allclose(tool[:, 2], hand.A[2] - 0.01, atol=5e-4)
 
 

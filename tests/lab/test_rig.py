@@ -68,8 +68,7 @@ def test_a_plan_that_must_not_run_is_refused_with_every_reason(on: VirtualRig) -
 
 def test_a_guided_take_goes_from_A_to_B_and_the_arm_holds_afterwards() -> None:
     on = rig(ArmSpec())
-    take = on.teach(hand.A, hand.B, seed=5)
-    tool = tool_position(on.robot.chain, take[:, :5])
+    tool = tool_position(on.robot.chain, on.teach(hand.A, hand.B, seed=5)[:, :5])
     assert np.linalg.norm(tool[0] - hand.A) < 0.03
     assert np.linalg.norm(tool[-1] - hand.B) < 0.03
     assert on.run(plan(on)).duration_s == pytest.approx(3.0, abs=1e-3)

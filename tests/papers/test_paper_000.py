@@ -32,8 +32,7 @@ def test_printed_errors_are_the_papers_anchors() -> None:
 
 def test_figure_7_is_a_formula_in_all_cells_but_one() -> None:
     shown, formula = paper_000.printed()["joint_1_population"], paper_000.population_formula()
-    wrong = np.argwhere(np.abs(shown - formula) > 0.6e-4)
-    assert wrong.tolist() == [[0, 9]]
+    assert np.argwhere(np.abs(shown - formula) > 0.6e-4).tolist() == [[0, 9]]
     assert shown[0, 9] + shown[13, 9] == pytest.approx(89.9998, abs=1e-9)
 
 

@@ -99,8 +99,7 @@ def test_where_the_log_does_not_replay_no_state_is_made_up(tmp_path: Path) -> No
     later = RECORDS[40].outputs
     wrong = with_outputs(RECORDS[5], mode=later.mode, joints=later.joints)
     log = write(tmp_path / "a.mcap", [*RECORDS[:5], wrong, *RECORDS[6:]])
-    result = trim(log, tmp_path / "b.mcap", 0.95, 3.95)
-    assert result.begins_with_state is False
+    assert trim(log, tmp_path / "b.mcap", 0.95, 3.95).begins_with_state is False
     # from the keyframe of tick 25 on
     assert replayed(tmp_path / "b.mcap") == (14, 0)
 
@@ -147,8 +146,7 @@ def test_a_damaged_chunk_is_left_out_and_told(tmp_path: Path) -> None:
     begin, end = chunk_places(bytes(data))[6]  # the first one is the head
     data[(begin + end) // 2] ^= 0xFF
     path.write_bytes(data)
-    result = trim(path, tmp_path / "b.mcap", 4.0, 7.0)
-    assert result.damaged == 1
+    assert trim(path, tmp_path / "b.mcap", 4.0, 7.0).damaged == 1
     assert replay.check(tmp_path / "b.mcap").mismatches == 0
 
 

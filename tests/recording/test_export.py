@@ -177,8 +177,7 @@ def test_text_is_never_a_formula_and_never_breaks_the_file(tmp_path: Path) -> No
         export(log, tmp_path / f"t.{kind}", kind, ("/armctl/command",))
         excel = ["=1+1", "bell \N{REPLACEMENT CHARACTER}", "x" * 32_767, texts[3]]
         assert column(tmp_path / f"t.{kind}", "data")[-4:] == (excel if kind == "xlsx" else texts)
-    book = openpyxl.load_workbook(tmp_path / "t.xlsx")
-    assert book.worksheets[0]["C2"].data_type == "s"
+    assert openpyxl.load_workbook(tmp_path / "t.xlsx").worksheets[0]["C2"].data_type == "s"
 
 
 def test_parquet_has_types_and_says_where_it_is_from(log: Path, tmp_path: Path) -> None:
@@ -218,8 +217,7 @@ def test_nothing_is_overwritten_and_a_failure_leaves_nothing(log: Path, tmp_path
 
 
 def test_a_cut_log_is_exported_as_far_as_it_goes_and_that_is_told(log: Path, tmp_path: Path) -> None:
-    cut = write(tmp_path / "a.mcap", RECORDS[:30], finish=False)
-    result = export(cut, tmp_path / "t.csv", "csv")
+    result = export(write(tmp_path / "a.mcap", RECORDS[:30], finish=False), tmp_path / "t.csv", "csv")
     assert (result.rows, result.complete) == ({"ticks": 30}, False)
 
 

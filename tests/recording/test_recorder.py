@@ -234,8 +234,7 @@ def test_a_step_of_the_wall_clock_is_told_and_changes_no_time(rig: Rig) -> None:
     rig.wall_offset_ns += 3600 * NS_PER_S
     rig.put(RECORDS[30:])
     (path,) = rig.close()
-    lines = [line["msg"] for line in recorder_lines(path)]
-    assert lines == ["CLOCK_STEP: the wall clock was set by +3600.000 s"]
+    assert [line["msg"] for line in recorder_lines(path)] == ["CLOCK_STEP: the wall clock was set by +3600.000 s"]
     times = [m.log_time_ns for m in read(path, ["/joint_states"])]
     assert [(time_ns - times[0]) / NS_PER_S for time_ns in times] == times_s(RECORDS)
 

@@ -110,8 +110,7 @@ def test_metadata_that_was_damaged_is_taken_from_where_a_checksum_confirms_it(tm
     data = bytearray(part)
     at = part.index(b"/dev/ttyUSB0", part.index(b"calibration.yaml"))
     data[at + 5] ^= 1
-    result = recover(put(tmp_path, data), disk=DISK)
-    with LogFile(result.path) as log:
+    with LogFile(recover(put(tmp_path, data), disk=DISK).path) as log:
         assert log.metadata["armctl"]["port"] == log.facts["port"] == "/dev/ttyUSB0"
 
 

@@ -45,8 +45,7 @@ def test_the_state_is_known_after_every_tick_from_the_first_keyframe_on(tmp_path
 
 
 def test_anchors_that_cannot_be_read_are_an_error_of_the_log(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", RECORDS)
-    with LogFile(path) as log:
+    with LogFile(write(tmp_path / "a.mcap", RECORDS)) as log:
         log.metadata[replay.MERGED] = {"anchors": "1/2/3 x"}
         with pytest.raises(LogError):
             log_setup(log)
@@ -64,8 +63,7 @@ def test_replay_gives_the_logged_bytes(log: Path) -> None:
 
 def test_replay_covers_teaching_stops_and_refusals(tmp_path: Path) -> None:
     script = {**RUN_SCRIPT, 30: (Hold(3),), 45: (Teach(4), Release(5)), 60: (TeachEnd(6),)}
-    records = make_records(80, script, keyframe_ticks=25)
-    assert replayed(write(tmp_path / "a.mcap", records)) == (79, 0)
+    assert replayed(write(tmp_path / "a.mcap", make_records(80, script, keyframe_ticks=25))) == (79, 0)
 
 
 def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
@@ -83,8 +81,7 @@ def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
 
 
 def test_replay_goes_on_at_the_next_keyframe_after_a_gap(tmp_path: Path) -> None:
-    gap = write(tmp_path / "gap.mcap", [*RECORDS[:30], *RECORDS[33:]])
-    assert replayed(gap) == (29 + 59, 0)
+    assert replayed(write(tmp_path / "gap.mcap", [*RECORDS[:30], *RECORDS[33:]])) == (29 + 59, 0)
     dropped = write(tmp_path / "dropped.mcap", [*RECORDS[:30], replace(RECORDS[30], dropped=3), *RECORDS[31:]])
     assert replayed(dropped) == (29 + 59, 0)
     assert [line["function"] for line in recorder_lines(dropped)] == ["DROPPED"]

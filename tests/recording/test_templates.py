@@ -66,8 +66,7 @@ def test_shapes_without_end_are_not_kept() -> None:
     record = RECORDS[30]
     for index in range(3 * MAX_TEMPLATES):
         first, *others = record.inputs.sample.servos
-        servos = (replace(first, problem=f"PROBLEM_{index}"), *others)
-        encoder.inputs(with_sample(record, servos=servos), ANCHOR)
+        encoder.inputs(with_sample(record, servos=(replace(first, problem=f"PROBLEM_{index}"), *others)), ANCHOR)
         assert len(encoder._templates) <= MAX_TEMPLATES
 
 

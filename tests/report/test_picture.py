@@ -42,9 +42,8 @@ def test_it_tells_how_far_off_the_true_tool_was_before_and_after() -> None:
 
 
 def test_without_an_outside_measurement_it_says_who_measured() -> None:
-    blind = run(np.array([0.0, 0.0, -0.02]), true=False)
     assert "before: 20.0 mm off the line on average, 20.0 mm at most by the encoders" in texts(
-        picture.svg(report(blind, STRAIGHT))
+        picture.svg(report(run(np.array([0.0, 0.0, -0.02]), true=False), STRAIGHT))
     )
 
 

@@ -38,8 +38,7 @@ def test_the_log_is_one_that_replays(log: Path) -> None:
 
 
 def test_what_was_commanded_in_the_log_is_the_model_that_is_drawn(log: Path) -> None:
-    seen = timeline.load(log)
-    [run] = seen.motions
+    [run] = timeline.load(log).motions
     robot = robots.get(ARM.robot, ARM.lengths_m)
     begin = motion(CYCLE, ARM, robot).sample(np.zeros(1))[0][0]
     assert run.begin_rad == pytest.approx(begin, abs=1e-9)

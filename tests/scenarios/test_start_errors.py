@@ -76,8 +76,7 @@ def test_port_of_another_process_names_it(tmp_path: Path, port: str) -> None:
 def test_port_that_comes_free_soon_is_waited_for() -> None:
     """As after a daemon's death: its control process still brings the arm to rest."""
     with simulator() as arm, bench(arm.port) as b:
-        predecessor = serial.Serial(str(arm.port), 1_000_000, exclusive=True)
-        leaving = threading.Timer(1.0, predecessor.close)
+        leaving = threading.Timer(1.0, serial.Serial(str(arm.port), 1_000_000, exclusive=True).close)
         leaving.start()
         b.start_daemon()
         leaving.join()

@@ -122,8 +122,7 @@ def test_unplugged_adapter_latches_and_a_replug_leads_back_to_running(holding: B
     assert arm.motion_deg(replugged_ns, time.monotonic_ns()) < STILL_DEG
 
     assert holding.daemons[0].process.poll() is None
-    answer = holding.run(line_plan(back)).result()
-    assert answer["max_error_mm"] < 60.0
+    assert holding.run(line_plan(back)).result()["max_error_mm"] < 60.0
     assert holding.daemons[0].end() == 0
     assert_replays(holding.logs)
 

@@ -57,8 +57,7 @@ def test_docs_page_describes_every_kind_with_its_default() -> None:
 
 def test_fault_is_in_force_from_its_begin_for_its_duration(arm: ArmConfig) -> None:
     bench = Bench(arm, Fault(kind="mute", servo_id=2, begin_s=1.0, duration_s=0.5))
-    answers = [bool(bench.hear(read(2))) for _ in range(40)]
-    assert answers == [True] * 20 + [False] * 10 + [True] * 10
+    assert [bool(bench.hear(read(2))) for _ in range(40)] == [True] * 20 + [False] * 10 + [True] * 10
     assert (bench.arm.faults.planned, bench.arm.faults.due_s) == ([], math.inf)
 
 
@@ -172,8 +171,7 @@ def test_corrupted_reply_never_passes(bench: Bench) -> None:
 
 def test_truncated_reply_is_cut_anywhere_if_no_length_is_named(bench: Bench) -> None:
     bench.begin("truncated", 2)
-    replies = {bench.hear(read(2, ax12a.MODEL)) for _ in range(30)}
-    assert replies == {GOOD[:size] for size in range(1, len(GOOD))}
+    assert {bench.hear(read(2, ax12a.MODEL)) for _ in range(30)} == {GOOD[:size] for size in range(1, len(GOOD))}
 
 
 def test_garbage_comes_before_the_reply(bench: Bench) -> None:

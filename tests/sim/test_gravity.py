@@ -79,8 +79,7 @@ def test_gravity_and_inertia_are_mujocos(simulated: SimulatedArm, peer: Peer, po
     q = np.array(pose)
     assert peer.tool_position(q) == pytest.approx(tool_position(simulated.chain, q), abs=1e-9)
     hold = peer.torque(q, np.zeros(5))
-    loads = PointMasses(simulated.chain, simulated.points_kg).loads(pose)
-    for i, (torque, inertia) in enumerate(loads):
+    for i, (torque, inertia) in enumerate(PointMasses(simulated.chain, simulated.points_kg).loads(pose)):
         assert torque == pytest.approx(-hold[i], abs=1e-7)
         assert inertia == pytest.approx((peer.torque(q, np.eye(5)[i]) - hold)[i], abs=1e-8)
 

@@ -34,8 +34,7 @@ class World:
 
 def fall(world: World) -> None:
     """Something for the arm to do: an elbow goal, which energises the servo."""
-    packet = encode_instruction(3, Instruction.WRITE, bytes((30, 0x90, 0x00, 40, 0)))
-    world.lockstep.pass_on(packet)
+    world.lockstep.pass_on(encode_instruction(3, Instruction.WRITE, bytes((30, 0x90, 0x00, 40, 0))))
 
 
 def test_asking_again_changes_nothing() -> None:

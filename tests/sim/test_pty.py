@@ -106,8 +106,7 @@ def test_pyax12_scans_and_reads(connection: Connection) -> None:
 
 
 def test_pyax12_writes_and_moves(connection: Connection) -> None:
-    before = connection.get_present_position(1)
-    goal = before + 30
+    goal = connection.get_present_position(1) + 30
     connection.goto(1, goal, speed=300)
     for _ in range(100):
         if abs(connection.get_present_position(1) - goal) <= 4:

@@ -172,8 +172,7 @@ def test_every_reason_is_told_at_once() -> None:
 def test_what_may_be_run_may_be_run_backwards(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low, high = np.array([joint.limits_rad for joint in ARM.joints]).T
-    places = rng.uniform(low, high, (3, 6))
-    q = motion(*places)
+    q = motion(*rng.uniform(low, high, (3, 6)))
     there, back = reasons(q), reasons(q[::-1])
     if not there:  # only an arm that stands in a capsule is forgiven something on its way out
         assert not [reason for reason in back if "touch" not in reason and "floor" not in reason]

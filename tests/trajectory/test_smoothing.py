@@ -15,8 +15,7 @@ def test_a_cubic_passes_unchanged_whenever_it_is_sampled(coefficients: list[floa
     time_s = np.sort(np.arange(40) * 0.1 + np.random.default_rng(seed).uniform(0.0, 0.05, 40))
     at_s = np.linspace(0.5, 3.5, 7)
     values = np.asarray(polynomial.polyval(time_s, coefficients), dtype=np.float64)[:, None]
-    found = local_cubics(time_s, values, at_s, 0.55)
-    for order, curve in enumerate(found):
+    for order, curve in enumerate(local_cubics(time_s, values, at_s, 0.55)):
         wanted = polynomial.polyval(at_s, polynomial.polyder(coefficients, order))
         assert curve[:, 0] == pytest.approx(wanted, abs=1e-8)
 

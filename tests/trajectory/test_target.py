@@ -36,8 +36,7 @@ def test_every_point_some_pose_reaches_is_reached_within_the_limits(q: tuple[flo
 
 def test_the_solution_near_the_present_pose_is_taken() -> None:
     here = tool_position(CHAIN, np.array(NOW[:N]))
-    found = at_point(np.add(here, (0.0, 0.0, 0.005)))
-    assert np.abs(np.subtract(found, NOW)).max() < math.radians(5.0)
+    assert np.abs(np.subtract(at_point(np.add(here, (0.0, 0.0, 0.005))), NOW)).max() < math.radians(5.0)
 
 
 def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
@@ -54,8 +53,7 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(CHAIN, wanted)
-    found = joints_at(T, NOW, ARM, ROBOT)
-    assert forward_kinematics(CHAIN, np.array(found[:N])) == pytest.approx(T, abs=1e-3)
+    assert forward_kinematics(CHAIN, np.array(joints_at(T, NOW, ARM, ROBOT)[:N])) == pytest.approx(T, abs=1e-3)
 
 
 def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:

@@ -37,8 +37,7 @@ def test_no_exchange_of_one_via_point_improves_more_of_them(count: int) -> None:
     assert len(set(kept)) == count
     assert list(kept) == sorted(kept)
     for old, new in product(kept, set(range(1, len(LINE) - 1)) - set(kept)):
-        exchanged = tuple(sorted({*kept, new} - {old}))
-        assert error_mm(exchanged, "linear") >= error_mm(kept, "linear")
+        assert error_mm(tuple(sorted({*kept, new} - {old})), "linear") >= error_mm(kept, "linear")
 
 
 def test_every_further_via_point_on_the_line_makes_it_straighter() -> None:

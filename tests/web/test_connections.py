@@ -86,8 +86,7 @@ async def test_a_slow_page_loses_the_oldest_and_holds_up_nobody(tmp_path: Path) 
         for tick in range(MAX_WAITING + 3):
             stub.tell(0, "snapshot", tick=tick)
             assert (await shown(quick))["snapshot"]["tick"] == tick
-        seen = [(await shown(slow))["snapshot"]["tick"] for _ in range(MAX_WAITING)]
-        assert seen == list(range(3, MAX_WAITING + 3))
+        assert [(await shown(slow))["snapshot"]["tick"] for _ in range(MAX_WAITING)] == list(range(3, MAX_WAITING + 3))
 
 
 async def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_path: Path) -> None:

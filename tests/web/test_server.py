@@ -67,8 +67,7 @@ def test_the_token_is_for_owner_and_group_and_goes_with_the_server(
     def look(address: str) -> None:
         seen["address"], seen["mode"] = file.read_text().strip(), stat.S_IMODE(os.stat(file).st_mode)
         base, _, token = address.partition("/#token=")
-        headers = {TOKEN_HEADER: token}
-        with httpx.Client(base_url=base, headers=headers) as client:
+        with httpx.Client(base_url=base, headers={TOKEN_HEADER: token}) as client:
             for method, path in ASKED:
                 answer = client.request(method, path, json=None if method == "GET" else {})
                 seen[path] = answer.status_code, answer.json()["error"]["message"]

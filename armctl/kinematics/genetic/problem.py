@@ -130,8 +130,7 @@ def behind_the_waist(problem: Problem) -> Problem:
     base = problem.base_rad.copy()
     base[:, 0] = np.arctan2(problem.T[:, 1, 3], problem.T[:, 0, 3])  # (eq. 12)
     base = within_a_turn(base, problem.limits_rad)
-    free = tuple(joint for joint in problem.free if joint != 0)
-    return replace(problem, base_rad=base, free=free)
+    return replace(problem, base_rad=base, free=tuple(joint for joint in problem.free if joint != 0))
 
 
 def moving(chain: SerialChain) -> tuple[int, ...]:

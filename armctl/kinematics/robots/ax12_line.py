@@ -38,8 +38,7 @@ LENGTHS_M = {"d1": 0.10, "a2": 0.105, "a3": 0.105, "a4": 0.07, "a56": 0.10}
 
 def _position_equations() -> tuple[tuple[float, float], tuple[float, float]]:
     """How far eqs. (10) and (14) are off, each as (printed, corrected) [m]."""
-    q = np.array([0.5, 0.7, -0.4, 0.3, 0.2])
-    x, y, _ = tool_position(_chain(LENGTHS_M), q).tolist()
+    x, y, _ = tool_position(_chain(LENGTHS_M), np.array([0.5, 0.7, -0.4, 0.3, 0.2])).tolist()
     a2, a3, a4, a56 = (LENGTHS_M[name] for name in ("a2", "a3", "a4", "a56"))
     C1, S1, C2, C23, S23 = math.cos(0.5), math.sin(0.5), math.cos(0.7), math.cos(0.3), math.sin(0.3)
     along, across = a4 * math.cos(0.3) + a56 * math.cos(0.5), a4 * math.sin(0.3) + a56 * math.sin(0.5)

@@ -59,8 +59,7 @@ def run(case: Case) -> Found:
         RequestRefused: the line cannot be followed, or the arm stopped.
     """
     rig, line = case.rig(), case.line
-    model = identified(rig, case.rounds, case.seed)
-    outcomes = experiment(rig, line, case.via, case, model)
+    outcomes = experiment(rig, line, case.via, case, identified(rig, case.rounds, case.seed))
     shown = [drawn(rig, outcome) for outcome in outcomes]
     rows = []
     for outcome, paths in zip(outcomes, shown, strict=True):

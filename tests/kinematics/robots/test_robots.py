@@ -85,8 +85,7 @@ def test_lengths_change_and_the_closed_form_with_them(name: str, length: str) ->
     q = np.full(robot.chain.n, 0.4)
     T = forward_kinematics(robot.chain, q)
     assert robot.closed_form is not None
-    found = finite(robot.closed_form.poses(T[None]))
-    assert_at(robot.chain, found, T)
+    assert_at(robot.chain, finite(robot.closed_form.poses(T[None])), T)
     with pytest.raises(ConfigError, match="is no length"):
         robots.get(name, {length: math.nan})
 
