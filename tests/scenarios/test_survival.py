@@ -12,6 +12,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,21 +40,38 @@ def ticks_ns(log: Path) -> list[int]:
     return [message.value["time_ns"] for message in reader.read(log, (CYCLE,))]
 
 
-def assert_replays(folder: Path) -> None:
-    """Every log in the folder is finished, and its ticks come out the same again."""
-    logs = sorted(folder.glob("*.mcap*"))
-    assert logs
-    for log in logs:
-        assert log.suffix == ".mcap"
-        result = replay.check(log)
-        assert (result.mismatches, result.first_mismatch) == (0, "")
-        assert result.ticks > 0
+def assert_ends_well(bench: Bench) -> None:
+    """The daemon goes when it is told to; what it recorded is finished, and every tick comes out the same again."""
+    assert bench.daemons[-1].end() == 0
+    for folder in (bench.logs, bench.recordings):
+        logs = sorted(folder.glob("*.mcap*"))
+        assert logs
+        for log in logs:
+            assert log.suffix == ".mcap"
+            result = replay.check(log)
+            assert (result.mismatches, result.first_mismatch) == (0, "")
+            assert result.ticks > 0
 
 
-def test_killed_control_process_stops_the_arm_and_another_adopts_it(holding: Bench, arm: Simulator) -> None:
+@contextmanager
+def hung(pid: int) -> Iterator[int]:
+    """A process that hangs meanwhile; since when [ns]."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield time.monotonic_ns()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+@pytest.mark.parametrize(
+    ("number", "back_ms"), [(signal.SIGKILL, 2000), (signal.SIGSTOP, 4000)], ids=["killed", "hung"]
+)
+def test_a_control_process_that_is_gone_stops_the_arm_and_another_adopts_it(
+    holding: Bench, arm: Simulator, number: signal.Signals, back_ms: int
+) -> None:
     run = holding.run_to_the_middle(arm)
-    killed_ns = time.monotonic_ns()
-    os.kill(holding.controls[0], signal.SIGKILL)
+    gone_ns = time.monotonic_ns()
+    os.kill(holding.controls[0], number)
 
     with refused("RESTARTED"):
         run.result()
@@ -62,17 +81,16 @@ def test_killed_control_process_stops_the_arm_and_another_adopts_it(holding: Ben
     assert adopted["fault"] is None
     holding.until(lambda snapshot: snapshot["state"] == "holding")
 
-    assert arm.motion_deg(killed_ns + 250 * MS, killed_ns + 1250 * MS) < STOPPED_DEG
-    assert holding.daemons[0].end() == 0
+    assert arm.motion_deg(gone_ns + 250 * MS, gone_ns + 1250 * MS) < STOPPED_DEG
+    assert_ends_well(holding)
     (log,) = holding.logs.glob("*.mcap")
-    first_ns = next(begin_ns for begin_ns in ticks_ns(log) if begin_ns > killed_ns)
-    assert first_ns - killed_ns < 2000 * MS
-    still_ns = max(first_ns, killed_ns + 250 * MS)
+    first_ns = next(begin_ns for begin_ns in ticks_ns(log) if begin_ns > gone_ns)
+    assert first_ns - gone_ns < back_ms * MS
+    still_ns = max(first_ns, gone_ns + 250 * MS)
     assert arm.motion_deg(still_ns, still_ns + 1000 * MS) < STILL_DEG
     assert arm.goals_rad() == goals
     assert arm.torque() == [True] * 6
-    assert_replays(holding.logs)
-    assert_replays(holding.recordings)
+    assert not alive(holding.controls[0])
 
 
 def test_killed_host_stops_the_arm_and_the_next_recovers_log_and_arm(holding: Bench, arm: Simulator) -> None:
@@ -90,12 +108,10 @@ def test_killed_host_stops_the_arm_and_the_next_recovers_log_and_arm(holding: Be
     assert arm.motion_deg(ready_ns, ready_ns + 1000 * MS) < STILL_DEG
     assert arm.torque() == [True] * 6
 
-    assert holding.daemons[1].end() == 0
+    assert_ends_well(holding)
     recovered, adopting = sorted(holding.logs.iterdir())
     assert killed_ns - ticks_ns(recovered)[-1] < LOST_MS * MS
     assert JOINT_COMMANDS not in reader.info(adopting).topics
-    assert_replays(holding.logs)
-    assert_replays(holding.recordings)
 
 
 def test_unplugged_adapter_latches_and_a_replug_leads_back_to_running(holding: Bench, arm: Simulator) -> None:
@@ -123,14 +139,13 @@ def test_unplugged_adapter_latches_and_a_replug_leads_back_to_running(holding: B
 
     assert holding.daemons[0].process.poll() is None
     assert holding.run(line_plan(back)).result()["max_error_mm"] < 60.0
-    assert holding.daemons[0].end() == 0
-    assert_replays(holding.logs)
+    assert_ends_well(holding)
 
 
 def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on(holding: Bench, arm: Simulator) -> None:
     run = holding.run_to_the_middle(arm)
     told_ns = time.monotonic_ns()
-    assert holding.daemons[0].end() == 0
+    assert_ends_well(holding)
 
     with pytest.raises((NoDaemon, RequestRefused)):
         run.result()
@@ -138,43 +153,18 @@ def test_sigterm_stops_the_arm_closes_the_log_and_leaves_torque_on(holding: Benc
     assert arm.torque() == [True] * 6
     assert not alive(holding.controls[0])
     assert not holding.socket.exists()
-    assert_replays(holding.logs)
-    assert_replays(holding.recordings)
 
 
 def test_a_hung_host_stops_the_arm_and_finds_it_holding(holding: Bench, arm: Simulator) -> None:
     run = holding.run_to_the_middle(arm)
-    daemon = holding.daemons[0].process
-    hung_ns = time.monotonic_ns()
-    os.kill(daemon.pid, signal.SIGSTOP)
-    try:
+    with hung(holding.daemons[0].process.pid) as hung_ns:
         # 0.3 s of silence, a tick, 0.2 s to slow down, and the last goal.
-        moved_deg = arm.motion_deg(hung_ns + 700 * MS, hung_ns + 1700 * MS)
-    finally:
-        os.kill(daemon.pid, signal.SIGCONT)
-    assert moved_deg < STOPPED_DEG
+        assert arm.motion_deg(hung_ns + 700 * MS, hung_ns + 1700 * MS) < STOPPED_DEG
     with refused("HOST_SILENT"):
         run.result()
     assert holding.until(lambda snapshot: snapshot["state"] == "holding")["fault"] is None
     assert arm.torque() == [True] * 6
-    assert holding.daemons[0].end() == 0
-    assert_replays(holding.logs)
-
-
-def test_a_hung_control_process_is_replaced_and_the_arm_adopted(holding: Bench, arm: Simulator) -> None:
-    run = holding.run_to_the_middle(arm)
-    hung_ns = time.monotonic_ns()
-    os.kill(holding.controls[0], signal.SIGSTOP)
-    with refused("RESTARTED"):
-        run.result()
-    adopted = holding.until(lambda snapshot: snapshot["pids"]["control"] not in (None, holding.controls[0]))
-    holding.controls.append(adopted["pids"]["control"])
-    holding.until(lambda snapshot: snapshot["state"] == "holding")
-    assert arm.motion_deg(hung_ns + 250 * MS, hung_ns + 1250 * MS) < STOPPED_DEG
-    assert not alive(holding.controls[0])
-    assert arm.torque() == [True] * 6
-    assert holding.daemons[0].end() == 0
-    assert_replays(holding.logs)
+    assert_ends_well(holding)
 
 
 def test_a_signal_to_the_daemon_stops_the_arm(holding: Bench, arm: Simulator) -> None:
@@ -182,33 +172,20 @@ def test_a_signal_to_the_daemon_stops_the_arm(holding: Bench, arm: Simulator) ->
     holding.daemons[0].process.send_signal(signal.SIGUSR1)
     with refused("STOPPED"):
         run.result()
-    assert holding.daemons[0].end() == 0
-    assert_replays(holding.logs)
+    assert_ends_well(holding)
 
 
 @pytest.mark.parametrize("way", ["armctl", "signal"])
 def test_a_stop_is_served_while_the_host_hangs(holding: Bench, arm: Simulator, way: str) -> None:
     run = holding.run_to_the_middle(arm)
-    daemon = holding.daemons[0].process
-    os.kill(daemon.pid, signal.SIGSTOP)
-    asked_ns = time.monotonic_ns()
-    try:
+    command = [sys.executable, "-m", "armctl", "stop", "--json", "--socket", str(holding.socket)]
+    with hung(holding.daemons[0].process.pid) as asked_ns:
         if way == "signal":
             os.kill(holding.controls[0], signal.SIGUSR1)
         else:
-            said = subprocess.run(
-                [sys.executable, "-m", "armctl", "stop", "--json", "--socket", str(holding.socket)],
-                stdout=subprocess.PIPE,
-                check=True,
-                timeout=60,
-            )
-            assert json.loads(said.stdout) == {"state": "holding"}
+            assert json.loads(subprocess.check_output(command, timeout=60)) == {"state": "holding"}
             asked_ns = time.monotonic_ns()  # it is answered when the arm is still
-        moved_deg = arm.motion_deg(asked_ns + 500 * MS, asked_ns + 1000 * MS)
-    finally:
-        os.kill(daemon.pid, signal.SIGCONT)
-    assert moved_deg < STOPPED_DEG
+        assert arm.motion_deg(asked_ns + 500 * MS, asked_ns + 1000 * MS) < STOPPED_DEG
     with refused("STOPPED"):
         run.result()
-    assert holding.daemons[0].end() == 0
-    assert_replays(holding.logs)
+    assert_ends_well(holding)
