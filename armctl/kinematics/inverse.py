@@ -74,11 +74,14 @@ def solve_position(
             damping = min(damping * 10.0, 1e3)
     if distance <= tolerance_m:
         return q
-    raise UnreachableTarget(
-        f"target ({target[0]:.4f}, {target[1]:.4f}, {target[2]:.4f}) m: the tool comes no nearer than "
-        f"{distance * 1000.0:.1f} mm within the joint limits",
-        distance,
-    )
+    raise unreachable(target, distance, " within the joint limits")
+
+
+def unreachable(target: FloatArray, near_m: float, more: str = "") -> UnreachableTarget:
+    """The refusal of a target to which the tool comes no nearer than this."""
+    x, y, z = target
+    distance = f"{near_m * 1000.0:.1f} mm{more}"
+    return UnreachableTarget(f"target ({x:.4f}, {y:.4f}, {z:.4f}) m: the tool comes no nearer than {distance}", near_m)
 
 
 def pose_errors(chain: SerialChain, q: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -19,11 +19,11 @@ import numpy as np
 from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen, GripperConfig
-from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.errors import RequestRefused
 from armctl.kinematics import solution
 from armctl.kinematics.chain import forward_kinematics, link_frames
 from armctl.kinematics.genetic import solve as genetic
-from armctl.kinematics.inverse import pose_errors, refine_poses
+from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
@@ -225,11 +225,7 @@ def _solutions(
     else:
         answer = genetic.solve(bounded, target, method=method, present=present, seed=seed)
     if not answer.reachable:
-        x, y, z = point.tolist()
-        near_m = answer.least_position_error_m
-        raise UnreachableTarget(
-            f"target ({x:.4f}, {y:.4f}, {z:.4f}) m: the tool comes no nearer than {near_m * 1000.0:.1f} mm", near_m
-        )
+        raise unreachable(point, answer.least_position_error_m)
     found = [
         np.array(one.q_rad)
         for one in answer.solutions

@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from armctl.config import ArmConfig, Frozen
-from armctl.errors import UnreachableTarget
-from armctl.kinematics.inverse import pose_errors, refine_poses
+from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import within_limits
 from armctl.kinematics.transform import FloatArray
@@ -63,20 +62,10 @@ def joints_at(
     turned_rad = turned_rad * turned
     reached = (away_m <= POSITION_TOLERANCE_M) & (turned_rad <= ORIENTATION_TOLERANCE_RAD) & within_limits(q, limits)
     if not reached.any():
-        raise _unreachable(T, turned, away_m, turned_rad)
+        # How near the best of the searches came; a pose is judged by both, a decimetre against a radian.
+        nearest = int((away_m + 0.1 * turned_rad).argmin())
+        turn = f" and {math.degrees(turned_rad[nearest]):.1f} deg" if turned else ""
+        raise unreachable(T[:3, 3], float(away_m[nearest]), f"{turn} within the joint limits")
     found = np.clip(q[reached], limits[:, 0], limits[:, 1])
     best = found[np.abs(found - here).max(axis=1).argmin()]
     return [*best.tolist(), *q_now[chain.n :]]
-
-
-def _unreachable(T: FloatArray, turned: bool, away_m: FloatArray, turned_rad: FloatArray) -> UnreachableTarget:
-    """How near the best of the searches came; a pose is judged by both, a decimetre against a radian."""
-    best = int((away_m + 0.1 * turned_rad).argmin())
-    near_m = float(away_m[best])
-    x, y, z = T[:3, 3]
-    turn = f" and {math.degrees(turned_rad[best]):.1f} deg" if turned else ""
-    return UnreachableTarget(
-        f"target ({x:.4f}, {y:.4f}, {z:.4f}) m: the tool comes no nearer than {near_m * 1000.0:.1f} mm{turn} within "
-        "the joint limits",
-        near_m,
-    )
