@@ -3,19 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from armctl.commissioning.installation import (
-    SYSTEM,
-    Act,
-    File,
-    InstallationFailed,
-    Run,
-    carry_out,
-    installation,
-    missing_commands,
-    removal,
-    udev_rules,
-    usb_adapter,
-)
+from armctl.commissioning import installation as module
+from armctl.commissioning.installation import SYSTEM, Act, InstallationFailed, Run, carry_out, installation, removal
 from armctl.config import parse_yaml
 from armctl.errors import ArmctlError, ConfigError
 from armctl.files import load_arm
@@ -119,7 +108,7 @@ def test_a_command_that_fails_is_named_with_its_words() -> None:
     Run(act.command, may_fail=True).do(SYSTEM)
     with pytest.raises(InstallationFailed, match="no-such-program"):
         Run(("no-such-program",)).do(SYSTEM)
-    assert missing_commands([act, Run(("no-such-program",))]) == ["no-such-program"]
+    assert module.missing_commands([act, Run(("no-such-program",))]) == ["no-such-program"]
 
 
 def test_a_folder_that_cannot_be_written_is_told_with_the_act(acts: list[Act], root: Path) -> None:
@@ -140,7 +129,7 @@ def test_a_program_that_is_missing_or_in_a_home_folder_is_refused_with_the_way_o
 
 def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path, sysfs: Path) -> None:
     acts = installation(arm="ax12-line", prefix=prefix, port="/dev/ttyUSB0", sysfs=sysfs)
-    [rules] = [act.text or "" for act in acts if isinstance(act, File) and act.path.suffix == ".rules"]
+    [rules] = [act.text or "" for act in acts if isinstance(act, module.File) and act.path.suffix == ".rules"]
     rows = [row for row in rules.splitlines() if not row.startswith("#")]
     assert len(rows) == 2
     assert all('ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", ATTRS{serial}=="FT4THUX8"' in row for row in rows)
@@ -150,13 +139,13 @@ def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path, sysfs:
 
 def test_a_serial_number_that_is_no_plain_word_does_not_get_into_a_rule(sysfs: Path) -> None:
     (sysfs / "devices/usb1/1-1/serial").write_text('X", RUN+="/bin/sh\n')
-    assert "RUN" not in udev_rules(usb_adapter(Path("/dev/ttyUSB0"), sysfs))
+    assert "RUN" not in module.udev_rules(module.usb_adapter(Path("/dev/ttyUSB0"), sysfs))
 
 
 @pytest.mark.parametrize(("port", "problem"), [("/dev/ttyUSB7", "no such serial device"), ("/dev/ttyS0", "no USB")])
 def test_a_port_without_an_adapter_is_refused(sysfs: Path, port: str, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
-        usb_adapter(Path(port), sysfs)
+        module.usb_adapter(Path(port), sysfs)
 
 
 def test_an_unknown_arm_is_refused_before_anything_is_touched(prefix: Path) -> None:

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.lab import correction, sag_model
 from armctl.lab.course import UNKNOWN_HEAVIEST_RAD, Course, Line, courses, plan_of, too_heavy
@@ -23,6 +22,7 @@ from armctl.trajectory.plan import Plan, plan_from_text, plan_positions, plan_to
 from armctl.trajectory.straightness import distance_to_line
 from proving.line_trials import via_speed_ratio
 from tests.genetic import hand
+from tests.host.doubles import refused
 from tests.trajectory.test_plan import make_plan
 
 LINE = Line(hand.A, hand.B, 5.0)
@@ -173,9 +173,8 @@ def test_a_model_that_does_harm_is_left_aside(on: VirtualRig) -> None:
 
 
 def test_a_line_too_heavy_for_the_motors_is_refused_before_anything_moves(on: VirtualRig) -> None:
-    with pytest.raises(RequestRefused, match="behind its goal") as refusal:
+    with refused("TOO_HEAVY", "behind its goal"):
         first_run(on, 2, model(8.0))
-    assert refusal.value.code == "TOO_HEAVY"
 
 
 def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_more() -> None:

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.lab.correction import lag_of
 from armctl.lab.course import Line, courses, plan_of
@@ -12,6 +11,7 @@ from armctl.sim.spec import ArmSpec
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
 from tests.genetic import hand
+from tests.host.doubles import refused
 
 # An arm without the faults of one, so that its motion can be held against the plan.
 KIND = ArmSpec(**{name: value for effect in EFFECTS.values() for name, value in effect.items()})
@@ -61,9 +61,8 @@ def test_looking_at_the_truth_changes_nothing_and_a_seed_repeats_a_run() -> None
 
 
 def test_a_plan_that_must_not_run_is_refused_with_every_reason(on: VirtualRig) -> None:
-    with pytest.raises(RequestRefused, match="made for arm") as refusal:
+    with refused("PREFLIGHT", "made for arm"):
         on.run(plan(on).model_copy(update={"arm_id": "other"}))
-    assert refusal.value.code == "PREFLIGHT"
 
 
 def test_a_guided_take_goes_from_A_to_B_and_the_arm_holds_afterwards() -> None:

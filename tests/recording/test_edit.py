@@ -20,6 +20,7 @@ from armctl.recording.edit import merge, trim
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.writer import LogContext
 from proving.damage import chunk_places
+from tests.host.doubles import refused
 from tests.recording.altered import with_outputs
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
 from tests.recording.logs import add_string_channel, foreign, messages, replayed, write
@@ -223,9 +224,8 @@ def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one
     ],
 )
 def test_files_of_another_daemon_are_refused(tmp_path: Path, context: LogContext, named: str) -> None:
-    with pytest.raises(RequestRefused, match=named) as refusal:
+    with refused("FOREIGN_LOG", named):
         merge(rotated(tmp_path, context=context), tmp_path / "c.mcap")
-    assert refusal.value.code == "FOREIGN_LOG"
     assert not (tmp_path / "c.mcap").exists()
 
 

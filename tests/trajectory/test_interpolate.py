@@ -7,14 +7,7 @@ from hypothesis import strategies as st
 
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import interpolate
-from armctl.trajectory.interpolate import (
-    PEAK_SPEED,
-    Interpolation,
-    joint_path,
-    rest_to_rest,
-    time_law,
-    time_of_progress,
-)
+from armctl.trajectory.interpolate import PEAK_SPEED, Interpolation, joint_path, rest_to_rest, time_law
 
 seeds = st.integers(0, 2**32 - 1)
 kinds = st.sampled_from(["linear", "cubic"])
@@ -47,7 +40,7 @@ def test_time_law_rests_at_both_ends_and_peaks_below_1_3_means() -> None:
 
 @given(st.floats(0.0, 1.0))
 def test_time_of_progress_inverts_the_time_law(s: float) -> None:
-    assert float(time_law(time_of_progress(np.array(s)))) == pytest.approx(s, abs=1e-5)
+    assert float(time_law(interpolate.time_of_progress(np.array(s)))) == pytest.approx(s, abs=1e-5)
 
 
 def test_a_way_from_rest_to_rest_rests_at_both_ends_with_the_stated_peaks() -> None:

@@ -5,6 +5,7 @@ from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.trajectory.line_path import MARGIN_RAD, STATIONS, levers_m, line_paths, onto, sensitivity_m
 from tests.genetic import hand
+from tests.host.doubles import refused
 from tests.trajectory.conftest import ARM, CHAIN, LIMITS, ROBOT
 
 
@@ -63,9 +64,8 @@ def test_a_lever_is_how_far_a_joint_moves_the_tool_across_the_line() -> None:
 def test_a_line_that_cannot_be_followed_is_refused_with_what_would_do(
     A: object, B: object, duration_s: float, match: str
 ) -> None:
-    with pytest.raises(RequestRefused, match=match) as refusal:
+    with refused("LINE", match):
         ways(A, B, duration_s)
-    assert refusal.value.code == "LINE"
 
 
 def test_the_duration_a_refusal_names_is_enough() -> None:

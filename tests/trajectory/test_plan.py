@@ -14,13 +14,11 @@ from armctl.config import ArmConfig
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
+from armctl.trajectory import plan as module
 from armctl.trajectory.plan import (
     DWELL_S,
-    LEAD_RAD,
-    SETTLE_S,
     Plan,
     joint_trajectory,
-    lead,
     plan_from_text,
     plan_positions,
     plan_to_text,
@@ -110,7 +108,7 @@ def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_m
     time_s = np.arange(len(q)) * period_s
     assert trajectory.positions_rad[0] == tuple(q_now)
     assert trajectory.end_s - trajectory.begin_s == pytest.approx(duration_s)
-    assert trajectory.duration_s >= trajectory.end_s + SETTLE_S - 1e-9
+    assert trajectory.duration_s >= trajectory.end_s + module.SETTLE_S - 1e-9
     inside = (time_s >= trajectory.begin_s - 1e-9) & (time_s <= trajectory.end_s)
     np.testing.assert_allclose(
         q[inside], plan_positions(plan, np.clip(time_s[inside] - trajectory.begin_s, 0, None)), atol=1e-8
@@ -139,8 +137,8 @@ def test_every_joint_comes_to_the_start_in_the_direction_in_which_it_leaves(seed
     q = np.array(trajectory.positions_rad)
     begin = round(trajectory.begin_s / period_s)
     last = q[begin] - q[begin - round((DWELL_S + 0.5) / period_s)]
-    ahead = lead(plan)
-    assert (np.abs(ahead) <= LEAD_RAD).all()
+    ahead = module.lead(plan)
+    assert (np.abs(ahead) <= module.LEAD_RAD).all()
     moving = np.abs(ahead) > 1e-6
     assert (np.sign(last[moving]) == np.sign(ahead[moving])).all()
     np.testing.assert_allclose(last[~moving], 0.0, atol=1e-5)

@@ -5,6 +5,7 @@ import pytest
 from armctl.errors import RequestRefused
 from armctl.trajectory.plan import plan_to_text
 from armctl.web import plans
+from tests.host.doubles import refused
 from tests.trajectory.test_plan import make_plan
 
 PLAN = make_plan()
@@ -13,9 +14,8 @@ PLAN = make_plan()
 def test_a_plan_is_kept_and_never_overwritten(tmp_path: Path) -> None:
     plans.save(tmp_path / "plans", "line-via0", plan_to_text(PLAN))
     assert plans.load(tmp_path / "plans", "line-via0") == PLAN
-    with pytest.raises(RequestRefused, match="exists") as caught:
+    with refused("EXISTS", "exists"):
         plans.save(tmp_path / "plans", "line-via0", "other")
-    assert caught.value.code == "EXISTS"
     assert plans.load(tmp_path / "plans", "line-via0") == PLAN
 
 
