@@ -209,13 +209,8 @@ class _Walk:
         at = _aligned(at, 4)
         length: Column = self._numbers("I", at, 1)[:, 0]
         first = int(length[0])
-        same = bool((length == first).all())
-        size: int | IntArray = first if same else length.astype(np.int64)
-        if isinstance(at, int) and isinstance(size, int):
-            beyond = at + 4 + size > self._least
-        else:
-            beyond = bool((at + 4 + size > self._sizes).any())
-        if beyond:
+        size: int | IntArray = first if (length == first).all() else length.astype(np.int64)
+        if self._beyond(at + 4 + size):
             raise LogError(f"{self._name}: a text ends beyond its message")
         shown = max(0, size - 1) if isinstance(size, int) else np.maximum(size - 1, 0)
         self._columns[path] = Texts(self._buffer, self._starts + (at + 4), shown)
@@ -231,12 +226,14 @@ class _Walk:
             raise LogError(f"{self._name}: {first} values end beyond the message")
         return first, at + 4
 
+    def _beyond(self, end: _At) -> bool:
+        return end > self._least if isinstance(end, int) else bool((end > self._sizes).any())
+
     def _numbers(self, character: str, at: _At, count: int) -> Column:
         """`count` numbers of every message, shape (n, count)."""
         dtype = np.dtype(f"<{character}")
         size, n = dtype.itemsize, len(self._starts)
-        beyond = at + size * count > self._least if isinstance(at, int) else (at + size * count > self._sizes).any()
-        if beyond:
+        if self._beyond(at + size * count):
             raise LogError(f"{self._name}: damaged message, it ends before its fields do")
         if count == 0:
             return np.zeros((n, 0), dtype)

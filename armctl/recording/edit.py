@@ -85,8 +85,7 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
     facts = {"from": path.name, "begin_s": repr(begin_s), "end_s": repr(end_s)}
     with LogFile(path) as log, _rewriting(out, log, TRIMMED, facts) as copy:
         before = _Before(log)
-        taken, has_state = 0, False
-        has_ticks = channels.SERVOS in log.topics
+        taken, has_state, has_ticks = 0, False, channels.SERVOS in log.topics
         for count, message in enumerate(log.messages()):
             if progress is not None and count % PROGRESS_MESSAGES == 0:
                 progress(log.progress)
@@ -144,8 +143,7 @@ def _checked(first: LogFile, path: Path) -> LogSetup:
     with LogFile(path) as log:
         setup = log_setup(log)
         for key in ("arm_id", "calibration_hash", "host", "port", "period_s"):
-            ours, theirs = first.facts.get(key), log.facts.get(key)
-            if ours != theirs:
+            if (ours := first.facts.get(key)) != (theirs := log.facts.get(key)):
                 raise RequestRefused(
                     "FOREIGN_LOG",
                     f"{path}: {key} is {theirs}, in {first.path} it is {ours}; only files of one daemon are merged",
@@ -162,8 +160,7 @@ class _Merger:
     """Ticks of one file after the other; knows which one was the last."""
 
     def __init__(self, copy: Rewrite, progress: Progress | None, files: int) -> None:
-        self._copy, self._progress = copy, progress
-        self._files, self._done = files, 0
+        self._copy, self._progress, self._files, self._done = copy, progress, files, 0
         self._tick: int | None = None
         self._tick_ns = 0
 
@@ -243,8 +240,7 @@ class _Before:
         """Say it again just before the first message behind the cut; whether a replay can begin there."""
         for topic, message in self._standing.items():
             copy.say(topic, _stamped(self._log.decode(message), first.log_time_ns), first)
-        state = self._state() if self._since else None
-        if state is not None:
+        if (state := self._state() if self._since else None) is not None:
             copy.say(channels.STATE, {"data": to_json(state)}, first)
         return state is not None
 

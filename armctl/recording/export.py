@@ -98,8 +98,7 @@ def export(
                 _write_excel(stream, tables(wanted))
             else:
                 (_write_csv if kind == "csv" else _write_parquet)(stream, tables(wanted))
-    rows = {table.name: table.count for table in done}
-    return ExportResult(tuple(files), rows, all(table.complete for table in done))
+    return ExportResult(tuple(files), {one.name: one.count for one in done}, all(one.complete for one in done))
 
 
 class _Table:

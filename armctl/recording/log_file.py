@@ -282,8 +282,7 @@ class LogFile:
 
     def _take(self, opcode: int, body: bytes, *, in_chunk: bool = False) -> None:
         """Take note of a record that is no message. A chunk's checksum confirms what is in it."""
-        stream = ReadDataStream(io.BytesIO(body))
-        record = _KINDS[opcode].read(stream)
+        record = _KINDS[opcode].read(stream := ReadDataStream(io.BytesIO(body)))
         if isinstance(record, Attachment):
             (crc,) = struct.unpack_from("<I", body, len(body) - 4)
             if crc not in (0, zlib.crc32(body[:-4])):

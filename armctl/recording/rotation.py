@@ -99,9 +99,8 @@ class Files:
         self.log_problem = self.take_problem = ""
         # Whether something was written since the last flush.
         self.written = False
-        self._context, self._folder = context, folder
-        self._clock, self._wall_ns = clock, wall_ns
-        self._disk, self._compactor = disk, compactor
+        self._context, self._folder, self._disk = context, folder, disk
+        self._clock, self._wall_ns, self._compactor = clock, wall_ns, compactor
         self._open: dict[str, LogWriter] = {}
         self._history = History(context.config.log.snapshot_s, context.period_s)
         self._last: TickRecord | None = None

@@ -133,14 +133,12 @@ class Frames:
 
     def _frame(self, time_ns: int, number: int, tick: dict[str, Any]) -> Frame:
         joints = tick[channels.JOINT_STATES]
-        registers = [servo["registers"] for servo in tick[channels.SERVOS]["servos"]]
-        names = self.arm.joint_names
+        registers, names = [servo["registers"] for servo in tick[channels.SERVOS]["servos"]], self.arm.joint_names
         if len(registers) != len(names):
             raise ValueError(f"{len(registers)} servos, the arm has {len(names)}")
         values = zip(joints["position"], joints["velocity"], joints["effort"], strict=False)
         told = dict(zip(joints["name"], values, strict=False))
-        nothing = (math.nan, math.nan, math.nan)
-        position, velocity, load = zip(*(told.get(name, nothing) for name in names), strict=True)
+        position, velocity, load = zip(*(told.get(name, (math.nan,) * 3) for name in names), strict=True)
         torque = [bool(block and block[_TORQUE]) for block in registers]
         return Frame(
             time_ns=time_ns,
@@ -287,8 +285,7 @@ def load(path: Path, progress: Callable[[float], None] | None = None) -> Timelin
     faults: list[tuple[int, str]] = []
     count = 0
     with LogFile(path) as log:
-        frames = Frames(log)
-        found = iter(frames)
+        found = iter(frames := Frames(log))
         # In blocks: the frames of a whole log as objects would take ten times the memory of its arrays.
         while block := list(islice(found, BLOCK_FRAMES)):
             for name, parts in blocks.items():
