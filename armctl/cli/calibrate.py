@@ -151,7 +151,7 @@ def _calibrate_sag(output: Output) -> None:
 
     from armctl.files import load_arm
     from armctl.lab import sag_identification, sag_model
-    from armctl.lab.daemon_rig import DaemonRig
+    from armctl.lab.rig import DaemonRig
 
     with output.client() as client, output.progress("calibration lines", sag_identification.LINES) as show:
         rig = DaemonRig(client, load_arm(output.config.arm))

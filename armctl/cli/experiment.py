@@ -77,8 +77,8 @@ def line_command(output: Output, virtual: bool, period_s: float | None, **asked:
     Example: armctl experiment line --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 0,1,2,8,stream --refine 5
     --virtual
     """
-    from armctl.lab.daemon_rig import DaemonRig
     from armctl.lab.line_experiment import Asked, on_daemon, on_virtual_arm
+    from armctl.lab.rig import DaemonRig
 
     if period_s is not None and not virtual:
         why = "the daemon's period is in its configuration"

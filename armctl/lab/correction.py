@@ -74,12 +74,9 @@ class Round:
 
 def lag_of(rig: Rig, plan: Plan, measured: Measured) -> FloatArray:
     """Goal less encoder at every tick of the plan [rad], shape (m, n)."""
-    n = rig.robot.chain.n
-    goals = plan_goals_rad(rig, plan)
+    goals, at = plan_goals_rad(rig, plan), measured.time_s
     time_s: FloatArray = np.arange(len(goals)) * np.float64(rig.period_s)
-    at = measured.time_s
-    lag = columns_at(at, time_s, goals) - measured.positions_rad[:, :n]
-    return columns_at(time_s, at, lag)
+    return columns_at(time_s, at, columns_at(at, time_s, goals) - measured.positions_rad[:, : rig.robot.chain.n])
 
 
 def smoothed(values: FloatArray, period_s: float) -> FloatArray:
@@ -132,8 +129,7 @@ def often_enough(rig: Rig, one: Round, noise_mm: float) -> Round:
 
 def seen_mm(rig: Rig, one: Round, measured: Measured) -> float:
     """Root mean square of the smoothed readings' distances to the line [mm], of a run of the round's plan."""
-    course = one.course
-    expected = course.expected_rad
+    course, expected = one.course, one.course.expected_rad
     q = plan_goals_rad(rig, one.plan) - lag_of(rig, one.plan, measured)
     seen = tool_position(rig.robot.chain, expected + smoothed(q - expected, rig.period_s)) + course.offset_m
     return float(np.sqrt((distance_to_line(seen, course.line.A, course.line.B) ** 2).mean())) * 1e3

@@ -26,10 +26,9 @@ from armctl.files import load_arm
 from armctl.genetic.algorithm import DEFAULT
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
-from armctl.lab.daemon_rig import measured_run
 from armctl.lab.line_experiment import TAKES
 from armctl.lab.line_results import line_run
-from armctl.lab.rig import Measured
+from armctl.lab.rig import Measured, measured_run
 from armctl.lab.stage import Progress, Stage
 from armctl.lab.table_ii import FROM_M, TO_M, VIA
 from armctl.recording import recordings, replay
@@ -227,10 +226,11 @@ def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     Raises:
         ArmctlError: it did not start; its last message is in the error.
     """
-    with log.open("a", encoding="utf-8") as words:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "armctl", *arguments], stdout=subprocess.PIPE, stderr=words, text=True
-        )
+    command = [sys.executable, "-m", "armctl", *arguments]
+    with (
+        log.open("a", encoding="utf-8") as words,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True) as process,
+    ):
         assert process.stdout is not None
         try:
             if not process.stdout.readline().startswith("ready "):
@@ -244,8 +244,6 @@ def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
                 process.wait(STOP_TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 process.kill()
-                process.wait()
-            process.stdout.close()
 
 
 def _make_room(out: Path) -> None:

@@ -98,11 +98,10 @@ def rehearse(
     clipped = np.clip(q, low, high)
     grid, motion, run_s = _stretched(clipped, time_s, arm, period_s)
     virtual = VirtualArm(SimulatedArm(arm, seed=seed), period_s)
-    robot = virtual.robot
     if watch is not None:
         virtual.on_tick = partial(watch, virtual.simulated)
     virtual.energise()
-    approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), arm, robot, period_s, "approach")
+    approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), arm, virtual.robot, period_s, "approach")
     virtual.carry_out(Run(virtual.next_id(), approach))
     virtual.ticks(round(DWELL_S / period_s))  # it comes to rest
     records: list[TickRecord] = []
@@ -116,11 +115,9 @@ def rehearse(
             progress(min(1.0, (begin + most) / len(motion)))
     followed = np.array([[joint.position_rad for joint in record.outputs.joints] for record in records])
     then = np.stack([np.interp(grid[:-1], run_s, column) for column in measured.T], axis=-1)
-    error = np.abs(followed - then)
-    n = robot.chain.n
-    tool_m = np.linalg.norm(
-        tool_position(robot.chain, followed[:, :n]) - tool_position(robot.chain, then[:, :n]), axis=-1
-    )
+    error, chain = np.abs(followed - then), virtual.robot.chain
+    apart_m = tool_position(chain, followed[:, : chain.n]) - tool_position(chain, then[:, : chain.n])
+    tool_m = np.linalg.norm(apart_m, axis=-1)
     return Rehearsal(
         ticks=len(records),
         duration_s=float(grid[-1]),

@@ -1,21 +1,26 @@
-"""What an experiment runs its plans on: the protocol of a rig, and the virtual rig.
+"""What an experiment runs its plans on: the protocol of a rig, the virtual rig, and the arm of a daemon.
 
 `VirtualRig` measures what the servos report through the wire. The true tool path is recorded as well, but only to judge
-by: nothing that corrects a plan may look at it.
+by: nothing that corrects a plan may look at it. `DaemonRig` reads its runs back from the recordings of the daemon.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from armctl.client import Client
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
+from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Run, Teach, TeachEnd, TorqueOn
+from armctl.recording import recordings
+from armctl.recording.recordings import Recording
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
@@ -27,6 +32,8 @@ EARLY_TICKS = 2
 FIRST_TICKS = 5
 # How much of a take is kept before the hand leaves and after it has arrived.
 BEFORE_S, AFTER_S = 0.3, 0.8
+# Runs of a daemon's arm at most until one takes as long as its plan.
+TRIES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,3 +162,48 @@ class VirtualRig:
             hand.release()
         begin, end = (round(at / self.period_s) for at in (guided.begin_s - BEFORE_S, guided.end_s + AFTER_S))
         return np.array([[joint.position_rad for joint in record.outputs.joints] for record in records[begin:end]])
+
+
+class DaemonRig:
+    """A daemon's arm; every run is a recording of its own, kept."""
+
+    def __init__(self, client: Client, arm: ArmConfig) -> None:
+        """
+        Raises:
+            RequestRefused: the daemon's arm is another one, or another calibration of it.
+        """
+        self._client, self.arm = client, arm
+        self.robot = robots.get(arm.robot, arm.lengths_m)
+        self.period_s = float(client.call("status")["period_s"])
+
+    @property
+    def goals_rad(self) -> Sequence[float]:
+        """Where the arm is, by its encoders."""
+        return [joint["position_rad"] for joint in self._client.call("status")["joints"]]
+
+    def run(self, plan: Plan) -> Measured:
+        """As `Rig.run`. A run that waited for a silent servo took longer than the plan; it is repeated."""
+        for _ in range(TRIES):
+            answer = self._client.call("run", plan=plan.model_dump(mode="json"))
+            path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
+            measured = measured_run(recordings.load(path), float(answer["duration_s"]))
+            if abs(measured.duration_s - plan.duration_s) < self.period_s / 2.0:
+                return measured
+        raise RequestRefused(
+            "DISTURBED",
+            f"{TRIES} runs in a row took {measured.duration_s:.2f} s or so instead of {plan.duration_s:.2f} s: servos "
+            "miss readings and the arm waits for them; see `armctl doctor`",
+        )
+
+
+def measured_run(run: Recording, duration_s: float) -> Measured:
+    """What a recorded run measured between the begin and the end of its plan.
+
+    Raises:
+        RequestRefused: RECORDS_LOST, the plan's begin or end is missing.
+    """
+    if run.plan_s is None:
+        raise RequestRefused("RECORDS_LOST", f"{run.path}: the plan's begin or end is missing in the recording")
+    begin_s, end_s = run.plan_s
+    inside = (run.time_s >= begin_s - 1e-6) & (run.time_s <= end_s + 1e-6)
+    return Measured(run.time_s[inside] - begin_s, run.positions_rad[inside], duration_s, run.name)

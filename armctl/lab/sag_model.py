@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from armctl.config import ArmConfig, Config, Name, validate
+from armctl.config import ArmConfig, Config, Frozen, Name, validate
 from armctl.dynamixel.ax12a import LOAD_MAX, NO_LOAD_SPEED_RAD_S, STALL_TORQUE_NM, TICK_RAD, compliance_slope
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, read_text
@@ -41,10 +41,8 @@ _log = logging.getLogger(__name__)
 Row = Annotated[tuple[float, ...], Field(strict=False)]
 
 
-class SagModel(BaseModel):
+class SagModel(Frozen):
     """Coefficients of one arm, a row a joint; stored beside its calibration."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     arm_id: Name
     calibration_hash: str = Field(max_length=64)
@@ -164,8 +162,7 @@ def load(config: Config, arm: ArmConfig) -> SagModel | None:
     Raises:
         ConfigError: the file is no sag model.
     """
-    path = path_of(config)
-    if not path.exists():
+    if not (path := path_of(config)).exists():
         return None
     try:
         data = json.loads(read_text(path, "sag model"))

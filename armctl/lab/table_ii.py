@@ -153,6 +153,5 @@ def corrected(arm: ArmConfig, rounds: int, repeats: int, seed: int, stage: Stage
         timed = replace(line, duration_s=PRINTED[via].duration_s)
         (outcome,) = experiment(rig, timed, [via], Budget(rounds, repeats, seed), model, stage)
         before[via], after[via] = [outcome.rounds[0].measured], outcome.runs
-    chain = rig.robot.chain
-    takes_m = tuple(tool_position(chain, take[:, : chain.n]) for take in takes)
+    takes_m = tuple(tool_position(rig.robot.chain, take[:, : rig.robot.chain.n]) for take in takes)
     return Corrected(rig.arm.arm_id, line, takes_m, optimum, before, after)

@@ -24,15 +24,14 @@ def record(arm: ArmConfig, cycle: TransferRequest, path: Path, *, seed: int = 0,
         LogError: the file exists, or cannot be written.
     """
     virtual = VirtualArm(SimulatedArm(arm, seed=seed), period_s)
-    robot = virtual.robot
     records = virtual.energise(FIRST_TICKS)
     begin = len(records)
-    trajectory = transfer_trajectory(cycle, virtual.goals_rad, arm, robot, period_s)
+    trajectory = transfer_trajectory(cycle, virtual.goals_rad, arm, virtual.robot, period_s)
     records += virtual.carry_out(Run(virtual.next_id(), trajectory))
     records += virtual.ticks(TAIL_TICKS)
     note = json.dumps({"event": NOTED, "cycle": cycle.model_dump()})
     # A bound on free space is the daemon's business: this file is a few hundred kilobytes.
-    context = LogContext(arm, robot, Config(log=LogConfig(free_bytes=0)), "loopback", period_s)
+    context = LogContext(arm, virtual.robot, Config(log=LogConfig(free_bytes=0)), "loopback", period_s)
     with closing(LogWriter(path, context)) as writer:
         for index, record in enumerate(records):
             writer.write_tick(record)

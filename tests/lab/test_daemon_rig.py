@@ -7,8 +7,7 @@ import pytest
 
 from armctl.client import Client
 from armctl.errors import RequestRefused
-from armctl.lab.daemon_rig import DaemonRig
-from armctl.lab.rig import Measured
+from armctl.lab.rig import DaemonRig, Measured
 from armctl.trajectory.plan import Plan
 from tests.genetic import hand
 from tests.lab.daemon import SimulatedDaemon
