@@ -131,8 +131,7 @@ def refine_poses(
         gram = JT @ J
         gram[held[:, :, None] | held[:, None, :]] = 0.0
         gram[:, np.arange(chain.n), np.arange(chain.n)] += damping[active][:, None] + held
-        step = np.linalg.solve(gram, gradient[..., None])[..., 0]
-        candidate = np.clip(q[active] + step, low, high)
+        candidate = np.clip(q[active] + np.linalg.solve(gram, gradient[..., None])[..., 0], low, high)
         candidate_error = _weighted_error(chain, candidate, T[active], weights)
         candidate_cost = (candidate_error**2).sum(axis=-1)
         better = candidate_cost < cost[active]

@@ -86,8 +86,7 @@ class SphericalWrist:
         c1 = np.where(square > 0.0, (radial * wx - offset * wy) / square, 1.0 + 0.0 * root)
         s1 = np.where(square > 0.0, (radial * wy + offset * wx) / square, 0.0 * root)
         u = radial - self.a1
-        distance = u * u + v * v
-        C = (distance - (a2 * a2 + L * L)) / (2.0 * a2 * L)
+        C = ((u * u + v * v) - (a2 * a2 + L * L)) / (2.0 * a2 * L)
         root = np.sqrt(_no_rounding((1.0 - C) * (1.0 + C), 2.0 * ROUNDING))
         S = np.concatenate((root, -root), axis=1)
         C = np.clip(C, -1.0, 1.0)

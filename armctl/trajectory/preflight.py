@@ -58,11 +58,10 @@ def preflight_motion(
         return (f"the motion has a row every {period_s} s; the period must be above 0",)
     if duration_s is None:
         duration_s = period_s * (len(q) - 1)
-    tool = tool_position(robot.chain, q[:, : robot.chain.n])
     return (
         *_against_start(q[0], start_rad, arm),
         *_against_joints(q, period_s, arm, duration_s),
-        *_against_tool_speed(tool, period_s, arm, duration_s),
+        *_against_tool_speed(tool_position(robot.chain, q[:, : robot.chain.n]), period_s, arm, duration_s),
         *_against_contact(_every_degree(q, period_s, arm), arm, robot),
     )
 

@@ -32,8 +32,7 @@ def predict_tool_path(chain: SerialChain, waypoints: FloatArray, knots: FloatArr
     Returns:
         Tool points [m], shape (..., SAMPLES, 3).
     """
-    s = time_law(np.linspace(0.0, 1.0, SAMPLES))
-    return tool_position(chain, joint_path(waypoints, knots, s, kind))
+    return tool_position(chain, joint_path(waypoints, knots, time_law(np.linspace(0.0, 1.0, SAMPLES)), kind))
 
 
 def choose_via_points(

@@ -43,8 +43,7 @@ def test_ik_answers_a_pose(method: str, answer: Answer) -> None:
 def test_ik_takes_a_matrix_as_it_takes_a_pose(answer: Answer) -> None:
     T = answer("fk", "--robot", "transfer-6dof", "--q", "0.1,-1,0.4,0.2,0.7,0.3")["T"]
     numbers = ",".join(repr(value) for row in T for value in row)
-    near = "0.1,-1,0.4,0.2,0.7,0.3"
-    found = answer("ik", "--robot", "transfer-6dof", "--T", numbers, "--near", near)
+    found = answer("ik", "--robot", "transfer-6dof", "--T", numbers, "--near", "0.1,-1,0.4,0.2,0.7,0.3")
     np.testing.assert_allclose(found["solutions"][0]["q_rad"], [0.1, -1.0, 0.4, 0.2, 0.7, 0.3], atol=1e-12)
 
 

@@ -58,8 +58,7 @@ def test_watch_is_a_live_picture_that_ctrl_c_ends_well(daemon: Path) -> None:
 
 
 def test_watch_in_a_pipe_is_plain_lines(daemon: Path) -> None:
-    command = [sys.executable, "-m", "armctl", "watch"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as watching:
+    with subprocess.Popen([sys.executable, "-m", "armctl", "watch"], stdout=subprocess.PIPE, text=True) as watching:
         assert watching.stdout is not None
         ticks = []
         for line in (watching.stdout.readline() for _ in range(2)):

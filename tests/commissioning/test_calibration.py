@@ -127,15 +127,13 @@ def test_standard_errors_own_up_to_what_was_left_alone(seed: int) -> None:
 
 def test_points_in_one_direction_hold_nothing_but_what_they_do_not_show() -> None:
     """One posture for all: hardly anything is observable, and the calibration stays near what it was."""
-    rng = np.random.default_rng(4)
-    found = fit(ARM, ideal_touches(ARM, 1, rng) * 12)
+    found = fit(ARM, ideal_touches(ARM, 1, np.random.default_rng(4)) * 12)
     assert sum(parameter.standard_error is not None for parameter in found.parameters) == 3
     assert found.rms_mm < 1e-6
 
 
 def test_too_few_touches_and_points_in_the_wrong_order_are_refused() -> None:
-    rng = np.random.default_rng(5)
-    touches = ideal_touches(ARM, 12, rng)
+    touches = ideal_touches(ARM, 12, np.random.default_rng(5))
     with pytest.raises(RequestRefused, match="4 touches, at least 5"):
         fit(ARM, touches[:4])
     shuffled = moved(touches, [taken.point_m for taken in touches[1:] + touches[:1]])

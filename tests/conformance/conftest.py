@@ -147,8 +147,7 @@ def serial_wire(kind: str, path: str) -> Iterator[Wire]:
 @contextlib.contextmanager
 def simulator(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     """The simulator as a program, until the end of the block."""
-    command = [*SIMULATOR, str(link), *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen([*SIMULATOR, str(link), *options], stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == f"ready {link}\n"

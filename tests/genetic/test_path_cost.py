@@ -48,8 +48,7 @@ def test_tables_sum_to_mean_distance_and_charges(seed: int, R: int, m: int, spre
 
 @given(st.integers(0, 2**32 - 1))
 def test_a_path_that_keeps_the_limits_beats_every_path_that_does_not(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    costs, *_ = made(rng, 3, 5, 0.1)
+    costs, *_ = made(np.random.default_rng(seed), 3, 5, 0.1)
     every = np.stack(np.meshgrid(*[np.arange(3)] * 5), axis=-1).reshape(-1, 5)
     kept = evaluate(costs.breaks, every) == 0.0
     cost = evaluate(costs.table(), every)

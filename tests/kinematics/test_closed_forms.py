@@ -108,8 +108,7 @@ def test_the_nearest_configuration_is_at_the_least_distance_and_no_sample_is_nea
 
 @given(wrists, seeds)
 def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: SphericalWrist, seed: int) -> None:
-    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (10, 6))
-    T = forward_kinematics(chain_of(arm), q)
+    T = forward_kinematics(chain_of(arm), np.random.default_rng(seed).uniform(-np.pi, np.pi, (10, 6)))
     for T_i, found in zip(T, arm.poses(T), strict=True):
         alone = np.array(arm.pose(T_i.tolist()))
         assert alone.shape == finite(found).shape

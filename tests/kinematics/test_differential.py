@@ -53,8 +53,7 @@ def test_rank_and_manipulability_tell_a_singular_arm() -> None:
 
 
 def test_joint_rates_follow_exactly_where_the_arm_is_free() -> None:
-    chain = robots.get("puma560").chain
-    J = jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, 0.9, 0.3]))
+    J = jacobian(robots.get("puma560").chain, np.array([0.1, -1.0, 0.4, 0.2, 0.9, 0.3]))
     wanted = np.array([0.1, -0.05, 0.02, 0.3, -0.2, 0.1])
     np.testing.assert_allclose(J @ joint_rates(J, wanted), wanted, atol=1e-12)
 

@@ -105,8 +105,7 @@ def test_the_puma_of_table_2_has_eight_solutions() -> None:
 
 def test_the_solution_nearest_to_the_present_comes_first() -> None:
     robot = robots.get("puma560")
-    q = in_range(robot, 1)[0]
-    target = pose_target(forward_kinematics(robot.chain, q))
+    target = pose_target(forward_kinematics(robot.chain, in_range(robot, 1)[0]))
     answer = solve(robot, target)
     for one in answer.solutions:
         near = np.array(one.q_rad) + 0.01
@@ -136,8 +135,7 @@ def test_solutions_outside_the_ranges_are_marked_and_come_last() -> None:
 
 
 def test_a_rotation_the_arm_cannot_take_leaves_the_position_exact() -> None:
-    robot = robots.get("lanzhou-4dof")
-    answer = solve(robot, pose_target(pose_from_xyz_rpy(0.2, 0.1, -0.05, 0.4, 0.3, -0.2)))
+    answer = solve(robots.get("lanzhou-4dof"), pose_target(pose_from_xyz_rpy(0.2, 0.1, -0.05, 0.4, 0.3, -0.2)))
     assert not answer.reachable
     assert answer.least_position_error_m == 0.0
     assert answer.solutions[0].position_error_m < 1e-12
@@ -177,8 +175,7 @@ def test_typed_rounding_of_a_rotation_is_removed() -> None:
 def test_without_a_closed_form_the_numeric_one_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inverse, "MOST_STARTS", 3)
     robot = dataclasses.replace(robots.get("lanzhou-4dof"), make_closed_form=None)
-    q = in_range(robot, 1)[0]
-    assert solve(robot, pose_target(forward_kinematics(robot.chain, q))).reachable
+    assert solve(robot, pose_target(forward_kinematics(robot.chain, in_range(robot, 1)[0]))).reachable
     far = solve(robot, point_target((1.0, 0.0, 0.0)))
     assert not far.reachable
     assert far.least_position_error_m == pytest.approx(far.solutions[0].position_error_m)

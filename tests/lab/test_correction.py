@@ -207,8 +207,7 @@ def test_a_tool_seen_beside_where_the_encoders_have_it_is_brought_to_the_line(on
 
 def test_smoothing_keeps_what_is_constant_and_averages_noise() -> None:
     np.testing.assert_allclose(correction.smoothed(np.full((51, 2), 3.0), 0.1), 3.0)
-    noise = np.random.default_rng(0).standard_normal((501, 1))
-    assert correction.smoothed(noise, 0.1).std() < 0.5
+    assert correction.smoothed(np.random.default_rng(0).standard_normal((501, 1)), 0.1).std() < 0.5
 
 
 def test_a_correction_that_did_not_help_is_tried_again_from_the_kept_plan_at_half_the_gain(

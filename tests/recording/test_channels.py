@@ -23,8 +23,7 @@ MOVING = RECORDS[30]
 def messages(record: TickRecord) -> dict[str, list[Value]]:
     found: dict[str, list[Value]] = {}
     for topic, value in tick_messages(record):
-        data = TOPICS[topic].codec.encode(value)
-        found.setdefault(topic, []).append(TOPICS[topic].codec.decode(data))
+        found.setdefault(topic, []).append(TOPICS[topic].codec.decode(TOPICS[topic].codec.encode(value)))
     return found
 
 

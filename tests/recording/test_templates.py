@@ -35,8 +35,7 @@ def test_a_template_gives_the_bytes_of_the_codec(name: str) -> None:
         if name == "builtin_interfaces/Duration":
             return
         value = stamped(value, {"sec": sec, "nanosec": nanosec})
-        template = Template(name, value)
-        assert template.encode([sec, nanosec, *message_numbers(name, value)]) == codec(name).encode(value)
+        assert Template(name, value).encode([sec, nanosec, *message_numbers(name, value)]) == codec(name).encode(value)
 
     check()
 

@@ -24,8 +24,7 @@ CHAIN = robots.get("ax12-line").chain
 
 def test_arm_starts_limp_in_its_rest_pose_and_stays(bench: Bench) -> None:
     bench.wait(1e6)  # at rest time costs nothing, or this would take hours
-    rest = [joint.rest_rad for joint in bench.arm.config.joints]
-    assert bench.arm.true_positions() == pytest.approx(rest, abs=1e-9)
+    assert bench.arm.true_positions() == pytest.approx([joint.rest_rad for joint in bench.arm.config.joints], abs=1e-9)
     assert not any(servo.torque_enabled for servo in bench.arm.servos)
 
 

@@ -91,8 +91,7 @@ def test_wobble_that_leaves_the_reach_does_not_stop_the_hand(simulated: Simulate
     simulated.advance(NS_PER_S)
     edge = 0.3795
     begin, end = np.array([edge, 0.0, 0.1]), np.array([edge * math.cos(0.3), edge * math.sin(0.3), 0.1])
-    guided = simulated.hand.guide(begin, end, seed=1)
-    simulated.advance(NS_PER_S + round(guided.duration_s * 1e9))
+    simulated.advance(NS_PER_S + round(simulated.hand.guide(begin, end, seed=1).duration_s * 1e9))
     assert np.linalg.norm(simulated.true_tool_position() - end) < 0.05
 
 

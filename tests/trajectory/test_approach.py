@@ -20,8 +20,7 @@ POSES = st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints))
 def test_no_approach_is_faster_than_20_degrees_a_second_or_the_tool_limit(
     q0: tuple[float, ...], q1: tuple[float, ...]
 ) -> None:
-    way = approach_trajectory(q0, q1, ARM, ROBOT, PERIOD_S, "x")
-    q = np.array(way.positions_rad)
+    q = np.array(approach_trajectory(q0, q1, ARM, ROBOT, PERIOD_S, "x").positions_rad)
     np.testing.assert_allclose(q[[0, -1]], [q0, q1], atol=1e-12)
     assert np.abs(np.diff(q, axis=0)).max() / PERIOD_S <= math.radians(20.0) * 1.001
     tool = tool_position(ROBOT.chain, q[:, : ROBOT.chain.n])

@@ -57,8 +57,7 @@ def test_crossed_parallel_touching_and_pointlike_segments(ends: tuple[tuple[floa
 
 
 def test_mujoco_finds_the_same_gaps_between_the_links_of_random_poses() -> None:
-    rng = np.random.default_rng(4)
-    points = link_points(CHAIN, rng.uniform(LIMITS[:, 0], LIMITS[:, 1], (200, CHAIN.n)))
+    points = link_points(CHAIN, np.random.default_rng(4).uniform(LIMITS[:, 0], LIMITS[:, 1], (200, CHAIN.n)))
     pairs = judged_pairs(points[0], RADIUS_M)
     ours = link_clearance(points, pairs, RADIUS_M)
     lengths = np.linalg.norm(np.diff(points[0], axis=0), axis=1)

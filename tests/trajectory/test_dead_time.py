@@ -14,8 +14,7 @@ def test_rest_at_both_ends_goes_and_the_motion_stays(before: int, after: int, ti
     way = np.linspace(0.0, 1.0, ticks + 1)[:, None] * np.array([ticks * 10.0 * TICK_RAD, -0.1])
     rest = np.concatenate([np.repeat(way[:1], before, axis=0), way, np.repeat(way[-1:], after, axis=0)])
     noise = np.random.default_rng(seed).integers(-1, 2, rest.shape) * TICK_RAD
-    found = moving_part(rest + noise)
-    assert found == slice(before, len(rest) - after)
+    assert moving_part(rest + noise) == slice(before, len(rest) - after)
 
 
 def test_an_arm_that_never_moves_keeps_all_its_samples() -> None:

@@ -28,8 +28,7 @@ def test_time_law_runs_from_0_to_1_and_never_stops_or_turns() -> None:
 
 
 def test_time_law_rests_at_both_ends_and_peaks_below_1_3_means() -> None:
-    u = np.linspace(0.0, 1.0, 4001)
-    speed = np.diff(time_law(u)) * 4000.0
+    speed = np.diff(time_law(np.linspace(0.0, 1.0, 4001))) * 4000.0
     acceleration = np.diff(speed) * 4000.0
     assert max(speed[0], speed[-1]) < 1e-6
     assert speed.max() == pytest.approx(PEAK_SPEED, rel=1e-6)
@@ -44,8 +43,7 @@ def test_time_of_progress_inverts_the_time_law(s: float) -> None:
 
 
 def test_a_way_from_rest_to_rest_rests_at_both_ends_with_the_stated_peaks() -> None:
-    u = np.linspace(0.0, 1.0, 4001)
-    q = rest_to_rest(np.array([1.0, 0.0]), np.array([2.0, -3.0]), u)
+    q = rest_to_rest(np.array([1.0, 0.0]), np.array([2.0, -3.0]), np.linspace(0.0, 1.0, 4001))
     assert q[0].tolist() == [1.0, 0.0]
     assert q[-1].tolist() == [2.0, -3.0]
     speed = np.diff(q[:, 0]) * 4000.0

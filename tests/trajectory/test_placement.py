@@ -58,8 +58,7 @@ def test_what_is_predicted_is_what_the_interpolated_motion_does() -> None:
 @settings(max_examples=10)
 def test_a_smooth_lag_is_made_up_for(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    m = 51
-    s = time_law(np.linspace(0.0, 1.0, m))
+    s = time_law(np.linspace(0.0, 1.0, 51))
     lag = 0.03 * (rng.standard_normal(5) + rng.standard_normal(5) * s[:, None])
     waypoints, knots = joint_path(LINE, np.linspace(0.0, 1.0, 65), s, "linear"), s.copy()
     knots[0], knots[-1] = 0.0, 1.0

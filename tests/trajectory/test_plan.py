@@ -89,8 +89,7 @@ def test_text_that_is_no_plan_is_refused(text: str, match: str) -> None:
 
 
 def test_the_plan_runs_between_its_ends_and_stands_still_outside() -> None:
-    plan = make_plan()
-    q = plan_positions(plan, np.array([-1.0, 0.0, 2.5, 5.0, 6.0]))
+    q = plan_positions(make_plan(), np.array([-1.0, 0.0, 2.5, 5.0, 6.0]))
     np.testing.assert_allclose(q[[0, 1, 3, 4]], LINE[[0, 0, 64, 64]], atol=1e-12)
     np.testing.assert_allclose(tool_position(ROBOT.chain, q[:, :5])[2], [0.18, 0.0, 0.10], atol=1e-3)
 
@@ -100,8 +99,7 @@ def test_the_plan_runs_between_its_ends_and_stands_still_outside() -> None:
 def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_marks(
     period_s: float, duration_s: float, seed: int
 ) -> None:
-    rng = np.random.default_rng(seed)
-    q_now = (np.array(REST) + rng.uniform(-1.5, 1.5, 6)).tolist()
+    q_now = (np.array(REST) + np.random.default_rng(seed).uniform(-1.5, 1.5, 6)).tolist()
     plan = make_plan(duration_s=duration_s)
     trajectory = joint_trajectory(plan, ARM, q_now, period_s)
     q = np.array(trajectory.positions_rad)

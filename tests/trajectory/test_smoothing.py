@@ -22,8 +22,7 @@ def test_a_cubic_passes_unchanged_whenever_it_is_sampled(coefficients: list[floa
 
 def test_whole_ticks_give_a_far_smoother_acceleration_than_their_differences_do() -> None:
     time_s = np.linspace(0.0, 9.9, 100)
-    true = np.cos(time_s)
-    ticks = np.round(true / TICK_RAD) * TICK_RAD
+    ticks = np.round(np.cos(time_s) / TICK_RAD) * TICK_RAD
     smooth = local_cubics(time_s, ticks[:, None], time_s[10:-10], 0.55)[2][:, 0]
     differences = np.diff(ticks, 2)[9:-9] / 0.01
     true_rad_s2 = -np.cos(time_s[10:-10])

@@ -16,8 +16,7 @@ PROGRESS = np.linspace(0.0, 1.0, len(LINE))
 
 def error_mm(indices: tuple[int, ...], kind: Interpolation) -> float:
     kept = [0, *indices, len(LINE) - 1]
-    tool = predict_tool_path(CHAIN, LINE[kept], PROGRESS[kept], kind)
-    return float(mean_error(tool, hand.A, hand.B)) * 1e3
+    return float(mean_error(predict_tool_path(CHAIN, LINE[kept], PROGRESS[kept], kind), hand.A, hand.B)) * 1e3
 
 
 def chosen(count: int, kind: Interpolation, every: int = 1) -> tuple[int, ...]:

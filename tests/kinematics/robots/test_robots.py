@@ -82,8 +82,7 @@ def test_model_eq_18_of_xiang_holds_for_all_three_coordinates() -> None:
 @pytest.mark.parametrize(("name", "length"), [("puma560", "a2"), ("lanzhou-4dof", "a5"), ("transfer-6dof", "d6")])
 def test_lengths_change_and_the_closed_form_with_them(name: str, length: str) -> None:
     robot = robots.get(name, {length: 0.5})
-    q = np.full(robot.chain.n, 0.4)
-    T = forward_kinematics(robot.chain, q)
+    T = forward_kinematics(robot.chain, np.full(robot.chain.n, 0.4))
     assert robot.closed_form is not None
     assert_at(robot.chain, finite(robot.closed_form.poses(T[None])), T)
     with pytest.raises(ConfigError, match="is no length"):
