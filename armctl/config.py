@@ -26,6 +26,7 @@ MAX_YAML_BYTES = 65536
 MAX_YAML_DEPTH = 16
 # 5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked.
 MAX_GRIP_TICK = 20
+# How many faults of a file or a request are told at once.
 MAX_FAULTS = 20
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
