@@ -74,7 +74,7 @@ def test_a_run_is_found_with_its_window_and_its_ends(log: Path) -> None:
 
 def test_requests_and_events_are_told_in_order(tmp_path: Path) -> None:
     note = {"request": "torque_on", "who": "uid 1", "outcome": "BUSY", "reasons": ["taken"]}
-    found = timeline.load(write(tmp_path / "a.mcap", RECORDS[:5], notes={2: [json.dumps(note), "no JSON"]}))
+    found = timeline.load(write(tmp_path / "a.mcap", RECORDS[:6], notes={2: [json.dumps(note), "no JSON"]}))
     assert [one.code for one in found.happenings] == ["CONNECTED", "REQUEST", "WRITE", "STATE", "WRITE"]
     assert found.happenings[1].text == "torque_on by uid 1: BUSY: taken"
 

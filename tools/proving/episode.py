@@ -51,6 +51,8 @@ ARM = "ax12-line"
 NEAR_S = 2.0
 # A control process that could not open the port is started again so much later.
 RESTART_S = 1.0
+# Before a fault is cleared its servos are identified; silent ones take so long at most.
+IDENTIFIED_S = 3.0
 
 
 class Over(BaseException):
@@ -332,10 +334,12 @@ class Episode:
         self._count(record)
         for index, text in differences(self._judged, self.watch.replies, record.inputs.sample.servos, outputs.joints):
             self.judge.misread(now_s, index, text)
-        if code_before and not code and len(self.watch.identified) < len(self._arm.joints):
+        # A control process that begins has cleared nothing.
+        latest_ns = [self.watch.identified_ns.get(servo_id, -NS_PER_S * 9) for servo_id in self._arm.servo_ids]
+        anew = self._clock.now_ns() - min(latest_ns) <= IDENTIFIED_S * NS_PER_S
+        if code_before and not code and record.inputs.tick and not anew:
             self.judge.found(now_s, "7", f"{code_before} was cleared, and the servos were not identified anew")
         self.watch.replies.clear()
-        self.watch.identified.clear()
         self.clerk.see(now_s, record)
         self._repeat(record)
         if self._log is not None:

@@ -67,6 +67,8 @@ REST_SPEED_DEG_S = 20.0
 # From the last goal that may advance to an arm that is still.
 REST_S = 0.3
 AGE_S = 0.25
+# A bus that is heard again: looked for, identified, and the silent ones of it told.
+FOUND_S = 2.5
 BURST_S = 0.25
 BURST = 4
 # A heartbeat counts for 80 ms; then the arm stops.
@@ -97,6 +99,8 @@ class Judge(TorqueJudge):
         # When each servo was last heard, and where it said it was.
         self._heard_s = self._duties.heard_s
         self._told = [0] * n
+        # When last no servo had been heard for some time.
+        self._deaf_s = -math.inf
         # How many goals in a row each servo may have missed, for they were damaged.
         self._missed = [0] * n
         self._asked_s: dict[str, float] = {}
@@ -336,8 +340,10 @@ class Judge(TorqueJudge):
             self._duties.must_stop(from_s, f"a tick came {gap_s:.2f} s late", by_clear=False, invariant="6")
         if self._mode == JOGGING and now_s - self._asked_s.get("jog", now_s) > JOGS_S + max(0.0, gap_s):
             self._violate("status", now_s, -1, "the arm is told to be jogged, and nobody asks for it")
+        if now_s - max(self._heard_s) > AGE_S:
+            self._deaf_s = now_s
         for what, by_name in self._duties.overdue(now_s):
-            if by_name and now_s - max(self._heard_s) > AGE_S:
+            if by_name and now_s - self._deaf_s < FOUND_S:
                 continue  # of a bus that is not heard at all there is nothing more to tell
             text = f"{what}, and nobody reports it" + (f" beside {self._code}" if by_name else "")
             self._violate("faults" if by_name else "rows", now_s, -1, text)

@@ -9,7 +9,7 @@
 | stall | a motor's output beyond what gravity asks for, at standstill | 0.3 (and 0.12 of friction) for 3.5 s; 2 s |
 | | | after a stop or a latch |
 | rest | the way to rest for heat, supply, load | after a cause that lasted (2, 0.5, 2 s), 3 s after it was told |
-| yields | goals held while OTHER_WRITER is told, its writer gone for 0.6 s | this program's |
+| yields | goals held while OTHER_WRITER is told, its writer gone for 0.6 s | this program's, or OVERRULED is told |
 | limp | what `release` answers | every servo is without torque, or it is refused |
 | cause | torque that comes on | not while the cause of a rest stands |
 """
@@ -171,7 +171,8 @@ class StandingJudge(ShaftJudge):
         if code == "LOST_TORQUE" and before and all(servo.torque and servo.limit == FULL_LIMIT for servo in before):
             return "" if duties.lately(now_s, {"trip", "brown_out", "same_id"}, JUST_NOW_S) else "every servo holds"
         struck_by = {"second_writer", "mute", "dead_bus", "lost", "unplug", "same_id", "brown_out"}
-        if code == "NOT_LIMP" and not duties.lately(now_s, struck_by, JUST_NOW_S):
+        unheard = now_s - min(duties.heard_s) > HEARD_LATELY_S
+        if code == "NOT_LIMP" and not unheard and not duties.lately(now_s, struck_by, JUST_NOW_S):
             return "" if duties.may_be_forged(now_s) else "torque is where it was asked for"
         if code == "PORT_GONE" and not duties.lately(now_s, {"unplug"}, JUST_NOW_S):
             return "the adapter is in"
@@ -213,7 +214,9 @@ class StandingJudge(ShaftJudge):
         self._watch_torque(now_s, servos)
         self._watch_silence(now_s)
         gone = not self._duties.writer_in_force(now_s, WRITER_GONE_S) and not self._duties.may_be_forged(now_s)
-        if "OTHER_WRITER" in self._codes and gone and not self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT"}:
+        # To one that went on, which is told as OVERRULED, the arm is left.
+        elsewhere = self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT", "OVERRULED"}
+        if "OTHER_WRITER" in self._codes and gone and not elsewhere:
             self._watch_held(now_s, servos)
 
     def _watch_held(self, now_s: float, servos: Sequence[Servo]) -> None:

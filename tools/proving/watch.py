@@ -107,9 +107,9 @@ class Watch:
         self._heard: set[int] = set()
         self._sent: list[Sent] = []
         self._before: list[Servo] = []
-        # The good replies of this tick, and whose EEPROM was read in it.
+        # The good replies of this tick, and when whose EEPROM was read last [ns].
         self.replies: dict[int, Heard] = {}
-        self.identified: set[int] = set()
+        self.identified_ns: dict[int, int] = {}
 
     def now_s(self, now_ns: int) -> float:
         """The judge's time: the clock's."""
@@ -137,7 +137,7 @@ class Watch:
                 self._asked[index] = self._asked.get(index, 0) + 1
             else:
                 self._identifying = True
-                self.identified.add(packet[2])
+                self.identified_ns[packet[2]] = now_ns
             return
         if packet[4] == PING:
             return
