@@ -190,7 +190,7 @@ def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else(holding: Bench) -> Non
     holding.tick(Mode.FAULTED, "HOT")
     assert advancing(holding, mode=Mode.FAULTED, code="HOT") is None
     holding.move(-5, mode=Mode.FAULTED, code="HOT")
-    assert holding.broken == {"7"}
+    assert holding.broken == {"7", "rest"}
 
 
 def test_7_a_fault_that_is_cleared_though_its_cause_lasts(holding: Bench) -> None:

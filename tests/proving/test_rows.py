@@ -70,10 +70,10 @@ def test_a_fault_that_nobody_reports_or_under_another_code(moving: Bench, kind: 
     moving.tick(Mode.MOVING)
     said = {"well": (Mode.FAULTED, code), "wrongly": (Mode.FAULTED, "OVERLOAD"), "not at all": (Mode.MOVING, "")}[told]
     moving.ticks(26 if kind == "hot" else 10, *said)
-    assert moving.broken == (set() if told == "well" else {"rows"})
+    assert moving.broken == (set() if told == "well" else {"rows", "faults"})
 
 
-@pytest.mark.parametrize(("told", "broken"), [(True, set()), (False, {"6", "rows"})])
+@pytest.mark.parametrize(("told", "broken"), [(True, set()), (False, {"6", "rows", "faults"})])
 @pytest.mark.parametrize("duration_s", [0.01, 0.15, 1.0])
 def test_every_unplug_however_short_stops_the_arm_and_is_reported(
     moving: Bench, duration_s: float, told: bool, broken: set[str]

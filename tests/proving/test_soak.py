@@ -192,7 +192,6 @@ def test_a_failing_episode_is_shrunk_and_told_with_the_command_that_repeats_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("armctl.control.sequences.SOFT_TORQUE", 700)
-    monkeypatch.setattr("armctl.control.requests.SOFT_TORQUE", 700)
     told: list[str] = []
     result = soak.prove(1, episode=4, budget_s=10.0, tell=told.append)
     assert result["violations"] > 0
