@@ -12,7 +12,9 @@ from armctl.kinematics import robots
 from armctl.trajectory.collision import link_points
 from proving import reading
 from proving.arms import SHIPPED, arm_of, arm_text, drawn, varied
+from proving.episode import Episode
 from proving.motions import MotionJudge
+from proving.soak import drawn_by
 
 TOOLS = Path(reading.__file__).parent
 JUDGING = (
@@ -132,3 +134,16 @@ def test_a_file_tells_all_that_is_left_out_by_what_the_manual_says() -> None:
         0.025,
     )
     assert (arm.joints[0].low, arm.joints[0].high, arm.joints[0].full_limit) == (478, 546, 1023)
+
+
+@pytest.mark.parametrize("cut", [3, 4, 20])
+def test_a_reply_behind_the_rest_of_a_broken_one_is_heard(cut: int) -> None:
+    on, story = drawn_by(1, 0)
+    watch = Episode(story, on).watch
+    servo_id = on.arm.servo_ids[1]
+    body = [servo_id, reading.STATUS_SIZE + 2, *range(reading.STATUS_SIZE + 1)]
+    reply = bytes([0xFF, 0xFF, *body, ~sum(body) & 0xFF])
+    watch.before(bytes([0xFF, 0xFF, servo_id, 4, reading.READ, reading.STATUS_BEGIN, 0, 0]), 10**9)
+    watch.received += reply[:cut] + reply
+    watch.hear(10**9)
+    assert watch.replies[1].data == reply[5:-1]

@@ -157,16 +157,18 @@ class Watch:
     def hear(self, now_ns: int) -> None:
         """Whatever has come from the servo asked last is all that came."""
         pending, received = self._pending, self.received
-        if pending is not None and len(received) >= STATUS_REPLY:
-            at = received.find(self._heads[pending])
+        at = -1 if pending is None else received.find(self._heads[pending])
+        while pending is not None and at >= 0:  # what looks like its head may be the rest of a broken reply
             reply = received[at + 2 : at + STATUS_REPLY]
-            if at >= 0 and len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
+            if len(reply) == STATUS_REPLY - 2 and sum(reply) & 0xFF == 0xFF:
                 index = self._index[pending]
                 self.replies[index] = Heard(reply[2], bytes(reply[3:-1]))
                 torque, goal = reply[TORQUE_AT], reply[GOAL_AT] | reply[GOAL_AT + 1] << 8
                 position = reply[POSITION_AT] | reply[POSITION_AT + 1] << 8
                 self._judge.heard(self.now_s(now_ns), index, position, goal if torque else None)
                 self._heard.add(index)
+                break
+            at = received.find(self._heads[pending], at + 1)
         self._pending = None
         received.clear()
 
