@@ -45,6 +45,7 @@ from proving.duties import STOP_S
 from proving.evidence import Known, Sent, Servo, Strain
 from proving.reading import (
     ADVANCING,
+    ANNOUNCED_S,
     EEPROM_END,
     GOAL,
     HOLDING,
@@ -60,6 +61,7 @@ from proving.reading import (
     Arm,
 )
 from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, copied
+from proving.standing import SLACK_S
 from proving.torque import HERE_TICKS, TorqueJudge
 
 LEAD_TICKS = 12.0 / TICK_DEG
@@ -78,6 +80,8 @@ JOGS_S = 0.5 + 0.1 + STOP_S
 # Late by the bound of 250 ms, whatever the two readings took.
 LATE_S = 0.35
 DEAD_S = 0.25
+# What keeps an arm from going to rest while it lasts.
+HINDRANCES = frozenset({"mute", "dead_bus", "lost", "unplug", "second_writer"})
 STOPS = frozenset({"hold", "pause", "host_lost", "host_silent"})
 MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
 
@@ -110,6 +114,8 @@ class Judge(TorqueJudge):
         self._clears_and_moves = False
         # What is right if this tick's report tells of a fault that sends the arm to rest at once.
         self._unless_settling: list[tuple[str, float, int, str]] = []
+        # When something last kept the arm from going to rest.
+        self._hindered_s = -math.inf
         # Whether another program is taking over, and nobody has asked it for anything yet.
         self._adopting = False
 
@@ -342,6 +348,10 @@ class Judge(TorqueJudge):
             self._violate("status", now_s, -1, "the arm is told to be jogged, and nobody asks for it")
         if now_s - max(self._heard_s) > AGE_S:
             self._deaf_s = now_s
+        if now_s - min(self._heard_s) > AGE_S or self._duties.lately(now_s, HINDRANCES, 0.0):
+            self._hindered_s = now_s
+        elif self._codes & RESTING.keys() and now_s - self._hindered_s > ANNOUNCED_S - SLACK_S:
+            self._duties.cleared()  # what sends the arm to rest has outlasted what kept it from going
         for what, by_name in self._duties.overdue(now_s):
             if by_name and now_s - self._deaf_s < FOUND_S:
                 continue  # of a bus that is not heard at all there is nothing more to tell
