@@ -164,11 +164,12 @@ def _detect_contact(s: Tick) -> None:
         state.push_since_ns = ()
         return
     push_ratio = pushes(s)
-    state.push_since_ns = _since(s, state.push_since_ns, [push > PUSH_RATIO for push in push_ratio])
+    state.push_since_ns = _since(s, state.push_since_ns, [push > 0.0 for push in push_ratio])
     for i, since_ns in enumerate(state.push_since_ns):
         if _lasts(s, since_ns, PUSH_S):
-            found = f"pushes with {push_ratio[i]:.0%} of its strength beyond what gravity explains"
-            if s.latch_servo("CONTACT", i, f"{found} for {PUSH_S:g} s (bound {PUSH_RATIO:.0%})"):
+            found = f"pushes with {abs(s.joints[i].load_ratio):.0%} of its strength"
+            bound = abs(s.joints[i].load_ratio) - push_ratio[i]
+            if s.latch_servo("CONTACT", i, f"{found} for {PUSH_S:g} s (bound {bound:.0%}, for what it may bear here)"):
                 relieve(s, i)
 
 

@@ -6,8 +6,9 @@ Rules.
    (`SERVO_KG`), and a tool with all it may carry (`TOOL_KG`). A gripper may grip besides. The servo's own slope and
    margin make a distance from the goal of an output.
 2. After a stop or a fault, once the arm stands, a joint whose goal lies over `PUSH_RAD` farther off than that is
-   relieved: its goal becomes where it is. One that stands and gives `PUSH_RATIO` more output than that for 2 s is
-   a fault, CONTACT (see detect.py), and relieved too.
+   relieved: its goal becomes where it is. One that stands and gives `PUSH_RATIO` more output than the middle of what
+   gravity explains, and `FRICTION_RATIO` more than all of it, for 2 s, is a fault, CONTACT (see detect.py), and
+   relieved too.
 3. What comes back after a relief is a weight, such as a load in the gripper: from then on gravity explains that as
    well, until torque goes off. So no joint is relieved twice for it, and gravity walks no arm down.
 """
@@ -26,6 +27,8 @@ from armctl.kinematics.chain import joint_axes
 
 PUSH_RAD = math.radians(3.0)
 PUSH_RATIO = 0.3
+# What a joint's own friction may keep its motor working.
+FRICTION_RATIO = 0.1
 # A joint that has been slower than this for so long stands.
 STAND_RAD_S = math.radians(5.0)
 STAND_NS = 300_000_000
@@ -84,13 +87,14 @@ def stands(s: Tick, index: int) -> bool:
 
 
 def pushes(s: Tick) -> list[float]:
-    """By how much every joint's output is beyond what gravity explains, as a share of its strength; 0 of one that
-    moves, or is limp or unheard.
+    """By how much every joint's output is beyond what may be, as a share of its strength; not above 0: it is not, or
+    the joint moves, is limp or unheard.
     """
-    return [
-        max(low - joint.load_ratio, joint.load_ratio - high, 0.0) if stands(s, i) else 0.0
-        for i, (joint, (low, high)) in enumerate(zip(s.joints, explained_ratio(s), strict=True))
-    ]
+    found = []
+    for i, (joint, (low, high)) in enumerate(zip(s.joints, explained_ratio(s), strict=True)):
+        beyond = max(low - joint.load_ratio, joint.load_ratio - high)
+        found.append(beyond - max(PUSH_RATIO - (high - low) / 2.0, FRICTION_RATIO) if stands(s, i) else 0.0)
+    return found
 
 
 def explained_ratio(s: Tick) -> list[tuple[float, float]]:
