@@ -82,9 +82,13 @@ class Bench:
     def at(self, ticks: float, index: int = 0) -> None:
         self.servos[index].shaft_tick, self.servos[index].sensed_tick = ticks, round(ticks)
 
-    def feel(self, output: float = 0.0, *, gravity: float = 0.0, volts: float = 12.0, celsius: float = 30.0) -> None:
+    def feel(
+        self, output: float = 0.0, *, gravity: float = 0.0, volts: float = 12.0, celsius: float = 30.0,
+        carrying: float | None = None,
+    ) -> None:  # fmt: skip
         """What joint 0 works and feels from now on; the others rest."""
-        self.strains = [Strain(output, gravity, volts, celsius), *(Strain(0.0, 0.0, 12.0, 30.0) for _ in range(N - 1))]
+        one = Strain(output, gravity, volts, celsius, carrying)
+        self.strains = [one, *(Strain(0.0, 0.0, 12.0, 30.0) for _ in range(N - 1))]
 
     @property
     def red(self) -> set[str]:

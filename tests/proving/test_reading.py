@@ -31,7 +31,14 @@ JUDGING = (
     "readings",
 )
 # The simulated arm, on which all is judged: its planned faults, its servos, its line and its clock.
-ALLOWED = {"armctl.sim.faults", "armctl.sim.arm", "armctl.sim.bus", "armctl.sim.loopback", "armctl.clock"}
+ALLOWED = {
+    "armctl.sim.faults",
+    "armctl.sim.arm",
+    "armctl.sim.bus",
+    "armctl.sim.gravity",
+    "armctl.sim.loopback",
+    "armctl.clock",
+}
 
 
 @pytest.mark.parametrize("module", JUDGING)

@@ -47,6 +47,21 @@ def test_no_motor_pushes_for_good_beyond_gravity(
     assert holding.red == broken
 
 
+@pytest.mark.parametrize(("output", "broken"), [(0.8, set()), (1.0, {"stall"}), (-0.5, {"stall"})])
+def test_what_an_arm_may_carry_is_no_push(holding: Bench, output: float, broken: set[str]) -> None:
+    holding.feel(output, gravity=0.3, carrying=0.5)
+    holding.ticks(40, Mode.FAULTED, "BUS_NOISE")
+    assert holding.red & {"stall"} == broken
+
+
+@pytest.mark.parametrize(("output", "broken"), [(0.1, {"rows"}), (0.4, set())])
+def test_contact_needs_a_joint_that_pushes(holding: Bench, output: float, broken: set[str]) -> None:
+    holding.feel(output)
+    holding.ticks(25, Mode.HOLDING)
+    holding.tick(Mode.FAULTED, "CONTACT")
+    assert holding.red == broken
+
+
 @pytest.mark.parametrize("why", ["hold", "latch"])
 def test_what_is_stopped_pushes_for_two_seconds_at_most(holding: Bench, why: str) -> None:
     holding.feel(0.5)

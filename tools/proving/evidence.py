@@ -43,6 +43,8 @@ class Strain:
     gravity: float
     voltage_V: float
     temperature_degC: float
+    # As much as gravity would ask for with what an arm may carry, which nobody can tell from a push.
+    carrying: float | None = None
 
 
 @dataclass(slots=True)

@@ -6,7 +6,7 @@
 | | | within 5 such ticks; `holding`: no goal advances |
 | rows, held | a fault that is newly told | its cause is there, or was just now; a lost goal is no other program |
 | faults | every fault that is certain | under its own name among all that are told, another one being latched |
-| stall | a motor's output beyond what gravity asks for, at standstill | 0.3 (and 0.12 of friction) for 3.5 s; 2 s |
+| stall | output at standstill beyond what gravity asks for, with 150 g at the tool or not | 0.42 for 3.5 s; 2 s |
 | | | after a stop or a latch |
 | rest | the way to rest for heat, supply, load | after a cause that lasted (2, 0.5, 2 s), 3 s after it was told |
 | yields | goals held while OTHER_WRITER is told, its writer gone for 0.6 s | this program's, or OVERRULED is told |
@@ -24,6 +24,7 @@ from proving.shafts import STILL_TICKS, ShaftJudge
 
 # More than gravity asks for: what is a fault, and what stiction may keep.
 PUSH = 0.3 + 0.12
+LEAST_PUSH = 0.2
 PUSH_S, PUSH_STOPPED_S = 3.5, 2.0
 # Of a cause that has to last: the reading before it, and the one that ends it.
 SLACK_S = 0.25
@@ -50,14 +51,14 @@ class StandingJudge(ShaftJudge):
     def __init__(self, arm: Arm, period_s: float) -> None:
         super().__init__(arm, period_s)
         n = len(arm.joints)
-        # All faults that are told.
-        # Since when the worst of them is told.
-        self._fault_s = -math.inf
+        # All faults that are told; since when the worst of them is.
         self._codes: Set[str] = frozenset()
+        self._fault_s = -math.inf
         # Since when one is told that may send the arm to rest.
         self._announced_s = math.inf
-        # Since when each servo pushes against something.
+        # Since when each servo pushes against something; when any last worked more than gravity asks for.
         self._push_s = [math.inf] * n
+        self._pushed_s = -math.inf
         # Since when, and when last, some servo has been too hot, or its supply out of range.
         self._since_s = {"HOT": math.inf, "VOLTAGE": math.inf}
         self._last_s = {"HOT": -math.inf, "VOLTAGE": -math.inf}
@@ -174,6 +175,8 @@ class StandingJudge(ShaftJudge):
         unheard = now_s - min(duties.heard_s) > HEARD_LATELY_S
         if code == "NOT_LIMP" and not unheard and not duties.lately(now_s, struck_by, JUST_NOW_S):
             return "" if duties.may_be_forged(now_s) else "torque is where it was asked for"
+        if code == "CONTACT" and now_s - self._pushed_s > JUST_NOW_S:
+            return "no joint pushes"
         if code == "PORT_GONE" and not duties.lately(now_s, {"unplug"}, JUST_NOW_S):
             return "the adapter is in"
         return ""
@@ -231,8 +234,11 @@ class StandingJudge(ShaftJudge):
         reachable = lately and not duties.may_be_forged(now_s) and not duties.writer_in_force(now_s, JUST_NOW_S)
         still = abs(servo.shaft_tick - before.shaft_tick) <= STILL_TICKS and servo.goal == before.goal
         # A motor that does less than gravity asks for holds back; it does not push.
-        needed = min(max(strain.output, min(strain.gravity, 0.0)), max(strain.gravity, 0.0))
+        may = (0.0, strain.gravity, strain.gravity if strain.carrying is None else strain.carrying)
+        needed = min(max(strain.output, min(may)), max(may))
         pushes = servo.torque and abs(strain.output - needed) > PUSH
+        if servo.torque and abs(strain.output - strain.gravity) > LEAST_PUSH:
+            self._pushed_s = now_s
         if not (pushes and still and reachable):
             self._push_s[i] = math.inf
             return

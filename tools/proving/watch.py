@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Sequence
+from itertools import chain, repeat
 
 import numpy as np
 
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
+from armctl.sim.gravity import PointMasses
 from armctl.sim.loopback import LoopbackPort
 from proving.evidence import Sent, Servo, Strain
 from proving.invariants import Judge
@@ -37,6 +39,8 @@ from proving.readings import Heard
 STATUS_REPLY = STATUS_SIZE + 6
 # The supply at which a motor gives its stall torque.
 RATED_V = 12.0
+# What an arm may carry at its tool.
+CARRIED_KG = 0.15
 # Places in such a reply behind its header.
 TORQUE_AT = 3 + TORQUE_ENABLE.address - STATUS_BEGIN
 GOAL_AT = 3 + GOAL.address - STATUS_BEGIN
@@ -97,6 +101,7 @@ class Watch:
         self._index = {servo_id: i for i, servo_id in enumerate(arm.servo_ids)}
         self._heads = {servo_id: bytes((0xFF, 0xFF, servo_id, STATUS_REPLY - 4)) for servo_id in arm.servo_ids}
         self._pending: int | None = None
+        self._carried = PointMasses(body.chain, (*(0.0 for _ in range(body.chain.n + 1)), CARRIED_KG))
         self._writes = [-1] * len(body.servos)
         self._servos = [Servo(False, 0, 0, 0, 0.0, 0) for _ in body.servos]
         # Whether this tick's readings are not a sample's alone.
@@ -201,14 +206,17 @@ class Watch:
 
     def strains(self) -> list[Strain]:
         """What each motor works, and what its servo feels, now."""
+        joints = self._body._joints
+        carried = self._carried.loads([joint.position_rad() for joint in joints])
         return [
             Strain(
                 joint.servo.output,
-                -joint.gravity_Nm / (joint.stall_Nm * max(joint.servo.voltage_V, 1.0) / RATED_V),
+                -joint.gravity_Nm / (full_Nm := joint.stall_Nm * max(joint.servo.voltage_V, 1.0) / RATED_V),
                 joint.servo.voltage_V,
                 joint.servo.temperature_degC,
+                -(joint.gravity_Nm + joint.direction * more_Nm) / full_Nm,
             )
-            for joint in self._body._joints
+            for joint, (more_Nm, _) in zip(joints, chain(carried, repeat((0.0, 0.0))), strict=False)
         ]
 
 
