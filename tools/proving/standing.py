@@ -172,7 +172,8 @@ class StandingJudge(ShaftJudge):
         if code == "LOST_TORQUE" and before and all(servo.torque and servo.limit == FULL_LIMIT for servo in before):
             return "" if duties.lately(now_s, {"trip", "brown_out", "same_id"}, JUST_NOW_S) else "every servo holds"
         struck_by = {"second_writer", "mute", "dead_bus", "lost", "unplug", "same_id", "brown_out"}
-        unheard = now_s - min(duties.heard_s) > HEARD_LATELY_S
+        # What comes may be of no use there, which is told then.
+        unheard = now_s - min(duties.heard_s) > HEARD_LATELY_S or self._codes & {"SERVO_SILENT", "BUS_DEAD"}
         if code == "NOT_LIMP" and not unheard and not duties.lately(now_s, struck_by, JUST_NOW_S):
             return "" if duties.may_be_forged(now_s) else "torque is where it was asked for"
         if code == "CONTACT" and now_s - self._pushed_s > JUST_NOW_S:
