@@ -63,8 +63,11 @@ def test_a_smooth_lag_is_made_up_for(seed: int) -> None:
     waypoints, knots = joint_path(LINE, np.linspace(0.0, 1.0, 65), s, "linear"), s.copy()
     knots[0], knots[-1] = 0.0, 1.0
     placed = place(motion("linear", lag=lag), waypoints, knots, move_knots=False)
-    assert distance_to_line(tool_position(CHAIN, placed.waypoints - lag), hand.A, hand.B).max() < 2e-4
-    assert distance_to_line(tool_position(CHAIN, waypoints - lag), hand.A, hand.B).max() > 1e-3
+    after, before = (
+        distance_to_line(tool_position(CHAIN, q - lag), hand.A, hand.B).max() for q in (placed.waypoints, waypoints)
+    )
+    assert before > 1e-3
+    assert after < before / 20.0  # all but what keeping redundancy in place costs: 0.026 at most in 3000 draws
 
 
 def test_the_maximum_as_objective_trades_mean_for_maximum() -> None:
