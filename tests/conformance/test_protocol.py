@@ -79,10 +79,12 @@ def test_a_request_may_be_cut_at_every_byte(wire: Wire, servo: int) -> None:
 
 
 def test_a_gap_of_over_100_ms_makes_a_request_forgotten(wire: Wire, servo: int) -> None:
+    # Exact where the test has the clock; in real time with room for whatever else the machine runs.
+    over_s, under_s = (0.101, 0.099) if wire.kind == "loopback" else (0.6, 0.01)
     request = ping(servo)
-    assert wire.silent(request[:3], request[3:], gap_s=0.13)
+    assert wire.silent(request[:3], request[3:], gap_s=over_s)
     assert len(wire.talk(request, size=PING_REPLY_SIZE)) == PING_REPLY_SIZE
-    assert len(wire.talk(request[:3], request[3:], gap_s=0.05, size=PING_REPLY_SIZE)) == PING_REPLY_SIZE
+    assert len(wire.talk(request[:3], request[3:], gap_s=under_s, size=PING_REPLY_SIZE)) == PING_REPLY_SIZE
 
 
 @pytest.mark.parametrize("dirt", [b"\x00", b"\xff", b"\xff\xff\xff", b"\x55\xaa\xff\x00", b"\xff\xff\xff\xff\xff"])
