@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from armctl.control.enforce import keep_here
 from armctl.control.faults import KINDS, Cause
 from armctl.control.machine import Phase, Trigger
 from armctl.control.relief import PUSH_RATIO, pushes, relieve
@@ -81,10 +82,11 @@ def _since(s: Tick, since_ns: tuple[int, ...], over: Sequence[bool]) -> tuple[in
 
 
 def _detect_torque(s: Tick) -> None:
-    """Torque on an arm that is meant to be limp."""
+    """Torque on an arm that is meant to be limp; such a servo is to push against nothing."""
     for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
         if reading.fresh and servo is not None and servo.torque_enabled:
             s.latch_servo("NOT_LIMP", i, "torque is on although the arm is limp, and not from here")
+            keep_here(s, i)
 
 
 def _lasts(s: Tick, since_ns: int, seconds: float) -> bool:
@@ -147,13 +149,18 @@ def _detect_strain(s: Tick) -> None:
     state.heat_since_ns = _since(s, state.heat_since_ns, hot)
     state.supply_since_ns = _since(s, state.supply_since_ns, wrong)
     state.load_since_ns = _since(s, state.load_since_ns, [abs(joint.load_ratio) > LOAD_RATIO for joint in joints])
+    latched = {fault.code for fault in state.faults}
+
+    def lasts(code: str, i: int, since_ns: int, seconds: float) -> bool:
+        return _lasts(s, since_ns, seconds) and (readings[i].fresh or code in latched)
+
     for i, joint in enumerate(joints):
-        if _lasts(s, state.heat_since_ns[i], HEAT_S):
+        if lasts("HOT", i, state.heat_since_ns[i], HEAT_S):
             s.latch_servo("HOT", i, f"{joint.temperature_degC:g} degC for {HEAT_S:g} s (bound {limit_degC:g})")
-        if _lasts(s, state.supply_since_ns[i], SUPPLY_S):
+        if lasts("VOLTAGE", i, state.supply_since_ns[i], SUPPLY_S):
             bounds = f"bounds {low_V:g} to {high_V:g}"
             s.latch_servo("VOLTAGE", i, f"{joint.voltage_V:.1f} V for {SUPPLY_S:g} s ({bounds})")
-        if _lasts(s, state.load_since_ns[i], LOAD_S):
+        if lasts("OVERLOAD", i, state.load_since_ns[i], LOAD_S):
             s.latch_servo("OVERLOAD", i, f"load {abs(joint.load_ratio):.0%} for {LOAD_S:g} s (bound 80%)")
 
 

@@ -149,3 +149,18 @@ def explained(arm: ArmConfig, robot: Robot, q: FloatArray) -> list[tuple[float, 
     servos, wire = tuple(ax12a.decode(reading.registers) for reading in readings), wire_joints(arm)
     joints = _joint_states(inputs, servos, wire)
     return explained_ratio(Tick(State(), inputs, arm, wire, robot, 0.1, joints, servos, True))
+
+
+@pytest.mark.parametrize("lasts_s", [0.05, 3.0])
+def test_what_another_program_wakes_on_a_limp_arm_pushes_against_nothing(lasts_s: float) -> None:
+    rig = Rig()
+    rig.fault("blocked_joint", 1)
+    rig.fault("second_writer", 1, value=60.0, duration_s=lasts_s)
+    pushes = []
+    for _ in range(60):
+        rig.ticks(1)
+        pushes.append(rig.outputs()[0])
+    assert "NOT_LIMP" in rig.codes()
+    assert max(pushes) > NEAR_ZERO, "the program was there"
+    assert max(pushes[-20:]) < NEAR_ZERO
+    assert rig.stiff() == [1]

@@ -136,6 +136,19 @@ def test_the_way_to_rest_ends_where_a_servo_falls_silent() -> None:
     assert arm.state.motion is None
 
 
+def test_what_was_seen_once_before_a_silence_has_not_lasted() -> None:
+    arm = away()
+    arm.put(2, ax12a.PRESENT_VOLTAGE, 80)
+    arm.run_ticks(1)
+    arm.silent = {2}
+    arm.run_ticks(20)
+    arm.put(2, ax12a.PRESENT_VOLTAGE, 120)
+    arm.silent = set()
+    arm.run_ticks(5)
+    assert "SERVO_SILENT" in arm.events
+    assert "VOLTAGE" not in arm.events
+
+
 def test_a_fault_on_the_way_to_rest_ends_it() -> None:
     arm = away()
     arm.run_ticks(6, Park(5))
