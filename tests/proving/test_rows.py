@@ -25,9 +25,9 @@ def test_9_a_write_to_the_eeprom(holding: Bench, register: ax12a.Register) -> No
 
 
 def test_a_burst_of_goals(holding: Bench) -> None:
-    for k in range(5):
+    for _ in range(5):
         holding.now_s += 0.05
-        holding.goal(MIDDLE, k)
+        holding.goal(MIDDLE)
     assert holding.broken == {"late"}
 
 

@@ -6,6 +6,7 @@ fault still strikes. Each of his doings is a generator of one tick's commands; w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -246,14 +247,15 @@ class Clerk(Person):
 
     def _reason(self) -> str:
         """Why a `clear` may be refused though nothing is broken any more: the arm is on its way, hot or limp."""
-        if self._code in RESTING and self._now_s - self._settling_since() < PATIENCE_S:
+        if self._now_s - self._settling_since() < PATIENCE_S:
             return "on its way to rest"
         return self.persisting()
 
     def _settling_since(self) -> float:
+        """Since when the last fault is told that may send the arm to rest."""
         assert self._record is not None
-        fault = self._record.outputs.fault
-        return self._now_s if fault is None else fault.since_ns / 1e9 - 1.0
+        told = [fault.since_ns / 1e9 - 1.0 for fault in self._record.outputs.faults if fault.code in RESTING]
+        return max(told, default=-math.inf)
 
     def _make_safe(self, code: str) -> Doing:
         """What the cards ask for before `clear`."""

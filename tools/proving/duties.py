@@ -271,7 +271,10 @@ class Duties:
         for k, (begin_s, end_s, fault) in enumerate(self._faults):
             moves = fault.kind in MOVES_JOINT or fault.kind in MOVES_ARM
             falls = now_s - begin_s < FALL_S and self._limp(servos, fault)
-            unseen = gap_s > 0.05 and end_s > last_s
+            # What is written before a silence is seen after it.
+            written_s = fault.begin_s + (fault.duration_s or 0.0) if fault.kind == "second_writer" else -math.inf
+            unseen = any(self.heard_s[i] < written_s + self._period_s for i, _ in self._struck(servos, fault))
+            unseen |= gap_s > 0.05 and end_s > last_s
             recovering = unseen or (now_s < end_s + RECOVERING_S and (falls or self._away(servos, fault)))
             if moves and end_s <= now_s and recovering:
                 self._faults[k] = (begin_s, now_s, fault)

@@ -72,6 +72,7 @@ AGE_S = 0.25
 # A bus that is heard again: looked for, identified, and the silent ones of it told.
 FOUND_S = 2.5
 BURST_S = 0.25
+AGAIN_S = 0.006
 BURST = 4
 # A heartbeat counts for 80 ms; then the arm stops.
 JOG_S = 0.08 + 0.1 + STOP_S
@@ -99,7 +100,7 @@ class Judge(TorqueJudge):
         self._steps = [joint.speed_deg_s * period_s / TICK_DEG + 1.0 for joint in arm.joints]
         self._speeds = [joint.speed_units for joint in arm.joints]
         self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + 1.0
-        self._goal_times: deque[float] = deque(maxlen=BURST + 1)
+        self._goal_times: list[deque[float]] = [deque(maxlen=BURST + 1) for _ in arm.joints]
         # When each servo was last heard, and where it said it was.
         self._heard_s = self._duties.heard_s
         self._told = [0] * n
@@ -136,6 +137,8 @@ class Judge(TorqueJudge):
     def asked(self, now_s: float, kind: str) -> None:
         """The user (or the host) asks for something."""
         self._asked_s[kind] = now_s
+        if kind in ("release", "teach"):
+            self._let_go_s = now_s
         self._asked_now.add(kind)
         self._adopting = False
         self._stopped = kind in STOPS or (self._stopped and kind not in MOTION_REQUESTS)
@@ -246,7 +249,6 @@ class Judge(TorqueJudge):
             sent: What it tells each servo addressed, heard or not.
             before, after: Every servo then, in joint order.
         """
-        goals = False
         for one in sent:
             i, was, now = one.index, before[one.index], after[one.index]
             if one.address < EEPROM_END:
@@ -255,8 +257,13 @@ class Judge(TorqueJudge):
             if speed is not None and not 1 <= speed <= self._speeds[i]:
                 self._violate("3" if speed == 0 else "2", now_s, i, f"speed {speed} (bound 1 to {self._speeds[i]})")
             if goal is not None:
-                goals = True
                 self._goal(now_s, i, goal, before)
+                times = self._goal_times[i]
+                if not (times and now_s - times[-1] < AGAIN_S):  # else a write that was not acknowledged, once more
+                    times.append(now_s)
+                if len(times) > BURST and now_s - times[0] < BURST_S:
+                    text = f"{len(times)} goals in {now_s - times[0]:.3f} s (bound {BURST})"
+                    self._violate("late", now_s, i, text)
                 self._missed[i] = 0 if now.goal == goal else self._missed[i] + 1
             if now.torque and not was.torque:
                 self._energised(now_s, i, now)
@@ -264,11 +271,6 @@ class Judge(TorqueJudge):
                 self._watch_ramp(now_s, i, now)
             elif was.torque and not now.torque:
                 self._released(now_s, i, before)
-        if goals:
-            times = self._goal_times
-            times.append(now_s)
-            if len(times) > BURST and now_s - times[0] < BURST_S:
-                self._violate("late", now_s, -1, f"{len(times)} goals in {now_s - times[0]:.3f} s (bound {BURST})")
 
     def _goal(self, now_s: float, i: int, goal: int, before: Sequence[Servo]) -> None:
         was = before[i]

@@ -98,6 +98,8 @@ class Arm:
     link_radius_m: float
     # Whether heat, voltage and load may send it to rest at all.
     rests: bool
+    # Which joint grips; -1: none.
+    gripper: int
 
     @property
     def servo_ids(self) -> tuple[int, ...]:
@@ -108,6 +110,7 @@ def read(text: str) -> Arm:
     """An arm's file; what it leaves out is what `armctl help new-arm` says of a missing key."""
     told = yaml.safe_load(text)
     low_V, high_V = told.get("voltage_V", (9.0, 13.0))
+    names = [joint["name"] for joint in told["joints"]]
     return Arm(
         tuple(map(_joint, told["joints"])),
         told.get("temperature_limit_degC", 65.0),
@@ -116,6 +119,7 @@ def read(text: str) -> Arm:
         told.get("tool_speed_limit_m_s", 0.25),
         told.get("link_radius_m", 0.025),
         told.get("rest_on_strain", True),
+        names.index(told["gripper"]["joint"]) if "gripper" in told else -1,
     )
 
 

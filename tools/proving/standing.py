@@ -25,6 +25,8 @@ from proving.shafts import STILL_TICKS, ShaftJudge
 # More than gravity asks for: what is a fault, and what stiction may keep.
 PUSH = 0.3 + 0.12
 LEAST_PUSH = 0.2
+# What a gripper may hold with.
+GRIP = 0.5
 PUSH_S, PUSH_STOPPED_S = 3.5, 2.0
 # Of a cause that has to last: the reading before it, and the one that ends it.
 SLACK_S = 0.25
@@ -35,6 +37,7 @@ WRITER_GONE_S = 0.6
 # From when a servo's silence is told, and by when.
 SILENT_S, UNHEARD_TICKS = 0.5, 6
 # By these a reply may come that a program rightly does not believe.
+SILENT = frozenset({"SERVO_SILENT", "BUS_DEAD"})
 STRAYS = frozenset({"late", "latency", "duplicated", "garbage", "echo", "wrong_id", "corrupted", "truncated"})
 BLOCKED_DEG = 6.0
 # Of a motor's output, as the load's own rounding has it; and by when it is told of, lasting 2 s.
@@ -143,6 +146,7 @@ class StandingJudge(ShaftJudge):
         if code == "HOT" and self._strains and now_s - self._hot_s[i] > JUST_NOW_S:
             return f"it has {self._strains[i].temperature_degC:.1f} degC"
         strays = duties.may_be_forged(now_s) or duties.lately(now_s, STRAYS, JUST_NOW_S)
+        strays |= duties.struck_lately(now_s, {"lost"}, i)
         if code == "SERVO_SILENT" and not strays and now_s - duties.heard_s[i] < SILENT_S - SLACK_S and self._all_known:
             return "it was heard just now"
         if code == "BLOCKED" and now_s - self._away_s[i] > JUST_NOW_S:
@@ -171,9 +175,9 @@ class StandingJudge(ShaftJudge):
             )
         if code == "LOST_TORQUE" and before and all(servo.torque and servo.limit == FULL_LIMIT for servo in before):
             return "" if duties.lately(now_s, {"trip", "brown_out", "same_id"}, JUST_NOW_S) else "every servo holds"
-        struck_by = {"second_writer", "mute", "dead_bus", "lost", "unplug", "same_id", "brown_out"}
+        struck_by = {"second_writer", "mute", "dead_bus", "lost", "unplug", "same_id", "brown_out"} | STRAYS
         # What comes may be of no use there, which is told then.
-        unheard = now_s - min(duties.heard_s) > HEARD_LATELY_S or self._codes & {"SERVO_SILENT", "BUS_DEAD"}
+        unheard = now_s - min(duties.heard_s) > HEARD_LATELY_S or self._codes & SILENT
         if code == "NOT_LIMP" and not unheard and not duties.lately(now_s, struck_by, JUST_NOW_S):
             return "" if duties.may_be_forged(now_s) else "torque is where it was asked for"
         if code == "CONTACT" and now_s - self._pushed_s > JUST_NOW_S:
@@ -233,11 +237,16 @@ class StandingJudge(ShaftJudge):
         loaded = servo.torque and abs(strain.output) > OVERLOADED and servo.limit == FULL_LIMIT
         self._load_s[i] = min(self._load_s[i], now_s) if loaded and lately else math.inf
         reachable = lately and not duties.may_be_forged(now_s) and not duties.writer_in_force(now_s, JUST_NOW_S)
+        # An arm whose adapter was out may have been moved by anybody, until every servo of it is heard.
+        reachable &= not ("PORT_GONE" in self._codes and self._codes & SILENT)
         still = abs(servo.shaft_tick - before.shaft_tick) <= STILL_TICKS and servo.goal == before.goal
         # A motor that does less than gravity asks for holds back; it does not push.
         may = (0.0, strain.gravity, strain.gravity if strain.carrying is None else strain.carrying)
-        needed = min(max(strain.output, min(may)), max(may))
-        pushes = servo.torque and abs(strain.output - needed) > PUSH
+        grip = GRIP if i == self._arm.gripper else 0.0
+        needed = min(max(strain.output, min(may) - grip), max(may) + grip)
+        # A motor that turns nothing pushes against nothing.
+        idle = duties.struck_lately(now_s, {"stuck_joint"}, i)
+        pushes = servo.torque and abs(strain.output - needed) > PUSH and not idle
         if servo.torque and abs(strain.output - strain.gravity) > LEAST_PUSH:
             self._pushed_s = now_s
         if not (pushes and still and reachable):
