@@ -105,7 +105,7 @@ class ControlLoop:
         leave: Callable[[], bool],
         wait: Callable[[int], None] | None = None,
     ) -> None:
-        """Tick until `leave` says so and nothing moves any more.
+        """Tick until `leave` says so, nothing moves any more, and whoever asked for a limp arm is answered.
 
         Args:
             inbox: Commands that arrived since the last call.
@@ -113,7 +113,7 @@ class ControlLoop:
             wait: Returns at an instant [ns]; None: the clock's.
         """
         wait = wait or self._clock.sleep_until_ns
-        while not (leave() and self.state.motion is None and self.state.phase not in ENERGISING):
+        while not (leave() and not self._owes()):
             wait(self._due_ns())  # before the inbox is emptied: what comes at the last moment is served by this tick
             record = self.tick(inbox())
             if outbox(record):
@@ -121,6 +121,11 @@ class ControlLoop:
             else:
                 self._dropped += 1
                 self._keyframe_due = True
+
+    def _owes(self) -> bool:
+        """Whether something is under way that has an end of its own, and that nobody else would bring there."""
+        state, going = self.state, self.state.letting_go
+        return state.motion is not None or state.phase in ENERGISING or bool(going and going.request_ids)
 
     def _due_ns(self) -> int:
         """When the next tick is due; the first one now."""

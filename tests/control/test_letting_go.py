@@ -43,6 +43,15 @@ def test_a_dropout_of_150_ms_does_not_leave_a_servo_stiff_in_an_arm_that_is_off(
     assert (rig.mode(), rig.stiff(), rig.replies()[5].ok) == (Mode.OFF, [], True)
 
 
+@pytest.mark.parametrize(("silent_s", "stiff"), [(0.25, []), (2.0, [2])])
+def test_a_program_that_leaves_answers_release_first(silent_s: float, stiff: list[int]) -> None:
+    rig = Rig().holding()
+    rig.fault("mute", 2, duration_s=silent_s)
+    rig.ticks(1, Release(5))
+    rig.loop.run(lambda: (), lambda record: not rig.on_tick(record), lambda: True)
+    assert (rig.stiff(), rig.replies()[5].ok) == (stiff, not stiff)
+
+
 def test_release_names_a_servo_that_stays_stiff_and_goes_on_telling_it() -> None:
     rig = Rig().holding()
     rig.port.damages = lambda packet: writes(packet, ax12a.TORQUE_ENABLE, 2)
