@@ -254,6 +254,8 @@ class Inputs:
 class Mode(StrEnum):
     """States of the control machine (see control/machine.py)."""
 
+    # Until all servos have been heard, nobody knows whether they have torque.
+    STARTING = "starting"
     OFF = "off"
     ENERGISING = "energising"
     HOLDING = "holding"

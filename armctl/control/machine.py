@@ -150,7 +150,8 @@ TRANSITIONS: Mapping[Phase, Mapping[Trigger, Phase]] = MappingProxyType({
 # fmt: on
 
 _SHOWN: dict[Mode, tuple[Phase, ...]] = {
-    Mode.OFF: (P.FOUND, P.OFF),
+    Mode.STARTING: (P.FOUND,),
+    Mode.OFF: (P.OFF,),
     Mode.ENERGISING: (P.SOFTENING, P.PREPARING, P.ENABLING, P.RAMPING, P.CONFIRMING),
     Mode.HOLDING: (P.HOLDING,),
     Mode.MOVING: (P.MOVING,),
@@ -169,6 +170,7 @@ LATCHED = frozenset(_SHOWN[Mode.FAULTED])
 TO_REST = frozenset(phase for phase, row in TRANSITIONS.items() if T.GIVE_UP in row)
 
 _ADVICE: dict[Mode, str] = {
+    Mode.STARTING: "not every servo has answered yet; see `armctl status`",
     Mode.OFF: "the arm is limp; `armctl torque on` first",
     Mode.ENERGISING: "torque is coming on; wait until it holds",
     Mode.HOLDING: "the arm is holding under torque",

@@ -302,7 +302,7 @@ class Host:
     def state(self) -> dict[str, Any]:
         """What the arm does now: the answer to most requests."""
         if self.latest is None or self.exchange.pid is None:
-            return {"state": "restarting" if self._lost_ns is not None else "starting"}
+            return {"state": "restarting" if self._lost_ns is not None else Mode.STARTING.value}
         if self._clock.now_ns() - self.latest.inputs.now_ns > round(self.period_s * NS_PER_S) + STALE_NS:
             return {"state": "stalled"}
         return {"state": self.latest.outputs.mode.value}
@@ -338,6 +338,7 @@ class Host:
 
 
 _TO_HOLD = {
+    Mode.STARTING: "wait until every servo has answered",
     Mode.OFF: "`armctl torque on` first",
     Mode.ENERGISING: "wait until torque is on",
     Mode.MOVING: "wait, or `armctl stop`",

@@ -24,6 +24,7 @@ EVENTS = 500
 LEVELS = {20: "info", 30: "warning", 40: "error"}
 COLOURS = ("#d1495b", "#d98e1f", "#2f9e6e", "#3f7fd0", "#9a6bd1", "#7d8b99")
 STATE_COLOURS = {
+    "starting": "#c8d0d8",
     "off": "#9aa7b4",
     "energising": "#e3b34c",
     "holding": "#2f9e6e",

@@ -176,7 +176,7 @@ def test_words_that_waited_while_this_process_hung_count_as_heard(bench: Bench) 
 def test_a_stop_on_its_lane_is_answered_at_once_where_nothing_moves_and_still_comes_to_the_tick(bench: Bench) -> None:
     with bench.caller() as caller:
         assert bench.tell() == [StopAsked(f"uid {os.getuid()}, pid {os.getpid()}")]
-        assert caller.recv(99) == b"ok off\n"
+        assert caller.recv(99) == b"ok starting\n"
         assert caller.recv(99) == b""
     assert bench.inbox.take() == [Hold(REQUEST_ID)]
 
@@ -188,7 +188,7 @@ def test_a_stop_of_a_moving_arm_is_answered_by_the_tick_in_which_it_lies_still(b
         assert bench.inbox.take() == [Hold(REQUEST_ID)], "two who ask at once are one command"
         still = Outputs(Mode.HOLDING, (), (), None, replies=(Reply(REQUEST_ID, True),))
         assert bench.inbox.told(TickRecord(NOTHING, still))
-        assert one.recv(99) == two.recv(99) == b"ok off\n"
+        assert one.recv(99) == two.recv(99) == b"ok starting\n"
 
 
 @pytest.mark.parametrize("before", [0, 1, 500])
@@ -199,7 +199,7 @@ def test_nobody_fills_the_lane_of_a_user(bench: Bench, before: int) -> None:
         bench.inbox.wait(bench.clock.now_ns() + SOON_NS)
     with bench.caller() as caller:
         bench.inbox.wait(bench.clock.now_ns() + SOON_NS)
-        assert caller.recv(99) == b"ok off\n"
+        assert caller.recv(99) == b"ok starting\n"
     gone = [one for one in idle if select.select([one], [], [], 0.0)[0]]
     assert len(gone) == max(0, before - PLACES + 1)
     for one in idle:
@@ -215,7 +215,7 @@ def test_a_crowd_behind_a_caller_does_not_take_its_place(bench: Bench) -> None:
         bench.inbox.take()
         still = Outputs(Mode.HOLDING, (), (), None, replies=(Reply(REQUEST_ID, True),))
         assert bench.inbox.told(TickRecord(NOTHING, still))
-        assert caller.recv(99) == b"ok off\n"
+        assert caller.recv(99) == b"ok starting\n"
 
 
 @pytest.mark.parametrize("line", [b"go\n", b"x" * 257, b"\n", b"stop now\n"])
