@@ -43,7 +43,10 @@ def adopt(s: Tick) -> None:
     if not any(powered):
         s.go(Trigger.ADOPT_LIMP)
         s.state.powered = False
-    elif tripped:
+        return
+    # Those that hold are to, and to push against nothing, whatever becomes of the others.
+    s.take_over()
+    if tripped:
         s.latch_servo("TRIPPED", tripped[0], "found shut down (torque limit 0) while other servos hold")
     elif not all(powered):
         s.latch_servo("LOST_TORQUE", powered.index(False), "found limp while other servos hold")
@@ -52,7 +55,6 @@ def adopt(s: Tick) -> None:
         s.latch_servo("LOST_TORQUE", weak[0], f"found with torque limit {limit}: its torque-on was interrupted")
     else:
         s.go(Trigger.ADOPT_POWERED)
-        s.take_over()
 
 
 # ------------------------------------------------------------------------------------------ torque comes on
