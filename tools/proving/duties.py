@@ -48,6 +48,10 @@ LOW_BELOW_V = 0.5
 MOVES_JOINT = frozenset({"stuck_joint", "blocked_joint", "frozen_sensor", "second_writer"})
 # Faults that take torque from some and thereby load from others.
 MOVES_ARM = frozenset({"brown_out", "trip"})
+# What spoils so many replies that nobody can tell servos from each other.
+GARBLES = frozenset(
+    {"late", "latency", "duplicated", "garbage", "echo", "wrong_id", "corrupted", "truncated", "same_id"}
+)
 SILENCES = frozenset({"mute", "dead_bus", "lost"})
 
 _SILENT = frozenset({"SERVO_SILENT", "BUS_DEAD"})
@@ -224,6 +228,8 @@ class Duties:
 
     def overdue(self, now_s: float) -> list[tuple[str, bool]]:
         """What should have been reported by now, and whether it is its name that lacks; each told once."""
+        if self._back_by_s < math.inf and self.lately(now_s, GARBLES, 0.0):
+            self._back_by_s = max(self._back_by_s, now_s + BACK_S)
         if now_s > self._back_by_s:
             self.port_back()
             return [(f"the adapter has been in again for {BACK_S:g} s", False)]

@@ -108,7 +108,6 @@ class Judge(TorqueJudge):
         self._deaf_s = -math.inf
         # How many goals in a row each servo may have missed, for they were damaged.
         self._missed = [0] * n
-        self._asked_s: dict[str, float] = {}
         # In the tick that is reported of.
         self._asked_before: set[str] = set()
         # Whether this tick's `clear` comes together with a request to move.
@@ -137,8 +136,6 @@ class Judge(TorqueJudge):
     def asked(self, now_s: float, kind: str) -> None:
         """The user (or the host) asks for something."""
         self._asked_s[kind] = now_s
-        if kind in ("release", "teach"):
-            self._let_go_s = now_s
         self._asked_now.add(kind)
         self._adopting = False
         self._stopped = kind in STOPS or (self._stopped and kind not in MOTION_REQUESTS)
@@ -148,8 +145,11 @@ class Judge(TorqueJudge):
         self._clears_and_moves |= kind in MOTION_REQUESTS and "clear" in self._asked_now
         if kind in ("release", "teach"):
             self._duties.nobody_reports()
+        if kind in ("release", "teach", "teach_end"):
+            self._letting_go = kind
         if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
             self._torque_asked_s = now_s
+            self._letting_go = ""
         if kind in ("hold", "host_lost", "host_silent") or (kind == "pause" and self._mode == MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
@@ -225,6 +225,7 @@ class Judge(TorqueJudge):
 
     def died(self, now_s: float, servos: Sequence[Servo]) -> None:
         """The program in charge is gone at once; another one will take over."""
+        self._letting_go = ""
         self._dead, self._in_charge = (now_s, [servo.shaft_tick for servo in servos]), False
         self._sent = [None] * len(self._sent)
         self._duties.nobody_reports()
@@ -370,7 +371,9 @@ class Judge(TorqueJudge):
                 self._far_s[i] = math.inf
                 continue
             away = abs(servo.goal - servo.shaft_tick)
-            if away > LEAD_TICKS and not self._duties.excused(now_s, i):
+            # One left with a part of its strength by a program that died is told of, and cannot hold.
+            weak = servo.limit < self._arm.joints[i].full_limit and bool(self._codes)
+            if away > LEAD_TICKS and not weak and not self._duties.excused(now_s, i):
                 # One that kept its torque while the others lost theirs cannot hold the arm.
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
                 self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")

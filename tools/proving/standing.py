@@ -32,6 +32,8 @@ PUSH_S, PUSH_STOPPED_S = 3.5, 2.0
 SLACK_S = 0.25
 # Ticks in which all servos are heard and what is told of torque is wrong.
 WRONG_TICKS = 5
+# A request that is not served is refused within two ticks.
+REFUSED_S = 0.25
 HEARD_LATELY_S = 0.35
 WRITER_GONE_S = 0.6
 # From when a servo's silence is told, and by when.
@@ -54,6 +56,9 @@ class StandingJudge(ShaftJudge):
     def __init__(self, arm: Arm, period_s: float) -> None:
         super().__init__(arm, period_s)
         n = len(arm.joints)
+        # When each request was last asked; the one for a limp arm that was not refused, nor answered that it is.
+        self._asked_s: dict[str, float] = {}
+        self._letting_go = ""
         # All faults that are told; since when the worst of them is.
         self._codes: Set[str] = frozenset()
         self._fault_s = -math.inf
@@ -92,11 +97,16 @@ class StandingJudge(ShaftJudge):
 
     def replied(self, now_s: float, kind: str, ok: bool, servos: Sequence[Servo]) -> None:
         """The program answers a request."""
+        if kind == self._letting_go and (not any(servo.torque for servo in servos) if ok else self._just_asked(now_s)):
+            self._letting_go = ""
         if kind in ("release", "teach") and ok:
             for i, servo in enumerate(servos):
                 if servo.torque and not self._duties.writer_in_force(now_s, JUST_NOW_S):
                     rule = "limp" if kind == "release" else "status"
                     self._violate(rule, now_s, i, f"`{kind}` is answered well, and the servo has torque")
+
+    def _just_asked(self, now_s: float) -> bool:
+        return now_s - self._asked_s[self._letting_go] < REFUSED_S
 
     def misread(self, now_s: float, i: int, text: str) -> None:
         """A reading is not what its servo said."""

@@ -16,8 +16,6 @@ FIRM_LIMIT, FIRM_S = 0.9 * FULL_LIMIT, 0.35
 REST_TICKS = 3.0 / TICK_DEG + 2.0
 # A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
-# An arm is let go within this.
-LET_GO_S = 1.0
 
 
 class TorqueJudge(StandingJudge):
@@ -38,8 +36,6 @@ class TorqueJudge(StandingJudge):
         # In this tick.
         self._asked_now: set[str] = set()
         self._torque_asked_s = -math.inf
-        # When the user last asked for a limp arm.
-        self._let_go_s = -math.inf
         # What this tick's `clear`, if it is granted, makes right.
         self._unless_cleared: list[tuple[str, float, int, str]] = []
         # Whether there is a program at all.
@@ -91,9 +87,8 @@ class TorqueJudge(StandingJudge):
 
     def _released(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
         self._sent[i] = None
-        # Another program may wake a servo that is being let go: it is told until it is seen limp.
-        again = now_s - self._let_go_s < LET_GO_S and self._duties.writer_in_force(now_s, LET_GO_S)
-        if self._asked_now & {"release", "teach"} or self._energising(now_s) or again:
+        # It is told again until it is seen limp: what it was told may be lost, or another program wake it.
+        if self._asked_now & {"release", "teach"} or self._energising(now_s) or self._letting_go:
             return
         settling = self._mode == PARKING or self._settling()
         away = max(abs(servo.sensed_tick - rest) for servo, rest in zip(before, self._rest, strict=True))
