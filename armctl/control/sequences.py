@@ -156,6 +156,9 @@ def _surprise(s: Tick, index: int, anchor: int) -> str:
         return f"{who} moved while torque came on; support the arm and try again"
     if not softening and abs(servo.goal - anchor) > (STILL_TICKS if preparing else 0):
         return f"{who} shows goal {servo.goal} where {anchor} was written"
+    if preparing and not ax12a.register_value(ax12a.MOVING_SPEED, s.inputs.sample.servos[index].registers):
+        # Torque would come on at full speed. A limp servo may let its goal follow the shaft, and shows one it missed.
+        return f"{who} has no speed limit: its goal was lost; try again"
     if softening and s.state.ticks <= s.ticks_in(CONFIRM_S):
         return ""
     if (softening or preparing) and servo.torque_limit != SOFT_TORQUE:

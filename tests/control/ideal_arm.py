@@ -92,10 +92,11 @@ class IdealArm:
                 self.put(index, register, write.value)
         if outputs.goal is not None:
             self.goals.append(outputs.goal.ticks)
-            for index, tick in enumerate(outputs.goal.ticks):
+            for index, (tick, speed) in enumerate(zip(outputs.goal.ticks, outputs.goal.speeds, strict=True)):
                 if index in self.silent or index in self.deaf:
                     continue
                 self.put(index, ax12a.GOAL, tick)
+                self.put(index, ax12a.MOVING_SPEED, speed)
                 self.put(index, ax12a.TORQUE_ENABLE, 1)  # an AX-12A may energise by a goal alone
                 if index not in self.stuck:
                     self.put(index, ax12a.PRESENT_POSITION, tick)

@@ -100,6 +100,8 @@ def about_to_energise_limp_servos() -> IdealArm:
         (energising, ax12a.TORQUE_LIMIT, 1023, "servo 1 (base) shows torque limit 1023", 0),
         (energising, ax12a.PRESENT_POSITION, 560, "moved while torque came on", 1),
         (energising, ax12a.TORQUE_ENABLE, 0, "did not take torque", 1),
+        # Its goal was lost, and shown all the same: that of a limp servo may follow its shaft.
+        (about_to_energise_limp_servos, ax12a.MOVING_SPEED, 0, "has no speed limit", 1),
         # More than half a degree, before torque comes on.
         (about_to_energise_limp_servos, ax12a.PRESENT_POSITION, 516, "moved while torque came on", 0),
     ],
