@@ -68,11 +68,11 @@ def energise(s: Tick) -> None:
     if not s.fresh:
         state.ticks -= 1  # it waits until every servo has been heard; one that stays silent latches a fault
         return
-    surprise = next(filter(None, (_surprise(s, i, anchor[i]) for i in range(len(anchor)))), "")
+    surprise = next(filter(None, (_surprise(s, i, anchor[i]) for i in range(len(anchor)))), None)
     if surprise:
-        s.events.append(Event("warning", "JUMP_REFUSED", surprise))
+        s.events.append(Event("warning", *surprise))
         s.go(Trigger.ENERGISE_FAILED)
-        s.end_sequence("JUMP_REFUSED", surprise)
+        s.end_sequence(*surprise)
         s.let_go()
         return
     moved = any(_drifted(s, i, was) > ENERGISE_AWAY_TICKS for i, was in enumerate(anchor))
@@ -145,29 +145,29 @@ def _at_full_torque(s: Tick) -> bool:
     return not behind
 
 
-def _surprise(s: Tick, index: int, anchor: int) -> str:
-    """What is not as it should be with one servo while torque comes on; empty if nothing."""
+def _surprise(s: Tick, index: int, anchor: int) -> tuple[str, str] | None:
+    """What is not as it should be with one servo while torque comes on, and its code; None: nothing."""
     joint, servo, full = s.arm.joints[index], s.status(index), s.wire[index].full_torque
     who = f"servo {joint.servo_id} ({joint.name})"
     softening, preparing = s.state.phase is Phase.SOFTENING, s.state.phase is Phase.PREPARING
     if (softening or preparing) and _drifted(s, index, anchor) > STILL_TICKS:
-        return f"{who} moved while torque came on; hold the arm still and try again"
+        return "JUMP_REFUSED", f"{who} moved while torque came on; hold the arm still and try again"
     if abs(servo.position - anchor) * ax12a.TICK_RAD > JUMP_RAD:
-        return f"{who} moved while torque came on; support the arm and try again"
+        return "JUMP_REFUSED", f"{who} moved while torque came on; support the arm and try again"
     if not softening and abs(servo.goal - anchor) > (STILL_TICKS if preparing else 0):
-        return f"{who} shows goal {servo.goal} where {anchor} was written"
+        return "NOT_TAKEN", f"{who} shows goal {servo.goal} where {anchor} was written"
     if preparing and not ax12a.register_value(ax12a.MOVING_SPEED, s.inputs.sample.servos[index].registers):
         # Torque would come on at full speed. A limp servo may let its goal follow the shaft, and shows one it missed.
-        return f"{who} has no speed limit: its goal was lost; try again"
+        return "NOT_TAKEN", f"{who} has no speed limit: its goal was lost; try again"
     if softening and s.state.ticks <= s.ticks_in(CONFIRM_S):
-        return ""
+        return None
     if (softening or preparing) and servo.torque_limit != SOFT_TORQUE:
-        return f"{who} shows torque limit {servo.torque_limit} where {SOFT_TORQUE} was written"
+        return "NOT_TAKEN", f"{who} shows torque limit {servo.torque_limit} where {SOFT_TORQUE} was written"
     if not (softening or preparing) and not servo.torque_enabled:
-        return f"{who} did not take torque"
+        return "NOT_TAKEN", f"{who} did not take torque"
     if s.state.phase is Phase.CONFIRMING and servo.torque_limit != full and s.state.ticks > s.ticks_in(CONFIRM_S):
-        return f"{who} shows torque limit {servo.torque_limit}; it does not take {full}"
-    return ""
+        return "NOT_TAKEN", f"{who} shows torque limit {servo.torque_limit}; it does not take {full}"
+    return None
 
 
 # ----------------------------------------------------------------------------------------- the way to rest

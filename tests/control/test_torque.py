@@ -94,27 +94,27 @@ def about_to_energise_limp_servos() -> IdealArm:
 
 
 @pytest.mark.parametrize(
-    ("make", "register", "value", "text", "ticks"),
+    ("make", "register", "value", "problem", "ticks"),
     [
-        (energising, ax12a.GOAL, 700, "servo 1 (base) shows goal 700", 0),
-        (energising, ax12a.TORQUE_LIMIT, 1023, "servo 1 (base) shows torque limit 1023", 0),
-        (energising, ax12a.PRESENT_POSITION, 560, "moved while torque came on", 1),
-        (energising, ax12a.TORQUE_ENABLE, 0, "did not take torque", 1),
+        (energising, ax12a.GOAL, 700, "NOT_TAKEN: servo 1 (base) shows goal 700", 0),
+        (energising, ax12a.TORQUE_LIMIT, 1023, "NOT_TAKEN: servo 1 (base) shows torque limit 1023", 0),
+        (energising, ax12a.PRESENT_POSITION, 560, "JUMP_REFUSED: servo 1 (base) moved while torque came on", 1),
+        (energising, ax12a.TORQUE_ENABLE, 0, "NOT_TAKEN: servo 1 (base) did not take torque", 1),
         # Its goal was lost, and shown all the same: that of a limp servo may follow its shaft.
-        (about_to_energise_limp_servos, ax12a.MOVING_SPEED, 0, "has no speed limit", 1),
+        (about_to_energise_limp_servos, ax12a.MOVING_SPEED, 0, "NOT_TAKEN: servo 1 (base) has no speed", 1),
         # More than half a degree, before torque comes on.
-        (about_to_energise_limp_servos, ax12a.PRESENT_POSITION, 516, "moved while torque came on", 0),
+        (about_to_energise_limp_servos, ax12a.PRESENT_POSITION, 516, "JUMP_REFUSED: servo 1 (base) moved", 0),
     ],
 )
 def test_any_surprise_while_torque_comes_on_backs_out(
-    make: Callable[[], IdealArm], register: ax12a.Register, value: int, text: str, ticks: int
+    make: Callable[[], IdealArm], register: ax12a.Register, value: int, problem: str, ticks: int
 ) -> None:
     arm = make()
     arm.run_ticks(ticks)
     arm.put(0, register, value)
     arm.run_ticks(2)
-    assert (arm.mode(), arm.replies[1].code) == (Mode.OFF, "JUMP_REFUSED")
-    assert text in arm.replies[1].message
+    assert arm.mode() is Mode.OFF
+    assert f"{arm.replies[1].code}: {arm.replies[1].message}".startswith(problem)
     assert not any(arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6))
 
 
