@@ -37,7 +37,7 @@ SLOW_ADAPTER_MS = 8.0
 # Reads of changing registers per servo that tell two servos with one id.
 DUPLICATE_PROBES = 3
 # How long the line is to be silent before each reading that confirms a suspicion, and at one go.
-CONFIRM_QUIET_MS = (20.0, 40.0, 80.0)
+CONFIRM_QUIET_MS = (20.0, 40.0, 80.0, 160.0)
 LISTEN_MS = 10.0
 # Listenings to a line that does not fall silent.
 LISTENINGS = 30
@@ -175,7 +175,7 @@ def answers_twice(bus: Bus, servo_id: int) -> Steps[bool]:
     for quiet_ms in CONFIRM_QUIET_MS:
         yield from _silence(bus, quiet_ms)
         doubled += yield from _is_doubled(bus, servo_id)
-    return doubled > len(CONFIRM_QUIET_MS) // 2
+    return doubled >= len(CONFIRM_QUIET_MS) - 1
 
 
 def _is_doubled(bus: Bus, servo_id: int) -> Steps[bool]:
