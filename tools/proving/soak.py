@@ -72,7 +72,7 @@ ROWS: dict[str, tuple[str, ...]] = {
     "blocked joint, stuck sensor": ("BLOCKED",),
     "EEPROM differs, wheel mode": ("EEPROM_MISMATCH",),
     "goal outside limits, NaN, inf": ("refused or ended: LIMIT",),
-    "torque-on jump": ("refused or ended: JUMP_REFUSED",),
+    "torque-on jump": ("refused or ended: JUMP_REFUSED", "refused or ended: NOT_TAKEN"),
     "start pose differs": ("refused or ended: START_MISMATCH",),
     "late ticks, skipped": ("late ticks",),
     "late ticks, over 250 ms": ("LATE",),

@@ -31,9 +31,9 @@ from proving.watch import damaged
 SHARES = (0.01, 0.05, 0.1)
 TRIALS = 200
 REPLIES = ("corrupted", "truncated", "lost")
-# What may be told of a damaged line; a damaged length can make every servo wait for half a second, and then they are
-# silent indeed.
-RIGHT = frozenset({"NO_REPLY", "BUS_NOISE", "SERVO_SILENT", "BUS_DEAD"})
+# What may be told of a damaged line: that something did not arrive, on either way. A damaged length can make every
+# servo wait for half a second, and then they are silent indeed.
+RIGHT = frozenset({"NO_REPLY", "NOT_TAKEN", "BUS_NOISE", "SERVO_SILENT", "BUS_DEAD"})
 RULE = "diagnosis"
 # So often a torque-on that is refused is asked for again; so long anything may take.
 TRIES = 6
@@ -82,7 +82,9 @@ def trial(seed: int, share: float, told: Told) -> None:
     codes: dict[str, str] = {}
 
     def carried_out(command: Command) -> bool:
-        """Whether it is answered well; what is told meanwhile is noted."""
+        """Whether it is answered well, once the arm has been let go; what is told meanwhile is noted."""
+        while virtual.loop.state.mode is Mode.RELEASING:
+            virtual.tick()
         commands: tuple[Command, ...] = (command,)
         for _ in range(PATIENCE_TICKS):
             outputs, commands = virtual.tick(*commands).outputs, ()

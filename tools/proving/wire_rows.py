@@ -174,7 +174,10 @@ SHORT: tuple[str, ...] = (
 )
 
 LATER: tuple[tuple[str, str], ...] = (
-    ("JUMP_REFUSED, NO_REPLY at 200 ms as a code of its own", "no snapshot tells them; the step's own tests hold them"),
+    (
+        "JUMP_REFUSED, NOT_TAKEN, NO_REPLY at 200 ms as a code of its own",
+        "no snapshot tells them; the step's own tests hold them",
+    ),
     ("NO_SPACE, power cut, FOREIGN_LOG", "not on the wire: tools/prove powercut"),
     ("SIGKILL of the host, SIGTERM, ORPHAN_TAKE", "not on the wire: tools/prove kill"),
     ("slow subscriber, flood, deep JSON, BUSY", "not on the wire: tools/prove fuzz and load"),
