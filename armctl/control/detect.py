@@ -173,7 +173,7 @@ def _detect_contact(s: Tick) -> None:
     push_ratio = pushes(s)
     state.push_since_ns = _since(s, state.push_since_ns, [push > 0.0 for push in push_ratio])
     for i, since_ns in enumerate(state.push_since_ns):
-        if _lasts(s, since_ns, PUSH_S):
+        if _lasts(s, since_ns, PUSH_S) and s.inputs.sample.servos[i].fresh:
             found = f"pushes with {abs(s.joints[i].load_ratio):.0%} of its strength"
             bound = abs(s.joints[i].load_ratio) - push_ratio[i]
             if s.latch_servo("CONTACT", i, f"{found} for {PUSH_S:g} s (bound {bound:.0%}, for what it may bear here)"):

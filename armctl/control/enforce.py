@@ -8,7 +8,8 @@ Rules.
    is told while another servo is unheard, which a goal for all might wake.
 3. What it shows was lost if it is one of the latest goals from here, and else another program's, which is overruled the
    same way. Only one that goes on writing for `YIELD_NS` is given way to, until `clear`.
-4. A servo that was led off by more than `LED_OFF_TICKS` is not brought back: its goal becomes where it is.
+4. A servo that was led off by more than `LED_OFF_TICKS` is not brought back: its goal becomes where it is. Two readings
+   in a row have to say so: one may be another servo's.
 5. A servo of a limp arm to which another program gave torque keeps its torque, but not a goal more than `PUSH_TICKS`
    away: that becomes where it is, again and again. What that lets sink was limp before.
 6. While the port is gone anybody may move the arm. Then armctl has no say in it any more, until it takes it over again.
@@ -112,10 +113,12 @@ def hold_goals(s: Tick) -> None:
         state.yielded = True
         s.latch_servo("OVERRULED", foreign[0], "another program goes on writing goals; the arm is left to it")
         return
-    for i in owed:
-        if abs(s.status(i).position - state.goal[i]) > LED_OFF_TICKS:
-            stay(s, i)
-    if owed:
+    led_off = [i for i in owed if abs(s.status(i).position - state.goal[i]) > LED_OFF_TICKS]
+    unsure = set(led_off).difference(state.led_off)
+    for i in set(led_off).intersection(state.led_off):
+        stay(s, i)
+    state.led_off = tuple(led_off)
+    if owed and not unsure:
         _send(s, owed)
 
 

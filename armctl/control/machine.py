@@ -306,6 +306,8 @@ class State:
     foreign_ns: int = 0
     # Whether the arm is left to another program that goes on writing, until `clear`.
     yielded: bool = False
+    # Servos, by index, that were seen far from the goal decided for them in the tick before, led by another.
+    led_off: tuple[int, ...] = ()
     looks: tuple[Look, ...] = ()
     # Output of each joint that came back after a relief: a weight; empty: none did.
     borne_ratio: tuple[float, ...] = ()

@@ -101,6 +101,18 @@ def test_an_arm_that_was_led_off_is_held_where_it_is_and_not_brought_back() -> N
     assert (arm.code(), arm.state.goal[0], arm.get(0, ax12a.PRESENT_POSITION)) == ("OTHER_WRITER", away, away)
 
 
+def test_one_reading_that_is_another_servo_s_moves_no_arm() -> None:
+    arm = holding()
+    ours, shown = arm.state.goal, arm.get(0, ax12a.PRESENT_POSITION)
+    for register in (ax12a.GOAL, ax12a.PRESENT_POSITION):
+        arm.put(0, register, 900)
+    goals = arm.goals_in(1)
+    for register, value in ((ax12a.GOAL, ours[0]), (ax12a.PRESENT_POSITION, shown)):
+        arm.put(0, register, value)
+    assert all(goal[0] == ours[0] for goal in (*goals, *arm.goals_in(10)))
+    assert arm.state.goal == ours
+
+
 def test_only_a_program_that_goes_on_writing_is_given_way_to_and_the_card_says_so() -> None:
     rig = Rig().holding()
     rig.fault("second_writer", 1, value=25, duration_s=3.0)

@@ -98,6 +98,18 @@ def test_a_lasting_push_at_standstill_is_a_fault_and_is_relieved(joint: int, lea
     assert rig.mode() is Mode.HOLDING
 
 
+def test_a_push_seen_before_a_silence_has_not_lasted() -> None:
+    arm = holding()
+    arm.put(0, ax12a.PRESENT_LOAD, 500)
+    arm.run_ticks(3)
+    arm.silent = {0}
+    arm.run_ticks(30)
+    arm.silent = set()
+    arm.put(0, ax12a.PRESENT_LOAD, 0)
+    arm.run_ticks(10)
+    assert "CONTACT" not in arm.events
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stretched_arm_that_bears_its_weight_pushes_against_nothing(seed: int) -> None:
     rig = Rig(seed, RANDOM_SPEC).holding().at()
