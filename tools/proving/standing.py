@@ -174,7 +174,7 @@ class StandingJudge(ShaftJudge):
                 return "no servo is too hot"
             return "" if duties.lately(now_s, {"brown_out"}, JUST_NOW_S) else "the supply is in range"
         if code == "OTHER_WRITER" and not duties.lately(
-            now_s, {"second_writer", "brown_out", "same_id", "trip"}, RECOVERING_S + JUST_NOW_S
+            now_s, {"second_writer", "brown_out", "same_id", "trip", "wrong_id"}, RECOVERING_S + JUST_NOW_S
         ):
             return "" if duties.any_forged(now_s) else "no other program wrote"
         if code == "TRIPPED" and before and all(servo.limit for servo in before):
