@@ -235,3 +235,23 @@ def test_5_the_way_to_rest_is_slow(holding: Bench) -> None:
     assert holding.broken == set()
     holding.move(9, mode=Mode.PARKING)
     assert holding.broken == {"5"}
+
+
+@pytest.mark.parametrize(("away", "broken"), [(40, set()), (60, {"2"})])
+def test_2_a_joint_that_was_led_far_off_is_not_brought_back(moving: Bench, away: int, broken: set[str]) -> None:
+    moving.goal(MIDDLE)
+    moving.plan("second_writer", 0.05)
+    moving.at(MIDDLE + away)
+    moving.servos[0].goal = MIDDLE + away  # another program's
+    moving.tick()
+    moving.goal(MIDDLE)
+    assert moving.broken == broken
+
+
+@pytest.mark.parametrize(("step", "broken"), [(7, set()), (9, {"2"})])
+def test_2_a_jog_is_slow(holding: Bench, step: int, broken: set[str]) -> None:
+    holding.ask("jog")
+    holding.tick(Mode.JOGGING)
+    holding.ask("jog")
+    holding.move(step, mode=Mode.JOGGING)
+    assert holding.broken == broken

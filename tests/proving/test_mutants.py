@@ -59,9 +59,12 @@ def test_an_edit_that_no_longer_fits_is_an_error_before_anything_runs() -> None:
 
 def test_bugs_are_caught_and_what_the_soak_cannot_see_survives(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTEST_ADDOPTS", "-k machine")  # of the unit tests, asked about a survivor
+    monkeypatch.setattr(mutants, "ROUNDS", 0)
     chosen = [mutant for mutant in MUTANTS if mutant.name in QUICK]
     harmless = Mutant("no bug", "control", (Edit("IN_TIME = 0.9", "IN_TIME = 0.9 + 0.0"),))
-    result = mutants.prove(1, episodes=1, mutants=(*chosen, harmless))
-    assert (result["runs"], result["caught"], result["survivors"]) == (3, 2, ["no bug"])
-    assert result["tests"] == {"no bug": "nothing"}
+    broken = Mutant("no program", "control", (Edit("__s.go(Trigger.ADOPT_LIMP)", "__s.no_such()"),))
+    result = mutants.prove(1, episodes=1, mutants=(*chosen, harmless, broken))
+    assert (result["runs"], result["caught"], result["survivors"]) == (4, 2, ["no bug", "no program"])
+    assert result["tests"]["no bug"] == "nothing"
+    assert "its edit does not run: " in result["tests"]["no program"]
     assert result["sound"] == ""

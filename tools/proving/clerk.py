@@ -7,7 +7,6 @@ fault still strikes. Each of his doings is a generator of one tick's commands; w
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -43,6 +42,11 @@ PATIENCE_S = 60.0
 # How often a run is asked for first that must be refused.
 WRONG_SHARE = 0.2
 LEAN_S = 4.0
+# At the default compliance 27 are 82 % of a servo's output, and 7.9 deg: not far enough to count as blocked, too hard
+# to go on. Less is nothing but a push, more is blocked. And how long the joint is held.
+LEANS = {"lean": (27, 28, LEAN_S), "strain": (27, 28, 8.0), "press": (18, 24, 8.0), "ram": (40, 80, 8.0)}
+# What alone speaks against a motion.
+AGAINST = {"fold": "into each other", "sink": "below the floor", "sweep": "its tool reaches"}
 
 
 class Clerk(Person):
@@ -105,8 +109,15 @@ class Clerk(Person):
                 yield from self._halt(rng)
             case "jog":
                 yield from self._jog(rng)
-            case "lean":
-                yield from self._lean(rng)
+            case "stand":
+                yield from self._power_up(rng)
+            case "lift":
+                yield from self._power_up(rng, lifted=True)
+            case "lean" | "strain" | "press" | "ram":
+                yield from self._lean(rng, wish.what)
+            case "fold" | "sink" | "sweep" | "dash":
+                yield from self._power_up(rng)
+                yield from self._plan(rng, wish.what)
             case "teach":
                 yield from self._teach(rng)
             case "release":
@@ -137,7 +148,7 @@ class Clerk(Person):
             return
         q_now = self._commanded()
         if planned and q_now is not None:
-            yield from self._plan(rng, q_now)
+            yield from self._plan(rng, "plan")
             return
         if rng.random() < WRONG_SHARE and q_now is not None:
             yield from self._ask(Run(self._id(), self._requests.wrong(rng, q_now)), 1.0)
@@ -156,10 +167,16 @@ class Clerk(Person):
                 return
             yield from self._aside(rng)
 
-    def _plan(self, rng: np.random.Generator, q_now: Sequence[float]) -> Doing:
+    def _plan(self, rng: np.random.Generator, what: str) -> Doing:
         """Motions of all sorts, as the host takes them: it looks at each, and lets some through."""
-        for _ in range(8):
-            trajectory = self._requests.planned(rng, q_now)
+        q_now = self._commanded()
+        if self._mode is not Mode.HOLDING or self._code or q_now is None:
+            return
+        for _ in range(2 if what in AGAINST else 8):
+            if what in AGAINST:
+                trajectory = self._requests.against(rng, q_now, self._episode.plainly_wrong, AGAINST[what])
+            else:
+                trajectory = (self._requests.dashing if what == "dash" else self._requests.planned)(rng, q_now)
             refused = preflight_motion(
                 np.array(trajectory.positions_rad), trajectory.period_s, self._arm, self._robot, start_rad=q_now
             )
@@ -198,21 +215,25 @@ class Clerk(Person):
         if rng.random() < 0.5:
             yield from self._ask(Hold(self._id()), 2.0)
 
-    def _lean(self, rng: np.random.Generator) -> Doing:
-        """A little way against something that holds a joint: not far enough to be blocked, too hard to go on."""
+    def _lean(self, rng: np.random.Generator, what: str) -> Doing:
+        """A little way against something that holds a joint."""
         yield from self._power_up(rng)
         q_now = self._commanded()
         if self._mode is not Mode.HOLDING or self._code or q_now is None:
             return
         assert self._record is not None
         index = int(rng.integers(len(self._arm.joints)))
+        least, most, held_s = LEANS[what]
         joint = self._arm.joints[index]
         tick = ax12a.register_value(ax12a.PRESENT_POSITION, self._record.inputs.sample.servos[index].registers)
-        held = Fault(kind="blocked_joint", servo_id=joint.servo_id, begin_s=self._now_s, duration_s=LEAN_S)
+        held = Fault(kind="blocked_joint", servo_id=joint.servo_id, begin_s=self._now_s, duration_s=held_s)
         self._faults.append(held)
         self._episode.fault(held)
-        yield from self._ask(Run(self._id(), self._requests.leaning(q_now, index, tick)), LEAN_S)
-        yield from self._wait(LEAN_S)
+        way = self._requests.leaning
+        if what == "strain":  # a tick more or less would be too much or too little: from where the shaft really is
+            way, tick = self._requests.straining, round(self._episode.watch.servos()[index].shaft_tick)
+        yield from self._ask(Run(self._id(), way(q_now, index, tick, int(rng.integers(least, most)))), held_s)
+        yield from self._wait(held_s)
 
     # ------------------------------------------------------------------------------------------ recovery
 

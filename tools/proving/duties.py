@@ -53,16 +53,18 @@ GARBLES = frozenset(
     {"late", "latency", "duplicated", "garbage", "echo", "wrong_id", "corrupted", "truncated", "same_id"}
 )
 SILENCES = frozenset({"mute", "dead_bus", "lost"})
+# By these a reply may come that a program rightly does not believe.
+STRAYS = frozenset({"late", "latency", "duplicated", "garbage", "echo", "wrong_id", "corrupted", "truncated"})
 
-_SILENT = frozenset({"SERVO_SILENT", "BUS_DEAD"})
+SILENT = frozenset({"SERVO_SILENT", "BUS_DEAD"})
 # Under which codes a fault may be reported.
 CODES = {
-    "mute": _SILENT,
-    "dead_bus": _SILENT,
-    "lost": _SILENT,
+    "mute": SILENT,
+    "dead_bus": SILENT,
+    "lost": SILENT,
     "unplug": frozenset({"PORT_GONE"}),
     "trip": frozenset({"TRIPPED"}),
-    "brown_out": _SILENT | {"LOST_TORQUE", "VOLTAGE"},
+    "brown_out": SILENT | {"LOST_TORQUE", "VOLTAGE"},
     "second_writer": frozenset({"OTHER_WRITER"}),
     "hot": frozenset({"HOT", "TRIPPED"}),
 }
@@ -151,7 +153,7 @@ class Duties:
     def told(self, codes: Set[str]) -> None:
         """All faults that are reported now."""
         # Nothing can be said of servos that nobody hears.
-        unheard = codes & (_SILENT | {"PORT_GONE", "BUS_NOISE"})
+        unheard = codes & (SILENT | {"PORT_GONE", "BUS_NOISE"})
         if codes:
             self._expected = [
                 one for one in self._expected if not (one.by_name and (one.codes & codes or (unheard and one.servos)))

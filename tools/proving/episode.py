@@ -28,7 +28,7 @@ from armctl.errors import BusError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import Command, Connected, HostLost, Mode, Run, TickRecord, to_json
+from armctl.messages import Command, Connected, HostLost, JointTrajectory, Mode, Run, TickRecord, to_json
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault, Faults
 from armctl.sim.servo import ServoVariants
@@ -40,6 +40,7 @@ from proving.clerk import Clerk
 from proving.invariants import Judge
 from proving.meetings import Meetings
 from proving.motions import MotionJudge
+from proving.promises import Promises
 from proving.readings import differences
 from proving.requests import PERIOD_S, postures
 from proving.shafts import Violation
@@ -164,6 +165,7 @@ class Episode:
         self._through: dict[int, Run] = {}
         self._motions = MotionJudge(stage.judged, self.body.chain)
         self.meetings = Meetings(story)
+        self._promises = Promises([joint.name for joint in arm.joints], self.judge.found)
         for line in story.lines:
             if isinstance(line, Tamper):
                 index = arm.servo_ids.index(line.servo_id)
@@ -199,6 +201,10 @@ class Episode:
         for reason in self._motions.against(run.trajectory.positions_rad, run.trajectory.period_s):
             self.judge.found(self.now_s, "preflight", f"let through by the host: {reason}")
 
+    def plainly_wrong(self, motion: JointTrajectory) -> list[str]:
+        """All that is plainly wrong with a motion, for whoever looks for one."""
+        return list(self._motions.against(motion.positions_rad, motion.period_s))
+
     def _spoil(self, packet: bytes, now_ns: int) -> bytes:
         """What of a packet of the host comes to the servos."""
         now_s = self.watch.now_s(now_ns)
@@ -233,6 +239,7 @@ class Episode:
                 self.body.advance(self._clock.now_ns())
                 self.judge.died(self.now_s, self.watch.servos())
                 self.clerk.lost()
+                self._promises.lost()
                 self._idle(back_s)
                 restarted = True
             except Exception as error:
@@ -245,6 +252,7 @@ class Episode:
                 self.rows["SIGTERM"] += 1
                 self.judge.died(self.now_s, self.watch.servos())
                 self.clerk.lost()
+                self._promises.lost()
                 self._idle(back_s)
                 restarted = False
         told = sorted(self.told, key=lambda one: one[0])
@@ -307,6 +315,7 @@ class Episode:
         for command in commands:
             self.judge.asked(now_s, command.kind)
             self._asked[getattr(command, "request_id", -1)] = command.kind
+            self._promises.asked(command.kind, getattr(command, "request_id", -1))
             if isinstance(command, Run) and command.request_id not in self._through:
                 self._unseen[command.request_id] = self._motions.plainly_wrong(command.trajectory)
             self.told.append((now_s, f"-> {command.kind}"))
@@ -332,6 +341,9 @@ class Episode:
             self.note(f"state {outputs.mode}" + (f", {code}: {outputs.fault.text}" if outputs.fault and code else ""))
             self._code, self._mode = code, outputs.mode
         self._count(record)
+        whole = not any(garble.at_s <= now_s < garble.at_s + garble.duration_s + 1.0 for garble in self._garbles)
+        whole &= not any(self.body.faults.in_force(kind) for kind in ("second_writer", "same_id"))
+        self._promises.tick(now_s, outputs.mode, bool(codes), record.inputs.sample.servos, outputs.replies, whole)
         for index, text in differences(self._judged, self.watch.replies, record.inputs.sample.servos, outputs.joints):
             self.judge.misread(now_s, index, text)
         # A control process that begins has cleared nothing.

@@ -20,16 +20,16 @@ Rules:
 | 3 | torque 0 -> 1 by a write | 0.6 deg and one tick of noise to a goal of its own; speed not 0; limit 20 %; |
 | | | 2 deg to the goal in 500 ms |
 | 4 | torque 0 -> 1 by a write | `torque on` within 2 s, and no fault reported since |
-| 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick; within 3 deg (and 2 ticks of noise) of rest on the |
-| | | way there, at 20 deg/s; or undoing a torque-on of the last 2 s, without ticks in |
-| | | which a servo is not heard |
+| 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick, again until heard limp; within 3 deg (2 ticks |
+| | | noise) of rest on the way there, at 20 deg/s; or undoing a torque-on of the last 2 s, |
+| | | without ticks in which a servo is not heard |
 | 6 | goals after what stops motion | 200 ms after the matrix's bound; shafts still 500 ms after it |
 | 7 | goals while a fault is reported | none after 250 ms, but to rest for heat, voltage and load |
 | | `clear` | refused while the cause lasts |
 | 8 | goals that change | every servo heard within 250 ms |
 | 9 | every write | nothing below address 24 |
 | lead | shafts after the program died | still after 250 ms, within 10 deg |
-| late | goals | at most 4 in 250 ms: no burst |
+| late | goals but for repeated ones | at most 4 in 250 ms: no burst |
 | rows | what is reported after a fault | the matrix's bound, a tick and 0.2 s; a lost reply is asked for again; |
 | | | a port that is there again, within 3 s; no torque while a servo's EEPROM is wrong |
 
@@ -47,6 +47,7 @@ from proving.reading import (
     ADVANCING,
     ANNOUNCED_S,
     EEPROM_END,
+    ENERGISING,
     GOAL,
     HOLDING,
     JOGGING,
@@ -58,6 +59,7 @@ from proving.reading import (
     POWERED,
     RESTING,
     TICK_DEG,
+    TORQUE_ENABLE,
     Arm,
 )
 from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, copied
@@ -100,9 +102,8 @@ class Judge(TorqueJudge):
         self._speeds = [joint.speed_units for joint in arm.joints]
         self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + 1.0
         self._sent_lately: list[deque[tuple[float, int]]] = [deque(maxlen=40) for _ in arm.joints]
-        # When each servo was last heard, and where it said it was.
+        # When each servo was last heard.
         self._heard_s = self._duties.heard_s
-        self._told = [0] * n
         # When last no servo had been heard for some time.
         self._deaf_s = -math.inf
         # How many goals in a row each servo may have missed, for they were damaged.
@@ -124,14 +125,6 @@ class Judge(TorqueJudge):
         """Take note of a fault that will begin, at `begin_s` of the arm's time."""
         self._duties.plan(fault)
 
-    def garbled(self, begin_s: float, end_s: float) -> None:
-        """Packets of the host will come damaged from then to then."""
-        self._duties.garbled(begin_s, end_s)
-
-    def led(self, now_s: float) -> None:
-        """A hand is at the arm."""
-        self._duties.led(now_s)
-
     def asked(self, now_s: float, kind: str) -> None:
         """The user (or the host) asks for something."""
         self._asked_s[kind] = now_s
@@ -146,6 +139,9 @@ class Judge(TorqueJudge):
             self._duties.nobody_reports()
         if kind in ("release", "teach", "teach_end"):
             self._letting_go = kind
+        if kind == "torque_on":
+            self._going.clear()
+            self._torque_word_s = self._torque_word_s if self._mode == ENERGISING else now_s
         if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
             self._torque_asked_s = now_s
             self._letting_go = ""
@@ -161,6 +157,8 @@ class Judge(TorqueJudge):
                 one that this program's next goal replaced before anybody asked the servo is seen by nobody.
         """
         self._heard_s[index], self._told[index] = now_s, position
+        if goal is None:
+            self._going.discard(index)
         looks = self._in_charge and self._mode in POWERED and not self._code
         # Nobody can tell a goal that this program sent within a second from one that was lost since.
         ours = {mine for sent_s, mine in self._sent_lately[index] if now_s - sent_s < LATELY_S}
@@ -203,7 +201,7 @@ class Judge(TorqueJudge):
             self._duties.cleared()
             if self._clears_and_moves:
                 self._duties.motion_asked()
-            self._sent = [None] * len(self._sent)
+            self._take_over(now_s)
             if cause:
                 self._violate("7", now_s, -1, f"{self._code} was cleared although {cause}")
         elif not code and mode in LIMP:
@@ -216,14 +214,6 @@ class Judge(TorqueJudge):
         self._mode, self._code = mode, code
         self._adopting &= mode == OFF  # from now on a fault may send the arm to rest
 
-    def tampered(self, i: int) -> None:
-        """Somebody has set a servo's EEPROM such that the arm must not be moved."""
-        self._unfit.add(i)
-
-    def mended(self, i: int) -> None:
-        """The user has set it right."""
-        self._unfit.discard(i)
-
     def port_back(self) -> None:
         """The program in charge says that a port it lost is there again."""
         self._duties.port_back()
@@ -233,6 +223,7 @@ class Judge(TorqueJudge):
         self._letting_go = ""
         self._dead, self._in_charge = (now_s, [servo.shaft_tick for servo in servos]), False
         self._sent = [None] * len(self._sent)
+        self._going.clear()
         self._duties.nobody_reports()
         self._duties.port_back()
         self._duties.cleared()
@@ -275,7 +266,9 @@ class Judge(TorqueJudge):
             elif now.torque and now.limit > was.limit:
                 self._watch_ramp(now_s, i, now)
             elif was.torque and not now.torque:
-                self._released(now_s, i, before)
+                self._sent[i] = None
+            if one.value(TORQUE_ENABLE) == 0:
+                self._told_off(now_s, i, before)
 
     def _goal(self, now_s: float, i: int, goal: int, before: Sequence[Servo]) -> None:
         was = before[i]
@@ -290,6 +283,7 @@ class Judge(TorqueJudge):
         if "clear" in self._asked_now and abs(goal - was.goal) < abs(goal - known):
             known = was.goal  # it was granted: from there on it goes on from the goals that the servos hold
         if goal == known or not was.torque:
+            self._brings_back(now_s, i, goal, was)
             return
         age_s = now_s - self._heard_s[i]
         if age_s > AGE_S:
@@ -322,6 +316,8 @@ class Judge(TorqueJudge):
                 self._violate(duty.invariant, now_s, i, text)
         if self._mode == JOGGING and (since_s := now_s - self._asked_s["jog"]) > JOG_S:
             self._violate("6", now_s, i, f"jogs on {since_s:.2f} s after the last heartbeat (bound {JOG_S:.2f})")
+        if self._mode == JOGGING and way > self._rest_step:
+            self._violate("2", now_s, i, f"goal {known} -> {goal} in a jog (bound {self._rest_step:.1f})")
         for j, heard_s in enumerate(self._heard_s):
             if now_s - heard_s > AGE_S:
                 self._violate("8", now_s, j, f"the arm moves on, {now_s - heard_s:.3f} s after its last reply")

@@ -1,10 +1,11 @@
 """Does the soak notice? Bugs planted one at a time in a copy of the package, each run through short soak episodes.
 
 A mutant is an edit of the syntax tree, see `syntax.py`; `planted.py` lists them. It counts as caught when the judge of
-`invariants.py` reports a violation in an episode that the sound copy plays without one. Only what survives is also
-given to the unit tests of the control package, which is told beside it and does not count. A bug in what is logged or
-replayed moves no arm: it counts as caught when the tests that it names fail. A pattern that no longer fits one place is
-an error, so that mutants do not rot. None is in the simulator, nor in `proving`.
+`invariants.py` reports a violation in a scene or an episode that the sound copy, which is played first, plays without
+one. Only what survives is also given to the unit tests of the control package, which is told beside it and does not
+count. A bug in what is logged or replayed moves no arm: it counts as caught when the tests that it names fail. A
+pattern that no longer fits one place is an error, so that mutants do not rot. None is in the simulator, nor in
+`proving`.
 """
 
 import ast
@@ -22,12 +23,16 @@ from pathlib import Path
 from typing import Any
 
 from armctl.errors import ArmctlError
+from proving.scenes import SCENES, SCENES_FROM, named
 from proving.syntax import Edit, apply, fits
 
 SEED = 1
-# At most so many for each mutant, until one fails.
-EPISODES = 24
+# At most so many for each mutant, until one fails, behind every scene in so many drawings.
+EPISODES = 8
+ROUNDS = 3
 TIMEOUT_S = 240.0
+# A program that ends with one of these was not changed as the mutant's name says, but broken.
+NO_BUG = ("crash: AttributeError", "crash: NameError")
 TOOLS = Path(__file__).resolve().parents[1]
 ROOT = TOOLS.parent / "armctl"
 
@@ -97,8 +102,17 @@ def check(mutant: Mutant) -> None:
         plant(mutant, Path(folder))
 
 
-def judge(mutant: Mutant | None, seed: int, episodes: int) -> Result:
-    """Run the soak on a copy with the mutant planted (None: a sound one)."""
+def numbers(episodes: int) -> list[int]:
+    """What is played, and in which order: scenes are short, and each is drawn for one kind of bug."""
+    return [*range(SCENES_FROM, SCENES_FROM + ROUNDS * len(SCENES)), *range(episodes)]
+
+
+def judge(mutant: Mutant | None, seed: int, played: Sequence[int]) -> tuple[Result, list[int]]:
+    """Play episodes on a copy with the mutant planted, until one fails; on a sound one (None) all.
+
+    Returns:
+        Also which ones failed.
+    """
     begin_s = time.monotonic()
     name = "none" if mutant is None else mutant.name
     with tempfile.TemporaryDirectory(prefix="armctl-mutant-") as folder:
@@ -108,15 +122,18 @@ def judge(mutant: Mutant | None, seed: int, episodes: int) -> Result:
         if mutant is not None:
             plant(mutant, Path(folder) / "armctl")
         asked = "" if mutant is None else mutant.tests
-        violation = "" if asked else _soak(folder, seed, episodes)
-        tests = "" if violation or mutant is None else _unit_tests(folder, asked or "tests/control")
+        found = [] if asked else _soak(folder, seed, played, mutant is None)
+        tests = "" if found or mutant is None else _unit_tests(folder, asked or "tests/control")
+    violation = found[0][1] if found else ""
+    if any(error in violation for error in NO_BUG):
+        violation, tests = "", f"its edit does not run: {violation}"
     if asked and tests == "caught":
         violation, tests = f"{asked} fails", ""
-    return Result(name, violation, time.monotonic() - begin_s, tests)
+    return Result(name, violation, time.monotonic() - begin_s, tests), [number for number, _ in found]
 
 
-def _soak(folder: str, seed: int, episodes: int) -> str:
-    command = [sys.executable, "-m", "proving.mutants", str(seed), str(episodes)]
+def _soak(folder: str, seed: int, played: Sequence[int], every: bool) -> list[tuple[int, str]]:
+    command = [sys.executable, "-m", "proving.mutants", str(seed), json.dumps(list(played)), str(int(every))]
     try:
         done = subprocess.run(
             command,
@@ -128,10 +145,10 @@ def _soak(folder: str, seed: int, episodes: int) -> str:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return ""
+        return []
     if done.returncode:
         raise ArmctlError(f"the episodes of a mutant ended with {done.returncode}: {done.stderr[-500:]}")
-    return str(json.loads(done.stdout)["violation"])
+    return [(number, text) for number, text in json.loads(done.stdout)["violations"]]
 
 
 def _unit_tests(folder: str, which: str = "tests/control") -> str:
@@ -170,17 +187,20 @@ def prove(
     begin_s = time.monotonic()
     results: list[Result] = []
     with concurrent.futures.ThreadPoolExecutor(workers) as pool:
-        sound = pool.submit(judge, None, seed, episodes)
-        waiting = [pool.submit(judge, mutant, seed, episodes) for mutant in mutants]
+        played = numbers(episodes)
+        sound = list(pool.map(lambda k: judge(None, seed, played[k::workers]), range(workers)))
+        unfit = [number for _, failed in sound for number in failed]
+        violation = "; ".join(result.violation for result, _ in sound if result.violation)
+        if violation:
+            tell(f"the sound copy fails as well, so {len(unfit)} of {len(played)} episodes prove nothing: {violation}")
+        played = [number for number in played if number not in unfit]
+        waiting = [pool.submit(judge, mutant, seed, played) for mutant in mutants]
         for future in concurrent.futures.as_completed(waiting):
-            result = future.result()
+            result, _ = future.result()
             results.append(result)
             said = result.violation or f"NOTHING; unit tests: {result.tests}"
             tell(f"{len(results)} of {len(mutants)}, {result.seconds:.0f} s: {result.name}: {said}")
     survivors = [result for result in results if not result.violation]
-    violation = sound.result().violation
-    if violation:
-        tell(f"the sound copy fails as well, so nothing is proven: {violation}")
     return {
         "runs": len(results),
         "caught": len(results) - len(survivors),
@@ -197,23 +217,25 @@ def prove(
     }
 
 
-def main(seed: int, episodes: int) -> None:
-    """The first violation among some episodes, as JSON on stdout: what runs inside a copy."""
+def main(seed: int, played: Sequence[int], every: bool) -> None:
+    """The first violation of some episodes, or of every one that has any, as JSON: what runs inside a copy."""
     import logging
 
     from proving.episode import Episode
     from proving.soak import drawn_by
 
     logging.disable(logging.CRITICAL)
-    violation = ""
-    for episode in range(episodes):
-        on, story = drawn_by(seed, episode)
+    violations = []
+    for number in played:
+        on, story = drawn_by(seed, number)
         found = Episode(story, on).play().violations
         if found:
-            violation = f"episode {episode}, invariant {found[0].invariant}: {found[0].text}"
-            break
-    sys.stdout.write(json.dumps({"violation": violation}))
+            where = named(number) or f"episode {number}"
+            violations.append((number, f"{where}, invariant {found[0].invariant}: {found[0].text}"))
+            if not every:
+                break
+    sys.stdout.write(json.dumps({"violations": violations}))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    main(int(sys.argv[1]), json.loads(sys.argv[2]), sys.argv[3] == "1")

@@ -116,14 +116,14 @@ class Person:
         while self._now_s < until_s:
             yield ()
 
-    def _power_up(self, rng: np.random.Generator) -> Doing:
-        """Torque on; a limp arm away from its rest is carried to some posture, and supported meanwhile."""
+    def _power_up(self, rng: np.random.Generator, lifted: bool = False) -> Doing:
+        """Torque on; a limp arm away from its rest, or one to be lifted, is carried to some posture and supported."""
         if self._mode is not Mode.OFF or any(self._stiff()):
             return
         hand = self._episode.body.hand
         rest = np.array([joint.rest_rad for joint in self._arm.joints])
         lying = np.abs(self._episode.body.true_positions() - rest).max() < math.radians(4.0)
-        if not lying:
+        if lifted or not lying:
             yield from self._guide(rng)
         if not self._code:
             yield from self._ask(TorqueOn(self._id()), 3.0)

@@ -17,17 +17,18 @@ def _log(name: str, *edits: tuple[str, str], room: str = "recording", tests: str
     return replace(_m(name, room, *edits), tests=tests)
 
 
+# The three questions of `_overruled`, whatever they latch.
+OVERRULED = (
+    "if {}:\n    __trip\nelif {}:\n    __limp\nelif {}:\n    return False\nelif __restarted:\n    __restart\n"
+    "else:\n    __changed"
+)
+MAY_REST = "__s.arm.rest_on_strain and (not __s.state.stays) and __s.state.powered and __s.all_powered()"
+LET_GO = "__state.powered, __state.looks, __state.borne_ratio = (False, (), ())"
+
+
 # fmt: off
 MUTANTS: tuple[Mutant, ...] = (
     # ------------------------------------------------------------------------------------------ goals and speeds
-    _m("goals are not clamped", CONTROL, (
-        "[min(max(__tick, __joint.low_tick), __joint.high_tick) for __joint, __tick in __pairs]",
-        "[__tick for __joint, __tick in __pairs]")),
-    _m("limits of the joint beside", CONTROL, (
-        "[min(max(__tick, __joint.low_tick), __joint.high_tick)"
-        " for __joint, __tick in zip(__wire, __ticks, strict=True)]",
-        "[min(max(__tick, __joint.low_tick), __joint.high_tick)"
-        " for __joint, __tick in zip(__wire[-1:] + __wire[:-1], __ticks, strict=True)]")),
     _m("speed 0 is written", CONTROL, (
         "min(max(__least, __speed), __joint.speed_limit_units)",
         "0 * min(max(__least, __speed), __joint.speed_limit_units)")),
@@ -44,18 +45,18 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("the lead is not bounded", CONTROL, (
         "__lead = math.radians(9.0) / __tick_rad", "__lead = math.radians(25.0) / __tick_rad")),
     _m("a hold rewrites goal := measured each tick", CONTROL, (
-        "if __lost and __s.fresh:\n    __s.send_goal(__goal)",
-        "if __s.fresh:\n"
-        "    __s.send_goal([r.position if r else g for r, g in zip(__s.servos, __goal, strict=True)])")),
+        "if __owed and not __unsure:\n    _send(__s, __owed)",
+        "if __s.fresh and __s.all_powered():\n    __s.send_goal([servo.position for servo in __s.servos if servo])")),
     _m("a stale sample is used", CONTROL,
-       ("__m.stop_code or __m.paused or not __s.fresh", "__m.stop_code or __m.paused"),
+       ("_nearer(__rate, __wanted if __s.fresh else 0.0, __s.period_s)", "_nearer(__rate, __wanted, __s.period_s)"),
        ("if not __s.fresh:\n    return None\n__progress = min(__way, __end)", "__progress = min(__way, __end)")),
 
     # -------------------------------------------------------------------------------------------- stops and ends
     _m("a stop is forgotten", CONTROL, (
         "if __moving is not None and not __moving.stop_code:\n    __moving.stop_code = __code",
         "if __moving is not None and not __moving.stop_code:\n    __moving.stop_code = ''")),
-    _m("a pause is ignored", CONTROL, ("__m.stop_code or __m.paused or __unheard", "__m.stop_code or __unheard")),
+    _m("a pause is ignored", CONTROL, (
+        "0.0 if __m.stop_code or __m.paused else __m.wanted_rate", "0.0 if __m.stop_code else __m.wanted_rate")),
     _m("the host's death is ignored", CONTROL, ("__s.finish_motion('HOST_LOST', __text)", "None")),
     _m("a late tick is ignored", CONTROL, ("__s.stop_motion('LATE')", "None")),
     _m("late ticks are made up for in a burst", CONTROL, (
@@ -64,26 +65,24 @@ MUTANTS: tuple[Mutant, ...] = (
 
     # ---------------------------------------------------------------------------------------------------- faults
     _m("a fault cuts torque", CONTROL, (
-        "__s.events.append(Event('error', __code, __text, __servo_id))", "__s.torque_off()")),
+        "__s.events.append(Event('error', __code, __text, __servo_id))",
+        "__s.write_all(ax12a.TORQUE_ENABLE, 0)")),
     _m("a trip is not latched", CONTROL, (
-        "if __servo.torque_limit == 0:\n    ...", "if __servo.torque_limit < 0:\n    ...")),
-    _m("a restart is not noticed", CONTROL,
-       ("if not __servo.torque_enabled:\n    ...", "if __servo.torque_enabled > 9:\n    ..."),
-       ("if __servo.settings != __known:\n    ...", "if __servo.settings < 0:\n    ...")),
+        OVERRULED.format("__servo.torque_limit == 0", "not __servo.torque_enabled", "__settings"),
+        OVERRULED.format("__servo.torque_limit < 0", "not __servo.torque_enabled", "__settings"))),
+    _m("a restart is not noticed", CONTROL, (
+        OVERRULED.format("__servo.torque_limit == 0", "not __servo.torque_enabled", "__settings"),
+        OVERRULED.format("__servo.torque_limit == 0", "__servo.torque_enabled > 9", "True"))),
     _m("silence latches too late", CONTROL, ("SILENT_AGE_S = 0.5", "SILENT_AGE_S = 5.0")),
-    _m("a blocked joint is not latched", CONTROL, ("__for_ns >= BLOCKED_NS", "__for_ns >= 99 * BLOCKED_NS")),
+    _m("a blocked joint is not latched", CONTROL, (
+        "_lasts(__s, __since_ns[__i], BLOCKED_S)", "_lasts(__s, __since_ns[__i], 99.0 * BLOCKED_S)")),
     _m("a lost port is not latched", CONTROL, (
-        "if not __s.inputs.sample.port_open:\n    ...", "if __s.inputs.tick < 0:\n    ...")),
+        "if not __s.inputs.sample.port_open:\n    __s.latch('PORT_GONE', __text)\n    return", "")),
     _m("a lost port is looked for too seldom", CONTROL, ("__every_ns = NS_PER_S // 2", "__every_ns = NS_PER_S * 8")),
     _m("another writer is not noticed", CONTROL, (
-        "if __servo.goal != __goal:\n    if __servo.goal != __previous:\n        ...\n    __lost = True",
-        "if __servo.goal != __goal:\n    if __servo.goal < 0:\n        ...\n    __lost = True")),
+        "__s.latch_servo('OTHER_WRITER', __i, f'{__found}: another program writes to the bus')", "None")),
     _m("heat is not noticed", CONTROL, (
         "__joint.temperature_degC >= __limit_degC or __alarm", "__joint.temperature_degC >= 999 or __alarm")),
-    _m("voltage is not noticed", CONTROL, (
-        "not __low_V <= __joint.voltage_V <= __high_V or __alarm", "not 0 <= __joint.voltage_V or __alarm")),
-    _m("clear while the cause lasts", CONTROL, (
-        "__causes = '; '.join(__texts)\nif __causes:\n    ...", "__causes = ''")),
     _m("a run while a fault is latched", CONTROL, (
         "{T.RELEASE: P.FAULTED}", "{T.RELEASE: P.FAULTED, T.RUN: P.MOVING}")),
     _m("torque on while a fault is latched", CONTROL, (
@@ -91,25 +90,29 @@ MUTANTS: tuple[Mutant, ...] = (
 
     # ---------------------------------------------------------------------------------------------------- torque
     _m("a goal follows torque-off", CONTROL, (
-        "__s.goal = None\n__s.write_all(ax12a.TORQUE_ENABLE, 0)",
-        "__s.goal = Goal(__s.state.goal, (16,) * len(__s.state.goal)) if __s.state.goal else None\n"
-        "__s.write_all(ax12a.TORQUE_ENABLE, 0)")),
-    _m("torque-on without a goal", CONTROL, (
-        "__s.send_goal(__ticks)\n__state.request_id, __state.anchor = __request_id, tuple(__ticks)",
-        "held = tuple(r.goal for r in __s.servos if r)\n__state.request_id, __state.anchor = __request_id, held")),
+        "__s.forget_goals()\n__powered\n__s.write_all(ax12a.TORQUE_ENABLE, 0)".replace("__powered", LET_GO),
+        "held = __state.goal\n__s.forget_goals()\n__powered\n__s.write_all(ax12a.TORQUE_ENABLE, 0)\n"
+        "__s.goal = Goal(held, (16,) * len(held)) if held else None".replace("__powered", LET_GO))),
+    _m("torque-on without a goal", CONTROL,
+       ("__s.go(Trigger.SOFT_SEEN if __soft else Trigger.SHAFT_MOVED)\n__s.send_goal(__state.anchor)",
+        "__s.go(Trigger.SOFT_SEEN if __soft else Trigger.SHAFT_MOVED)"),
+       ("__s.write_all(ax12a.TORQUE_ENABLE, 1)\n__s.send_goal(__anchor)", "__s.write_all(ax12a.TORQUE_ENABLE, 1)"),
+       ("__preparing and (not ax12a.register_value(ax12a.MOVING_SPEED, __registers))", "False"),
+       ("not __softening and abs(__servo.goal - __anchor) > __most", "False")),
     _m("torque-on without a soft limit", CONTROL, (
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch), (ax12a.TORQUE_LIMIT, SOFT_TORQUE))",
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch))")),
-    _m("torque-on at a goal of its own", CONTROL, (
-        "__ticks.append(min(max(__position, __low), __high))",
-        "__ticks.append(min(max(__position + 9, __low), __high))")),
+    _m("torque-on at a goal of its own", CONTROL,
+       ("__ticks.append(min(max(__position, __low), __high))",
+        "__ticks.append(min(max(__position + 9, __low), __high))"),
+       ("abs(_within_limits(__s, __index) - __anchor)", "abs(_within_limits(__s, __index) + 9 - __anchor)")),
     _m("an EEPROM write in service", CONTROL, (
         "__limit = round(__rising)\n__s.write(__servo_id, ax12a.TORQUE_LIMIT, __limit)",
         "__limit = round(__rising)\n__s.write(__servo_id, ax12a.MAX_TORQUE, __limit)")),
     _m("adoption rewrites the goals", CONTROL, (
-        "__s.go(Trigger.ADOPT_POWERED)\n__s.take_over()",
-        "__s.go(Trigger.ADOPT_POWERED)\n__s.take_over()\n"
-        "__s.send_goal([r.position for r in __s.servos if r is not None])")),
+        "__s.go(Trigger.ADOPT_POWERED)",
+        "(__s.go(Trigger.ADOPT_POWERED), "
+        "__s.send_goal([r.position for r in __s.servos if r is not None]))")),
     _m("settling without seeing the rest pose", CONTROL, (
         "__away <= REST_TOLERANCE_RAD", "__away <= 99.0 * REST_TOLERANCE_RAD")),
     _m("settling too fast", "trajectory", (
@@ -129,20 +132,12 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("goals of the joints beside", BUS, (
         "zip(__bus.servo_ids, __goal.ticks, __goal.speeds, strict=True)",
         "zip(__bus.servo_ids, __goal.ticks[1:] + __goal.ticks[:1], __goal.speeds, strict=True)")),
-    _m("the EEPROM is not compared", BUS,
-       ("__cw == __ccw == 0", "__cw < 0"),
-       ("if __ccw < __high:\n    __faults.append(__text)", "if __ccw < 0:\n    __faults.append(__text)")),
+    _m("the EEPROM is not compared", BUS, ("if not __unfit:\n    return []", "if True:\n    return []")),
 
     # ------------------------------------------------------------- what no episode shows: what is logged, and replay
     _log("replay leaves out writes", (
         "if __topic not in __replay.not_compared:\n    ...",
         "if __topic not in (*__replay.not_compared, '/armctl/writes'):\n    ...")),
-    _log("replay leaves out mode and faults", (
-        "if __topic not in __replay.not_compared:\n    ...",
-        "if __topic not in (*__replay.not_compared, '/armctl/cycle'):\n    ...")),
-    _log("replay leaves out goals", (
-        "if __topic not in __replay.not_compared:\n    ...",
-        "if __topic not in (*__replay.not_compared, '/joint_commands'):\n    ...")),
     _log("the mode is not logged", ("{'mode': __mode, 'faults': __faults}", "{'mode': 'off', 'faults': __faults}")),
     _log("faults are logged without their servo", ("{'servo_id': __servo_id}", "{'servo_id': -1}")),
     _log("writes are logged as confirmed", ("{'confirmed': __done}", "{'confirmed': True}")),
@@ -162,23 +157,24 @@ MUTANTS: tuple[Mutant, ...] = (
        ("__joint.direction * __servo.speed_rad_s", "__servo.speed_rad_s"),
        ("__joint.direction * __servo.load_ratio", "__servo.load_ratio")),
     _m("two servos that are silent at once", CONTROL, (
-        "__s.latch_servo('SERVO_SILENT', __silent[0], __text)",
-        "len(__silent) == 1 and __s.latch_servo('SERVO_SILENT', __silent[0], __text)")),
+        "__s.latch_servo('SERVO_SILENT', __i, __text)",
+        "len(silent) == 1 and __s.latch_servo('SERVO_SILENT', __i, __text)")),
     _m("a goal that is read back may be 60 ticks off", CONTROL, (
-        "if __servo.goal != __goal:\n    if __servo.goal != __previous:\n        ...\n    __lost = True",
-        "if __servo.goal != __goal:\n    if abs(__servo.goal - __previous) > 60:\n        ...\n    __lost = True")),
+        "__shown == __s.state.goal[__i] or any((__goal[__i] == __shown for __goal in __s.state.sent))",
+        "any(abs(goal[__i] - __shown) <= 60 for goal in (__s.state.goal, *__s.state.sent))")),
     _m("a limit is off by one", CONTROL, (
         "[min(max(__tick, __joint.low_tick), __joint.high_tick) for __joint, __tick in __pairs]",
         "[min(max(__tick, __joint.low_tick - 1), __joint.high_tick + 1) for __joint, __tick in __pairs]")),
     _m("a fault is cleared without looking who is there", CONTROL, (
-        "not (__due or __first or __clearing)", "not (__due or __first)")),
+        "__due or __x._tick == 0 or (any(__clears) and __x._identification is None)", "__due or __x._tick == 0")),
     _m("a jog never ends", CONTROL, (
         "return __s.finish_jog(__jog.stop_code or 'NO_HEARTBEAT')", "return None")),
     _m("overload is never seen", CONTROL, ("LOAD_RATIO = 0.8", "LOAD_RATIO = 1.8")),
     _m("a blocked joint is not relieved", CONTROL, (
-        "__s.send_goal([__servo.position for __servo in __s.servos if __servo])", "None")),
+        "if __s.latch_servo('BLOCKED', __i, __found):\n    relieve(__s, __i)",
+        "if __s.latch_servo('BLOCKED', __i, __found):\n    __s.state.looks = ()")),
     _m("a stop on the way to rest is lost", CONTROL, (
-        "if __s.state.phase in TO_REST:\n    give_up_rest(__s, __code, __why)\n__s.stop_motion(__code)",
+        "if __s.state.phase in TO_REST:\n    __s.give_up_rest(__code, __why)\n__s.stop_motion(__code)",
         "if __s.state.phase not in TO_REST:\n    __s.stop_motion(__code)")),
     _m("a garbled reading counts as fresh", BUS, (
         "if int.from_bytes(__data, 'little') & IMPOSSIBLE_BITS:\n    ...\n__now_ns = __bus.port.arrived_ns",
@@ -204,8 +200,8 @@ MUTANTS: tuple[Mutant, ...] = (
 
     # ------------------------------------------------------------------------------------------------ what is told
     _m("a fault names the servo beside", CONTROL, (
-        "__joint = __s.arm.joints[__index]\n__s.latch(__code, __text, __joint.servo_id)",
-        "__joint = __s.arm.joints[__index - 1]\n__s.latch(__code, __text, __joint.servo_id)")),
+        "__joint = __s.arm.joints[__index]\nreturn __s.latch(__code, __text, __joint.servo_id)",
+        "__joint = __s.arm.joints[__index - 1]\nreturn __s.latch(__code, __text, __joint.servo_id)")),
     _m("direction is dropped in position", CONTROL, (
         "__joint.direction * (__servo.position - __joint.zero_tick) * __tick_rad",
         "(__servo.position - __joint.zero_tick) * __tick_rad")),
@@ -213,10 +209,12 @@ MUTANTS: tuple[Mutant, ...] = (
         "__reading.fresh and __servo is not None and __servo.torque_enabled",
         "__reading.fresh and __servo is not None and __servo.torque_enabled > 9")),
     _m("teaching begins before the arm is limp", CONTROL, (
-        "__s.fresh and not any((__servo is None or __servo.torque_enabled for __servo in __s.servos))", "True")),
+        "__s.go(Trigger.TEACH)\n__s.let_go(__request_id)",
+        "__s.go(Trigger.TEACH)\n__s.let_go()\n__s.reply(__request_id, True)\n__s.go(Trigger.LIMP_SEEN)")),
     _m("parked, and torque stays on", CONTROL, (
-        "__s.torque_off()\n__s.events.append(Event('info', 'PARKED', __text))",
-        "__s.events.append(Event('info', 'PARKED', __text))")),
+        "__s.go(Trigger.PARKED)\n__s.let_go(__state.request_id)",
+        "__s.go(Trigger.PARKED)\n__s.reply(__state.request_id, True)\n"
+        "__state.phase = Phase.OFF if __state.phase is Phase.RELEASING else __state.phase")),
     _m("the silence of the daemon is ignored", CONTROL, ("_slow_down(__s, 'HOST_SILENT', __text)", "None")),
 
     # ------------------------------------------------------------------------------------------------- more of faults
@@ -226,18 +224,80 @@ MUTANTS: tuple[Mutant, ...] = (
         "abs(__joint.load_ratio) > LOAD_RATIO", "__joint.load_ratio > LOAD_RATIO")),
     _m("cleared while a servo is hot", CONTROL, (
         "[__now.temperature_degC >= __limit_degC for __now in __s.joints]", "[False for __now in __s.joints]")),
-    _m("cleared while a servo is silent", CONTROL, (
-        "[not __now.known or __now.age_s > PAUSE_AGE_S for __now in __s.joints]", "[False for __now in __s.joints]")),
+    _m("cleared while a servo is silent", CONTROL,
+       ("[not __now.known or __now.age_s > PAUSE_AGE_S for __now in __s.joints]", "[False for __now in __s.joints]"),
+       ("for __problem in __s.state.problems:\n    ...",
+        "for __problem in __s.state.problems[:0]:\n    ...")),
     _m("servos that are limp beside others are adopted", CONTROL, (
         "__s.latch_servo('LOST_TORQUE', __powered.index(False), __text)",
-        "(__s.go(Trigger.ADOPT_POWERED), __s.take_over())")),
+        "__s.go(Trigger.ADOPT_POWERED)")),
     _m("the torque limit rises at once", CONTROL, ("RAMP_S = 0.5", "RAMP_S = 0.01")),
     _m("a jog is three times as fast", CONTROL, (
         "SPEED_RAD_S = math.radians(20.0)", "SPEED_RAD_S = math.radians(95.0)")),
     _m("the id of a reply is not looked at", BUS, ("__reply[:3] == __request[:3]", "__reply[:2] == __request[:2]")),
     _m("the last servo gets no goal", BUS, (
         "zip(__bus.servo_ids, __goal.ticks, __goal.speeds, strict=True)",
-        "zip(__bus.servo_ids[:-1], __goal.ticks, __goal.speeds)")),
-    _m("a run goes on from where it is not", CONTROL, ("__away > START_TOLERANCE_RAD", "__away > 9.0")),
+        # From its third second on: without its first goal no torque comes on.
+        "zip(__bus.servo_ids[:-1] if __bus._sample_count > 20 else __bus.servo_ids, __goal.ticks, __goal.speeds)")),
+
+    # ------------------------------------------------------------------------ what was decided is sent until it is seen
+    _m("release is answered before the arm is seen limp", CONTROL, (
+        "if __state.motion is not None:\n    __s.finish_motion('RELEASED', '')\n__s.let_go(__request_id)",
+        "if __state.motion is not None:\n    __s.finish_motion('RELEASED', '')\n"
+        "__s.let_go()\n__s.reply(__request_id, True)")),
+    _m("torque-off is written once only", CONTROL, (
+        "if __heard or not __overdue:\n    __s.write(__servo_id, ax12a.TORQUE_ENABLE, 0)", "")),
+    _m("who is not seen limp is never named", CONTROL, ("LIMP_NS = 500000000", "LIMP_NS = 10**15")),
+    _m("one that is not heard counts as limp", CONTROL, (
+        "(__servo is None or __servo.torque_enabled if __reading.fresh else __i in __going.stiff)",
+        "(__reading.fresh and (__servo is None or __servo.torque_enabled))")),
+    _m("goals are sent while one is let go", CONTROL,
+       ("if __s.state.letting_go is not None:\n    return\n__goal = __clamped", "__goal = __clamped"),
+       ("__s.state.letting_go = replace(__going, stiff=tuple(__stiff))\nif __overdue:\n    ...",
+        "__s.state.letting_go = replace(__going, stiff=tuple(__stiff))\nif None not in __s.servos:\n"
+        "    __s.send_goal([servo.position for servo in __s.servos])\nif __overdue:\n    ...")),
+    _m("a goal that was decided is sent once only", CONTROL, (
+        "if __owed and not __unsure:\n    _send(__s, __owed)",
+        "if __owed and not __unsure and __s.state.goal_ns == __s.inputs.now_ns:\n    _send(__s, __owed)")),
+    _m("a foreign goal is left standing", CONTROL, (
+        "__foreign = [__i for __i in __owed if not __s.is_from_here(__i)]",
+        "__foreign = [__i for __i in __owed if not __s.is_from_here(__i)]\n"
+        "__owed = [__i for __i in __owed if __s.is_from_here(__i)]")),
+    _m("one led far off is brought back", CONTROL, (
+        "LED_OFF_TICKS = math.radians(12.0) / __tick_rad", "LED_OFF_TICKS = math.radians(300.0) / __tick_rad")),
+    _m("two goals that are lost are another program's", CONTROL, (
+        "any((__goal[__i] == __shown for __goal in __s.state.sent))",
+        "any((__goal[__i] == __shown for __goal in __s.state.sent[:1]))")),
+    _m("the soft limit is not read back", CONTROL,
+       ("if ax12a.register_value(__register, __registers) != __value:\n    __s.write(__servo_id, __register, __value)",
+        "if not __s.state.ticks and ax12a.register_value(__register, __registers) != __value:\n"
+        "    __s.write(__servo_id, __register, __value)"),
+       ("(__softening or __preparing) and __servo.torque_limit != SOFT_TORQUE", "False")),
+
+    # --------------------------------------------------------------------------- the way to rest, and what is behind it
+    _m("rest is not announced", CONTROL, ("__state.ticks < __s.ticks_in(REST_AHEAD_S)", "False")),
+    _m("rest after one hot reading", CONTROL, ("HEAT_S = 2.0", "HEAT_S = 0.0")),
+    _m("rest that was called off begins again", CONTROL, (
+        MAY_REST, "__s.arm.rest_on_strain and __s.state.powered and __s.all_powered()")),
+    _m("the arm's file does not forbid the rest", CONTROL, (
+        MAY_REST, "not __s.state.stays and __s.state.powered and __s.all_powered()")),
+    _m("torque comes on while a servo is hot", CONTROL, ("{Cause.HEAT: 'HOT', Cause.SUPPLY: 'VOLTAGE'}", "{}")),
+    _m("a fault hides behind the first", CONTROL, (
+        "if any((__fault.code == __code and __same for __fault in __s.faults)):\n    return False",
+        "if __s.faults:\n    return False")),
+    _m("rest though a servo is silent", CONTROL,
+       ("any((__kind.motion == 'ends' or __kind.until is Cause.SILENCE for __kind in __kinds))",
+        "any((__kind.motion == 'ends' for __kind in __kinds))"),
+       ("any((__joint.age_s > SILENT_AGE_S for __joint in __s.joints))", "False"),
+       ("_nearer(__rate, __wanted if __s.fresh else 0.0, __s.period_s)",
+        "_nearer(__rate, __wanted if __s.fresh or __s.state.phase == 'fault_going' else 0.0, __s.period_s)"),
+       ("if not __s.fresh:\n    return None\n__progress = min(__way, __end)",
+        "if not (__s.fresh or __s.state.phase == 'fault_going'):\n    return None\n__progress = min(__way, __end)")),
+    _m("contact is told, and not relieved", CONTROL, (
+        "if __s.latch_servo('CONTACT', __i, __text):\n    relieve(__s, __i)",
+        "if __s.latch_servo('CONTACT', __i, __text):\n    __s.state.looks = ()")),
+    _m("contact is never seen", CONTROL, ("PUSH_S = 2.0", "PUSH_S = 2000.0")),
+    _m("no joint is relieved after a stop", CONTROL, (
+        "if _is_too_far(__s, __i):\n    relieve(__s, __i)", "")),
 )
 # fmt: on

@@ -1,7 +1,7 @@
 """What the user of an episode asks for, drawn by a seed: motions, right and wrong ones, and words out of the blue."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -40,8 +40,8 @@ FAST_SHARE = 0.97
 WRIST, WRIST_SHARE = 2, 0.25
 POSTURES = 64
 ELSEWHERE_RAD = 0.2
-# At the default compliance 82 % of a servo's output, and 7.9 deg.
-LEAN_TICKS = 27
+# How many are drawn of those in which the arm may touch itself, and how often a joint goes to a limit in one.
+FOLDS, FOLD_SHARE = 40, 0.6
 
 
 class Requests:
@@ -132,12 +132,57 @@ class Requests:
         ]
         return approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "going on")
 
-    def leaning(self, q_now: Sequence[float], index: int, tick: int) -> JointTrajectory:
-        """A little way of one joint, which stands at `tick`: not far enough to count as blocked."""
+    def against(
+        self,
+        rng: np.random.Generator,
+        q_now: Sequence[float],
+        wrong: Callable[[JointTrajectory], Sequence[str]],
+        why: str,
+    ) -> JointTrajectory:
+        """A motion against which one thing alone speaks, if one is found.
+
+        Args:
+            wrong: What is plainly wrong with a motion.
+            why: Words of what it is to be.
+        """
+        pace = 0.85 if "tool" in why else 1.1
+        limits, begin = np.array([joint.limits_rad for joint in self._arm.joints]), np.array(q_now)
+        for _ in range(FOLDS):
+            # An arm folds on itself where joints are at their limits.
+            shares = rng.integers(2, size=len(limits)) if "other" in why else rng.random(len(limits))
+            ends = limits[:, 0] + shares * (limits[:, 1] - limits[:, 0])
+            folded = rng.random(len(limits)) < FOLD_SHARE
+            folded[0] = "tool" in why  # the base turns everything else
+            rows = [begin, np.where(folded, ends, begin)]
+            trajectory = _paced(rows, self._arm, self._robot, pace)
+            reasons = wrong(trajectory)
+            if reasons and all(why in reason for reason in reasons):
+                break
+        return trajectory
+
+    def dashing(self, rng: np.random.Generator, q_now: Sequence[float]) -> JointTrajectory:
+        """One joint that hardly moves the tool goes to its farther limit, a little too fast for it alone."""
+        index = len(q_now) - 1 - int(rng.integers(WRIST))
+        target = np.array(q_now)
+        target[index] = max(self._arm.joints[index].limits_rad, key=lambda limit: abs(limit - target[index]))
+        return _paced([np.array(q_now), target], self._arm, self._robot, float(rng.uniform(0.75, 0.95)))
+
+    def leaning(self, q_now: Sequence[float], index: int, tick: int, ahead_ticks: int) -> JointTrajectory:
+        """A little way of one joint, which stands at `tick`."""
         target = list(q_now)
-        way_ticks = LEAN_TICKS if tick < ax12a.TICK_MAX / 2 else -LEAN_TICKS
+        way_ticks = ahead_ticks if tick < ax12a.TICK_MAX / 2 else -ahead_ticks
         target[index] = self._arm.joints[index].position_rad(tick + way_ticks)
         return approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "leaning")
+
+    def straining(self, q_now: Sequence[float], index: int, tick: int, ahead_ticks: int) -> JointTrajectory:
+        """The same, and another joint turns to and fro meanwhile: an arm that moves is not judged by its push."""
+        rows = [list(row) for row in self.leaning(q_now, index, tick, ahead_ticks).positions_rad]
+        other, middle_rad = index - 1, sum(self._arm.joints[index - 1].limits_rad) / 2.0
+        step_rad = math.copysign(ax12a.TICK_RAD, middle_rad - q_now[other])
+        for k in range(60):
+            rows.append([*rows[-1]])
+            rows[-1][other] += step_rad if k // 10 % 2 == 0 else -step_rad
+        return JointTrajectory(PERIOD_S, tuple(map(tuple, rows)), label="straining")
 
     def velocities(self, rng: np.random.Generator) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """What a jog asks of the joints [rad/s] or of the tool [m/s]; the other one is empty."""

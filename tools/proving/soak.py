@@ -35,6 +35,7 @@ from proving.arms import drawn
 from proving.episode import Episode, Outcome, Stage, stage_of
 from proving.meetings import never_met, table
 from proving.requests import PERIOD_S
+from proving.scenes import SCENES_FROM, scene, scene_arm, seeded
 from proving.shafts import Violation
 from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink, thickened
 
@@ -108,7 +109,10 @@ class Tally:
 
 
 def drawn_by(seed: int, episode: int) -> tuple[Stage, Story]:
-    """The arm and the story of an episode, the same for the same numbers."""
+    """The arm and the story of an episode, or of a scene, the same for the same numbers."""
+    if episode >= SCENES_FROM:
+        on = stage_of(scene_arm(drawn(seed, seeded(episode)), episode))
+        return on, scene(seed, episode, on.arm)
     on = stage_of(drawn(seed, episode))
     return on, thickened(draw(seed, episode, on.arm), seed, episode, on.arm)
 

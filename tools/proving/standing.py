@@ -17,7 +17,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
 
-from proving.duties import RECOVERING_S
+from proving.duties import RECOVERING_S, SILENT, STRAYS
 from proving.evidence import Servo, Strain
 from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, TICK_DEG, Arm
 from proving.shafts import STILL_TICKS, ShaftJudge
@@ -27,7 +27,7 @@ PUSH = 0.3 + 0.12
 LEAST_PUSH = 0.2
 # What a gripper may hold with.
 GRIP = 0.5
-PUSH_S, PUSH_STOPPED_S = 3.5, 2.0
+PUSH_S, PUSH_STOPPED_S, PUSH_BLOCKED_S = 3.5, 2.0, 1.0
 # Of a cause that has to last: the reading before it, and the one that ends it.
 SLACK_S = 0.25
 # Ticks in which all servos are heard and what is told of torque is wrong.
@@ -38,9 +38,6 @@ HEARD_LATELY_S = 0.35
 WRITER_GONE_S = 0.6
 # From when a servo's silence is told, and by when.
 SILENT_S, UNHEARD_TICKS = 0.5, 6
-# By these a reply may come that a program rightly does not believe.
-SILENT = frozenset({"SERVO_SILENT", "BUS_DEAD"})
-STRAYS = frozenset({"late", "latency", "duplicated", "garbage", "echo", "wrong_id", "corrupted", "truncated"})
 BLOCKED_DEG = 6.0
 # Of a motor's output, as the load's own rounding has it; and by when it is told of, lasting 2 s.
 OVERLOADED, OVERLOADED_S = 0.805, 2.6
@@ -71,6 +68,8 @@ class StandingJudge(ShaftJudge):
         self._since_s = {"HOT": math.inf, "VOLTAGE": math.inf}
         self._last_s = {"HOT": -math.inf, "VOLTAGE": -math.inf}
         self._hottest_degC = 0.0
+        # When the torque was asked for that may be coming on.
+        self._torque_word_s = -math.inf
         # Whether anybody has said what the servos feel.
         self._strained = False
         # When each servo was last too hot; what the motors worked a tick ago, since when too much.
@@ -206,7 +205,7 @@ class StandingJudge(ShaftJudge):
 
     def _standing_causes(self, now_s: float) -> Iterator[str]:
         """Why torque must not come on: what would send the arm to rest."""
-        return (code for code, since_s in self._since_s.items() if now_s - since_s > RESTING[code] + SLACK_S)
+        return (code for code, since_s in self._since_s.items() if since_s < self._torque_word_s - SLACK_S)
 
     def _watch_standing(self, now_s: float, servos: Sequence[Servo], strains: Sequence[Strain]) -> None:
         """Once a tick, with the servos of the tick before in `_before`."""
@@ -265,13 +264,14 @@ class StandingJudge(ShaftJudge):
         self._push_s[i] = min(self._push_s[i], now_s)
         told = self._codes or (self._stopped and self._mode == HOLDING)
         stopped_s = now_s - max(self._push_s[i], self._fault_s if self._codes else 0.0)
-        bound_s = PUSH_STOPPED_S if told and stopped_s > PUSH_STOPPED_S else PUSH_S
+        # A joint that is told to be blocked is relieved at once, if every servo was heard.
+        blocked = self._codes == {"BLOCKED"} and self._named.get("BLOCKED") == self._arm.servo_ids[i] and self._clean
+        soon_s = PUSH_BLOCKED_S if blocked else PUSH_STOPPED_S
+        bound_s = soon_s if told and stopped_s > soon_s else PUSH_S
         if now_s - self._push_s[i] > bound_s:
             text = f"pushes with {strain.output:.2f} where gravity asks for {strain.gravity:.2f}"
             text += f", for {now_s - self._push_s[i]:.1f} s (bound {bound_s:g}), {self._mode} {'+'.join(self._codes)}"
-            # A joint that is told to be blocked is relieved by now, if every servo was heard.
-            blocked = self._codes == {"BLOCKED"} and self._named.get("BLOCKED") == self._arm.servo_ids[i]
-            self._violate("relief" if blocked and self._clean else "stall", now_s, i, text)
+            self._violate("relief" if blocked else "stall", now_s, i, text)
 
     def _watch_load(self, now_s: float, i: int) -> None:
         if now_s - self._load_s[i] > OVERLOADED_S and not self._codes and self._mode in POWERED:

@@ -281,6 +281,59 @@ def _fault(rng: np.random.Generator, arm: ArmConfig, begin_s: float, kind: str =
     )  # fmt: skip
 
 
+class Drawing:
+    """The lines of a scene being drawn."""
+
+    def __init__(self, rng: np.random.Generator, arm: ArmConfig, turn: int) -> None:
+        """The scene's `turn`-th time."""
+        self.rng, self._arm, self._turn = rng, arm, turn
+        self.lines: list[Line] = []
+        # What strikes one servo, strikes that one; and the next one.
+        self.one, self.other = map(int, rng.choice(arm.servo_ids, 2, replace=False))
+
+    def either(self, *ways: str) -> str:
+        """Each in its turn."""
+        return ways[self._turn % len(ways)]
+
+    def number(self) -> int:
+        return int(self.rng.integers(2**31))
+
+    def within(self, at_s: float, spread_s: float = 0.1) -> float:
+        """A time from then on; by default anywhere in one tick."""
+        return round(at_s + float(self.rng.uniform(0.0, spread_s)), 4)
+
+    def wish(self, what: str, at_s: float) -> None:
+        self.lines.append(Wish(at_s, what, self.number()))
+
+    def say(self, *words: tuple[str, float]) -> None:
+        self.lines += [Word(self.within(at_s), what, self.number()) for what, at_s in words]
+
+    def strike(
+        self, kind: str, at_s: float, lasts_s: tuple[float, float], value: tuple[float, float] | None = None,
+        servo_id: int | None = 0, probability: float = 1.0,
+    ) -> float:  # fmt: skip
+        """A fault between the least and the most so long and strong, of servo `one` unless told; when it begins."""
+        begin_s = self.within(at_s)
+        amount = (
+            None if value is None or kind in ("trip", "blocked_joint") else round(float(self.rng.uniform(*value)), 2)
+        )
+        if amount is not None and kind == "second_writer":
+            amount = float(round(amount) * self.rng.choice((-1, 1)))
+        self.lines.append(Strike(Fault(
+            kind=kind, servo_id=self.one if servo_id == 0 else servo_id, begin_s=begin_s, value=amount,
+            duration_s=round(float(self.rng.uniform(*lasts_s)), 4), probability=probability,
+        )))  # fmt: skip
+        return begin_s
+
+    def garble(self, at_s: float, lasts_s: float, probability: float, how: str) -> None:
+        self.lines.append(Garble(self.within(at_s), lasts_s, probability, how))
+
+    def heat(self, at_s: float, above_degC: tuple[float, float] = (1.5, 4.5), servo_id: int | None = 0) -> None:
+        low, high = (self._arm.temperature_limit_degC + degC for degC in above_degC)
+        # Nobody cools it before.
+        self.strike("hot", at_s, (8.0, 9.0), (low, high), servo_id)
+
+
 # ------------------------------------------------------------------------------------------------ shrinking
 
 

@@ -14,6 +14,8 @@ SOFT_LIMIT = 0.2 * FULL_LIMIT
 # More than this no servo has so soon after torque came on.
 FIRM_LIMIT, FIRM_S = 0.9 * FULL_LIMIT, 0.35
 REST_TICKS = 3.0 / TICK_DEG + 2.0
+# One that was led off farther stays where it is.
+LED_TICKS = 12.0 / TICK_DEG + NOISE_TICKS
 # A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
 
@@ -29,6 +31,9 @@ class TorqueJudge(StandingJudge):
         # that missed one.
         self._sent: list[int | None] = [None] * n
         self._sent_before: list[int | None] = [None] * n
+        self._limits = [(joint.low, joint.high) for joint in arm.joints]
+        # Where each servo said it was.
+        self._told = [0] * n
         # Whose EEPROM forbids torque.
         self._unfit: set[int] = set()
         # When the last tick was over.
@@ -36,10 +41,28 @@ class TorqueJudge(StandingJudge):
         # In this tick.
         self._asked_now: set[str] = set()
         self._torque_asked_s = -math.inf
+        # Who was told to let go, and has not been heard limp since: that is said again.
+        self._going: set[int] = set()
         # What this tick's `clear`, if it is granted, makes right.
         self._unless_cleared: list[tuple[str, float, int, str]] = []
         # Whether there is a program at all.
         self._in_charge = False
+
+    def garbled(self, begin_s: float, end_s: float) -> None:
+        """Packets of the host will come damaged from then to then."""
+        self._duties.garbled(begin_s, end_s)
+
+    def led(self, now_s: float) -> None:
+        """A hand is at the arm."""
+        self._duties.led(now_s)
+
+    def tampered(self, i: int) -> None:
+        """Somebody has set a servo's EEPROM such that the arm must not be moved."""
+        self._unfit.add(i)
+
+    def mended(self, i: int) -> None:
+        """The user has set it right."""
+        self._unfit.discard(i)
 
     def _energised(self, now_s: float, i: int, now: Servo) -> None:
         for unfit in self._unfit:
@@ -85,14 +108,32 @@ class TorqueJudge(StandingJudge):
             if servo.torque and None not in known and servo.goal not in known:
                 self._violate("yields", now_s, i, f"holds goal {servo.goal}, which another program sent; sent: {known}")
 
-    def _released(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
-        self._sent[i] = None
+    def _take_over(self, now_s: float) -> None:
+        """From now on the goals count that the servos hold, if they are surely not another program's."""
+        self._sent = [
+            None if not servo.torque or self._duties.other_writer(now_s, i) else servo.goal
+            for i, servo in enumerate(self._before or ())
+        ] or [None] * len(self._sent)
+
+    def _brings_back(self, now_s: float, i: int, goal: int, was: Servo) -> None:
+        """A goal is sent again."""
+        low, high = self._limits[i]
+        away = abs(goal - min(max(self._told[i], low), high))
+        if was.torque and was.goal != goal and away > LED_TICKS:
+            self._violate("2", now_s, i, f"brought back {away * TICK_DEG:.1f} deg to goal {goal} (bound 12)")
+
+    def _told_off(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
+        """A servo is told to let go."""
         # It is told again until it is seen limp: what it was told may be lost, or another program wake it.
-        if self._asked_now & {"release", "teach"} or self._energising(now_s) or self._letting_go:
+        again = self._letting_go or i in self._going
+        if again or self._asked_now & {"release", "teach"} or self._energising(now_s):
+            self._going.add(i)
             return
         settling = self._mode == PARKING or self._settling()
         away = max(abs(servo.sensed_tick - rest) for servo, rest in zip(before, self._rest, strict=True))
-        if not settling or away > REST_TICKS:
+        if settling and away <= REST_TICKS:
+            self._going.add(i)
+        elif before[i].torque:
             self._violate("5", now_s, i, f"torque cut, {away * TICK_DEG:.1f} deg from rest, and nobody asked")
 
     def polled(self, now_s: float, unheard: Sequence[tuple[int, int]], heard: int, asked: int) -> None:
