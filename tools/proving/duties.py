@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence, Set
 
 from armctl.sim.faults import Fault
 from proving.evidence import Duty, Expected, Known, Servo
-from proving.reading import OFF, POWERED, RESTING, TICK_DEG, Arm
+from proving.reading import OFF, POWERED, RESTING, STARTING, TICK_DEG, Arm
 
 # From a hold, or a fault's bound, to the last goal that advances: 200 ms of them, and the tick under way.
 STOP_S = 0.3
@@ -311,7 +311,7 @@ class Duties:
         if fault.kind in SILENCES and certain and lasts_s > SILENCE_S:
             stop_within_s = SILENCE_S
             if lasts_s > LATCH_S + REPORT_SLACK_S:
-                report_within_s = None if known.mode is OFF else LATCH_S
+                report_within_s = None if known.mode in (STARTING, OFF) else LATCH_S
             else:
                 until_s = end_s
         elif fault.kind == "unplug":

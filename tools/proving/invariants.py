@@ -344,6 +344,7 @@ class Judge(TorqueJudge):
         self._asked_now, self._asked_before = set(), self._asked_now
         known = Known(mode, bool(self._code), self._in_charge)
         self._duties.tick(last_s, now_s, servos, known)
+        self._late_s = now_s if gap_s > LATE_S else self._late_s
         if gap_s > LATE_S and self._mode in ADVANCING:
             from_s = now_s + 1.5 * self._period_s
             self._duties.must_stop(from_s, f"a tick came {gap_s:.2f} s late", by_clear=False, invariant="6")

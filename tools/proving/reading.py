@@ -50,8 +50,8 @@ PING, READ, WRITE, REG_WRITE, SYNC_WRITE = 1, 2, 3, 4, 0x83
 BROADCAST_ID = 0xFE
 
 # What the program says of itself, in its own words.
-OFF, ENERGISING, HOLDING, MOVING, JOGGING, PARKING, TEACHING, FAULTED = (
-    "off", "energising", "holding", "moving", "jogging", "parking", "teaching", "faulted",
+STARTING, OFF, ENERGISING, HOLDING, MOVING, JOGGING, PARKING, TEACHING, FAULTED = (
+    "starting", "off", "energising", "holding", "moving", "jogging", "parking", "teaching", "faulted",
 )  # fmt: skip
 ADVANCING = frozenset({MOVING, JOGGING, PARKING})
 POWERED = ADVANCING | {HOLDING}

@@ -53,6 +53,8 @@ class StandingJudge(ShaftJudge):
     def __init__(self, arm: Arm, period_s: float) -> None:
         super().__init__(arm, period_s)
         n = len(arm.joints)
+        # When a tick last came late.
+        self._late_s = -math.inf
         # When each request was last asked; the one for a limp arm that was not refused, nor answered that it is.
         self._asked_s: dict[str, float] = {}
         self._letting_go = ""
@@ -231,6 +233,7 @@ class StandingJudge(ShaftJudge):
         self._watch_torque(now_s, servos)
         self._watch_silence(now_s)
         gone = not self._duties.writer_in_force(now_s, WRITER_GONE_S) and not self._duties.may_be_forged(now_s)
+        gone &= now_s - self._late_s > WRITER_GONE_S
         # To one that went on, which is told as OVERRULED, the arm is left.
         elsewhere = self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT", "OVERRULED"}
         if "OTHER_WRITER" in self._codes and gone and not elsewhere:
