@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -56,6 +57,10 @@ class StaleMutant(ArmctlError):
     def __init__(self, mutant: Mutant, old: str, count: int) -> None:
         where = f"{old!r} fits {count} places in {mutant.room}, not one"
         super().__init__(f"mutant {mutant.name!r}: {where}; bring its pattern up to date")
+
+
+# CPython counts the depth of all syntax trees that are being built as one: two threads at it end in a SystemError.
+_parsing = threading.Lock()
 
 
 def plant(mutant: Mutant, package: Path) -> set[Path]:
@@ -120,7 +125,8 @@ def judge(mutant: Mutant | None, seed: int, played: Sequence[int]) -> tuple[Resu
         if (calibration := ROOT.parent / "calibration").is_dir():
             shutil.copytree(calibration, Path(folder) / "calibration")
         if mutant is not None:
-            plant(mutant, Path(folder) / "armctl")
+            with _parsing:
+                plant(mutant, Path(folder) / "armctl")
         asked = "" if mutant is None else mutant.tests
         found = [] if asked else _soak(folder, seed, played, mutant is None)
         tests = "" if found or mutant is None else _unit_tests(folder, asked or "tests/control")
