@@ -157,8 +157,8 @@ _SHOWN: dict[Mode, tuple[Phase, ...]] = {
     Mode.MOVING: (P.MOVING,),
     Mode.JOGGING: (P.JOGGING,),
     Mode.PARKING: (P.PARK_STARTING, P.PARK_GOING, P.PARK_CHECKING, P.PARK_ENDING),
-    Mode.TEACHING: (P.LETTING_GO, P.TEACHING),
-    Mode.RELEASING: (P.RELEASING,),
+    Mode.TEACHING: (P.TEACHING,),
+    Mode.RELEASING: (P.RELEASING, P.LETTING_GO),
     Mode.FAULTED: (P.FAULTED, P.FAULT_STOPPING, P.FAULT_GOING, P.FAULT_CHECKING),
 }
 # What the outside sees of each phase.
