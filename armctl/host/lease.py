@@ -83,6 +83,8 @@ class Leases:
         lease = self.current
         if lease is None or (lease.client is client and what in _DURING.get(lease.what, ())):
             return
+        if what == "clear" and lease.what == "teach" and lease.client.uid == client.uid:
+            return  # of a fault that has ended the teaching; it moves nothing, and whoever taught may be a closed page
         who = "this client" if lease.client is client else f"client {lease.client.name}"
         end = "end the teaching first" if lease.what == "teach" else "wait, or `armctl stop`"
         raise RequestRefused("BUSY", f"{what}: {who} commands the arm now ({lease.what}); {end}")

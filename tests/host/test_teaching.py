@@ -87,6 +87,15 @@ async def test_teaching_that_a_fault_has_ended_can_be_ended(limp: Bench) -> None
     assert not any(isinstance(command, TeachEnd) for command in limp.control.commands)
 
 
+async def test_a_fault_that_has_ended_teaching_is_cleared_by_the_same_user_from_elsewhere(limp: Bench) -> None:
+    await limp.served(teaching.begin(limp.host, limp.anna))
+    limp.arm.silent = {1}
+    await limp.until(lambda: limp.arm.mode() is Mode.FAULTED)
+    limp.arm.silent = set()
+    await limp.until(lambda: limp.host.status()["joints"][1]["age_s"] < 0.1)
+    assert await limp.served(limp.host.command(limp.ben, "clear")) == {"state": "off"}
+
+
 async def test_a_control_process_that_dies_while_teaching_leaves_the_take_to_be_kept(limp: Bench) -> None:
     host, anna = limp.host, limp.anna
     await limp.taking("kept")
