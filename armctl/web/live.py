@@ -86,7 +86,7 @@ class Encoder:
         events += [fault for fault in faults if fault not in self._faults]
         self._state, self._faults = snapshot["state"], faults
         messages = [channels.string_message(STATUS.name, json.dumps(snapshot, allow_nan=False))]
-        if snapshot["state"] in set(Mode):  # while the control process starts, nothing is known of the arm
+        if snapshot["state"] in set(Mode) and snapshot["tick"] is not None:  # else nothing is known of the arm yet
             record, anchor = self._record(snapshot), Anchor(epoch_ns, 0)
             told = channels.output_messages(record, anchor, self._arm, self._robot)
             messages += [message for message in told if message[0] in PUBLISHED]

@@ -85,6 +85,7 @@ def test_port_that_comes_free_soon_is_waited_for() -> None:
 
 def assert_latched(b: Bench, code: str, servo_id: int, text: str) -> None:
     """The daemon runs, because the servo may yet be connected, but says what is wrong and refuses torque."""
+    b.until(lambda snapshot: snapshot["fault"] is not None)  # the servos are identified in steps
     said = b.daemons[0].stderr.read_text()
     assert [line.count(text) for line in said.splitlines() if code in line] == [1]
     asked = armctl(b.folder, "status", "--socket", str(b.socket), "--json")
