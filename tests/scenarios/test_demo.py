@@ -1,10 +1,13 @@
 """The demonstration, shortened: one take of a short line, and one run of it."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from unittest.mock import patch
 
 import pytest
 
+from armctl.errors import RequestRefused
 from armctl.lab import demo
 from armctl.lab.stage import silent
 from tests.scenarios.bench import SHORT_DEMO
@@ -30,3 +33,25 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path
     for path in (*result["logs"], result["plan"], result["report"]):
         assert Path(path).stat().st_size > 0
     assert not list(out.rglob("*.part"))
+
+
+def test_torque_is_asked_for_again_after_a_reply_that_came_late_and_after_nothing_else() -> None:
+    asked: list[str] = []
+
+    class Refusing:
+        def __init__(self, *codes: str) -> None:
+            self.codes = list(codes)
+
+        def call(self, method: str) -> None:
+            asked.append(method)
+            if self.codes:
+                raise RequestRefused(self.codes.pop(0), "not now")
+
+    def session(*codes: str) -> Any:
+        return SimpleNamespace(client=Refusing(*codes), wait_ticks=lambda _: None)
+
+    demo._torque_on(session("NO_REPLY", "NO_REPLY"))
+    assert len(asked) == 3
+    with pytest.raises(RequestRefused, match="not now"):
+        demo._torque_on(session("NOT_TAKEN"))
+    assert len(asked) == 4
