@@ -8,6 +8,7 @@ Rules.
 2. Recording may fail, control may not: a full, slow or failing disk ends in `problem`, and nobody else notices.
 3. What was put a second ago is on the disk: it is flushed so often that the time the disk needs is within that
    second, and at once when a fault appears. Closing writes the whole queue first.
+4. A disk that takes longer than that is asked again only when all that came meanwhile is written: it loses nothing.
 """
 
 import logging
@@ -74,6 +75,8 @@ class Recorder:
         compactor = compactor or Compaction().start
         self._files = Files(context, log_dir, clock=self._clock, wall_ns=wall_ns, disk=disk, compactor=compactor)
         self._flushed_ns, self._flush_took_ns = self._clock.now_ns(), 0
+        # What came during the last flush, if that was a slow one, and is not written yet.
+        self._behind = 0
         self._slow_problem = ""
         # The caller's own: final name of the take being recorded.
         self.take_path: Path | None = None
@@ -163,7 +166,7 @@ class Recorder:
     # ------------------------------------------------------------------------------------------ the thread
 
     def _run(self) -> None:
-        files = self._files
+        files, urgent = self._files, False
         while True:
             with self._condition:
                 if not self._queue and not self._closing:
@@ -171,15 +174,17 @@ class Recorder:
                     self._condition.wait(min(max(wait_ns, FLUSH_NS // 100), FLUSH_NS) / NS_PER_S)
                 item = self._queue.popleft() if self._queue else None
                 closing = self._closing
+            self._behind = max(0, self._behind - 1)
             if isinstance(item, TickRecord):
-                if files.record(item):
-                    self._flush()
+                urgent |= files.record(item)
             elif item is not None:
                 item()
             elif closing:
                 break
-            if files.written and self._clock.now_ns() >= self._flush_due_ns():
+            due = urgent or self._clock.now_ns() >= self._flush_due_ns()
+            if files.written and due and not self._behind:
                 self._flush()
+                urgent = False
         files.close(TAKE, SNAPSHOT, LOG)
 
     def _flush_due_ns(self) -> int:
@@ -196,3 +201,5 @@ class Recorder:
             _log.warning("%s", text)
         self._slow_problem = text if slow else ""
         self._files.check_space()
+        with self._condition:
+            self._behind = len(self._queue) if self._flush_took_ns > FLUSH_NS else 0

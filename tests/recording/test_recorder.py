@@ -261,6 +261,30 @@ def test_a_slow_disk_is_told_and_flushed_sooner(rig: Rig, monkeypatch: pytest.Mo
     assert ticks(log) == list(range(100))
 
 
+def test_a_disk_slower_than_the_records_is_asked_once_for_all_that_came_meanwhile(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    syncs = 0
+
+    def slow(_: Disk, stream: Any) -> None:
+        nonlocal syncs
+        stream.flush()
+        rig.clock.advance_ns(2 * NS_PER_S)
+        syncs += 1
+
+    monkeypatch.setattr(Disk, "sync", slow)
+    rig.put(RECORDS[:20])
+    before = syncs
+    with held(rig.recorder):
+        for record in RECORDS[20:60]:
+            rig.recorder.put(record)
+    rig.settle()
+    assert syncs - before <= 2
+    rig.put(RECORDS[60:])
+    (log,) = rig.close()
+    assert ticks(log) == list(range(100))
+
+
 def test_the_firmware_of_the_servos_stands_in_the_file(rig: Rig) -> None:
     first = RECORDS[0]
     told = replace(first, inputs=replace(first.inputs, commands=(Connected(firmware=(24, 24, -1, 24, 24, 24)),)))
