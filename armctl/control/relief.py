@@ -18,14 +18,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from armctl.control.enforce import holds, stay
+from armctl.control.enforce import PUSH_RAD, holds, stay
 from armctl.control.machine import Look
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Status
 from armctl.kinematics.chain import joint_axes
 
-PUSH_RAD = math.radians(3.0)
 PUSH_RATIO = 0.3
 # What a joint's own friction may keep its motor working.
 FRICTION_RATIO = 0.1

@@ -156,7 +156,7 @@ def _torque_on(s: Tick, request_id: int) -> None:
                 f"joint {joint.name} is at {position_deg:.1f} deg, outside {joint.limits_deg[0]:g} to "
                 f"{joint.limits_deg[1]:g}; move it inside by hand",
             )
-        ticks.append(min(max(position, low), high))
+        ticks.append(s.here(index))
     s.go(Trigger.TORQUE_ON)
     soften(s)
     state.powered = None

@@ -82,9 +82,7 @@ def energise(s: Tick) -> None:
         case Phase.SOFTENING | Phase.PREPARING if moved or state.phase is Phase.SOFTENING:
             # Torque would pull a shaft that has moved back to where it was: another goal, to be looked at again.
             if moved:
-                state.anchor = tuple(
-                    _within_limits(s, i) if _drifted(s, i, was) else was for i, was in enumerate(anchor)
-                )
+                state.anchor = tuple(s.here(i) if _drifted(s, i, was) else was for i, was in enumerate(anchor))
             s.go(Trigger.SOFT_SEEN if state.phase is Phase.SOFTENING else Trigger.SHAFT_MOVED)
             s.send_goal(state.anchor)
         case Phase.PREPARING:
@@ -125,15 +123,9 @@ def soften(s: Tick) -> bool:
     return len(s.writes) > before
 
 
-def _within_limits(s: Tick, index: int) -> int:
-    """Where a shaft is [tick], or the limit that it is just beyond."""
-    joint = s.wire[index]
-    return min(max(s.status(index).position, joint.low_tick), joint.high_tick)
-
-
 def _drifted(s: Tick, index: int, anchor: int) -> int:
     """How far a limp shaft has come since energising began [tick]; one under torque, soft as it is, only sags."""
-    return 0 if s.status(index).torque_enabled else abs(_within_limits(s, index) - anchor)
+    return 0 if s.status(index).torque_enabled else abs(s.here(index) - anchor)
 
 
 def _at_full_torque(s: Tick) -> bool:

@@ -49,6 +49,10 @@ class WireJoint(NamedTuple):
     # Torque limit with which the servo holds.
     full_torque: int
 
+    def within_limits(self, tick: int) -> int:
+        """A position [tick], or the limit that it is beyond."""
+        return min(max(tick, self.low_tick), self.high_tick)
+
 
 def _wire_joint(joint: JointConfig) -> WireJoint:
     speed_rad_s = joint.speed_limit_rad_s
@@ -133,6 +137,10 @@ class Tick:
         status = self.servos[index]
         assert status is not None
         return status
+
+    def here(self, index: int) -> int:
+        """Where a shaft is [tick], or the limit that it is just beyond."""
+        return self.wire[index].within_limits(self.status(index).position)
 
     def weak_joints(self) -> list[int]:
         """Which joints have torque but too little to hold: whatever switched it on did not come to its end."""
@@ -293,7 +301,7 @@ class Tick:
         """
         if self.state.letting_go is not None:
             return
-        goal = [min(max(tick, joint.low_tick), joint.high_tick) for joint, tick in zip(self.wire, ticks, strict=True)]
+        goal = [joint.within_limits(tick) for joint, tick in zip(self.wire, ticks, strict=True)]
         before = self.ramp = self._ramps()
         tick_rad_s = ax12a.TICK_RAD / self.period_s
         ways = [abs(a - b) for a, b in zip(goal, before or goal, strict=True)]
