@@ -103,9 +103,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch), (ax12a.TORQUE_LIMIT, SOFT_TORQUE))",
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch))")),
     _m("torque-on at a goal of its own", CONTROL,
-       ("__ticks.append(min(max(__position, __low), __high))",
-        "__ticks.append(min(max(__position + 9, __low), __high))"),
-       ("abs(_within_limits(__s, __index) - __anchor)", "abs(_within_limits(__s, __index) + 9 - __anchor)")),
+       ("__ticks.append(__s.here(__index))", "__ticks.append(__s.here(__index) + 9)"),
+       ("abs(__s.here(__index) - __anchor)", "abs(__s.here(__index) + 9 - __anchor)")),
     _m("an EEPROM write in service", CONTROL, (
         "__limit = round(__rising)\n__s.write(__servo_id, ax12a.TORQUE_LIMIT, __limit)",
         "__limit = round(__rising)\n__s.write(__servo_id, ax12a.MAX_TORQUE, __limit)")),
@@ -163,8 +162,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "__shown == __s.state.goal[__i] or any((__goal[__i] == __shown for __goal in __s.state.sent))",
         "any(abs(goal[__i] - __shown) <= 60 for goal in (__s.state.goal, *__s.state.sent))")),
     _m("a limit is off by one", CONTROL, (
-        "[min(max(__tick, __joint.low_tick), __joint.high_tick) for __joint, __tick in __pairs]",
-        "[min(max(__tick, __joint.low_tick - 1), __joint.high_tick + 1) for __joint, __tick in __pairs]")),
+        "min(max(__tick, __x.low_tick), __x.high_tick)", "min(max(__tick, __x.low_tick - 1), __x.high_tick + 1)")),
     _m("a fault is cleared without looking who is there", CONTROL, (
         "__due or __x._tick == 0 or (any(__clears) and __x._identification is None)", "__due or __x._tick == 0")),
     _m("a jog never ends", CONTROL, (
