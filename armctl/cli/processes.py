@@ -72,7 +72,14 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
 )
 @click.option("--lockstep", is_flag=True, help="The arm's time advances with the bus master's ticks, not the clock's.")
 def sim_command(
-    output: Output, arm: str, link: Path | None, echo: bool, faults_file: Path | None, **servos: Any
+    output: Output,
+    arm: str,
+    link: Path | None,
+    echo: bool,
+    faults_file: Path | None,
+    return_delay_us: int | None,
+    factory: bool,
+    **line: Any,
 ) -> int:
     """Simulate an arm: servos that answer the real protocol bytes on a pseudo terminal.
 
@@ -81,16 +88,23 @@ def sim_command(
 
     Example: armctl sim --link /tmp/servos
     """
+    from armctl.dynamixel import ax12a
     from armctl.files import load_arm, read_text
     from armctl.sim import pty
-    from armctl.sim.faults import Fault, parse
+    from armctl.sim.arm import SimulatedArm
+    from armctl.sim.faults import Fault, Faults, parse
 
     played = load_arm(arm)
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
         faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
     link = (link or default_link()).absolute()
-    pty.run(played, link=link, faults=faults, ready=partial(output.ready, "port"), **servos)
+    simulated = SimulatedArm(played, seed=line["seed"], faults=Faults(faults, seed=line["seed"]))
+    if return_delay_us is not None:
+        simulated.set_all(ax12a.RETURN_DELAY, return_delay_us // 2)
+    for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT) if factory else ():
+        simulated.set_all(limit, limit.default)
+    pty.run(simulated, link=link, ready=partial(output.ready, "port"), **line)
     return 0
 
 

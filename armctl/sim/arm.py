@@ -14,6 +14,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.ax12a import Register
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, Packet
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
@@ -67,6 +68,11 @@ class SimulatedArm:
     def time_s(self) -> float:
         """Time integrated since the first `advance` [s]."""
         return self._body.step * STEP_S
+
+    def set_all(self, register: Register, value: int) -> None:
+        """Put a value into every servo's table, as the factory or a wizard's hand does."""
+        for servo in self.servos:
+            servo.set(register, value)
 
     def draw_noise(self) -> None:
         """One draw for every servo, by this moment of the take alone; it lasts until the next one."""

@@ -20,19 +20,16 @@ import struct
 import termios
 import time
 import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from armctl.clock import ask_for_real_time
-from armctl.config import ArmConfig
-from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet
 from armctl.errors import ConfigError
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
 from armctl.sim.control import TRUTH_PERIOD_NS, Controls, TruthRing, control_path
 from armctl.sim.control_server import ControlServer
-from armctl.sim.faults import Fault, Faults
 
 # More than a terminal holds.
 TERMINAL_BYTES = 65536
@@ -120,37 +117,26 @@ class PseudoTerminal:
 
 
 def run(
-    arm: ArmConfig,
+    simulated: SimulatedArm,
     *,
     link: Path,
     ready: Callable[[str], None],
     seed: int = 0,
     latency_ms: float = 0.0,
-    return_delay_us: int | None = None,
-    factory: bool = False,
     lockstep: bool = False,
-    faults: Sequence[Fault] = (),
 ) -> None:
     """Simulate an arm until SIGTERM or SIGINT; from the main thread only.
 
     Args:
         link: Where the port appears; the control socket appears beside it, see `control_path`.
         ready: Called with the link's path once a client may open it.
+        seed: Of the line.
         latency_ms: Timer of the adapter: replies reach the host only when it fires.
-        faults: What goes wrong, beside the live faults of the control socket.
         lockstep: Whether the world follows the bus master's cycles instead of the wall clock, see `Lockstep`.
-        return_delay_us: Of every servo, 0..508 in steps of 2; None: the factory's 500.
-        factory: Whether the servos' angle limits are the factory's, not the arm's.
     Raises:
         ConfigError: a path that cannot be used.
         PortBusy: another simulator serves this link.
     """
-    simulated = SimulatedArm(arm, seed=seed, faults=Faults(faults, seed=seed))
-    for servo in simulated.servos:
-        if return_delay_us is not None:
-            servo.set(ax12a.RETURN_DELAY, return_delay_us // 2)
-        for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT) if factory else ():
-            servo.set(limit, limit.default)
     bus = SimulatedBus(simulated, latency_ms=latency_ms, seed=seed)
     terminal = PseudoTerminal(link)
     ring = TruthRing()

@@ -23,14 +23,11 @@ from pathlib import Path
 from armctl.files import load_arm
 from armctl.dynamixel import ax12a
 from armctl.sim import pty
+from armctl.sim.arm import SimulatedArm
 
-class Other(pty.SimulatedArm):
-    def __init__(self, *args, **kwargs):
-        super().__init__(*args, **kwargs)
-        self.servos[2].set(ax12a.MODEL, 300)
-
-pty.SimulatedArm = Other
-pty.run(load_arm("ax12-line"), link=Path(sys.argv[-1]), ready=lambda link: print("ready", link, flush=True))
+other = SimulatedArm(load_arm("ax12-line"))
+other.servos[2].set(ax12a.MODEL, 300)
+pty.run(other, link=Path(sys.argv[-1]), ready=lambda link: print("ready", link, flush=True))
 """
 
 
