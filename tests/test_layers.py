@@ -21,6 +21,7 @@ IMPURE_CONTROL = ("loop", "link", "process", "stop_lane")
 PURE = (
     "armctl.errors",
     "armctl.messages",
+    "armctl.json_text",
     "armctl.config",
     "armctl.dynamixel.packet",
     "armctl.dynamixel.fitness",

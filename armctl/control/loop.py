@@ -15,8 +15,9 @@ from armctl.control.step import step
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.identify import Identification
 from armctl.errors import BusError
+from armctl.json_text import to_json
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Clear, Command, Connected, Inputs, TickRecord, to_json
+from armctl.messages import Clear, Command, Connected, Inputs, TickRecord
 
 REOPEN_NS = NS_PER_S // 2
 SKIP_NS = 50_000_000

@@ -22,10 +22,11 @@ import numpy as np
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
+from armctl.json_text import to_json
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Event, Fault, JointTrajectory, Run, ServoReading, TickRecord, to_json
+from armctl.messages import Event, Fault, JointTrajectory, Run, ServoReading, TickRecord
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 

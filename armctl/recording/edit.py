@@ -20,7 +20,7 @@ from pathlib import Path
 from armctl.clock import NS_PER_S
 from armctl.control.machine import State
 from armctl.errors import LogError, RequestRefused
-from armctl.messages import to_json
+from armctl.json_text import to_json
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.chunks import ChunkWriter

@@ -25,9 +25,10 @@ from armctl.config import ArmConfig, parse_yaml, validate
 from armctl.control.machine import State
 from armctl.control.step import step as control_step
 from armctl.errors import ConfigError, LogError
+from armctl.json_text import command_from_json, from_json, to_json
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Inputs, Outputs, Sample, ServoReading, TickRecord, command_from_json, from_json, to_json
+from armctl.messages import Inputs, Outputs, Sample, ServoReading, TickRecord
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor

@@ -6,7 +6,8 @@ import pytest
 
 from armctl.control.machine import State
 from armctl.dynamixel import ax12a
-from armctl.messages import Grip, JointTrajectory, Mode, Run, command_from_json, from_json, to_json
+from armctl.json_text import command_from_json, from_json, to_json
+from armctl.messages import Grip, JointTrajectory, Mode, Run
 from tests.control.ideal_arm import PERIOD_S, IdealArm
 
 JOINT = 5

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from armctl import messages
+from armctl import json_text, messages
 from armctl.control.link import Link, LinkClosed, Ready
 from armctl.control.machine import Motion, State
 from armctl.dynamixel.packet import Instruction
@@ -190,7 +190,7 @@ def test_records_the_host_did_not_take_are_counted_and_followed_by_a_keyframe() 
     rig.loop.run(lambda: (), lambda record: rig.keep(record) and next(answers), lambda: len(rig.records) == 5)
     assert [record.dropped for record in rig.records] == [0, 0, 1, 2, 0]
     assert [bool(record.keyframe) for record in rig.records] == [True, False, True, True, False]
-    assert messages.from_json(State, rig.records[3].keyframe).connected
+    assert json_text.from_json(State, rig.records[3].keyframe).connected
 
 
 def test_identification_happens_at_first_and_before_the_clear_of_a_fault_only() -> None:
@@ -241,7 +241,7 @@ def test_the_largest_motion_and_its_keyframe_pass_a_link_of_an_untuned_kernel() 
     way = JointTrajectory(0.1, (row,) * count, times_s=tuple(0.1234567890123456 + 0.1 * i for i in range(count)))
     rig = Rig()
     record = rig.tick()
-    keyframe = messages.to_json(State(motion=Motion(way, 1)))
+    keyframe = json_text.to_json(State(motion=Motion(way, 1)))
     record = replace(record, inputs=replace(record.inputs, commands=(Run(1, way),)), keyframe=keyframe)
     link, theirs = Link.pair()
     link._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 212_992)  # net.core.wmem_max as kernels have it

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from armctl.control import machine
 from armctl.control.machine import ENERGISING, LATCHED, MODE, TO_REST, TRANSITIONS, Motion, Phase, State, Trigger
 from armctl.errors import IllegalTransition
-from armctl.messages import Fault, JointTrajectory, Mode, Problem, from_json, to_json
+from armctl.json_text import from_json, to_json
+from armctl.messages import Fault, JointTrajectory, Mode, Problem
 
 EDGES = {(phase, trigger): after for phase, row in TRANSITIONS.items() for trigger, after in row.items()}
 

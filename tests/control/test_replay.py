@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armctl import messages
+from armctl import json_text, messages
 from armctl.config import Config
+from armctl.json_text import command_from_json, to_json
 from armctl.kinematics import robots
 from armctl.kinematics.sine import cos_sin
-from armctl.messages import Clear, Hold, Jog, Mode, Park, Pause, Resume, Run, SetRate, Teach, command_from_json, to_json
+from armctl.messages import Clear, Hold, Jog, Mode, Park, Pause, Resume, Run, SetRate, Teach
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter
 from tests.control.test_loop import ARM, Rig
@@ -34,10 +35,10 @@ def test_a_command_survives_json_bit_for_bit(command: messages.Command) -> None:
 def test_reading_commands_leaves_nothing_behind() -> None:
     text = to_json(Pause(1))
     command_from_json(text)
-    known = messages._adapter.cache_info().currsize
+    known = json_text._adapter.cache_info().currsize
     for _ in range(20):
         command_from_json(text)
-    assert messages._adapter.cache_info().currsize == known
+    assert json_text._adapter.cache_info().currsize == known
 
 
 @pytest.fixture(scope="module")

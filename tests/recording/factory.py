@@ -8,9 +8,10 @@ import numpy as np
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import ArmConfig, Config, LogConfig
 from armctl.files import load_arm
+from armctl.json_text import to_json
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Command, JointTrajectory, Run, TickRecord, TorqueOn, to_json
+from armctl.messages import Command, JointTrajectory, Run, TickRecord, TorqueOn
 from armctl.recording import channels
 from armctl.recording.channels import Anchor
 from armctl.recording.writer import LogContext

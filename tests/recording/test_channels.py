@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from armctl.dynamixel import ax12a
+from armctl.json_text import command_from_json
 from armctl.kinematics.chain import link_frames
 from armctl.kinematics.transform import matrix_from_quaternion
-from armctl.messages import Event, Fault, Reply, Run, TickRecord, command_from_json
+from armctl.messages import Event, Fault, Reply, Run, TickRecord
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
