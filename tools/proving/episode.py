@@ -25,10 +25,11 @@ from armctl.control.machine import State
 from armctl.control.step import step
 from armctl.dynamixel import ax12a
 from armctl.errors import BusError
+from armctl.json_text import to_json
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import Command, Connected, HostLost, JointTrajectory, Mode, Run, TickRecord, to_json
+from armctl.messages import Command, Connected, HostLost, JointTrajectory, Mode, Run, TickRecord
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault, Faults
 from armctl.sim.servo import ServoVariants
