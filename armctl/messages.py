@@ -1,17 +1,13 @@
 """The one schema of what moves between parts: bus, control step, log, API, dashboard.
 
-Frozen dataclasses of plain values, so that every one of them can be compared, pickled between processes and
-written as JSON without loss (`to_json`, `from_json`; Python's float text round-trips every bit). Joint order is
-the calibration file's order everywhere; positions are radians, time is monotonic nanoseconds.
+Frozen dataclasses of plain values, so that every one of them can be compared, pickled between processes and written
+as JSON without loss (json_text.py). Joint order is the calibration file's order everywhere; positions are radians,
+time is monotonic nanoseconds.
 """
 
-import json
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
-from typing import Annotated, Any, Literal, TypeVar
-
-from pydantic import Field, TypeAdapter
+from typing import Literal
 
 NS_PER_S = 1_000_000_000
 
@@ -383,50 +379,3 @@ class TickRecord:
     keyframe: str = ""
     # Tick records lost before this one because the host did not take them.
     dropped: int = 0
-
-
-# -------------------------------------------------------------------------------------------------- as JSON
-
-T = TypeVar("T")
-
-
-@cache
-def _adapter(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
-
-
-def _plain(value: object) -> object:
-    if is_dataclass(value):  # not `asdict`, which copies every number of a trajectory
-        return {name.name: getattr(value, name.name) for name in fields(value)}
-    if isinstance(value, bytes):
-        return value.hex()
-    raise TypeError(f"no JSON form for {type(value).__name__}")
-
-
-def to_json(message: Any) -> str:
-    """Any message of this module as one line of JSON; bytes become hexadecimal."""
-    return json.dumps(message, default=_plain, separators=(",", ":"), allow_nan=False)
-
-
-def from_json(kind: type[T], text: str) -> T:
-    """The message of type `kind` written by `to_json`.
-
-    Raises:
-        ValueError: the text is not such a message.
-    """
-    adapter: TypeAdapter[T] = _adapter(kind)  # type: ignore[arg-type]  # classes are hashable
-    return adapter.validate_python(json.loads(text))
-
-
-def command_from_json(text: str) -> Command:
-    """A command written by `to_json`, told apart by its `kind`.
-
-    Raises:
-        ValueError: the text is no command.
-    """
-    command: Command = _adapter(_BY_KIND).validate_python(json.loads(text))
-    return command
-
-
-# One object for all calls: another one would be another type, with an adapter of its own that is kept for ever.
-_BY_KIND = Annotated[Command, Field(discriminator="kind")]
