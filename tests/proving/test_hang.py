@@ -1,9 +1,14 @@
 """The hang proof's short form, and that its judge would notice."""
 
+import os
+import signal
+import time
+
 import numpy as np
 import pytest
 
-from proving import hang
+from proving import busy_machine, hang
+from proving.rig import Rig
 
 TIME_S = np.arange(0.0, 1.5, 0.01)
 
@@ -23,8 +28,30 @@ def test_every_state_meets_every_victim_in_the_full_form() -> None:
 
 @pytest.mark.pty
 def test_a_hang_of_each_process_leaves_the_arm_safe() -> None:
-    result = hang.prove(seed=1, runs=1)
+    result = hang.prove(seed=1, runs=1, hours=0.0)
     assert [one["runs"] for one in result["by_victim"]] == [1] * 4
     # How long things took is judged where nothing else runs.
     unsafe = ("torque", "told from", "STOP was answered b", "faults", "silent servos", "said to be")
     assert not [told for told in result["examples"] if any(part in told for part in unsafe)]
+
+
+@pytest.mark.pty
+def test_a_busy_machine_is_no_hung_daemon_and_one_that_hangs_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(busy_machine, "HOGS", 0)  # the disk alone: what else runs beside the tests is enough
+    result = busy_machine.watch(seed=1, hours=6.0 / 3600.0)
+    assert result["violations"] == []
+    assert result["motions"]
+    assert result["syncs"]
+
+    ended = busy_machine._end
+
+    def hung_before_its_end(running: Rig) -> None:
+        os.kill(running.daemon_pid, signal.SIGSTOP)
+        time.sleep(0.6)
+        os.kill(running.daemon_pid, signal.SIGCONT)
+        assert running.client.call("status")["state"] == "holding"
+        ended(running)
+
+    monkeypatch.setattr(busy_machine, "_end", hung_before_its_end)
+    [violation] = busy_machine.watch(seed=1, hours=1.0 / 3600.0)["violations"]
+    assert "tell of HOST_SILENT" in violation

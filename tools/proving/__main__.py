@@ -44,7 +44,7 @@ PROOFS: dict[str, Work] = {
     "load": _work("load", "prove", tells=True),
 }
 # What a proof takes beside the seed.
-OPTIONS = {"soak": {"hours", "workers", "episode"}, "mutants": {"workers"}}
+OPTIONS = {"soak": {"hours", "workers", "episode"}, "mutants": {"workers"}, "hang": {"runs", "hours"}}
 BENCHES: dict[str, Work] = {
     name: _work(f"{name}_bench", "bench")
     for name in ("log", "web", "bus", "sim", "jitter", "ik", "ga", "line", "start")
@@ -62,7 +62,8 @@ def main() -> None:
 @main.command()
 @click.argument("name", type=click.Choice(tuple(PROOFS)))
 @seeded
-@click.option("--hours", type=click.FloatRange(0.0, min_open=True), help="soak: virtual time.")
+@click.option("--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine.")
+@click.option("--runs", type=click.IntRange(0), help="hang: of each process.")
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
 @click.option("--workers", type=click.IntRange(1), help="soak, mutants: processes.  [default: 2]")
 @as_json

@@ -12,6 +12,8 @@ is stopped, and goes on after `HANG_S` (a control process that hangs is killed b
 5. Within `TRUE_S` of coming back the status says what the servos do. No torque changes.
 
 What the kernel kept back over the pseudo terminal meanwhile is measured and added to the time in which the arm stands.
+
+Afterwards a busy machine is watched, on which nothing hangs (`busy_machine.py`): no false alarm.
 """
 
 import contextlib
@@ -33,6 +35,7 @@ from armctl.client import Client
 from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError
 from armctl.kinematics.transform import FloatArray
+from proving.busy_machine import HOURS, watch
 from proving.rig import Rig, hold, rig
 
 RUNS = 200
@@ -74,8 +77,10 @@ class Run:
     violations: list[str] = field(default_factory=list)
 
 
-def prove(seed: int, runs: int = RUNS, tell: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-    """Stop each kind of process so often."""
+def prove(
+    seed: int, runs: int = RUNS, hours: float = HOURS, tell: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """Stop each kind of process so often, then watch a busy machine for so long."""
     rng = np.random.default_rng(seed)
     order = [(victim, STATES[number % len(STATES)]) for number in range(runs) for victim in VICTIMS]
     done: list[Run] = []
@@ -93,11 +98,12 @@ def prove(seed: int, runs: int = RUNS, tell: Callable[[str], None] = lambda _: N
                 tell(f"{len(done)}/{len(order)} {run.victim} {run.state}: {_told(run)}")
                 if run.violations:
                     break  # a fresh rig
+    watched = watch(seed, hours, tell) if hours else {"violations": []}
     return {
         "runs": len(done),
-        "violations": sum(len(run.violations) for run in done),
+        "violations": sum(len(run.violations) for run in done) + len(watched["violations"]),
         **{
-            f"worst_{name}": round(max(getattr(run, name) for run in done), 3)
+            f"worst_{name}": round(max((getattr(run, name) for run in done), default=0.0), 3)
             for name in ("rest_s", "stop_s", "adopt_s")
         },
         "by_victim": [
@@ -105,7 +111,11 @@ def prove(seed: int, runs: int = RUNS, tell: Callable[[str], None] = lambda _: N
             for victim in VICTIMS
             if (own := [run for run in done if run.victim == victim])
         ],
-        "examples": [f"{run.victim} {run.state}: {text}" for run in done for text in run.violations][:10],
+        "busy_machine": {key: value for key, value in watched.items() if key != "violations"},
+        "examples": [
+            *[f"{run.victim} {run.state}: {text}" for run in done for text in run.violations][:10],
+            *watched["violations"][:10],
+        ],
         "seed": seed,
     }
 
