@@ -10,7 +10,8 @@ Rules.
    gravity explains, and `FRICTION_RATIO` more than all of it, for 2 s, is a fault, CONTACT (see detect.py), and
    relieved too.
 3. What comes back after a relief is a weight, such as a load in the gripper: from then on gravity explains that as
-   well, until torque goes off. So no joint is relieved twice for it, and gravity walks no arm down.
+   well, for as long as it is felt. So no joint is relieved twice for it, and gravity walks no arm down. What a standing
+   joint feels no more was no weight, or is put down: a hand pulls like one.
 """
 
 import math
@@ -45,6 +46,8 @@ GRIP_RATIO = 0.5
 def look_for_push(s: Tick) -> None:
     """Relieve what was to be looked at once it stands, and learn what it bears where that was in vain."""
     looks, s.state.looks, now_ns = s.state.looks, (), s.inputs.now_ns
+    if s.state.borne_ratio:
+        _put_down(s)
     for look in looks:
         i = look.joint
         there = stands(s, i) and s.status(i).goal == s.state.goal[i]
@@ -52,12 +55,27 @@ def look_for_push(s: Tick) -> None:
             s.state.looks += (replace(look, since_ns=there and (look.since_ns or now_ns)),)
         elif look.relieved:
             borne = s.state.borne_ratio or (0.0,) * len(s.wire)
-            low, high = explained_ratio(s)[i]
-            load_ratio = s.joints[i].load_ratio
-            weight = borne[i] + load_ratio - min(max(load_ratio, low), high)
-            s.state.borne_ratio = (*borne[:i], weight, *borne[i + 1 :])
+            s.state.borne_ratio = (*borne[:i], borne[i] + _beyond(s)[i], *borne[i + 1 :])
         elif _is_too_far(s, i):
             relieve(s, i)
+
+
+def _put_down(s: Tick) -> None:
+    """Of what a standing joint bore, keep what it still feels."""
+    borne, s.state.borne_ratio = s.state.borne_ratio, ()
+    felt = tuple([
+        (max(0.0, min(before, now)) if before > 0.0 else min(0.0, max(before, now))) if stands(s, i) else before
+        for i, (before, now) in enumerate(zip(borne, _beyond(s), strict=True))
+    ])  # fmt: skip
+    s.state.borne_ratio = felt if any(felt) else ()
+
+
+def _beyond(s: Tick) -> list[float]:
+    """Output of every joint beyond what is explained, with its sign."""
+    return [
+        joint.load_ratio - min(max(joint.load_ratio, low), high)
+        for joint, (low, high) in zip(s.joints, explained_ratio(s), strict=True)
+    ]
 
 
 def _is_too_far(s: Tick, index: int) -> bool:

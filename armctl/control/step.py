@@ -108,7 +108,7 @@ def _advance(s: Tick) -> None:
         move(s, s.state.motion)
     if s.state.jog is not None:
         advance_jog(s, s.state.jog)
-    if s.state.looks:
+    if s.state.looks or s.state.borne_ratio:
         look_for_push(s)
     if s.goal is None:
         hold_goals(s)

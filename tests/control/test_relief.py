@@ -134,6 +134,20 @@ def test_what_comes_back_after_a_relief_is_a_weight_and_walks_no_arm_down() -> N
     assert (arm.mode(), arm.code()) == (Mode.HOLDING, "")
 
 
+def test_a_hand_that_pulled_after_a_relief_and_has_let_go_is_no_weight() -> None:
+    arm = holding()
+    arm.put(0, ax12a.PRESENT_LOAD, 900)
+    arm.stuck = {0}
+    arm.put(0, ax12a.PRESENT_POSITION, arm.get(0, ax12a.GOAL) - 16)
+    arm.run_ticks(15, Hold(5))
+    assert arm.state.borne_ratio[0] > PUSH_RATIO, "what pulls on is taken for a weight at first"
+    arm.put(0, ax12a.PRESENT_LOAD, 0)
+    arm.run_ticks(5)
+    arm.put(0, ax12a.PRESENT_LOAD, 700)
+    arm.run_ticks(25)
+    assert arm.code() == "CONTACT"
+
+
 @pytest.mark.parametrize("name", ["ax12-line", "lanzhou-4dof", "xiang-6dof", "transfer-6dof"])
 def test_gravity_of_every_arm_that_may_be_built_is_explained_in_every_pose(name: str) -> None:
     arm = load_arm(name)
