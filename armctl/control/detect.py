@@ -96,6 +96,7 @@ def _lasts(s: Tick, since_ns: int, seconds: float) -> bool:
 def _detect_power_faults(s: Tick) -> None:
     """Lost torque, a trip, a second writer, a blocked joint: faults of an arm under torque."""
     state = s.state
+    s.confirm_goals()
     # Of one that shows a goal from elsewhere: it is led, and not kept from where it is to be.
     errors_rad = [
         abs(servo.position - tick) * ax12a.TICK_RAD if servo and s.is_from_here(i) else 0.0

@@ -282,8 +282,21 @@ class Tick:
             state.sent = (state.goal, *state.sent)[: self.ticks_in(SENT_S, SENT_LEAST)]
         state.goal, state.goal_ns = goal, now_ns
 
+    def confirm_goals(self) -> None:
+        """A servo that shows its goal shows no earlier one again, unless somebody else writes it."""
+        state, readings = self.state, self.inputs.sample.servos
+        shown = [
+            reading.fresh and servo is not None and servo.goal == goal
+            for reading, servo, goal in zip(readings, self.servos, state.goal, strict=True)
+        ]
+        left = (
+            tuple([now if done else was for now, was, done in zip(state.goal, goal, shown, strict=True)])
+            for goal in state.sent
+        )
+        state.sent = tuple([goal for goal in left if goal != state.goal])
+
     def is_from_here(self, index: int) -> bool:
-        """Whether a servo that has been heard shows one of the latest goals sent to it."""
+        """Whether a servo that has been heard shows one of the goals sent to it since it last showed the latest."""
         shown = self.status(index).goal
         return shown == self.state.goal[index] or any(goal[index] == shown for goal in self.state.sent)
 

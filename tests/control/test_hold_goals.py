@@ -49,6 +49,17 @@ def test_two_goals_lost_in_a_row_are_ours() -> None:
     assert (arm.code(), arm.replies[5].ok) == ("", True)
 
 
+def test_an_earlier_goal_that_comes_back_after_the_last_one_was_seen_is_another_program_s() -> None:
+    arm = running(5)
+    arm.run_ticks(30)
+    assert arm.mode() is Mode.HOLDING
+    earlier = arm.goals[-4][0]
+    assert earlier != arm.get(0, ax12a.GOAL)
+    arm.put(0, ax12a.GOAL, earlier)
+    arm.run_tick()
+    assert arm.fault() == ("OTHER_WRITER", 1)
+
+
 def test_the_last_goal_of_a_stop_is_sent_again_while_another_servo_is_unheard() -> None:
     arm = running(5)
     arm.deaf = {0}
