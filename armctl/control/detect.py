@@ -3,10 +3,9 @@
 import math
 from collections.abc import Sequence
 
-from armctl.control.enforce import keep_here
 from armctl.control.faults import KINDS, Cause
 from armctl.control.machine import Phase, Trigger
-from armctl.control.relief import PUSH_RATIO, pushes, relieve
+from armctl.control.relief import PUSH_RATIO, keep_here, pushes, relieve
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Status
@@ -158,9 +157,12 @@ def _detect_strain(s: Tick) -> None:
     for i, joint in enumerate(joints):
         if lasts("HOT", i, state.heat_since_ns[i], HEAT_S):
             s.latch_servo("HOT", i, f"{joint.temperature_degC:g} degC for {HEAT_S:g} s (bound {limit_degC:g})")
-        if lasts("VOLTAGE", i, state.supply_since_ns[i], SUPPLY_S):
-            bounds = f"bounds {low_V:g} to {high_V:g}"
-            s.latch_servo("VOLTAGE", i, f"{joint.voltage_V:.1f} V for {SUPPLY_S:g} s ({bounds})")
+        since_ns = state.supply_since_ns[i]
+        # What has made a joint weak is told with what came of it.
+        at_once = "BLOCKED" in s.found and 0 < since_ns < s.inputs.now_ns
+        if lasts("VOLTAGE", i, since_ns, 0.0 if at_once else SUPPLY_S):
+            lasted = f"{(s.inputs.now_ns - since_ns) / NS_PER_S:.1f} s (bounds {low_V:g} to {high_V:g})"
+            s.latch_servo("VOLTAGE", i, f"{joint.voltage_V:.1f} V for {lasted}")
         if lasts("OVERLOAD", i, state.load_since_ns[i], LOAD_S):
             s.latch_servo("OVERLOAD", i, f"load {abs(joint.load_ratio):.0%} for {LOAD_S:g} s (bound 80%)")
 

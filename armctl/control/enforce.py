@@ -10,9 +10,7 @@ Rules.
    same way. Only one that goes on writing for `YIELD_NS` is given way to, until `clear`.
 4. A servo that was led off by more than `LED_OFF_TICKS` is not brought back: its goal becomes where it is. Two readings
    in a row have to say so: one may be another servo's.
-5. A servo of a limp arm to which another program gave torque keeps its torque, but not a goal more than `PUSH_RAD`
-   away: that becomes where it is, again and again. What that lets sink was limp before.
-6. While the port is gone anybody may move the arm. Then armctl has no say in it any more, until it takes it over again.
+5. While the port is gone anybody may move the arm. Then armctl has no say in it any more, until it takes it over again.
 """
 
 import math
@@ -28,8 +26,6 @@ YIELD_NS = 1_000_000_000
 # After so long without a goal from elsewhere the next one is another story.
 CALM_NS = 1_000_000_000
 LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
-# No servo that stands is to push against more than so much without a cause.
-PUSH_RAD = math.radians(3.0)
 # How fast it is brought back from less: as slowly as to rest.
 BACK_UNITS = ax12a.moving_speed_units(math.radians(20.0))
 # A goal this near to the shaft asks for no way.
@@ -83,14 +79,6 @@ def stay(s: Tick, index: int) -> None:
     here = s.here(index)
     s.remember((*s.state.goal[:index], here, *s.state.goal[index + 1 :]))
     s.state.ramp = ()
-
-
-def keep_here(s: Tick, index: int) -> None:
-    """Let a servo that has torque, on an arm that is limp, be where it is."""
-    servo, joint = s.status(index), s.wire[index]
-    if abs(servo.position - servo.goal) * ax12a.TICK_RAD > PUSH_RAD:
-        s.write(joint.servo_id, ax12a.MOVING_SPEED, joint.speed_limit_units)
-        s.write(joint.servo_id, ax12a.GOAL, s.here(index))
 
 
 def holds(s: Tick, index: int) -> Status | None:

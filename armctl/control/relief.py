@@ -12,6 +12,8 @@ Rules.
 3. What comes back after a relief is a weight, such as a load in the gripper: from then on gravity explains that as
    well, for as long as it is felt. So no joint is relieved twice for it, and gravity walks no arm down. What a standing
    joint feels no more was no weight, or is put down: a hand pulls like one.
+4. A servo of a limp arm to which another program gave torque keeps its torque, but not a goal that it pushes towards,
+   which becomes where it is, again and again.
 """
 
 import math
@@ -19,13 +21,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from armctl.control.enforce import PUSH_RAD, holds, stay
+from armctl.control.enforce import holds, stay
 from armctl.control.machine import Look
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Status
 from armctl.kinematics.chain import joint_axes
 
+PUSH_RAD = math.radians(3.0)
 PUSH_RATIO = 0.3
 # What a joint's own friction may keep its motor working.
 FRICTION_RATIO = 0.1
@@ -107,11 +110,22 @@ def pushes(s: Tick) -> list[float]:
     """By how much every joint's output is beyond what may be, as a share of its strength; not above 0: it is not, or
     the joint moves, is limp or unheard.
     """
-    found = []
-    for i, (joint, (low, high)) in enumerate(zip(s.joints, explained_ratio(s), strict=True)):
-        beyond = max(low - joint.load_ratio, joint.load_ratio - high)
-        found.append(beyond - max(PUSH_RATIO - (high - low) / 2.0, FRICTION_RATIO) if stands(s, i) else 0.0)
-    return found
+    return [beyond if stands(s, i) else 0.0 for i, beyond in enumerate(_beyond_bound(s))]
+
+
+def _beyond_bound(s: Tick) -> list[float]:
+    """By how much every joint's output is beyond what may be; below 0: it is not."""
+    return [
+        max(low - joint.load_ratio, joint.load_ratio - high) - max(PUSH_RATIO - (high - low) / 2.0, FRICTION_RATIO)
+        for joint, (low, high) in zip(s.joints, explained_ratio(s), strict=True)
+    ]
+
+
+def keep_here(s: Tick, index: int) -> None:
+    """Let a servo that has torque, on an arm that is limp, be where it is, unless it only bears its weight."""
+    if _is_too_far(s, index) or _beyond_bound(s)[index] > 0.0:
+        s.write(s.wire[index].servo_id, ax12a.MOVING_SPEED, s.wire[index].speed_limit_units)
+        s.write(s.wire[index].servo_id, ax12a.GOAL, s.here(index))
 
 
 def explained_ratio(s: Tick) -> list[tuple[float, float]]:

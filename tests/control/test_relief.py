@@ -23,6 +23,8 @@ from tests.control.damaged_arm import Rig, is_goal
 from tests.control.ideal_arm import IdealArm, holding
 
 NEAR_ZERO = 0.3
+# The elbow bears 0.23 of its strength, and 0.54 if the arm were as heavy as may be.
+ELBOW_OUT_DEG = (0.0, 110.0, -40.0, -100.0, 0.0, 0.0)
 
 
 def blocked(joint: int = 0, seed: int = 3) -> Rig:
@@ -83,10 +85,9 @@ def test_a_hundred_stops_in_a_row_lower_the_tool_by_2_mm_at_most(seed: int) -> N
     assert before_m - rig.simulated.true_tool_position()[2] < 2e-3
 
 
-# The base bears nothing; the elbow 0.23 of its strength, and 0.54 if the arm were as heavy as may be.
 @pytest.mark.parametrize(("joint", "lean_deg"), [(0, 5.0), (2, 4.5)])
 def test_a_lasting_push_at_standstill_is_a_fault_and_is_relieved(joint: int, lean_deg: float) -> None:
-    rig = Rig().holding().at((0.0, 110.0, -40.0, -100.0, 0.0, 0.0))
+    rig = Rig().holding().at(ELBOW_OUT_DEG)
     rig.fault("blocked_joint", joint + 1)
     rig.ticks(35, Run(5, rig.turned(lean_deg, joint, seconds=1.0)))
     assert rig.code() == "CONTACT"
@@ -190,3 +191,29 @@ def test_what_another_program_wakes_on_a_limp_arm_pushes_against_nothing(lasts_s
     assert max(pushes) > NEAR_ZERO, "the program was there"
     assert max(pushes[-20:]) < NEAR_ZERO
     assert rig.stiff() == [1]
+
+
+def test_what_another_program_wakes_bears_its_weight_and_does_not_sink() -> None:
+    """The elbow of an arm; somebody else has put 5 degrees between goal and shaft."""
+    arm = IdealArm().connect()
+    for i, (joint, deg) in enumerate(zip(arm.arm.joints, ELBOW_OUT_DEG, strict=True)):
+        for register in (ax12a.PRESENT_POSITION, ax12a.GOAL):
+            arm.put(i, register, round(joint.tick(math.radians(deg))))
+    arm.run_ticks(3)
+    low, high = explained(arm.arm, arm.robot, np.radians(ELBOW_OUT_DEG))[2]
+    assert low == 0.0 < 0.4 < high < 0.7
+    direction = arm.arm.joints[2].direction
+    arm.put(2, ax12a.TORQUE_ENABLE, 1)
+    arm.put(2, ax12a.GOAL, arm.get(2, ax12a.PRESENT_POSITION) + 16 * direction)
+    given = arm.get(2, ax12a.GOAL)
+
+    def works(ratio: float) -> None:
+        arm.put(2, ax12a.PRESENT_LOAD, round(1023 * ratio) + (0 if direction > 0 else 1024))
+        arm.run_ticks(20)
+        assert arm.outputs is not None
+        assert arm.outputs.joints[2].load_ratio == pytest.approx(ratio, abs=0.01)
+
+    works(high - 0.05)
+    assert (arm.code(), arm.get(2, ax12a.GOAL)) == ("NOT_LIMP", given)
+    works(0.95)
+    assert arm.get(2, ax12a.GOAL) == arm.get(2, ax12a.PRESENT_POSITION)
