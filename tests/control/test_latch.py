@@ -129,6 +129,18 @@ def test_a_blocked_joint_latches_and_its_goal_becomes_its_position_once() -> Non
     assert arm.ask(Clear(7)).ok
 
 
+def test_a_joint_that_a_sagging_supply_holds_up_is_told_with_its_cause() -> None:
+    arm = holding()
+    arm.stuck = {0}
+    arm.run_tick(Run(5, line(arm, delta_rad=0.8)))
+    while not arm.state.faults:
+        if arm.state.error_since_ns[0]:
+            arm.put(0, ax12a.PRESENT_VOLTAGE, 70)  # less than half a second ago
+        arm.run_tick()
+    found = [(fault.code, fault.servo_id, fault.follows) for fault in arm.state.faults]
+    assert found == [("VOLTAGE", 1, ""), ("BLOCKED", 1, "VOLTAGE")]
+
+
 def test_damaged_replies_above_a_tenth_latch_and_below_do_not() -> None:
     arm = holding()
     latched = []
