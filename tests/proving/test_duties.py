@@ -193,18 +193,24 @@ def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else(holding: Bench) -> Non
     assert holding.broken == {"7", "rest"}
 
 
-@pytest.mark.parametrize(("heard_ticks", "broken"), [(32, set()), (20, {"7"})])
-def test_7_heat_that_outlasts_a_silence_may_send_the_arm_to_rest(
-    holding: Bench, heard_ticks: int, broken: set[str]
+@pytest.mark.parametrize("stopped_by", ["a silence", "hold"])
+@pytest.mark.parametrize("announced", [True, False])
+def test_7_heat_that_outlasts_a_silence_may_send_the_arm_to_rest_once_that_is_announced(
+    holding: Bench, stopped_by: str, announced: bool
 ) -> None:
     holding.servos[0].goal = 400  # the base rests at 512
     holding.at(400.0)
     holding.tick(Mode.FAULTED, "HOT")
     holding.now_s += 0.5
-    for k in range(heard_ticks + 6):
+    for k in range(38):
+        if (stopped_by, k) == ("hold", 20):
+            holding.ask("hold")
+        if announced and k == 30:
+            holding.judge.rest_announced()
         holding.tick(Mode.FAULTED, "SERVO_SILENT", heard=k > 5, also="HOT")
     holding.goal(405)
-    assert holding.broken - {"faults"} == broken
+    wrong = {"6"} if stopped_by == "hold" else set()
+    assert holding.broken - {"faults"} == wrong | (set() if announced else {"7"})
 
 
 def test_7_a_fault_that_is_cleared_though_its_cause_lasts(holding: Bench) -> None:

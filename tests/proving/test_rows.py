@@ -202,3 +202,45 @@ def test_another_writers_goal_that_is_read_back_and_not_reported(moving: Bench, 
         moving.goal(MIDDLE)  # overwritten at once
         moving.tick(*((Mode.FAULTED, "OTHER_WRITER") if told else (Mode.HOLDING, "")))
     assert moving.broken == (set() if told or not read_back else {"rows"})
+
+
+@pytest.mark.parametrize("echo", [True, False])
+def test_nobody_tells_of_a_writer_whose_goals_are_heard_behind_an_echo(echo: bool) -> None:
+    bench = running()
+    bench.move(5)
+    bench.plan("second_writer", 3.0)
+    if echo:
+        bench.plan("echo", 2.0, None)
+    bench.tick(Mode.MOVING)
+    bench.servos[0].goal = MIDDLE + 60
+    bench.ticks(8, Mode.MOVING)
+    assert any("second_writer" in violation.text for violation in bench.judge.violations) is not echo
+
+
+@pytest.mark.parametrize(("told_before", "broken"), [(True, set()), (False, {"rows"})])
+def test_a_fault_that_comes_back_at_once_after_a_clear_is_not_another_one_s_name(
+    holding: Bench, told_before: bool, broken: set[str]
+) -> None:
+    if told_before:
+        holding.tick(Mode.FAULTED, "BUS_NOISE")
+        holding.ask("clear")
+        holding.tick(Mode.HOLDING)
+    holding.plan("hot", 0.5, 1, value=69.0)
+    holding.tick(Mode.HOLDING)
+    holding.tick(Mode.FAULTED, "BUS_NOISE")
+    assert holding.broken & {"rows"} == broken
+
+
+def test_another_program_s_goal_is_taken_back_to_the_one_that_was_adopted(holding: Bench) -> None:
+    holding.judge.died(holding.now_s, holding.servos)
+    holding.tick()
+    holding.judge.back()
+    holding.tick(Mode.HOLDING)
+    holding.plan("second_writer", 0.5)
+    holding.tick(Mode.HOLDING)
+    holding.servos[0].goal = MIDDLE - 50
+    holding.tick(Mode.FAULTED, "OTHER_WRITER")
+    holding.goal(MIDDLE)
+    assert holding.broken == set()
+    holding.goal(MIDDLE + 40)
+    assert holding.broken

@@ -2,6 +2,7 @@
 
 import pytest
 
+from armctl.dynamixel import ax12a
 from armctl.messages import Mode
 from proving.rules import RED
 from tests.proving.judged import ARM, MIDDLE, PERIOD_S, Bench, running
@@ -145,3 +146,39 @@ def test_torque_does_not_come_on_while_a_servo_is_hot(limp: Bench) -> None:
     limp.goal(MIDDLE, torque=True, limit=128)
     assert limp.red == {"cause"}
     assert ARM.temperature_limit_degC == 65.0
+
+
+@pytest.mark.parametrize(("ticks", "broken"), [(15, set()), (24, {"stall"})])
+def test_a_push_counts_from_the_stop_on(holding: Bench, ticks: int, broken: set[str]) -> None:
+    holding.feel(0.5)
+    holding.ticks(10, Mode.HOLDING)
+    holding.ask("hold")
+    holding.ticks(ticks, Mode.HOLDING)
+    assert holding.red == broken
+
+
+@pytest.mark.parametrize(("also", "broken"), [("BLOCKED", set()), ("", {"rest"})])
+def test_a_supply_is_told_at_once_with_what_it_holds_up_alone(holding: Bench, also: str, broken: set[str]) -> None:
+    holding.feel(volts=7.0)
+    holding.servos[0].goal = MIDDLE + 40
+    holding.ticks(2, Mode.HOLDING)
+    holding.tick(Mode.FAULTED, "VOLTAGE", also=also)
+    assert holding.red - {"2", "7"} == broken
+
+
+def test_what_lasted_may_be_told_in_the_tick_in_which_it_ends(holding: Bench) -> None:
+    holding.feel(volts=8.0)
+    holding.ticks(6, Mode.HOLDING)
+    holding.feel()
+    holding.tick(Mode.FAULTED, "VOLTAGE")
+    assert holding.red == set()
+
+
+@pytest.mark.parametrize(("volts", "broken"), [(8.95, set()), (8.8, {"cause"})])
+def test_torque_comes_on_only_where_the_supply_is_in_range_as_servos_tell_it(volts: float, broken: set[str]) -> None:
+    bench = Bench(torque=False)
+    bench.feel(volts=volts)
+    bench.ticks(5, Mode.OFF)
+    bench.ask("torque_on")
+    bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)
+    assert bench.red & {"cause"} == broken

@@ -82,6 +82,7 @@ class Duties:
         self._planned: list[tuple[float, float, Fault]] = []
         self._faults: list[tuple[float, float, Fault]] = []
         self._expected: list[Expected] = []
+        self._codes: Set[str] = frozenset()
         # Until when damaged packets may have told a servo what nobody sent.
         self._forged_until_s = [-math.inf] * len(arm.joints)
         # Begin and end of damage to packets of the host.
@@ -135,6 +136,10 @@ class Duties:
         """What only a stop or an adoption forbade is allowed again."""
         self._duties = [duty for duty in self._duties if duty.by_clear]
 
+    def rest_announced(self) -> None:
+        """The arm will set off for its rest pose: what stopped it by itself is over, what the user stopped is not."""
+        self._duties = [duty for duty in self._duties if not duty.by_clear and duty.why == "after `hold`"]
+
     def cleared(self) -> None:
         """The user has cleared the fault."""
         self._duties = [duty for duty in self._duties if not duty.by_clear]
@@ -145,15 +150,19 @@ class Duties:
 
     def reported(self, code: str) -> list[str]:
         """A fault is latched: whichever it is, it was noticed; what was to be reported under another code, if alone."""
-        alone = len(self._faults) == 1 and not self._garbled
+        kinds = [fault.kind for _, _, fault in self._faults]
+        alone = kinds[0] if len(kinds) == 1 and not self._garbled else "no fault"
         latched = [one for one in self._expected if not one.by_name]
         self._expected = [one for one in self._expected if one.by_name]
-        return [one.what for one in latched if alone and one.codes and code not in one.codes]
+        return [one.what for one in latched if one.what.startswith(alone) and one.codes and code not in one.codes]
 
     def told(self, codes: Set[str]) -> None:
         """All faults that are reported now."""
         # Nothing can be said of servos that nobody hears.
-        unheard = codes & (SILENT | {"PORT_GONE", "BUS_NOISE"})
+        unheard, self._codes = codes & (SILENT | {"PORT_GONE", "BUS_NOISE"}), codes
+        if "PORT_GONE" in codes and self._back_by_s < math.inf:
+            # A port that is not back hears nobody.
+            self._expected = [one for one in self._expected if not one.by_name]
         if codes:
             self._expected = [
                 one for one in self._expected if not (one.by_name and (one.codes & codes or (unheard and one.servos)))
@@ -238,11 +247,16 @@ class Duties:
         for one in self._expected:
             if one.by_s == math.inf and any(self.heard_s[i] > one.begin_s + HEARD_S for i in one.servos):
                 one.by_s = now_s + one.within_s
-        if not any(one.by_s < now_s for one in self._expected):
-            return []
-        found = [(one.what, one.by_name) for one in self._expected if one.by_s < now_s]
-        self._expected = [one for one in self._expected if one.by_s >= now_s]
-        return found
+        due = [one for one in self._expected if one.by_s < now_s and self._could_tell(now_s, one)]
+        self._expected = [one for one in self._expected if one not in due]
+        return [(one.what, one.by_name) for one in due]
+
+    def _could_tell(self, now_s: float, one: Expected) -> bool:
+        """Whether a servo has been heard since what has to be told had lasted long enough, on a line that is well."""
+        since_s = one.by_s - REPORT_SLACK_S - self._period_s - HEARD_S
+        # What comes beside other bytes, or behind late ones, is rightly not believed.
+        strays = self.lately(now_s, STRAYS, 0.0)
+        return not one.servos or (not strays and any(self.heard_s[i] > since_s for i in one.servos))
 
     def excused(self, now_s: float, i: int | None = None) -> bool:
         """Whether a fault, or a hand, may be what moves a joint; None: whichever, for it shakes the others."""
@@ -323,7 +337,7 @@ class Duties:
                 self._back_by_s = max(self._back_by_s, end_s + BACK_S)
         elif not (powered or (known.latched and any(servo.torque for servo in servos))):
             return
-        elif fault.kind == "trip" and certain and self._takes_torque(servos, fault):
+        elif fault.kind == "trip" and certain and self._takes_torque(servos, fault) and "NOT_LIMP" not in self._codes:
             stop_within_s = report_within_s = self._period_s
         elif fault.kind == "brown_out" and certain:
             stop_within_s, report_within_s = SILENCE_S, LATCH_S
@@ -353,7 +367,8 @@ class Duties:
         if until_s > now_s + 0.15 and not any("second_writer" in one.what for one in self._expected):
             what = f"second_writer, until {until_s:.2f} s"
             self.must_stop(now_s + self._period_s + STOP_S, what, by_clear=True, invariant="6")
-            self.must_report(now_s + self._period_s + REPORT_SLACK_S, what, CODES["second_writer"])
+            within_s, codes = self._period_s + REPORT_SLACK_S, CODES["second_writer"]
+            self._expected.append(Expected(now_s + within_s, what, codes, False, now_s, within_s, (i,)))
 
     def _struck(self, servos: Sequence[Servo], fault: Fault) -> Iterator[tuple[int, Servo]]:
         return (

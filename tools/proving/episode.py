@@ -14,7 +14,7 @@ from __future__ import annotations
 import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,13 +38,13 @@ from armctl.sim.virtual_arm import VirtualArm
 from proving import reading
 from proving.arms import arm_of, arm_text
 from proving.clerk import Clerk
+from proving.evidence import Outcome
 from proving.invariants import Judge
 from proving.meetings import Meetings
 from proving.motions import MotionJudge
 from proving.promises import Promises
 from proving.readings import differences
 from proving.requests import PERIOD_S, postures
-from proving.shafts import Violation
 from proving.story import Garble, HostGone, Kill, Late, Story, Strike, Tamper
 from proving.watch import Killed, Watch, WatchedPort, damaged
 
@@ -55,6 +55,7 @@ NEAR_S = 2.0
 RESTART_S = 1.0
 # Before a fault is cleared its servos are identified; silent ones take so long at most.
 IDENTIFIED_S = 3.0
+NEVER_NS = 2**63
 
 
 class Over(BaseException):
@@ -95,23 +96,6 @@ def stage_of(text: str) -> Stage:
     arm = arm_of(text)
     robot = robots.get(arm.robot, arm.lengths_m)
     return Stage(arm, robot, postures(arm, robot), reading.read(text))
-
-
-@dataclass
-class Outcome:
-    """What came of an episode."""
-
-    violations: list[Violation]
-    rows: Counter[str]
-    virtual_s: float
-    # Fingerprint of every byte the host sent.
-    wire: str
-    # The course of it in plain words, with its times.
-    told: list[tuple[float, str]] = field(default_factory=list)
-    # Of rules that are not kept yet.
-    red: list[Violation] = field(default_factory=list)
-    # Which two faults began within a tick, under torque.
-    met: Counter[tuple[str, str]] = field(default_factory=Counter)
 
 
 def variants(seed: int) -> ServoVariants:
@@ -177,6 +161,8 @@ class Episode:
         self._kill: Kill | None = None
         self._gone: HostGone | None = None
         self._noisy: set[str] = set()
+        # When a `clear` was first asked for, of the fault that is told.
+        self._clear_ns = NEVER_NS
         self._code, self._mode = "", ""
         self._log = log
         # The step's memory, run again on the records alone.
@@ -315,6 +301,8 @@ class Episode:
         commands = self.clerk.commands(now_s)
         for command in commands:
             self.judge.asked(now_s, command.kind)
+            if command.kind == "clear":
+                self._clear_ns = min(self._clear_ns, self._clock.now_ns())
             self._asked[getattr(command, "request_id", -1)] = command.kind
             self._promises.asked(command.kind, getattr(command, "request_id", -1))
             if isinstance(command, Run) and command.request_id not in self._through:
@@ -333,9 +321,8 @@ class Episode:
         code = "" if outputs.fault is None else outputs.fault.code
         cause = self.clerk.persisting(outputs.mode is Mode.ENERGISING) if self._code and not code else ""
         code_before = self._code
-        codes = frozenset(fault.code for fault in getattr(outputs, "faults", ())) | ({code} if code else frozenset())
-        faults = (*getattr(outputs, "faults", ()), *filter(None, (outputs.fault,)))
-        self.judge.names({fault.code: fault.servo_id for fault in faults})
+        codes = frozenset(fault.code for fault in outputs.faults)
+        self.judge.names({fault.code: fault.servo_id for fault in outputs.faults})
         self.judge.reported(now_s, outputs.mode, code, cause, codes)
         self.meetings.tick(now_s, any(servo.torque for servo in self.watch.servos()))
         if code != self._code or outputs.mode != self._mode:
@@ -349,9 +336,10 @@ class Episode:
             self.judge.misread(now_s, index, text)
         # A control process that begins has cleared nothing.
         latest_ns = [self.watch.identified_ns.get(servo_id, -NS_PER_S * 9) for servo_id in self._arm.servo_ids]
-        anew = self._clock.now_ns() - min(latest_ns) <= IDENTIFIED_S * NS_PER_S
+        anew = min(self._clock.now_ns() - IDENTIFIED_S * NS_PER_S, self._clear_ns) <= min(latest_ns)
         if code_before and not code and record.inputs.tick and not anew:
             self.judge.found(now_s, "7", f"{code_before} was cleared, and the servos were not identified anew")
+        self._clear_ns = self._clear_ns if code else NEVER_NS
         self.watch.replies.clear()
         self.clerk.see(now_s, record)
         self._repeat(record)
@@ -379,11 +367,13 @@ class Episode:
             if event.code.isupper() and event.code not in ("STATE", "CONNECTED"):
                 self.rows[event.code] += 1
                 self.note(f"   {event.code}: {event.text}")
-            if event.code == "PORT_BACK":
-                self.judge.port_back()
-        for event in record.outputs.events:
-            if event.code == "RUN_ACCEPTED":
-                self._accepted(record)
+            match event.code:
+                case "PORT_BACK":
+                    self.judge.port_back()
+                case "REST_AHEAD":
+                    self.judge.rest_announced()
+                case "RUN_ACCEPTED":
+                    self._accepted(record)
         for reply in record.outputs.replies:
             self.judge.replied(self.now_s, self._asked.get(reply.request_id, ""), reply.ok, self.watch.servos())
             if not reply.ok and reply.code == "LIMIT" and reply.request_id in self._through:

@@ -1,6 +1,8 @@
-"""What the judge sees and what it expects: packets, servos and motors at an instant, duties, faults to be reported."""
+"""What the judge sees and what it expects: packets, servos and motors at an instant, duties, faults to be reported,
+and what came of an episode."""
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 
 from proving.reading import At
 
@@ -88,3 +90,29 @@ class Expected:
     begin_s: float = 0.0
     within_s: float = 0.0
     servos: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """Something that no invariant allows."""
+
+    invariant: str
+    time_s: float
+    text: str
+
+
+@dataclass
+class Outcome:
+    """What came of an episode."""
+
+    violations: list[Violation]
+    rows: Counter[str]
+    virtual_s: float
+    # Fingerprint of every byte the host sent.
+    wire: str
+    # The course of it in plain words, with its times.
+    told: list[tuple[float, str]] = field(default_factory=list)
+    # Of rules that are not kept yet.
+    red: list[Violation] = field(default_factory=list)
+    # Which two faults began within a tick, under torque.
+    met: Counter[tuple[str, str]] = field(default_factory=Counter)

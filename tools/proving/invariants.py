@@ -45,7 +45,6 @@ from proving.duties import STOP_S
 from proving.evidence import Known, Sent, Servo, Strain
 from proving.reading import (
     ADVANCING,
-    ANNOUNCED_S,
     EEPROM_END,
     ENERGISING,
     GOAL,
@@ -63,7 +62,6 @@ from proving.reading import (
     Arm,
 )
 from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, copied
-from proving.standing import SLACK_S
 from proving.torque import HERE_TICKS, TorqueJudge
 
 LEAD_TICKS = 12.0 / TICK_DEG
@@ -74,7 +72,7 @@ AGE_S = 0.25
 # A bus that is heard again: looked for, identified, and the silent ones of it told.
 FOUND_S = 2.5
 BURST_S, BURST = 0.25, 4
-AGAIN_S, LATELY_S = 0.006, 1.15
+AGAIN_S, LATELY_S, AGAIN_TOLD_S = 0.006, 1.15, 0.5
 # A heartbeat counts for 80 ms; then the arm stops.
 JOG_S = 0.08 + 0.1 + STOP_S
 # And half a second after it the jog is over.
@@ -82,8 +80,6 @@ JOGS_S = 0.5 + 0.1 + STOP_S
 # Late by the bound of 250 ms, whatever the two readings took.
 LATE_S = 0.35
 DEAD_S = 0.25
-# What keeps an arm from going to rest while it lasts.
-HINDRANCES = frozenset({"mute", "dead_bus", "lost", "unplug", "second_writer"})
 STOPS = frozenset({"hold", "pause", "host_lost", "host_silent"})
 MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
 
@@ -114,8 +110,8 @@ class Judge(TorqueJudge):
         self._clears_and_moves = False
         # What is right if this tick's report tells of a fault that sends the arm to rest at once.
         self._unless_settling: list[tuple[str, float, int, str]] = []
-        # When something last kept the arm from going to rest.
-        self._hindered_s = -math.inf
+        # Which fault was cleared last, and when: told again at once it is that one still.
+        self._again = "", -math.inf
         # Whether another program is taking over, and nobody has asked it for anything yet.
         self._adopting = False
 
@@ -130,7 +126,8 @@ class Judge(TorqueJudge):
         self._asked_s[kind] = now_s
         self._asked_now.add(kind)
         self._adopting = False
-        self._stopped = kind in STOPS or (self._stopped and kind not in MOTION_REQUESTS)
+        if kind in STOPS or kind in MOTION_REQUESTS:
+            self._stopped_s = min(self._stopped_s, now_s) if kind in STOPS else math.inf
         calm = self._mode in (HOLDING, OFF) and not self._code
         if (kind in MOTION_REQUESTS and calm) or (kind == "resume" and self._mode == MOVING):
             self._duties.motion_asked()
@@ -156,6 +153,8 @@ class Judge(TorqueJudge):
             goal: The one it tells, of a servo under torque. One that is not from here obliges a program that looks;
                 one that this program's next goal replaced before anybody asked the servo is seen by nobody.
         """
+        if self._duties.lately(now_s, {"echo"}, 0.0):
+            return  # the host hears itself
         self._heard_s[index], self._told[index] = now_s, position
         if goal is None:
             self._going.discard(index)
@@ -189,7 +188,8 @@ class Judge(TorqueJudge):
                 self._watch_tripped(now_s)
             if code == "PORT_GONE":
                 self._duties.port_gone(now_s)
-            for what in self._duties.reported(code):
+            again = code == self._again[0] and now_s - self._again[1] < AGAIN_TOLD_S
+            for what in self._duties.reported(code) if not again else ():
                 self._violate("rows", now_s, -1, f"{what} is reported as {code}")
             if code not in RESTING:
                 from_s = now_s + 1.5 * self._period_s + 0.1
@@ -198,6 +198,7 @@ class Judge(TorqueJudge):
             self._duties.motion_asked()
             self._duties.cleared()
         if self._code and not code:
+            self._again = self._code, now_s
             self._duties.cleared()
             if self._clears_and_moves:
                 self._duties.motion_asked()
@@ -279,7 +280,7 @@ class Judge(TorqueJudge):
         self._sent[i], self._sent_before[i] = goal, last
         if self._adopting and not any(_given_up(servo) for servo in before):
             self._violate("6", now_s, i, "a goal from a program that has only just adopted the arm")
-        known = was.goal if last is None else last
+        known = self._known(now_s, i, was) if last is None else last
         if "clear" in self._asked_now and abs(goal - was.goal) < abs(goal - known):
             known = was.goal  # it was granted: from there on it goes on from the goals that the servos hold
         if goal == known or not was.torque:
@@ -352,10 +353,6 @@ class Judge(TorqueJudge):
             self._violate("status", now_s, -1, "the arm is told to be jogged, and nobody asks for it")
         if now_s - max(self._heard_s) > AGE_S:
             self._deaf_s = now_s
-        if now_s - min(self._heard_s) > AGE_S or self._duties.lately(now_s, HINDRANCES, 0.0):
-            self._hindered_s = now_s
-        elif self._codes & RESTING.keys() and now_s - self._hindered_s > ANNOUNCED_S - SLACK_S:
-            self._duties.cleared()  # what sends the arm to rest has outlasted what kept it from going
         for what, by_name in self._duties.overdue(now_s):
             if by_name and now_s - self._deaf_s < FOUND_S:
                 continue  # of a bus that is not heard at all there is nothing more to tell
@@ -367,6 +364,8 @@ class Judge(TorqueJudge):
             ours = (self._sent[i], self._sent_before[i], before[i].goal if before else servo.goal)
             if servo.goal not in ours and self._duties.may_be_forged(now_s):
                 self._duties.forged(now_s, i)
+            if not self._duties.other_writer(now_s, i):
+                self._held[i] = servo.goal if servo.torque else None
             if not servo.torque:
                 self._enabled.pop(i, None)
                 self._far_s[i] = math.inf

@@ -115,7 +115,9 @@ class MotionJudge:
             one, other = (points[:, k, None] * (1.0 - share) + points[:, k + 1, None] * share for k in (i, j))
             # Sampled ones are farther apart than the links are: what is too near is so for certain.
             apart = np.linalg.norm(one[:, :, None] - other[:, None, :], axis=-1).min(axis=(1, 2)) - 2.0 * radius_m
-            if (apart < min(float(apart[0]), 0.0) - DEEP_M).any():
+            grid_m = 0.5 * float(ends[i + 1] - ends[i] + ends[j + 1] - ends[j]) / (SAMPLES - 1)
+            begin_m = float(apart[0]) - grid_m if apart[0] < 0.0 else 0.0
+            if (apart < begin_m - DEEP_M).any():
                 yield f"links {i + 1} and {j + 1} come {-1000.0 * float(apart.min()):.0f} mm into each other"
 
     def points(self, rows: np.ndarray) -> np.ndarray:

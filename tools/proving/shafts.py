@@ -5,10 +5,9 @@ The part of the judge that looks at true positions once a tick; `invariants.py` 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from proving.duties import REPORT_SLACK_S, Duties
-from proving.evidence import Servo
+from proving.evidence import Servo, Violation
 from proving.reading import OFF, POWERED, TICK_DEG, Arm
 from proving.rules import RED
 
@@ -21,15 +20,6 @@ STILL_TICKS = 0.9 / TICK_DEG
 DEAD_TICKS = 10.0 / TICK_DEG
 BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
 BLOCKED_S = 0.3
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """Something that no invariant allows."""
-
-    invariant: str
-    time_s: float
-    text: str
 
 
 class ShaftJudge:

@@ -32,11 +32,11 @@ from armctl.messages import Command, Run, SetRate, TickRecord
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter
 from proving.arms import drawn
-from proving.episode import Episode, Outcome, Stage, stage_of
+from proving.episode import Episode, Stage, stage_of
+from proving.evidence import Outcome, Violation
 from proving.meetings import never_met, table
 from proving.requests import PERIOD_S
 from proving.scenes import SCENES_FROM, scene, scene_arm, seeded
-from proving.shafts import Violation
 from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink, thickened
 
 SEED = 1

@@ -43,6 +43,8 @@ BLOCKED_DEG = 6.0
 OVERLOADED, OVERLOADED_S = 0.805, 2.6
 # For so long a cause that is over may still be told of.
 JUST_NOW_S = 1.5
+# To what a servo tells its supply.
+SENSED_V = 0.1
 # Above this a servo tells its overheating by itself.
 OVERHEAT_DEGC = 70.0
 
@@ -69,6 +71,8 @@ class StandingJudge(ShaftJudge):
         # Since when, and when last, some servo has been too hot, or its supply out of range.
         self._since_s = {"HOT": math.inf, "VOLTAGE": math.inf}
         self._last_s = {"HOT": -math.inf, "VOLTAGE": -math.inf}
+        # For how long then.
+        self._lasted_s = {"HOT": 0.0, "VOLTAGE": 0.0}
         self._hottest_degC = 0.0
         # When the torque was asked for that may be coming on.
         self._torque_word_s = -math.inf
@@ -91,8 +95,8 @@ class StandingJudge(ShaftJudge):
         self._all_heard = False
         # Whether all servos were heard when a fault came to be told.
         self._clean = False
-        # Whether the arm was told to stop and has not been told to move since.
-        self._stopped = False
+        # Since when the arm has been told to stop, and not to move since.
+        self._stopped_s = math.inf
         # Goals of this tick that advance.
         self._advanced: list[tuple[int, str]] = []
 
@@ -113,6 +117,11 @@ class StandingJudge(ShaftJudge):
         """A reading is not what its servo said."""
         self._violate("status", now_s, i, text)
 
+    def rest_announced(self) -> None:
+        """The program in charge says that it will send the arm to rest."""
+        if self._codes & RESTING.keys():
+            self._duties.rest_announced()
+
     def names(self, named: Mapping[str, int | None]) -> None:
         """Which servo each fault that is told names."""
         self._named = named
@@ -131,7 +140,9 @@ class StandingJudge(ShaftJudge):
             index = self._arm.servo_ids.index(who) if who in self._arm.servo_ids else -1
             if index >= 0 and self._before and (why := self._not_this_one(now_s, code, index)):
                 self._violate("rows", now_s, index, f"{code} names this servo, and {why}")
-            lasted_s = max(0.0, now_s - self._since_s.get(code, -math.inf))
+            lasted_s = self._lasted_s.get(code, math.inf)
+            # What holds a joint up is told with it.
+            lasted_s += RESTING.get(code, 0.0) if code == "VOLTAGE" and "BLOCKED" in codes else 0.0
             own = self._hottest_degC > OVERHEAT_DEGC
             if self._strained and not own and lasted_s < RESTING.get(code, 0.0) - SLACK_S:
                 text = f"{code} is told {lasted_s:.2f} s after its cause began (bound {RESTING[code]})"
@@ -160,7 +171,7 @@ class StandingJudge(ShaftJudge):
         strays |= duties.struck_lately(now_s, {"lost"}, i)
         if code == "SERVO_SILENT" and not strays and now_s - duties.heard_s[i] < SILENT_S - SLACK_S and self._all_known:
             return "it was heard just now"
-        if code == "BLOCKED" and now_s - self._away_s[i] > JUST_NOW_S:
+        if code == "BLOCKED" and now_s - max(self._away_s[i], self._late_s) > JUST_NOW_S:
             return "it is where it is told to be"
         struck = {"TRIPPED": {"trip", "brown_out", "hot"}, "LOST_TORQUE": {"trip", "brown_out"}}.get(code, set())
         if struck and servo.torque and servo.limit == FULL_LIMIT and not duties.struck_lately(now_s, struck, i):
@@ -207,7 +218,13 @@ class StandingJudge(ShaftJudge):
 
     def _standing_causes(self, now_s: float) -> Iterator[str]:
         """Why torque must not come on: what would send the arm to rest."""
-        return (code for code, since_s in self._since_s.items() if since_s < self._torque_word_s - SLACK_S)
+        low_V, high_V = self._arm.voltage_V
+        out = any(not low_V - SENSED_V <= strain.voltage_V <= high_V + SENSED_V for strain in self._strains)
+        return (
+            code
+            for code, since_s in self._since_s.items()
+            if since_s < self._torque_word_s - SLACK_S and (out or code != "VOLTAGE")
+        )
 
     def _watch_standing(self, now_s: float, servos: Sequence[Servo], strains: Sequence[Strain]) -> None:
         """Once a tick, with the servos of the tick before in `_before`."""
@@ -219,6 +236,7 @@ class StandingJudge(ShaftJudge):
         for code, found in (("HOT", hot), ("VOLTAGE", out)):
             if any(found):
                 self._since_s[code], self._last_s[code] = min(self._since_s[code], now_s), now_s
+                self._lasted_s[code] = now_s - self._since_s[code]
             else:
                 self._since_s[code] = math.inf
         for i, (servo, strain) in enumerate(zip(servos, strains, strict=False)):
@@ -256,8 +274,8 @@ class StandingJudge(ShaftJudge):
         may = (0.0, strain.gravity, strain.gravity if strain.carrying is None else strain.carrying)
         grip = GRIP if i == self._arm.gripper else 0.0
         needed = min(max(strain.output, min(may) - grip), max(may) + grip)
-        # A motor that turns nothing pushes against nothing.
-        idle = duties.struck_lately(now_s, {"stuck_joint"}, i)
+        # A motor that turns nothing pushes against nothing; one that sees nothing seems to bear a weight.
+        idle = duties.struck_lately(now_s, {"stuck_joint", "frozen_sensor"}, i)
         pushes = servo.torque and abs(strain.output - needed) > PUSH and not idle
         if servo.torque and abs(strain.output - strain.gravity) > LEAST_PUSH:
             self._pushed_s = now_s
@@ -265,19 +283,20 @@ class StandingJudge(ShaftJudge):
             self._push_s[i] = math.inf
             return
         self._push_s[i] = min(self._push_s[i], now_s)
-        told = self._codes or (self._stopped and self._mode == HOLDING)
-        stopped_s = now_s - max(self._push_s[i], self._fault_s if self._codes else 0.0)
+        told_s = self._fault_s if self._codes else self._stopped_s if self._mode == HOLDING else math.inf
+        stopped_s = now_s - max(self._push_s[i], told_s)
         # A joint that is told to be blocked is relieved at once, if every servo was heard.
         blocked = self._codes == {"BLOCKED"} and self._named.get("BLOCKED") == self._arm.servo_ids[i] and self._clean
         soon_s = PUSH_BLOCKED_S if blocked else PUSH_STOPPED_S
-        bound_s = soon_s if told and stopped_s > soon_s else PUSH_S
+        bound_s = soon_s if stopped_s > soon_s else PUSH_S
         if now_s - self._push_s[i] > bound_s:
             text = f"pushes with {strain.output:.2f} where gravity asks for {strain.gravity:.2f}"
             text += f", for {now_s - self._push_s[i]:.1f} s (bound {bound_s:g}), {self._mode} {'+'.join(self._codes)}"
             self._violate("relief" if blocked else "stall", now_s, i, text)
 
     def _watch_load(self, now_s: float, i: int) -> None:
-        if now_s - self._load_s[i] > OVERLOADED_S and not self._codes and self._mode in POWERED:
+        # A program that was late has seen it once.
+        if now_s - max(self._load_s[i], self._late_s) > OVERLOADED_S and not self._codes and self._mode in POWERED:
             self._violate(
                 "rows", now_s, i, f"works above 80 % for {now_s - self._load_s[i]:.1f} s, and nobody tells it"
             )
@@ -315,7 +334,7 @@ class StandingJudge(ShaftJudge):
 
     def _forget_words(self) -> None:
         """The program is gone, and what it said."""
-        self._codes, self._announced_s, self._stopped = frozenset(), math.inf, False
+        self._codes, self._announced_s, self._stopped_s = frozenset(), math.inf, math.inf
         self._advanced.clear()
         self._mode, self._code = OFF, ""
         self._push_s = [math.inf] * len(self._push_s)

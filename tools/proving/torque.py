@@ -31,6 +31,8 @@ class TorqueJudge(StandingJudge):
         # that missed one.
         self._sent: list[int | None] = [None] * n
         self._sent_before: list[int | None] = [None] * n
+        # What each servo under torque held before another program wrote to it.
+        self._held: list[int | None] = [None] * n
         self._limits = [(joint.low, joint.high) for joint in arm.joints]
         # Where each servo said it was.
         self._told = [0] * n
@@ -114,6 +116,11 @@ class TorqueJudge(StandingJudge):
             None if not servo.torque or self._duties.other_writer(now_s, i) else servo.goal
             for i, servo in enumerate(self._before or ())
         ] or [None] * len(self._sent)
+
+    def _known(self, now_s: float, i: int, servo: Servo) -> int:
+        """The goal of a servo to which the program in charge has sent none: adopted, before anybody else wrote."""
+        held = self._held[i] if self._duties.other_writer(now_s, i) else None
+        return servo.goal if held is None else held
 
     def _brings_back(self, now_s: float, i: int, goal: int, was: Servo) -> None:
         """A goal is sent again."""
