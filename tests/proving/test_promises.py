@@ -93,3 +93,11 @@ def test_torque_that_is_asked_for_again_may_stay() -> None:
     bench.promises.asked("teach", 7)
     bench.promises.asked("torque_on", 8)
     assert bench.ticks(STIFF_READINGS + 2, True, True) == set()
+
+
+def test_an_arm_that_was_seen_limp_has_torque_by_somebody_else() -> None:
+    bench = Bench()
+    bench.promises.asked("release", 7)
+    bench.ticks(1, True, False, reply=Reply(7, False, NOT_LIMP))
+    bench.ticks(1, False, False)
+    assert bench.ticks(STIFF_READINGS + 1, True, False) == set()

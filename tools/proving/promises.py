@@ -75,6 +75,8 @@ class Promises:
         for reply in replies:
             if self._waiting.pop(reply.request_id, None) is not None and reply.code != NOT_LIMP:
                 self._stiff = None
+        if all(reading.fresh and not _torque(reading) for reading in readings):
+            self._stiff = None  # it is limp: torque from now on is somebody else's
         for i, reading in enumerate(readings):
             if not reading.fresh or self._stiff is None:
                 continue
