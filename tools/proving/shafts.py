@@ -93,8 +93,11 @@ class ShaftJudge:
             abs(moved) > STILL_TICKS and not servo.torque for servo, moved in zip(servos, all_moved, strict=True)
         ):
             return  # a limp joint that falls shakes those that hold
+        # What was decided before is sent until it arrives.
+        lossy = self._duties.may_be_lost(now_s)
         for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True)):
-            if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved):
+            arrives = lossy and moved * (servo.goal - servo.shaft_tick + moved) > 0.0
+            if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved) and not arrives:
                 self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")
 
     def _watch_dead(
