@@ -12,7 +12,7 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, Packet
 from armctl.messages import Clear, Hold, Mode, Release, Run
 from tests.control.damaged_arm import Rig, is_goal
-from tests.control.ideal_arm import holding, running
+from tests.control.ideal_arm import IdealArm, holding, line, running
 
 
 def write_goal(rig: Rig, joint: int, tick: int) -> None:
@@ -58,6 +58,24 @@ def test_an_earlier_goal_that_comes_back_after_the_last_one_was_seen_is_another_
     arm.put(0, ax12a.GOAL, earlier)
     arm.run_tick()
     assert arm.fault() == ("OTHER_WRITER", 1)
+
+
+def test_an_earlier_goal_that_a_servo_goes_on_to_show_for_a_second_is_another_program_s() -> None:
+    """One that moves so slowly that most of its goals are the same."""
+    arm = holding()
+    arm.run_tick(Run(5, line(arm, delta_rad=0.03, seconds=6.0)))
+    arm.run_ticks(15)
+    first = arm.get(0, ax12a.GOAL)
+
+    def write_it_again(arm: IdealArm) -> None:
+        arm.put(0, ax12a.GOAL, first)
+
+    arm.after_write = write_it_again
+    ticks = 0
+    while arm.code() != "OTHER_WRITER":
+        arm.run_tick()
+        ticks += arm.state.goal[0] != first
+        assert ticks <= 12
 
 
 def test_the_last_goal_of_a_stop_is_sent_again_while_another_servo_is_unheard() -> None:
