@@ -217,3 +217,38 @@ def test_7_a_fault_that_is_cleared_though_its_cause_lasts(holding: Bench) -> Non
     holding.tick(Mode.FAULTED, "SERVO_SILENT")
     holding.judge.reported(holding.now_s, Mode.HOLDING, "", "mute is in force")
     assert holding.broken == {"7"}
+
+
+def test_heat_that_is_set_anew_below_the_bound_is_told_by_nobody(holding: Bench) -> None:
+    holding.plan("hot", 0.05, 1, value=70.0)
+    holding.tick(Mode.HOLDING)
+    holding.plan("hot", 0.05, 1, value=64.0)
+    holding.ticks(30, Mode.HOLDING)
+    assert holding.broken == set()
+
+
+@pytest.mark.parametrize(("ticks", "broken"), [(3, set()), (12, {"6"})])
+def test_6_a_joint_whose_goal_was_given_up_swings(ticks: int, broken: set[str]) -> None:
+    bench = running()
+    bench.ask("host_silent")
+    bench.ticks(12, Mode.HOLDING)
+    bench.servos[0].goal += 20
+    bench.judge.asked(bench.now_s, "clear")
+    bench.tick(Mode.HOLDING)
+    bench.ticks(ticks, Mode.HOLDING)
+    bench.at(bench.servos[0].shaft_tick + 5.0)
+    bench.tick(Mode.HOLDING)
+    assert bench.broken & {"6"} == broken
+
+
+@pytest.mark.parametrize(("kind", "broken"), [("lost", set()), ("duplicated", {"6"})])
+def test_6_a_goal_that_was_lost_arrives_later(kind: str, broken: set[str]) -> None:
+    bench = running()
+    bench.servos[0].goal += 20
+    bench.ask("hold")
+    bench.ticks(12, Mode.HOLDING)
+    bench.plan(kind, 1.0, 3)
+    bench.tick(Mode.HOLDING)
+    bench.at(bench.servos[0].shaft_tick + 6.0)
+    bench.tick(Mode.HOLDING)
+    assert bench.broken & {"6"} == broken

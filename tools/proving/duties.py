@@ -317,6 +317,9 @@ class Duties:
         """What a fault obliges the program to, by the rows of the matrix."""
         if not known.alive:  # the next program begins by looking
             return
+        if fault.kind == "hot":  # it sets the temperature anew
+            mine = {i for i, _ in self._struck(servos, fault)}
+            self._expected = [one for one in self._expected if not (one.what[:3] == "hot" and mine & {*one.servos})]
         certain = fault.probability == 1.0 and fault.count is None
         lasts_s, value = end_s - begin_s, fault.value or 0.0
         powered = known.mode in POWERED and not known.latched

@@ -237,6 +237,7 @@ class Judge(TorqueJudge):
     def back(self) -> None:
         """Another program is in charge."""
         self._dead, self._in_charge, self._adopting = None, True, True
+        self._held = [None] * len(self._held)
 
     # ---------------------------------------------------------------------------------- what is observed
 
@@ -278,9 +279,12 @@ class Judge(TorqueJudge):
             self._violate("1", now_s, i, f"goal {goal} outside {low} to {high}")
         last = self._sent[i]
         self._sent[i], self._sent_before[i] = goal, last
-        if self._adopting and not any(_given_up(servo) for servo in before):
+        woken = self._duties.other_writer(now_s, i)
+        if self._adopting and not woken and not any(_given_up(servo) for servo in before):
             self._violate("6", now_s, i, "a goal from a program that has only just adopted the arm")
         known = self._known(now_s, i, was) if last is None else last
+        if last is None:  # what was adopted is its own goal from now on
+            self._sent_lately[i].append((now_s - BURST_S, known))
         if "clear" in self._asked_now and abs(goal - was.goal) < abs(goal - known):
             known = was.goal  # it was granted: from there on it goes on from the goals that the servos hold
         if goal == known or not was.torque:
@@ -364,7 +368,7 @@ class Judge(TorqueJudge):
             ours = (self._sent[i], self._sent_before[i], before[i].goal if before else servo.goal)
             if servo.goal not in ours and self._duties.may_be_forged(now_s):
                 self._duties.forged(now_s, i)
-            if not self._duties.other_writer(now_s, i):
+            if self._held[i] is None or not self._duties.other_writer(now_s, i):
                 self._held[i] = servo.goal if servo.torque else None
             if not servo.torque:
                 self._enabled.pop(i, None)

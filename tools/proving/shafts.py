@@ -20,6 +20,8 @@ STILL_TICKS = 0.9 / TICK_DEG
 DEAD_TICKS = 10.0 / TICK_DEG
 BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
 BLOCKED_S = 0.3
+# How long a joint swings whose goal was given up.
+SETTLE_S = 0.6
 
 
 class ShaftJudge:
@@ -40,6 +42,8 @@ class ShaftJudge:
         self._before: list[Servo] = []
         # When and where [tick] each servo took torque, for the half second of watching.
         self._enabled: dict[int, tuple[float, float]] = {}
+        # When the goal of each servo last changed.
+        self._goal_s = [-math.inf] * len(arm.joints)
         # Since when each servo is far from its goal.
         self._far_s = [math.inf] * len(arm.joints)
         # When the program in charge died, and where the shafts were.
@@ -70,7 +74,7 @@ class ShaftJudge:
             self._far_s[i] = math.inf
         elif self._far_s[i] == math.inf:
             self._far_s[i] = now_s
-        elif now_s - self._far_s[i] > BLOCKED_S + self._period_s:
+        elif now_s - self._far_s[i] > BLOCKED_S + 1.5 * self._period_s:
             self._far_s[i] = now_s
             what = f"{self._names[i]} over 8 deg from its goal for 0.3 s"
             self._duties.must_report(now_s + REPORT_SLACK_S, what)
@@ -96,6 +100,8 @@ class ShaftJudge:
         # What was decided before is sent until it arrives.
         lossy = self._duties.may_be_lost(now_s)
         for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True)):
+            if now_s - self._goal_s[i] < SETTLE_S and invariant != "lead":
+                continue  # a goal that goes on is another rule's; one given up for the shaft lets it swing
             arrives = lossy and moved * (servo.goal - servo.shaft_tick + moved) > 0.0
             if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved) and not arrives:
                 self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")

@@ -248,6 +248,8 @@ class StandingJudge(ShaftJudge):
         for i, servo in enumerate(servos):
             if abs(servo.goal - servo.sensed_tick) * TICK_DEG > BLOCKED_DEG:
                 self._away_s[i] = now_s
+            if self._before and servo.goal != self._before[i].goal:
+                self._goal_s[i] = now_s
         self._watch_torque(now_s, servos)
         self._watch_silence(now_s)
         gone = not self._duties.writer_in_force(now_s, WRITER_GONE_S) and not self._duties.may_be_forged(now_s)
