@@ -282,7 +282,7 @@ class Judge(TorqueJudge):
         woken = self._duties.other_writer(now_s, i)
         if self._adopting and not woken and not any(_given_up(servo) for servo in before):
             self._violate("6", now_s, i, "a goal from a program that has only just adopted the arm")
-        known = self._known(now_s, i, was) if last is None else last
+        known = self._known(now_s, i, goal, was) if last is None else last
         if last is None:  # what was adopted is its own goal from now on
             self._sent_lately[i].append((now_s - BURST_S, known))
         if "clear" in self._asked_now and abs(goal - was.goal) < abs(goal - known):

@@ -117,10 +117,10 @@ class TorqueJudge(StandingJudge):
             for i, servo in enumerate(self._before or ())
         ] or [None] * len(self._sent)
 
-    def _known(self, now_s: float, i: int, servo: Servo) -> int:
-        """The goal of a servo to which the program in charge has sent none: adopted, before anybody else wrote."""
+    def _known(self, now_s: float, i: int, goal: int, servo: Servo) -> int:
+        """From which goal a program goes on that has sent none: the servo's, or the one before another program's."""
         held = self._held[i] if self._duties.other_writer(now_s, i) else None
-        return servo.goal if held is None else held
+        return servo.goal if held is None or abs(goal - servo.goal) < abs(goal - held) else held
 
     def _brings_back(self, now_s: float, i: int, goal: int, was: Servo) -> None:
         """A goal is sent again."""
