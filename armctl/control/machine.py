@@ -294,8 +294,8 @@ class State:
     goal: tuple[int, ...] = ()
     # Goals before it, latest first: what a servo shows that missed what came after. Any other is not from here.
     sent: tuple[tuple[int, ...], ...] = ()
-    # When each of them was replaced.
-    replaced_ns: tuple[int, ...] = ()
+    # In how many samples every servo has been heard since each of them was replaced.
+    heard_since: tuple[int, ...] = ()
     # Where the servos' own speed ramps stood when the last goal was sent [tick]; empty: at it.
     ramp: tuple[float, ...] = ()
     # When the last goal was sent.

@@ -241,7 +241,7 @@ def _clear(s: Tick) -> str:
         raise RequestRefused("NOT_CLEARED", f"the cause of {state.fault.code} persists: {causes}")
     powered = all(servo and servo.torque_enabled for servo in s.servos)
     s.go(Trigger.CLEAR_POWERED if powered else Trigger.CLEAR_LIMP)
-    state.faults, state.stays = (), False
+    state.faults, state.stays, state.noise = (), False, ()
     state.powered = powered
     if powered:
         s.take_over()

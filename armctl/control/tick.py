@@ -273,32 +273,31 @@ class Tick:
     def forget_goals(self) -> None:
         """No goal is sent any more: armctl has no say in where the servos are."""
         self.goal = None  # after a torque-off it would switch the torque on again
-        self.state.goal, self.state.sent, self.state.replaced_ns, self.state.ramp = (), (), (), ()
+        self.state.goal, self.state.sent, self.state.heard_since, self.state.ramp = (), (), (), ()
 
     def remember(self, goal: tuple[int, ...]) -> None:
         """A goal is sent, or decided: what the servos are to show from now on."""
         state, now_ns = self.state, self.inputs.now_ns
         if state.goal and goal != state.goal:
-            state.sent, state.replaced_ns = (state.goal, *state.sent), (now_ns, *state.replaced_ns)
+            state.sent, state.heard_since = (state.goal, *state.sent), (0, *state.heard_since)
         state.goal, state.goal_ns = goal, now_ns
 
     def confirm_goals(self) -> None:
-        """A servo that shows its goal shows no earlier one again, nor one that was replaced long ago, unless somebody
-        else writes it.
+        """A servo that shows its goal shows no earlier one again, nor one for long after it was replaced, unless
+        somebody else writes it.
         """
-        state, inputs = self.state, self.inputs
+        state = self.state
         shown = [
             reading.fresh and servo is not None and servo.goal == goal
-            for reading, servo, goal in zip(inputs.sample.servos, self.servos, state.goal, strict=True)
+            for reading, servo, goal in zip(self.inputs.sample.servos, self.servos, state.goal, strict=True)
         ]
-        since_ns = inputs.now_ns - inputs.late_ns - round(self.ticks_in(SENT_S, SENT_LEAST) * self.period_s * NS_PER_S)
         left = [
-            (tuple([now if done else was for now, was, done in zip(state.goal, goal, shown, strict=True)]), at_ns)
-            for goal, at_ns in zip(state.sent, state.replaced_ns, strict=True)
-            if at_ns >= since_ns
+            (tuple([now if done else was for now, was, done in zip(state.goal, goal, shown, strict=True)]), heard)
+            for goal, heard in zip(state.sent, state.heard_since, strict=True)
+            if heard < self.ticks_in(SENT_S, SENT_LEAST)
         ]
-        left = [(goal, at_ns) for goal, at_ns in left if goal != state.goal]
-        state.sent, state.replaced_ns = tuple([goal for goal, _ in left]), tuple([at_ns for _, at_ns in left])
+        left = [(goal, heard + self.fresh) for goal, heard in left if goal != state.goal]
+        state.sent, state.heard_since = tuple([goal for goal, _ in left]), tuple([heard for _, heard in left])
 
     def is_from_here(self, index: int) -> bool:
         """Whether a servo that has been heard shows one of the goals sent to it since it last showed the latest."""

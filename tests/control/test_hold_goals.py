@@ -78,6 +78,16 @@ def test_an_earlier_goal_that_a_servo_goes_on_to_show_for_a_second_is_another_pr
         assert ticks <= 12
 
 
+def test_a_servo_that_was_silent_shows_a_goal_of_ours_however_long_ago() -> None:
+    arm = running(5)
+    arm.silent = {1}
+    arm.run_ticks(40)
+    arm.silent = set()
+    arm.run_ticks(3)
+    assert "SERVO_SILENT" in arm.events
+    assert "OTHER_WRITER" not in arm.events
+
+
 def test_the_last_goal_of_a_stop_is_sent_again_while_another_servo_is_unheard() -> None:
     arm = running(5)
     arm.deaf = {0}

@@ -152,6 +152,18 @@ def test_damaged_replies_above_a_tenth_latch_and_below_do_not() -> None:
     assert latched == [None, "BUS_NOISE"]
 
 
+def test_noise_that_was_cleared_is_not_told_of_once_more() -> None:
+    arm = holding()
+    for tick in range(60):
+        arm.noisy = {0, 1, 2} if tick % 2 else set()
+        arm.run_tick()
+    assert arm.code() == "BUS_NOISE"
+    arm.noisy = set()
+    assert arm.ask(Clear(7)).ok
+    arm.run_ticks(50)
+    assert arm.code() == ""
+
+
 def test_problems_found_at_connection_forbid_torque_until_they_are_gone() -> None:
     arm = IdealArm()
     problem = Problem("WRONG_MODEL", "servo 2 (shoulder): model 29, not an AX-12A", 2)

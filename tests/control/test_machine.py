@@ -117,7 +117,7 @@ def test_state_survives_json_bit_for_bit() -> None:
         jog=machine.Jogging((0.1,), (1 / 3,), (), (0.1, 0.0, -0.2), 77, rate=0.3, stop_code="LATE"),
         error_since_ns=(0, 5),
         sent=((1, 2, 3), (1, 2, 2)),
-        replaced_ns=(7, 6),
+        heard_since=(1, 2),
         letting_go=machine.LettingGo(17, (0, 2), (8,)),
         looks=(machine.Look(2, 17, True),),
         borne_ratio=(0.1, 1 / 3, 0.0),
