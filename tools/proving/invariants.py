@@ -188,8 +188,8 @@ class Judge(TorqueJudge):
                 self._watch_tripped(now_s)
             if code == "PORT_GONE":
                 self._duties.port_gone(now_s)
-            again = code == self._again[0] and now_s - self._again[1] < AGAIN_TOLD_S
-            for what in self._duties.reported(code) if not again else ():
+            wrongly = self._duties.reported(code)
+            for what in () if code == self._again[0] and now_s - self._again[1] < AGAIN_TOLD_S else wrongly:
                 self._violate("rows", now_s, -1, f"{what} is reported as {code}")
             if code not in RESTING:
                 from_s = now_s + 1.5 * self._period_s + 0.1
