@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from mcap.exceptions import EndOfFile
 from mcap.records import Message
@@ -88,21 +89,15 @@ def watch(seed: int, hours: float = HOURS, tell: Callable[[str], None] = lambda 
 @contextlib.contextmanager
 def _slow_disk() -> Iterator[Callable[[], int]]:
     """Programs of Python started meanwhile wait for the disk longer; yields what tells how often they did."""
-    before = os.environ.get("PYTHONPATH")
     with tempfile.TemporaryDirectory(prefix="armctl-") as folder:
         counted = Path(folder, "syncs")
         counted.touch()
         Path(folder, "sitecustomize.py").write_text(
             SLOW_SYNC.format(seconds=SYNC_S, counted=str(counted)), encoding="utf-8"
         )
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (folder, before)))
-        try:
+        path = os.pathsep.join(filter(None, (folder, os.environ.get("PYTHONPATH"))))
+        with mock.patch.dict(os.environ, PYTHONPATH=path):
             yield lambda: counted.stat().st_size
-        finally:
-            if before is None:
-                del os.environ["PYTHONPATH"]
-            else:
-                os.environ["PYTHONPATH"] = before
 
 
 def _end(running: Rig) -> None:
