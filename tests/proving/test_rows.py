@@ -18,6 +18,16 @@ def test_8_a_goal_computed_from_an_old_reading(moving: Bench, ticks: int, broken
     assert moving.broken == broken
 
 
+@pytest.mark.parametrize(("ticks", "mode", "broken"), [
+    (10, Mode.OFF, set()), (13, Mode.OFF, {"rows"}), (80, Mode.STARTING, set()), (90, Mode.STARTING, {"rows"}),
+])  # fmt: skip
+def test_a_servo_that_is_not_heard_is_told_of(ticks: int, mode: Mode, broken: set[str]) -> None:
+    bench = Bench(torque=False)
+    bench.ticks(2, mode)
+    bench.ticks(ticks, mode, heard=False)
+    assert bench.red == broken
+
+
 @pytest.mark.parametrize("register", [register for register in ax12a.REGISTERS if register.eeprom])
 def test_9_a_write_to_the_eeprom(holding: Bench, register: ax12a.Register) -> None:
     holding.write(0, register, register.default)

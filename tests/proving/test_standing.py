@@ -131,6 +131,17 @@ def test_a_foreign_goal_does_not_stay(moving: Bench, again: bool, broken: set[st
     assert moving.red == broken
 
 
+def test_a_joint_that_was_led_off_far_holds_where_it_is(moving: Bench) -> None:
+    moving.goal(MIDDLE + 5)
+    moving.goal(MIDDLE + 5)
+    moving.plan("second_writer", 0.2)
+    moving.tick(Mode.MOVING)
+    moving.servos[0].goal = MIDDLE + 60
+    moving.servos[0].sensed_tick = MIDDLE + 60
+    moving.ticks(12, Mode.FAULTED, "OTHER_WRITER")
+    assert "yields" not in moving.red
+
+
 @pytest.mark.parametrize(("ok", "torque", "broken"), [
     (True, True, {"limp"}), (True, False, set()), (False, True, set())])  # fmt: skip
 def test_release_says_what_is(ok: bool, torque: bool, broken: set[str]) -> None:

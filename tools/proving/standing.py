@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 
 from proving.duties import RECOVERING_S, SILENT, STRAYS
 from proving.evidence import Servo, Strain
-from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, TICK_DEG, Arm
+from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, STARTING, TICK_DEG, Arm
 from proving.shafts import STILL_TICKS, ShaftJudge
 
 # More than gravity asks for: what is a fault, and what stiction may keep.
@@ -38,6 +38,8 @@ HEARD_LATELY_S = 0.35
 WRITER_GONE_S = 0.6
 # From when a servo's silence is told, and by when.
 SILENT_S, UNHEARD_TICKS = 0.5, 6
+# Identifying the servos looks for what a reply that comes damaged or late may mean, and tells at its end.
+STARTING_S = 8.0
 BLOCKED_DEG = 6.0
 # Of a motor's output, as the load's own rounding has it; and by when it is told of, lasting 2 s.
 OVERLOADED, OVERLOADED_S = 0.805, 2.6
@@ -309,7 +311,8 @@ class StandingJudge(ShaftJudge):
             self._all_known = False
         elif not self._all_known:
             self._all_known = self._all_heard
-        quiet = self._all_known and now_s - min(self._duties.heard_s) > SILENT_S
+        bound_s = STARTING_S if self._mode == STARTING else SILENT_S
+        quiet = self._all_known and now_s - min(self._duties.heard_s) > bound_s
         self._unheard_ticks = self._unheard_ticks + 1 if quiet and not self._codes else 0
         if self._unheard_ticks > UNHEARD_TICKS:
             i = self._duties.heard_s.index(min(self._duties.heard_s))

@@ -106,9 +106,12 @@ class TorqueJudge(StandingJudge):
 
     def _watch_held(self, now_s: float, servos: Sequence[Servo]) -> None:
         for i, servo in enumerate(servos):
-            known = {self._sent[i], self._sent_before[i]}
-            if servo.torque and None not in known and servo.goal not in known:
-                self._violate("yields", now_s, i, f"holds goal {servo.goal}, which another program sent; sent: {known}")
+            sent, before = known = self._sent[i], self._sent_before[i]
+            if not servo.torque or sent is None or before is None or servo.goal in known:
+                continue
+            away, off = abs(servo.sensed_tick - sent), abs(servo.sensed_tick - servo.goal)
+            if away <= LED_TICKS or off > HERE_TICKS:
+                self._violate("yields", now_s, i, f"holds goal {servo.goal}, which another program sent; sent: {sent}")
 
     def _take_over(self, now_s: float) -> None:
         """From now on the goals count that the servos hold, if they are surely not another program's."""
