@@ -113,6 +113,16 @@ def test_a_port_is_reported_back_within_three_seconds(
     assert moving.broken == broken
 
 
+def test_where_requests_come_damaged_the_port_is_reported_back_later(moving: Bench) -> None:
+    begin_s = moving.now_s
+    moving.judge.garbled(begin_s, begin_s + 9.0)
+    moving.judge.plan(Fault(kind="unplug", begin_s=begin_s, duration_s=1.0))
+    moving.ticks(120, Mode.FAULTED, "PORT_GONE")
+    assert "rows" not in moving.broken
+    moving.ticks(20, Mode.FAULTED, "PORT_GONE")
+    assert "rows" in moving.broken
+
+
 @pytest.mark.parametrize(("limit", "broken"), [(0, {"rows"}), (1023, set())])
 def test_a_servo_that_shut_itself_down_is_not_just_without_torque(moving: Bench, limit: int, broken: set[str]) -> None:
     moving.servos[2].torque, moving.servos[2].limit = False, limit

@@ -239,7 +239,7 @@ class Duties:
 
     def overdue(self, now_s: float) -> list[tuple[str, bool]]:
         """What should have been reported by now, and whether it is its name that lacks; each told once."""
-        if self._back_by_s < math.inf and self.lately(now_s, GARBLES, 0.0):
+        if self._back_by_s < math.inf and (self.lately(now_s, GARBLES, 0.0) or self.may_be_forged(now_s)):
             self._back_by_s = max(self._back_by_s, now_s + BACK_S)
         if now_s > self._back_by_s:
             self.port_back()
