@@ -159,11 +159,12 @@ def test_torque_does_not_come_on_while_a_servo_is_hot(limp: Bench) -> None:
     assert ARM.temperature_limit_degC == 65.0
 
 
-@pytest.mark.parametrize(("ticks", "broken"), [(15, set()), (24, {"stall"})])
-def test_a_push_counts_from_the_stop_on(holding: Bench, ticks: int, broken: set[str]) -> None:
+@pytest.mark.parametrize(("asked", "ticks", "broken"), [
+    ("hold", 15, set()), ("hold", 24, {"stall"}), ("pause", 24, set())])  # fmt: skip
+def test_a_push_counts_from_the_stop_on(holding: Bench, asked: str, ticks: int, broken: set[str]) -> None:
     holding.feel(0.5)
     holding.ticks(10, Mode.HOLDING)
-    holding.ask("hold")
+    holding.ask(asked)
     holding.ticks(ticks, Mode.HOLDING)
     assert holding.red == broken
 

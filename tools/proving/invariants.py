@@ -80,7 +80,7 @@ JOGS_S = 0.5 + 0.1 + STOP_S
 # Late by the bound of 250 ms, whatever the two readings took.
 LATE_S = 0.35
 DEAD_S = 0.25
-STOPS = frozenset({"hold", "pause", "host_lost", "host_silent"})
+STOPS = frozenset({"hold", "host_lost", "host_silent"})
 MOTION_REQUESTS = frozenset({"run", "park", "move", "jog", "resume", "torque_on"})
 
 
@@ -142,7 +142,7 @@ class Judge(TorqueJudge):
         if kind == "torque_on" and (not self._code or "clear" in self._asked_now):
             self._torque_asked_s = now_s
             self._letting_go = ""
-        if kind in ("hold", "host_lost", "host_silent") or (kind == "pause" and self._mode == MOVING):
+        if kind in STOPS or (kind == "pause" and self._mode == MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
     def heard(self, now_s: float, index: int, position: int, goal: int | None = None) -> None:
