@@ -89,7 +89,14 @@ def _is_too_far(s: Tick, index: int) -> bool:
 
 
 def relieve(s: Tick, index: int) -> None:
-    """Let a joint's goal be where it is, and look at it again once it stands."""
+    """Let a joint's goal be where it is, and look at it again once it stands; not of one that pushes against nothing.
+
+    Far from its goal, that is not its servo: another one answers in its name.
+    """
+    servo, joint = s.status(index), s.joints[index]
+    ahead = s.wire[index].direction * (servo.goal - servo.position)
+    if joint.load_ratio * ahead < 0.0 or abs(joint.load_ratio) < FRICTION_RATIO:
+        return
     stay(s, index)
     s.state.looks = (*(look for look in s.state.looks if look.joint != index), Look(index, relieved=True))
 

@@ -28,7 +28,7 @@ class IdealArm:
     tick: int = 0
     now_ns: int = 1_000_000_000
     silent: set[int] = field(default_factory=set)
-    # Joints that hear every write but do not turn.
+    # Joints that hear every write and push, but do not turn.
     stuck: set[int] = field(default_factory=set)
     # Joints that answer but hear no goal.
     deaf: set[int] = field(default_factory=set)
@@ -100,6 +100,9 @@ class IdealArm:
                 self.put(index, ax12a.TORQUE_ENABLE, 1)  # an AX-12A may energise by a goal alone
                 if index not in self.stuck:
                     self.put(index, ax12a.PRESENT_POSITION, tick)
+                    continue
+                if ahead := tick - self.get(index, ax12a.PRESENT_POSITION):
+                    self.put(index, ax12a.PRESENT_LOAD, min(20 * abs(ahead), 780) + 1024 * (ahead < 0))
         self.after_write(self)
         return outputs
 

@@ -111,6 +111,17 @@ def test_a_push_seen_before_a_silence_has_not_lasted() -> None:
     assert "CONTACT" not in arm.events
 
 
+@pytest.mark.parametrize(("load", "relieved"), [(0, False), (900, True)])
+def test_another_servo_that_answers_in_a_joint_s_name_moves_no_joint(load: int, relieved: bool) -> None:
+    arm = holding()
+    goal = arm.state.goal[0]
+    arm.put(0, ax12a.PRESENT_POSITION, goal - 100)
+    arm.put(0, ax12a.PRESENT_LOAD, load)
+    arm.run_ticks(10)
+    assert arm.code() == "BLOCKED"
+    assert (arm.state.goal[0] != goal) == relieved
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stretched_arm_that_bears_its_weight_pushes_against_nothing(seed: int) -> None:
     rig = Rig(seed, RANDOM_SPEC).holding().at()
