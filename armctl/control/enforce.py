@@ -106,8 +106,8 @@ def hold_goals(s: Tick) -> None:
     for i in set(led_off).intersection(state.led_off):
         stay(s, i)
     state.led_off = tuple(led_off)
-    if owed and not unsure:
-        _send(s, owed)
+    if sure := [i for i in owed if i not in unsure]:
+        _send(s, sure, to_all=not unsure)
 
 
 def _goes_on(s: Tick) -> bool:
@@ -119,12 +119,12 @@ def _goes_on(s: Tick) -> bool:
     return now_ns - state.foreign_since_ns >= YIELD_NS
 
 
-def _send(s: Tick, owed: list[int]) -> None:
-    """The goal that was decided: to all at once or, where that might wake a servo, to those alone that lack it."""
+def _send(s: Tick, owed: list[int], *, to_all: bool) -> None:
+    """The goal that was decided: to all at once or, where that might wake or lead a servo, to those that lack it."""
     # Where no way is asked for the servo's own ramp is to come to the shaft at once.
     here = {i: abs(s.status(i).position - s.state.goal[i]) <= HERE_TICKS for i in owed}
     speeds = {i: s.wire[i].speed_limit_units if here[i] else BACK_UNITS for i in owed}
-    if s.fresh and s.all_powered():
+    if to_all and s.fresh and s.all_powered():
         s.send_goal(s.state.goal)
         if s.goal is not None:
             s.goal = replace(s.goal, speeds=tuple(speeds.get(i, v) for i, v in enumerate(s.goal.speeds)))

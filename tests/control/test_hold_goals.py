@@ -140,6 +140,19 @@ def test_an_arm_that_was_led_off_is_held_where_it_is_and_not_brought_back() -> N
     assert (arm.code(), arm.state.goal[0], arm.get(0, ax12a.PRESENT_POSITION)) == ("OTHER_WRITER", away, away)
 
 
+def test_who_is_led_off_keeps_no_other_joint_from_being_held() -> None:
+    arm = holding()
+    ours = arm.state.goal
+    for joint, away in ((0, 30), (1, round(LED_OFF_TICKS) + 5)):
+        for register in (ax12a.GOAL, ax12a.PRESENT_POSITION):
+            arm.put(joint, register, ours[joint] + away)
+    outputs = arm.run_tick()
+    told = {write.servo_id: write.value for write in outputs.writes if write.address == ax12a.GOAL.address}
+    assert (outputs.goal, told) == (None, {arm.arm.servo_ids[0]: ours[0]})
+    arm.run_tick()
+    assert arm.state.goal[1] == arm.get(1, ax12a.PRESENT_POSITION)
+
+
 def test_one_reading_that_is_another_servo_s_moves_no_arm() -> None:
     arm = holding()
     ours, shown = arm.state.goal, arm.get(0, ax12a.PRESENT_POSITION)
