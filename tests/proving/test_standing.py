@@ -63,6 +63,14 @@ def test_contact_needs_a_joint_that_pushes(holding: Bench, output: float, broken
     assert holding.red == broken
 
 
+def test_an_arm_that_sees_nothing_may_seem_to_push(holding: Bench) -> None:
+    holding.plan("frozen_sensor", 1.0, servo_id=None)
+    holding.feel(0.1)
+    holding.ticks(3, Mode.HOLDING)
+    holding.tick(Mode.FAULTED, "CONTACT")
+    assert holding.red == set()
+
+
 @pytest.mark.parametrize("why", ["hold", "latch"])
 def test_what_is_stopped_pushes_for_two_seconds_at_most(holding: Bench, why: str) -> None:
     holding.feel(0.5)
