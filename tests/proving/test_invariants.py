@@ -100,6 +100,15 @@ def test_2_a_joint_over_12_deg_from_its_goal(holding: Bench) -> None:
     assert holding.broken == {"2"}
 
 
+def test_2_a_shaft_that_was_thrown_off_is_excused_until_it_is_back_however_late_a_tick_comes(holding: Bench) -> None:
+    holding.plan("frozen_sensor", 0.5)
+    holding.at(MIDDLE - 200.0)
+    holding.ticks(10, Mode.FAULTED, "BLOCKED")
+    holding.now_s += 1.7
+    holding.ticks(2, Mode.FAULTED, "BLOCKED")
+    assert "2" not in holding.broken
+
+
 def test_2_a_joint_that_something_holds_is_excused_and_its_neighbour_is_not(holding: Bench) -> None:
     holding.plan("blocked_joint", 1.0)
     holding.at(MIDDLE - 42.0)

@@ -298,7 +298,8 @@ class Duties:
             unseen = any(self.heard_s[i] < written_s + self._period_s for i, _ in self._struck(servos, fault))
             unseen |= gap_s > 0.05 and end_s > last_s
             unseen |= written_s > -math.inf and self.lately(now_s, STRAYS, 0.0)
-            recovering = unseen or (now_s < end_s + RECOVERING_S and (falls or self._away(servos, fault)))
+            lately = now_s - max(0.0, gap_s) < end_s + RECOVERING_S
+            recovering = unseen or (lately and (falls or self._away(servos, fault)))
             if moves and end_s <= now_s and recovering:
                 self._faults[k] = (begin_s, now_s, fault)
         self._duties = [duty for duty in self._duties if duty.until_s + 1.0 > now_s]
