@@ -46,6 +46,8 @@ def detect_faults(s: Tick) -> None:
     for i in silent:
         s.latch_servo("SERVO_SILENT", i, "no reply for 0.5 s")
     state = s.state
+    if state.powered is None and state.goal and state.phase is Phase.FAULTED and s.fresh:
+        _see_what_came_on(s)
     if state.powered and s.fresh and not state.goal:
         s.find_goals()
     if state.powered and state.goal:
@@ -56,6 +58,13 @@ def detect_faults(s: Tick) -> None:
     _detect_strain(s)
     _detect_noise(s)
     _call_for_rest(s)
+
+
+def _see_what_came_on(s: Tick) -> None:
+    """A fault has ended a torque-on half-way: what has torque by now is to keep it, at its goal, and is judged."""
+    statuses = [s.status(i) for i in range(len(s.wire))]
+    s.state.powered = any(status.torque_enabled for status in statuses)
+    s.state.settings = tuple([status.settings for status in statuses])
 
 
 def _call_for_rest(s: Tick) -> None:

@@ -36,6 +36,23 @@ def test_a_half_powered_arm_is_a_fault_that_names_the_limp_servo() -> None:
     assert arm.fault() == ("LOST_TORQUE", 4)
 
 
+def test_what_came_on_before_a_fault_keeps_its_goal_against_another_program() -> None:
+    arm = energising()
+    while arm.state.phase is not Phase.CONFIRMING:
+        arm.run_tick()
+    arm.silent = set(range(6))
+    arm.run_ticks(8)
+    assert (arm.code(), arm.state.powered) == ("BUS_DEAD", None)
+    arm.silent = set()
+    ours = arm.state.goal
+    arm.put(3, ax12a.GOAL, ours[3] + 19)
+    arm.run_ticks(2)
+    assert "OTHER_WRITER" in arm.events
+    assert (arm.state.goal, arm.get(3, ax12a.GOAL)) == (ours, ours[3])
+    assert arm.ask(Clear(7)).ok
+    assert arm.mode() is Mode.HOLDING
+
+
 def test_torque_on_softens_and_sets_the_goal_before_it_enables() -> None:
     arm = IdealArm().connect()
     arm.run_tick()
