@@ -45,7 +45,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("the lead is not bounded", CONTROL, (
         "__lead = math.radians(9.0) / __tick_rad", "__lead = math.radians(25.0) / __tick_rad")),
     _m("a hold rewrites goal := measured each tick", CONTROL, (
-        "if __owed and not __unsure:\n    _send(__s, __owed)",
+        "if __sure := [__i for __i in __owed if __i not in __unsure]:\n    _send(__s, __sure, to_all=not __unsure)",
         "if __s.fresh and __s.all_powered():\n    __s.send_goal([servo.position for servo in __s.servos if servo])")),
     _m("a stale sample is used", CONTROL,
        ("_nearer(__rate, __wanted if __s.fresh else 0.0, __s.period_s)", "_nearer(__rate, __wanted, __s.period_s)"),
@@ -255,8 +255,9 @@ MUTANTS: tuple[Mutant, ...] = (
         "__s.state.letting_go = replace(__going, stiff=tuple(__stiff))\nif None not in __s.servos:\n"
         "    __s.send_goal([servo.position for servo in __s.servos])\nif __overdue:\n    ...")),
     _m("a goal that was decided is sent once only", CONTROL, (
-        "if __owed and not __unsure:\n    _send(__s, __owed)",
-        "if __owed and not __unsure and __s.state.goal_ns == __s.inputs.now_ns:\n    _send(__s, __owed)")),
+        "if __sure := [__i for __i in __owed if __i not in __unsure]:\n    _send(__s, __sure, to_all=not __unsure)",
+        "if (__sure := [__i for __i in __owed if __i not in __unsure]) and __s.state.goal_ns == __s.inputs.now_ns:\n"
+        "    _send(__s, __sure, to_all=not __unsure)")),
     _m("a foreign goal is left standing", CONTROL, (
         "__foreign = [__i for __i in __owed if not __s.is_from_here(__i)]",
         "__foreign = [__i for __i in __owed if not __s.is_from_here(__i)]\n"
