@@ -62,9 +62,13 @@ def detect_faults(s: Tick) -> None:
 
 def _see_what_came_on(s: Tick) -> None:
     """A fault has ended a torque-on half-way: what has torque by now is to keep it, at its goal, and is judged."""
-    statuses = [s.status(i) for i in range(len(s.wire))]
-    s.state.powered = any(status.torque_enabled for status in statuses)
-    s.state.settings = tuple([status.settings for status in statuses])
+    ours = s.state.goal
+    if any(servo and servo.torque_enabled for servo in s.servos):
+        s.take_over()
+        s.state.goal = ours
+    else:
+        s.forget_goals()
+        s.state.powered = False
 
 
 def _call_for_rest(s: Tick) -> None:

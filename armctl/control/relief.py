@@ -84,18 +84,23 @@ def _beyond(s: Tick) -> list[float]:
 def _is_too_far(s: Tick, index: int) -> bool:
     """Whether a joint is farther from its goal than gravity explains."""
     servo, (low, high) = s.status(index), explained_ratio(s)[index]
-    ahead_rad = s.wire[index].direction * (servo.goal - servo.position) * ax12a.TICK_RAD
+    ahead_rad = _ahead_rad(s, index)
     return not -_distance_rad(servo, -low) - PUSH_RAD <= ahead_rad <= _distance_rad(servo, high) + PUSH_RAD
 
 
-def relieve(s: Tick, index: int) -> None:
-    """Let a joint's goal be where it is, and look at it again once it stands; not of one that pushes against nothing.
+def _ahead_rad(s: Tick, index: int) -> float:
+    """By how much a joint's goal is ahead of it, the way the joint counts."""
+    servo = s.status(index)
+    return s.wire[index].direction * (servo.goal - servo.position) * ax12a.TICK_RAD
 
-    Far from its goal, that is not its servo: another one answers in its name.
+
+def relieve(s: Tick, index: int) -> None:
+    """Let a joint's goal be where it is, and look at it again once it stands.
+
+    A servo that is far from its goal and does not push is not the joint's own: another one answers in its name.
     """
-    servo, joint = s.status(index), s.joints[index]
-    ahead = s.wire[index].direction * (servo.goal - servo.position)
-    if joint.load_ratio * ahead < 0.0 or abs(joint.load_ratio) < FRICTION_RATIO:
+    load_ratio = s.joints[index].load_ratio
+    if load_ratio * _ahead_rad(s, index) < 0.0 or abs(load_ratio) < FRICTION_RATIO:
         return
     stay(s, index)
     s.state.looks = (*(look for look in s.state.looks if look.joint != index), Look(index, relieved=True))
