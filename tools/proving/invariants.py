@@ -72,7 +72,7 @@ AGE_S = 0.25
 # A bus that is heard again: looked for, identified, and the silent ones of it told.
 FOUND_S = 2.5
 BURST_S, BURST = 0.25, 4
-AGAIN_S, LATELY_S, AGAIN_TOLD_S = 0.04, 1.15, 0.5
+LATELY_S, AGAIN_TOLD_S = 1.15, 0.5
 # A heartbeat counts for 80 ms; then the arm stops.
 JOG_S = 0.08 + 0.1 + STOP_S
 # And half a second after it the jog is over.
@@ -258,7 +258,7 @@ class Judge(TorqueJudge):
             if goal is not None:
                 self._goal(now_s, i, goal, before)
                 lately = self._sent_lately[i]
-                if not (lately and lately[-1][1] == goal and now_s - lately[-1][0] < AGAIN_S):  # else not acknowledged
+                if not (lately and self._is_again(now_s, *lately[-1], goal)):
                     lately.append((now_s, goal))
                 if sum(now_s - sent_s < BURST_S for sent_s, _ in lately) > BURST:
                     self._violate("late", now_s, i, f"more than {BURST} goals in {BURST_S} s")

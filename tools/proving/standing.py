@@ -38,7 +38,7 @@ HEARD_LATELY_S = 0.35
 WRITER_GONE_S = 0.6
 # From when a servo's silence is told, and by when.
 SILENT_S, UNHEARD_TICKS = 0.5, 6
-# Identifying the servos looks for what a reply that comes damaged or late may mean, and tells at its end.
+# While the servos are identified: that takes longer where replies come damaged or late, and tells at its end.
 STARTING_S = 8.0
 BLOCKED_DEG = 6.0
 # Of a motor's output, as the load's own rounding has it; and by when it is told of, lasting 2 s.
@@ -204,10 +204,9 @@ class StandingJudge(ShaftJudge):
         unheard = now_s - min(duties.heard_s) > HEARD_LATELY_S or self._codes & SILENT
         if code == "NOT_LIMP" and not unheard and not duties.lately(now_s, struck_by, JUST_NOW_S):
             return "" if duties.may_be_forged(now_s) else "torque is where it was asked for"
-        # In which pose an arm has to bear what, nobody knows whose sensors are frozen.
-        blind = duties.lately(now_s, {"frozen_sensor"}, JUST_NOW_S)
-        if code == "CONTACT" and now_s - self._pushed_s > JUST_NOW_S and not blind:
-            return "no joint pushes"
+        if code == "CONTACT" and now_s - self._pushed_s > JUST_NOW_S:
+            # A program that is shown a wrong pose cannot tell what the arm has to bear there.
+            return "" if duties.lately(now_s, {"frozen_sensor"}, JUST_NOW_S) else "no joint pushes"
         if code == "PORT_GONE" and not duties.lately(now_s, {"unplug"}, JUST_NOW_S):
             return "the adapter is in"
         return ""

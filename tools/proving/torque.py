@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from proving.duties import GARBLES
 from proving.evidence import Servo
 from proving.reading import ENERGISING, FULL_LIMIT, PARKING, RESTING, TICK_DEG, Arm
 from proving.shafts import NOISE_TICKS
@@ -16,6 +17,8 @@ FIRM_LIMIT, FIRM_S = 0.9 * FULL_LIMIT, 0.35
 REST_TICKS = 3.0 / TICK_DEG + 2.0
 # One that was led off farther stays where it is.
 LED_TICKS = 12.0 / TICK_DEG + NOISE_TICKS
+# After so long a write that nobody acknowledged is sent once more.
+AGAIN_S, AGAIN_LATE_S = 0.006, 0.04
 # A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
 
@@ -119,6 +122,11 @@ class TorqueJudge(StandingJudge):
             None if not servo.torque or self._duties.other_writer(now_s, i) else servo.goal
             for i, servo in enumerate(self._before or ())
         ] or [None] * len(self._sent)
+
+    def _is_again(self, now_s: float, sent_s: float, sent: int, goal: int) -> bool:
+        """Whether a goal is the last one, which nobody acknowledged, once more; later, where replies come late."""
+        late = self._duties.lately(now_s, GARBLES, 0.0)
+        return goal == sent and now_s - sent_s < (AGAIN_LATE_S if late else AGAIN_S)
 
     def _known(self, now_s: float, i: int, goal: int, servo: Servo) -> int:
         """From which goal a program goes on that has sent none: the servo's, or the one before another program's."""
