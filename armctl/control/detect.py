@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from armctl.control.faults import KINDS, Cause
 from armctl.control.machine import Phase, Trigger
 from armctl.control.relief import PUSH_RATIO, keep_here, pushes, relieve
-from armctl.control.tick import Tick
+from armctl.control.tick import STILL_TICKS, Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Status
-from armctl.messages import NS_PER_S, Event
+from armctl.messages import NS_PER_S, Event, Mode
 
 # A servo unheard for this long is not just a lost reply.
 PAUSE_AGE_S = 0.2
@@ -36,9 +36,11 @@ def detect_faults(s: Tick) -> None:
     if not s.inputs.sample.port_open:
         s.latch("PORT_GONE", "the serial port is gone (adapter unplugged?)")
         return
-    if not s.state.connected:
+    connected = s.state.connected
+    if not connected and s.state.mode in (Mode.STARTING, Mode.FAULTED):
         return
-    silent = [i for i, joint in enumerate(s.joints) if joint.age_s > SILENT_AGE_S]
+    # A servo that has never been heard is a matter of what is found when connecting.
+    silent = [i for i, joint in enumerate(s.joints) if (connected or joint.known) and joint.age_s > SILENT_AGE_S]
     # The ages of a silent bus straddle the bound: its servos were not heard last in one instant.
     if silent and len(s.joints) > 1 and all(joint.age_s > PAUSE_AGE_S for joint in s.joints):
         s.latch("BUS_DEAD", "no servo has answered for 0.5 s")
@@ -53,7 +55,7 @@ def detect_faults(s: Tick) -> None:
     if state.powered and state.goal:
         _detect_power_faults(s)
         _detect_contact(s)
-    elif state.powered is False and state.letting_go is None:
+    elif state.powered is False:
         _detect_torque(s)
     _detect_strain(s)
     _detect_noise(s)
@@ -61,11 +63,15 @@ def detect_faults(s: Tick) -> None:
 
 
 def _see_what_came_on(s: Tick) -> None:
-    """A fault has ended a torque-on half-way: what has torque by now is to keep it, at its goal, and is judged."""
+    """A fault has ended a torque-on half-way: what has torque by now is to keep it, at its goal, and is judged.
+
+    A goal may have followed the shaft for as long as it was limp.
+    """
     ours = s.state.goal
     if any(servo and servo.torque_enabled for servo in s.servos):
         s.take_over()
-        s.state.goal = ours
+        pairs = zip(s.state.goal, ours, strict=True)
+        s.state.goal = tuple([shown if abs(shown - sent) <= STILL_TICKS else sent for shown, sent in pairs])
     else:
         s.forget_goals()
         s.state.powered = False
@@ -94,9 +100,10 @@ def _since(s: Tick, since_ns: tuple[int, ...], over: Sequence[bool]) -> tuple[in
 
 
 def _detect_torque(s: Tick) -> None:
-    """Torque on an arm that is meant to be limp; such a servo is to push against nothing."""
+    """Torque of a servo that is meant to be limp and was seen so; it is to push against nothing."""
+    stiff = s.state.letting_go.stiff if s.state.letting_go else ()
     for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
-        if reading.fresh and servo is not None and servo.torque_enabled:
+        if reading.fresh and servo is not None and servo.torque_enabled and i not in stiff:
             s.latch_servo("NOT_LIMP", i, "torque is on although the arm is limp, and not from here")
             keep_here(s, i)
 
@@ -136,7 +143,7 @@ def _overruled(s: Tick, i: int, servo: Status) -> bool:
     if servo.torque_limit == 0:
         s.latch_servo("TRIPPED", i, "the servo shut itself down (torque limit 0)")
     elif not servo.torque_enabled:
-        s.latch_servo("LOST_TORQUE", i, "torque is off, and not by a command from here")
+        s.latch_servo("LOST_TORQUE", i, "torque is off although the arm is to hold")
     elif servo.settings == s.state.settings[i]:
         return False
     elif servo.settings == ax12a.POWER_ON_SETTINGS:
@@ -181,9 +188,9 @@ def _detect_strain(s: Tick) -> None:
 
 
 def _detect_contact(s: Tick) -> None:
-    """A joint that stands and pushes, beyond what gravity explains."""
+    """A joint that stands and pushes, beyond what gravity explains; of an arm that is left to another program, none."""
     state = s.state
-    if not any(abs(joint.load_ratio) > PUSH_RATIO for joint in s.joints):
+    if state.yielded or not any(abs(joint.load_ratio) > PUSH_RATIO for joint in s.joints):
         state.push_since_ns = ()
         return
     push_ratio = pushes(s)

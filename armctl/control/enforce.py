@@ -1,9 +1,10 @@
 """What was decided is sent until it is read back: torque off, and where the servos are to be.
 
 Rules.
-1. Torque goes off at every servo that has not been seen limp since, each tick, whatever else latches meanwhile.
-   Whoever asked is answered when all of them are seen limp, or after `LIMP_NS` with the name of one that is not. No
-   goal is sent until it is over: that would energise a limp servo again.
+1. Torque goes off at every servo that has not been seen limp since, each tick, whatever else latches meanwhile. One
+   that has been, and has torque again, has it from elsewhere, and whoever gave it may rely on it. Whoever asked is
+   answered when all of them are seen limp, or after `LIMP_NS` with the name of one that is not. No goal is sent until
+   it is over: that would energise a limp servo again.
 2. A servo under torque that shows another goal than the one decided for it is told again, each tick, slowly. It alone
    is told while another servo is unheard, which a goal for all might wake.
 3. What it shows was lost if it is one of the latest goals from here, and else another program's, which is overruled the
@@ -40,7 +41,7 @@ def switch_off(s: Tick) -> None:
     stiff = [
         i
         for i, (servo, reading) in enumerate(zip(s.servos, readings, strict=True))
-        if (servo is None or servo.torque_enabled if reading.fresh else i in going.stiff)
+        if i in going.stiff and (servo is None or servo.torque_enabled or not reading.fresh)
     ]
     if not stiff:
         for request_id in going.request_ids:

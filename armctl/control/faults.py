@@ -108,7 +108,7 @@ FAULTS: tuple[FaultKind, ...] = (
     FaultKind("OTHER_WRITER", "servo", "ends", False, Cause.GOAL,
         "a servo shows a goal or a setting that was not sent from here; the arm is taken back at once, slowly",
         "end the other program that writes to the bus, then type `armctl clear`"),
-    FaultKind("CONTACT", "servo", "slows", False, Cause.NONE,
+    FaultKind("CONTACT", "servo", "ends", False, Cause.NONE,
         "a joint that stands has pushed for two seconds, beyond what gravity explains; its goal is now where it is",
         "take away what the arm pushes against, then type `armctl clear`"),
     FaultKind("BLOCKED", "servo", "ends", False, Cause.NONE,

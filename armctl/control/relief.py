@@ -6,9 +6,9 @@ Rules.
    (`SERVO_KG`), and a tool with all it may carry (`TOOL_KG`). A gripper may grip besides. The servo's own slope and
    margin make a distance from the goal of an output.
 2. After a stop or a fault, once the arm stands, a joint whose goal lies over `PUSH_RAD` farther off than that is
-   relieved: its goal becomes where it is. One that stands and gives `PUSH_RATIO` more output than the middle of what
-   gravity explains, and `FRICTION_RATIO` more than all of it, for 2 s, is a fault, CONTACT (see detect.py), and
-   relieved too.
+   relieved: its goal becomes where it is. One that stands, while others move or not, and to one goal gives
+   `PUSH_RATIO` more output than the middle of what gravity explains, and `FRICTION_RATIO` more than all of it, for
+   2 s, is a fault, CONTACT (see detect.py), and relieved too.
 3. What comes back after a relief is a weight, such as a load in the gripper: from then on gravity explains that as
    well, for as long as it is felt. So no joint is relieved twice for it, and gravity walks no arm down. What a standing
    joint feels no more was no weight, or is put down: a hand pulls like one.
@@ -107,22 +107,22 @@ def relieve(s: Tick, index: int) -> None:
 
 
 def stands(s: Tick, index: int) -> bool:
-    """Whether a joint that is heard and has torque is asked for no motion, and does not move."""
+    """Whether a joint that is heard and has torque does not move, and no motion is asked of the arm."""
     state = s.state
     asked = state.jog is not None or (state.motion is not None and not state.motion.paused)
-    return (
-        not asked
-        and bool(state.goal)
-        and holds(s, index) is not None
-        and abs(s.joints[index].velocity_rad_s) <= STAND_RAD_S
-    )
+    return not asked and _is_still(s, index)
+
+
+def _is_still(s: Tick, index: int) -> bool:
+    slow = abs(s.joints[index].velocity_rad_s) <= STAND_RAD_S
+    return slow and bool(s.state.goal) and holds(s, index) is not None
 
 
 def pushes(s: Tick) -> list[float]:
     """By how much every joint's output is beyond what may be, as a share of its strength; not above 0: it is not, or
     the joint moves, is limp or unheard.
     """
-    return [beyond if stands(s, i) else 0.0 for i, beyond in enumerate(_beyond_bound(s))]
+    return [beyond if _is_still(s, i) else 0.0 for i, beyond in enumerate(_beyond_bound(s))]
 
 
 def _beyond_bound(s: Tick) -> list[float]:

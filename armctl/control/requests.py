@@ -13,8 +13,8 @@ from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
 from armctl.control.faults import Cause
 from armctl.control.machine import TO_REST, Motion, Phase, Trigger, target
-from armctl.control.sequences import STILL_TICKS, soften
-from armctl.control.tick import Tick
+from armctl.control.sequences import soften
+from armctl.control.tick import STILL_TICKS, Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.messages import Command, Event, JointTrajectory, Mode, most_points

@@ -9,13 +9,11 @@ import math
 from armctl.control.detect import REST_AHEAD_S, SILENT_AGE_S
 from armctl.control.faults import KINDS
 from armctl.control.machine import Motion, Phase, Trigger
-from armctl.control.tick import Tick
+from armctl.control.tick import STILL_TICKS, Tick
 from armctl.dynamixel import ax12a
 from armctl.messages import Event
 from armctl.trajectory.approach import approach_trajectory, lowest_link_m
 
-# Largest change between two samples of an arm that counts as still (noise is one tick).
-STILL_TICKS = 3
 # Torque limit while torque comes on (12.5 %).
 SOFT_TORQUE = 128
 # No servo takes torque with a goal farther from its shaft (0.6 deg).

@@ -30,6 +30,8 @@ LEAD_TICKS = math.radians(9.0) / ax12a.TICK_RAD
 ROUNDING_TICKS = 1.0
 # The goals of so long are remembered, and some at the slowest period.
 SENT_S, SENT_LEAST = 1.0, 8
+# Largest change between two samples of an arm that counts as still (noise is one tick).
+STILL_TICKS = 3
 # Share of a period: a tick that comes no sooner after the last one is in time.
 IN_TIME = 0.9
 # Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal.
@@ -239,7 +241,8 @@ class Tick:
         text = f"the arm does not go to rest: {why}; it holds"
         self.events.append(Event("warning", code, text))
         self.end_sequence(code, text)
-        state.stays = state.phase in LATCHED and (code == "BLOCKED" or code not in KINDS)
+        against = code == "BLOCKED" or (code == "CONTACT" and state.motion is not None)
+        state.stays = state.phase in LATCHED and (against or code not in KINDS)
         self.go(Trigger.GIVE_UP)
         if state.motion is None and state.phase is Phase.PARK_ENDING:
             self.go(Trigger.STOPPED)
@@ -280,6 +283,13 @@ class Tick:
         state, now_ns = self.state, self.inputs.now_ns
         if state.goal and goal != state.goal:
             state.sent, state.heard_since = (state.goal, *state.sent), (0, *state.heard_since)
+            pairs = list(zip(goal, state.goal, strict=True))
+            state.push_since_ns = tuple(
+                [
+                    since_ns if new == old else 0
+                    for since_ns, (new, old) in zip(state.push_since_ns or (0,) * len(goal), pairs, strict=True)
+                ]
+            )
         state.goal, state.goal_ns = goal, now_ns
 
     def confirm_goals(self) -> None:

@@ -7,7 +7,7 @@ Rules:
    The checksum and the id are the port's work (see `ServoPort.ask`).
 2. A bad or missing reply is repeated once, after the line has fallen quiet. A sample spends at most `SAMPLE_RETRIES`
    repetitions, and asks a servo that missed `SILENT_MISSES` samples in a row only every `PROBE_EVERY`-th time, so a
-   silent bus costs a bounded part of the tick.
+   silent bus costs a bounded part of the tick. One that has answered anything else is asked again at once.
 3. What was not read in this sample says so: `fresh` is False and the registers keep their old stamp.
 4. Trouble is data (`NO_REPLY`, `BUS_NOISE`, `PORT_GONE`); only `open` raises. After `PORT_GONE` the bus is closed until
    someone opens it again.
@@ -270,6 +270,9 @@ class ServoBus:
             begin_ns = self.port.begin_round()
             packet, problem = self._exchange(request, reply_size + OVERHEAD_BYTES)
             if not problem:
+                for track in self._tracks:
+                    if track.reading.servo_id == servo_id:
+                        track.misses = 0
                 return Reply(packet[DATA_AT:-1], packet[ERROR_AT], "", self.port.arrived_ns - begin_ns)
         return Reply(problem=problem)
 

@@ -114,6 +114,31 @@ def test_a_servo_that_is_not_there_is_told_for_half_a_second_and_again_when_it_i
     assert (arm.get(3, ax12a.TORQUE_ENABLE), arm.state.letting_go) == (0, None)
 
 
+def test_a_limp_arm_is_judged_although_it_takes_long_to_identify() -> None:
+    arm = IdealArm()
+    arm.silent = {5}
+    arm.run_ticks(3, Release(5))
+    assert not arm.events.count("SERVO_SILENT"), "nobody knows yet whether it is there"
+    arm.silent = set()
+    arm.run_ticks(2)
+    assert arm.mode() is Mode.OFF
+    arm.silent = {3}
+    arm.run_ticks(7)
+    assert arm.fault() == ("SERVO_SILENT", 4)
+
+
+def test_torque_that_another_program_gives_a_servo_seen_limp_is_not_cut() -> None:
+    arm = holding()
+    arm.silent = {3}
+    arm.run_ticks(2, Release(5))
+    arm.put(1, ax12a.TORQUE_ENABLE, 1)
+    arm.run_ticks(1)
+    assert (arm.get(1, ax12a.TORQUE_ENABLE), arm.fault()) == (1, ("NOT_LIMP", 2))
+    arm.silent = set()
+    arm.run_ticks(12)
+    assert (arm.get(1, ax12a.TORQUE_ENABLE), arm.get(3, ax12a.TORQUE_ENABLE)) == (1, 0)
+
+
 @pytest.mark.parametrize("command", [Release(5), Teach(5)])
 def test_no_goal_goes_to_an_arm_that_is_being_let_go(command: Command) -> None:
     arm = holding()

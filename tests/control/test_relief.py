@@ -99,6 +99,16 @@ def test_a_lasting_push_at_standstill_is_a_fault_and_is_relieved(joint: int, lea
     assert rig.mode() is Mode.HOLDING
 
 
+def test_a_joint_that_stands_pushes_on_while_another_one_moves() -> None:
+    rig = Rig().holding()
+    rig.fault("blocked_joint", 6)
+    rig.ticks(25, Run(5, rig.turned(5.0, 5, seconds=1.0)))
+    rig.ticks(20, Run(6, rig.turned(20.0, seconds=6.0)))
+    assert rig.code() == "CONTACT"
+    rig.ticks(20)
+    assert rig.outputs()[5] < NEAR_ZERO
+
+
 def test_a_push_seen_before_a_silence_has_not_lasted() -> None:
     arm = holding()
     arm.put(0, ax12a.PRESENT_LOAD, 500)

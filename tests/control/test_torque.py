@@ -53,6 +53,23 @@ def test_what_came_on_before_a_fault_keeps_its_goal_against_another_program() ->
     assert arm.mode() is Mode.HOLDING
 
 
+@pytest.mark.parametrize("limp", [set(), {3, 4, 5}])
+def test_a_goal_that_followed_its_limp_shaft_before_a_fault_is_nobody_else_s(limp: set[int]) -> None:
+    arm = energising()
+    while arm.state.phase is not Phase.ENABLING:
+        arm.run_tick()
+    arm.silent = set(range(6))
+    arm.run_ticks(8)
+    arm.silent = set()
+    for i in range(6):
+        arm.put(i, ax12a.TORQUE_ENABLE, int(i not in limp))
+    arm.put(0, ax12a.GOAL, arm.state.goal[0] - 1)
+    arm.run_ticks(2)
+    assert "OTHER_WRITER" not in arm.events
+    assert ("LOST_TORQUE" in arm.events) == bool(limp)
+    assert arm.get(0, ax12a.GOAL) == arm.state.goal[0]
+
+
 def test_torque_on_softens_and_sets_the_goal_before_it_enables() -> None:
     arm = IdealArm().connect()
     arm.run_tick()

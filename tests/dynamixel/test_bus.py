@@ -100,6 +100,18 @@ def test_long_silent_servo_is_probed_every_fifth_sample_and_found_again(bus: Ser
     assert found == sorted(found)  # once back, in every sample
 
 
+def test_servo_that_answered_anything_else_is_in_the_next_sample(bus: ServoBus, port: ScriptedPort) -> None:
+    port.silent = {4}
+    for _ in range(SILENT_MISSES + PROBE_EVERY):
+        sample_next_tick(bus, port)
+        port.silent = set()
+        assert bus.read(4, ax12a.ID) == 4
+        assert sample_next_tick(bus, port).servos[3].fresh
+        port.silent = {4}
+        for _ in range(SILENT_MISSES):
+            sample_next_tick(bus, port)
+
+
 def test_wholly_silent_bus_leaves_more_than_half_of_the_tick(bus: ServoBus, port: ScriptedPort) -> None:
     port.silent = set(bus.servo_ids)
     costs_us = [sample_next_tick(bus, port).bus_us for _ in range(20)]
