@@ -95,9 +95,12 @@ def test_torque_that_is_asked_for_again_may_stay() -> None:
     assert bench.ticks(STIFF_READINGS + 2, True, True) == set()
 
 
-def test_an_arm_that_was_seen_limp_has_torque_by_somebody_else() -> None:
+@pytest.mark.parametrize(
+    ("seen", "found"), [((False, False), set()), ((False, True), set()), ((True, False), {"limp"})]
+)
+def test_a_servo_that_was_seen_limp_has_torque_by_somebody_else(seen: tuple[bool, bool], found: set[str]) -> None:
     bench = Bench()
     bench.promises.asked("release", 7)
     bench.ticks(1, True, False, reply=Reply(7, False, NOT_LIMP))
-    bench.ticks(1, False, False)
-    assert bench.ticks(STIFF_READINGS + 1, True, False) == set()
+    bench.ticks(1, *seen)
+    assert bench.ticks(STIFF_READINGS + 1, True, False) == found

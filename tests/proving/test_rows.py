@@ -264,3 +264,21 @@ def test_another_program_s_goal_is_taken_back_to_the_one_that_was_adopted(holdin
     assert holding.broken == set()
     holding.goal(MIDDLE + 40)
     assert holding.broken
+
+
+@pytest.mark.parametrize(("heard", "broken"), [(True, {"rows"}), (False, set())])
+def test_a_joint_far_from_its_goal_is_reported_by_whoever_hears_it(heard: bool, broken: set[str]) -> None:
+    bench = Bench()
+    bench.servos[2].sensed_tick -= 40
+    bench.ticks(4, Mode.HOLDING)
+    bench.ticks(5, Mode.HOLDING, heard=heard)
+    assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(("code", "broken"), [("NOT_LIMP", set()), ("CONTACT", {"faults"})])
+def test_a_servo_that_restarts_on_an_arm_that_is_to_be_limp_is_limp_as_before(code: str, broken: set[str]) -> None:
+    bench = Bench()
+    bench.tick(Mode.FAULTED, code)
+    bench.plan("brown_out", 0.25, 3, value=7.0)
+    bench.ticks(14, Mode.FAULTED, code)
+    assert bench.broken & {"faults"} == broken

@@ -178,17 +178,12 @@ class Duties:
         """The port is reported back, or nobody is there to do so."""
         self._back_by_s = math.inf
 
-    def lately(self, now_s: float, kinds: Set[str], within_s: float) -> bool:
-        """Whether a fault of some kinds strikes, or did so long ago at most."""
+    def lately(self, now_s: float, kinds: Set[str], within_s: float = OVER_S, i: int | None = None) -> bool:
+        """Whether a fault of some kinds strikes a servo (None: any), or did so long ago at most."""
         return any(
-            fault.kind in kinds and begin_s <= now_s < end_s + within_s
-            for begin_s, end_s, fault in (*self._faults, *self._planned, *self._over)
-        )
-
-    def struck_lately(self, now_s: float, kinds: Set[str], i: int) -> bool:
-        """Whether one of those faults strikes one servo, or did just now."""
-        return any(
-            fault.kind in kinds and begin_s <= now_s < end_s + OVER_S and fault.servo_id in (None, self._servo_ids[i])
+            fault.kind in kinds
+            and begin_s <= now_s < end_s + within_s
+            and (i is None or fault.servo_id in (None, self._servo_ids[i]))
             for begin_s, end_s, fault in (*self._faults, *self._planned, *self._over)
         )
 
@@ -244,12 +239,17 @@ class Duties:
         if now_s > self._back_by_s:
             self.port_back()
             return [(f"the adapter has been in again for {BACK_S:g} s", False)]
+        self._expected = [one for one in self._expected if not self._is_woken(now_s, one)]
         for one in self._expected:
             if one.by_s == math.inf and any(self.heard_s[i] > one.begin_s + HEARD_S for i in one.servos):
                 one.by_s = now_s + one.within_s
         due = [one for one in self._expected if one.by_s < now_s and self._could_tell(now_s, one)]
         self._expected = [one for one in self._expected if one not in due]
         return [(one.what, one.by_name) for one in due]
+
+    def _is_woken(self, now_s: float, one: Expected) -> bool:
+        """Whether a servo that restarted has its torque back from another program, and looks as before."""
+        return one.what[:9] == "brown_out" and any(self._written_until_s(now_s, i) > one.begin_s for i in one.servos)
 
     def _could_tell(self, now_s: float, one: Expected) -> bool:
         """Whether a servo has been heard since what has to be told had lasted long enough, on a line that is well."""
@@ -344,7 +344,7 @@ class Duties:
             return
         elif fault.kind == "trip" and certain and self._takes_torque(servos, fault) and "NOT_LIMP" not in self._codes:
             stop_within_s = report_within_s = self._period_s
-        elif fault.kind == "brown_out" and certain:
+        elif fault.kind == "brown_out" and certain and "NOT_LIMP" not in self._codes:
             stop_within_s, report_within_s = SILENCE_S, LATCH_S
         elif fault.kind == "brown_out" and fault.probability == 0.0:
             if lasts_s > RESTING["VOLTAGE"] + REPORT_SLACK_S and value < self._arm.voltage_V[0] - LOW_BELOW_V:

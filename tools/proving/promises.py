@@ -3,7 +3,8 @@
 | rule | checked | bound here |
 |-|-|-|
 | status | torque is told (`holding`, or on the way) and no fault, every servo being heard | each reading says so |
-| limp | torque after a `release` or `teach` that is not refused | in 3 readings of one servo; nothing comes damaged |
+| limp | torque after a `release` or `teach` that is not refused | in 3 readings of a servo not seen limp since; |
+| | | nothing comes damaged |
 | limp | what it is answered, whichever way | within 9 ticks of a program that is there |
 """
 
@@ -13,6 +14,7 @@ from typing import Protocol
 from proving.reading import POWERED, STATUS_BEGIN, TORQUE_ENABLE, TORQUE_LIMIT
 
 STIFF_READINGS = 3
+SEEN_LIMP = -1
 ANSWER_TICKS = 9
 NOT_LIMP = "NOT_LIMP"
 
@@ -46,7 +48,7 @@ class Promises:
     def __init__(self, names: Sequence[str], found: Callable[[float, str, str], None]) -> None:
         """Of an arm whose joints are called so; `found` takes the instant, the rule and what is wrong."""
         self._names, self._found = names, found
-        # In how many readings each servo had torque since the arm was to be let go; None: it is not.
+        # In how many readings each servo had torque since the arm was to be let go, or `SEEN_LIMP`; None: it is not.
         self._stiff: list[int] | None = None
         # Who waits for an answer, and for how many ticks.
         self._waiting: dict[int, int] = {}
@@ -75,12 +77,13 @@ class Promises:
         for reply in replies:
             if self._waiting.pop(reply.request_id, None) is not None and reply.code != NOT_LIMP:
                 self._stiff = None
-        if all(reading.fresh and not _torque(reading) for reading in readings):
-            self._stiff = None  # it is limp: torque from now on is somebody else's
         for i, reading in enumerate(readings):
-            if not reading.fresh or self._stiff is None:
+            if not reading.fresh or self._stiff is None or self._stiff[i] == SEEN_LIMP:
                 continue
-            self._stiff[i] = self._stiff[i] + 1 if _torque(reading) and whole else 0
+            if not _torque(reading):
+                self._stiff[i] = SEEN_LIMP  # torque from now on is somebody else's
+                continue
+            self._stiff[i] = self._stiff[i] + 1 if whole else 0
             if self._stiff[i] > STIFF_READINGS:
                 self._found(now_s, "limp", f"{self._names[i]}: let go, and {self._stiff[i]} readings of it have torque")
         for request_id in self._waiting:

@@ -170,13 +170,13 @@ class StandingJudge(ShaftJudge):
         if code == "HOT" and self._strains and now_s - self._hot_s[i] > JUST_NOW_S:
             return f"it has {self._strains[i].temperature_degC:.1f} degC"
         strays = duties.may_be_forged(now_s) or duties.lately(now_s, STRAYS, JUST_NOW_S)
-        strays |= duties.struck_lately(now_s, {"lost"}, i)
+        strays |= duties.lately(now_s, {"lost"}, i=i)
         if code == "SERVO_SILENT" and not strays and now_s - duties.heard_s[i] < SILENT_S - SLACK_S and self._all_known:
             return "it was heard just now"
         if code == "BLOCKED" and now_s - max(self._away_s[i], self._late_s) > JUST_NOW_S:
             return "it is where it is told to be"
         struck = {"TRIPPED": {"trip", "brown_out", "hot"}, "LOST_TORQUE": {"trip", "brown_out"}}.get(code, set())
-        if struck and servo.torque and servo.limit == FULL_LIMIT and not duties.struck_lately(now_s, struck, i):
+        if struck and servo.torque and servo.limit == FULL_LIMIT and not duties.lately(now_s, struck, i=i):
             return "it holds"
         return ""
 
@@ -272,15 +272,16 @@ class StandingJudge(ShaftJudge):
         loaded = servo.torque and abs(strain.output) > OVERLOADED and servo.limit == FULL_LIMIT
         self._load_s[i] = min(self._load_s[i], now_s) if loaded and lately else math.inf
         reachable = lately and not duties.may_be_forged(now_s) and not duties.writer_in_force(now_s, JUST_NOW_S)
-        # An arm whose adapter was out may have been moved by anybody, until every servo of it is heard.
-        reachable &= not ("PORT_GONE" in self._codes and self._codes & SILENT)
+        # An arm whose adapter was out may have been moved by anybody, until every servo of it is heard; and one that is
+        # told to be left to another program is.
+        reachable &= not ("PORT_GONE" in self._codes and self._codes & SILENT) and "OVERRULED" not in self._codes
         still = abs(servo.shaft_tick - before.shaft_tick) <= STILL_TICKS and servo.goal == before.goal
         # A motor that does less than gravity asks for holds back; it does not push.
         may = (0.0, strain.gravity, strain.gravity if strain.carrying is None else strain.carrying)
         grip = GRIP if i == self._arm.gripper else 0.0
         needed = min(max(strain.output, min(may) - grip), max(may) + grip)
         # A motor that turns nothing pushes against nothing; one that sees nothing seems to bear a weight.
-        idle = duties.struck_lately(now_s, {"stuck_joint", "frozen_sensor"}, i)
+        idle = duties.lately(now_s, {"stuck_joint", "frozen_sensor"}, i=i)
         pushes = servo.torque and abs(strain.output - needed) > PUSH and not idle
         if servo.torque and abs(strain.output - strain.gravity) > LEAST_PUSH:
             self._pushed_s = now_s
