@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.control.machine import Jogging, Phase, Trigger, target
+from armctl.control.machine import Jogging, Phase, Trigger
 from armctl.control.tick import Tick
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian
@@ -37,7 +37,7 @@ DAMPING_M2 = 1e-4
 
 def begin(s: Tick, command: Jog) -> None:
     """Begin a jog from where the arm is told to be."""
-    target(s.state.phase, Trigger.JOG)
+    s.state.target(Trigger.JOG)
     _check(s.arm, command)
     s.go(Trigger.JOG)
     position = tuple(joint.position_rad(tick) for joint, tick in zip(s.arm.joints, s.state.goal, strict=True))

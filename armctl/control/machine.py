@@ -179,20 +179,8 @@ _ADVICE: dict[Mode, str] = {
     Mode.PARKING: "the arm is on its way to rest; `armctl stop` first",
     Mode.TEACHING: "the arm is limp for teaching; end the teaching first",
     Mode.RELEASING: "torque is going off; wait until every servo is seen limp",
-    Mode.FAULTED: "a fault is latched; see `armctl status`, then `armctl clear`",
+    Mode.FAULTED: "a fault is latched ({fault}); see `armctl status`, then `armctl clear`",
 }
-
-
-def target(phase: Phase, trigger: Trigger) -> Phase:
-    """The phase that `trigger` leads to.
-
-    Raises:
-        IllegalTransition: it has no entry in the row of this phase; says why in the user's words.
-    """
-    found = TRANSITIONS[phase].get(trigger)
-    if found is None:
-        raise IllegalTransition(f"{trigger.value.replace('_', ' ')} is not possible now: {_ADVICE[MODE[phase]]}")
-    return found
 
 
 # ------------------------------------------------------------------------------------------------- memory
@@ -340,10 +328,22 @@ class State:
         """What the outside sees of it."""
         return MODE[self.phase]
 
+    def target(self, trigger: Trigger) -> Phase:
+        """The phase that `trigger` leads to.
+
+        Raises:
+            IllegalTransition: it has no entry in the row of this phase; says why in the user's words.
+        """
+        found = TRANSITIONS[self.phase].get(trigger)
+        if found is None:
+            why = _ADVICE[self.mode].format(fault=self.fault and self.fault.code)
+            raise IllegalTransition(f"{trigger.value.replace('_', ' ')} is not possible now: {why}")
+        return found
+
     def go(self, trigger: Trigger) -> None:
         """Change the phase.
 
         Raises:
             IllegalTransition: see `target`; nothing has changed.
         """
-        self.phase, self.ticks = target(self.phase, trigger), 0
+        self.phase, self.ticks = self.target(trigger), 0

@@ -12,7 +12,7 @@ from armctl.config import ArmConfig
 from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
 from armctl.control.faults import Cause
-from armctl.control.machine import TO_REST, Motion, Phase, Trigger, target
+from armctl.control.machine import TO_REST, Motion, Phase, Trigger
 from armctl.control.sequences import soften
 from armctl.control.tick import STILL_TICKS, Tick
 from armctl.dynamixel import ax12a
@@ -66,7 +66,7 @@ def _carry_out(s: Tick, command: Command) -> str | None:
             _torque_on(s, request_id)
             return None
         case messages.Release(request_id):
-            target(state.phase, Trigger.RELEASE)
+            state.target(Trigger.RELEASE)
             s.end_sequence("RELEASED")
             s.go(Trigger.RELEASE)
             if state.motion is not None:
@@ -78,7 +78,7 @@ def _carry_out(s: Tick, command: Command) -> str | None:
             s.let_go(request_id)
             return None
         case messages.TeachEnd():
-            target(state.phase, Trigger.TEACH_END)
+            state.target(Trigger.TEACH_END)
             s.end_sequence("TEACH_ENDED")
             s.go(Trigger.TEACH_END)
         case messages.Run(request_id, trajectory):
@@ -137,7 +137,7 @@ def _torque_on(s: Tick, request_id: int) -> None:
     state = s.state
     found = state.phase is Phase.FOUND  # its servos are not taken over yet, because not all of them were heard
     if not found:
-        target(state.phase, Trigger.TORQUE_ON)
+        state.target(Trigger.TORQUE_ON)
     if found or not s.fresh or len(state.last_ticks) != len(s.joints):
         raise RequestRefused("NO_REPLY", "not every servo answered just now; see `armctl status`")
     for cause, text in persisting_causes(s):
@@ -164,7 +164,7 @@ def _torque_on(s: Tick, request_id: int) -> None:
 
 
 def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
-    target(s.state.phase, Trigger.RUN)
+    s.state.target(Trigger.RUN)
     if problem := _against(trajectory, s.arm):
         raise RequestRefused("LIMIT", problem)
     for joint, tick, start in zip(s.arm.joints, s.state.goal, trajectory.positions_rad[0], strict=True):
