@@ -5,7 +5,8 @@ Two rules more than the contract has:
 1. Reading blocks until the bytes are there or the packet's time is over; nothing spins. The kernel has no say in how
    long: whoever polls or reads an empty terminal while bytes are on their way waits for the kernel's worker (see
    `kernel_worker`), whatever the time limit. So the terminal is asked only once it has told that bytes are there. A
-   reply that this worker may keep back is waited for once more, as long as the bus is patient.
+   reply that this worker may keep back is waited for once more, as long as the bus is patient. So is one for which
+   this process was not run in time: on a machine that stood still, what answers it may not have been run either.
 2. The first opening remembers the adapter by its USB identity (/dev/serial/by-id carries the serial number); every
    later one looks for that adapter, whatever name the kernel gave it after a replug, and takes no other.
 """
@@ -30,6 +31,8 @@ from armctl.errors import BusError, PortBusy, PortGone, PortMissing
 # A kernel worker that is not held up takes a twentieth of it.
 KEEPS_UP_NS = NS_PER_MS
 LATELY_NS = NS_PER_S
+# A process that waits comes back sooner after its time is over, unless the machine keeps it.
+HELD_UP_NS = 3 * NS_PER_MS
 # Linux: the flag in the fifth number that TIOCGSERIAL tells.
 ASYNC_LOW_LATENCY = 0x2000
 BY_ID = Path("/dev/serial/by-id")
@@ -161,6 +164,10 @@ class SerialPort(ServoPort):
 
     def _kept_back(self) -> bool:
         now_ns = self._now_ns()
+        held_up_ns = now_ns - self._deadline_ns
+        if held_up_ns > HELD_UP_NS:
+            self._patient_until_ns += held_up_ns
+            return True
         if self._worker is None or now_ns >= self._patient_until_ns:
             return False
         if self._worker.delay_ns(self.clock, self._patient_until_ns) > KEEPS_UP_NS:

@@ -282,6 +282,42 @@ def test_what_the_kernel_keeps_back_is_drained_too(pty: Pty, port: SerialPort) -
     assert worker.looks >= 2
 
 
+class HeldUpClock(MonotonicClock):
+    """Of a machine that can stand still."""
+
+    stood_still_ns = 0
+
+    def now_ns(self) -> int:
+        return super().now_ns() + self.stood_still_ns
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize(("still_ms", "reply"), [(60, b"reply"), (0, b"")])
+def test_a_reply_is_waited_for_once_more_where_nothing_was_run_meanwhile(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch, still_ms: int, reply: bytes
+) -> None:
+    port = SerialPort(pty.path, BAUD, clock := HeldUpClock())
+    port.openPort()
+    wait, ends = select.select, 0
+
+    def stand_still(*what: Any) -> Any:
+        nonlocal ends
+        found = wait(*what)
+        ends += 1
+        if ends == 1:
+            clock.stood_still_ns = still_ms * 1_000_000
+        if ends == 1 and still_ms:
+            os.write(pty.master, reply)
+        return found
+
+    monkeypatch.setattr(select, "select", stand_still)
+    port._worker = None
+    port.begin_round(PATIENT_NS)
+    port.setPacketTimeout(5)
+    assert port.readPort(5) == reply
+    port.closePort()
+
+
 @pytest.mark.pty
 def test_patience_ends(pty: Pty, port: SerialPort) -> None:
     worker = ScriptedWorker(pty)
