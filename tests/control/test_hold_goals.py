@@ -140,6 +140,21 @@ def test_an_arm_that_was_led_off_is_held_where_it_is_and_not_brought_back() -> N
     assert (arm.code(), arm.state.goal[0], arm.get(0, ax12a.PRESENT_POSITION)) == ("OTHER_WRITER", away, away)
 
 
+def test_what_seems_led_off_on_a_noisy_line_is_told_nothing() -> None:
+    arm = holding()
+    for tick in range(60):
+        arm.noisy = {3, 4, 5} if tick % 2 else set()
+        arm.run_tick()
+    arm.noisy = set()
+    assert arm.code() == "BUS_NOISE"
+    ours = arm.state.goal
+    for register in (ax12a.GOAL, ax12a.PRESENT_POSITION):
+        arm.put(0, register, ours[0] + 230)
+    outputs = arm.run_ticks(3)
+    assert (outputs.goal, outputs.writes, arm.state.goal) == (None, (), ours)
+    assert "OTHER_WRITER" in arm.events
+
+
 def test_who_is_led_off_keeps_no_other_joint_from_being_held() -> None:
     arm = holding()
     ours = arm.state.goal
