@@ -282,3 +282,13 @@ def test_a_servo_that_restarts_on_an_arm_that_is_to_be_limp_is_limp_as_before(co
     bench.plan("brown_out", 0.25, 3, value=7.0)
     bench.ticks(14, Mode.FAULTED, code)
     assert bench.broken & {"faults"} == broken
+
+
+@pytest.mark.parametrize(("cut", "broken"), [(True, set()), (False, {"8"})])
+def test_8_a_reply_behind_an_echo_that_was_cut_is_a_good_one(moving: Bench, cut: bool, broken: set[str]) -> None:
+    moving.plan("echo", 2.0, None)
+    if cut:
+        moving.judge.garbled(moving.now_s, moving.now_s + 2.0)
+    moving.ticks(3, Mode.MOVING)
+    moving.move(5)
+    assert moving.broken & {"8"} == broken

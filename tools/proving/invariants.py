@@ -153,8 +153,8 @@ class Judge(TorqueJudge):
             goal: The one it tells, of a servo under torque. One that is not from here obliges a program that looks;
                 one that this program's next goal replaced before anybody asked the servo is seen by nobody.
         """
-        if self._duties.lately(now_s, {"echo"}, 0.0):
-            return  # the host hears itself
+        if self._duties.lately(now_s, {"echo"}, 0.0) and not self._duties.may_be_forged(now_s):
+            return  # the host hears itself, unless what it said was cut
         self._heard_s[index], self._told[index] = now_s, position
         if goal is None:
             self._going.discard(index)
