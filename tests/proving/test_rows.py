@@ -275,15 +275,6 @@ def test_a_joint_far_from_its_goal_is_reported_by_whoever_hears_it(heard: bool, 
     assert bench.broken & {"rows"} == broken
 
 
-@pytest.mark.parametrize(("code", "broken"), [("NOT_LIMP", set()), ("CONTACT", {"faults"})])
-def test_a_servo_that_restarts_on_an_arm_that_is_to_be_limp_is_limp_as_before(code: str, broken: set[str]) -> None:
-    bench = Bench()
-    bench.tick(Mode.FAULTED, code)
-    bench.plan("brown_out", 0.25, 3, value=7.0)
-    bench.ticks(14, Mode.FAULTED, code)
-    assert bench.broken & {"faults"} == broken
-
-
 @pytest.mark.parametrize(("cut", "broken"), [(True, set()), (False, {"8"})])
 def test_8_a_reply_behind_an_echo_that_was_cut_is_a_good_one(moving: Bench, cut: bool, broken: set[str]) -> None:
     moving.plan("echo", 2.0, None)
@@ -292,3 +283,50 @@ def test_8_a_reply_behind_an_echo_that_was_cut_is_a_good_one(moving: Bench, cut:
     moving.ticks(3, Mode.MOVING)
     moving.move(5)
     assert moving.broken & {"8"} == broken
+
+
+@pytest.mark.parametrize(("ticks", "again", "broken"), [(4, False, set()), (4, True, {"7"}), (40, False, {"7"})])
+def test_7_a_clear_may_wait_for_the_servos_and_a_run_come_with_it(ticks: int, again: bool, broken: set[str]) -> None:
+    bench = Bench()
+    bench.ticks(8, Mode.FAULTED, "SERVO_SILENT")
+    bench.ask("clear")
+    bench.ticks(ticks, Mode.FAULTED, "SERVO_SILENT")
+    bench.ask("run")
+    bench.goal(MIDDLE + 5)
+    bench.tick(*((Mode.FAULTED, "SERVO_SILENT") if again else (Mode.MOVING, "")))
+    assert bench.broken & {"7"} == broken
+
+
+@pytest.mark.parametrize(("late_s", "broken"), [(1.7, set()), (0.0, {"rows"})])
+def test_a_port_that_was_out_while_the_program_was_late_is_gone(late_s: float, broken: set[str]) -> None:
+    bench = Bench()
+    bench.plan("unplug", 0.06, None)
+    bench.ticks(0 if late_s else 16)
+    bench.now_s += late_s
+    bench.tick(Mode.FAULTED, "PORT_GONE")
+    assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(("kind", "broken"), [("same_id", set()), ("duplicated", {"rows"})])
+def test_a_servo_in_whose_name_another_one_answers_is_not_silent(kind: str, broken: set[str]) -> None:
+    bench = Bench()
+    bench.plan("lost", 2.0, 3, in_s=0.1)
+    bench.plan(kind, 3.0, 3)
+    bench.ticks(12, Mode.HOLDING)
+    assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(
+    ("code", "broken"),
+    [
+        ("NOT_LIMP", set()),  # it is limp as before
+        ("DUPLICATE_ID", set()),
+        ("CONTACT", {"faults"}),
+    ],
+)
+def test_a_servo_that_restarts_behind_a_fault(code: str, broken: set[str]) -> None:
+    bench = Bench()
+    bench.tick(Mode.FAULTED, code)
+    bench.plan("brown_out", 0.25, 3, value=7.0)
+    bench.ticks(14, Mode.FAULTED, code)
+    assert bench.broken & {"faults"} == broken

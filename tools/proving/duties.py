@@ -158,8 +158,8 @@ class Duties:
 
     def told(self, codes: Set[str]) -> None:
         """All faults that are reported now."""
-        # Nothing can be said of servos that nobody hears.
-        unheard, self._codes = codes & (SILENT | {"PORT_GONE", "BUS_NOISE"}), codes
+        # Nothing can be said of servos that nobody hears, and little where two answer at once: none is taken over then.
+        unheard, self._codes = codes & (SILENT | {"PORT_GONE", "BUS_NOISE", "DUPLICATE_ID"}), codes
         if "PORT_GONE" in codes and self._back_by_s < math.inf:
             # A port that is not back hears nobody.
             self._expected = [one for one in self._expected if not one.by_name]
@@ -292,7 +292,7 @@ class Duties:
                 self._begin(begin_s, end_s, fault, servos, known)
         for k, (begin_s, end_s, fault) in enumerate(self._faults):
             moves = fault.kind in MOVES_JOINT or fault.kind in MOVES_ARM
-            falls = now_s - begin_s < FALL_S and self._limp(servos, fault)
+            falls = now_s - begin_s < FALL_S and not all(servo.torque for _, servo in self._struck(servos, fault))
             # What is written before a silence is seen after it.
             written_s = fault.begin_s + (fault.duration_s or 0.0) if fault.kind == "second_writer" else -math.inf
             unseen = any(self.heard_s[i] < written_s + self._period_s for i, _ in self._struck(servos, fault))
@@ -322,7 +322,9 @@ class Duties:
         if fault.kind == "hot":  # it sets the temperature anew
             mine = {i for i, _ in self._struck(servos, fault)}
             self._expected = [one for one in self._expected if not (one.what[:3] == "hot" and mine & {*one.servos})]
-        certain = fault.probability == 1.0 and fault.count is None
+        # A second servo may answer in the name of one that does not.
+        both = any(other.kind == "same_id" and begin < end_s for begin, _, other in (*self._faults, *self._planned))
+        certain = fault.probability == 1.0 and fault.count is None and not (both and fault.kind in SILENCES)
         lasts_s, value = end_s - begin_s, fault.value or 0.0
         powered = known.mode in POWERED and not known.latched
         stop_within_s = report_within_s = None
@@ -387,9 +389,6 @@ class Duties:
         return any(
             servo.torque and abs(servo.goal - servo.shaft_tick) > BACK_TICKS for _, servo in self._struck(servos, fault)
         )
-
-    def _limp(self, servos: Sequence[Servo], fault: Fault) -> bool:
-        return not all(servo.torque for _, servo in self._struck(servos, fault))
 
     def _takes_torque(self, servos: Sequence[Servo], fault: Fault) -> bool:
         return any(servo.torque or servo.limit == 0 for _, servo in self._struck(servos, fault))

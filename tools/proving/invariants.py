@@ -346,7 +346,7 @@ class Judge(TorqueJudge):
         if gap_s > 0.05:
             self._torque_asked_s += gap_s
         mode = OFF if self._asked_now & {"release", "teach"} else self._mode
-        self._asked_now, self._asked_before = set(), self._asked_now
+        self._asked_now, self._asked_before = self._still_waits(now_s), self._asked_now
         known = Known(mode, bool(self._code), self._in_charge)
         self._duties.tick(last_s, now_s, servos, known)
         self._late_s = now_s if gap_s > LATE_S else self._late_s

@@ -17,7 +17,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
 
-from proving.duties import RECOVERING_S, SILENT, STRAYS
+from proving.duties import OVER_S, RECOVERING_S, SILENT, STRAYS
 from proving.evidence import Servo, Strain
 from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, STARTING, TICK_DEG, Arm
 from proving.shafts import STILL_TICKS, ShaftJudge
@@ -207,7 +207,10 @@ class StandingJudge(ShaftJudge):
         if code == "CONTACT" and now_s - self._pushed_s > JUST_NOW_S:
             # A program that is shown a wrong pose cannot tell what the arm has to bear there.
             return "" if duties.lately(now_s, {"frozen_sensor"}, JUST_NOW_S) else "no joint pushes"
-        if code == "PORT_GONE" and not duties.lately(now_s, {"unplug"}, JUST_NOW_S):
+        # A program that was late finds its port gone for good, however short that was.
+        if code == "PORT_GONE" and not duties.lately(
+            now_s, {"unplug"}, OVER_S if now_s - self._late_s < self._period_s else JUST_NOW_S
+        ):
             return "the adapter is in"
         return ""
 

@@ -21,6 +21,8 @@ LED_TICKS = 12.0 / TICK_DEG + NOISE_TICKS
 AGAIN_S, AGAIN_LATE_S = 0.006, 0.04
 # A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
+# How long a `clear` may wait until every servo is identified.
+CLEARS_S = 3.0
 
 
 class TorqueJudge(StandingJudge):
@@ -50,8 +52,18 @@ class TorqueJudge(StandingJudge):
         self._going: set[int] = set()
         # What this tick's `clear`, if it is granted, makes right.
         self._unless_cleared: list[tuple[str, float, int, str]] = []
+        # When a `clear` was asked for that nothing has come of yet.
+        self._clear_s = -math.inf
         # Whether there is a program at all.
         self._in_charge = False
+
+    def _still_waits(self, now_s: float) -> set[str]:
+        """A `clear` may wait until every servo is identified; what is asked for meanwhile comes in the same tick."""
+        if "clear" in self._asked_now and self._clear_s == -math.inf:
+            self._clear_s = now_s
+        waits = bool(self._code) and now_s - self._clear_s < CLEARS_S
+        self._clear_s = self._clear_s if waits else -math.inf
+        return {"clear"} if waits else set()
 
     def garbled(self, begin_s: float, end_s: float) -> None:
         """Packets of the host will come damaged from then to then."""
