@@ -330,3 +330,14 @@ def test_a_servo_that_restarts_behind_a_fault(code: str, broken: set[str]) -> No
     bench.plan("brown_out", 0.25, 3, value=7.0)
     bench.ticks(14, Mode.FAULTED, code)
     assert bench.broken & {"faults"} == broken
+
+
+@pytest.mark.parametrize(("late_s", "broken"), [(0.7, set()), (0.0, {"rows"})])
+def test_a_sag_that_ends_while_the_program_is_late_is_a_short_one(late_s: float, broken: set[str]) -> None:
+    bench = Bench()
+    sag = Fault(kind="brown_out", servo_id=3, begin_s=bench.now_s, duration_s=0.93, value=8.0, probability=0.0)
+    bench.judge.plan(sag)
+    bench.ticks(3, Mode.HOLDING)
+    bench.now_s += late_s
+    bench.ticks(12, Mode.HOLDING)
+    assert bench.broken & {"rows"} == broken

@@ -308,9 +308,9 @@ class Duties:
         self._garbled = [garbled for garbled in self._garbled if garbled[1] + RECOVERING_S > now_s]
 
     def _forget_silences(self, last_s: float, now_s: float) -> None:
-        """A silence that ends while the program is late was a short one for it, and is over."""
+        """A silence, or a sag, that ends while the program is late was a short one for it, and is over."""
         for begin_s, end_s, fault in self._faults:
-            if fault.kind in SILENCES and end_s <= now_s and last_s - begin_s < LATCH_S:
+            if (fault.kind in SILENCES or fault.probability == 0.0) and end_s <= now_s and last_s - begin_s < LATCH_S:
                 what = _named(fault, end_s - begin_s)
                 self._duties = [duty for duty in self._duties if duty.why != what]
                 self._expected = [expected for expected in self._expected if expected.what != what]
