@@ -382,7 +382,7 @@ class Judge(TorqueJudge):
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
                 self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
             if before:
-                self._watch_strain(now_s, i, before[i].goal, servo.sensed_tick)
+                self._watch_strain(now_s, i, abs(before[i].goal - servo.sensed_tick))
             if i in self._enabled:
                 self._watch_jump(now_s, i, servo)
         if before and gap_s <= 0.05:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from proving.duties import REPORT_SLACK_S, Duties
 from proving.evidence import Servo, Violation
-from proving.reading import OFF, POWERED, TICK_DEG, TICK_MAX, Arm
+from proving.reading import OFF, POWERED, TICK_DEG, Arm
 from proving.rules import RED
 
 # Two standard deviations of one reading: a program that has one reading knows a shaft no better.
@@ -65,13 +65,12 @@ class ShaftJudge:
         if limits and not any(limits) and self._mode in POWERED and not self._duties.may_restart():
             self._violate("rows", now_s, -1, "a servo that shut itself down is reported as LOST_TORQUE")
 
-    def _watch_strain(self, now_s: float, i: int, goal: int, sensed_tick: float) -> None:
+    def _watch_strain(self, now_s: float, i: int, away_ticks: int) -> None:
         """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported.
 
         It counts from when a program watches for it: one that has just adopted the arm knows of nothing before. Of a
         joint that is not heard nothing is to be reported but that.
         """
-        away_ticks = abs(goal - min(max(sensed_tick, 0.0), TICK_MAX))  # no reading shows more
         if away_ticks <= BLOCKED_TICKS or self._mode not in POWERED or self._code:
             self._far_s[i] = math.inf
         elif self._far_s[i] == math.inf:

@@ -89,9 +89,8 @@ class TorqueJudge(StandingJudge):
         twin = self._duties.lately(now_s, {"same_id"}, 0.2)  # whose position it is, nobody can tell
         own = not twin and (now.goal == self._sent[i] or not self._duties.other_writer(now_s, i))
         self._sent[i] = now.goal
-        told_tick = min(max(now.sensed_tick, 0), 1023)  # what ten bits say of it
-        if own and abs(now.goal - told_tick) > HERE_TICKS:
-            text = f"torque came on at {told_tick} with goal {now.goal} (bound {HERE_TICKS:.1f} ticks)"
+        if own and abs(now.goal - now.sensed_tick) > HERE_TICKS:
+            text = f"torque came on at {now.sensed_tick} with goal {now.goal} (bound {HERE_TICKS:.1f} ticks)"
             self._violate("3", now_s, i, text)
         if now.limit > SOFT_LIMIT or now.speed == 0:
             text = f"torque came on with limit {now.limit} (bound {SOFT_LIMIT:.0f}), speed {now.speed} (not 0)"

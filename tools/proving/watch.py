@@ -27,6 +27,7 @@ from proving.reading import (
     STATUS_BEGIN,
     STATUS_SIZE,
     SYNC_WRITE,
+    TICK_MAX,
     TORQUE_ENABLE,
     TORQUE_LIMIT,
     WRITE,
@@ -197,7 +198,8 @@ class Watch:
         for i, (servo, known) in enumerate(zip(self._body.servos, self._servos, strict=True)):
             known.shaft_tick = servo.position_tick
             frozen = servo.frozen_tick
-            known.sensed_tick = math.floor(servo.position_tick + 0.5) if frozen is None else frozen
+            shown = math.floor(servo.position_tick + 0.5) if frozen is None else frozen
+            known.sensed_tick = min(max(shown, 0), TICK_MAX)  # what ten bits can say of it
             if servo.writes != self._writes[i]:
                 self._writes[i] = servo.writes
                 known.limit, known.goal, known.speed = (_value(servo.table, register) for register in WATCHED)
