@@ -341,3 +341,12 @@ def test_a_sag_that_ends_while_the_program_is_late_is_a_short_one(late_s: float,
     bench.now_s += late_s
     bench.ticks(12, Mode.HOLDING)
     assert bench.broken & {"rows"} == broken
+
+
+@pytest.mark.parametrize(("goal", "broken"), [(MIDDLE + 60, set()), (MIDDLE + 50, {"2"})])
+def test_2_a_goal_that_a_servo_holds_already_moves_nothing(goal: int, broken: set[str]) -> None:
+    bench = running()
+    bench.move(5)
+    bench.servos[0].goal = MIDDLE + 60
+    bench.goal(goal)
+    assert bench.broken & {"2"} == broken

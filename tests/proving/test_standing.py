@@ -125,17 +125,23 @@ def test_a_fault_that_is_told_has_its_cause(code: str) -> None:
     assert bench.red == {"rows"}
 
 
-@pytest.mark.parametrize(("again", "broken"), [(True, set()), (False, {"yields"})])
-def test_a_foreign_goal_does_not_stay(moving: Bench, again: bool, broken: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("again", "also", "broken"), [(True, "", set()), (False, "", {"yields"}), (False, "NOT_LIMP", set())]
+)
+def test_a_foreign_goal_does_not_stay_but_on_a_limp_arm(
+    moving: Bench, again: bool, also: str, broken: set[str]
+) -> None:
     moving.goal(MIDDLE + 5)
     moving.goal(MIDDLE + 5)
     moving.plan("second_writer", 0.2)
     moving.tick(Mode.MOVING)
     moving.servos[0].goal = MIDDLE + 30
-    moving.ticks(5, Mode.FAULTED, "OTHER_WRITER")
+    for _ in range(5):
+        moving.tick(Mode.FAULTED, "OTHER_WRITER", also=also)
     if again:
         moving.goal(MIDDLE + 5)
-    moving.ticks(7, Mode.FAULTED, "OTHER_WRITER")
+    for _ in range(7):
+        moving.tick(Mode.FAULTED, "OTHER_WRITER", also=also)
     assert moving.red == broken
 
 

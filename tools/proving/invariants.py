@@ -287,7 +287,7 @@ class Judge(TorqueJudge):
             self._sent_lately[i].append((now_s - BURST_S, known))
         if "clear" in self._asked_now and abs(goal - was.goal) < abs(goal - known):
             known = was.goal  # it was granted: from there on it goes on from the goals that the servos hold
-        if goal == known or not was.torque:
+        if goal in (known, was.goal) or not was.torque:  # what a servo holds already moves nothing
             self._brings_back(now_s, i, goal, was)
             return
         age_s = now_s - self._heard_s[i]

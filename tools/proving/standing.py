@@ -260,8 +260,8 @@ class StandingJudge(ShaftJudge):
         self._watch_silence(now_s)
         gone = not self._duties.writer_in_force(now_s, WRITER_GONE_S) and not self._duties.may_be_forged(now_s)
         gone &= now_s - self._late_s > WRITER_GONE_S
-        # To one that went on, which is told as OVERRULED, the arm is left.
-        elsewhere = self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT", "OVERRULED"}
+        # To one that went on, which is told as OVERRULED, the arm is left; and what is to be limp has no goal.
+        elsewhere = self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT", "OVERRULED", "NOT_LIMP"}
         if "OTHER_WRITER" in self._codes and gone and not elsewhere:
             self._watch_held(now_s, servos)
 
