@@ -155,6 +155,19 @@ def test_what_seems_led_off_on_a_noisy_line_is_told_nothing() -> None:
     assert "OTHER_WRITER" in arm.events
 
 
+def test_what_seems_led_off_while_other_replies_come_damaged_is_told_nothing() -> None:
+    arm = holding()
+    ours, arm.noisy = arm.state.goal, {2, 3}
+    for register in (ax12a.GOAL, ax12a.PRESENT_POSITION):
+        arm.put(0, register, ours[0] + 96)
+    outputs = arm.run_ticks(3)
+    assert (outputs.goal, outputs.writes, arm.state.goal) == (None, (), ours)
+    assert arm.code() == "OTHER_WRITER"
+    arm.noisy = set()
+    arm.run_ticks(2)
+    assert arm.state.goal[0] == ours[0] + 96
+
+
 def test_who_is_led_off_keeps_no_other_joint_from_being_held() -> None:
     arm = holding()
     ours = arm.state.goal
