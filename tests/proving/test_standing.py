@@ -80,6 +80,25 @@ def test_what_is_stopped_pushes_for_two_seconds_at_most(holding: Bench, why: str
     assert holding.red == {"stall"}
 
 
+@pytest.mark.parametrize(("code", "broken"), [("", {"stall"}), ("OVERLOAD", set())])
+def test_what_a_hand_leads_may_push_once_that_is_told(holding: Bench, code: str, broken: set[str]) -> None:
+    holding.feel(0.9)
+    for _ in range(40):
+        holding.judge.led(holding.now_s)
+        holding.tick(Mode.FAULTED if code else Mode.HOLDING, code)
+    assert holding.red & {"stall"} == broken
+
+
+@pytest.mark.parametrize(("limit", "broken"), [(1023, {"7"}), (128, set())])
+def test_what_was_left_with_a_part_of_its_strength_cannot_stand(holding: Bench, limit: int, broken: set[str]) -> None:
+    holding.servos[0].limit = limit
+    holding.ticks(12, Mode.FAULTED, "SERVO_SILENT")
+    for at in (495.0, 485.0, 480.0, 485.0):
+        holding.at(at)
+        holding.tick(Mode.FAULTED, "SERVO_SILENT")
+    assert holding.broken == broken
+
+
 @pytest.mark.parametrize(("lasts", "volts", "celsius", "code", "broken"), [
     (0.2, 8.0, 30.0, "VOLTAGE", {"rest"}), (0.8, 8.0, 30.0, "VOLTAGE", set()),
     (1.0, 12.0, 67.0, "HOT", {"rest"}), (2.2, 12.0, 67.0, "HOT", set()), (0.2, 12.0, 71.0, "HOT", set()),

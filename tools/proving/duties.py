@@ -92,7 +92,7 @@ class Duties:
         # By when a port that was reported gone has to be reported back.
         self._back_by_s = math.inf
         # When a hand was last at the arm.
-        self._hand_s = -math.inf
+        self.hand_s = -math.inf
 
     def must_stop(
         self,
@@ -130,7 +130,7 @@ class Duties:
 
     def led(self, now_s: float) -> None:
         """A hand is at the arm."""
-        self._hand_s = now_s
+        self.hand_s = now_s
 
     def motion_asked(self) -> None:
         """What only a stop or an adoption forbade is allowed again."""
@@ -261,7 +261,7 @@ class Duties:
     def excused(self, now_s: float, i: int | None = None) -> bool:
         """Whether a fault, or a hand, may be what moves a joint; None: whichever, for it shakes the others."""
         forged_s = max(self._forged_until_s) if i is None else self._forged_until_s[i]
-        return now_s < max(self._hand_s + RECOVERING_S, forged_s) or any(
+        return now_s < max(self.hand_s + RECOVERING_S, forged_s) or any(
             begin_s <= now_s < end_s + RECOVERING_S
             and (
                 fault.kind in MOVES_ARM

@@ -375,8 +375,8 @@ class Judge(TorqueJudge):
                 self._far_s[i] = math.inf
                 continue
             away = abs(servo.goal - servo.shaft_tick)
-            # One left with a part of its strength by a program that died is told of, and cannot hold.
-            weak = servo.limit < self._arm.joints[i].full_limit and bool(self._codes)
+            # It is told of, and cannot hold.
+            weak = self._is_weak(i, servo) and bool(self._codes)
             if away > LEAD_TICKS and not weak and not self._duties.excused(now_s, i):
                 # One that kept its torque while the others lost theirs cannot hold the arm.
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"

@@ -95,9 +95,10 @@ class ShaftJudge:
     ) -> None:
         all_moved = [servo.shaft_tick - was.shaft_tick for servo, was in zip(servos, before, strict=True)]
         if self._duties.excused(now_s) or any(
-            abs(moved) > STILL_TICKS and not servo.torque for servo, moved in zip(servos, all_moved, strict=True)
+            abs(moved) > STILL_TICKS and (not servo.torque or (self._code and self._is_weak(i, servo)))
+            for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True))
         ):
-            return  # a limp joint that falls shakes those that hold
+            return  # a limp or weak joint that falls swings, and shakes those that hold
         # What was decided before is sent until it arrives.
         lossy = self._duties.may_be_lost(now_s)
         for i, (servo, moved) in enumerate(zip(servos, all_moved, strict=True)):
@@ -106,6 +107,10 @@ class ShaftJudge:
             arrives = lossy and moved * (servo.goal - servo.shaft_tick + moved) > 0.0
             if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved) and not arrives:
                 self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")
+
+    def _is_weak(self, i: int, servo: Servo) -> bool:
+        """Whether it was left with a part of its strength by a program that died."""
+        return servo.limit < self._arm.joints[i].full_limit
 
     def _watch_dead(
         self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], shafts_then: Sequence[float]

@@ -285,7 +285,9 @@ class StandingJudge(ShaftJudge):
         needed = min(max(strain.output, min(may) - grip), max(may) + grip)
         # A motor that turns nothing pushes against nothing; one that sees nothing seems to bear a weight.
         idle = duties.lately(now_s, {"stuck_joint", "frozen_sensor"}, i=i)
-        pushes = servo.torque and abs(strain.output - needed) > PUSH and not idle
+        # The hand that leads it feels like a weight: it is not to give way to that for ever, but to tell it.
+        led = bool(self._codes) and now_s - duties.hand_s < 1.5 * self._period_s
+        pushes = servo.torque and abs(strain.output - needed) > PUSH and not idle and not led
         if servo.torque and abs(strain.output - strain.gravity) > LEAST_PUSH:
             self._pushed_s = now_s
         if not (pushes and still and reachable):
