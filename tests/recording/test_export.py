@@ -13,13 +13,14 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from armctl.clock import NS_PER_S
-from armctl.errors import ArmctlError, LogError
+from armctl.errors import ArmctlError
 from armctl.recording import export as exporting
 from armctl.recording.channels import TOPICS
 from armctl.recording.export import Format, export
 from tests.recording.altered import without_first_joint
 from tests.recording.factory import ANCHOR, ARM, make_records
 from tests.recording.logs import write
+from tests.recording.refusals import cannot
 
 RECORDS = make_records(60, seed=3)
 WRITE = ("servo_id", "address", "size", "confirmed", "value")
@@ -208,11 +209,9 @@ def test_nested_lists_are_json(log: Path, tmp_path: Path) -> None:
 def test_nothing_is_overwritten_and_a_failure_leaves_nothing(log: Path, tmp_path: Path, kind: Format) -> None:
     taken = tmp_path / f"t.{kind}"
     taken.write_bytes(b"mine")
-    with pytest.raises(LogError, match="exists already"):
-        export(log, taken, kind)
+    cannot(export, log, taken, kind, why="exists already")
     assert taken.read_bytes() == b"mine"
-    with pytest.raises(LogError, match=r"/nothing; topics: .*/joint_states"):
-        export(log, tmp_path / f"u.{kind}", kind, ("/nothing",))
+    cannot(export, log, tmp_path / f"u.{kind}", kind, ("/nothing",), why=r"/nothing; topics: .*/joint_states")
     assert [path.name for path in tmp_path.iterdir()] == [taken.name]
 
 

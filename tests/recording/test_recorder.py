@@ -25,6 +25,7 @@ from armctl.recording.writer import LogWriter
 from tests.recording.altered import faulty
 from tests.recording.factory import make_records, times_s
 from tests.recording.logs import recorder_lines, replayed, ticks
+from tests.recording.refusals import cannot
 from tests.recording.rig import Rig, failing
 
 RECORDS = make_records(100, keyframe_ticks=40)
@@ -111,14 +112,11 @@ def test_a_take_holds_its_own_ticks_and_replays_alone(rig: Rig) -> None:
 
 def test_a_take_needs_a_free_name_and_a_free_recorder(rig: Rig) -> None:
     assert rig.recorder.end_take() is None
-    with pytest.raises(LogError, match="a name has"):
-        rig.recorder.begin_take("../first")
+    cannot(rig.recorder.begin_take, "../first", why="a name has")
     rig.recorder.begin_take("first")
-    with pytest.raises(LogError, match="first is being recorded"):
-        rig.recorder.begin_take("second")
+    cannot(rig.recorder.begin_take, "second", why="first is being recorded")
     rig.recorder.end_take()
-    with pytest.raises(LogError, match="exists already"):
-        rig.recorder.begin_take("first")
+    cannot(rig.recorder.begin_take, "first", why="exists already")
 
 
 def test_closing_keeps_the_take_under_way(rig: Rig) -> None:
@@ -161,10 +159,8 @@ def test_a_full_disk_stops_recording_and_nothing_else(rig: Rig, monkeypatch: pyt
     rig.put(RECORDS[25:40])
     assert rig.recorder.problem.startswith("NO_SPACE: ")
     assert rig.recorder.log_path is None
-    with pytest.raises(LogError, match="NO_SPACE"):
-        rig.recorder.end_take()
-    with pytest.raises(LogError, match="NO_SPACE"):
-        rig.recorder.begin_take("second")
+    cannot(rig.recorder.end_take, why="NO_SPACE")
+    cannot(rig.recorder.begin_take, "second", why="NO_SPACE")
     monkeypatch.undo()
     rig.put(RECORDS[40:])
     assert rig.recorder.problem == ""
@@ -191,8 +187,7 @@ def test_a_failing_take_does_not_stop_the_log(rig: Rig, monkeypatch: pytest.Monk
     monkeypatch.setattr(LogWriter, "write_tick", fail)
     rig.put(RECORDS[5:10])
     assert "LOG_ERROR: the take's disk is gone" in rig.recorder.problem
-    with pytest.raises(LogError, match="the take's disk is gone"):
-        rig.recorder.end_take()
+    cannot(rig.recorder.end_take, why="the take's disk is gone")
     rig.recorder.begin_take("second")
     assert rig.recorder.problem == ""
     (log,) = rig.close()
@@ -222,8 +217,7 @@ def test_a_disk_that_does_not_answer_does_not_keep_the_daemon(rig: Rig, monkeypa
     monkeypatch.setattr(module, "TAKE_END_S", 0.01)
     rig.recorder.begin_take("first")
     with held(rig.recorder):
-        with pytest.raises(LogError, match="does not answer"):
-            rig.recorder.end_take()
+        cannot(rig.recorder.end_take, why="does not answer")
         rig.recorder.close()
         assert rig.recorder._thread.is_alive()
     rig.recorder._thread.join(10.0)
