@@ -81,9 +81,9 @@ def test_every_input_can_be_rebuilt_from_the_log(log: Path) -> None:
 
 def test_the_file_says_what_it_is_a_log_of(log: Path) -> None:
     with LogFile(log) as file:
-        setup = log_setup(file)
-        assert file.metadata["armctl"] == file.facts
-        assert (file.facts["arm_id"], file.facts["calibration_hash"]) == (ARM.arm_id, ARM.calibration_hash)
+        setup, facts = log_setup(file), file.facts
+        assert file.metadata["armctl"] == facts
+        assert (facts["arm_id"], facts["calibration_hash"]) == (ARM.arm_id, ARM.calibration_hash)
         config = validate(Config, parse_yaml(file.text("config.yaml"), "config"), "config")
     assert (setup.arm, setup.arm.calibration_hash) == (ARM, ARM.calibration_hash)
     assert (setup.robot.lengths_m, setup.period_s, setup.anchor) == (ROBOT.lengths_m, PERIOD_S, ANCHOR)
@@ -123,13 +123,15 @@ def test_a_file_without_ticks_is_a_log_all_the_same(tmp_path: Path) -> None:
     cannot(check, path, why="no keyframe")
 
 
-def test_a_note_is_kept_and_disturbs_no_replay(tmp_path: Path) -> None:
+def test_a_note_is_kept_and_disturbs_no_replay_and_closing_twice_is_harmless(tmp_path: Path) -> None:
     writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
     for record in RECORDS:
         writer.write_note("/armctl/command", json.dumps({"request": record.inputs.tick}), record.inputs.now_ns)
         writer.write_event(Event("info", "NOTE", "by the recorder"), record.inputs.now_ns)
         writer.write_tick(record)
     writer.close()
+    writer.close()
+    assert [*tmp_path.iterdir()] == [writer.path]
     assert check(writer.path).mismatches == 0
     assert '{"request": 0}' in [m.value["data"] for m in reader.read(writer.path, ["/armctl/command"])]
     with pytest.raises(ValueError, match="notes go to"):
@@ -166,22 +168,14 @@ def test_file_systems_without_links_get_the_file_too(tmp_path: Path, monkeypatch
         publish(tmp_path / "b.part", tmp_path / "a.mcap")
 
 
-def test_closing_twice_is_harmless(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", CONTEXT, anchor=ANCHOR)
-    writer.close()
-    writer.close()
-    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
-
-
-def test_an_unwritable_folder_is_a_log_error(tmp_path: Path) -> None:
+def test_where_no_file_or_no_head_can_be_written_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").write_bytes(b"")
     cannot(LogWriter, tmp_path / "file" / "a.mcap", CONTEXT, why="cannot be written")
-
-
-def test_a_head_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ChunkWriter, "add_metadata", failing(errno.ENOSPC))
     cannot(LogWriter, tmp_path / "a.mcap", CONTEXT, why="No space left")
-    assert list(tmp_path.iterdir()) == []
+    assert [*tmp_path.iterdir()] == [tmp_path / "file"]
 
 
 # ------------------------------------------------------------------------------------------------ cut, damaged
@@ -240,8 +234,7 @@ def test_messages_outside_chunks_are_not_trusted(tmp_path: Path) -> None:
     path = tmp_path / "foreign.mcap"
     with foreign(path, use_chunking=False) as writer:
         writer.add_message(writer.register_channel("/json", "json", 0), 5, b"{}", 5)
-    info = reader.info(path)
-    assert (info.messages, info.complete) == (0, False)
+    assert (reader.info(path).messages, reader.info(path).complete) == (0, False)
 
 
 # ---------------------------------------------------------------------------------------------------- recovery
@@ -258,12 +251,7 @@ def test_the_start_recovers_every_part_but_those_being_written(tmp_path: Path, l
         recover(live.part)
     (result,) = recover_folder(tmp_path)
     assert result.path.name == "a-recovered.mcap"
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "a-recovered.mcap",
-        "a.mcap",
-        "empty.mcap.part.broken",
-        "link.mcap.part",
-        "live.mcap.part",
-    ]
+    names = ["a-recovered.mcap", "a.mcap", "empty.mcap.part.broken", "link.mcap.part", "live.mcap.part"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == names
     live.close()
     assert recover_folder(tmp_path / "nowhere") == ()

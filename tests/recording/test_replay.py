@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from armctl.config import ArmConfig
 from armctl.control.step import step
 from armctl.messages import Hold, Inputs, Outputs, Release, Teach, TeachEnd
 from armctl.recording import reader, recordings, replay
@@ -67,8 +66,8 @@ def test_replay_covers_teaching_stops_and_refusals(tmp_path: Path) -> None:
 
 def test_replay_tells_a_step_that_does_otherwise(log: Path) -> None:
 
-    def other(state: Any, inputs: Inputs, arm: ArmConfig, robot: Any, period_s: float) -> tuple[Any, Outputs]:
-        state, outputs = step(state, inputs, arm, robot, period_s)
+    def other(before: Any, inputs: Inputs, *given: Any) -> tuple[Any, Outputs]:
+        state, outputs = step(before, inputs, *given)
         if inputs.tick == 50:
             first, *others = outputs.joints
             outputs = replace(outputs, joints=(replace(first, load_ratio=first.load_ratio + 1e-15), *others))
