@@ -52,7 +52,9 @@ def test_a_part_is_listed_and_loads_without_its_end(tmp_path: Path) -> None:
 
 
 def test_the_list_is_sorted_and_says_what_cannot_be_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    _, path, _ = (take(tmp_path, name) for name in ("b", "a", "c.mcap"))
+    take(tmp_path, "b")
+    path = take(tmp_path, "a")
+    take(tmp_path, "c.mcap")
     (tmp_path / "a.mcap.part").write_bytes(b"an older part of the same name")
     (tmp_path / "link.mcap").symlink_to(path)
     (tmp_path / "broken.mcap").write_bytes(b"no log")

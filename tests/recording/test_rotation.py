@@ -70,7 +70,7 @@ def test_faults_that_follow_each_other_make_one_snapshot_and_it_has_a_longest_le
 
 def test_a_snapshot_that_cannot_be_written_disturbs_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     create, refuse = Disk.create, failing(errno.EIO)
-    monkeypatch.setattr(Disk, "create", lambda _, path: (refuse if path.name.startswith("fault-") else create)(_, path))
+    monkeypatch.setattr(Disk, "create", lambda disk, p: (refuse if p.name.startswith("fault-") else create)(disk, p))
     rig.put(faulty(RECORDS, 30, 40))
     assert ticks(rig.only_log()) == list(range(100))
     assert rig.recorder.problem == ""
@@ -85,12 +85,12 @@ def test_a_compactor_that_cannot_start_stops_nothing(tmp_path: Path) -> None:
 
 def test_old_logs_make_room_and_snapshots_and_takes_stay(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
-    *old, snapshot = [*(f"armctl-2025010{day}T000000Z" for day in range(1, 5)), "fault-20250101T000000Z-HOT"]
+    old, snapshot = [f"armctl-2025010{day}T000000Z.mcap" for day in range(1, 5)], "fault-20250101T000000Z-HOT.mcap"
     for name in (*old, snapshot):
-        (tmp_path / "logs" / f"{name}.mcap").write_bytes(bytes(2**20))
+        (tmp_path / "logs" / name).write_bytes(bytes(2**20))
     rig = Rig(tmp_path, quota_bytes=2**20)
     rig.put(RECORDS[:20])
-    assert [path.stem for path in rig.close()] == [*old[2:], "armctl-20250615T150645Z", snapshot]
+    assert [path.name for path in rig.close()] == [*old[2:], "armctl-20250615T150645Z.mcap", snapshot]
 
 
 def test_recording_ends_before_the_disk_is_full_and_begins_again(
