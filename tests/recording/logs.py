@@ -17,7 +17,7 @@ from armctl.recording.reader import read
 from armctl.recording.replay import check
 from armctl.recording.schemas import fields, parse_schema, schema_text, short_name
 from armctl.recording.writer import SEED, LogContext, LogWriter
-from proving.damage import UnsyncedDisk
+from proving.damage import UnsyncedDisk, chunk_places
 from tests.recording.factory import ANCHOR, CONTEXT
 
 DISK = UnsyncedDisk()
@@ -55,6 +55,14 @@ def write(
     writer.flush()
     writer.abandon()
     return writer.part
+
+
+def spoilt(data: bytes, *chunks: int) -> bytes:
+    """The bytes of a log with a bit flipped in the middle of some chunks; the first one is the head."""
+    found = bytearray(data)
+    for begin, end in map(chunk_places(data).__getitem__, chunks):
+        found[(begin + end) // 2] ^= 1
+    return bytes(found)
 
 
 def messages(path: Path) -> list[LogMessage]:

@@ -57,6 +57,11 @@ class Rig:
         self.recorder.close()
         return sorted(self.logs.glob("*"))
 
+    def only_log(self) -> Path:
+        """The one file there is when all is written."""
+        (path,) = self.close()
+        return path
+
 
 def failing(number: int) -> Callable[..., None]:
     def fail(*_: object) -> None:

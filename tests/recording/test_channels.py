@@ -35,16 +35,13 @@ def test_a_joint_that_never_answered_is_left_out() -> None:
     assert "/tcp_pose" not in found
 
 
-def test_joint_commands_are_the_goal_ticks_through_the_calibration() -> None:
+def test_joint_commands_are_the_goal_ticks_through_the_calibration_and_silent_where_no_goal_is_sent() -> None:
     goal = MOVING.outputs.goal
     assert goal is not None
     (commands,) = messages(MOVING)["/joint_commands"]
     ticks = [joint.tick(q) for joint, q in zip(ARM.joints, commands["position"], strict=True)]
     assert ticks == pytest.approx(goal.ticks, abs=1e-9)
     assert commands["velocity"] == [speed * ax12a.SPEED_UNIT_RAD_S for speed in goal.speeds]
-
-
-def test_joint_commands_are_silent_where_no_goal_is_sent() -> None:
     assert RECORDS[1].outputs.goal is None
     assert "/joint_commands" not in messages(RECORDS[1])
 
@@ -68,17 +65,16 @@ def test_the_cycle_is_the_last_message_of_a_tick() -> None:
 
 def test_commands_and_replies_stand_in_the_log_with_their_tick() -> None:
     record = with_outputs(RECORDS[20], replies=(Reply(9, False, "BUSY", "no"),))
-    texts = [value["data"] for value in messages(record)["/armctl/command"]]
-    parsed = [channels.parse_record(text) for text in texts]
-    assert parsed[0] is not None
-    assert parsed[0][:2] == (20, "command")
+    found = messages(record)
+    command, reply = (channels.parse_record(value["data"]) for value in found["/armctl/command"])
     (run,) = record.inputs.commands
     assert isinstance(run, Run)
-    assert command_from_json(json.dumps(parsed[0][2])) == run
-    assert parsed[1] == (20, "reply", {"request_id": 9, "ok": False, "code": "BUSY", "message": "no"})
-    (trajectory,) = messages(record)["/joint_trajectory"]
-    assert trajectory["points"][10]["time_from_start"] == {"sec": 1, "nanosec": 0}
-    assert trajectory["points"][10]["positions"] == list(run.trajectory.positions_rad[10])
+    assert command is not None
+    assert (*command[:2], command_from_json(json.dumps(command[2]))) == (20, "command", run)
+    assert reply == (20, "reply", {"request_id": 9, "ok": False, "code": "BUSY", "message": "no"})
+    ((*_, point),) = (trajectory["points"][:11] for trajectory in found["/joint_trajectory"])
+    assert point["time_from_start"] == {"sec": 1, "nanosec": 0}
+    assert point["positions"] == list(run.trajectory.positions_rad[10])
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"tick":1}', '{"request":1}', "[" * 100_000])

@@ -3,20 +3,22 @@
 import errno
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from mcap.reader import make_reader
 
-from armctl.errors import LogError
 from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
-from armctl.recording.disk import Disk, PartInUse, owned
+from armctl.recording.disk import PartInUse, owned
 from armctl.recording.log_file import LogFile, LogMessage
 from proving.damage import chunk_places
 from proving.log_rig import repeated
 from tests.recording.factory import make_records
-from tests.recording.logs import replayed, write
+from tests.recording.logs import replayed, spoilt, write
+from tests.recording.refusals import cannot
 from tests.recording.rig import failing
 
 RECORDS = make_records(400, keyframe_ticks=150)
@@ -64,32 +66,24 @@ def test_a_log_is_compacted_once(log: Path) -> None:
 
 
 def test_a_damaged_log_stays_as_it_is(log: Path) -> None:
-    data = bytearray(log.read_bytes())
-    begin, end = chunk_places(bytes(data))[5]
-    data[(begin + end) // 2] ^= 1
-    log.write_bytes(data)
-    with pytest.raises(LogError, match="is damaged"):
-        compact(log)
+    log.write_bytes(data := spoilt(log.read_bytes(), 5))
+    cannot(compact, log, why="is damaged")
     assert log.read_bytes() == data
     assert [path.name for path in log.parent.iterdir()] == [log.name]
     assert compact_folder(log.parent) == 0
 
 
-def test_a_file_that_is_not_what_it_should_be_replaces_nothing(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = log.read_bytes()
-    digests = iter(((1,), (2,)))
-    monkeypatch.setattr("armctl.recording.compact._digest", lambda _: next(digests))
-    with pytest.raises(LogError):
-        compact(log)
-    assert log.read_bytes() == data
+FULL = [(f"disk.Disk.{method}", failing(errno.ENOSPC), "No space left") for method in ("create", "sync", "replace")]
 
 
-@pytest.mark.parametrize("method", ["create", "sync", "replace"])
-def test_a_failing_disk_leaves_the_log_as_it_is(log: Path, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+# A copy that is found to hold something else than the log: its own name.
+@pytest.mark.parametrize(("part", "does", "why"), [*FULL, ("compact._digest", Path, "is damaged")])
+def test_a_failing_disk_or_a_copy_that_differs_leaves_the_log_as_it_is(
+    log: Path, part: str, does: Callable[..., object], why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data = log.read_bytes()
-    monkeypatch.setattr(Disk, method, failing(errno.ENOSPC))
-    with pytest.raises(LogError, match="No space left"):
-        compact(log)
+    monkeypatch.setattr(f"armctl.recording.{part}", does)
+    cannot(compact, log, why=why)
     monkeypatch.undo()
     assert log.read_bytes() == data
     assert compact(log), "what the failure left behind is in nobody's way"
@@ -110,22 +104,12 @@ def test_the_process_compacts_the_logs_of_a_folder_and_nothing_else(log: Path) -
 
 
 def test_one_compaction_runs_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[list[str]] = []
-
-    class Process:
-        ended: int | None = None
-
-        def __init__(self, command: list[str], **_: object) -> None:
-            started.append(command)
-
-        def poll(self) -> int | None:
-            return self.ended
-
-    monkeypatch.setattr(subprocess, "Popen", Process)
+    process = Mock(**{"return_value.poll.return_value": None})
+    monkeypatch.setattr(subprocess, "Popen", process)
     compaction = Compaction()
     compaction.start(tmp_path)
     compaction.start(tmp_path)
-    assert len(started) == 1
-    monkeypatch.setattr(Process, "ended", 0)
+    assert process.call_count == 1
+    process.return_value.poll.return_value = 0
     compaction.start(tmp_path)
-    assert [command[-1] for command in started] == [str(tmp_path)] * 2
+    assert [call.args[0][-1] for call in process.call_args_list] == [str(tmp_path)] * 2

@@ -13,17 +13,17 @@ from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 
 from armctl.clock import NS_PER_S
-from armctl.errors import LogError, RequestRefused
+from armctl.errors import RequestRefused
 from armctl.recording import edit, reader, replay
 from armctl.recording.channels import Anchor
 from armctl.recording.edit import merge, trim
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.writer import LogContext
-from proving.damage import chunk_places
 from tests.host.doubles import refused
 from tests.recording.altered import with_outputs
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
-from tests.recording.logs import add_string_channel, foreign, messages, replayed, write
+from tests.recording.logs import add_string_channel, foreign, messages, replayed, spoilt, write
+from tests.recording.refusals import cannot
 
 RECORDS = make_records(90, keyframe_ticks=25)
 LATCHED = {"/robot_description", "/tf_static"}
@@ -37,10 +37,6 @@ def own(path: Path) -> list[LogMessage]:
 # ------------------------------------------------------------------------------------------------------- trim
 
 
-def between(path: Path, begin_ns: int, end_ns: int) -> list[LogMessage]:
-    return [message for message in own(path) if begin_ns <= message.log_time_ns < end_ns]
-
-
 @given(begin=st.integers(1, 80), length=st.integers(2, 40))
 @settings(max_examples=12)
 def test_a_trimmed_file_holds_its_stretch_byte_for_byte_and_replays_from_its_first_tick(
@@ -50,11 +46,10 @@ def test_a_trimmed_file_holds_its_stretch_byte_for_byte_and_replays_from_its_fir
     result = trim(log, out, begin / 10.0 - 0.05, (begin + length) / 10.0 - 0.05)
     zero_ns = messages(log)[0].log_time_ns
     begin_ns, end_ns = (zero_ns + round((tick / 10.0 - 0.05) * NS_PER_S) for tick in (begin, begin + length))
-    assert own(out) == between(log, begin_ns, end_ns)
+    assert own(out) == [message for message in own(log) if begin_ns <= message.log_time_ns < end_ns]
     assert replayed(out) == (min(length, 90 - begin), 0)
     info = reader.info(out)
-    assert info.complete
-    assert result.begins_with_state
+    assert (info.complete, result.begins_with_state) == (True, True)
     assert (info.messages, info.duration_s) == (result.messages, result.duration_s)
     assert info.duration_s == pytest.approx((min(length, 90 - begin) - 1) / 10.0)
 
@@ -76,10 +71,9 @@ def test_a_trimmed_file_opens_alone_everywhere(log: Path, tmp_path: Path) -> Non
         assert new.facts == old.facts
         assert new.metadata["trimmed"] == {"from": "a.mcap", "begin_s": "3.0", "end_s": "6.0"}
         assert new.channels == old.channels
-    with AnyReader([out]) as bag:
-        assert sum(1 for _ in bag.messages()) == result.messages
-    with out.open("rb") as stream:
-        assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == result.messages
+    with AnyReader([out]) as bag, out.open("rb") as stream:
+        stock = make_reader(stream, validate_crcs=True)
+        assert [sum(1 for _ in found) for found in (bag.messages(), stock.iter_messages())] == [result.messages] * 2
 
 
 def test_a_trimmed_file_can_be_trimmed_again(log: Path, tmp_path: Path) -> None:
@@ -124,14 +118,12 @@ def test_a_file_of_others_is_trimmed_as_well(tmp_path: Path) -> None:
 def test_nothing_is_overwritten_and_a_failure_leaves_nothing(log: Path, tmp_path: Path) -> None:
     taken = tmp_path / "b.mcap"
     taken.write_bytes(b"mine")
-    with pytest.raises(LogError, match="exists already"):
-        trim(log, taken, 0.0, 1.0)
+    cannot(trim, log, taken, 0.0, 1.0, why="exists already")
     assert taken.read_bytes() == b"mine"
     for begin_s, end_s in ((2.0, 2.0), (3.0, 1.0), (100.0, 200.0), (float("nan"), 1.0)):
         with pytest.raises(RequestRefused):
             trim(log, tmp_path / "c.mcap", begin_s, end_s)
-    with pytest.raises(LogError, match="cannot be written"):
-        trim(log, tmp_path / "none" / "c.mcap", 0.0, 1.0)
+    cannot(trim, log, tmp_path / "none" / "c.mcap", 0.0, 1.0, why="cannot be written")
     assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 
 
@@ -143,10 +135,7 @@ def test_what_a_killed_trim_left_behind_does_not_block_the_next(log: Path, tmp_p
 
 def test_a_damaged_chunk_is_left_out_and_told(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", RECORDS)
-    data = bytearray(path.read_bytes())
-    begin, end = chunk_places(bytes(data))[6]  # the first one is the head
-    data[(begin + end) // 2] ^= 0xFF
-    path.write_bytes(data)
+    path.write_bytes(spoilt(path.read_bytes(), 6))
     assert trim(path, tmp_path / "b.mcap", 4.0, 7.0).damaged == 1
     assert replay.check(tmp_path / "b.mcap").mismatches == 0
 
@@ -229,25 +218,16 @@ def test_files_of_another_daemon_are_refused(tmp_path: Path, context: LogContext
     assert not (tmp_path / "c.mcap").exists()
 
 
-def test_files_that_overlap_or_do_not_follow_each_other_are_refused(log: Path, tmp_path: Path) -> None:
+def test_one_file_damaged_ones_and_those_that_overlap_or_do_not_follow_are_refused(log: Path, tmp_path: Path) -> None:
     first, overlapping, later = pieces(log, tmp_path, (0.0, 4.0), (3.0, 6.0), (7.0, 8.0))
-    with pytest.raises(LogError, match=r"begins 0\.9 s before .*1\.mcap ends"):
-        merge([first, overlapping], tmp_path / "c.mcap")
-    with pytest.raises(LogError, match="overlap"):
-        merge([log, log], tmp_path / "c.mcap")
-    with pytest.raises(LogError, match="does not follow"):
-        merge([first, later], tmp_path / "c.mcap")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["1.mcap", "2.mcap", "3.mcap"]
-
-
-def test_one_file_and_damaged_files_are_refused(log: Path, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="two or more"):
-        merge([log], tmp_path / "c.mcap")
-    first, second = rotated(tmp_path)
-    second.write_bytes(second.read_bytes()[:-300])
-    with pytest.raises(LogError, match="log recover"):
-        merge([first, second], tmp_path / "c.mcap")
-    assert not (tmp_path / "c.mcap").exists()
+    before, damaged = rotated(tmp_path)
+    damaged.write_bytes(damaged.read_bytes()[:-300])
+    cannot(merge, [log], tmp_path / "c.mcap", why="two or more")
+    cannot(merge, [before, damaged], tmp_path / "c.mcap", why="log recover")
+    cannot(merge, [first, overlapping], tmp_path / "c.mcap", why=r"begins 0\.9 s before .*1\.mcap ends")
+    cannot(merge, [log, log], tmp_path / "c.mcap", why="overlap")
+    cannot(merge, [first, later], tmp_path / "c.mcap", why="does not follow")
+    assert sorted(tmp_path.iterdir()) == [first, overlapping, later, before, damaged]
 
 
 def test_progress_comes_to_its_end(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

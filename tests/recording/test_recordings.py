@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armctl.errors import LogError
 from armctl.recording import recordings
 from armctl.recording.recordings import listing
 from armctl.recording.writer import LogWriter
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records, times_s
 from tests.recording.logs import write
+from tests.recording.refusals import cannot
 
 RECORDS = make_records(70)
 
@@ -72,8 +72,7 @@ def test_renaming_never_overwrites(tmp_path: Path) -> None:
     take(tmp_path, "b")
     take(tmp_path, "c", finish=False)
     for target in ("b", "c"):
-        with pytest.raises(LogError, match="exists already"):
-            recordings.rename(tmp_path, "a", target)
+        cannot(recordings.rename, tmp_path, "a", target, why="exists already")
     assert recordings.load(recordings.rename(tmp_path, "a", "d")).name == "d"
     assert recordings.load(recordings.rename(tmp_path, "c", "e")).complete
     assert sorted(p.name for p in tmp_path.iterdir()) == ["b.mcap", "d.mcap", "e.mcap"]
@@ -83,21 +82,18 @@ def test_renaming_never_overwrites(tmp_path: Path) -> None:
 def test_names_that_are_no_names_are_refused(tmp_path: Path, name: str) -> None:
     take(tmp_path, "a")
     for act, names in ((recordings.find, (name,)), (recordings.rename, ("a", name)), (recordings.delete, (name,))):
-        with pytest.raises(LogError, match="a name has"):
-            act(tmp_path, *names)
+        cannot(act, tmp_path, *names, why="a name has")
 
 
 def test_a_missing_take_is_an_error_that_lists_the_known_ones(tmp_path: Path) -> None:
     take(tmp_path, "a")
-    with pytest.raises(LogError, match="known: a"):
-        recordings.delete(tmp_path, "b")
+    cannot(recordings.delete, tmp_path, "b", why="known: a")
 
 
 def test_deleting_removes_the_take_but_not_one_being_recorded(tmp_path: Path) -> None:
     take(tmp_path, "a")
     recordings.delete(tmp_path, "a")
     live = LogWriter(tmp_path / "live.mcap", CONTEXT, anchor=ANCHOR)
-    with pytest.raises(LogError, match="being written"):
-        recordings.delete(tmp_path, "live")
+    cannot(recordings.delete, tmp_path, "live", why="being written")
     live.close()
     assert [p.name for p in tmp_path.iterdir()] == ["live.mcap"]

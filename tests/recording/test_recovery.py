@@ -8,7 +8,6 @@ import pytest
 from mcap.reader import make_reader
 
 from armctl.clock import NS_PER_S
-from armctl.errors import LogError
 from armctl.recording.compact import compact
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.reader import info
@@ -17,7 +16,8 @@ from armctl.recording.replay import check, log_setup
 from proving import damage
 from proving.damage import chunk_places
 from tests.recording.factory import ANCHOR, make_records
-from tests.recording.logs import DISK, messages, write
+from tests.recording.logs import DISK, messages, spoilt, write
+from tests.recording.refusals import cannot
 
 RECORDS = make_records(297, keyframe_ticks=100)
 
@@ -33,9 +33,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory, part: bytes) -> list[LogMess
     return messages(put(tmp_path_factory.mktemp("whole"), part))
 
 
-def put(folder: Path, data: bytes | bytearray) -> Path:
+def put(folder: Path, data: bytes, name: str = "a") -> Path:
     """The bytes as a part in a folder."""
-    path = folder / "a.mcap.part"
+    path = folder / f"{name}.mcap.part"
     path.write_bytes(data)
     return path
 
@@ -43,10 +43,9 @@ def put(folder: Path, data: bytes | bytearray) -> Path:
 def test_a_cut_loses_the_chunk_it_hits_and_nothing_else(tmp_path: Path, part: bytes) -> None:
     """The short form: the edges of every chunk of the last 64 KiB and every 250th byte; 120 places in all of it."""
     last = range(len(part) - 2**16, len(part) + 1)
-    edges = [
-        cut for begin, end in chunk_places(part) for cut in (begin, begin + 9, end - 1, end, end + 1) if cut in last
-    ]
-    tally = damage.Damage(part, tmp_path).cut(sorted({*edges, *last[::250], *range(9, len(part), len(part) // 120)}))
+    edges = {cut for begin, end in chunk_places(part) for cut in (begin, begin + 9, end - 1, end, end + 1)}
+    places = edges & set(last) | {*last[::250], *range(9, len(part), len(part) // 120)}
+    tally = damage.Damage(part, tmp_path).cut(sorted(places))
     assert tally.examples == []
     assert (tally.runs > 250, tally.violations) == (True, 0)
     assert 0.7 < tally.worst_loss_s <= 1.0
@@ -57,8 +56,7 @@ def test_recovery_of_cuts_at_random_places_is_finished_true_and_says_what_was_lo
 ) -> None:
     rng, begin = random.Random(2), chunk_places(part)[0][1]
     for index in range(60):
-        path = tmp_path / f"{index}.mcap.part"
-        path.write_bytes(part[: rng.randrange(begin, len(part))])
+        path = put(tmp_path, part[: rng.randrange(begin, len(part))], f"{index}")
         before = messages(path)
         assert not info(path).complete
         result = recover(path, disk=DISK)
@@ -82,34 +80,29 @@ def test_a_lost_chunk_costs_itself_and_the_loss_is_stated(
     tmp_path: Path, part: bytes, whole: list[LogMessage], index: int
 ) -> None:
     """The first one too, although it holds schemas and channels."""
-    begin, end = chunk_places(part)[index]
-    middle = (begin + end) // 2
+    middle = sum(chunk_places(part)[index]) // 2
     path = put(tmp_path, part[:middle] + bytes(40) + part[middle + 40 :])
     found = messages(path)
     missing = [one for one in whole if one not in set(found)]
     result = recover(path, disk=DISK)
     assert result.recovered_messages == len(found) == len(whole) - len(missing)
-    spans = {one.log_time_ns for one in missing}
-    assert (max(spans) - min(spans)) / NS_PER_S <= 1.0
-    assert result.lost_s == pytest.approx((max(spans) - min(spans)) / NS_PER_S, abs=0.21)
+    times_ns = [one.log_time_ns for one in missing]
+    span_s = (max(times_ns) - min(times_ns)) / NS_PER_S
+    assert span_s <= 1.0
+    assert result.lost_s == pytest.approx(span_s, abs=0.21)
     if index == 0:
         assert len(found) > 0.98 * len(whole)
 
 
 def test_two_damaged_places_and_what_lies_between_them(tmp_path: Path, part: bytes, whole: list[LogMessage]) -> None:
-    places = chunk_places(part)
-    data = bytearray(part)
-    for begin, end in (places[3], places[9]):
-        data[(begin + end) // 2] ^= 0xFF
-    result = recover(put(tmp_path, data), disk=DISK)
+    result = recover(put(tmp_path, spoilt(part, 3, 9)), disk=DISK)
     assert result.lost_s == pytest.approx(2.0, abs=0.1)
     assert set(messages(result.path)) < set(whole)
 
 
 def test_metadata_that_was_damaged_is_taken_from_where_a_checksum_confirms_it(tmp_path: Path, part: bytes) -> None:
-    data = bytearray(part)
-    at = part.index(b"/dev/ttyUSB0", part.index(b"calibration.yaml"))
-    data[at + 5] ^= 1
+    at = part.index(b"/dev/ttyUSB0", part.index(b"calibration.yaml")) + 5
+    data = part[:at] + bytes([part[at] ^ 1]) + part[at + 1 :]
     with LogFile(recover(put(tmp_path, data), disk=DISK).path) as log:
         assert log.metadata["armctl"]["port"] == log.facts["port"] == "/dev/ttyUSB0"
 
@@ -122,8 +115,7 @@ def test_recovered_files_compact_and_stay_what_they_are(tmp_path: Path, part: by
 
 
 def test_recovery_removes_the_part_and_leaves_a_file_that_replays(tmp_path: Path, log: Path) -> None:
-    part = tmp_path / "b.mcap.part"
-    part.write_bytes(log.read_bytes()[: int(log.stat().st_size * 0.7)])
+    part = put(tmp_path, log.read_bytes()[: int(log.stat().st_size * 0.7)], "b")
     (tmp_path / "b.mcap.recovering").write_bytes(b"killed while recovering")
     result = recover(part)
     assert [*tmp_path.iterdir()] == [result.path] == [tmp_path / "b.mcap"]
@@ -146,20 +138,16 @@ def test_a_damaged_finished_file_is_kept_beside_the_recovered_one(tmp_path: Path
     result = recover(path, tmp_path / "d.mcap")
     assert len(messages(log)) * 0.85 < result.recovered_messages < len(messages(log))
     assert 0.0 < result.lost_s <= 1.1
-    with pytest.raises(LogError, match="exists already"):
-        recover(path, tmp_path / "d.mcap")
+    cannot(recover, path, tmp_path / "d.mcap", why="exists already")
 
 
 def test_a_finished_file_that_still_has_its_old_name_loses_it(tmp_path: Path, log: Path) -> None:
-    (tmp_path / "a.mcap.part").write_bytes(log.read_bytes())
-    os.link(tmp_path / "a.mcap.part", tmp_path / "a.mcap")
+    os.link(put(tmp_path, log.read_bytes()), tmp_path / "a.mcap")
     assert recover_folder(tmp_path) == ()
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
 def test_a_part_without_an_intact_message_is_not_recovered(tmp_path: Path, log: Path) -> None:
-    part = tmp_path / "b.mcap.part"
-    part.write_bytes(log.read_bytes()[:20_000])
-    with pytest.raises(LogError, match="no intact message"):
-        recover(part)
-    assert [p.name for p in tmp_path.iterdir()] == ["b.mcap.part"]
+    part = put(tmp_path, log.read_bytes()[:20_000])
+    cannot(recover, part, why="no intact message")
+    assert [*tmp_path.iterdir()] == [part]

@@ -1,7 +1,6 @@
 """Rotation: one log follows another, old ones make room, and the seconds around a fault are kept."""
 
 import errno
-import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +13,7 @@ from armctl.recording.reader import info, read
 from armctl.recording.replay import check
 from tests.recording.altered import faulty
 from tests.recording.factory import make_records
-from tests.recording.logs import ticks
+from tests.recording.logs import replayed, ticks
 from tests.recording.rig import Rig, failing
 
 RECORDS = make_records(100, keyframe_ticks=40)
@@ -28,8 +27,8 @@ def test_a_full_file_is_compacted_and_followed_by_one_that_replays_alone(tmp_pat
     assert 2 <= len(paths) <= 20
     assert rig.compacted == [rig.logs] * (len(paths) - 1)
     assert [tick for path in paths for tick in ticks(path)] == list(range(400))
-    assert sum(check(path).ticks for path in paths) == 399
-    assert all(check(path).mismatches == 0 for path in paths)
+    of_each, mismatches = zip(*map(replayed, paths), strict=True)
+    assert (sum(of_each), sum(mismatches)) == (399, 0)
     assert [info(path).facts["previous"] for path in paths] == ["", *(path.name for path in paths[:-1])]
 
 
@@ -48,8 +47,7 @@ def test_the_seconds_around_a_fault_are_kept_in_a_file_of_its_own(tmp_path: Path
     snapshot, log = sorted(rig.close(), reverse=True)
     assert snapshot.name == "fault-20250615T150653Z-TRIPPED.mcap"
     assert ticks(snapshot) == list(range(60, 101))
-    assert info(snapshot).complete
-    assert info(snapshot).facts["previous"] == log.name
+    assert (info(snapshot).complete, info(snapshot).facts["previous"]) == (True, log.name)
     assert ticks(log) == list(range(150))
     whole = {(m.topic, m.sequence): m.value for m in read(log, ["/joint_states", "/armctl/servos"])}
     for message in read(snapshot, ["/joint_states", "/armctl/servos"]):
@@ -71,17 +69,10 @@ def test_faults_that_follow_each_other_make_one_snapshot_and_it_has_a_longest_le
 
 
 def test_a_snapshot_that_cannot_be_written_disturbs_nothing(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    create = Disk.create
-
-    def refuse(disk: Disk, path: Path) -> Any:
-        if path.name.startswith("fault-"):
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-        return create(disk, path)
-
-    monkeypatch.setattr(Disk, "create", refuse)
+    create, refuse = Disk.create, failing(errno.EIO)
+    monkeypatch.setattr(Disk, "create", lambda disk, p: (refuse if p.name.startswith("fault-") else create)(disk, p))
     rig.put(faulty(RECORDS, 30, 40))
-    (log,) = rig.close()
-    assert ticks(log) == list(range(100))
+    assert ticks(rig.only_log()) == list(range(100))
     assert rig.recorder.problem == ""
 
 
@@ -93,16 +84,13 @@ def test_a_compactor_that_cannot_start_stops_nothing(tmp_path: Path) -> None:
 
 
 def test_old_logs_make_room_and_snapshots_and_takes_stay(tmp_path: Path) -> None:
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    for day in range(4):
-        (logs / f"armctl-2025010{day + 1}T000000Z.mcap").write_bytes(bytes(2**20))
-    (logs / "fault-20250101T000000Z-HOT.mcap").write_bytes(bytes(2**20))
+    (tmp_path / "logs").mkdir()
+    old, snapshot = [f"armctl-2025010{day}T000000Z.mcap" for day in range(1, 5)], "fault-20250101T000000Z-HOT.mcap"
+    for name in (*old, snapshot):
+        (tmp_path / "logs" / name).write_bytes(bytes(2**20))
     rig = Rig(tmp_path, quota_bytes=2**20)
     rig.put(RECORDS[:20])
-    names = [path.name for path in rig.close()]
-    kept = ("armctl-20250103T000000Z", "armctl-20250104T000000Z", "armctl-20250615T150645Z")
-    assert names == [f"{name}.mcap" for name in (*kept, "fault-20250101T000000Z-HOT")]
+    assert [path.name for path in rig.close()] == [*old[2:], "armctl-20250615T150645Z.mcap", snapshot]
 
 
 def test_recording_ends_before_the_disk_is_full_and_begins_again(
@@ -134,6 +122,6 @@ def test_a_file_that_cannot_be_begun_is_tried_again(rig: Rig, monkeypatch: pytes
     monkeypatch.undo()
     rig.put(RECORDS[3:])
     assert rig.recorder.problem == ""
-    (path,) = rig.close()
+    path = rig.only_log()
     assert ticks(path)[-1] == 99
     assert check(path).mismatches == 0

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -23,6 +22,7 @@ from armctl.recording.log_file import LogFile
 from proving.log_rig import repeated
 from tests.recording.factory import ANCHOR, make_records, times_s
 from tests.recording.logs import write
+from tests.recording.programs import told_by
 
 NODE = Path(__file__).parent / "node"
 P = 2**31 - 1
@@ -76,17 +76,10 @@ def test_rosbags_reads_every_message_and_the_same_values(hour: Path, held: reade
 
 
 def test_rerun_checks_the_file_and_counts_the_same_messages(hour: Path, held: reader.LogInfo) -> None:
-    def rerun(command: str) -> str:
-        program = Path(sys.executable).parent / "rerun"
-        result = subprocess.run(
-            [program, "mcap", command, hour], capture_output=True, text=True, timeout=100, check=False
-        )
-        assert result.returncode == 0, result.stdout + result.stderr
-        return result.stdout
-
-    checked = re.findall(r"^(\S+)\s+\d+\s+\d+\s+(/\S+)", rerun("check"), re.MULTILINE)
+    rerun = Path(sys.executable).parent / "rerun"
+    checked = re.findall(r"^(\S+)\s+\d+\s+\d+\s+(/\S+)", told_by(rerun, "mcap", "check", hour), re.MULTILINE)
     assert {topic: verdict for verdict, topic in checked} == dict.fromkeys(held.topics, "ok")
-    counted = re.findall(r"^\s*\d+\s+(/\S+)\s+(\d+)\s", rerun("info"), re.MULTILINE)
+    counted = re.findall(r"^\s*\d+\s+(/\S+)\s+(\d+)\s", told_by(rerun, "mcap", "info", hour), re.MULTILINE)
     assert {topic: int(count) for topic, count in counted} == held.topics
 
 
@@ -94,9 +87,7 @@ def test_mcap_core_under_node_reads_every_message_and_the_same_values(hour: Path
     node = shutil.which("node")
     if node is None or not (NODE / "node_modules").is_dir():
         pytest.skip(f"needs Node and its packages: npm ci --prefix {NODE}")
-    result = subprocess.run([node, NODE / "read.mjs", hour], capture_output=True, text=True, timeout=100, check=False)
-    assert result.returncode == 0, result.stderr
-    found = json.loads(result.stdout)
+    found = json.loads(told_by(node, NODE / "read.mjs", hour))
     assert {topic: total[0] for topic, total in found.items()} == held.topics
     for topic, tables in reader.read_columns(hour).items():
         fractions, integers, texts = 0.0, 0, 0
