@@ -26,7 +26,7 @@ from armctl.json_text import to_json
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Event, Fault, JointTrajectory, Run, ServoReading, TickRecord
+from armctl.messages import Command, Event, Fault, JointTrajectory, Reply, Run, ServoReading, TickRecord
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 
@@ -35,21 +35,6 @@ OVERRUN_NS = 50_000_000
 # Who wrote a line of /rosout: the control step (repeated by replay) or the recorder.
 CONTROL = "armctl.control"
 RECORDING = "armctl.recording"
-
-JOINT_STATES = "/joint_states"
-JOINT_COMMANDS = "/joint_commands"
-TF = "/tf"
-TF_STATIC = "/tf_static"
-TCP_POSE = "/tcp_pose"
-SERVOS = "/armctl/servos"
-WRITES = "/armctl/writes"
-CYCLE = "/armctl/cycle"
-COMMAND = "/armctl/command"
-STATE = "/armctl/state"
-JOINT_TRAJECTORY = "/joint_trajectory"
-DIAGNOSTICS = "/diagnostics"
-ROSOUT = "/rosout"
-ROBOT_DESCRIPTION = "/robot_description"
 
 # Fields that the message of a servo and its `ServoReading` have in common.
 READING = ("registers", "stamp_ns", "fresh", "error", "problem")
@@ -75,37 +60,39 @@ class Topic:
     @property
     def metadata(self) -> dict[str, str]:
         """Channel metadata: the quality of service rosbag2 offers when it plays the file."""
-        durability = 1 if self.latched else 2  # transient_local, volatile
+        depth, durability = (1, 1) if self.latched else (10, 2)  # transient_local, volatile
         forever = "{sec: 9223372036, nsec: 854775807}"
-        return {
-            "offered_qos_profiles": (
-                f"- history: 1\n  depth: {1 if self.latched else 10}\n  reliability: 1\n  durability: {durability}\n"
-                f"  deadline: {forever}\n  lifespan: {forever}\n  liveliness: 1\n"
-                f"  liveliness_lease_duration: {forever}\n  avoid_ros_namespace_conventions: false\n"
-            )
-        }
+        profile = (
+            f"- history: 1\n  depth: {depth}\n  reliability: 1\n  durability: {durability}\n"
+            f"  deadline: {forever}\n  lifespan: {forever}\n  liveliness: 1\n"
+            f"  liveliness_lease_duration: {forever}\n  avoid_ros_namespace_conventions: false\n"
+        )
+        return {"offered_qos_profiles": profile}
 
 
 # Every channel of a log, registered at the start of each file whether used or not.
-TOPICS: dict[str, Topic] = {
-    topic.name: topic
-    for topic in (
-        Topic(JOINT_STATES, full_name("sensor_msgs/JointState")),
-        Topic(JOINT_COMMANDS, full_name("sensor_msgs/JointState")),
-        Topic(TF, full_name("tf2_msgs/TFMessage")),
-        Topic(TF_STATIC, full_name("tf2_msgs/TFMessage"), latched=True),
-        Topic(TCP_POSE, full_name("geometry_msgs/PoseStamped")),
-        Topic(SERVOS, full_name("armctl_msgs/ServoArray")),
-        Topic(WRITES, full_name("armctl_msgs/WriteArray")),
-        Topic(CYCLE, full_name("armctl_msgs/Cycle")),
-        Topic(COMMAND, full_name("std_msgs/String")),
-        Topic(STATE, full_name("std_msgs/String")),
-        Topic(JOINT_TRAJECTORY, full_name("trajectory_msgs/JointTrajectory")),
-        Topic(DIAGNOSTICS, full_name("diagnostic_msgs/DiagnosticArray")),
-        Topic(ROSOUT, full_name("rcl_interfaces/Log")),
-        Topic(ROBOT_DESCRIPTION, full_name("std_msgs/String"), latched=True),
-    )
-}
+TOPICS: dict[str, Topic] = {}
+
+
+def _topic(name: str, short_type: str, *, latched: bool = False) -> str:
+    TOPICS[name] = Topic(name, full_name(short_type), latched)
+    return name
+
+
+JOINT_STATES = _topic("/joint_states", "sensor_msgs/JointState")
+JOINT_COMMANDS = _topic("/joint_commands", "sensor_msgs/JointState")
+TF = _topic("/tf", "tf2_msgs/TFMessage")
+TF_STATIC = _topic("/tf_static", "tf2_msgs/TFMessage", latched=True)
+TCP_POSE = _topic("/tcp_pose", "geometry_msgs/PoseStamped")
+SERVOS = _topic("/armctl/servos", "armctl_msgs/ServoArray")
+WRITES = _topic("/armctl/writes", "armctl_msgs/WriteArray")
+CYCLE = _topic("/armctl/cycle", "armctl_msgs/Cycle")
+COMMAND = _topic("/armctl/command", "std_msgs/String")
+STATE = _topic("/armctl/state", "std_msgs/String")
+JOINT_TRAJECTORY = _topic("/joint_trajectory", "trajectory_msgs/JointTrajectory")
+DIAGNOSTICS = _topic("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+ROSOUT = _topic("/rosout", "rcl_interfaces/Log")
+ROBOT_DESCRIPTION = _topic("/robot_description", "std_msgs/String", latched=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,10 +140,7 @@ def servos_row(record: TickRecord, arm: ArmConfig) -> Row:
 
 def command_messages(record: TickRecord) -> list[Message]:
     """What clients asked of this tick."""
-    inputs = record.inputs
-    return [
-        string_message(COMMAND, f'{{"tick":{inputs.tick},"command":{to_json(command)}}}') for command in inputs.commands
-    ]
+    return _records(record, "command", record.inputs.commands)
 
 
 def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
@@ -190,18 +174,13 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
     inputs, outputs = record.inputs, record.outputs
     epoch_ns = anchor.epoch_ns(inputs.sample.time_ns)
     header = _header(epoch_ns, BASE)
-    messages: list[Message] = [
-        (JOINT_TRAJECTORY, _joint_trajectory(header, command.trajectory, arm))
-        for command in inputs.commands
-        if isinstance(command, Run)
-    ]
+    runs = [command.trajectory for command in inputs.commands if isinstance(command, Run)]
+    messages: list[Message] = [(JOINT_TRAJECTORY, _joint_trajectory(header, run, arm)) for run in runs]
     if outputs.writes:
         results = chain(record.confirmed, repeat(False))
         writes = [asdict(write) | {"confirmed": done} for write, done in zip(outputs.writes, results, strict=False)]
         messages.append((WRITES, {"header": header, "writes": writes}))
-    messages += [
-        string_message(COMMAND, f'{{"tick":{inputs.tick},"reply":{to_json(reply)}}}') for reply in outputs.replies
-    ]
+    messages += _records(record, "reply", outputs.replies)
     messages += [(ROSOUT, log_line(event, epoch_ns, CONTROL)) for event in outputs.events]
     return messages
 
@@ -242,9 +221,8 @@ def _fault(fault: Fault) -> Value:
 def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:
     """The frames that do not move against a link, once for a file."""
     frames = fixed_frames(arm, robot)
-    return TF_STATIC, {
-        "transforms": [_transform(_header(epoch_ns, parent), child, _placing(T)) for parent, child, T in frames]
-    }
+    transforms = [_transform(_header(epoch_ns, parent), child, _placing(T)) for parent, child, T in frames]
+    return TF_STATIC, {"transforms": transforms}
 
 
 def string_message(topic: str, text: str) -> Message:
@@ -280,6 +258,12 @@ def log_line(event: Event, epoch_ns: int, source: str) -> Value:
         "function": event.code,
         "line": 0,
     }
+
+
+def _records(record: TickRecord, kind: str, parts: Iterable[Command | Reply]) -> list[Message]:
+    """What `parse_record` reads: commands or replies of a tick on /armctl/command."""
+    tick = record.inputs.tick
+    return [string_message(COMMAND, f'{{"tick":{tick},"{kind}":{to_json(part)}}}') for part in parts]
 
 
 def parse_note(text: str) -> dict[str, Any]:
@@ -359,10 +343,4 @@ def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig
 
 def _status(level: int, name: str, message: str, hardware_id: str, facts: dict[str, Any]) -> Value:
     values = [{"key": key, "value": str(value)} for key, value in facts.items()]
-    return {
-        "level": level,
-        "name": f"armctl: {name}",
-        "message": message,
-        "hardware_id": hardware_id,
-        "values": values,
-    }
+    return {"level": level, "name": f"armctl: {name}", "message": message, "hardware_id": hardware_id, "values": values}
