@@ -33,7 +33,7 @@ from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.log_file import LogFile, LogMessage
-from armctl.recording.schemas import schema_text, short_name
+from armctl.recording.schemas import schema_text
 
 PROGRESS_TICKS = 500
 # Characters of a value in `first_mismatch`.
@@ -103,9 +103,8 @@ def log_setup(log: LogFile) -> LogSetup:
             later_anchors=tuple(Anchor(*map(int, pair.split("/"))) for pair in merged.get("anchors", "").split()),
         )
     except (KeyError, TypeError, ValueError, ConfigError) as error:
-        raise LogError(
-            f"{log.path}: does not say what it is a log of ({error}); it was not written by armctl"
-        ) from None
+        text = f"{log.path}: does not say what it is a log of ({error}); it was not written by armctl"
+        raise LogError(text) from None
 
 
 @dataclass
@@ -231,7 +230,8 @@ class Rerun:
             return
         if not self.ticks:
             declared = self._log.declarations
-            self.not_compared = tuple(topic for topic in _COMPARED if declared.get(topic) != _declaration(topic))
+            ours = {topic: schema_text(TOPICS[topic].type).encode() for topic in _COMPARED}
+            self.not_compared = tuple(topic for topic, text in ours.items() if declared.get(topic) != text)
         self.ticks += 1
         self.duration_ns += time_ns - previous_ns if previous_ns else 0
         told = {key: cycle[key] for key in _TOLD if key in cycle}
@@ -290,10 +290,6 @@ class Rerun:
             ours, theirs = json.loads(json.dumps(found), parse_constant=str)
             ulps = _ulps(ours, theirs) if isinstance(ours, float) and isinstance(theirs, float) else None
             self.first = {"tick": self._last_tick, "field": field, "logged": ours, "computed": theirs, "ulps": ulps}
-
-
-def _declaration(topic: str) -> bytes:
-    return schema_text(short_name(TOPICS[topic].type)).encode()
 
 
 def _difference(name: str, logged: Any, computed: Any) -> tuple[str, Any, Any]:
