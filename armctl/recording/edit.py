@@ -144,15 +144,12 @@ def _checked(first: LogFile, path: Path) -> LogSetup:
         setup = log_setup(log)
         for key in ("arm_id", "calibration_hash", "host", "port", "period_s"):
             if (ours := first.facts.get(key)) != (theirs := log.facts.get(key)):
-                raise RequestRefused(
-                    "FOREIGN_LOG",
-                    f"{path}: {key} is {theirs}, in {first.path} it is {ours}; only files of one daemon are merged",
-                )
+                found = f"{key} is {theirs}, in {first.path} it is {ours}"
+                raise RequestRefused("FOREIGN_LOG", f"{path}: {found}; only files of one daemon are merged")
         for topic, text in log.declarations.items():
             if first.declarations.get(topic, text) != text:
-                raise LogError(
-                    f"{path}: has another type for {topic} than {first.path}; they are of two versions of armctl"
-                )
+                found = f"{path}: has another type for {topic} than {first.path}"
+                raise LogError(f"{found}; they are of two versions of armctl")
         return setup
 
 
@@ -207,15 +204,12 @@ class _Merger:
     def _follows(self, log: LogFile, before: Path, message: LogMessage, goes_on: bool) -> None:
         overlap_s = (self._tick_ns - message.log_time_ns) / NS_PER_S
         if overlap_s >= 0.0:
-            raise LogError(
-                f"{log.path}: begins {overlap_s:.1f} s before {before} ends; files that overlap are not merged"
-            )
+            found = f"begins {overlap_s:.1f} s before {before} ends"
+            raise LogError(f"{log.path}: {found}; files that overlap are not merged")
         previous = log.facts.get("previous", "")
         if not goes_on and previous != before.name.removesuffix(PART):
-            raise LogError(
-                f"{log.path}: does not follow {before}, but {previous or 'nothing: a daemon was started with it'}; "
-                "only consecutive files are merged"
-            )
+            found = f"does not follow {before}, but {previous or 'nothing: a daemon was started with it'}"
+            raise LogError(f"{log.path}: {found}; only consecutive files are merged")
 
 
 class _Before:
