@@ -38,8 +38,8 @@ RECORDING = "armctl.recording"
 
 # Fields that the message of a servo and its `ServoReading` have in common.
 READING = ("registers", "stamp_ns", "fresh", "error", "problem")
-# What /joint_states says of each joint: position, velocity and effort, as ROS calls them.
-_QUANTITIES = ("position_rad", "velocity_rad_s", "load_ratio")
+# What /joint_states says of each joint, as ROS calls it and as it is called here.
+QUANTITIES = {"position": "position_rad", "velocity": "velocity_rad_s", "effort": "load_ratio"}
 # What /diagnostics says of each joint.
 _HEALTH = ("temperature_degC", "voltage_V", "load_ratio", "torque_enabled", "age_s")
 Message = tuple[str, Value]
@@ -153,7 +153,7 @@ def output_rows(record: TickRecord, arm: ArmConfig, robot: Robot) -> list[Row]:
     """Those outputs that come every tick: joints, and goal, frames and tool where there are some."""
     outputs = record.outputs
     known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
-    numbers = [getattr(joint, quantity) for quantity in _QUANTITIES for _, joint in known]
+    numbers = [getattr(joint, quantity) for quantity in QUANTITIES.values() for _, joint in known]
     names = tuple([name for name, _ in known])
     rows = [Row(JOINT_STATES, names, numbers, partial(_joints, names, numbers))]
     if (goal := outputs.goal) is not None:
@@ -250,7 +250,7 @@ def log_line(event: Event, epoch_ns: int, source: str) -> Value:
     """An event as a line of /rosout; its code stands in `function`."""
     where = "" if event.servo_id is None else f" (servo {event.servo_id})"
     return {
-        "stamp": _stamp(epoch_ns),
+        "stamp": stamp(epoch_ns),
         "level": {"info": 20, "warning": 30, "error": 40}[event.severity],
         "name": source,
         "msg": f"{event.code}{where}: {event.text}",
@@ -284,17 +284,18 @@ def parse_record(text: str) -> tuple[int, str, Any] | None:
     return None
 
 
-def _stamp(epoch_ns: int) -> Value:
+def stamp(epoch_ns: int) -> Value:
+    """An epoch time as ROS 2 writes it."""
     return {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
 
 
 def _header(epoch_ns: int, frame_id: str) -> Value:
-    return {"stamp": _stamp(epoch_ns), "frame_id": frame_id}
+    return {"stamp": stamp(epoch_ns), "frame_id": frame_id}
 
 
 def _joints(names: Sequence[str], numbers: list[float], header: Value) -> Value:
     n = len(names)
-    values = {"position": numbers[:n], "velocity": numbers[n : 2 * n], "effort": numbers[2 * n :]}
+    values = {key: numbers[place * n : (place + 1) * n] for place, key in enumerate(QUANTITIES)}
     return {"header": header, "name": list(names), **values}
 
 
@@ -335,7 +336,7 @@ def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig
     def point(index: int, positions: tuple[float, ...]) -> Value:
         time_s = trajectory.times_s[index] if trajectory.times_s else index * trajectory.period_s
         time_ns = round(time_s * NS_PER_S)
-        return unsaid | {"positions": list(positions), "time_from_start": _stamp(time_ns)}
+        return unsaid | {"positions": list(positions), "time_from_start": stamp(time_ns)}
 
     points = [point(index, positions) for index, positions in enumerate(trajectory.positions_rad)]
     return {"header": header, "joint_names": list(arm.joint_names), "points": points}

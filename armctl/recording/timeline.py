@@ -136,16 +136,14 @@ class Frames:
         registers, names = [servo["registers"] for servo in tick[channels.SERVOS]["servos"]], self.arm.joint_names
         if len(registers) != len(names):
             raise ValueError(f"{len(registers)} servos, the arm has {len(names)}")
-        values = zip(joints["position"], joints["velocity"], joints["effort"], strict=False)
+        values = zip(*(joints[key] for key in channels.QUANTITIES), strict=False)
         told = dict(zip(joints["name"], values, strict=False))
-        position, velocity, load = zip(*(told.get(name, (math.nan,) * 3) for name in names), strict=True)
+        columns = map(list, zip(*(told.get(name, (math.nan,) * 3) for name in names), strict=True))
         torque = [bool(block and block[_TORQUE]) for block in registers]
         return Frame(
             time_ns=time_ns,
             tick=number,
-            position_rad=list(position),
-            velocity_rad_s=list(velocity),
-            load_ratio=list(load),
+            **dict(zip(channels.QUANTITIES.values(), columns, strict=True)),
             goal_rad=[
                 joint.position_rad(ax12a.register_value(ax12a.GOAL, block)) if on else math.nan
                 for joint, block, on in zip(self.arm.joints, registers, torque, strict=True)
