@@ -95,7 +95,7 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
             elif message.log_time_ns < end_ns:
                 if taken == 0:
                     has_state = before.write(copy, message)
-                copy.add(message)
+                copy.add((message,))
                 taken += 1
         if taken == 0:
             raise RequestRefused("EMPTY", f"{path}: holds nothing {begin_s:g} s to {end_s:g} s after its beginning")
@@ -177,8 +177,7 @@ class _Merger:
             if message.topic == channels.CYCLE or len(tick) > MAX_WARMUP_MESSAGES:
                 begun = self._end_tick(log, tick, before, begun)
                 tick = []
-        for message in tick:
-            self._copy.add(message)
+        self._copy.add(tick)
         self._done += 1
         if not log.complete:
             raise LogError(f"{log.path}: is damaged or has no end; mend it first: armctl log recover {log.path}")
@@ -196,8 +195,7 @@ class _Merger:
                 return False
             self._follows(log, before, message, goes_on)
             tick = [message for message in tick if message.topic != channels.STATE]
-        for message in tick:
-            self._copy.add(message)
+        self._copy.add(tick)
         self._tick, self._tick_ns = number, time_ns
         return begun or not cycle["inputs_only"]
 
@@ -262,9 +260,8 @@ def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str]) -> Ite
 
 def _stamped(value: Value, epoch_ns: int) -> Value:
     """A message with its stamps, or those of what it lists, set to a time."""
-    stamp = {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
     if "header" in value:
-        return value | {"header": value["header"] | {"stamp": stamp}}
+        return value | {"header": value["header"] | {"stamp": channels.stamp(epoch_ns)}}
     transforms = value.get("transforms")
     if isinstance(transforms, list):
         return value | {"transforms": [_stamped(transform, epoch_ns) for transform in transforms]}

@@ -205,15 +205,12 @@ class LogFile:
     def topics(self) -> frozenset[str]:
         return frozenset(channel.topic for channel in self.channels.values())
 
-    def close(self) -> None:
-        self._scanning.close()
-        self._data.close()
-
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._scanning.close()
+        self._data.close()
 
     # ------------------------------------------------------------------------------------------- records
 
