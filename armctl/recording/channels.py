@@ -26,7 +26,7 @@ from armctl.json_text import to_json
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Event, Fault, JointTrajectory, Run, ServoReading, TickRecord
+from armctl.messages import Command, Event, Fault, JointTrajectory, Reply, Run, ServoReading, TickRecord
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 
@@ -36,25 +36,10 @@ OVERRUN_NS = 50_000_000
 CONTROL = "armctl.control"
 RECORDING = "armctl.recording"
 
-JOINT_STATES = "/joint_states"
-JOINT_COMMANDS = "/joint_commands"
-TF = "/tf"
-TF_STATIC = "/tf_static"
-TCP_POSE = "/tcp_pose"
-SERVOS = "/armctl/servos"
-WRITES = "/armctl/writes"
-CYCLE = "/armctl/cycle"
-COMMAND = "/armctl/command"
-STATE = "/armctl/state"
-JOINT_TRAJECTORY = "/joint_trajectory"
-DIAGNOSTICS = "/diagnostics"
-ROSOUT = "/rosout"
-ROBOT_DESCRIPTION = "/robot_description"
-
 # Fields that the message of a servo and its `ServoReading` have in common.
 READING = ("registers", "stamp_ns", "fresh", "error", "problem")
-# What /joint_states says of each joint: position, velocity and effort, as ROS calls them.
-_QUANTITIES = ("position_rad", "velocity_rad_s", "load_ratio")
+# What /joint_states says of each joint, as ROS calls it and as it is called here.
+QUANTITIES = {"position": "position_rad", "velocity": "velocity_rad_s", "effort": "load_ratio"}
 # What /diagnostics says of each joint.
 _HEALTH = ("temperature_degC", "voltage_V", "load_ratio", "torque_enabled", "age_s")
 Message = tuple[str, Value]
@@ -75,37 +60,39 @@ class Topic:
     @property
     def metadata(self) -> dict[str, str]:
         """Channel metadata: the quality of service rosbag2 offers when it plays the file."""
-        durability = 1 if self.latched else 2  # transient_local, volatile
+        depth, durability = (1, 1) if self.latched else (10, 2)  # transient_local, volatile
         forever = "{sec: 9223372036, nsec: 854775807}"
-        return {
-            "offered_qos_profiles": (
-                f"- history: 1\n  depth: {1 if self.latched else 10}\n  reliability: 1\n  durability: {durability}\n"
-                f"  deadline: {forever}\n  lifespan: {forever}\n  liveliness: 1\n"
-                f"  liveliness_lease_duration: {forever}\n  avoid_ros_namespace_conventions: false\n"
-            )
-        }
+        profile = (
+            f"- history: 1\n  depth: {depth}\n  reliability: 1\n  durability: {durability}\n"
+            f"  deadline: {forever}\n  lifespan: {forever}\n  liveliness: 1\n"
+            f"  liveliness_lease_duration: {forever}\n  avoid_ros_namespace_conventions: false\n"
+        )
+        return {"offered_qos_profiles": profile}
 
 
 # Every channel of a log, registered at the start of each file whether used or not.
-TOPICS: dict[str, Topic] = {
-    topic.name: topic
-    for topic in (
-        Topic(JOINT_STATES, full_name("sensor_msgs/JointState")),
-        Topic(JOINT_COMMANDS, full_name("sensor_msgs/JointState")),
-        Topic(TF, full_name("tf2_msgs/TFMessage")),
-        Topic(TF_STATIC, full_name("tf2_msgs/TFMessage"), latched=True),
-        Topic(TCP_POSE, full_name("geometry_msgs/PoseStamped")),
-        Topic(SERVOS, full_name("armctl_msgs/ServoArray")),
-        Topic(WRITES, full_name("armctl_msgs/WriteArray")),
-        Topic(CYCLE, full_name("armctl_msgs/Cycle")),
-        Topic(COMMAND, full_name("std_msgs/String")),
-        Topic(STATE, full_name("std_msgs/String")),
-        Topic(JOINT_TRAJECTORY, full_name("trajectory_msgs/JointTrajectory")),
-        Topic(DIAGNOSTICS, full_name("diagnostic_msgs/DiagnosticArray")),
-        Topic(ROSOUT, full_name("rcl_interfaces/Log")),
-        Topic(ROBOT_DESCRIPTION, full_name("std_msgs/String"), latched=True),
-    )
-}
+TOPICS: dict[str, Topic] = {}
+
+
+def _topic(name: str, short_type: str, *, latched: bool = False) -> str:
+    TOPICS[name] = Topic(name, full_name(short_type), latched)
+    return name
+
+
+JOINT_STATES = _topic("/joint_states", "sensor_msgs/JointState")
+JOINT_COMMANDS = _topic("/joint_commands", "sensor_msgs/JointState")
+TF = _topic("/tf", "tf2_msgs/TFMessage")
+TF_STATIC = _topic("/tf_static", "tf2_msgs/TFMessage", latched=True)
+TCP_POSE = _topic("/tcp_pose", "geometry_msgs/PoseStamped")
+SERVOS = _topic("/armctl/servos", "armctl_msgs/ServoArray")
+WRITES = _topic("/armctl/writes", "armctl_msgs/WriteArray")
+CYCLE = _topic("/armctl/cycle", "armctl_msgs/Cycle")
+COMMAND = _topic("/armctl/command", "std_msgs/String")
+STATE = _topic("/armctl/state", "std_msgs/String")
+JOINT_TRAJECTORY = _topic("/joint_trajectory", "trajectory_msgs/JointTrajectory")
+DIAGNOSTICS = _topic("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+ROSOUT = _topic("/rosout", "rcl_interfaces/Log")
+ROBOT_DESCRIPTION = _topic("/robot_description", "std_msgs/String", latched=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,10 +140,7 @@ def servos_row(record: TickRecord, arm: ArmConfig) -> Row:
 
 def command_messages(record: TickRecord) -> list[Message]:
     """What clients asked of this tick."""
-    inputs = record.inputs
-    return [
-        string_message(COMMAND, f'{{"tick":{inputs.tick},"command":{to_json(command)}}}') for command in inputs.commands
-    ]
+    return _records(record, "command", record.inputs.commands)
 
 
 def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
@@ -169,7 +153,7 @@ def output_rows(record: TickRecord, arm: ArmConfig, robot: Robot) -> list[Row]:
     """Those outputs that come every tick: joints, and goal, frames and tool where there are some."""
     outputs = record.outputs
     known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
-    numbers = [getattr(joint, quantity) for quantity in _QUANTITIES for _, joint in known]
+    numbers = [getattr(joint, quantity) for quantity in QUANTITIES.values() for _, joint in known]
     names = tuple([name for name, _ in known])
     rows = [Row(JOINT_STATES, names, numbers, partial(_joints, names, numbers))]
     if (goal := outputs.goal) is not None:
@@ -190,18 +174,13 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
     inputs, outputs = record.inputs, record.outputs
     epoch_ns = anchor.epoch_ns(inputs.sample.time_ns)
     header = _header(epoch_ns, BASE)
-    messages: list[Message] = [
-        (JOINT_TRAJECTORY, _joint_trajectory(header, command.trajectory, arm))
-        for command in inputs.commands
-        if isinstance(command, Run)
-    ]
+    runs = [command.trajectory for command in inputs.commands if isinstance(command, Run)]
+    messages: list[Message] = [(JOINT_TRAJECTORY, _joint_trajectory(header, run, arm)) for run in runs]
     if outputs.writes:
         results = chain(record.confirmed, repeat(False))
         writes = [asdict(write) | {"confirmed": done} for write, done in zip(outputs.writes, results, strict=False)]
         messages.append((WRITES, {"header": header, "writes": writes}))
-    messages += [
-        string_message(COMMAND, f'{{"tick":{inputs.tick},"reply":{to_json(reply)}}}') for reply in outputs.replies
-    ]
+    messages += _records(record, "reply", outputs.replies)
     messages += [(ROSOUT, log_line(event, epoch_ns, CONTROL)) for event in outputs.events]
     return messages
 
@@ -242,9 +221,8 @@ def _fault(fault: Fault) -> Value:
 def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:
     """The frames that do not move against a link, once for a file."""
     frames = fixed_frames(arm, robot)
-    return TF_STATIC, {
-        "transforms": [_transform(_header(epoch_ns, parent), child, _placing(T)) for parent, child, T in frames]
-    }
+    transforms = [_transform(_header(epoch_ns, parent), child, _placing(T)) for parent, child, T in frames]
+    return TF_STATIC, {"transforms": transforms}
 
 
 def string_message(topic: str, text: str) -> Message:
@@ -272,7 +250,7 @@ def log_line(event: Event, epoch_ns: int, source: str) -> Value:
     """An event as a line of /rosout; its code stands in `function`."""
     where = "" if event.servo_id is None else f" (servo {event.servo_id})"
     return {
-        "stamp": _stamp(epoch_ns),
+        "stamp": stamp(epoch_ns),
         "level": {"info": 20, "warning": 30, "error": 40}[event.severity],
         "name": source,
         "msg": f"{event.code}{where}: {event.text}",
@@ -280,6 +258,12 @@ def log_line(event: Event, epoch_ns: int, source: str) -> Value:
         "function": event.code,
         "line": 0,
     }
+
+
+def _records(record: TickRecord, kind: str, parts: Iterable[Command | Reply]) -> list[Message]:
+    """What `parse_record` reads: commands or replies of a tick on /armctl/command."""
+    tick = record.inputs.tick
+    return [string_message(COMMAND, f'{{"tick":{tick},"{kind}":{to_json(part)}}}') for part in parts]
 
 
 def parse_note(text: str) -> dict[str, Any]:
@@ -300,17 +284,18 @@ def parse_record(text: str) -> tuple[int, str, Any] | None:
     return None
 
 
-def _stamp(epoch_ns: int) -> Value:
+def stamp(epoch_ns: int) -> Value:
+    """An epoch time as ROS 2 writes it."""
     return {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
 
 
 def _header(epoch_ns: int, frame_id: str) -> Value:
-    return {"stamp": _stamp(epoch_ns), "frame_id": frame_id}
+    return {"stamp": stamp(epoch_ns), "frame_id": frame_id}
 
 
 def _joints(names: Sequence[str], numbers: list[float], header: Value) -> Value:
     n = len(names)
-    values = {"position": numbers[:n], "velocity": numbers[n : 2 * n], "effort": numbers[2 * n :]}
+    values = {key: numbers[place * n : (place + 1) * n] for place, key in enumerate(QUANTITIES)}
     return {"header": header, "name": list(names), **values}
 
 
@@ -351,7 +336,7 @@ def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig
     def point(index: int, positions: tuple[float, ...]) -> Value:
         time_s = trajectory.times_s[index] if trajectory.times_s else index * trajectory.period_s
         time_ns = round(time_s * NS_PER_S)
-        return unsaid | {"positions": list(positions), "time_from_start": _stamp(time_ns)}
+        return unsaid | {"positions": list(positions), "time_from_start": stamp(time_ns)}
 
     points = [point(index, positions) for index, positions in enumerate(trajectory.positions_rad)]
     return {"header": header, "joint_names": list(arm.joint_names), "points": points}
@@ -359,10 +344,4 @@ def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig
 
 def _status(level: int, name: str, message: str, hardware_id: str, facts: dict[str, Any]) -> Value:
     values = [{"key": key, "value": str(value)} for key, value in facts.items()]
-    return {
-        "level": level,
-        "name": f"armctl: {name}",
-        "message": message,
-        "hardware_id": hardware_id,
-        "values": values,
-    }
+    return {"level": level, "name": f"armctl: {name}", "message": message, "hardware_id": hardware_id, "values": values}

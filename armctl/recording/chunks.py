@@ -36,10 +36,10 @@ MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log tim
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing enumeration members costs more than all the rest
 _ZSTD = b"zstd"
 # The groups of records that a file ends with, in their order.
-_SUMMARY = (
-    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
-    Opcode.METADATA_INDEX,
-)  # fmt: skip
+_SUMMARY = {
+    "schema": Opcode.SCHEMA, "channel": Opcode.CHANNEL, "statistics": Opcode.STATISTICS, "chunk": Opcode.CHUNK_INDEX,
+    "attachment": Opcode.ATTACHMENT_INDEX, "metadata": Opcode.METADATA_INDEX,
+}  # fmt: skip
 
 
 class ChunkWriter:
@@ -57,7 +57,7 @@ class ChunkWriter:
         self._compress = zstandard.ZstdCompressor(level=level).compress
         # Bytes written so far.
         self.offset = 0
-        self._summary: dict[Opcode, list[records.McapRecord]] = {opcode: [] for opcode in _SUMMARY}
+        self._summary: dict[str, list[records.McapRecord]] = {kind: [] for kind in _SUMMARY}
         self._counts: dict[int, int] = {}
         self._body = bytearray()
         self._entries: dict[int, list[int]] = {}
@@ -66,14 +66,14 @@ class ChunkWriter:
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Number of a new schema."""
-        schemas = self._summary[Opcode.SCHEMA]
+        schemas = self._summary["schema"]
         schemas.append(records.Schema(id=len(schemas) + 1, data=data, encoding=encoding, name=name))
         self._body += _bytes(schemas[-1])
         return len(schemas)
 
     def add_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str]) -> int:
         """Number of a new channel."""
-        channels = self._summary[Opcode.CHANNEL]
+        channels = self._summary["channel"]
         number = len(channels) + 1
         channels.append(records.Channel(number, topic, encoding, dict(metadata), schema_id))
         self._entries[number] = []
@@ -86,13 +86,13 @@ class ChunkWriter:
         index = records.AttachmentIndex(
             self.offset, len(record), a.log_time, a.create_time, len(a.data), a.name, a.media_type
         )
-        self._summary[Opcode.ATTACHMENT_INDEX].append(index)
+        self._summary["attachment"].append(index)
         self._write(record)
 
     def add_metadata(self, name: str, facts: Mapping[str, str]) -> None:
         """Add a metadata record; it stands before the chunk in progress."""
         record = _bytes(records.Metadata(name, dict(facts)))
-        self._summary[Opcode.METADATA_INDEX].append(records.MetadataIndex(self.offset, len(record), name))
+        self._summary["metadata"].append(records.MetadataIndex(self.offset, len(record), name))
         self._write(record)
 
     def add_message(self, channel_id: int, time_ns: int, sequence: int, data: bytes) -> None:
@@ -116,22 +116,21 @@ class ChunkWriter:
         head = CHUNK.pack(begin_ns, end_ns, len(data), zlib.crc32(data), len(_ZSTD)) + _ZSTD
         head += struct.pack("<Q", len(packed))
         chunk = RECORD.pack(Opcode.CHUNK, len(head) + len(packed)) + head + packed
-        places, indexes, at = {}, [], self.offset + len(chunk)
+        places, indexes = {}, bytearray()
         for number, entry in entries.items():
             size = 8 * len(entry)
-            places[number] = at
-            indexes.append(struct.pack(f"<BQHI{len(entry)}Q", Opcode.MESSAGE_INDEX, 6 + size, number, size, *entry))
-            at += len(indexes[-1])
+            places[number] = self.offset + len(chunk) + len(indexes)
+            indexes += struct.pack(f"<BQHI{len(entry)}Q", Opcode.MESSAGE_INDEX, 6 + size, number, size, *entry)
             self._counts[number] = self._counts.get(number, 0) + len(entry) // 2
             self._entries[number] = []
-        self._summary[Opcode.CHUNK_INDEX].append(
+        self._summary["chunk"].append(
             records.ChunkIndex(
                 chunk_length=len(chunk),
                 chunk_start_offset=self.offset,
                 compression="zstd",
                 compressed_size=len(packed),
                 message_end_time=end_ns,
-                message_index_length=at - self.offset - len(chunk),
+                message_index_length=len(indexes),
                 message_index_offsets=places,
                 message_start_time=begin_ns,
                 uncompressed_size=len(data),
@@ -139,30 +138,25 @@ class ChunkWriter:
         )
         self._begin_ns, self._end_ns = min(self._begin_ns, begin_ns), max(self._end_ns, end_ns)
         self._body = bytearray()
-        self._write(chunk + b"".join(indexes))
+        self._write(chunk + indexes)
 
     def finish(self) -> None:
         """End the file: the summary that lets others seek in it."""
         self.end_chunk()
         self._write(_bytes(records.DataEnd(0)))
-        counts = {opcode: len(group) for opcode, group in self._summary.items()}
         statistics = records.Statistics(
-            attachment_count=counts[Opcode.ATTACHMENT_INDEX],
-            channel_count=counts[Opcode.CHANNEL],
             channel_message_counts=self._counts,
-            chunk_count=counts[Opcode.CHUNK_INDEX],
             message_count=sum(self._counts.values()),
             message_end_time=self._end_ns,
             message_start_time=self._begin_ns if self._counts else 0,
-            metadata_count=counts[Opcode.METADATA_INDEX],
-            schema_count=counts[Opcode.SCHEMA],
+            **{f"{kind}_count": len(group) for kind, group in self._summary.items() if kind != "statistics"},
         )
-        self._summary[Opcode.STATISTICS].append(statistics)
+        self._summary["statistics"].append(statistics)
         begin, summary, offsets = self.offset, b"", b""
-        for opcode, group in self._summary.items():
+        for kind, group in self._summary.items():
             data = b"".join(map(_bytes, group))
             if data:
-                offsets += _bytes(records.SummaryOffset(opcode, begin + len(summary), len(data)))
+                offsets += _bytes(records.SummaryOffset(_SUMMARY[kind], begin + len(summary), len(data)))
             summary += data
         footer = _bytes(records.Footer(begin, begin + len(summary), summary_crc=0))
         summary += offsets + footer[:-4]

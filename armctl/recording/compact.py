@@ -44,7 +44,7 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
         with new_file(path, disk, suffix=_UNFINISHED, replacing=True) as stream:
             writer = ChunkWriter(stream, level=LEVEL, chunk_bytes=CHUNK_BYTES)
             writer.add_metadata(COMPACTED, {"from_bytes": str(path.stat().st_size)})
-            Rewrite(log, writer).add_all()
+            Rewrite(log, writer).add(log.messages())
             writer.finish()
             stream.flush()
             if not log.complete or _digest(path.with_name(path.name + _UNFINISHED)) != _digest(path):

@@ -67,8 +67,6 @@ class Disk:
         """
         try:
             self.link(old, new)
-        except FileExistsError:
-            raise
         except OSError as error:
             # File systems without hard links (FAT): the check and the renaming are two steps there.
             if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS) or new.exists():

@@ -95,7 +95,7 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
             elif message.log_time_ns < end_ns:
                 if taken == 0:
                     has_state = before.write(copy, message)
-                copy.add(message)
+                copy.add((message,))
                 taken += 1
         if taken == 0:
             raise RequestRefused("EMPTY", f"{path}: holds nothing {begin_s:g} s to {end_s:g} s after its beginning")
@@ -144,15 +144,12 @@ def _checked(first: LogFile, path: Path) -> LogSetup:
         setup = log_setup(log)
         for key in ("arm_id", "calibration_hash", "host", "port", "period_s"):
             if (ours := first.facts.get(key)) != (theirs := log.facts.get(key)):
-                raise RequestRefused(
-                    "FOREIGN_LOG",
-                    f"{path}: {key} is {theirs}, in {first.path} it is {ours}; only files of one daemon are merged",
-                )
+                found = f"{key} is {theirs}, in {first.path} it is {ours}"
+                raise RequestRefused("FOREIGN_LOG", f"{path}: {found}; only files of one daemon are merged")
         for topic, text in log.declarations.items():
             if first.declarations.get(topic, text) != text:
-                raise LogError(
-                    f"{path}: has another type for {topic} than {first.path}; they are of two versions of armctl"
-                )
+                found = f"{path}: has another type for {topic} than {first.path}"
+                raise LogError(f"{found}; they are of two versions of armctl")
         return setup
 
 
@@ -180,8 +177,7 @@ class _Merger:
             if message.topic == channels.CYCLE or len(tick) > MAX_WARMUP_MESSAGES:
                 begun = self._end_tick(log, tick, before, begun)
                 tick = []
-        for message in tick:
-            self._copy.add(message)
+        self._copy.add(tick)
         self._done += 1
         if not log.complete:
             raise LogError(f"{log.path}: is damaged or has no end; mend it first: armctl log recover {log.path}")
@@ -199,23 +195,19 @@ class _Merger:
                 return False
             self._follows(log, before, message, goes_on)
             tick = [message for message in tick if message.topic != channels.STATE]
-        for message in tick:
-            self._copy.add(message)
+        self._copy.add(tick)
         self._tick, self._tick_ns = number, time_ns
         return begun or not cycle["inputs_only"]
 
     def _follows(self, log: LogFile, before: Path, message: LogMessage, goes_on: bool) -> None:
         overlap_s = (self._tick_ns - message.log_time_ns) / NS_PER_S
         if overlap_s >= 0.0:
-            raise LogError(
-                f"{log.path}: begins {overlap_s:.1f} s before {before} ends; files that overlap are not merged"
-            )
+            found = f"begins {overlap_s:.1f} s before {before} ends"
+            raise LogError(f"{log.path}: {found}; files that overlap are not merged")
         previous = log.facts.get("previous", "")
         if not goes_on and previous != before.name.removesuffix(PART):
-            raise LogError(
-                f"{log.path}: does not follow {before}, but {previous or 'nothing: a daemon was started with it'}; "
-                "only consecutive files are merged"
-            )
+            found = f"does not follow {before}, but {previous or 'nothing: a daemon was started with it'}"
+            raise LogError(f"{log.path}: {found}; only consecutive files are merged")
 
 
 class _Before:
@@ -268,9 +260,8 @@ def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str]) -> Ite
 
 def _stamped(value: Value, epoch_ns: int) -> Value:
     """A message with its stamps, or those of what it lists, set to a time."""
-    stamp = {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
     if "header" in value:
-        return value | {"header": value["header"] | {"stamp": stamp}}
+        return value | {"header": value["header"] | {"stamp": channels.stamp(epoch_ns)}}
     transforms = value.get("transforms")
     if isinstance(transforms, list):
         return value | {"transforms": [_stamped(transform, epoch_ns) for transform in transforms]}

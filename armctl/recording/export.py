@@ -92,12 +92,10 @@ def export(
             done[-1].look()
             yield done[-1]
 
+    write = {"csv": _write_csv, "xlsx": _write_excel, "parquet": _write_parquet}[kind]
     for file, wanted in files.items():
         with new_file(file) as stream:
-            if kind == "xlsx":
-                _write_excel(stream, tables(wanted))
-            else:
-                (_write_csv if kind == "csv" else _write_parquet)(stream, tables(wanted))
+            write(stream, tables(wanted))
     return ExportResult(tuple(files), {one.name: one.count for one in done}, all(one.complete for one in done))
 
 

@@ -205,15 +205,12 @@ class LogFile:
     def topics(self) -> frozenset[str]:
         return frozenset(channel.topic for channel in self.channels.values())
 
-    def close(self) -> None:
-        self._scanning.close()
-        self._data.close()
-
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._scanning.close()
+        self._data.close()
 
     # ------------------------------------------------------------------------------------------- records
 
@@ -261,9 +258,8 @@ class LogFile:
         self._claimed += claim if claim <= MAX_CHUNK_BYTES else 0
         bound = FREE_BYTES + MAX_RATIO * len(self._data)
         if self._claimed > bound:
-            raise _Refused(
-                f"{self.path}: {len(self._data)} bytes that inflate to over {bound}; such a file is not read"
-            )
+            claims = f"{len(self._data)} bytes that inflate to over {bound}"
+            raise _Refused(f"{self.path}: {claims}; such a file is not read")
 
     def _record(self, opcode: int, body: bytes) -> bytes | None:
         """Take note of one record; the inflated data if it is a chunk."""

@@ -19,7 +19,7 @@ from armctl.clock import NS_PER_S
 from armctl.errors import LogError
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.cdr import Value
-from armctl.recording.channels import JOINT_STATES
+from armctl.recording.channels import JOINT_STATES, QUANTITIES
 from armctl.recording.columns import Payloads, Table
 from armctl.recording.log_file import LogFile
 
@@ -130,16 +130,14 @@ def joint_track(log: LogFile, payloads: Payloads | None) -> JointTrack:
         names=names,
         start_ns=int(time_ns[0]),
         time_s=(time_ns - time_ns[0]) / NS_PER_S,
-        position_rad=table.numbers("position"),
-        velocity_rad_s=table.numbers("velocity"),
-        load_ratio=table.numbers("effort"),
+        **{quantity: table.numbers(path) for path, quantity in QUANTITIES.items()},
     )
 
 
 def _named(table: Table) -> tuple[tuple[str, ...], Table] | None:
     """The joints of a table, if it has a number of each kind for each of them."""
     names = tuple(path for path in table.columns if path.startswith("name["))
-    shapes = {table.numbers(path).shape[-1] for path in ("position", "velocity", "effort")}
+    shapes = {table.numbers(path).shape[-1] for path in QUANTITIES}
     if not names or shapes != {len(names)}:
         return None
     return tuple(str(table.columns[path][0]) for path in names), table

@@ -134,9 +134,8 @@ def take_path(folder: Path, name: str) -> Path:
         LogError: the name is not acceptable.
     """
     if not re.fullmatch(NAME_PATTERN, name):
-        raise LogError(
-            f"recording {name!r}: a name has 1 to 64 letters, digits and . _ - and begins with a letter or digit"
-        )
+        rule = "a name has 1 to 64 letters, digits and . _ - and begins with a letter or digit"
+        raise LogError(f"recording {name!r}: {rule}")
     return folder / f"{name}{SUFFIX}"
 
 

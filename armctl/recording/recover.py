@@ -52,7 +52,7 @@ def recover(path: Path, target: Path | None = None, *, disk: Disk = DISK) -> Rec
     with owned(path), LogFile(path) as log:
         with new_file(target, disk, suffix=_UNFINISHED) as stream:
             writer = ChunkWriter(stream)
-            messages = Rewrite(log, writer).add_all()
+            messages = Rewrite(log, writer).add(log.messages())
             if messages == 0:
                 raise LogError(f"{path}: holds no intact message; nothing to recover")
             lost_s = log.lost_ns / NS_PER_S

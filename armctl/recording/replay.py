@@ -33,7 +33,7 @@ from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.log_file import LogFile, LogMessage
-from armctl.recording.schemas import schema_text, short_name
+from armctl.recording.schemas import schema_text
 
 PROGRESS_TICKS = 500
 # Characters of a value in `first_mismatch`.
@@ -103,9 +103,8 @@ def log_setup(log: LogFile) -> LogSetup:
             later_anchors=tuple(Anchor(*map(int, pair.split("/"))) for pair in merged.get("anchors", "").split()),
         )
     except (KeyError, TypeError, ValueError, ConfigError) as error:
-        raise LogError(
-            f"{log.path}: does not say what it is a log of ({error}); it was not written by armctl"
-        ) from None
+        text = f"{log.path}: does not say what it is a log of ({error}); it was not written by armctl"
+        raise LogError(text) from None
 
 
 @dataclass
@@ -113,7 +112,8 @@ class _Tick:
     """The messages of one tick, collected until its cycle completes them."""
 
     servos: Value | None = None
-    records: list[tuple[int, str, Any]] = field(default_factory=list)
+    # The tick that each one was asked of, and its JSON.
+    commands: list[tuple[int, Any]] = field(default_factory=list)
     confirmed: tuple[bool, ...] = ()
     logged: dict[str, list[bytes]] = field(default_factory=dict)
 
@@ -188,10 +188,10 @@ class Rerun:
             # Servos come first: whatever was collected without a cycle belonged to a tick that was cut.
             self._tick = _Tick(servos=self._log.decode(message))
         elif topic == channels.COMMAND:
-            record = channels.parse_record(self._log.decode(message)["data"])
-            if record is not None:
-                self._tick.records.append(record)
-            compared = record is not None and record[1] == "reply"
+            number, kind, data = channels.parse_record(self._log.decode(message)["data"]) or (0, "", None)
+            if kind == "command":
+                self._tick.commands.append((number, data))
+            compared = kind == "reply"
         elif topic == channels.ROSOUT:
             compared = self._log.decode(message)["name"] == channels.CONTROL
         if compared:
@@ -222,7 +222,7 @@ class Rerun:
         if self.state is None or tick.servos is None:
             return
         setup = self._setup
-        inputs = self._inputs(tick.servos, tick.records, cycle)
+        inputs = self._inputs(tick.servos["servos"], tick.commands, cycle)
         try:
             self.state, outputs = self._step(self.state, inputs, setup.arm, setup.robot, setup.period_s)
         except Exception as error:  # the log may be anybody's, and say anything
@@ -231,7 +231,8 @@ class Rerun:
             return
         if not self.ticks:
             declared = self._log.declarations
-            self.not_compared = tuple(topic for topic in _COMPARED if declared.get(topic) != _declaration(topic))
+            ours = {topic: schema_text(TOPICS[topic].type).encode() for topic in _COMPARED}
+            self.not_compared = tuple(topic for topic, text in ours.items() if declared.get(topic) != text)
         self.ticks += 1
         self.duration_ns += time_ns - previous_ns if previous_ns else 0
         told = {key: cycle[key] for key in _TOLD if key in cycle}
@@ -254,20 +255,15 @@ class Rerun:
                 encode = TOPICS[topic].codec.encode
                 yield topic, tick.logged.get(topic, []), [encode(value) for name, value in messages if name == topic]
 
-    def _inputs(self, servos: Value, records: list[tuple[int, str, Any]], cycle: Value) -> Inputs:
-        ids = tuple(servo["id"] for servo in servos["servos"])
+    def _inputs(self, servos: list[Value], commands: list[tuple[int, Any]], cycle: Value) -> Inputs:
+        ids = tuple(servo["id"] for servo in servos)
         if ids != self._setup.arm.servo_ids:
             raise LogError(f"{self._log.path}: servos {ids} in a log of an arm with {self._setup.arm.servo_ids}")
-        readings = tuple(
-            ServoReading(servo["id"], **{key: servo[key] for key in channels.READING}) for servo in servos["servos"]
-        )
+        readings = tuple(ServoReading(servo["id"], **{key: servo[key] for key in channels.READING}) for servo in servos)
         sample = Sample(cycle["time_ns"], readings, **{key: cycle[key] for key in ("bus_us", "retries", "port_open")})
-        commands = tuple(
-            self._parsed(command_from_json, json.dumps(data))
-            for tick, kind, data in records
-            if kind == "command" and tick == cycle["tick"]
-        )
-        return Inputs(cycle["tick"], cycle["now_ns"], sample, commands, cycle["late_ns"])
+        asked = [json.dumps(data) for tick, data in commands if tick == cycle["tick"]]
+        parsed = tuple(self._parsed(command_from_json, text) for text in asked)
+        return Inputs(cycle["tick"], cycle["now_ns"], sample, parsed, cycle["late_ns"])
 
     def _parsed(self, parse: Callable[..., Any], *arguments: Any) -> Any:
         try:
@@ -290,10 +286,6 @@ class Rerun:
             ours, theirs = json.loads(json.dumps(found), parse_constant=str)
             ulps = _ulps(ours, theirs) if isinstance(ours, float) and isinstance(theirs, float) else None
             self.first = {"tick": self._last_tick, "field": field, "logged": ours, "computed": theirs, "ulps": ulps}
-
-
-def _declaration(topic: str) -> bytes:
-    return schema_text(short_name(TOPICS[topic].type)).encode()
 
 
 def _difference(name: str, logged: Any, computed: Any) -> tuple[str, Any, Any]:

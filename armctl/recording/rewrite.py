@@ -1,5 +1,7 @@
 """A log's messages into a new file, byte for byte: what recovery, compaction, trimming and merging have in common."""
 
+from collections.abc import Iterable
+
 from armctl.clock import NS_PER_S
 from armctl.recording.cdr import Value
 from armctl.recording.chunks import ChunkWriter
@@ -30,16 +32,12 @@ class Rewrite:
         """Go on with the messages of another log."""
         self._log, self._schemas = log, {}
 
-    def add(self, message: LogMessage) -> None:
-        """A message of the log, as it is."""
-        if message.topic not in self._channels:
-            self._register()
-        self._add(message.topic, message.data, message)
-
-    def add_all(self) -> int:
-        """Every message of the log that is left; how many the new file holds."""
-        for message in self._log.messages():
-            self.add(message)
+    def add(self, messages: Iterable[LogMessage]) -> int:
+        """Messages of the log, as they are; how many the new file holds."""
+        for message in messages:
+            if message.topic not in self._channels:
+                self._register()
+            self._add(message.topic, message.data, message)
         return self.messages
 
     def say(self, topic: str, value: Value, at: LogMessage) -> None:

@@ -76,7 +76,10 @@ def fields(name: str, messages: Mapping[str, str] = MESSAGES) -> tuple[Field, ..
 
 
 def schema_text(name: str) -> str:
-    """The `ros2msg` schema of a type: its body, then every type it needs, each after a rule and its name."""
+    """The `ros2msg` schema of a type, named in short or in full: its body, then every type it needs, each after a rule
+    and its name.
+    """
+    name = short_name(name)
     needed: list[str] = []
 
     def visit(current: str) -> None:

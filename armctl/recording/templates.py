@@ -9,7 +9,7 @@ Rules.
 """
 
 import struct
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from itertools import count
 from operator import itemgetter
 from typing import Any
@@ -108,19 +108,22 @@ class TickEncoder:
 
     def inputs(self, record: TickRecord, anchor: Anchor) -> list[Encoded]:
         """What the control step saw in this tick: servos, then commands in their order."""
-        servos = self._encoded([channels.servos_row(record, self._arm)], record, anchor)
-        return [*servos, *map(_encode, channels.command_messages(record))]
+        return self._encoded(
+            record, anchor, [channels.servos_row(record, self._arm)], channels.command_messages(record)
+        )
 
     def outputs(self, record: TickRecord, anchor: Anchor) -> list[Encoded]:
         """`channels.output_messages`, encoded."""
-        rows = self._encoded(channels.output_rows(record, self._arm, self._robot), record, anchor)
-        return [*rows, *map(_encode, channels.event_messages(record, anchor, self._arm))]
+        rows = channels.output_rows(record, self._arm, self._robot)
+        return self._encoded(record, anchor, rows, channels.event_messages(record, anchor, self._arm))
 
     def cycle(self, record: TickRecord, anchor: Anchor, *, inputs_only: bool = False) -> Encoded:
         """How the tick went."""
-        return self._encoded([channels.cycle_row(record, inputs_only=inputs_only)], record, anchor)[0]
+        return self._encoded(record, anchor, [channels.cycle_row(record, inputs_only=inputs_only)])[0]
 
-    def _encoded(self, rows: list[Row], record: TickRecord, anchor: Anchor) -> list[Encoded]:
+    def _encoded(
+        self, record: TickRecord, anchor: Anchor, rows: Sequence[Row], messages: Sequence[Message] = ()
+    ) -> list[Encoded]:
         stamp = [*divmod(anchor.epoch_ns(record.inputs.sample.time_ns), NS_PER_S)]
         encoded = []
         for row in rows:
@@ -131,9 +134,4 @@ class TickEncoder:
                 name, (_, value) = short_name(TOPICS[row.topic].type), channels.row_message(row, record, anchor)
                 template = self._templates[row.topic, row.shape] = Template(name, value)
             encoded.append((row.topic, template.encode(stamp + row.numbers)))
-        return encoded
-
-
-def _encode(message: Message) -> Encoded:
-    topic, value = message
-    return topic, TOPICS[topic].codec.encode(value)
+        return encoded + [(topic, TOPICS[topic].codec.encode(value)) for topic, value in messages]

@@ -136,16 +136,14 @@ class Frames:
         registers, names = [servo["registers"] for servo in tick[channels.SERVOS]["servos"]], self.arm.joint_names
         if len(registers) != len(names):
             raise ValueError(f"{len(registers)} servos, the arm has {len(names)}")
-        values = zip(joints["position"], joints["velocity"], joints["effort"], strict=False)
+        values = zip(*(joints[key] for key in channels.QUANTITIES), strict=False)
         told = dict(zip(joints["name"], values, strict=False))
-        position, velocity, load = zip(*(told.get(name, (math.nan,) * 3) for name in names), strict=True)
+        columns = map(list, zip(*(told.get(name, (math.nan,) * 3) for name in names), strict=True))
         torque = [bool(block and block[_TORQUE]) for block in registers]
         return Frame(
             time_ns=time_ns,
             tick=number,
-            position_rad=list(position),
-            velocity_rad_s=list(velocity),
-            load_ratio=list(load),
+            **dict(zip(channels.QUANTITIES.values(), columns, strict=True)),
             goal_rad=[
                 joint.position_rad(ax12a.register_value(ax12a.GOAL, block)) if on else math.nan
                 for joint, block, on in zip(self.arm.joints, registers, torque, strict=True)
@@ -267,9 +265,12 @@ class Timeline:
         return next(name for begin, name in reversed(self.faults) if begin <= frame)
 
 
-_TYPES = {"time_ns": np.int64, "tick": np.int64, "torque_enabled": np.bool_}
-# What of a frame becomes an array, and its type.
-_ARRAYS = {f.name: _TYPES.get(f.name, np.float64) for f in fields(Frame) if f.name not in ("state", "fault")}
+_TYPES = {"time_ns": np.int64, "tick": np.int64, "torque_enabled": np.bool_, "state": np.object_, "fault": np.object_}
+
+
+def _changes(names: list[str]) -> tuple[tuple[int, str], ...]:
+    """From which frame on, what."""
+    return tuple((i, name) for i, name in enumerate(names) if i == 0 or name != names[i - 1])
 
 
 def load(path: Path, progress: Callable[[float], None] | None = None) -> Timeline:
@@ -280,35 +281,27 @@ def load(path: Path, progress: Callable[[float], None] | None = None) -> Timelin
     Raises:
         LogError: the file is no log of armctl's, or holds no whole tick.
     """
-    blocks: dict[str, list[Any]] = {name: [] for name in _ARRAYS}
-    states: list[tuple[int, str]] = []
-    faults: list[tuple[int, str]] = []
-    count = 0
+    blocks: dict[str, list[Any]] = {field.name: [] for field in fields(Frame)}
     with LogFile(path) as log:
         found = iter(frames := Frames(log))
         # In blocks: the frames of a whole log as objects would take ten times the memory of its arrays.
         while block := list(islice(found, BLOCK_FRAMES)):
             for name, parts in blocks.items():
-                parts.append(np.array([getattr(frame, name) for frame in block], _ARRAYS[name]))
-            for frame in block:
-                for seen, now in ((states, frame.state), (faults, frame.fault)):
-                    if not seen or seen[-1][1] != now:
-                        seen.append((count, now))
-                count += 1
+                parts.append(np.array([getattr(frame, name) for frame in block], _TYPES.get(name, np.float64)))
             if progress is not None and len(block) == BLOCK_FRAMES:
                 progress(log.progress)
-        if not count:
+        if not blocks["tick"]:
             raise LogError(f"{path}: holds no whole tick; there is nothing to show")
         arrays = {name: np.concatenate(parts) for name, parts in blocks.items()}
-        time_ns = arrays.pop("time_ns")
+        time_ns, states, faults = (arrays.pop(name) for name in ("time_ns", "state", "fault"))
         return Timeline(
             path=path,
             arm=frames.arm,
             start_ns=int(time_ns[0]),
             time_s=(time_ns - time_ns[0]) / NS_PER_S,
             **arrays,
-            states=tuple(states),
-            faults=tuple(faults),
+            states=_changes(states.tolist()),
+            faults=_changes(faults.tolist()),
             happenings=tuple(frames.happenings),
             motions=tuple(frames.motions),
             complete=log.complete,

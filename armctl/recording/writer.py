@@ -204,30 +204,26 @@ class LogWriter:
         ids: dict[str, int] = {}
         for topic in TOPICS.values():
             if topic.type not in schemas:
-                text = schema_text(short_name(topic.type))
-                schemas[topic.type] = writer.add_schema(topic.type, "ros2msg", text.encode())
+                schemas[topic.type] = writer.add_schema(topic.type, "ros2msg", schema_text(topic.type).encode())
             ids[topic.name] = writer.add_channel(topic.name, "cdr", schemas[topic.type], topic.metadata)
         seed = {
             "armctl": facts,
             "robot": {"name": context.robot.name, "lengths_m": context.robot.lengths_m},
-            "schemas": [
-                {"id": number, "name": name, "text": schema_text(short_name(name))} for name, number in schemas.items()
-            ],
+            "schemas": [{"id": number, "name": name, "text": schema_text(name)} for name, number in schemas.items()],
             "channels": [
                 {"id": ids[topic.name], "topic": topic.name, "schema": schemas[topic.type], "metadata": topic.metadata}
                 for topic in TOPICS.values()
             ],
         }
-        description = urdf(context.arm, context.robot)
+        self._description = urdf(context.arm, context.robot)
         for name, media_type, text in (
             (SEED, "application/json", json.dumps(seed, separators=(",", ":"))),
-            ("robot.urdf", "application/xml", description),
+            ("robot.urdf", "application/xml", self._description),
             ("config.yaml", "application/yaml", _yaml(context.config.model_dump(mode="json"))),
             ("calibration.yaml", "application/yaml", _yaml(context.arm.model_dump(mode="json"))),
         ):
             writer.add_attachment(Attachment(now_ns, now_ns, name, media_type, text.encode()))
         writer.add_metadata("armctl", facts)
-        self._description = description
         return ids
 
     def _begin(self, time_ns: int) -> None:
