@@ -31,16 +31,19 @@ from armctl.kinematics.transform import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Settings:
-    """What shapes a run; probabilities, threshold and fraction are within 0..1."""
+    """What shapes a run; probabilities, threshold and fraction are within 0..1.
 
-    population: int
-    generations: int
-    crossover: Literal["one cut", "optimal"]
+    The paper prints no numbers for its operators; the defaults are common ones.
+    """
+
+    population: int = 100
+    generations: int = 300
+    crossover: Literal["one cut", "optimal"] = "one cut"
     # Share of the chromosomes that take part in crossover (Pc).
-    crossover_probability: float
+    crossover_probability: float = 0.6
     # Share of all genes of the population that change (Pm).
-    mutation_probability: float
-    selection: Literal["roulette", "truncation"]
+    mutation_probability: float = 0.01
+    selection: Literal["roulette", "truncation"] = "roulette"
     # Charges for broken limits as shares of the true ones, one for each equal part of the generations, the last 1.
     # While charges are low, evolution passes through paths that break a limit to better ones behind them.
     charge_shares: tuple[float, ...] = (1.0,)
@@ -67,20 +70,11 @@ class Settings:
             )
 
 
-# The paper's operators. It prints no numbers; these are common ones.
-PAPER = Settings(
-    population=100,
-    generations=300,
-    crossover="one cut",
-    crossover_probability=0.6,
-    mutation_probability=0.01,
-    selection="roulette",
-    elite_threshold=0.95,
-)
+# The paper's operators.
+PAPER = Settings(elite_threshold=0.95)
 
 # What comes near the exact optimum.
 DEFAULT = Settings(
-    population=100,
     generations=200,
     crossover="optimal",
     crossover_probability=1.0,
