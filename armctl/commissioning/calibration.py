@@ -269,11 +269,8 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
 
 def _length_sensitivity(robot: Robot, name: str, q: FloatArray) -> FloatArray:
     """d(tool position) / d(length), shape (m, 3)."""
-    length_m = robot.lengths_m[name]
-    shorter, longer = (
-        tool_position(robot.with_lengths({name: length_m + step_m}).chain, q)
-        for step_m in (-LENGTH_STEP_M, LENGTH_STEP_M)
-    )
+    lengths_m = (robot.lengths_m[name] + step_m for step_m in (-LENGTH_STEP_M, LENGTH_STEP_M))
+    shorter, longer = (tool_position(robot.with_lengths({name: length_m}).chain, q) for length_m in lengths_m)
     return (longer - shorter) / (2.0 * LENGTH_STEP_M)
 
 
@@ -281,7 +278,6 @@ def _solve(model: Model, start: FloatArray, held: dict[int, str]) -> tuple[Float
     """Gauss-Newton over what is not held; parameters and the last matrix."""
     x = start.copy()
     free = [i for i in range(x.size) if i not in held]
-    _, J = model(x)
     for _ in range(ITERATIONS):
         residual, J = model(x)
         # Minimum-norm: a direction the points do not show is not followed, whatever the numbers say.

@@ -319,8 +319,7 @@ def require_writable(bus: ServoBus, servo_id: int) -> None:
 
 def _write(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
     bus.write(Write(servo_id, register.address, register.size, value))
-    found = bus.read(servo_id, register)
-    if found != value:
+    if (found := bus.read(servo_id, register)) != value:
         raise _not_taken(bus, f"servo {servo_id}: {register.name} was to be {value} and reads {found}")
 
 

@@ -31,16 +31,19 @@ from armctl.kinematics.transform import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Settings:
-    """What shapes a run; probabilities, threshold and fraction are within 0..1."""
+    """What shapes a run; probabilities, threshold and fraction are within 0..1.
 
-    population: int
-    generations: int
-    crossover: Literal["one cut", "optimal"]
+    The paper prints no numbers for its operators; the defaults are common ones.
+    """
+
+    population: int = 100
+    generations: int = 300
+    crossover: Literal["one cut", "optimal"] = "one cut"
     # Share of the chromosomes that take part in crossover (Pc).
-    crossover_probability: float
+    crossover_probability: float = 0.6
     # Share of all genes of the population that change (Pm).
-    mutation_probability: float
-    selection: Literal["roulette", "truncation"]
+    mutation_probability: float = 0.01
+    selection: Literal["roulette", "truncation"] = "roulette"
     # Charges for broken limits as shares of the true ones, one for each equal part of the generations, the last 1.
     # While charges are low, evolution passes through paths that break a limit to better ones behind them.
     charge_shares: tuple[float, ...] = (1.0,)
@@ -60,27 +63,15 @@ class Settings:
         check_settings(self)
         shares = self.charge_shares
         if not 1 <= len(shares) <= self.generations or shares[-1] != 1.0 or not all(share >= 0.0 for share in shares):
-            raise ConfigError(
-                "genetic algorithm",
-                "charge_shares",
-                f"{shares} must be 1 to {self.generations} numbers (the generations), not negative, the last of them 1",
-            )
+            wanted = f"1 to {self.generations} numbers (the generations), not negative, the last of them 1"
+            raise ConfigError("genetic algorithm", "charge_shares", f"{shares} must be {wanted}")
 
 
-# The paper's operators. It prints no numbers; these are common ones.
-PAPER = Settings(
-    population=100,
-    generations=300,
-    crossover="one cut",
-    crossover_probability=0.6,
-    mutation_probability=0.01,
-    selection="roulette",
-    elite_threshold=0.95,
-)
+# The paper's operators.
+PAPER = Settings(elite_threshold=0.95)
 
 # What comes near the exact optimum.
 DEFAULT = Settings(
-    population=100,
     generations=200,
     crossover="optimal",
     crossover_probability=1.0,
@@ -97,28 +88,26 @@ PROFILES = {"default": DEFAULT, "paper": PAPER}
 _FIRST_DONORS = 0.3
 
 
+@dataclass(eq=False)
 class GeneticAlgorithm:
-    """State of one run: `ask`, evaluate, `tell`, for as long as wanted."""
+    """State of one run: `ask`, evaluate, `tell`, for as long as wanted.
 
-    def __init__(
-        self,
-        initial: IntArray,
-        choices: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        *,
-        triple_cost: FloatArray | None = None,
-    ) -> None:
-        """Start from the chromosomes `initial`, shape (any, genes), repeated or cut to the population's size.
+    Raises:
+        ValueError: optimal crossover without `triple_cost`.
+    """
 
-        Raises:
-            ValueError: optimal crossover without `triple_cost`, shape (genes - 2, choices, choices, choices).
-        """
-        if (settings.crossover == "optimal" or settings.searches) and triple_cost is None:
+    # Chromosomes to start from, shape (any, genes), repeated or cut to the population's size.
+    initial: IntArray
+    choices: int
+    settings: Settings
+    rng: np.random.Generator
+    # Shape (genes - 2, choices, choices, choices).
+    triple_cost: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if (self.settings.crossover == "optimal" or self.settings.searches) and self.triple_cost is None:
             raise ValueError("optimal crossover and searches need a table of triple costs to know what fits")
-        self._settings, self._choices, self._rng, self._table = settings, choices, rng, triple_cost
-        self._initial = initial
-        self._asked = np.resize(initial, (settings.population, initial.shape[1]))
+        self._asked = np.resize(self.initial, (self.settings.population, self.initial.shape[1]))
         self._parents = self._asked[:0]
         self._parent_cost: FloatArray = np.empty(0)
         self.best: IntArray = self._asked[0].copy()
@@ -126,8 +115,8 @@ class GeneticAlgorithm:
 
     def restart(self, triple_cost: FloatArray) -> None:
         """Go on with the first population and the survivors under a new cost; what is best is asked anew."""
-        self._table = triple_cost
-        self._asked = np.concatenate([self._initial, self._parents])[: self._settings.population]
+        self.triple_cost = triple_cost
+        self._asked = np.concatenate([self.initial, self._parents])[: self.settings.population]
         self._parents, self._parent_cost = self._asked[:0], np.empty(0)
         self.best_cost = np.inf
 
@@ -146,32 +135,32 @@ class GeneticAlgorithm:
             self.best, self.best_cost = self._asked[cost.argmin()].copy(), float(cost.min())
         pool = np.concatenate([self._parents, self._asked])
         pool_cost = np.concatenate([self._parent_cost, cost])
-        kept = self._truncation(pool_cost) if self._settings.selection == "truncation" else self._roulette(pool_cost)
+        kept = self._truncation(pool_cost) if self.settings.selection == "truncation" else self._roulette(pool_cost)
         self._parents, self._parent_cost = pool[kept], pool_cost[kept]
         self._asked = self._offspring()
 
     def _truncation(self, cost: FloatArray) -> IntArray:
         # Equal cost nearly always means the same chromosome, and copies would crowd everything else out.
         _, distinct = np.unique(cost, return_index=True)
-        return np.resize(distinct, self._settings.population)
+        return np.resize(distinct, self.settings.population)
 
     def _roulette(self, cost: FloatArray) -> IntArray:
-        settings = self._settings
+        settings = self.settings
         fitness = operators.fitness_from_cost(cost)
         elite = operators.elite(fitness, settings.elite_threshold, round(settings.elite_fraction * settings.population))
         newborn = len(self._parents)
-        drawn = operators.roulette(fitness[newborn:], settings.population - len(elite), self._rng)
+        drawn = operators.roulette(fitness[newborn:], settings.population - len(elite), self.rng)
         return np.concatenate([elite, newborn + drawn])
 
     def _offspring(self) -> IntArray:
-        settings, rng, parents, table = self._settings, self._rng, self._parents, self._table
+        settings, rng, parents, table = self.settings, self.rng, self._parents, self.triple_cost
         if table is not None and settings.crossover == "optimal":
-            old = self._initial[rng.integers(0, len(self._initial), len(parents))]
+            old = self.initial[rng.integers(0, len(self.initial), len(parents))]
             donors = np.where(rng.random((len(parents), 1)) < _FIRST_DONORS, old, rng.permutation(parents))
             children = operators.optimal_crossover(parents, donors, table, settings.crossover_probability, rng)
         else:
             children = operators.one_cut_crossover(parents, settings.crossover_probability, rng)
-        children = operators.mutate(children, self._choices, settings.mutation_probability, rng)
+        children = operators.mutate(children, self.choices, settings.mutation_probability, rng)
         if table is not None and settings.searches:
             genes = parents.shape[1]
             length = min(settings.window_genes, max(1, genes // 4))

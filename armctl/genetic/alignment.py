@@ -60,14 +60,11 @@ def align(
     """
     length = float(np.linalg.norm(B - A))
     if not length >= SHORTEST_LINE_M:
-        raise RequestRefused(
-            "BAD_LINE",
-            f"A and B are {length * 1e3:.1f} mm apart, at least {SHORTEST_LINE_M * 1e3:.0f} mm; move one of them",
-        )
+        found, bound = f"{length * 1e3:.1f} mm apart", f"at least {SHORTEST_LINE_M * 1e3:.0f} mm"
+        raise RequestRefused("BAD_LINE", f"A and B are {found}, {bound}; move one of them")
     if not 1 <= len(recordings) <= MAX_RECORDINGS:
-        raise RequestRefused(
-            "BAD_RECORDINGS", f"{len(recordings)} recordings given; give 1 to {MAX_RECORDINGS} that lead from A to B"
-        )
+        text = f"{len(recordings)} recordings given; give 1 to {MAX_RECORDINGS} that lead from A to B"
+        raise RequestRefused("BAD_RECORDINGS", text)
     progress = np.linspace(0.0, 1.0, stations)
     aligned, reasons = [], []
     for number, samples in enumerate(recordings, 1):
@@ -85,10 +82,8 @@ def _along_line(
     samples: FloatArray, arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray, stations: FloatArray
 ) -> FloatArray:
     if samples.ndim != 2 or samples.shape[1] != len(arm.joints) or len(samples) < 2 or not np.isfinite(samples).all():
-        raise ValueError(
-            f"shape {samples.shape} is not two or more samples of the arm's {len(arm.joints)} joints, all finite; "
-            "leave it out or record it again with this arm"
-        )
+        wanted = f"two or more samples of the arm's {len(arm.joints)} joints, all finite"
+        raise ValueError(f"shape {samples.shape} is not {wanted}; leave it out or record it again with this arm")
     limits = np.array([joint.limits_rad for joint in arm.joints])
     q = np.clip(samples, limits[:, 0], limits[:, 1])
     tool = tool_position(chain, q[:, : chain.n])
@@ -103,11 +98,9 @@ def _along_line(
     for name, end, passed in (("A", A, tool[: at_B + 1]), ("B", B, tool[at_A:])):
         nearest = float(np.linalg.norm(passed - end, axis=1).min())
         if nearest > reach:
-            raise ValueError(
-                f"on its way from A to B it comes no nearer to {name} than {nearest * 1e3:.0f} mm, "
-                f"at most {reach * 1e3:.0f} mm; record from A to B, or ask for the line it leads along, "
-                f"from {point_text(tool[0])} to {point_text(tool[-1])}"
-            )
+            found = f"comes no nearer to {name} than {nearest * 1e3:.0f} mm, at most {reach * 1e3:.0f} mm"
+            other = f"ask for the line it leads along, from {point_text(tool[0])} to {point_text(tool[-1])}"
+            raise ValueError(f"on its way from A to B it {found}; record from A to B, or {other}")
 
     way = slice(at_A, at_B + 1)
     q, p = q[way], p[way]

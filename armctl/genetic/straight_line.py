@@ -126,31 +126,62 @@ def optimize(
     Raises:
         RequestRefused: the line or a recording is unfit; `reasons` names all that were found.
     """
-    A, B = (np.asarray(end, dtype=np.float64) for end in (request.from_m, request.to_m))
-    _refuse_below_floor(arm, A, B)
-    chain = robot.chain
-    stations = _stations(request.duration_s, request.via)
-    candidates = align(recordings, arm, chain, A, B, stations)
-    moving = arm.joints[: chain.n]
-    speed_limits = np.array([joint.speed_limit_rad_s for joint in moving])
-    acceleration_limits = np.array([joint.acceleration_limit_rad_s2 for joint in moving])
+    line = _Line(recordings, arm, robot.chain, request)
+    candidates = line.candidates(request.duration_s)
+    costs = line.cost(candidates, request.duration_s)
+    table = costs.table()
+    rng = np.random.default_rng(request.seed)
+    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, request.settings, rng, progress)
+    found, exact = (line.path(candidates, costs, table, some) for some in (genes, shortest_path(table)))
+    freed = line.freed(found, candidates.progress) if request.free else None
+    chosen = freed or found
+    alone = costs.distance_m.T * 1e3
+    return StraightLineResult(
+        candidates=candidates,
+        baseline=tuple(LineError(float(row.mean()), float(row.max())) for row in alone),
+        ga=GeneticRun(found, request.settings.generations, evaluations, best_cost_mm, mean_cost_mm),
+        exact=exact,
+        # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
+        gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
+        free=freed,
+        plans=tuple(line.plan(chosen.positions_rad, candidates.progress, count) for count in request.via),
+        least_duration_s=None if chosen.feasible else _least_duration_s(line.kept, request.duration_s),
+    )
 
-    def cost_of(some: Candidates, nominal_s: float = request.duration_s) -> PathCost:
-        distance, along = distance_to_line(some.tool_m, A, B), progress_along_line(some.tool_m, A, B)
+
+class _Line:
+    """The line of a request, and what a path along it costs."""
+
+    def __init__(
+        self, recordings: Sequence[FloatArray], arm: ArmConfig, chain: SerialChain, request: OptimizeRequest
+    ) -> None:
+        self._recordings, self._arm, self._chain, self._request = recordings, arm, chain, request
+        self._ends = A, B = np.array(request.from_m), np.array(request.to_m)
+        _refuse_below_floor(arm, A, B)
+        self._limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
+
+    def candidates(self, nominal_s: float) -> Candidates:
+        """The recordings at as many stations as a motion of that duration has."""
+        stations = _stations(nominal_s, self._request.via)
+        return align(self._recordings, self._arm, self._chain, *self._ends, stations)
+
+    def cost(self, some: Candidates, nominal_s: float) -> PathCost:
+        distance, along = distance_to_line(some.tool_m, *self._ends), progress_along_line(some.tool_m, *self._ends)
+        moving = self._arm.joints[: self._chain.n]
+        speed_limits = np.array([joint.speed_limit_rad_s for joint in moving])
+        acceleration_limits = np.array([joint.acceleration_limit_rad_s2 for joint in moving])
         time_s = time_of_progress(some.progress) * nominal_s
-        return path_cost(some, distance, time_s, speed_limits, acceleration_limits, along, request.objective)
+        return path_cost(some, distance, time_s, speed_limits, acceleration_limits, along, self._request.objective)
 
-    def kept(nominal_s: float) -> bool:
-        # With as many stations as an optimisation for that duration would have.
-        slower = cost_of(align(recordings, arm, chain, A, B, _stations(nominal_s, request.via)), nominal_s)
+    def kept(self, nominal_s: float) -> bool:
+        """Whether some path through the candidates keeps the limits in that duration."""
+        slower = self.cost(self.candidates(nominal_s), nominal_s)
         return not evaluate(slower.breaks, shortest_path(slower.table())) > 0.0
 
-    costs = cost_of(candidates)
-
-    def path(genes: IntArray) -> CandidatePath:
-        station = np.arange(stations)
+    def path(self, candidates: Candidates, costs: PathCost, table: FloatArray, genes: IntArray) -> CandidatePath:
+        station, n = np.arange(len(genes)), self._chain.n
         positions = candidates.positions_rad[genes, station]
-        positions[:, chain.n :] = candidates.positions_rad[..., chain.n :].mean(axis=0)
+        positions[:, n:] = candidates.positions_rad[..., n:].mean(axis=0)
         distance = costs.distance_m[station, genes] * 1e3
         return CandidatePath(
             genes=genes,
@@ -162,24 +193,45 @@ def optimize(
             feasible=not evaluate(costs.breaks, genes) > 0.0,
         )
 
-    table = costs.table()
-    rng = np.random.default_rng(request.seed)
-    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, request.settings, rng, progress)
-    found, exact = path(genes), path(shortest_path(table))
-    freed = _freed(found, candidates, arm, chain, A, B, cost_of) if request.free else None
-    chosen = freed or found
-    alone = costs.distance_m.T * 1e3
-    return StraightLineResult(
-        candidates=candidates,
-        baseline=tuple(LineError(float(row.mean()), float(row.max())) for row in alone),
-        ga=GeneticRun(found, request.settings.generations, evaluations, best_cost_mm, mean_cost_mm),
-        exact=exact,
-        # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
-        gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
-        free=freed,
-        plans=tuple(_plan(chosen.positions_rad, candidates.progress, arm, chain, request, via) for via in request.via),
-        least_duration_s=None if chosen.feasible else _least_duration_s(kept, request.duration_s),
-    )
+    def freed(self, found: CandidatePath, progress: FloatArray) -> FreePath:
+        """The path with its genes off the recordings."""
+        chain, n = self._chain, self._chain.n
+
+        def breaks(q: FloatArray) -> float:
+            # The tables of a single candidate hold what its one path breaks.
+            single = Candidates(progress, q[None], tool_position(chain, q)[None])
+            return float(self.cost(single, self._request.duration_s).breaks.sum())
+
+        q = free_path(chain, found.positions_rad[:, :n], progress, *self._ends, self._limits, breaks)
+        tool = tool_position(chain, q)
+        return FreePath(
+            *_errors_mm(tool, *self._ends),
+            positions_rad=np.concatenate([q, found.positions_rad[:, n:]], axis=1),
+            tool_m=tool,
+            largest_offset_rad=float(np.abs(q - found.positions_rad[:, :n]).max()),
+            feasible=not breaks(q) > 0.0,
+        )
+
+    def plan(self, path: FloatArray, progress: FloatArray, count: int) -> Plan:
+        """The plan with `count` via points through a path, joint positions [rad] of shape (m, joints)."""
+        chain, n, request, interpolation = self._chain, self._chain.n, self._request, self._request.interpolation
+        kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, *self._ends), len(path) - 1]
+        waypoints, knots = path[kept], progress[kept]
+        tool_m = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
+        if request.free and count > 0:
+            motion = StraightMotion(chain, interpolation, *self._ends, self._limits, objective=request.objective)
+            off_line = place(motion, waypoints[:, :n], knots)
+            moved = waypoints.copy()
+            moved[1:-1, :n] = off_line.waypoints[1:-1]  # A and B are held exactly
+            moved_tool_m = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
+            if mean_error(moved_tool_m, *self._ends) < mean_error(tool_m, *self._ends):
+                waypoints, knots, tool_m = moved, off_line.knots, moved_tool_m
+        return plan_through(self._arm, request, waypoints, knots, _errors_mm(tool_m, *self._ends))
+
+
+def _errors_mm(tool_m: FloatArray, A: FloatArray, B: FloatArray) -> tuple[float, float]:
+    """Mean and largest distance of a tool path from the line."""
+    return float(mean_error(tool_m, A, B)) * 1e3, float(max_error(tool_m, A, B)) * 1e3
 
 
 def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | None:
@@ -193,55 +245,6 @@ def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | 
         middle = (low + high) // 2
         low, high = (low, middle) if kept(middle / 10.0) else (middle, high)
     return high / 10.0
-
-
-def _freed(
-    found: CandidatePath,
-    candidates: Candidates,
-    arm: ArmConfig,
-    chain: SerialChain,
-    A: FloatArray,
-    B: FloatArray,
-    cost_of: Callable[[Candidates], PathCost],
-) -> FreePath:
-    def breaks(q: FloatArray) -> float:
-        # The tables of a single candidate hold what its one path breaks.
-        return float(cost_of(Candidates(candidates.progress, q[None], tool_position(chain, q)[None])).breaks.sum())
-
-    n = chain.n
-    limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
-    q = free_path(chain, found.positions_rad[:, :n], candidates.progress, A, B, limits, breaks)
-    tool = tool_position(chain, q)
-    return FreePath(
-        positions_rad=np.concatenate([q, found.positions_rad[:, n:]], axis=1),
-        tool_m=tool,
-        mean_error_mm=float(mean_error(tool, A, B)) * 1e3,
-        max_error_mm=float(max_error(tool, A, B)) * 1e3,
-        largest_offset_rad=float(np.abs(q - found.positions_rad[:, :n]).max()),
-        feasible=not breaks(q) > 0.0,
-    )
-
-
-def _plan(
-    path: FloatArray, progress: FloatArray, arm: ArmConfig, chain: SerialChain, request: OptimizeRequest, count: int
-) -> Plan:
-    """The plan with `count` via points through a path, joint positions [rad] of shape (m, joints), at its progress."""
-    n, interpolation = chain.n, request.interpolation
-    A, B = np.array(request.from_m), np.array(request.to_m)
-    kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, A, B), len(path) - 1]
-    waypoints, knots = path[kept], progress[kept]
-    tool_m = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
-    if request.free and count > 0:
-        limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
-        motion = StraightMotion(chain, interpolation, A, B, limits, objective=request.objective)
-        off_line = place(motion, waypoints[:, :n], knots)
-        moved = waypoints.copy()
-        moved[1:-1, :n] = off_line.waypoints[1:-1]  # A and B are held exactly
-        moved_tool_m = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
-        if mean_error(moved_tool_m, A, B) < mean_error(tool_m, A, B):
-            waypoints, knots, tool_m = moved, off_line.knots, moved_tool_m
-    predicted_mm = [float(error(tool_m, A, B)) * 1e3 for error in (mean_error, max_error)]
-    return plan_through(arm, request, waypoints, knots, predicted_mm)
 
 
 def plan_through(

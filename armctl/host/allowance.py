@@ -39,6 +39,7 @@ SHORT_BYTES = 1024
 REST_S = 0.1
 LONG_REST_S = 0.5
 UNPAID_RATE = 40.0
+STOP_IS_SERVED = "`armctl stop` is served regardless, on its own socket"
 
 
 class TokenBucket:
@@ -130,33 +131,26 @@ def make_room(guests: Collection[G], uid: int) -> G | None:
     else:
         return None
     if not victims:
-        raise RequestRefused("BUSY", f"{problem}; close one (`armctl stop` is served regardless, on its own socket)")
+        raise RequestRefused("BUSY", f"{problem}; close one ({STOP_IS_SERVED})")
     return min(victims, key=lambda guest: (guest.in_use, guest.asked, guest.heard_s))
 
 
 def unpaid(size: int) -> RequestRefused:
-    short, long_bytes_s = size // TOKEN_BYTES, USER_LONG_RATE * TOKEN_BYTES
-    return RequestRefused(
-        "RATE_LIMIT",
-        f"a line of {size} bytes is not read: it costs as much as {short} short ones; a connection has "
-        f"{RATE:g} of these a second, and its user {long_bytes_s:.0f} bytes of long lines; wait",
-    )
+    cost = f"it costs as much as {size // TOKEN_BYTES} short ones"
+    rates = f"{RATE:g} of these a second, and its user {USER_LONG_RATE * TOKEN_BYTES:.0f} bytes of long lines"
+    text = f"a line of {size} bytes is not read: {cost}; a connection has {rates}; wait"
+    return RequestRefused("RATE_LIMIT", text)
 
 
 def displaced(victim: str, newcomer: str) -> RequestRefused:
-    return RequestRefused(
-        "BUSY",
-        f"{victim} gives its place to {newcomer}: {USER_PLACES} connections a user or "
-        f"{PLACES} in all are open, and it was silent longest; connect again when there is something to ask",
-    )
+    why = f"{USER_PLACES} connections a user or {PLACES} in all are open, and it was silent longest"
+    remedy = "connect again when there is something to ask"
+    return RequestRefused("BUSY", f"{victim} gives its place to {newcomer}: {why}; {remedy}")
 
 
 def too_often(uid: int) -> RequestRefused:
-    return RequestRefused(
-        "RATE_LIMIT",
-        f"uid {uid} connects more than {COMINGS_RATE:g} times a second; keep a connection, or wait (`armctl stop` is "
-        "served regardless, on its own socket)",
-    )
+    problem = f"uid {uid} connects more than {COMINGS_RATE:g} times a second"
+    return RequestRefused("RATE_LIMIT", f"{problem}; keep a connection, or wait ({STOP_IS_SERVED})")
 
 
 def too_slow(name: str, unfinished: int, within_s: float) -> RequestRefused:

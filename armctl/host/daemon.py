@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import Link, LinkClosed, Ready, StartFailed, StopAsked
+from armctl.control.link import LinkClosed, Ready, StartFailed, StopAsked
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, RequestRefused
 from armctl.files import data_dir, stop_path
 from armctl.host import service_manager
-from armctl.host.pulse import OVERDUE_S, START_S, Pulse, beat
+from armctl.host.pulse import OVERDUE_S, START_S, Heart, Pulse, beat
 from armctl.messages import Reply, TickRecord
 
 if TYPE_CHECKING:
@@ -51,13 +51,10 @@ PATIENT_WAIT_S = 5.0
 logger = logging.getLogger(__name__)
 
 
-class ControlHandle(Protocol):
+class ControlHandle(Heart, Protocol):
     """A control process as its supervisor needs it."""
 
-    @property
-    def link(self) -> Link: ...
     def poll(self) -> int | None: ...
-    def kill(self) -> None: ...
     def terminate(self, timeout_s: float) -> None: ...
 
 

@@ -9,13 +9,10 @@ from armctl.messages import Clear, Command, Hold, Park, Release, Reply, TorqueOn
 
 # Longest wait for the control process's answer to anything but the end of a motion.
 ANSWER_S = 10.0
-# What a commander asks for in one word; each makes the command of a request id.
-COMMANDS: dict[str, Callable[[int], Command]] = {
-    "release": Release,
-    "torque_on": TorqueOn,
-    "park": Park,
-    "clear": Clear,
-}
+# Makes the command of a request id.
+MakeCommand = Callable[[int], Command]
+# What a commander asks for in one word.
+COMMANDS: dict[str, MakeCommand] = {"release": Release, "torque_on": TorqueOn, "park": Park, "clear": Clear}
 
 
 class Exchange:
@@ -54,11 +51,10 @@ class Exchange:
         if future is not None and not future.done():
             future.set_result(reply)
 
-    async def request(self, make: Callable[[int], Command], timeout_s: float | None = ANSWER_S) -> Reply:
+    async def request(self, make: MakeCommand, timeout_s: float | None = ANSWER_S) -> Reply:
         """Send a command and wait for what became of it.
 
         Args:
-            make: The command of a request id.
             timeout_s: Longest wait; None: as long as it takes.
         Raises:
             RequestRefused: it was refused, or the control process died or stayed silent.

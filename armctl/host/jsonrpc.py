@@ -92,10 +92,7 @@ def strict_json(line: bytes) -> object:
         raise ProtocolError(PARSE_ERROR, f"the line is {len(line)} bytes long; {MAX_LINE_BYTES} are allowed")
     try:
         message = json.loads(
-            line.decode("utf-8"),
-            object_pairs_hook=_object_once,
-            parse_float=_finite,
-            parse_constant=_no_constant,
+            line.decode("utf-8"), object_pairs_hook=_object_once, parse_float=_finite, parse_constant=_no_constant
         )
     except (ValueError, RecursionError) as error:
         text = "nested too deeply" if isinstance(error, RecursionError) else str(error)

@@ -11,10 +11,7 @@ from typing import Any, Protocol
 from armctl.errors import IllegalTransition, RequestRefused
 
 # What the commander itself may ask while it holds a lasting lease.
-_DURING = {
-    "teach": frozenset({"release", "torque_on", "clear", "park"}),
-    "jogging": frozenset({"jog"}),
-}
+_DURING = {"teach": frozenset({"release", "torque_on", "clear", "park"}), "jogging": frozenset({"jog"})}
 
 
 class Client(Protocol):

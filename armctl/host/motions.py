@@ -96,9 +96,8 @@ def move_trajectory(
 
 def within_limits(q: Sequence[float], arm: ArmConfig) -> bool:
     """Whether joint positions [rad], shape (joints,), lie within the limits."""
-    return len(q) == len(arm.joints) and all(
-        joint.limits_rad[0] <= position <= joint.limits_rad[1] for position, joint in zip(q, arm.joints, strict=True)
-    )
+    limits_rad = [joint.limits_rad for joint in arm.joints]
+    return len(q) == len(limits_rad) and all(low <= at <= high for at, (low, high) in zip(q, limits_rad, strict=True))
 
 
 def move_result(done: Done, robot: Robot) -> dict[str, Any]:

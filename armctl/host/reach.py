@@ -79,10 +79,9 @@ def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:
     def align(place: int) -> Leg:
         return lambda q_now, q_measured: grasp.align(planned[0].path_rad[place], q_now, q_measured, *where)
 
-    act: dict[str, list[Leg]] = {
-        "stay": [],
-        "grip": [lambda q_now, _: grasp.gripping(q_now, *where, closing=True), straight(-1)],
-        "let_go": [lambda q_now, _: grasp.gripping(q_now, *where, closing=False), straight(-1)],
-    }
+    def act(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+        return grasp.gripping(q_now, *where, closing=request.gripper == "grip")
+
     # Twice at the point: the second correction takes what the first one has left.
-    return [approach, align(0), straight(1), align(-1), align(-1), *act[request.gripper]]
+    there = [approach, align(0), straight(1), align(-1), align(-1)]
+    return there if request.gripper == "stay" else [*there, act, straight(-1)]

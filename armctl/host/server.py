@@ -171,22 +171,17 @@ class Method:
     observes: bool = False
 
 
+@dataclass(eq=False)
 class Server:
     """Serves `methods` on a listening Unix socket."""
 
-    def __init__(
-        self,
-        methods: Mapping[str, Method],
-        clock: Clock,
-        on_close: Callable[[Connection], None],
-        may_command: MayCommand,
-        holds_lease: Callable[[Connection], bool] = lambda _: False,
-    ) -> None:
-        self._methods = methods
-        self._holds_lease = holds_lease
-        self._may_command = may_command
-        self._clock = clock
-        self._on_close = on_close
+    methods: Mapping[str, Method]
+    clock: Clock
+    on_close: Callable[[Connection], None]
+    may_command: MayCommand
+    holds_lease: Callable[[Connection], bool] = lambda _: False
+
+    def __post_init__(self) -> None:
         # The oldest first.
         self._connections: dict[Connection, None] = {}
         # By uid; kept, so that nobody gets a new allowance by leaving.
@@ -260,7 +255,7 @@ class Server:
 
     async def _connected(self, peer: socket.socket, user: User) -> None:
         reader, writer = await asyncio.open_unix_connection(sock=peer, limit=jsonrpc.MAX_LINE_BYTES)
-        connection = Connection(writer, self._may_command, self._holds_lease)
+        connection = Connection(writer, self.may_command, self.holds_lease)
         connection.heard_s = now_s = self._now_s()
         try:
             if (victim := make_room(self._connections, connection.uid)) is not None:
@@ -278,7 +273,7 @@ class Server:
                 await self._read(connection, account, reader)
             finally:
                 connection.subscribed = False
-                self._on_close(connection)
+                self.on_close(connection)
             if connection.requests:
                 await asyncio.wait(connection.requests)
             connection.finish()
@@ -301,9 +296,8 @@ class Server:
                 async with asyncio.timeout_at(until_s if until_s < math.inf else None):
                     data = await reader.read(jsonrpc.MAX_LINE_BYTES)
             except TimeoutError:
-                connection.dismiss(
-                    allowance.too_slow(connection.name, len(unfinished), LINE_S if unfinished else IDLE_S)
-                )
+                within_s = LINE_S if unfinished else IDLE_S
+                connection.dismiss(allowance.too_slow(connection.name, len(unfinished), within_s))
                 return
             except ConnectionError:
                 return
@@ -353,27 +347,24 @@ class Server:
         task.add_done_callback(connection.requests.discard)
 
     def _admit(self, connection: Connection, request: Request, paid: bool) -> Method:
-        method = self._methods.get(request.method)
+        method = self.methods.get(request.method)
         if method is None:
-            known = ", ".join(self._methods)
+            known = ", ".join(self.methods)
             raise ProtocolError(jsonrpc.METHOD_NOT_FOUND, f"no method {request.method[:60]!r}; known: {known}")
         if not (connection.commands or method.always or method.observes):
-            raise RequestRefused(
-                "NOT_A_COMMANDER",
-                f"{request.method}: {connection.name} may look, and stop the arm; who may command stands under "
-                "`commanders` in the daemon's configuration",
-            )
+            remedy = "who may command stands under `commanders` in the daemon's configuration"
+            text = f"{request.method}: {connection.name} may look, and stop the arm; {remedy}"
+            raise RequestRefused("NOT_A_COMMANDER", text)
         if not paid and not method.always:
-            raise RequestRefused(
-                "RATE_LIMIT", f"more than {allowance.RATE:g} requests a second; wait (`stop` is served always)"
-            )
+            text = f"more than {allowance.RATE:g} requests a second; wait (`stop` is served always)"
+            raise RequestRefused("RATE_LIMIT", text)
         bound = MAX_ALWAYS_REQUESTS if method.always else MAX_REQUESTS
         if len(connection.requests) >= bound:
             raise RequestRefused("RATE_LIMIT", f"{bound} requests of this client are under way already; wait")
         return method
 
     def _now_s(self) -> float:
-        return self._clock.now_ns() / NS_PER_S
+        return self.clock.now_ns() / NS_PER_S
 
 
 def _parameters(method: Method, request: Request) -> BaseModel:

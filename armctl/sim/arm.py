@@ -177,14 +177,9 @@ class SimulatedArm:
                 if planned.fault.servo_id in (None, servo_id):
                     self._apply_occasion(planned, joint)
             joint.dead_motor = faults.in_force("stuck_joint", servo_id) is not None
-            if not faults.in_force("blocked_joint", servo_id):
-                joint.blocked_rad = None
-            elif joint.blocked_rad is None:
-                joint.blocked_rad = servo.shaft_rad
-            if not faults.in_force("frozen_sensor", servo_id):
-                servo.frozen_tick = None
-            elif servo.frozen_tick is None:
-                servo.frozen_tick = servo.sensed_tick()
+            # A shaft that is held stays where it is, and a sensor that is frozen goes on reading the same.
+            joint.blocked_rad = servo.shaft_rad if faults.in_force("blocked_joint", servo_id) else None
+            servo.frozen_tick = servo.sensed_tick() if faults.in_force("frozen_sensor", servo_id) else None
         sag = faults.in_force("brown_out")
         body.supply_V = self.spec.supply_V if sag is None else sag.amount
         body.update_voltage()

@@ -93,8 +93,7 @@ class Body:
             self._update_gravity()
 
     def _end_chunk(self) -> None:
-        if self.update_voltage():
-            self._changed = True
+        self._changed |= self.update_voltage()
         self.update_temperatures(self.chunk_end - self.chunk_begin)
         self._still, self._changed = not self._changed, False
         self.resting = self._gravity_is_current and self._still and not self.pulled
@@ -127,12 +126,12 @@ class Body:
         for joint in self.joints:
             current_A += max(0.0, joint.servo.output * joint.effort) * self.spec.stall_current_A
         voltage_V = max(0.0, self.supply_V - self.spec.supply_ohm * current_A)
-        changed = voltage_V != self.voltage_V
+        if voltage_V == self.voltage_V:
+            return False
         self.voltage_V = voltage_V
-        if changed:
-            for joint in self.joints:
-                joint.servo.voltage_V = voltage_V
-        return changed
+        for joint in self.joints:
+            joint.servo.voltage_V = voltage_V
+        return True
 
     def update_temperatures(self, steps: int) -> None:
         """Bring the temperatures nearer to where the present efforts lead, exponentially."""

@@ -10,7 +10,7 @@ adapter's 62-byte packets.
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
@@ -95,12 +95,9 @@ class SimulatedBus:
 
     def burst_end_ns(self) -> int | None:
         """When the last of the reply bytes arrives that follow one another without a pause; None: there are none."""
-        end_ns: int | None = None
-        for at_ns in self._arrivals_ns:
-            if end_ns is not None and at_ns - end_ns > PAUSE_NS:
-                break
-            end_ns = at_ns
-        return end_ns
+        arrivals_ns = self._arrivals_ns
+        before_pauses = (end_ns for end_ns, begin_ns in pairwise(arrivals_ns) if begin_ns - end_ns > PAUSE_NS)
+        return next(before_pauses, arrivals_ns[-1] if arrivals_ns else None)
 
     def arrival_ns(self, count: int = 1) -> int | None:
         """When so many reply bytes will have arrived at the host; None: fewer are under way."""
@@ -108,15 +105,11 @@ class SimulatedBus:
 
     def transmit(self, now_ns: int) -> bytes:
         """Reply bytes that have arrived at the host by `now_ns`, each handed out once."""
-        arrivals_ns = self._arrivals_ns
-        if not arrivals_ns:
+        if not self._arrivals_ns:
             return b""
-        if arrivals_ns[-1] <= now_ns:
-            arrived, self._replies, self._arrivals_ns = self._replies, b"", ()
-            return arrived
-        count = bisect_right(arrivals_ns, now_ns)
+        count = bisect_right(self._arrivals_ns, now_ns)
         arrived, self._replies = self._replies[:count], self._replies[count:]
-        self._arrivals_ns = arrivals_ns[count:]
+        self._arrivals_ns = self._arrivals_ns[count:]
         return arrived
 
     def _dispatch(self, packet: Packet | BadChecksum, time_ns: int, byte_ns: int) -> None:

@@ -193,8 +193,8 @@ class Controls:
         }
 
     def _truth(self, params: Params) -> Iterator[str]:
-        begin_ns, end_ns = (round(_number(params.get(key), key)) for key in ("begin_ns", "end_ns"))
-        return self._truth_pieces(self._ring.between(begin_ns, end_ns))
+        between_ns = (round(_number(params.get(key), key)) for key in ("begin_ns", "end_ns"))
+        return self._truth_pieces(self._ring.between(*between_ns))
 
     def _truth_pieces(self, samples: list[Sample]) -> Iterator[str]:
         columns: dict[str, Callable[[list[Sample]], list[Any]]] = {
@@ -241,9 +241,8 @@ class SimulatorClient:
             self._socket.connect(self._path)
         except OSError as error:
             self._socket.close()
-            raise PortMissing(
-                f"{path}: no simulator listens here ({error.strerror or error}); start one with `armctl sim --link`"
-            ) from None
+            problem = f"no simulator listens here ({error.strerror or error})"
+            raise PortMissing(f"{path}: {problem}; start one with `armctl sim --link`") from None
         self._stream = self._socket.makefile("rb")
 
     def __enter__(self) -> Self:
@@ -324,5 +323,4 @@ class SimulatorClient:
         answer: dict[str, Any] = json.loads(line)
         if "error" in answer:
             raise RequestRefused("SIMULATOR", answer["error"])
-        result: dict[str, Any] = answer["result"]
-        return result
+        return dict(answer["result"])

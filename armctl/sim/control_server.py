@@ -49,12 +49,11 @@ class ControlServer:
                         raise PortBusy(f"{path}: another simulator runs here; stop it or choose another --link")
                 path.unlink()
             self._listener.bind(str(path))
-        except OSError as error:
+        except (OSError, PortBusy) as error:
             self._listener.close()
+            if isinstance(error, PortBusy):
+                raise
             raise ConfigError(str(path), "", f"cannot listen: {error.strerror}") from None
-        except PortBusy:
-            self._listener.close()
-            raise
         self._listener.listen()
         self._listener.setblocking(False)
 

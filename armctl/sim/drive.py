@@ -79,28 +79,19 @@ class Drive(NamedTuple):
         elif not self.enabled:
             goal_tick = reference_tick  # it stays
         way_tick, step_tick = goal_tick - reference_tick, self.ramp_tick_s * step_s
-        arrival = 0 if way_tick == 0.0 else 1  # at once, unless it has a speed
-        if way_tick != 0.0 and step_tick != 0.0:
-            arrival = math.ceil(abs(way_tick) / step_tick)
+        # At once, unless it has a speed.
+        arrival = math.ceil(abs(way_tick) / step_tick) if step_tick != 0.0 else int(way_tick != 0.0)
         return Ramp(reference_tick, goal_tick, step_tick if way_tick > 0.0 else -step_tick, arrival)
 
 
 def drive_of(registers: Sequence[int]) -> Drive:
     """What the registers of `DRIVING` mean."""
     cw_limit, ccw_limit, max_torque, enabled, *compliance, goal, moving_speed, torque_limit, punch = registers
-    cw_margin, ccw_margin, cw_slope, ccw_slope = compliance
-    limit = min(torque_limit, max_torque) / ax12a.LOAD_MAX
-    rise = 1.0 - punch / ax12a.LOAD_MAX
-    spin = min(max(ax12a.load_ratio(moving_speed), -limit), limit) + 0.0  # which turns -0.0 into 0.0
-    return Drive(
-        enabled=bool(enabled),
-        goal_tick=goal,
-        ramp_tick_s=moving_speed * ax12a.SPEED_UNIT_RAD_S / ax12a.TICK_RAD,
-        output_limit=limit,
-        punch=punch / ax12a.LOAD_MAX,
-        cw_margin=cw_margin,
-        ccw_margin=ccw_margin,
-        cw_gain=rise / ax12a.compliance_slope(cw_slope),
-        ccw_gain=rise / ax12a.compliance_slope(ccw_slope),
-        spin=spin if cw_limit == ccw_limit == 0 else None,
-    )
+    cw_margin, ccw_margin, *slopes = compliance
+    limit, least = min(torque_limit, max_torque) / ax12a.LOAD_MAX, punch / ax12a.LOAD_MAX
+    cw_gain, ccw_gain = ((1.0 - least) / ax12a.compliance_slope(slope) for slope in slopes)
+    ramp_tick_s = moving_speed * ax12a.SPEED_UNIT_RAD_S / ax12a.TICK_RAD
+    spin: float | None = None
+    if cw_limit == ccw_limit == 0:
+        spin = min(max(ax12a.load_ratio(moving_speed), -limit), limit) + 0.0  # which turns -0.0 into 0.0
+    return Drive(bool(enabled), goal, ramp_tick_s, limit, least, cw_margin, ccw_margin, cw_gain, ccw_gain, spin)

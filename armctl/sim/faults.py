@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, TypeAdapter, model_validator
 
 from armctl.config import Frozen, parse_yaml, validate
 from armctl.errors import ConfigError
@@ -54,10 +54,7 @@ class _Kind(Frozen):
 
 
 _TABLE = Path(__file__).with_name("faults.yaml")
-_KINDS = {
-    name: _Kind.model_validate(fields)
-    for name, fields in parse_yaml(_TABLE.read_text(encoding="utf-8"), str(_TABLE)).items()
-}
+_KINDS = TypeAdapter(dict[str, _Kind]).validate_python(parse_yaml(_TABLE.read_text(encoding="utf-8"), str(_TABLE)))
 KINDS: tuple[str, ...] = tuple(_KINDS)
 DESCRIPTIONS: dict[str, str] = {
     name: kind.what + (f" (value: {kind.value.what})" if kind.value else "") for name, kind in _KINDS.items()
@@ -160,13 +157,10 @@ class Planned:
 
     def happens(self) -> bool:
         """Whether it happens on an occasion; counts if so."""
-        fault = self.fault
-        if fault.count is not None and self.struck >= fault.count:
-            return False
-        if fault.probability < 1.0 and self.rng.random() >= fault.probability:
-            return False
-        self.struck += 1
-        return True
+        fault, spent = self.fault, self.fault.count is not None and self.struck >= self.fault.count
+        happens = not spent and (fault.probability >= 1.0 or self.rng.random() < fault.probability)
+        self.struck += happens
+        return happens
 
 
 class Faults:

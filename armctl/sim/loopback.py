@@ -81,10 +81,7 @@ class LoopbackPort(ServoPort):
 
     def _check(self) -> None:
         # Whether it is plugged in is asked first: that may move the arm over faults that began and ended meanwhile.
-        if (
-            not self.is_open
-            or not self._bus.plugged(self.clock.now_ns())
-            or self._bus.arm.faults.unplugs != self._unplugs
-        ):
+        plugged = self.is_open and self._bus.plugged(self.clock.now_ns())
+        if not plugged or self._bus.arm.faults.unplugs != self._unplugs:
             self.closePort()
             raise PortGone("loopback: the port vanished; plug the adapter in again")

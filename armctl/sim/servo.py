@@ -171,11 +171,10 @@ class SimulatedServo:
     def _measure(self, noise_tick: float) -> None:
         """Bring the measured registers up to date."""
         table, enabled = self.table, self.table[_TORQUE_ENABLE_AT] != 0
-        if self.frozen_tick is None:
+        position, speed = self.frozen_tick, 0
+        if position is None:
             position = sensed_tick(self.shaft_rad / TICK_RAD + noise_tick)
             speed = round(self.velocity_rad_s / SPEED_UNIT_RAD_S)
-        else:
-            position, speed = self.frozen_tick, 0
         if not enabled and self._variants.goal_follows_when_limp:
             _GOAL.pack_into(table, _GOAL_AT, position)
         _MEASURED.pack_into(
@@ -224,21 +223,16 @@ class SimulatedServo:
         begin, size = parameters
         if size == 0 or begin + size > ax12a.TABLE_SIZE:
             return ErrorBit.RANGE, b""
-        noise = 0.0
-        if self._noise_tick:
-            noise = self._noise_tick * (next(self._draws) if self.noise is None else self.noise)
-        self._measure(noise)
+        self._measure(self._noise_tick * (next(self._draws) if self.noise is None else self.noise))
         return 0, bytes(self.table[begin : begin + size])
 
     def _write(self, parameters: bytes) -> int:
-        error = refusal(self.table, parameters)
-        if not error:
+        if not (error := refusal(self.table, parameters)):
             self._apply(parameters[0], parameters[1:])
         return error
 
     def _register_write(self, parameters: bytes) -> int:
-        error = refusal(self.table, parameters)
-        if not error:
+        if not (error := refusal(self.table, parameters)):
             self._registered, self.table[_REGISTERED_AT] = parameters, 1
         return error
 
@@ -301,9 +295,7 @@ class SimulatedServo:
     def alarms(self) -> int:
         """Error bits that stand."""
         hottest_degC, lowest_dV, highest_dV = _ALARM_LIMITS.unpack_from(self.table)
-        error = 0
-        if not lowest_dV <= round(self.voltage_V * 10.0) <= highest_dV:
-            error |= _VOLTAGE
+        error = 0 if lowest_dV <= round(self.voltage_V * 10.0) <= highest_dV else _VOLTAGE
         if round(self.temperature_degC) > hottest_degC:
             error |= _OVERHEAT
         return error | _OVERLOAD if self.overloaded else error
