@@ -10,33 +10,9 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import BUS_NOISE, NO_REPLY, PROBE_EVERY, SILENT_MISSES, ServoBus
 from armctl.dynamixel.packet import Instruction, encode_instruction, encode_status
 from armctl.messages import Goal, ServoReading, Write
-from tests.dynamixel.conftest import (
-    ScriptedPort,
-    Spoil,
-    at,
-    bad_checksum,
-    echo,
-    late,
-    lost,
-    sample_next_tick,
-    scripted,
-    these,
-    tick_of,
-    twice,
-)
+from tests.dynamixel.conftest import LOST, SPOILS, ScriptedPort, at, good_after, next_sample, scripted, these, tick_of
 
 READ_STATUS = bytes((ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE))
-SPOILS: dict[str, Spoil] = {
-    "lost": lost,
-    "echo": echo,
-    "too short": lambda request, good: [(0, encode_status(good[2], 0, good[5:-2]))],
-    "too long": lambda request, good: [(0, encode_status(good[2], 0, good[5:-1] + b"\x00"))],
-    "cut": lambda request, good: [(0, good[:-3])],
-    "wrong id": lambda request, good: [(0, encode_status(good[2] + 1, 0, good[5:-1]))],
-    "bad checksum": bad_checksum,
-    "absurd registers": at(16384),
-    "burst": these(b"\x55" * 500),
-}
 
 
 def test_sample_holds_bytes_24_to_49_of_every_servo_fresh(bus: ServoBus, port: ScriptedPort) -> None:
@@ -55,7 +31,7 @@ def test_sample_holds_bytes_24_to_49_of_every_servo_fresh(bus: ServoBus, port: S
 def test_bad_reply_is_repeated_once_and_then_good(bus: ServoBus, port: ScriptedPort, spoil: str) -> None:
     bus.read_sample()
     port.spoils[3] = [SPOILS[spoil]]
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     assert [reading.fresh for reading in sample.servos] == [True] * 6
     assert sample.retries == 1
 
@@ -66,11 +42,11 @@ def test_bad_reply_twice_is_a_stale_reading_that_says_so(bus: ServoBus, port: Sc
     port.place(3, ax12a.PRESENT_TEMPERATURE, 60)
     port.spoils[3] = [SPOILS[spoil]] * 2
     problem = NO_REPLY if spoil == "lost" else BUS_NOISE
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     assert sample.servos[2] == ServoReading(3, first.registers, first.stamp_ns, False, 0, problem)
     assert [reading.fresh for reading in sample.servos] == [True, True, False, True, True, True]
     assert not port.is_using
-    after = sample_next_tick(bus, port).servos[2]
+    after = next_sample(bus, port).servos[2]
     assert after.fresh
     assert ax12a.register_value(ax12a.PRESENT_TEMPERATURE, after.registers) == 60
 
@@ -83,19 +59,19 @@ def test_servo_that_never_answered_has_no_registers_and_no_stamp(bus: ServoBus, 
 def test_silent_servo_costs_at_most_10_ms(bus: ServoBus, port: ScriptedPort) -> None:
     whole_us = bus.read_sample().bus_us
     port.silent = {4}
-    assert sample_next_tick(bus, port).bus_us - whole_us <= 10_000
+    assert next_sample(bus, port).bus_us - whole_us <= 10_000
 
 
 def test_long_silent_servo_is_probed_every_fifth_sample_and_found_again(bus: ServoBus, port: ScriptedPort) -> None:
     port.silent = {4}
     for _ in range(SILENT_MISSES):
-        sample_next_tick(bus, port)
+        next_sample(bus, port)
     port.requests.clear()
     for _ in range(2 * PROBE_EVERY):
-        assert sample_next_tick(bus, port).servos[3].problem == NO_REPLY
+        assert next_sample(bus, port).servos[3].problem == NO_REPLY
     assert port.requests.count(encode_instruction(4, Instruction.READ, READ_STATUS)) == 2
     port.silent = set()
-    found = [sample_next_tick(bus, port).servos[3].fresh for _ in range(PROBE_EVERY + 1)]
+    found = [next_sample(bus, port).servos[3].fresh for _ in range(PROBE_EVERY + 1)]
     assert any(found)
     assert found == sorted(found)  # once back, in every sample
 
@@ -103,25 +79,25 @@ def test_long_silent_servo_is_probed_every_fifth_sample_and_found_again(bus: Ser
 def test_servo_that_answered_anything_else_is_in_the_next_sample(bus: ServoBus, port: ScriptedPort) -> None:
     port.silent = {4}
     for _ in range(SILENT_MISSES + PROBE_EVERY):
-        sample_next_tick(bus, port)
+        next_sample(bus, port)
         port.silent = set()
         assert bus.read(4, ax12a.ID) == 4
-        assert sample_next_tick(bus, port).servos[3].fresh
+        assert next_sample(bus, port).servos[3].fresh
         port.silent = {4}
         for _ in range(SILENT_MISSES):
-            sample_next_tick(bus, port)
+            next_sample(bus, port)
 
 
 def test_wholly_silent_bus_leaves_more_than_half_of_the_tick(bus: ServoBus, port: ScriptedPort) -> None:
     port.silent = set(bus.servo_ids)
-    costs_us = [sample_next_tick(bus, port).bus_us for _ in range(20)]
+    costs_us = [next_sample(bus, port).bus_us for _ in range(20)]
     assert max(costs_us) <= 40_000
     assert max(costs_us[SILENT_MISSES:]) <= 10_000
 
 
 def test_wholly_babbling_bus_fits_the_tick(bus: ServoBus, port: ScriptedPort) -> None:
     port.spoils = {servo_id: [these(b"\x55" * 20_000)] * 99 for servo_id in bus.servo_ids}
-    samples = [sample_next_tick(bus, port) for _ in range(5)]
+    samples = [next_sample(bus, port) for _ in range(5)]
     assert all(reading.problem == BUS_NOISE for sample in samples for reading in sample.servos)
     assert max(sample.bus_us for sample in samples) < 80_000
 
@@ -129,8 +105,8 @@ def test_wholly_babbling_bus_fits_the_tick(bus: ServoBus, port: ScriptedPort) ->
 def test_late_reply_is_drained_and_never_taken_for_the_next_servos(bus: ServoBus, port: ScriptedPort) -> None:
     bus.read_sample()
     port.place(3, ax12a.PRESENT_POSITION, 5)
-    port.spoils[3] = [late(4_200)]
-    sample = sample_next_tick(bus, port)
+    port.spoils[3] = [good_after(4_200)]
+    sample = next_sample(bus, port)
     for reading in sample.servos:
         assert reading.fresh
         assert reading.registers == bytes(port.tables[reading.servo_id][24:50])
@@ -139,7 +115,7 @@ def test_late_reply_is_drained_and_never_taken_for_the_next_servos(bus: ServoBus
 def test_motion_no_servo_can_make_is_noise(bus: ServoBus, port: ScriptedPort) -> None:
     bus.read_sample()
     port.spoils[3] = [at(900)]
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     assert sample.retries == 1
     assert tick_of(sample, 3) == 0
 
@@ -147,7 +123,7 @@ def test_motion_no_servo_can_make_is_noise(bus: ServoBus, port: ScriptedPort) ->
 def test_jump_seen_twice_in_a_row_is_reality(bus: ServoBus, port: ScriptedPort) -> None:
     bus.read_sample()
     port.place(3, ax12a.PRESENT_POSITION, 900)
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     assert sample.retries == 1
     assert sample.servos[2].fresh
     assert tick_of(sample, 3) == 900
@@ -158,10 +134,10 @@ def test_jump_without_retry_left_is_stale_now_and_believed_in_the_next_sample(
 ) -> None:
     bus.read_sample()
     port.place(3, ax12a.PRESENT_POSITION, 900)
-    port.spoils = {1: [lost], 2: [lost]}
-    reading = sample_next_tick(bus, port).servos[2]
+    port.spoils = {1: [LOST], 2: [LOST]}
+    reading = next_sample(bus, port).servos[2]
     assert (reading.fresh, reading.problem) == (False, BUS_NOISE)
-    assert sample_next_tick(bus, port).servos[2].fresh
+    assert next_sample(bus, port).servos[2].fresh
 
 
 @given(step=st.integers(0, 180), start=st.integers(0, 843))
@@ -171,7 +147,7 @@ def test_motion_within_servo_speed_is_never_doubted(step: int, start: int) -> No
     port.place(1, ax12a.PRESENT_POSITION, start)
     bus.read_sample()
     port.place(1, ax12a.PRESENT_POSITION, start + step)
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     assert (sample.servos[0].fresh, sample.retries) == (True, 0)
 
 
@@ -199,7 +175,7 @@ def test_error_byte_is_kept_and_every_bit_named(
     port.errors[2] = ax12a.ErrorBit.OVERHEAT | ax12a.ErrorBit.OVERLOAD
     with caplog.at_level(logging.WARNING):
         reading = bus.read_sample().servos[1]
-        sample_next_tick(bus, port)
+        next_sample(bus, port)
     assert (reading.fresh, reading.error) == (True, 0x24)
     assert [record.getMessage() for record in caplog.records] == ["servo 2: error bits are now: OVERHEAT, OVERLOAD"]
 
@@ -208,9 +184,9 @@ def test_error_byte_is_kept_and_every_bit_named(
 
 
 def test_clean_cycle_throws_away_once(bus: ServoBus, port: ScriptedPort) -> None:
-    sample_next_tick(bus, port)
+    next_sample(bus, port)
     port.flushes = 0
-    sample_next_tick(bus, port)
+    next_sample(bus, port)
     assert port.flushes == 1
     assert bus.write_goal(Goal((512,) * 6, (50,) * 6))
     assert port.flushes == 1
@@ -223,20 +199,20 @@ def test_clean_cycle_throws_away_once(bus: ServoBus, port: ScriptedPort) -> None
 def test_reply_that_comes_twice_is_believed_of_nobody_else(bus: ServoBus, port: ScriptedPort, delay_us: int) -> None:
     for servo_id in bus.servo_ids:
         port.place(servo_id, ax12a.PRESENT_POSITION, 100 * servo_id)
-    sample_next_tick(bus, port)
+    next_sample(bus, port)
     for servo_id in bus.servo_ids:
-        port.spoils[servo_id] = [twice(delay_us)]
+        port.spoils[servo_id] = [good_after(0, delay_us)]
     for _ in range(3):
-        for reading in sample_next_tick(bus, port).servos:
+        for reading in next_sample(bus, port).servos:
             assert ax12a.position_tick(reading.registers) == 100 * reading.servo_id
 
 
 def test_what_comes_between_two_samples_is_thrown_away(bus: ServoBus, port: ScriptedPort) -> None:
-    sample_next_tick(bus, port)
+    next_sample(bus, port)
     old = encode_status(1, 0, bytes(port.tables[1][24:50]))
     port.spoils[6] = [lambda _, good: [(0, good), (20_000, old)]]
-    sample_next_tick(bus, port)
+    next_sample(bus, port)
     port.place(1, ax12a.PRESENT_POSITION, 3)
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     assert sample.retries == 0
     assert tick_of(sample, 1) == 3

@@ -4,12 +4,10 @@ from collections.abc import Callable
 
 import pytest
 
-from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import NO_REPLY, PORT_GONE, ServoBus
-from armctl.errors import PortGone
 from armctl.messages import Goal, Write
-from tests.dynamixel.conftest import ScriptedPort, at, sample_next_tick
+from tests.dynamixel.conftest import ARM, ScriptedPort, at, next_sample
 
 GOAL = Goal((512,) * 6, (50,) * 6)
 TORQUE_ON = Write(1, 24, 1, 1)
@@ -19,9 +17,9 @@ TORQUE_ON = Write(1, 24, 1, 1)
 def test_port_that_vanishes_within_a_sample_is_data(bus: ServoBus, port: ScriptedPort, requests: int) -> None:
     before = bus.read_sample()
     port.gone_after = requests
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     if requests == 6:  # it vanished only after the last answer was in
-        sample = sample_next_tick(bus, port)
+        sample = next_sample(bus, port)
     assert (sample.port_open, bus.is_open, port.is_using) == (False, False, False)
     assert [(reading.fresh, reading.problem) for reading in sample.servos] == [(False, PORT_GONE)] * 6
     assert all(new.stamp_ns >= old.stamp_ns > 0 for new, old in zip(sample.servos, before.servos, strict=True))
@@ -32,16 +30,12 @@ def test_port_that_vanishes_while_draining_closes_the_bus(
 ) -> None:
     bus.read_sample()
     port.spoils[1] = [at(16384)]
-
-    def gone(*_: float) -> int:
-        raise PortGone("scripted: the port vanished; plug the adapter in again")
-
-    monkeypatch.setattr(port, "drain", gone)
-    assert not sample_next_tick(bus, port).port_open
+    monkeypatch.setattr(port, "drain", lambda *_: port.check(gone=True))
+    assert not next_sample(bus, port).port_open
     assert not bus.is_open
 
 
-def test_closed_bus_answers_everything_with_data(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
+def test_closed_bus_answers_everything_with_data(bus: ServoBus, port: ScriptedPort) -> None:
     bus.close()
     assert not bus.read_sample().port_open
     assert not bus.write_goal(GOAL)
@@ -49,7 +43,7 @@ def test_closed_bus_answers_everything_with_data(bus: ServoBus, port: ScriptedPo
     assert bus.read(1, ax12a.MODEL) is None
     assert bus.read_block(1, 0, 3).problem == PORT_GONE
     assert not bus.answers_twice(1)
-    assert [problem.code for problem in bus.identify(arm.joints)] == [PORT_GONE]
+    assert [problem.code for problem in bus.identify(ARM.joints)] == [PORT_GONE]
     assert port.requests == []
 
 
@@ -59,19 +53,19 @@ def test_reopened_bus_reads_again(bus: ServoBus, port: ScriptedPort) -> None:
     bus.read_sample()
     bus.close()
     bus.open()
-    sample = sample_next_tick(bus, port)
+    sample = next_sample(bus, port)
     assert sample.port_open
     assert all(reading.fresh for reading in sample.servos)
 
 
-def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
+def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ServoBus, port: ScriptedPort) -> None:
     calls: list[Callable[[], object]] = [
         bus.read_sample,
         lambda: bus.write_goal(GOAL),
         lambda: bus.write(TORQUE_ON),
         lambda: bus.read(1, ax12a.GOAL),
         lambda: bus.answers_twice(1),
-        lambda: bus.identify(arm.joints),
+        lambda: bus.identify(ARM.joints),
     ]
     for call in calls:
         bus.open()
