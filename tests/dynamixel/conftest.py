@@ -140,34 +140,29 @@ class ScriptedPort(ServoPort):
         self.tables[servo_id][register.address : end] = value.to_bytes(register.size, "little")
 
 
-def scripted(*servo_ids: int) -> tuple[ScriptedPort, ServoBus]:
-    """A line with these servos, and its bus, open."""
-    port = ScriptedPort(servo_ids, VirtualClock())
-    bus = ServoBus(port, servo_ids)
-    bus.open()
-    return port, bus
+class ScriptedBus(ServoBus):
+    """Over a line with these servos, open."""
+
+    port: ScriptedPort
+
+    def __init__(self, *servo_ids: int) -> None:
+        super().__init__(ScriptedPort(servo_ids, VirtualClock()), servo_ids)
+        self.open()
+
+    def next_sample(self) -> Sample:
+        """That of the next tick."""
+        self.port.virtual_clock.advance_ns(TICK_NS)
+        return self.read_sample()
 
 
 @pytest.fixture
-def bus() -> ServoBus:
+def bus() -> ScriptedBus:
     """Of servos whose angle limits are those of the arm."""
-    port, bus = scripted(*ARM.servo_ids)
+    bus = ScriptedBus(*ARM.servo_ids)
     for joint in ARM.joints:
         for register, limit in zip((ax12a.CW_LIMIT, ax12a.CCW_LIMIT), joint.limits_tick, strict=True):
-            port.place(joint.servo_id, register, limit)
+            bus.port.place(joint.servo_id, register, limit)
     return bus
-
-
-@pytest.fixture
-def port(bus: ServoBus) -> ScriptedPort:
-    assert isinstance(bus.port, ScriptedPort)
-    return bus.port
-
-
-def next_sample(bus: ServoBus, port: ScriptedPort) -> Sample:
-    """That of the next tick."""
-    port.virtual_clock.advance_ns(TICK_NS)
-    return bus.read_sample()
 
 
 def tick_of(sample: Sample, servo_id: int) -> int:

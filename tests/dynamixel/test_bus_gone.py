@@ -5,37 +5,35 @@ from collections.abc import Callable
 import pytest
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import NO_REPLY, PORT_GONE, ServoBus
+from armctl.dynamixel.bus import NO_REPLY, PORT_GONE
 from armctl.messages import Goal, Write
-from tests.dynamixel.conftest import ARM, ScriptedPort, at, next_sample
+from tests.dynamixel.conftest import ARM, ScriptedBus, at
 
 GOAL = Goal((512,) * 6, (50,) * 6)
 TORQUE_ON = Write(1, 24, 1, 1)
 
 
 @pytest.mark.parametrize("requests", range(7))
-def test_port_that_vanishes_within_a_sample_is_data(bus: ServoBus, port: ScriptedPort, requests: int) -> None:
+def test_port_that_vanishes_within_a_sample_is_data(bus: ScriptedBus, requests: int) -> None:
     before = bus.read_sample()
-    port.gone_after = requests
-    sample = next_sample(bus, port)
+    bus.port.gone_after = requests
+    sample = bus.next_sample()
     if requests == 6:  # it vanished only after the last answer was in
-        sample = next_sample(bus, port)
-    assert (sample.port_open, bus.is_open, port.is_using) == (False, False, False)
+        sample = bus.next_sample()
+    assert (sample.port_open, bus.is_open, bus.port.is_using) == (False, False, False)
     assert [(reading.fresh, reading.problem) for reading in sample.servos] == [(False, PORT_GONE)] * 6
     assert all(new.stamp_ns >= old.stamp_ns > 0 for new, old in zip(sample.servos, before.servos, strict=True))
 
 
-def test_port_that_vanishes_while_draining_closes_the_bus(
-    bus: ServoBus, port: ScriptedPort, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_port_that_vanishes_while_draining_closes_the_bus(bus: ScriptedBus, monkeypatch: pytest.MonkeyPatch) -> None:
     bus.read_sample()
-    port.spoils[1] = [at(16384)]
-    monkeypatch.setattr(port, "drain", lambda *_: port.check(gone=True))
-    assert not next_sample(bus, port).port_open
+    bus.port.spoils[1] = [at(16384)]
+    monkeypatch.setattr(bus.port, "drain", lambda *_: bus.port.check(gone=True))
+    assert not bus.next_sample().port_open
     assert not bus.is_open
 
 
-def test_closed_bus_answers_everything_with_data(bus: ServoBus, port: ScriptedPort) -> None:
+def test_closed_bus_answers_everything_with_data(bus: ScriptedBus) -> None:
     bus.close()
     assert not bus.read_sample().port_open
     assert not bus.write_goal(GOAL)
@@ -44,21 +42,21 @@ def test_closed_bus_answers_everything_with_data(bus: ServoBus, port: ScriptedPo
     assert bus.read_block(1, 0, 3).problem == PORT_GONE
     assert not bus.answers_twice(1)
     assert [problem.code for problem in bus.identify(ARM.joints)] == [PORT_GONE]
-    assert port.requests == []
+    assert bus.port.requests == []
 
 
-def test_reopened_bus_reads_again(bus: ServoBus, port: ScriptedPort) -> None:
+def test_reopened_bus_reads_again(bus: ScriptedBus) -> None:
     bus.read_sample()
-    port.gone_after = 0
+    bus.port.gone_after = 0
     bus.read_sample()
     bus.close()
     bus.open()
-    sample = next_sample(bus, port)
+    sample = bus.next_sample()
     assert sample.port_open
     assert all(reading.fresh for reading in sample.servos)
 
 
-def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ServoBus, port: ScriptedPort) -> None:
+def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ScriptedBus) -> None:
     calls: list[Callable[[], object]] = [
         bus.read_sample,
         lambda: bus.write_goal(GOAL),
@@ -69,24 +67,24 @@ def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ServoBus, port
     ]
     for call in calls:
         bus.open()
-        port.gone_after = 0
+        bus.port.gone_after = 0
         call()
-        assert (port.is_using, bus.is_open) == (False, False)
+        assert (bus.port.is_using, bus.is_open) == (False, False)
 
 
 def test_unexpected_error_in_the_transport_leaves_is_using_false(
-    bus: ServoBus, port: ScriptedPort, monkeypatch: pytest.MonkeyPatch
+    bus: ScriptedBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as broken:
-        broken.setattr(port, "_fill", None)
+        broken.setattr(bus.port, "_fill", None)
         with pytest.raises(TypeError):
             bus.read_sample()
-    assert not port.is_using
+    assert not bus.port.is_using
     assert bus.read_sample().servos[0].fresh
 
 
-def test_line_that_takes_no_bytes_is_no_reply(bus: ServoBus, port: ScriptedPort) -> None:
-    port.stuck = True
+def test_line_that_takes_no_bytes_is_no_reply(bus: ScriptedBus) -> None:
+    bus.port.stuck = True
     assert {reading.problem for reading in bus.read_sample().servos} == {NO_REPLY}
     assert not bus.write_goal(GOAL)
     assert bus.is_open
