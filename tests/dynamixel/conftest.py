@@ -5,7 +5,6 @@ from collections.abc import Callable
 import pytest
 
 from armctl.clock import VirtualClock
-from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import encode_status
@@ -14,6 +13,7 @@ from armctl.errors import PortGone
 from armctl.files import load_arm
 from armctl.messages import Sample
 
+ARM = load_arm("ax12-line")
 BYTE_NS = 10_000
 TICK_NS = 100_000_000
 
@@ -33,7 +33,8 @@ class Line(ServoPort):
     """Answers with the same bytes whatever it is asked, one right behind the other, and notes what it was asked."""
 
     def __init__(self, answer: bytes = b"", baud: int = 1_000_000, clock: VirtualClock | None = None) -> None:
-        super().__init__("line", baud, clock or VirtualClock())
+        self.virtual_clock = clock or VirtualClock()
+        super().__init__("line", baud, self.virtual_clock)
         self.left, self.sent = answer, b""
 
     def openPort(self) -> bool:
@@ -96,7 +97,7 @@ class ScriptedPort(ServoPort):
         return sum(at_ns <= self.clock.now_ns() for at_ns, _ in self._line)
 
     def _fill(self, length: int) -> None:
-        self._check(self.gone_after == 0)
+        self.check(self.gone_after == 0)
         missing = length - len(self._received)
         due_ns = self._line[missing - 1][0] if len(self._line) >= missing else self._deadline_ns
         self.clock.sleep_until_ns(min(due_ns, self._deadline_ns))
@@ -107,22 +108,19 @@ class ScriptedPort(ServoPort):
     def _send(self, packet: bytes) -> int:
         if self.gone_after is not None:
             self.gone_after -= 1
-            self._check(self.gone_after < 0)
+            self.check(self.gone_after < 0)
         if self.stuck:
             return 0
         self.requests.append(packet)
         good = self._reply(packet)
-        arrivals = [(0, good)] if good else []
-        if queue := self.spoils.get(packet[2]):
-            arrivals = queue.pop(0)(packet, good)
+        queue = self.spoils.get(packet[2])
         at_ns = self.clock.now_ns() + len(packet) * BYTE_NS + 500_000 + self.adapter_us * 1000
-        for delay_us, data in arrivals:
-            for index, byte in enumerate(data):
-                self._line.append((at_ns + delay_us * 1000 + (index + 1) * BYTE_NS, byte))
+        for delay_us, data in queue.pop(0)(packet, good) if queue else [(0, good)]:
+            self._line += [(at_ns + delay_us * 1000 + index * BYTE_NS, byte) for index, byte in enumerate(data, 1)]
         self._line.sort(key=lambda item: item[0])
         return len(packet)
 
-    def _check(self, gone: bool) -> None:
+    def check(self, gone: bool) -> None:
         if gone:
             raise PortGone("scripted: the port vanished; plug the adapter in again")
 
@@ -142,38 +140,29 @@ class ScriptedPort(ServoPort):
         self.tables[servo_id][register.address : end] = value.to_bytes(register.size, "little")
 
 
-def scripted(*servo_ids: int) -> tuple[ScriptedPort, ServoBus]:
-    """A line with these servos, and its bus, open."""
-    port = ScriptedPort(servo_ids, VirtualClock())
-    bus = ServoBus(port, servo_ids)
-    bus.open()
-    return port, bus
+class ScriptedBus(ServoBus):
+    """Over a line with these servos, open."""
+
+    port: ScriptedPort
+
+    def __init__(self, *servo_ids: int) -> None:
+        super().__init__(ScriptedPort(servo_ids, VirtualClock()), servo_ids)
+        self.open()
+
+    def next_sample(self) -> Sample:
+        """That of the next tick."""
+        self.port.virtual_clock.advance_ns(TICK_NS)
+        return self.read_sample()
 
 
 @pytest.fixture
-def arm() -> ArmConfig:
-    return load_arm("ax12-line")
-
-
-@pytest.fixture
-def bus(arm: ArmConfig) -> ServoBus:
+def bus() -> ScriptedBus:
     """Of servos whose angle limits are those of the arm."""
-    port, bus = scripted(*arm.servo_ids)
-    for joint in arm.joints:
+    bus = ScriptedBus(*ARM.servo_ids)
+    for joint in ARM.joints:
         for register, limit in zip((ax12a.CW_LIMIT, ax12a.CCW_LIMIT), joint.limits_tick, strict=True):
-            port.place(joint.servo_id, register, limit)
+            bus.port.place(joint.servo_id, register, limit)
     return bus
-
-
-@pytest.fixture
-def port(bus: ServoBus) -> ScriptedPort:
-    assert isinstance(bus.port, ScriptedPort)
-    return bus.port
-
-
-def sample_next_tick(bus: ServoBus, port: ScriptedPort) -> Sample:
-    port.virtual_clock.advance_ns(TICK_NS)
-    return bus.read_sample()
 
 
 def tick_of(sample: Sample, servo_id: int) -> int:
@@ -184,12 +173,12 @@ def tick_of(sample: Sample, servo_id: int) -> int:
 # --------------------------------------------------------------------------------------- ways to spoil a reply
 
 
-def fine(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
-    return [(0, good)]
+def good_after(*delays_us: int) -> Spoil:
+    """The good reply, once for each delay."""
+    return lambda request, good: [(delay_us, good) for delay_us in delays_us]
 
 
-def lost(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
-    return []
+FINE, LOST = good_after(0), good_after()
 
 
 def echo(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
@@ -200,14 +189,6 @@ def bad_checksum(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
     return [(0, good[:-1] + bytes((good[-1] ^ 1,)))]
 
 
-def late(delay_us: int) -> Spoil:
-    return lambda request, good: [(delay_us, good)]
-
-
-def twice(delay_us: int) -> Spoil:
-    return lambda request, good: [(0, good), (delay_us, good)]
-
-
 def these(data: bytes) -> Spoil:
     """Other bytes in its stead."""
     return lambda request, good: [(0, data)]
@@ -215,11 +196,20 @@ def these(data: bytes) -> Spoil:
 
 def at(position_tick: int) -> Spoil:
     """The status of a servo that claims to be there."""
-    place = slice(5 + ax12a.POSITION_AT, 7 + ax12a.POSITION_AT)
+    begin, end = 5 + ax12a.POSITION_AT, 7 + ax12a.POSITION_AT
+    place = position_tick.to_bytes(2, "little")
+    return lambda request, good: [(0, encode_status(good[2], 0, good[5:begin] + place + good[end:-1]))]
 
-    def spoil(request: bytes, good: bytes) -> list[tuple[int, bytes]]:
-        data = bytearray(good)
-        data[place] = position_tick.to_bytes(2, "little")
-        return [(0, encode_status(good[2], 0, bytes(data[5:-1])))]
 
-    return spoil
+# Every reply that is none.
+SPOILS: dict[str, Spoil] = {
+    "lost": LOST,
+    "echo": echo,
+    "too short": lambda request, good: [(0, encode_status(good[2], 0, good[5:-2]))],
+    "too long": lambda request, good: [(0, encode_status(good[2], 0, good[5:-1] + b"\x00"))],
+    "cut": lambda request, good: [(0, good[:-3])],
+    "wrong id": lambda request, good: [(0, encode_status(good[2] + 1, 0, good[5:-1]))],
+    "bad checksum": bad_checksum,
+    "absurd registers": at(16384),
+    "burst": these(b"\x55" * 500),
+}

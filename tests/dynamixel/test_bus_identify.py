@@ -2,46 +2,44 @@
 
 import pytest
 
-from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
-from armctl.dynamixel.bus import ServoBus
-from tests.dynamixel.conftest import ScriptedPort, Spoil, bad_checksum, echo, fine, late, lost, twice
+from tests.dynamixel.conftest import ARM, FINE, LOST, ScriptedBus, Spoil, bad_checksum, echo, good_after
 
 
-def test_fit_arm_has_no_problems(bus: ServoBus, arm: ArmConfig) -> None:
-    assert bus.identify(arm.joints) == ()
+def the_problem(bus: ScriptedBus, code: str, servo_id: int | None = None) -> str:
+    """What is said of the only one there is."""
+    (problem,) = bus.identify(ARM.joints)
+    assert (problem.code, problem.servo_id) == (code, servo_id)
+    return problem.text
 
 
-def test_missing_servo_is_named_with_its_joint(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
-    port.silent = {3}
-    (problem,) = bus.identify(arm.joints)
-    assert (problem.code, problem.servo_id) == ("SERVO_SILENT", 3)
-    assert problem.text.startswith("servo 3 (elbow): no reply; check")
+def test_fit_arm_has_no_problems(bus: ScriptedBus) -> None:
+    assert bus.identify(ARM.joints) == ()
 
 
-def test_silent_bus_is_one_problem(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
-    port.silent = set(arm.servo_ids)
-    (problem,) = bus.identify(arm.joints)
-    assert problem.code == "BUS_DEAD"
+def test_missing_servo_is_named_with_its_joint(bus: ScriptedBus) -> None:
+    bus.port.silent = {3}
+    assert the_problem(bus, "SERVO_SILENT", 3).startswith("servo 3 (elbow): no reply; check")
+
+
+def test_silent_bus_is_one_problem(bus: ScriptedBus) -> None:
+    bus.port.silent = set(ARM.servo_ids)
+    told = the_problem(bus, "BUS_DEAD")
     for cause in ("not a byte came", "supply", "1000000 baud", "cable"):
-        assert cause in problem.text
+        assert cause in told
     assert bus.read_sample().bus_us <= 40_000  # the generous timeout of identify is over
 
 
-def test_bus_of_garbage_is_one_problem(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
-    port.spoils = {servo_id: [echo] * 9 for servo_id in arm.servo_ids}
-    (problem,) = bus.identify(arm.joints)
-    assert problem.code == "BUS_DEAD"
-    assert "only garbled bytes" in problem.text
+def test_bus_of_garbage_is_one_problem(bus: ScriptedBus) -> None:
+    bus.port.spoils = {servo_id: [echo] * 9 for servo_id in ARM.servo_ids}
+    assert "only garbled bytes" in the_problem(bus, "BUS_DEAD")
 
 
-def test_other_model_is_named_and_its_table_not_judged(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
-    port.place(2, ax12a.MODEL, 18)
-    port.place(2, ax12a.CCW_LIMIT, 1)
-    (problem,) = bus.identify(arm.joints)
-    assert (problem.code, problem.servo_id) == ("WRONG_MODEL", 2)
-    assert "model number 18, wanted 12" in problem.text
+def test_other_model_is_named_and_its_table_not_judged(bus: ScriptedBus) -> None:
+    bus.port.place(2, ax12a.MODEL, 18)
+    bus.port.place(2, ax12a.CCW_LIMIT, 1)
+    assert "model number 18, wanted 12" in the_problem(bus, "WRONG_MODEL", 2)
 
 
 @pytest.mark.parametrize(
@@ -64,75 +62,65 @@ def test_other_model_is_named_and_its_table_not_judged(bus: ServoBus, port: Scri
     ],
 )
 def test_eeprom_that_forbids_motion_is_shown_and_no_other(
-    bus: ServoBus, port: ScriptedPort, arm: ArmConfig, register: Register, value: int, text: str
+    bus: ScriptedBus, register: Register, value: int, text: str
 ) -> None:
-    port.place(3, register, value)
-    problems = bus.identify(arm.joints)
-    assert [(problem.code, problem.servo_id) for problem in problems] == [("EEPROM_MISMATCH", 3)] * bool(text)
-    for problem in problems:
-        assert problem.text.startswith("servo 3 (elbow): ")
-        assert text in problem.text
-        assert "type `armctl servo mend 3 --port scripted`" in problem.text
+    bus.port.place(3, register, value)
+    if not text:
+        assert bus.identify(ARM.joints) == ()
+        return
+    told = the_problem(bus, "EEPROM_MISMATCH", 3)
+    assert told.startswith("servo 3 (elbow): ")
+    assert text in told
+    assert "type `armctl servo mend 3 --port scripted`" in told
 
 
-def test_a_servo_from_the_factory_is_one_problem_that_names_both_missing_walls(
-    bus: ServoBus, port: ScriptedPort, arm: ArmConfig
-) -> None:
+def test_a_servo_from_the_factory_is_one_problem_that_names_both_missing_walls(bus: ScriptedBus) -> None:
     for register in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT):
-        port.place(2, register, register.default)
-    (problem,) = bus.identify(arm.joints)
-    assert (problem.code, problem.servo_id) == ("EEPROM_MISMATCH", 2)
-    assert "cw_angle_limit is 0, wanted 155 to 171; ccw_angle_limit is 1023, wanted 750 to 766" in problem.text
+        bus.port.place(2, register, register.default)
+    told = "cw_angle_limit is 0, wanted 155 to 171; ccw_angle_limit is 1023, wanted 750 to 766"
+    assert told in the_problem(bus, "EEPROM_MISMATCH", 2)
 
 
-@pytest.mark.parametrize("spoils", [[fine, *[twice(400)] * 6], [bad_checksum] * 20], ids=["second reply", "collision"])
-def test_doubled_replies_hint_at_two_servos_with_one_id(
-    bus: ServoBus, port: ScriptedPort, arm: ArmConfig, spoils: list[Spoil]
-) -> None:
-    port.spoils[3] = list(spoils)
-    (problem,) = bus.identify(arm.joints)
-    assert (problem.code, problem.servo_id) == ("DUPLICATE_ID", 3)
-    assert "two servos with this id" in problem.text
+@pytest.mark.parametrize("spoils", [[FINE, *[good_after(0, 400)] * 6], [bad_checksum] * 20], ids=["reply", "collision"])
+def test_doubled_replies_hint_at_two_servos_with_one_id(bus: ScriptedBus, spoils: list[Spoil]) -> None:
+    bus.port.spoils[3] = list(spoils)
+    assert "two servos with this id" in the_problem(bus, "DUPLICATE_ID", 3)
 
 
 @pytest.mark.parametrize("spoiled", [1, 2, 3, 4])
-@pytest.mark.parametrize("spoil", [lost, bad_checksum, late(22_000), late(30_000), late(45_000)])
-def test_a_servo_that_is_misheard_for_a_moment_is_fit(
-    bus: ServoBus, port: ScriptedPort, arm: ArmConfig, spoil: Spoil, spoiled: int
-) -> None:
-    port.spoils[3] = [spoil] * spoiled
-    assert bus.identify(arm.joints) == ()
+@pytest.mark.parametrize("spoil", [LOST, bad_checksum, good_after(22_000), good_after(30_000), good_after(45_000)])
+def test_a_servo_that_is_misheard_for_a_moment_is_fit(bus: ScriptedBus, spoil: Spoil, spoiled: int) -> None:
+    bus.port.spoils[3] = [spoil] * spoiled
+    assert bus.identify(ARM.joints) == ()
     assert all(reading.fresh for reading in bus.read_sample().servos)
 
 
 @pytest.mark.parametrize("delay_us", [22_000, 30_000, 45_000, 70_000])
-def test_replies_that_come_late_for_a_moment_are_no_second_servo(
-    bus: ServoBus, port: ScriptedPort, arm: ArmConfig, delay_us: int
-) -> None:
-    port.spoils[3] = [fine, *[late(delay_us)] * 4]
-    assert bus.identify(arm.joints) == ()
+def test_late_replies_for_a_moment_are_no_second_servo(bus: ScriptedBus, delay_us: int) -> None:
+    bus.port.spoils[3] = [FINE, *[good_after(delay_us)] * 4]
+    assert bus.identify(ARM.joints) == ()
 
 
-def test_an_adapter_that_is_slow_now_and_then_is_fit(bus: ServoBus, port: ScriptedPort, arm: ArmConfig) -> None:
-    port.spoils = {servo_id: [late(12_000)] for servo_id in arm.servo_ids[1:]}
-    port.spoils[arm.servo_ids[0]] = [late(12_000), fine] * 2
-    assert bus.identify(arm.joints) == ()
-    assert port._latency_ms <= 8.0
+def test_an_adapter_that_is_slow_now_and_then_is_fit(bus: ScriptedBus) -> None:
+    bus.port.spoils = {servo_id: [good_after(12_000)] for servo_id in ARM.servo_ids[1:]}
+    bus.port.spoils[ARM.servo_ids[0]] = [good_after(12_000), FINE] * 2
+    assert bus.identify(ARM.joints) == ()
+    assert bus.port._latency_ms <= 8.0
 
 
 @pytest.mark.parametrize(("adapter_us", "codes"), [(16_000, ["SLOW_ADAPTER"]), (2_000, [])])
 def test_slow_adapter_is_told_from_a_usual_one_and_from_a_dead_bus_and_still_read(
-    bus: ServoBus, port: ScriptedPort, arm: ArmConfig, adapter_us: int, codes: list[str]
+    bus: ScriptedBus, adapter_us: int, codes: list[str]
 ) -> None:
-    port.adapter_us = adapter_us
-    problems = bus.identify(arm.joints)
+    bus.port.adapter_us = adapter_us
+    problems = bus.identify(ARM.joints)
     assert [problem.code for problem in problems] == codes
     assert all("adds 16.0 ms" in problem.text and "latency_timer" in problem.text for problem in problems)
     assert all(reading.fresh for reading in bus.read_sample().servos)
 
 
-def test_colliding_replies_answer_twice_and_others_do_not(bus: ServoBus, port: ScriptedPort) -> None:
-    port.spoils[3] = [bad_checksum] * 6
+def test_colliding_replies_answer_twice_and_others_do_not(bus: ScriptedBus) -> None:
+    bus.port.spoils[3] = [bad_checksum] * 6
     assert bus.answers_twice(3)
     assert not bus.answers_twice(2)
     assert not bus.answers_twice(77)

@@ -1,25 +1,18 @@
 """Protocol 1.0 packets: laws of the codec, and equality with ROBOTIS' own bytes."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import dynamixel_sdk
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.dynamixel.packet import (
-    BROADCAST_ID,
-    MAX_LENGTH,
-    BadChecksum,
-    Decoder,
-    Instruction,
-    Packet,
-    encode_instruction,
-    encode_status,
-)
+from armctl.dynamixel import packet as module
+from armctl.dynamixel.packet import BadChecksum, Decoder, Instruction, Packet, encode_instruction, encode_status
 from tests.dynamixel.conftest import Line
 
-packets = st.builds(Packet, st.integers(0, BROADCAST_ID), st.integers(0, 255), st.binary(max_size=40))
+packets = st.builds(Packet, st.integers(0, module.BROADCAST_ID), st.integers(0, 255), st.binary(max_size=40))
 garbage = st.binary(max_size=20).map(lambda data: data.replace(b"\xff", b"\x00"))
 
 
@@ -49,9 +42,7 @@ def test_result_depends_on_the_bytes_and_not_on_their_cuts(stream: bytes, data: 
     stream = bytes((0xFF, 0xFF, 1, 2, 3, byte)[byte % 6] for byte in stream)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     decoder = Decoder()
-    found = [
-        event for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True) for event in decoder.feed(stream[a:b])
-    ]
+    found = [event for a, b in pairwise([0, *cuts, len(stream)]) for event in decoder.feed(stream[a:b])]
     assert found == Decoder().feed(stream)
 
 
@@ -118,7 +109,7 @@ def test_memory_is_bounded(pieces: list[bytes]) -> None:
     decoder = Decoder()
     for piece in pieces:
         decoder.feed(piece)
-        assert len(decoder._buffer) < MAX_LENGTH + 4
+        assert len(decoder._buffer) < module.MAX_LENGTH + 4
 
 
 @pytest.mark.parametrize(

@@ -1,81 +1,45 @@
-"""SerialPort on real pseudo terminals, and the timing every ServoPort shares."""
+"""The timing every ServoPort shares, its short cut past the SDK's loops, and ports that do not open."""
 
 import errno
-import fcntl
 import grp
 import os
-import select
-import subprocess
-import sys
-import termios
-import threading
-import time
-import tty
-from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import serial
-from hypothesis import given
+from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from armctl.clock import Clock, MonotonicClock, VirtualClock
-from armctl.dynamixel.bus import ServoBus
-from armctl.dynamixel.kernel_worker import KernelWorker
+from armctl.clock import MonotonicClock, VirtualClock
+from armctl.dynamixel import port as module
+from armctl.dynamixel.packet import Instruction, encode_instruction, encode_status
 from armctl.dynamixel.port import ServoPort
 from armctl.dynamixel.serial_port import SerialPort
-from armctl.errors import PortBusy, PortMissing
-from armctl.messages import Goal
+from armctl.errors import PortMissing
 from tests.dynamixel.conftest import Line
 
 BAUD = 1_000_000
-
-
-class Pty:
-    """A pseudo terminal whose master side the test plays."""
-
-    def __init__(self) -> None:
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.slave)
-        self.path = os.ttyname(self.slave)
-
-    def unplug(self) -> None:
-        for fd in (self.slave, self.master):
-            if fd >= 0:
-                os.close(fd)
-        self.master = self.slave = -1
-
-
-@pytest.fixture
-def pty() -> Iterator[Pty]:
-    pty = Pty()
-    yield pty
-    pty.unplug()
-
-
-@pytest.fixture
-def port(pty: Pty) -> Iterator[SerialPort]:
-    port = SerialPort(pty.path, BAUD, MonotonicClock())
-    port.openPort()
-    yield port
-    port.closePort()
+READ = encode_instruction(1, Instruction.READ, bytes((24, 26)))
 
 
 # ----------------------------------------------------------------------------------------------------- timing
 
 
+def is_over(line: Line, *after_ns: int) -> Iterator[bool]:
+    """Whether the time for a reply is over so much later, and so much later still."""
+    for ns in after_ns:
+        line.virtual_clock.advance_ns(ns)
+        yield line.isPacketTimeout()
+
+
 def test_status_read_is_waited_for_about_5_ms() -> None:
-    clock = VirtualClock()
-    port = Line(b"", BAUD, clock)
-    port.writePort([0] * 8)
-    port.setPacketTimeout(32)
-    clock.advance_ns(4_400_000)
-    assert not port.isPacketTimeout()
-    clock.advance_ns(100_000)
-    assert port.isPacketTimeout()
-    assert port.isPacketTimeout()
+    line = Line()
+    line.writePort([0] * 8)
+    line.setPacketTimeout(32)
+    assert [*is_over(line, 4_400_000, 100_000, 0)] == [False, True, True]
 
 
 @given(
@@ -88,27 +52,19 @@ def test_status_read_is_waited_for_about_5_ms() -> None:
 def test_timeout_covers_wire_return_delay_and_adapter(
     baud: int, request: int, reply: int, delay_us: float, latency_ms: float
 ) -> None:
-    clock = VirtualClock()
-    port = Line(b"", baud, clock)
-    port.allow_latency(latency_ms)
-    port.writePort([0] * request)
-    port.setPacketTimeout(reply)
+    line = Line(baud=baud)
+    line.allow_latency(latency_ms)
+    line.writePort([0] * request)
+    line.setPacketTimeout(reply)
     needed_ns = round((request + reply) * 1e10 / baud + delay_us * 1e3 + latency_ms * 1e6)
-    clock.advance_ns(needed_ns)
-    assert not port.isPacketTimeout()
-    clock.advance_ns(2_600_000)
-    assert port.isPacketTimeout()
+    assert [*is_over(line, needed_ns, 2_600_000)] == [False, True]
 
 
 def test_timeout_in_milliseconds_is_exact_and_by_the_clock() -> None:
-    clock = VirtualClock(start_ns=10**15 + 7)
-    port = Line(b"", BAUD, clock)
-    assert port.getCurrentTime() == pytest.approx(1e9)
-    port.setPacketTimeoutMillis(3)
-    clock.advance_ns(2_999_999)
-    assert not port.isPacketTimeout()
-    clock.advance_ns(1)
-    assert port.isPacketTimeout()
+    line = Line(clock=VirtualClock(start_ns=10**15 + 7))
+    assert line.getCurrentTime() == pytest.approx(1e9)
+    line.setPacketTimeoutMillis(3)
+    assert [*is_over(line, 2_999_999, 1)] == [False, True]
 
 
 def test_transport_that_misses_part_of_the_contract_is_no_port() -> None:
@@ -138,11 +94,7 @@ def test_no_permission_names_the_group(monkeypatch: pytest.MonkeyPatch, tmp_path
     path = tmp_path / "tty"
     path.write_text("")
     os.chown(path, -1, os.getgid())
-
-    def refuse(*args: Any, **kwargs: Any) -> None:
-        raise serial.SerialException(errno.EACCES, "could not open port")
-
-    monkeypatch.setattr(serial, "Serial", refuse)
+    monkeypatch.setattr(serial, "Serial", Mock(side_effect=serial.SerialException(errno.EACCES, "could not open port")))
     with pytest.raises(PortMissing, match=r"no permission; it belongs to group (\S+): sudo usermod -aG \1 "):
         SerialPort(str(path), BAUD, MonotonicClock()).openPort()
     monkeypatch.setattr(grp, "getgrgid", {}.__getitem__)
@@ -151,232 +103,44 @@ def test_no_permission_names_the_group(monkeypatch: pytest.MonkeyPatch, tmp_path
 
 
 def test_baud_rate_the_adapter_refuses_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*args: Any, **kwargs: Any) -> None:
-        raise ValueError("Failed to set custom baud rate (12345)")
-
-    monkeypatch.setattr(serial, "Serial", refuse)
+    monkeypatch.setattr(serial, "Serial", Mock(side_effect=ValueError("Failed to set custom baud rate (12345)")))
     with pytest.raises(PortMissing, match="cannot do 12345 baud"):
         SerialPort("/dev/null", 12_345, MonotonicClock()).openPort()
 
 
-@pytest.mark.parametrize(("flags", "low_latency"), [(0x2000, True), (0, False)])
-def test_low_latency_is_read_back_from_the_driver(
-    monkeypatch: pytest.MonkeyPatch, port: SerialPort, flags: int, low_latency: bool
-) -> None:
-    def driver(fd: int, request: int, state: "array[int]") -> None:
-        if request == termios.TIOCGSERIAL:
-            state[4] = flags
-
-    assert port.ser is not None
-    monkeypatch.setattr(fcntl, "ioctl", driver)
-    assert port._ask_low_latency(port.ser) is low_latency
+# ---------------------------------------------------------- what the SDK gives, at the same instant, whatever comes
 
 
-@pytest.mark.pty
-def test_pty_opens_without_low_latency(port: SerialPort) -> None:
-    assert port.is_open
-    assert port.low_latency is None
+def by_sdk(line: Line) -> tuple[bytes, int]:
+    packet, result, _ = Protocol1PacketHandler().txRxPacket(line, list(READ))
+    return bytes(packet), result
 
 
-@pytest.mark.pty
-def test_port_held_by_another_process_is_free_again_when_that_is_killed(pty: Pty) -> None:
-    code = (
-        "import sys, time; from armctl.clock import MonotonicClock\n"
-        "from armctl.dynamixel.serial_port import SerialPort\n"
-        f"port = SerialPort({pty.path!r}, {BAUD}, MonotonicClock()); port.openPort(); print('open', flush=True)\n"
-        "time.sleep(60)"
-    )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"open\n"
-        port = SerialPort(pty.path, BAUD, MonotonicClock())
-        with pytest.raises(PortBusy, match=rf"in use by .*\(pid {process.pid}\)"):
-            port.openPort()
-        process.kill()
-    port.openPort()
-    port.closePort()
-    mark = array("i", [1])
-    fcntl.ioctl(pty.slave, 0x80045440, mark)  # TIOCGEXCL
-    assert mark[0] == 0, "an exclusive mark would outlive a killed owner and lock out everybody but root"
+def outcome(answer: bytes, ask: Callable[[Line], tuple[bytes, int]]) -> tuple[object, ...]:
+    line = Line(answer)
+    packet, result = ask(line)
+    good = packet if result == COMM_SUCCESS else b""
+    still_there = line._received + line.left
+    return good, result, line.sent, line.clock.now_ns(), line.heard, still_there, line.is_using
 
 
-@pytest.mark.pty
-def test_opening_again_and_changing_baud_leak_no_descriptors(port: SerialPort) -> None:
-    before = len(os.listdir("/proc/self/fd"))
-    for _ in range(5):
-        port.openPort()
-        port.setBaudRate(57_600)
-    assert len(os.listdir("/proc/self/fd")) == before
-    assert port.byte_ns == 173_611
-    port.closePort()
-    port.closePort()
-    assert len(os.listdir("/proc/self/fd")) < before
+byte = st.integers(0, 255)
+parameters = st.binary(max_size=26) | st.binary(max_size=244)
+statuses = st.builds(encode_status, st.sampled_from([0, 1, 2, 253]), byte, parameters)
+places = st.integers(0, 40)
+damaged = st.builds(lambda data, at, wrong: data[:at] + bytes((wrong,)) + data[at + 1 :], statuses, places, byte)
+junk = st.sampled_from([b"\xff\xff", b"\xff\xff\x01\xfa\x00" * 40])
+pieces = st.one_of(statuses, damaged, st.binary(max_size=20), junk)
 
 
-# -------------------------------------------------------------------------------------------- reading, writing
+@given(answer=st.lists(pieces, max_size=4).map(b"".join), cut=st.integers(0, 400))
+@example(answer=encode_status(2, 0, bytes(244)) + encode_status(1, 0, bytes(26)), cut=400)  # more than is heard
+@settings(max_examples=400)
+def test_every_answer_is_taken_as_the_sdk_takes_it(answer: bytes, cut: int) -> None:
+    assert outcome(answer[:cut], lambda line: line.ask(READ, 32)) == outcome(answer[:cut], by_sdk)
 
 
-@pytest.mark.pty
-def test_waiting_for_a_reply_burns_no_cpu_and_ends_at_the_deadline(port: SerialPort) -> None:
-    begin_s, begin_cpu_s = time.monotonic(), time.thread_time()
-    port.setPacketTimeoutMillis(100)
-    assert port.readPort(6) == b""
-    assert port.isPacketTimeout()
-    assert time.monotonic() - begin_s >= 0.1
-    assert time.thread_time() - begin_cpu_s < 0.02
-
-
-class ScriptedWorker(KernelWorker):
-    """A kernel's worker with these delays [ns]; whenever it is looked at, it hands `late` on."""
-
-    def __init__(self, pty: Pty, *delays_ns: int, late: bytes = b"") -> None:
-        self.delays_ns, self.looks = delays_ns, 0
-        self._pty, self._late = pty, late
-
-    def delay_ns(self, clock: Clock, until_ns: int) -> int:
-        if self._late:
-            os.write(self._pty.master, self._late)
-            assert select.select([self._pty.slave], [], [], 10.0)[0]
-        self.looks += 1
-        return self.delays_ns[self.looks - 1]
-
-
-LATE_NS = 5_000_000
-PATIENT_NS = 60_000_000_000
-
-
-def await_reply(port: SerialPort, worker: ScriptedWorker, patience_ns: int = PATIENT_NS) -> bytes:
-    port._worker = worker
-    port.begin_round(patience_ns)
-    port.setPacketTimeout(5)
-    return port.readPort(5)
-
-
-@pytest.mark.pty
-def test_a_reply_that_the_kernel_keeps_back_is_waited_for_once_more(pty: Pty, port: SerialPort) -> None:
-    worker = ScriptedWorker(pty, LATE_NS, *(0,) * 9, late=b"reply")
-    assert await_reply(port, worker) == b"reply"
-
-
-@pytest.mark.pty
-@pytest.mark.parametrize(
-    ("delays_ns", "looks"),
-    [((0, 0), (1, 2)), ((LATE_NS, 0, 0, 0, 0), (3, 5))],
-    ids=["where the kernel keeps up it costs no more", "behind a late worker each is waited for once more"],
-)
-def test_a_silent_servo_is_waited_for_as_the_kernel_keeps_up(
-    pty: Pty, port: SerialPort, delays_ns: tuple[int, ...], looks: tuple[int, int]
-) -> None:
-    worker = ScriptedWorker(pty, *delays_ns)
-    for looks_so_far in looks:
-        assert await_reply(port, worker) == b""
-        assert port.isPacketTimeout()
-        assert worker.looks == looks_so_far
-
-
-@pytest.mark.pty
-def test_what_the_kernel_keeps_back_is_drained_too(pty: Pty, port: SerialPort) -> None:
-    port._worker = worker = ScriptedWorker(pty, LATE_NS, *(0,) * 9, late=b"late")
-    port.begin_round(PATIENT_NS)
-    assert port.drain() >= 4
-    assert worker.looks >= 2
-
-
-class HeldUpClock(MonotonicClock):
-    """Of a machine that can stand still."""
-
-    stood_still_ns = 0
-
-    def now_ns(self) -> int:
-        return super().now_ns() + self.stood_still_ns
-
-
-@pytest.mark.pty
-@pytest.mark.parametrize(("still_ms", "reply"), [(60, b"reply"), (0, b"")])
-def test_a_reply_is_waited_for_once_more_where_nothing_was_run_meanwhile(
-    pty: Pty, monkeypatch: pytest.MonkeyPatch, still_ms: int, reply: bytes
-) -> None:
-    port = SerialPort(pty.path, BAUD, clock := HeldUpClock())
-    port.openPort()
-    wait, ends = select.select, 0
-
-    def stand_still(*what: Any) -> Any:
-        nonlocal ends
-        found = wait(*what)
-        ends += 1
-        if ends == 1:
-            clock.stood_still_ns = still_ms * 1_000_000
-        if ends == 1 and still_ms:
-            os.write(pty.master, reply)
-        return found
-
-    monkeypatch.setattr(select, "select", stand_still)
-    port._worker = None
-    port.begin_round(PATIENT_NS)
-    port.setPacketTimeout(5)
-    assert port.readPort(5) == reply
-    port.closePort()
-
-
-@pytest.mark.pty
-def test_patience_ends(pty: Pty, port: SerialPort) -> None:
-    worker = ScriptedWorker(pty)
-    assert await_reply(port, worker, patience_ns=0) == b""
-    assert port.drain() == 0
-    assert worker.looks == 0
-
-
-@pytest.mark.pty
-def test_line_that_takes_no_more_drops_what_waits(pty: Pty, port: SerialPort) -> None:
-    sent = [port.writePort([0x55] * 200) for _ in range(1000)]
-    assert sent[0] == 200
-    assert min(sent) < 200
-
-
-@pytest.mark.pty
-def test_unplugging_in_the_middle_of_a_read_is_data(pty: Pty, port: SerialPort) -> None:
-    bus = ServoBus(port, (1, 2))
-    bus.open()
-    port.allow_latency(5000.0)
-
-    def unplug_after_the_request() -> None:
-        os.read(pty.master, 8)
-        os.write(pty.master, b"\xff\xff\x01")
-        pty.unplug()
-
-    hand = threading.Thread(target=unplug_after_the_request)
-    hand.start()
-    sample = bus.read_sample()
-    hand.join()
-    assert not sample.port_open
-    assert [(reading.fresh, reading.problem) for reading in sample.servos] == [(False, "PORT_GONE")] * 2
-    assert not bus.is_open
-    assert not port.is_using
-    assert not bus.write_goal(Goal((512, 512), (10, 10)))
-    bus.close()
-    with pytest.raises(PortMissing):
-        bus.open()
-
-
-@pytest.mark.pty
-def test_after_a_replug_the_same_adapter_is_opened_under_its_new_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armctl.dynamixel.serial_port.BY_ID", tmp_path)
-    before, other, after = Pty(), Pty(), Pty()
-    identity = tmp_path / "usb-FTDI_A9"
-    (tmp_path / "usb-FTDI_B1").symlink_to(other.path)
-    identity.symlink_to(before.path)
-    port = SerialPort(before.path, 1_000_000, MonotonicClock())
-    port.openPort()
-    port.closePort()
-    identity.unlink()
-    with pytest.raises(PortMissing, match="usb-FTDI_A9"):
-        port.openPort()  # another device may have the old name by now
-    identity.symlink_to(after.path)
-    port.openPort()
-    assert port.ser is not None
-    assert os.fstat(port.ser.fileno()).st_rdev == os.stat(after.path).st_rdev
-    port.closePort()
-    for pty in (before, other, after):
-        pty.unplug()
+def test_a_whole_good_reply_takes_the_short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_sdk", None)
+    reply = encode_status(1, 0, bytes(range(26)))
+    assert Line(reply).ask(READ, 32) == (reply, COMM_SUCCESS)

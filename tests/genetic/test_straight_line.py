@@ -1,3 +1,6 @@
+"""The straight line as a whole: optimum, genetic algorithm, free genes, plans, and what is refused."""
+
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -7,8 +10,9 @@ import pytest
 
 from armctl.config import ArmConfig, validate
 from armctl.errors import ConfigError
+from armctl.genetic import free_path as module
 from armctl.genetic.algorithm import DEFAULT, PAPER, Settings
-from armctl.genetic.free_path import MOST_OFFSET_RAD
+from armctl.genetic.free_path import MOST_OFFSET_RAD, free_path
 from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import StraightLineResult, optimize
 from armctl.kinematics.chain import tool_position
@@ -20,6 +24,7 @@ from armctl.trajectory.straightness import distance_to_line, max_error, mean_err
 from armctl.trajectory.via_points import predict_tool_path
 from tests.genetic import hand
 from tests.host.doubles import refused
+from tests.trajectory.conftest import CHAIN, LIMITS
 
 ARM, ROBOT = hand.arm(), hand.robot()
 SMALL = replace(DEFAULT, population=60, generations=40)
@@ -210,3 +215,69 @@ def test_each_end_below_the_floor_is_named() -> None:
         optimized([], from_m=(0.18, -0.125, -0.01), to_m=(0.18, 0.125, -1.0))
     found = [reason.split(",")[0] for reason in caught.value.reasons]
     assert found == ["A lies at height -0.010 m", "B lies at height -1.000 m"]
+
+
+# ----------------------------------------------------------------------------------------------------------- free genes
+
+
+PROGRESS = np.linspace(0.0, 1.0, 30)
+
+
+def wobbly(seed: int, wobble_rad: float) -> FloatArray:
+    line = hand.joint_line()
+    path = np.stack([np.interp(PROGRESS * 64.0, range(65), joint) for joint in line.T], axis=1)
+    path[1:-1] += np.random.default_rng(seed).uniform(-wobble_rad, wobble_rad, path[1:-1].shape)
+    return path
+
+
+def freed(
+    path: FloatArray, limits: FloatArray = LIMITS, breaks: Callable[[FloatArray], float] = lambda _: 0.0
+) -> FloatArray:
+    return free_path(CHAIN, path, PROGRESS, hand.A, hand.B, limits, breaks)
+
+
+def error_mm(path: FloatArray) -> float:
+    return float(mean_error(tool_position(CHAIN, path), hand.A, hand.B)) * 1e3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_small_wobbles_vanish_within_the_bound_of_the_offsets_and_the_ends_stay(seed: int) -> None:
+    path = wobbly(seed, 0.02)
+    moved = freed(path)
+    assert error_mm(path) > 1.0
+    assert error_mm(moved) < 0.05
+    assert np.abs(moved - path).max() <= MOST_OFFSET_RAD + 1e-12
+    assert np.array_equal(moved[[0, -1]], path[[0, -1]])
+
+
+def test_offsets_that_would_have_to_be_larger_are_cut_off_at_the_bound() -> None:
+    path = wobbly(1, 0.0)
+    path[1:-1, 1] += 0.3
+    moved = freed(path)
+    assert np.abs(moved - path).max() == pytest.approx(MOST_OFFSET_RAD)
+    assert 0.0 < error_mm(moved) < error_mm(path)
+
+
+def test_joint_limits_are_kept() -> None:
+    path = wobbly(2, 0.02)
+    tight = np.stack([path.min(axis=0), path.max(axis=0)], axis=1)
+    moved = freed(path, tight)
+    assert ((tight[:, 0] <= moved) & (moved <= tight[:, 1])).all()
+
+
+def test_a_step_that_breaks_more_limits_is_not_taken() -> None:
+    path = wobbly(3, 0.02)
+    assert np.array_equal(freed(path, breaks=lambda q: float(not np.array_equal(q, path))), path)
+
+
+def test_a_share_of_a_step_is_taken_where_the_whole_would_break_a_limit() -> None:
+    path = wobbly(4, 0.02)
+    whole = np.abs(freed(path) - path).max()
+
+    def breaks(q: FloatArray) -> float:
+        return float(np.abs(q - path).max() > 0.5 * whole)
+
+    moved = freed(path, breaks=breaks)
+    assert breaks(moved) == 0.0
+    assert error_mm(moved) < error_mm(path)
+    assert min(module.SHARES) < 0.5

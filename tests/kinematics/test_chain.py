@@ -1,3 +1,5 @@
+"""Frames of a chain, its Jacobian, and the tool's velocity and acceleration, at singularities too."""
+
 import math
 
 import numpy as np
@@ -5,44 +7,30 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from armctl.kinematics import differential, robots
 from armctl.kinematics.chain import BLOCK, DHRow, SerialChain, forward_kinematics, jacobian, link_frames, tool_pose
 from armctl.kinematics.chain import tool_position as tool
+from armctl.kinematics.differential import MOST_DAMPING, dexterity, jacobian_rate, joint_rates, tool_velocity
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray, quaternion_from_columns, quaternion_from_matrix
-from tests.kinematics.conftest import X, Z, turn
+from armctl.kinematics.transform import FloatArray, quaternion_from_columns, quaternion_from_matrix, rotation_error
+from tests.kinematics.conftest import X, Z, screw, seeds, some_q
 
 length = st.floats(-0.5, 0.5)
 alpha = st.one_of(st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
 row = st.builds(DHRow, a=length, alpha=alpha, d=length, offset=st.floats(-math.pi, math.pi))
-chains = st.builds(
-    SerialChain,
-    st.lists(row, min_size=1, max_size=7).map(tuple),
-    st.sampled_from(["standard", "modified"]),
-    st.sampled_from([0.0, 0.13]),
-)
-seeds = st.integers(0, 2**32 - 1)
-
-
-def translation(x: float, z: float) -> FloatArray:
-    T = np.eye(4)
-    T[0, 3], T[2, 3] = x, z
-    return T
+rows, conventions = st.lists(row, min_size=1, max_size=7).map(tuple), st.sampled_from(["standard", "modified"])
+chains = st.builds(SerialChain, rows, conventions, st.sampled_from([0.0, 0.13]))
 
 
 def frames_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
     """The base, every link frame, and the tool if it is another."""
     frames = [np.eye(4)]
     for r, angle in zip(chain.rows, q, strict=True):
-        about_z = turn(Z, angle + r.offset) @ translation(0.0, r.d)
-        about_x = translation(r.a, 0.0) @ turn(X, r.alpha)
+        about_z, about_x = screw(Z, angle + r.offset, r.d), screw(X, r.alpha, r.a)
         standard = chain.convention == "standard"
         frames.append(frames[-1] @ (about_z @ about_x if standard else about_x @ about_z))
-    tool = [frames[-1] @ translation(chain.tool_m, 0.0)] if chain.tool_m else []
+    tool = [frames[-1] @ screw(X, 0.0, chain.tool_m)] if chain.tool_m else []
     return np.array(frames + tool)
-
-
-def some_q(chain: SerialChain, seed: int, *shape: int) -> FloatArray:
-    return np.random.default_rng(seed).uniform(-math.pi, math.pi, (*shape, chain.n))
 
 
 # Twisted by less than anybody measures, and by more than a float of zero or 90 deg is off.
@@ -63,25 +51,20 @@ def test_jacobian_equals_finite_differences(chain: SerialChain, seed: int) -> No
     q = some_q(chain, seed)
     J = jacobian(chain, q)
     h = 1e-6
-    for i in range(chain.n):
-        step = np.zeros(chain.n)
-        step[i] = h
-        ahead, behind = forward_kinematics(chain, q + step), forward_kinematics(chain, q - step)
-        rate = (ahead - behind) / (2.0 * h)
+    for i, step in enumerate(h * np.eye(chain.n)):
+        rate = (forward_kinematics(chain, q + step) - forward_kinematics(chain, q - step)) / (2.0 * h)
         spin = rate[:3, :3] @ forward_kinematics(chain, q)[:3, :3].T
-        np.testing.assert_allclose(J[:3, i], rate[:3, 3], atol=1e-8)
-        np.testing.assert_allclose(J[3:, i], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-8)
+        np.testing.assert_allclose(J[:, i], [*rate[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-8)
 
 
 @given(chains, seeds)
 def test_one_pose_and_a_batch_give_the_same_bits(chain: SerialChain, seed: int) -> None:
     q = some_q(chain, seed, 2, 3)
     batch = forward_kinematics(chain, q)
-    for i in range(2):
-        for j in range(3):
-            assert np.array_equal(batch[i, j], forward_kinematics(chain, q[i, j]))
-            assert np.array_equal(batch[i, j, :3, 3], tool(chain, q[i, j]))
-            assert np.array_equal(jacobian(chain, q)[i, j], jacobian(chain, q[i, j]))
+    for at in np.ndindex(2, 3):
+        assert np.array_equal(batch[at], forward_kinematics(chain, q[at]))
+        assert np.array_equal(batch[at][:3, 3], tool(chain, q[at]))
+        assert np.array_equal(jacobian(chain, q)[at], jacobian(chain, q[at]))
     assert jacobian(chain, q).shape == (2, 3, 6, chain.n)
 
 
@@ -117,3 +100,61 @@ def test_plain_floats_give_the_bits_of_forward_kinematics(robot: Robot) -> None:
         columns = tool_pose(chain, q.tolist())
         np.testing.assert_array_equal(np.array(columns).T, T[:3])
         assert quaternion_from_columns(*columns[:3]) == quaternion_from_matrix(T[:3, :3])
+
+
+# -------------------------------------- velocity and acceleration of the tool against differences, and at singularities
+
+
+H = 1e-5
+
+
+def test_tool_velocity_and_acceleration_are_the_derivatives_of_its_motion(robot: Robot) -> None:
+    chain = robot.chain
+    q, rate, rate2 = np.random.default_rng(2).uniform(-1.5, 1.5, (3, chain.n))
+
+    def at(t: float) -> FloatArray:
+        return np.asarray(q + rate * t + 0.5 * rate2 * t * t)
+
+    velocity, acceleration = tool_velocity(chain, q, rate), differential.tool_acceleration(chain, q, rate, rate2)
+    before, now, after = (forward_kinematics(chain, at(t)) for t in (-H, 0.0, H))
+    np.testing.assert_allclose(velocity[:3], (after - before)[:3, 3] / (2.0 * H), atol=1e-8)
+    np.testing.assert_allclose(velocity[3:], rotation_error(before[:3, :3], after[:3, :3]) / (2.0 * H), atol=1e-8)
+    np.testing.assert_allclose(acceleration[:3], (after - 2.0 * now + before)[:3, 3] / H**2, atol=1e-4)
+    later, earlier = (tool_velocity(chain, at(t), rate + rate2 * t) for t in (H, -H))
+    np.testing.assert_allclose(acceleration, (later - earlier) / (2.0 * H), atol=1e-8)
+
+
+def test_jacobian_rate_is_the_derivative_of_the_jacobian(robot: Robot) -> None:
+    chain = robot.chain
+    q, rate = np.random.default_rng(3).uniform(-1.5, 1.5, (2, 4, chain.n))
+    differences = (jacobian(chain, q + H * rate) - jacobian(chain, q - H * rate)) / (2.0 * H)
+    np.testing.assert_allclose(jacobian_rate(chain, q, rate), differences, atol=1e-8)
+
+
+def test_rank_and_manipulability_tell_a_singular_arm() -> None:
+    chain = robots.get("transfer-6dof").chain
+    J = jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, 0.7, 0.3]))
+    free = dexterity(J)
+    assert free.rank == 6
+    assert free.manipulability == pytest.approx(math.sqrt(np.linalg.det(J @ J.T)), rel=1e-9)
+    straight = dexterity(jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, 0.0, 0.3])))
+    assert straight.rank == 5
+    assert straight.manipulability < 1e-15
+    flat = jacobian(robots.get("lanzhou-4dof").chain, np.zeros(4))
+    volume = math.sqrt(max(0.0, float(np.linalg.det(flat.T @ flat))))
+    assert dexterity(flat).manipulability == pytest.approx(volume, abs=1e-12)
+    assert dexterity(np.zeros((6, 2))).rank == 0
+
+
+def test_joint_rates_follow_exactly_where_the_arm_is_free() -> None:
+    J = jacobian(robots.get("puma560").chain, np.array([0.1, -1.0, 0.4, 0.2, 0.9, 0.3]))
+    wanted = np.array([0.1, -0.05, 0.02, 0.3, -0.2, 0.1])
+    np.testing.assert_allclose(J @ joint_rates(J, wanted), wanted, atol=1e-12)
+
+
+def test_joint_rates_stay_bounded_at_a_singularity() -> None:
+    chain = robots.get("puma560").chain
+    for bend in (0.0, 1e-9, 1e-4):
+        J = jacobian(chain, np.array([0.1, -1.0, 0.4, 0.2, bend, 0.3]))
+        for axis in np.eye(6):
+            assert np.linalg.norm(joint_rates(J, axis)) < 1.0 / (2.0 * MOST_DAMPING) + 1.0 / 0.05

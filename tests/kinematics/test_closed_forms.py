@@ -12,26 +12,16 @@ from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import finite
-from tests.kinematics.conftest import assert_at, turned
+from tests.kinematics.conftest import assert_at, seeds, some_q, turned
 
 QUARTER = math.pi / 2.0
-seeds = st.integers(0, 2**32 - 1)
 link, offset, length = st.floats(0.05, 0.4), st.floats(-0.1, 0.1), st.floats(-0.2, 0.2)
-signs = st.sampled_from([1.0, -1.0])
-ends_in_x = st.builds(
-    PlanarArm, st.lists(link, min_size=3, max_size=4).map(tuple), height=offset, a1=offset, shoulder=offset, up=signs
-)
+links, signs = st.lists(link, min_size=3, max_size=4).map(tuple), st.sampled_from([1.0, -1.0])
+ends_in_x = st.builds(PlanarArm, links, height=offset, a1=offset, shoulder=offset, up=signs)
 rolling = st.builds(PlanarArm, st.tuples(link, link, link), height=offset, a1=st.just(0.0), roll=st.just(True))
 planar = st.one_of(ends_in_x, rolling)
-wrists = st.builds(
-    SphericalWrist,
-    a1=length,
-    a2=st.floats(0.2, 0.6),
-    a3=length,
-    shoulder=length,
-    d4=st.floats(0.2, 0.5),
-    d6=length,
-    mirrored=st.booleans(),
+wrists = st.builds(  # a1, a2, a3, shoulder, d4, d6, mirrored
+    SphericalWrist, length, st.floats(0.2, 0.6), length, length, st.floats(0.2, 0.5), length, st.booleans()
 )
 forms = st.one_of(ends_in_x, rolling, wrists)
 
@@ -56,7 +46,7 @@ def test_every_branch_reaches_the_pose_and_one_is_where_it_came_from(
     form: PlanarArm | SphericalWrist, seed: int
 ) -> None:
     chain = chain_of(form)
-    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (10, chain.n))
+    q = some_q(chain, seed, 10)
     for q_i, T in zip(q, forward_kinematics(chain, q), strict=True):
         if isinstance(form, SphericalWrist):
             found, expected = form.poses(T[None]), (4, 8)  # the waist turned round may not reach
@@ -73,7 +63,7 @@ def test_every_branch_reaches_the_pose_and_one_is_where_it_came_from(
 @given(ends_in_x, seeds)
 def test_any_bend_asked_for_keeps_the_pose(arm: PlanarArm, seed: int) -> None:
     chain = chain_of(arm)
-    T = forward_kinematics(chain, np.random.default_rng(seed).uniform(-np.pi, np.pi, chain.n))
+    T = forward_kinematics(chain, some_q(chain, seed))
     families = arm.pose_families(T)
     assert families.shape[:2] == (2, 61 if len(arm.links_m) == 4 else 1)
     found = finite(families)
@@ -85,7 +75,7 @@ def test_any_bend_asked_for_keeps_the_pose(arm: PlanarArm, seed: int) -> None:
 @settings(max_examples=30)
 def test_positions_hold_the_point_for_every_pitch_and_bend(arm: PlanarArm, seed: int) -> None:
     chain = chain_of(arm)
-    points = tool_position(chain, np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, chain.n)))
+    points = tool_position(chain, some_q(chain, seed, 2))
     for point, found in zip(points, arm.positions(points), strict=True):
         assert found.shape[0] == 4
         found = finite(found)
@@ -108,7 +98,7 @@ def test_the_nearest_configuration_is_at_the_least_distance_and_no_sample_is_nea
 
 @given(wrists, seeds)
 def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: SphericalWrist, seed: int) -> None:
-    T = forward_kinematics(chain_of(arm), np.random.default_rng(seed).uniform(-np.pi, np.pi, (10, 6)))
+    T = forward_kinematics(chain_of(arm), some_q(chain_of(arm), seed, 10))
     for T_i, found in zip(T, arm.poses(T), strict=True):
         alone = np.array(arm.pose(T_i.tolist()))
         assert alone.shape == finite(found).shape
@@ -117,14 +107,11 @@ def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: 
 
 @given(wrists, st.integers(0, 2), seeds)
 def test_at_singular_poses_the_tool_is_exact_all_the_same(arm: SphericalWrist, kind: int, seed: int) -> None:
-    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, 6)
-    if kind == 0:
-        q[4] = 0.0  # the wrist straight
-    elif kind == 1:
-        q[2] = -math.atan2(arm.d4 * (-1.0 if arm.mirrored else 1.0), arm.a3)  # the elbow stretched
-    else:
-        q[4] = 1e-11  # the wrist nearly straight
     chain = chain_of(arm)
+    q = some_q(chain, seed)
+    stretched = -math.atan2(arm.d4 * (-1.0 if arm.mirrored else 1.0), arm.a3)
+    joint, q_rad = ((4, 0.0), (2, stretched), (4, 1e-11))[kind]  # the wrist straight, the elbow, the wrist nearly
+    q[joint] = q_rad
     T = forward_kinematics(chain, q)
     for found in (finite(arm.poses(T[None])), np.array(arm.pose(T.tolist()))):
         errors = np.abs(forward_kinematics(chain, found) - T).max(axis=(-1, -2))

@@ -13,7 +13,7 @@ from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, link
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from armctl.kinematics.urdf import BASE, TOOL, fixed_frames, moving_frames, moving_links, urdf
-from tests.kinematics.conftest import turn
+from tests.kinematics.conftest import screw
 
 ARM = load_arm("ax12-line")
 LINE = robots.get(ARM.robot)
@@ -42,7 +42,7 @@ def poses(text: str, q: dict[str, float]) -> dict[str, FloatArray]:
         T = found[parts["parent"]["link"]] @ _transform(**parts["origin"])
         if joint.attrib["type"] == "revolute":
             x, y, z = map(float, parts["axis"]["xyz"].split())
-            T = T @ turn((x, y, z), q[joint.attrib["name"]])
+            T = T @ screw((x, y, z), q[joint.attrib["name"]])
         found[parts["child"]["link"]] = T
     return found
 

@@ -1,15 +1,21 @@
-"""Exact extents against what is known and against random configurations; the map of a grid."""
+"""Where the tool can be: exact extents, the map of a grid, and the swept annulus: in it or how far from it."""
 
 import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.random import Generator as Rng
 
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
+from armctl.kinematics.annulus import PlaneReach, annulus
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
 from armctl.kinematics.workspace import cloud, cloud_extents, extents, grid, reachability
+from tests.kinematics.conftest import rngs
 
 WHOLE_TURN = np.tile([-np.pi, np.pi], (5, 1))
 
@@ -70,3 +76,49 @@ def test_joint_ranges_shrink_the_map() -> None:
     assert narrow.reachable.sum() < wide.reachable.sum()
     with pytest.raises(ConfigError, match="no closed form"):
         reachability(dataclasses.replace(robot, make_closed_form=None), points)
+
+
+# ---------------------------------------------------------------------------------------------------- the swept annulus
+
+
+offset = st.floats(-0.3, 0.3)
+links = st.lists(st.floats(0.05, 0.6), min_size=2, max_size=4).map(tuple)
+reaches = st.builds(PlaneReach, links, offset, offset, offset)
+points = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
+
+
+def sweep(reach: PlaneReach, u: FloatArray, v: FloatArray, turn: FloatArray) -> FloatArray:
+    c, s = np.cos(turn), np.sin(turn)
+    out = u + reach.a1
+    return np.stack((out * c + reach.offset * s, out * s - reach.offset * c, v + reach.height), axis=-1)
+
+
+@given(reaches, points, rngs)
+def test_no_point_of_the_workspace_is_nearer_than_the_nearest(reach: PlaneReach, point: FloatArray, rng: Rng) -> None:
+    near, distance = reach.nearest(point)
+    assert np.linalg.norm(near - point) == pytest.approx(distance, abs=1e-12)
+    radius, angle = rng.uniform(*annulus(reach.links_m), 3000), rng.uniform(-np.pi, np.pi, 3000)
+    places = sweep(reach, radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-np.pi, np.pi, 3000))
+    assert np.linalg.norm(places - point, axis=1).min() >= distance - 1e-9
+    # The nearest point itself is in it: at distance 0 from it.
+    again, rest = reach.nearest(near)
+    assert rest < 1e-9
+    np.testing.assert_allclose(again, near, atol=1e-9)
+
+
+@given(reaches, rngs)
+def test_every_place_of_the_links_is_in_reach(reach: PlaneReach, rng: Rng) -> None:
+    angles = np.cumsum(rng.uniform(-np.pi, np.pi, len(reach.links_m)))
+    u, v = np.stack((np.cos(angles), np.sin(angles))) @ reach.links_m
+    assert reach.nearest(sweep(reach, u, v, np.array(rng.uniform(-3.0, 3.0))))[1] == 0.0
+
+
+def test_known_distances() -> None:
+    arm, beside = PlaneReach((0.3, 0.1), 0.0, 0.0, 0.5), PlaneReach((0.3, 0.1), 0.0, 0.05, 0.0)
+    assert arm.nearest(np.array([1.0, 0.0, 0.5]))[1] == pytest.approx(0.6, abs=1e-15)
+    assert arm.nearest(np.array([0.0, 0.0, 0.5]))[1] == pytest.approx(0.2, abs=1e-15)
+    near, distance = beside.nearest(np.array([0.02, 0.0, 0.3]))
+    assert distance == pytest.approx(0.03, abs=1e-15)
+    np.testing.assert_allclose(near, [0.05, 0.0, 0.3], atol=1e-15)
+    np.testing.assert_allclose([annulus((0.3, 0.1)), annulus((0.2, 0.2, 0.1))], [[0.2, 0.4], [0.0, 0.5]], atol=1e-15)
+    assert np.isfinite(beside.nearest(np.zeros(3))[1])

@@ -15,15 +15,15 @@ from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clea
 from tests.trajectory.conftest import ARM, CHAIN, LIMITS, REST
 
 RADIUS_M = ARM.link_radius_m
+Ends = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 NUMBERS = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
-POINTS = st.tuples(NUMBERS, NUMBERS, NUMBERS).map(np.array)
+SEGMENTS = st.tuples(*[st.tuples(NUMBERS, NUMBERS, NUMBERS).map(np.array)] * 4)
 
 
-@given(POINTS, POINTS, POINTS, POINTS)
+@given(SEGMENTS)
 @settings(max_examples=200)
-def test_no_sampled_distance_is_less_and_the_least_of_them_is_near(
-    a0: FloatArray, a1: FloatArray, b0: FloatArray, b1: FloatArray
-) -> None:
+def test_no_sampled_distance_is_less_and_the_least_of_them_is_near(ends: Ends) -> None:
+    a0, a1, b0, b1 = ends
     distance = float(segment_distance(a0, a1, b0, b1))
     share = np.linspace(0.0, 1.0, 201)[:, None]
     a, b = a0 + share * (a1 - a0), b0 + share * (b1 - b0)
@@ -33,8 +33,9 @@ def test_no_sampled_distance_is_less_and_the_least_of_them_is_near(
     assert sampled <= distance + spacing
 
 
-@given(POINTS, POINTS, POINTS, POINTS)
-def test_neither_order_nor_direction_matters(a0: FloatArray, a1: FloatArray, b0: FloatArray, b1: FloatArray) -> None:
+@given(SEGMENTS)
+def test_neither_order_nor_direction_matters(ends: Ends) -> None:
+    a0, a1, b0, b1 = ends
     distance = segment_distance(a0, a1, b0, b1)
     for other in ((a1, a0, b0, b1), (a0, a1, b1, b0), (b0, b1, a0, a1)):
         assert segment_distance(*other) == pytest.approx(distance, abs=1e-9)
@@ -104,9 +105,8 @@ def test_turning_the_base_changes_no_gap_and_no_height(pose: tuple[float, ...], 
     here = link_points(CHAIN, np.array(pose))
     turned = link_points(CHAIN, np.array([base_rad, *pose[1:]]))
     pairs = judged_pairs(here, RADIUS_M)
-    np.testing.assert_allclose(
-        link_clearance(turned, pairs, RADIUS_M), link_clearance(here, pairs, RADIUS_M), atol=1e-9
-    )
+    gaps, same = (link_clearance(points, pairs, RADIUS_M) for points in (here, turned))
+    np.testing.assert_allclose(same, gaps, atol=1e-9)
     np.testing.assert_allclose(floor_clearance(turned, 0.0, RADIUS_M), floor_clearance(here, 0.0, RADIUS_M), atol=1e-9)
 
 

@@ -9,23 +9,17 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import Generator
 
 from armctl.config import ArmConfig
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import plan as module
-from armctl.trajectory.plan import (
-    DWELL_S,
-    Plan,
-    joint_trajectory,
-    plan_from_text,
-    plan_positions,
-    plan_to_text,
-    preflight,
-)
+from armctl.trajectory.plan import Plan, joint_trajectory, plan_from_text, plan_positions, plan_to_text, preflight
 from tests.genetic import hand
 from tests.genetic.hand import changed
+from tests.kinematics.conftest import rngs
 from tests.trajectory.conftest import ARM, REST, ROBOT
 
 WRONG = yaml.safe_load(Path(__file__).with_name("wrong_plans.yaml").read_text(encoding="utf-8"))
@@ -61,9 +55,8 @@ def the_reason(arm: ArmConfig = ARM, plan: Plan | None = None, q_now: list[float
     return reason
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.sampled_from(["linear", "cubic"]))
-def test_a_plan_survives_its_text_form_bit_for_bit(seed: int, via: int, interpolation: str) -> None:
-    rng = np.random.default_rng(seed)
+@given(rngs, st.integers(0, 5), st.sampled_from(["linear", "cubic"]))
+def test_a_plan_survives_its_text_form_bit_for_bit(rng: Generator, via: int, interpolation: str) -> None:
     plan = make_plan(
         via=via,
         interpolation=interpolation,
@@ -94,12 +87,12 @@ def test_the_plan_runs_between_its_ends_and_stands_still_outside() -> None:
     np.testing.assert_allclose(tool_position(ROBOT.chain, q[:, :5])[2], [0.18, 0.0, 0.10], atol=1e-3)
 
 
-@given(st.sampled_from([0.01, 0.05, 0.1]), st.floats(1.0, 9.0), st.integers(0, 2**32 - 1))
+@given(st.sampled_from([0.01, 0.05, 0.1]), st.floats(1.0, 9.0), rngs)
 @settings(max_examples=40)
 def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_marks(
-    period_s: float, duration_s: float, seed: int
+    period_s: float, duration_s: float, rng: Generator
 ) -> None:
-    q_now = (np.array(REST) + np.random.default_rng(seed).uniform(-1.5, 1.5, 6)).tolist()
+    q_now = (np.array(REST) + rng.uniform(-1.5, 1.5, 6)).tolist()
     plan = make_plan(duration_s=duration_s)
     trajectory = joint_trajectory(plan, ARM, q_now, period_s)
     q = np.array(trajectory.positions_rad)
@@ -108,10 +101,9 @@ def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_m
     assert trajectory.end_s - trajectory.begin_s == pytest.approx(duration_s)
     assert trajectory.duration_s >= trajectory.end_s + module.SETTLE_S - 1e-9
     inside = (time_s >= trajectory.begin_s - 1e-9) & (time_s <= trajectory.end_s)
-    np.testing.assert_allclose(
-        q[inside], plan_positions(plan, np.clip(time_s[inside] - trajectory.begin_s, 0, None)), atol=1e-8
-    )
-    dwell = (time_s >= trajectory.begin_s - DWELL_S + 1e-9) & (time_s <= trajectory.begin_s)
+    planned = plan_positions(plan, np.clip(time_s[inside] - trajectory.begin_s, 0, None))
+    np.testing.assert_allclose(q[inside], planned, atol=1e-8)
+    dwell = (time_s >= trajectory.begin_s - module.DWELL_S + 1e-9) & (time_s <= trajectory.begin_s)
     np.testing.assert_allclose(q[dwell], np.broadcast_to(LINE[0], q[dwell].shape), atol=1e-9)
     np.testing.assert_allclose(q[time_s > trajectory.end_s][-1], LINE[64], atol=1e-12)
     approach = np.abs(np.diff(q[time_s < trajectory.begin_s], axis=0)) / period_s
@@ -121,20 +113,18 @@ def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_m
 def test_a_plan_that_does_not_move_lets_an_arm_at_its_start_only_dwell() -> None:
     still = make_plan(waypoints_rad=(tuple(LINE[0]),) * 4)
     trajectory = joint_trajectory(still, ARM, LINE[0].tolist(), 0.05)
-    assert trajectory.begin_s == pytest.approx(DWELL_S)
-    assert trajectory.end_s == pytest.approx(DWELL_S + 5.0)
+    assert (trajectory.begin_s, trajectory.end_s) == pytest.approx((module.DWELL_S, module.DWELL_S + 5.0))
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.1]))
+@given(rngs, st.sampled_from([0.02, 0.1]))
 @settings(max_examples=30)
-def test_every_joint_comes_to_the_start_in_the_direction_in_which_it_leaves(seed: int, period_s: float) -> None:
-    rng = np.random.default_rng(seed)
+def test_every_joint_comes_to_the_start_in_the_direction_in_which_it_leaves(rng: Generator, period_s: float) -> None:
     plan = make_plan(interpolation=rng.choice(["linear", "cubic"]))
     q_now = (np.array(REST) + rng.uniform(-1.0, 1.0, 6)).tolist()
     trajectory = joint_trajectory(plan, ARM, q_now, period_s)
     q = np.array(trajectory.positions_rad)
     begin = round(trajectory.begin_s / period_s)
-    last = q[begin] - q[begin - round((DWELL_S + 0.5) / period_s)]
+    last = q[begin] - q[begin - round((module.DWELL_S + 0.5) / period_s)]
     ahead = module.lead(plan)
     assert (np.abs(ahead) <= module.LEAD_RAD).all()
     moving = np.abs(ahead) > 1e-6

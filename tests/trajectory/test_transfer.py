@@ -53,8 +53,7 @@ def test_lifts_are_straight_and_the_motion_has_no_jump_in_acceleration(
     down = tool_position(ROBOT.chain, model.sample(np.linspace(0.0, lift_s, 101))[0])
     assert np.abs(down[:, :2] - np.array(cycle.pick_m[:2])).max() < 1e-3
     for piece, following in zip(model.pieces[:-1], model.pieces[1:], strict=True):
-        end = [curve[0] for curve in piece.sample(np.array([piece.duration_s]))]
-        begin = [curve[0] for curve in following.sample(np.zeros(1))]
+        end, begin = piece.sample(np.array([piece.duration_s])), following.sample(np.zeros(1))
         for order in range(3):
             assert end[order] == pytest.approx(begin[order], abs=1e-7)
 
@@ -69,8 +68,8 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position() -> None:
 
 
 def test_what_is_commanded_is_the_model_at_the_ticks() -> None:
-    trajectory = transfer_trajectory(CYCLE.model_copy(update={"cycles": 2}), REST, ARM, ROBOT, 0.1)
-    model = motion(CYCLE.model_copy(update={"cycles": 2}), ARM, ROBOT)
+    twice = CYCLE.model_copy(update={"cycles": 2})
+    trajectory, model = transfer_trajectory(twice, REST, ARM, ROBOT, 0.1), motion(twice, ARM, ROBOT)
     rows = np.array(trajectory.positions_rad)
     assert rows[0] == pytest.approx(REST)
     begin = round(trajectory.begin_s / 0.1)
