@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from armctl.cli import main
+from armctl.client import Client
 from tests.genetic import hand
 from tests.host.doubles import write_take
 
@@ -20,6 +21,14 @@ class Said:
 
     out: str
     err: str
+
+
+class StandIn(Client):
+    """A client without a daemon: a test says what is answered."""
+
+    def __init__(self, *_: object, **__: object) -> None: ...
+
+    def close(self) -> None: ...
 
 
 Typed = Callable[..., Said]
@@ -69,7 +78,6 @@ def own_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def takes(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """Files of three takes that the simulated hand guided along one line."""
     folder = tmp_path_factory.mktemp("takes")
-    paths = [folder / f"take-{number}.mcap" for number in range(3)]
-    for path, samples in zip(paths, hand.recordings(3, seed=1), strict=True):
-        write_take(path, samples, hand.arm())
-    return [str(path) for path in paths]
+    for number, samples in enumerate(hand.recordings(3, seed=1)):
+        write_take(folder / f"take-{number}.mcap", samples, hand.arm())
+    return [str(path) for path in sorted(folder.glob("*.mcap"))]

@@ -6,16 +6,16 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import click
 import pytest
 
 from armctl.cli import PURPOSES, cli, main
 from armctl.cli.output import HOLDS, POINT, Output, next_command
-from armctl.client import Client
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import find_arm_file
-from tests.cli.conftest import Answer, Typed, refusals
+from tests.cli.conftest import Answer, StandIn, Typed, refusals
 
 COMMANDS = cli.list_commands(click.Context(cli))
 
@@ -88,16 +88,12 @@ def test_every_refusal_tells_the_next_command(error: ArmctlError, capsys: pytest
     assert told["next"].split("armctl ")[1].split()[0].rstrip(",") in COMMANDS
 
 
-@pytest.mark.parametrize(
-    ("error", "following"),
-    [
-        (
-            ArmctlError("the dashboard needs uvicorn; install it with: pip install 'armctl[web]'"),
-            "pip install 'armctl[web]'",
-        ),
-        (RequestRefused("BUSY", "wait, or `armctl stop`"), "armctl status"),
-    ],
-)
+EXTRA = "pip install 'armctl[web]'"
+UNINSTALLED = ArmctlError(f"the dashboard needs uvicorn; install it with: {EXTRA}")
+BUSY = RequestRefused("BUSY", "wait, or `armctl stop`")
+
+
+@pytest.mark.parametrize(("error", "following"), [(UNINSTALLED, EXTRA), (BUSY, "armctl status")])
 def test_an_error_that_names_its_remedy_gets_no_second_one(
     error: ArmctlError, following: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,13 +113,10 @@ def test_an_error_that_names_its_remedy_gets_no_second_one(
 def test_out_of_reach_leads_to_the_workspace_of_the_arm_in_question(
     daemons_arm: str | None, following: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Running(Client):
+    class Running(StandIn):
         def __init__(self, path: object = None, **_: object) -> None:
             if path != "the-socket":
                 raise NoDaemon("nobody answers")
-
-        def close(self) -> None:
-            pass
 
         def call(self, method: str, **_: Any) -> dict[str, Any]:
             return {"arm_id": daemons_arm}
@@ -135,35 +128,23 @@ def test_out_of_reach_leads_to_the_workspace_of_the_arm_in_question(
     (configured / "calibration" / "mine.yaml").write_text(re.sub("arm_id: .*", "arm_id: bench-7", text))
     monkeypatch.setattr("armctl.client.Client", Running)
     socket = None if daemons_arm is None else "the-socket"
-    assert next_command(RequestRefused("UNREACHABLE", "0.6 m away"), socket) == following
-    assert next_command(UnreachableTarget("0.6 m away", 0.2), socket) == following
+    for error in (RequestRefused("UNREACHABLE", "0.6 m away"), UnreachableTarget("0.6 m away", 0.2)):
+        assert next_command(error, socket) == following
 
 
-def test_an_interrupt_is_130_and_says_what_it_leaves_behind(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_an_interrupt_is_130_and_says_what_it_leaves(
+    monkeypatch: pytest.MonkeyPatch, typed: Typed, answer: Answer
 ) -> None:
-    class Interrupted(Client):
-        def __init__(self, *_: object) -> None:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr("armctl.client.Client", Interrupted)
-    assert main(["park"]) == 130
-    assert capsys.readouterr().err == f"\ninterrupted: {HOLDS}\n"
-    assert main(["park", "--json"]) == 130
-    assert json.loads(capsys.readouterr().out)["error"]["code"] == "INTERRUPTED"
+    monkeypatch.setattr("armctl.client.Client", Mock(side_effect=KeyboardInterrupt))
+    assert typed("park", status=130).err == f"\ninterrupted: {HOLDS}\n"
+    assert answer("park", status=130)["error"]["code"] == "INTERRUPTED"
 
 
 @pytest.mark.parametrize("words", ["move --joints 0", "reach --xyz 0.2,0,0.1"])
 def test_what_goes_wrong_on_the_way_is_said_while_the_motion_lasts(
-    words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], typed: Typed
 ) -> None:
-    class Slow(Client):
-        def __init__(self, *_: object) -> None:
-            pass
-
-        def close(self) -> None:
-            pass
-
+    class Slow(StandIn):
         def call(self, method: str, **_: Any) -> dict[str, Any]:
             assert self.on_progress is not None
             self.on_progress({"warning": "SLOWED", "text": "replies were lost"})
@@ -171,8 +152,7 @@ def test_what_goes_wrong_on_the_way_is_said_while_the_motion_lasts(
             raise RequestRefused("STOPPED", "it was stopped")
 
     monkeypatch.setattr("armctl.client.Client", Slow)
-    assert main(words.split()) == 1
-    assert "it was stopped" in capsys.readouterr().err
+    assert "it was stopped" in typed(*words.split(), status=1).err
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -182,12 +162,9 @@ def test_completion_prints_a_script_for_the_shell(shell: str, typed: Typed, answ
     assert "_ARMCTL_COMPLETE" in script
 
 
-def test_the_shell_is_told_how_a_word_may_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("_ARMCTL_COMPLETE", "bash_complete")
-    monkeypatch.setenv("COMP_WORDS", "armctl rec")
-    monkeypatch.setenv("COMP_CWORD", "1")
+def test_the_shell_is_told_how_a_word_ends(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, value in {"_ARMCTL_COMPLETE": "bash_complete", "COMP_WORDS": "armctl rec", "COMP_CWORD": "1"}.items():
+        monkeypatch.setenv(name, value)
     with pytest.raises(SystemExit):
         main([])
     assert capsys.readouterr().out == "plain,recordings\n"
@@ -212,7 +189,7 @@ def test_a_failure_in_json_is_one_object_too(typed: Typed, answer: Answer) -> No
 
 
 @pytest.mark.parametrize(("status", "line", "text"), refusals("anywhere"))
-def test_what_is_refused_is_one_clear_sentence_and_an_exit_status(
+def test_what_is_refused_is_a_clear_sentence_and_an_exit_status(
     status: int, line: str, text: str, typed: Typed
 ) -> None:
     said = typed(*line.split(), status=status)

@@ -1,3 +1,4 @@
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
 from tests.cli.conftest import Answer
 from tests.genetic import hand
-from tests.lab.daemon import SimulatedDaemon
+from tests.lab.daemon import SimulatedDaemon, true_path
+from tests.words import missing
 
 A, B = (0.18, -0.1, 0.10), (0.18, 0.1, 0.10)
 LINE = ("experiment", "line", "--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10")
@@ -27,16 +29,13 @@ def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_aft
     told = ["--via", "2,stream", "--duration", "3", "--repeats", "2", "--refine", "2", "--seed", "3"]
     page = tmp_path / "line.html"
     found = answer(*LINE, *told, "--profile", "paper", "--virtual", "--report", page)
-    text = page.read_text(encoding="utf-8")
-    assert "Mean distance by round of correction" in text
-    assert "Best cost of the genetic algorithm by generation" in text
+    drawn = ("Mean distance by round of correction", "Best cost of the genetic algorithm by generation")
+    assert not missing(page.read_text(encoding="utf-8"), *drawn)
     rows, before, refined = found["rows"], found["before"], found["refined"]
     assert [row["via"] for row in rows] == [2, "stream"]
-    assert [one["round"] for one in refined] == [0, 1, 2]
-    assert before == refined[0]["rows"]
+    assert ([one["round"] for one in refined], before) == ([0, 1, 2], refined[0]["rows"])
     for row, worse in zip(rows, before, strict=True):
-        assert row["runs"] == 2
-        assert row["duration_s"] == pytest.approx(3.0, rel=0.05)
+        assert (row["runs"], row["duration_s"]) == (2, pytest.approx(3.0, rel=0.05))
         assert row["truth"]["mean_error_mm"] < 2.0 < 5.0 < worse["truth"]["mean_error_mm"]
         assert row["truth"]["mean_error_mm"] < row["truth"]["max_error_mm"]
     assert all(0.01 < noise < 0.3 for noise in found["repeat_noise_mm"].values())
@@ -45,7 +44,7 @@ def test_a_virtual_experiment_needs_no_daemon_and_tells_every_row_before_and_aft
     assert ga["exact_mean_error_mm"] <= ga["mean_error_mm"] < max(one["mean_error_mm"] for one in ga["baseline"])
 
 
-def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_tolerance(
+def test_named_recordings_are_the_candidates_and_auto_chooses_for_the_tolerance(
     answer: Answer, takes: list[str]
 ) -> None:
     ends = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10"]
@@ -64,8 +63,7 @@ def test_recordings_that_are_named_are_the_candidates_and_auto_chooses_for_the_t
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     """A configuration whose arm's calibration, and so its sag model, lies in this test's own folder."""
-    arm = tmp_path / "mine.yaml"
-    arm.write_text(Path("calibration/ax12-line.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    arm = shutil.copy("calibration/ax12-line.yaml", tmp_path / "mine.yaml")
     file = tmp_path / "armctl.yaml"
     file.write_text(f"arm: {arm}\n", encoding="utf-8")
     return file
@@ -105,10 +103,8 @@ def test_a_measurement_from_outside_corrects_what_no_encoder_sees(
     told = (*LINE, "--via", "stream", "--refine", "2", "--repeats", "1", "--config", config)
     answer(*told)
     blind = served.runs[-1]
-    assert blind.true_time_s is not None
-    assert blind.true_tool_m is not None
     csv = tmp_path / "tool.csv"
-    rows = np.column_stack([blind.true_time_s, blind.true_tool_m])
+    rows = np.column_stack(true_path(blind))
     np.savetxt(csv, rows, delimiter=",", header=",".join(COLUMNS), comments="")
     answer(*told, "--measured", csv, f"takes/run-{len(served.runs)}")
     assert true_mm(blind) > 2.0

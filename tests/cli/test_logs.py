@@ -1,6 +1,7 @@
 """What people do with log files, at the command line."""
 
 import io
+import math
 import os
 import pty
 import re
@@ -24,6 +25,7 @@ from tests.recording.factory import CONTEXT, make_records
 from tests.recording.logs import of_an_older_build
 from tests.recording.logs import write as write_log
 from tests.recording.test_player import waiting
+from tests.words import missing
 
 RECORDS = make_records(60, seed=3)
 REPLAY_KEYS = {"ticks", "messages", "mismatches", "seconds", "realtime_ratio"}
@@ -58,7 +60,7 @@ def test_a_log_that_does_not_repeat_fails_the_check(wrong: Path, answer: Answer)
     assert found["first_mismatch"].startswith(f"tick 30, {found['first']['field']}: ")
 
 
-def test_a_log_of_another_version_that_does_not_repeat_says_so(
+def test_a_log_of_another_version_that_differs_says_so(
     wrong: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(logs, "__version__", "99.0")
@@ -70,12 +72,12 @@ def test_a_log_of_an_older_build_says_in_a_line_what_was_not_compared(
     log: Path, tmp_path: Path, typed: Typed, answer: Answer
 ) -> None:
     old = of_an_older_build(log, tmp_path / "old.mcap")
+    left_out = ["/armctl/writes", "/armctl/cycle"]
     said = " ".join(typed("replay", old, "--check").out.split())
+    why = "not compared, since the log's armctl wrote them otherwise or not at all: "
     assert "bit for bit the same" in said
-    assert said.endswith(
-        "not compared, since the log's armctl wrote them otherwise or not at all: /armctl/writes, /armctl/cycle"
-    )
-    assert answer("replay", old)["not_compared"] == ["/armctl/writes", "/armctl/cycle"]
+    assert said.endswith(why + ", ".join(left_out))
+    assert answer("replay", old)["not_compared"] == left_out
     assert "not compared" not in typed("replay", log, "--check").out
 
 
@@ -88,10 +90,8 @@ def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, answer
 
 
 def watched(log: Path, *, terminal: bool, rate: float = 1.0, start_s: float = 0.0) -> str:
-    output = Output()
-    screen = io.StringIO()
+    output, screen, clock = Output(), io.StringIO(), VirtualClock()
     output.console = Console(file=screen, force_terminal=terminal, width=120, height=40)
-    clock = VirtualClock()
     logs._watch(output, timeline.load(log), waiting(clock), clock, rate=rate, start_s=start_s, loop=False)
     return screen.getvalue()
 
@@ -106,20 +106,16 @@ def test_without_a_terminal_there_is_a_line_a_second(log: Path) -> None:
 
 def test_in_a_terminal_every_joint_and_the_events_are_shown(log: Path) -> None:
     screen = watched(log, terminal=True, rate=5.0)
-    for name in (*CONTEXT.arm.joint_names, "PLAN_BEGIN: nod", "5.9 of 5.9 s", "space: pause"):
-        assert name in screen
+    assert not missing(screen, *CONTEXT.arm.joint_names, "PLAN_BEGIN: nod", "5.9 of 5.9 s", "space: pause")
 
 
 def test_what_is_shown_is_what_the_log_says(log: Path) -> None:
     found = timeline.load(log)
     console = Console(record=True, file=io.StringIO(), width=120)
     console.print(logs.picture(found, Player(found.duration_s, at_s=2.5)))
-    text = console.export_text()
     frame = found.index(2.5)
-    assert found.state(frame) in text
-    for value in found.position_rad[frame].tolist():
-        assert f"{value * 180.0 / 3.141592653589793:.1f}" in text
-    assert f"{found.tool[frame, 0] * 1000.0:.1f}" in text
+    angles = [f"{math.degrees(value):.1f}" for value in found.position_rad[frame]]
+    assert not missing(console.export_text(), found.state(frame), *angles, f"{found.tool[frame, 0] * 1000.0:.1f}")
 
 
 def test_beginning_beyond_the_end_is_one_clear_sentence(log: Path, typed: Typed) -> None:
@@ -174,8 +170,7 @@ def test_info_tells_what_the_contract_names(log: Path, answer: Answer) -> None:
 def test_export_writes_a_file_and_tells_its_rows(log: Path, tmp_path: Path, kind: str, answer: Answer) -> None:
     out = tmp_path / f"t.{kind}"
     found = answer("log", "export", log, "--format", kind, "--out", out)
-    assert found["paths"] == [str(out)]
-    assert found["rows"]["ticks"] == 60
+    assert (found["paths"], found["rows"]["ticks"]) == ([str(out)], 60)
     answer("log", "export", log, "--format", kind, "--out", out, status=1)  # nothing is overwritten
 
 
@@ -183,8 +178,7 @@ def test_trim_and_merge_tell_what_they_wrote(log: Path, tmp_path: Path, answer: 
     parts = [tmp_path / "1.mcap", tmp_path / "2.mcap"]
     first = answer("log", "trim", log, "--from", "0", "--to", "2.55", "--out", parts[0])
     answer("log", "trim", log, "--from", "2.55", "--out", parts[1])
-    assert first["path"] == str(parts[0])
-    assert first["duration_s"] == pytest.approx(2.5, abs=0.06)
+    assert (first["path"], first["duration_s"]) == (str(parts[0]), pytest.approx(2.5, abs=0.06))
     merged = answer("log", "merge", *parts, "--out", tmp_path / "3.mcap")
     assert merged["messages"] == reader.info(tmp_path / "3.mcap").messages
     assert answer("replay", tmp_path / "3.mcap", "--check")["mismatches"] == 0
@@ -207,17 +201,13 @@ def examples() -> list[list[str]]:
     return [words[1:] for words in lines if words[:1] == ["armctl"] and words[1] in ("replay", "log", "live")]
 
 
-def test_the_commands_of_the_documentation_work(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: Typed
-) -> None:
+def test_documented_commands_work(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: Typed) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     for name in ("lift.mcap", "cut.mcap"):
         Path(name).write_bytes(log.read_bytes())
     found = examples()
     assert len(found) >= 8
-    for words in found:
-        if words[0] == "live" and "--layout" not in words:
-            continue
+    for words in (words for words in found if words[0] != "live" or "--layout" in words):
         fast = ["--rate", "1000"] if words[0] == "replay" and len(words) == 2 else []
         assert "Traceback" not in typed(*words, *fast).err

@@ -1,24 +1,25 @@
 """`armctl reach` and `armctl transfer` as they are typed; the daemon is a stand-in, the cycle runs in virtual time."""
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from armctl import client
-from tests.cli.conftest import Answer, Typed
+from tests.cli.conftest import Answer, StandIn, Typed
 
 ANSWER = {"recording": "run-reach-1", "position_error_mm": 1.5, "position_m": [0.2, 0.05, 0.06], "gripped": True}
 REACH = ("reach", "--xyz", "0.2,0.05,0.06")
 
 
-class Daemon:
+class Daemon(StandIn):
     """Answers one method; `asked` is what it was asked."""
 
     asked: dict[str, Any]
     answer: dict[str, Any] = ANSWER
+
+    def __init__(self, socket: str | None) -> None:
+        assert socket is None
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
         assert method == "reach"
@@ -26,15 +27,9 @@ class Daemon:
         return Daemon.answer
 
 
-@contextlib.contextmanager
-def connected(socket: str | None) -> Iterator[Daemon]:
-    assert socket is None
-    yield Daemon()
-
-
 @pytest.fixture(autouse=True)
 def daemon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client, "Client", connected)
+    monkeypatch.setattr(client, "Client", Daemon)
 
 
 def test_reach_asks_for_the_point_and_answers_with_one_object(answer: Answer) -> None:
@@ -44,9 +39,7 @@ def test_reach_asks_for_the_point_and_answers_with_one_object(answer: Answer) ->
 
 
 @pytest.mark.parametrize(("gripped", "status"), [(True, 0), (False, 1)])
-def test_a_grip_that_found_nothing_fails(
-    typed: Typed, monkeypatch: pytest.MonkeyPatch, gripped: bool, status: int
-) -> None:
+def test_a_grip_of_nothing_fails(typed: Typed, monkeypatch: pytest.MonkeyPatch, gripped: bool, status: int) -> None:
     monkeypatch.setattr(Daemon, "answer", {**ANSWER, "gripped": gripped})
     said = typed(*REACH, "--grip", status=status)
     assert Daemon.asked["gripper"] == "grip"
@@ -58,8 +51,7 @@ def test_a_virtual_transfer_leaves_a_log_a_page_and_a_table(tmp_path: Path, type
     command = ("transfer", "--virtual", "transfer-6dof", "--log", log, "--out", page, "--lift", "1.5")
     result = answer(*command)
     assert [row["figure"] for row in result["rows"]] == [f"Fig. {number}" for number in range(3, 8)]
-    assert result["cycle"]["lift_s"] == 1.5
-    assert (Path(result["log"]), Path(result["report"])) == (log, page)
+    assert (result["cycle"]["lift_s"], Path(result["log"]), Path(result["report"])) == (1.5, log, page)
     assert log.stat().st_size > 10_000
     assert page.stat().st_size > 100_000
     typed(*command, status=1)  # nothing is overwritten

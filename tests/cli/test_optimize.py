@@ -10,7 +10,7 @@ from tests.cli.conftest import Answer
 LINE = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10"]
 
 
-def test_the_default_profile_sets_genes_free_and_the_paper_s_does_not(
+def test_the_default_profile_sets_genes_free_unlike_the_paper_s(
     takes: list[str], tmp_path: Path, answer: Answer
 ) -> None:
     ours = answer("optimize", *takes, *LINE, "--out", tmp_path / "ours.json")

@@ -7,6 +7,7 @@ import pytest
 from armctl.kinematics.errata import Erratum
 from armctl.papers import errata
 from tests.cli.conftest import Answer, Typed
+from tests.words import missing
 
 
 def test_json_holds_rows_and_errata(answer: Answer) -> None:
@@ -22,8 +23,7 @@ def test_page_opens_without_a_network_and_keeps_3d_charts_few(tmp_path: Path, ty
     assert "004: a transfer robot with six degrees of freedom" in said.out
     page = (tmp_path / "new" / "reproduce.html").read_text(encoding="utf-8")
     headings = ("004: a transfer robot", "Fig. 3: Tool position", "Fig. 7", "initial position, x", "Errata")
-    for words in (*headings, "prefers-color-scheme"):
-        assert words in page
+    assert not missing(page, *headings, "prefers-color-scheme")
     assert 'src="http' not in page
     assert page.count('"type":"scatter3d"') < 16
 

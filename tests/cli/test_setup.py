@@ -1,12 +1,15 @@
 """The commands that set an arm up, on a simulated arm in virtual time and once on the real pseudo terminal."""
 
 import json
+import shutil
 import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from datetime import date
+from itertools import count
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from armctl.files import find_arm_file, load_arm
 from armctl.lab.demo import program
 from tests.cli.conftest import Answer, Typed, refusals
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
+from tests.words import missing
 
 pytestmark = pytest.mark.usefixtures("own_folders")
 
@@ -55,9 +59,8 @@ def test_scan_lists_the_servos(bench: Bench, answer: Answer) -> None:
 def test_scan_says_what_it_found_and_what_to_do_when_nothing_is(bench: Bench, typed: Typed) -> None:
     bench.servos[3].set(ax12a.ID, 3)
     bench.servos[5].set(ax12a.RETURN_LEVEL, 0)
-    said = typed("scan", "--port", "x", "--baud", "1000000")
-    assert "two servos have this id" in said.out
-    assert "answers no READ" in said.out
+    said = typed("scan", "--port", "x", "--baud", "1000000").out
+    assert not missing(said, "two servos have this id", "answers no READ")
     assert "try --baud all" in typed("scan", "--port", "x", "--baud", "9600", status=1).out
 
 
@@ -75,17 +78,14 @@ def fixes(result: dict[str, Any]) -> dict[str, str]:
     return {check["name"]: check["fix"] for check in result["checks"] if not check["ok"]}
 
 
-def test_doctor_names_every_trouble_with_its_fix_and_fails(
-    monkeypatch: pytest.MonkeyPatch, typed: Typed, answer: Answer
-) -> None:
+def test_doctor_names_every_trouble_with_its_fix(monkeypatch: pytest.MonkeyPatch, typed: Typed, answer: Answer) -> None:
     plugged(Bench(latency_ms=16.0), monkeypatch).servos[3].set(ax12a.ID, 9)
     result = answer("doctor", "--port", "x", status=1)
     assert fixes(result).keys() == TROUBLES
     assert all(fixes(result).values())
     assert set(result["checks"][0]) >= {"name", "ok", "value", "fix"}
-    said = typed("doctor", "--port", "x", status=1)
-    assert "-> armctl servo set-id 9 4 --port x" in said.out
-    assert "500 us (register 250)  (servo 1)" in said.out
+    said = typed("doctor", "--port", "x", status=1).out
+    assert not missing(said, "-> armctl servo set-id 9 4 --port x", "500 us (register 250)  (servo 1)")
 
 
 def test_doctor_is_content_with_a_fit_arm(bench: Bench, typed: Typed) -> None:
@@ -112,24 +112,22 @@ def test_servo_commands_write_and_say_so(bench: Bench, answer: Answer, typed: Ty
     assert "servo 9 is now servo 4" in servo("set-id 9 4").out
     servo("set 4 shutdown 36")
     assert servo("set-return-delay 4 101", answer)["return_delay_us"] == 100
-    assert bench.servos[3].get(ax12a.ID) == 4
-    assert bench.servos[3].get(ax12a.RETURN_DELAY) == 50
+    assert [bench.servos[3].get(register) for register in (ax12a.ID, ax12a.RETURN_DELAY)] == [4, 50]
     assert not any(servo.torque_enabled for servo in bench.servos)
 
 
 def test_servos_of_the_factory_are_mended_by_one_command(bench: Bench, answer: Answer, typed: Typed) -> None:
     bench.servos[1].set(ax12a.CCW_LIMIT, 1023)
     bench.servos[4].set(ax12a.SHUTDOWN, 0)
-    assert answer("servo", "mend", "5", "--port", "x") == {
-        "mended": [{"servo_id": 5, "register": "shutdown", "wanted": 36, "found": 0}]
-    }
+    mended = {"servo_id": 5, "register": "shutdown", "wanted": 36, "found": 0}
+    assert answer("servo", "mend", "5", "--port", "x") == {"mended": [mended]}
     assert "ccw_angle_limit" in typed("servo", "mend", "all", "--port", "x").out
     assert "nothing to mend" in typed("servo", "mend", "all", "--port", "x").out
     assert "not of the arm" in typed("servo", "mend", "9", "--port", "x", status=2).err
 
 
 @pytest.mark.parametrize(("status", "line", "text"), refusals("at the bench"))
-def test_what_is_refused_is_one_clear_sentence_and_nothing_is_written(
+def test_what_is_refused_is_said_and_nothing_is_written(
     bench: Bench, status: int, line: str, text: str, typed: Typed
 ) -> None:
     before = [servo.writes for servo in bench.servos]
@@ -165,9 +163,7 @@ def test_eeprom_is_saved_compared_and_restored(bench: Bench, tmp_path: Path, ans
 
 @pytest.fixture
 def arm_file(tmp_path: Path) -> Path:
-    path = tmp_path / "my-arm.yaml"
-    path.write_text(find_arm_file("ax12-line").read_text())
-    return path
+    return Path(shutil.copy(find_arm_file("ax12-line"), tmp_path / "my-arm.yaml"))
 
 
 def zeros(arm: ArmConfig) -> list[float]:
@@ -181,16 +177,14 @@ def calibrated(arm_file: Path, touches: Sequence[Touch]) -> tuple[object, ...]:
     return "calibrate", "--readings", readings, "--arm"
 
 
-def test_calibrate_from_readings_writes_a_new_file_beside_the_old(
-    tmp_path: Path, arm_file: Path, answer: Answer, typed: Typed
-) -> None:
+def test_calibrate_from_readings_writes_a_new_file_beside_the_old(arm_file: Path, answer: Answer, typed: Typed) -> None:
     rng = np.random.default_rng(0)
     true = planted(load_arm("ax12-line"), rng, tick=20.0, length_m=0.003)
     old = arm_file.read_text()
     command = calibrated(arm_file, touch_points(Bench(spec=EXACT, simulated=true), 16, rng))
     result = answer(*command, arm_file)
     today = date.today().isoformat()
-    assert result["path"] == str(tmp_path / f"my-arm-{today}.yaml")
+    assert result["path"] == str(arm_file.with_name(f"my-arm-{today}.yaml"))
     assert arm_file.read_text() == old
     found_arm = load_arm(result["path"])
     assert zeros(found_arm)[:5] == pytest.approx(zeros(true)[:5], abs=1.0)
@@ -198,76 +192,54 @@ def test_calibrate_from_readings_writes_a_new_file_beside_the_old(
     assert {change["key"] for change in result["changes"]} >= {"base.zero_tick", "lengths_m.d1"}
     assert len(result["residuals_mm"]) == 16
     assert result["rms_mm"] < 1.0
-    again = typed(*command, result["path"])
-    assert all(words in again.out for words in (f"my-arm-{today}-2.yaml", "roll.zero_tick", "does not move the tool"))
+    again = typed(*command, result["path"]).out
+    assert not missing(again, f"my-arm-{today}-2.yaml", "roll.zero_tick", "does not move the tool")
     assert "not overwritten" in typed(*command, arm_file, "--out", result["path"], status=1).err
 
 
 def test_calibrate_says_when_the_postures_were_too_much_alike(arm_file: Path, typed: Typed) -> None:
     said = typed(*calibrated(arm_file, touch_points(Bench(spec=EXACT), 1, np.random.default_rng(0)) * 12), arm_file)
-    assert "left alone" in said.out
-    assert "touch every point in more postures" in said.out
+    assert not missing(said.out, "left alone", "touch every point in more postures")
 
 
-class Person:
-    """Someone at a terminal who does something each time before pressing Enter."""
-
-    def __init__(self, act: Callable[[int], bool]) -> None:
-        self._act = act
-        self.asked = 0
-
-    def isatty(self) -> bool:
-        return True
-
-    def fileno(self) -> int:
-        return -1
-
-    def readline(self) -> str:
-        self.asked += 1
-        return "\n" if self._act(self.asked - 1) else ""
+def person(readline: Callable[[], str]) -> Mock:
+    """Someone at a terminal who presses Enter, or leaves."""
+    return Mock(isatty=lambda: True, fileno=lambda: -1, readline=Mock(side_effect=readline))
 
 
-def test_calibrate_leads_a_person_through_the_points(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arm_file: Path, typed: Typed
-) -> None:
+def test_calibrate_leads_a_person_through_points(monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed) -> None:
     rng = np.random.default_rng(1)
-    config = load_arm("ax12-line")
-    bench = Bench(spec=EXACT)
-    hand = PosingHand(bench.arm)
-    bench.arm.hand = hand
-    places = postures(config, 12, rng)
-    points = tmp_path / "points.csv"
+    bench = plugged(Bench(spec=EXACT), monkeypatch)
+    hand = bench.arm.hand = PosingHand(bench.arm)
+    places = postures(bench.config, 12, rng)
+    turns = count()
+    points, saved = arm_file.with_name("points.csv"), arm_file.with_name("kept.yaml")
     points.write_text("\n".join(",".join(map(str, p)) for p in bench.arm.tool_positions(places).tolist()))
-    plugged(bench, monkeypatch)
 
-    def act(asked: int) -> bool:
+    def posing() -> str:
+        asked = next(turns)
         hand.carry(places[max(0, asked - 1)])
         bench.clock.advance_ns(100_000_000 if asked == 0 else 3_000_000_000)  # too early the first time
         bench.arm.advance(bench.clock.now_ns())
-        return True
+        return "\n"
 
-    person = Person(act)
-    monkeypatch.setattr(sys, "stdin", person)
-    saved = tmp_path / "kept.yaml"
+    monkeypatch.setattr(sys, "stdin", person(posing))
     command = ("calibrate", "--arm", arm_file, "--port", "x", "--points", points, "--touches", "1", "--out")
     # The hand sags by millimetres under the arm's weight, so these points are not quite where the tool was.
-    said = typed(*command, tmp_path / "new.yaml", "--save-readings", saved)
-    assert person.asked == 13
-    assert "not taken: " in said.out
-    assert "hold the tool still" in said.out
+    said = typed(*command, arm_file.with_name("new.yaml"), "--save-readings", saved)
+    assert next(turns) == 13
+    assert not missing(said.out, "not taken: ", "hold the tool still")
     assert saved.exists()
-    monkeypatch.setattr(sys, "stdin", Person(lambda asked: False))
-    typed(*command, tmp_path / "other.yaml", status=130)
+    monkeypatch.setattr(sys, "stdin", person(str))
+    typed(*command, arm_file.with_name("other.yaml"), status=130)
     assert not bench.port.is_open
 
 
-def test_zeros_alone_are_read_in_the_rest_pose(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arm_file: Path, typed: Typed
-) -> None:
+def test_zeros_alone_are_read_in_the_rest_pose(monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed) -> None:
     true = planted(load_arm("ax12-line"), np.random.default_rng(2), tick=20.0, length_m=0.0)
     plugged(Bench(spec=EXACT, simulated=true), monkeypatch)
-    monkeypatch.setattr(sys, "stdin", Person(lambda asked: True))
-    out = tmp_path / "new.yaml"
+    monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
+    out = arm_file.with_name("new.yaml")
     said = typed("calibrate", "--arm", arm_file, "--port", "x", "--zero-at", "rest", "--out", out)
     assert zeros(load_arm(str(out))) == pytest.approx(zeros(true), abs=1.0)
     assert "base.zero_tick" in said.out
@@ -285,10 +257,9 @@ def prefix(tmp_path: Path) -> str:
 
 
 def test_a_dry_run_says_everything_and_does_nothing(tmp_path: Path, prefix: str, typed: Typed) -> None:
-    root = tmp_path / "root"
-    said = typed("install", "--prefix", prefix, "--dry-run", "--root", root)
+    said = typed("install", "--prefix", prefix, "--dry-run", "--root", tmp_path / "root")
     assert "would write /etc/systemd/system/armctl.service" in said.out
-    assert not root.exists()
+    assert not (tmp_path / "root").exists()
 
 
 def test_install_and_uninstall_below_a_root(tmp_path: Path, prefix: str, typed: Typed, answer: Answer) -> None:

@@ -9,8 +9,7 @@ LINE = ["--from", "0.18,-0.1,0.10", "--to", "0.18,0.1,0.10"]
 
 def test_every_study_stands_in_the_table_of_commands_and_in_that_of_the_work() -> None:
     assert list(COMMANDS) == list(STUDIES)
-    for name, command in COMMANDS.items():
-        assert (command.file is None) == (STUDIES[name].write is None)
+    assert all((command.file is None) == (STUDIES[name].write is None) for name, command in COMMANDS.items())
 
 
 def test_settings_of_the_genetic_algorithm_repeat_by_their_seed_whoever_works(answer: Answer) -> None:
@@ -30,9 +29,8 @@ def test_arms_tell_each_row_and_their_summary(answer: Answer) -> None:
 
 def test_fronts_are_told_and_drawn(answer: Answer, tmp_path: Path) -> None:
     page = tmp_path / "pareto.html"
-    found = answer(
-        "study", "pareto", *LINE, "--via", "1,2", "--durations", "4,3", "--report", str(page), "--workers", "1"
-    )
+    asked = [*LINE, "--via", "1,2", "--durations", "4,3", "--workers", "1"]
+    found = answer("study", "pareto", *asked, "--report", page)
     assert [(row["duration_s"], row["via"]) for row in found["rows"]] == [(3.0, 1), (3.0, 2), (4.0, 1), (4.0, 2)]
     assert any(row["front_duration"] for row in found["rows"])
     assert page.read_text().count('<figure role="img"') == 2

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from armctl.cli import calibrate, demo, experiment, jobs, logs, main, motion, reproduce, servo, setup, study
+from armctl.cli import calibrate, demo, experiment, jobs, logs, motion, reproduce, servo, setup, study
 from armctl.cli.output import Output
 from armctl.cli.tables import show_table
 from armctl.commissioning.calibration import Fit, Parameter
@@ -28,6 +28,7 @@ from armctl.lab.study.limits import WITHOUT
 from armctl.papers.page import PaperReport, Row
 from armctl.recording import timeline
 from armctl.recording.player import Player
+from tests.cli.conftest import Typed
 from tests.recording.factory import make_records
 from tests.recording.logs import write as write_log
 
@@ -61,30 +62,19 @@ def assert_whole(show: Callable[[Output], object]) -> str:
     return text
 
 
-REPORT = PaperReport(
-    paper="004",
-    title="a title that is as long as the longest of the five papers' titles, and then some more of it",
-    notes=(),
-    rows=tuple(Row(**row) for row in WIDEST["paper"]),
-    tables=(),
-    pictures=(),
-)
-ERRATUM = Erratum(
-    "002", "eqs. (19), (20)", "C1 (a2 C2 + a3 C23)", "S1 (a2 C2 + a3 C23) + ...", "[m]", lambda: (0.1, 0.0)
-)
+TITLE = "a title that is as long as the longest of the five papers' titles, and then some more of it"
+ROWS = tuple(Row(**row) for row in WIDEST["paper"])
+REPORT = PaperReport(paper="004", title=TITLE, notes=(), rows=ROWS, tables=(), pictures=())
+PRINTED = ("eqs. (19), (20)", "C1 (a2 C2 + a3 C23)", "S1 (a2 C2 + a3 C23) + ...", "[m]")
+ERRATUM = Erratum("002", *PRINTED, lambda: (0.1, 0.0))
 SERVOS = [FoundServo(**row) for row in WIDEST["servos"]]
 CHECKS = [Check(**row) for row in WIDEST["checks"]]
 DIFFERENCES = [Difference(**row) for row in WIDEST["differences"]]
-FIT = Fit(
-    arm=load_arm("ax12-line"),
-    parameters=(
-        Parameter(f"{LONGEST_NAME}.zero_tick", "tick", -1023.5, 2046.5, 123.45),
-        Parameter("lengths_m.a56", "m", 0.1234, 0.1235, None, "these points do not tell it from the shoulder's zero"),
-    ),
-    residuals_mm=np.array([123.4, 5.0]),
-    rms_before_mm=123.4,
-    rms_mm=12.3,
+PARAMETERS = (
+    Parameter(f"{LONGEST_NAME}.zero_tick", "tick", -1023.5, 2046.5, 123.45),
+    Parameter("lengths_m.a56", "m", 0.1234, 0.1235, None, "these points do not tell it from the shoulder's zero"),
 )
+FIT = Fit(load_arm("ax12-line"), PARAMETERS, np.array([123.4, 5.0]), rms_before_mm=123.4, rms_mm=12.3)
 STUDIES = {name: WIDEST[f"study {name}"] for name in ("arms", "ga", "pareto", "paper")}
 STUDIES["limits"] = {"rows": [{**WIDEST["study limits"], "without": effect} for effect in WITHOUT]}
 TABLES: dict[str, Callable[[Output], object]] = {
@@ -114,7 +104,7 @@ def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("robot", ["puma560", "transfer-6dof", "ax12-line", "xiang-6dof", "lanzhou-4dof"])
-def test_the_kinematics_of_every_robot_fit(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_kinematics_of_every_robot_fit(robot: str, typed: Typed) -> None:
     joints = robots.get(robot).chain.n
     q = ",".join(["-123.4567891"] * joints)
     one = ("--robot", robot)
@@ -126,8 +116,7 @@ def test_the_kinematics_of_every_robot_fit(robot: str, capsys: pytest.CaptureFix
         ("workspace", *one, "--samples", "100"),
         ("trajectory", *one, "--q0", q, "--q1", ",".join(["100"] * joints), "--duration", "0.1", "--deg"),
     ):
-        assert main(arguments) == 0
-        lines = capsys.readouterr().out.splitlines()
+        lines = typed(*arguments).out.splitlines()
         assert max(len(line.rstrip()) for line in lines) <= COLUMNS, "\n".join(lines)
         assert "…" not in "".join(lines)
 

@@ -27,12 +27,9 @@ class Snapshots:
     def subscribe(self) -> Iterator[dict[str, Any]]:
         for before, place in pairwise([self._places[0], *self._places]):
             self.left -= 1
-            yield {**self._same, "state": "teaching", "tool": _tool(place, before)}
+            tool = {"position_m": list(place), "speed_m_s": math.dist(place, before) / 0.1}
+            yield {**self._same, "state": "teaching", "tool": tool}
         yield {**self._same, "state": "off", "tool": None}
-
-
-def _tool(place: Place, before: Place) -> dict[str, Any]:
-    return {"position_m": list(place), "speed_m_s": math.dist(place, before) / 0.1}
 
 
 def follow(places: list[Place], keys: str = "", limit_m_s: float = 0.25) -> tuple[Tool, Snapshots]:
@@ -53,16 +50,11 @@ def way(a: Place, b: Place, ticks: int) -> list[Place]:
 END: Place = (0.18, 0.12, 0.1)
 
 
-def test_a_take_begins_when_the_tool_rests_at_the_start() -> None:
-    tool, snapshots = follow(rest(END, 20) + way(END, START, 20) + rest(START, 6) + rest(START, 30))
-    assert tool.settle(START) == START
-    assert snapshots.left == 32  # half a second, the arrival included
-
-
-def test_without_a_named_start_the_arm_must_first_be_moved() -> None:
-    tool, snapshots = follow(rest(END, 20) + way(END, START, 20) + rest(START, 20))
-    assert tool.settle(None) == START
-    assert snapshots.left == 16
+@pytest.mark.parametrize(("named", "ticks"), [(START, 36), (None, 20)])
+def test_a_take_begins_once_the_tool_rests_at_its_start_or_where_it_was_moved(named: Place | None, ticks: int) -> None:
+    tool, snapshots = follow(rest(END, 20) + way(END, START, 20) + rest(START, ticks))
+    assert tool.settle(named) == START
+    assert snapshots.left == ticks - 4  # half a second, the arrival included
 
 
 def test_resting_elsewhere_begins_nothing() -> None:
@@ -101,14 +93,11 @@ def marked(places: list[Place], keys: str = "") -> tuple[list[int], Place]:
 
 def test_a_dwell_on_the_way_marks_one_via_point_and_does_not_end_the_take() -> None:
     places = rest(START, 5) + way(START, MIDDLE, 20) + rest(MIDDLE, 7) + way(MIDDLE, END, 20) + rest(END, 15)
-    marks, end = marked(places)
-    assert marks[0] == 38  # half a second after the arrival
-    assert len(marks) == 2  # the second one where it came to rest for good
+    (first, _), end = marked(places)  # the second one where it came to rest for good
+    assert first == 38  # half a second after the arrival
     assert end == END
 
 
 def test_a_key_marks_a_via_point_where_the_tool_is_and_enter_ends_the_take() -> None:
     places = rest(START, 5) + way(START, END, 40)
-    marks, end = marked(places, "." * 20 + "v" + "." * 9 + "\n")
-    assert marks == [24]
-    assert end == places[30]
+    assert marked(places, "." * 20 + "v" + "." * 9 + "\n") == ([24], places[30])

@@ -89,8 +89,7 @@ def postures(arm: ArmConfig, count: int, rng: np.random.Generator) -> FloatArray
 
 def touch_points(bench: Bench, count: int, rng: np.random.Generator, *, touch_error_m: float = 0.0) -> list[Touch]:
     """Guide the limp arm through `count` postures; each point is known but for the touch error."""
-    hand = PosingHand(bench.arm)
-    bench.arm.hand = hand
+    hand = bench.arm.hand = PosingHand(bench.arm)
     touches = []
     for posture in postures(bench.config, count, rng):
         hand.carry(posture)
@@ -106,10 +105,8 @@ def planted(config: ArmConfig, rng: np.random.Generator, *, tick: float, length_
     """The arm as it truly is: zeros off by up to `tick`, every length off by `length_m` one way or the other."""
     known_m = robots.get(config.robot).lengths_m
     lengths = {name: value + length_m * float(rng.choice([-1, 1])) for name, value in known_m.items()}
-    zeros = [joint.zero_tick + float(rng.uniform(-tick, tick)) for joint in config.joints]
-    joints = tuple(
-        joint.model_copy(update={"zero_tick": zero}) for joint, zero in zip(config.joints, zeros, strict=True)
-    )
+    zeros = [{"zero_tick": joint.zero_tick + float(rng.uniform(-tick, tick))} for joint in config.joints]
+    joints = tuple(joint.model_copy(update=zero) for joint, zero in zip(config.joints, zeros, strict=True))
     return config.model_copy(update={"lengths_m": lengths, "joints": joints})
 
 

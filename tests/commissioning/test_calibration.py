@@ -102,8 +102,7 @@ def test_a_tool_that_always_points_down_does_not_tell_d1_from_its_own_length() -
     assert held.keys() <= {"lengths_m.d1", "lengths_m.a56", "hand.zero_tick"}
     assert held
     for parameter in held.values():
-        assert parameter.standard_error is None
-        assert parameter.after == parameter.before
+        assert (parameter.standard_error, parameter.after) == (None, parameter.before)
         assert "points" in parameter.held
 
 
@@ -191,8 +190,7 @@ def test_readings_of_an_arm_that_is_powered_silent_moving_or_gone_are_refused() 
     bench.servos[1].set(ax12a.TORQUE_ENABLE, 1)
     refused(r"servo 2 \(shoulder\): torque is on")
     bench.servos[1].set(ax12a.TORQUE_ENABLE, 0)
-    hand = PosingHand(bench.arm)
-    bench.arm.hand = hand
+    hand = bench.arm.hand = PosingHand(bench.arm)
     hand.carry(np.array([0.5, 2.0, -2.0, 1.0, 0.0, 0.0]))
     bench.clock.advance_ns(500_000_000)
     refused("hold the tool still")
@@ -207,11 +205,10 @@ def test_readings_survive_their_file(tmp_path: Path) -> None:
     path = tmp_path / "r.yaml"
     path.write_text(calibration.readings_text(readings))
     assert calibration.load_readings(path, ARM) == readings
-    with pytest.raises(ConfigError, match="readings of 'ax12-line'"):
-        calibration.load_readings(path, ARM.model_copy(update={"arm_id": "mine"}))
-    short = ARM.model_copy(update={"joints": ARM.joints[:5]})
-    with pytest.raises(ConfigError, match=r"touches\.0\.ticks: 6 values for 5 servos"):
-        calibration.load_readings(path, short)
+    mine, short = ({"arm_id": "mine"}, "readings of 'ax12-line'"), ({"joints": ARM.joints[:5]}, "6 values for 5 servos")
+    for change, match in (mine, short):
+        with pytest.raises(ConfigError, match=match):
+            calibration.load_readings(path, ARM.model_copy(update=change))
 
 
 def test_points_are_lines_with_remarks(tmp_path: Path) -> None:
@@ -220,15 +217,15 @@ def test_points_are_lines_with_remarks(tmp_path: Path) -> None:
     assert calibration.read_points(path) == [(0.2, 0.0, 0.0), (-0.1, 0.15, 0.01)]
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("0.1,0.2", "line 1: '0.1,0.2' is not x,y,z"),
-        ("\n180,0,0", "line 2.*metres"),
-        ("nan,0,0", "finite"),
-        ("#\n", "no point"),
-    ],
-)
+NO_POINTS = {
+    "0.1,0.2": "line 1: '0.1,0.2' is not x,y,z",
+    "\n180,0,0": "line 2.*metres",
+    "nan,0,0": "finite",
+    "#\n": "no point",
+}
+
+
+@pytest.mark.parametrize(("text", "problem"), NO_POINTS.items())
 def test_wrong_points_are_refused_by_line(tmp_path: Path, text: str, problem: str) -> None:
     path = tmp_path / "p.csv"
     path.write_text(text)

@@ -1,6 +1,6 @@
 """EEPROM of simulated servos: what is written, what is refused, and that nothing moves."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
@@ -21,6 +21,11 @@ def bench(request: pytest.FixtureRequest) -> Bench:
     return Bench(latency_ms=request.param)
 
 
+def registers(bench: Bench, which: Iterable[ax12a.Register]) -> list[list[int]]:
+    """What these registers of every servo hold."""
+    return [[servo.get(register) for register in which] for servo in bench.servos]
+
+
 def deaf(monkeypatch: pytest.MonkeyPatch, heard: Callable[[Bench], object] = lambda bench: None) -> Bench:
     """A bench where something else happens than what is written."""
     bench = Bench()
@@ -32,10 +37,10 @@ def deaf(monkeypatch: pytest.MonkeyPatch, heard: Callable[[Bench], object] = lam
 
 
 def test_a_servo_gets_its_id_and_only_that(bench: Bench) -> None:
-    before = [[servo.get(register) for register in ax12a.REGISTERS[3:18]] for servo in bench.servos]
+    before = registers(bench, ax12a.REGISTERS[3:18])
     eeprom.set_id(bench.bus, 4, 9)
-    assert [servo.get(ax12a.ID) for servo in bench.servos] == [1, 2, 3, 9, 5, 6]
-    assert [[servo.get(register) for register in ax12a.REGISTERS[3:18]] for servo in bench.servos] == before
+    assert registers(bench, [ax12a.ID]) == [[1], [2], [3], [9], [5], [6]]
+    assert registers(bench, ax12a.REGISTERS[3:18]) == before
     assert not any(servo.torque_enabled for servo in bench.servos)
 
 
@@ -96,24 +101,22 @@ def test_twins_that_read_alike_are_told_after_the_fact(monkeypatch: pytest.Monke
         eeprom.set_id(bench.bus, 3, 9)
 
 
-@pytest.mark.parametrize(
-    ("baud", "real"), [(57_600, 57_142), (115_200, 117_647), (9_600, 9_615), (1_000_000, 1_000_000)]
-)
+REAL = {57_600: 57_142, 115_200: 117_647, 9_600: 9_615, 1_000_000: 1_000_000}
+
+
+@pytest.mark.parametrize(("baud", "real"), REAL.items())
 def test_a_servo_is_found_again_at_its_new_baud(bench: Bench, baud: int, real: int) -> None:
     assert eeprom.set_baud(bench.bus, 2, baud) == real
-    assert bench.port.baudrate == baud
-    assert bench.bus.read(2, ax12a.MODEL) == 12
+    assert (bench.port.baudrate, bench.bus.read(2, ax12a.MODEL)) == (baud, 12)
     assert round(bench.servos[1].baud) == pytest.approx(real, abs=1)
 
 
-def test_a_baud_at_which_the_id_is_taken_is_refused() -> None:
-    bench = Bench()
+def test_a_baud_at_which_the_id_is_taken_is_refused(bench: Bench) -> None:
     bench.servos[1].set(ax12a.BAUD, 34)
     bench.servos[1].set(ax12a.ID, 1)
     with pytest.raises(RequestRefused, match="another servo 1 answers at 57600"):
         eeprom.set_baud(bench.bus, 1, 57_600)
-    assert bench.port.baudrate == 1_000_000
-    assert bench.servos[0].get(ax12a.BAUD) == 1
+    assert (bench.port.baudrate, bench.servos[0].get(ax12a.BAUD)) == (1_000_000, 1)
 
 
 @pytest.mark.parametrize(
@@ -162,22 +165,19 @@ def test_a_port_that_vanishes_is_raised(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize("name", ["e.yaml", "e.json"])
 def test_what_was_saved_is_restored(bench: Bench, tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    saved = eeprom.save(bench.bus, bench.config.servo_ids, path)
-    assert eeprom.load(path) == saved
+    saved = eeprom.save(bench.bus, bench.config.servo_ids, tmp_path / name)
+    assert eeprom.load(tmp_path / name) == saved
     assert eeprom.differences(bench.bus, saved) == []
     bench.servos[2].set(ax12a.SHUTDOWN, 4)
     bench.servos[5].set(ax12a.CW_LIMIT, 100)
     wanted = [Difference(3, "shutdown", 36, 4), Difference(6, "cw_angle_limit", 18, 100)]
     assert eeprom.differences(bench.bus, saved) == wanted
-    assert eeprom.restore(bench.bus, saved, (3,)) == wanted[:1]
-    assert eeprom.restore(bench.bus, saved) == wanted[1:]
-    assert eeprom.restore(bench.bus, saved) == []
+    only_third, rest, none = (eeprom.restore(bench.bus, saved, only) for only in ((3,), (), ()))
+    assert (only_third, rest, none) == (wanted[:1], wanted[1:], [])
     assert not any(servo.torque_enabled for servo in bench.servos)
 
 
-def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
-    bench = Bench()
+def test_a_file_is_never_overwritten(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "e.yaml"
     path.write_text("precious")
     with pytest.raises(RequestRefused, match="not overwritten"):
@@ -187,8 +187,7 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
         eeprom.save(bench.bus, (1,), tmp_path / "none" / "e.yaml")
 
 
-def test_a_silent_servo_is_a_difference_and_not_saved(tmp_path: Path) -> None:
-    bench = Bench()
+def test_a_silent_servo_is_a_difference_and_not_saved(bench: Bench, tmp_path: Path) -> None:
     saved = eeprom.save(bench.bus, (1, 2), tmp_path / "e.yaml")
     bench.servos[1].set(ax12a.ID, 9)
     found = eeprom.differences(bench.bus, saved)
@@ -198,8 +197,7 @@ def test_a_silent_servo_is_a_difference_and_not_saved(tmp_path: Path) -> None:
     assert not (tmp_path / "f.yaml").exists()
 
 
-def test_restoring_names_every_obstacle_and_writes_nothing(tmp_path: Path) -> None:
-    bench = Bench()
+def test_restoring_names_every_obstacle_and_writes_nothing(bench: Bench, tmp_path: Path) -> None:
     saved = eeprom.save(bench.bus, bench.config.servo_ids, tmp_path / "e.yaml")
     for servo in bench.servos:
         servo.set(ax12a.RETURN_DELAY, 0)
@@ -221,7 +219,7 @@ WRONG = {ax12a.CW_LIMIT: 0, ax12a.CCW_LIMIT: 1023, ax12a.SHUTDOWN: 1, ax12a.TEMP
 
 def test_what_identify_refuses_is_mended_and_nothing_else_is_written(bench: Bench) -> None:
     joints = bench.config.joints
-    fit = [[servo.get(register) for register in eeprom.EEPROM_REGISTERS] for servo in bench.servos]
+    fit = registers(bench, eeprom.EEPROM_REGISTERS)
     with unwritten(bench):
         assert eeprom.mend(bench.bus, joints) == []
     for register, value in WRONG.items():
@@ -232,7 +230,7 @@ def test_what_identify_refuses_is_mended_and_nothing_else_is_written(bench: Benc
     assert bench.servos[3].get(ax12a.SHUTDOWN) == 37
     bench.servos[3].set(ax12a.SHUTDOWN, 36)
     bench.servos[3].set(ax12a.TEMPERATURE_LIMIT, 70)
-    assert [[servo.get(register) for register in eeprom.EEPROM_REGISTERS] for servo in bench.servos] == fit
+    assert registers(bench, eeprom.EEPROM_REGISTERS) == fit
     assert not any(problem.code == "EEPROM_MISMATCH" for problem in bench.bus.identify(joints))
 
 

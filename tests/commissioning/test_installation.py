@@ -8,6 +8,10 @@ from armctl.commissioning.installation import SYSTEM, Act, InstallationFailed, R
 from armctl.config import parse_yaml
 from armctl.errors import ArmctlError, ConfigError
 from armctl.files import load_arm
+from tests.words import missing
+
+# The configuration and the calibration, which are a person's.
+KEPT = ["etc/armctl/armctl.yaml", "etc/armctl/calibration/ax12-line.yaml"]
 
 
 @pytest.fixture
@@ -57,15 +61,9 @@ def contents(root: Path) -> dict[str, str]:
 def test_an_installation_is_complete_and_readable_by_the_service(acts: list[Act], prefix: Path, root: Path) -> None:
     due(acts, root)
     found = contents(root)
-    assert sorted(found) == [
-        "etc/armctl/armctl.yaml",
-        "etc/armctl/calibration/ax12-line.yaml",
-        "etc/systemd/system/armctl-web.service",
-        "etc/systemd/system/armctl.service",
-        "etc/sysusers.d/armctl.conf",
-        "etc/tmpfiles.d/armctl.conf",
-        "etc/udev/rules.d/60-armctl.rules",
-    ]
+    units = [f"systemd/system/{name}.service" for name in ("armctl-web", "armctl")]
+    others = ["sysusers.d/armctl.conf", "tmpfiles.d/armctl.conf", "udev/rules.d/60-armctl.rules"]
+    assert sorted(found) == [*KEPT, *(f"etc/{name}" for name in units + others)]
     assert f"ExecStart={prefix}/bin/armctl daemon" in found["etc/systemd/system/armctl.service"]
     assert parse_yaml(found["etc/armctl/armctl.yaml"], "armctl.yaml") == {"port": "/dev/armctl", "arm": "ax12-line"}
     assert load_arm(str(root / "etc/armctl/calibration/ax12-line.yaml")) == load_arm("ax12-line")
@@ -91,7 +89,7 @@ def test_a_persons_configuration_is_kept_and_a_changed_unit_is_renewed(acts: lis
 def test_removal_leaves_configuration_and_calibrations_and_nothing_else(acts: list[Act], root: Path) -> None:
     due(acts, root)
     due(removal(), root)
-    assert sorted(contents(root)) == ["etc/armctl/armctl.yaml", "etc/armctl/calibration/ax12-line.yaml"]
+    assert sorted(contents(root)) == KEPT
     assert due(removal(), root) == []
 
 
@@ -117,9 +115,7 @@ def test_a_folder_that_cannot_be_written_is_told_with_the_act(acts: list[Act], r
         due(acts, root)
 
 
-def test_a_program_that_is_missing_or_in_a_home_folder_is_refused_with_the_way_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_program_missing_or_in_a_home_folder_is_refused_with_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="no such program"):
         installation(arm="ax12-line", prefix=Path("/home/eve/.venv"))
     monkeypatch.setattr(Path, "is_file", lambda path: True)
@@ -131,10 +127,9 @@ def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path, sysfs:
     acts = installation(arm="ax12-line", prefix=prefix, port="/dev/ttyUSB0", sysfs=sysfs)
     [rules] = [act.text or "" for act in acts if isinstance(act, module.File) and act.path.suffix == ".rules"]
     rows = [row for row in rules.splitlines() if not row.startswith("#")]
-    assert len(rows) == 2
-    assert all('ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", ATTRS{serial}=="FT4THUX8"' in row for row in rows)
-    assert 'MODE="0660", GROUP="armctl"' in rows[0]
-    assert 'ATTR{latency_timer}="1"' in rows[1]
+    adapter = 'ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", ATTRS{serial}=="FT4THUX8"'
+    for row, given in zip(rows, ('MODE="0660", GROUP="armctl"', 'ATTR{latency_timer}="1"'), strict=True):
+        assert not missing(row, adapter, given)
 
 
 def test_a_serial_number_that_is_no_plain_word_does_not_get_into_a_rule(sysfs: Path) -> None:

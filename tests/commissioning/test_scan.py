@@ -55,9 +55,7 @@ def test_a_servo_that_answers_a_ping_only_is_found_without_a_model(bench: Bench)
 
 @pytest.mark.parametrize("latency_ms", [0.0, 16.0])
 @pytest.mark.parametrize(("collide", "model"), [(False, 12), (True, None)])
-def test_two_servos_with_one_id_are_a_clash_even_if_their_replies_collide(
-    latency_ms: float, collide: bool, model: int | None
-) -> None:
+def test_servos_with_one_id_clash_even_if_replies_collide(latency_ms: float, collide: bool, model: int | None) -> None:
     bench = Bench(latency_ms=latency_ms)
     bench.servos[3].set(ax12a.ID, 3)
     bench.servos[3].overloaded = collide
@@ -112,9 +110,7 @@ def test_a_port_that_vanishes_before_the_read_is_raised(bench: Bench, monkeypatc
         scan(bench.bus, ONE_MBPS, (1,))
 
 
-def test_bauds_the_adapter_cannot_do_are_skipped_unless_it_can_do_none(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bauds_the_adapter_cannot_do_are_skipped_unless_all_are(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     set_baud = bench.port.setBaudRate
 
     def picky(baud: int) -> bool:

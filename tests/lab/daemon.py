@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import armctl.client
+from armctl.kinematics.transform import FloatArray
 from armctl.lab.rig import Measured, Rig
 from armctl.recording import recordings
 from armctl.recording.recordings import Recording
@@ -14,6 +15,13 @@ from armctl.trajectory.plan import Plan
 
 # From a recording's begin to its plan's.
 BEGIN_S = 1.0
+
+
+def true_path(run: Measured) -> tuple[FloatArray, FloatArray]:
+    """When the simulator looked at the tool [s], and where it was [m]."""
+    assert run.true_time_s is not None
+    assert run.true_tool_m is not None
+    return run.true_time_s, run.true_tool_m
 
 
 class SimulatedDaemon:

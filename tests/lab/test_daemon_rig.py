@@ -39,8 +39,7 @@ def served(patch: pytest.MonkeyPatch, *durations_s: float) -> tuple[SimulatedDae
 def test_a_run_is_what_its_recording_holds_between_the_plans_begin_and_end(monkeypatch: pytest.MonkeyPatch) -> None:
     daemon, rig = served(monkeypatch, 5.0)
     measured = rig.run(make_plan())
-    assert daemon.plans == [make_plan()]
-    assert rig.period_s == 0.1
+    assert (daemon.plans, rig.period_s) == ([make_plan()], 0.1)
     assert list(rig.goals_rad) == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
     assert (measured.recording, measured.duration_s, measured.true_tool_m) == ("run-1", 5.0, None)
     np.testing.assert_allclose(measured.time_s, TIME_S, atol=1e-9)

@@ -29,16 +29,16 @@ def test_a_table_of_tool_points_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tool_m, [[1, 2, 3], [4, 5, 6]])
 
 
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("t_s,x_m,y_m\n0,1,2\n", "z_m: no such column"),
-        ("t_s,x_m,y_m,z_m\n0,1,2,3\n1,1,nan,3\n", "line 3: not four finite numbers"),
-        ("t_s,x_m,y_m,z_m\n0,1,2,3\n1,1\n", "line 3: not four finite numbers"),
-        ("t_s,x_m,y_m,z_m\n0,1,2,3\n0,1,2,3\n", "times increasing"),
-        ("t_s,x_m,y_m,z_m\n0,1,2,3\n", "two rows or more"),
-    ],
-)
+HEAD = "t_s,x_m,y_m,z_m\n0,1,2,3\n"
+NO_TABLES = {
+    "t_s,x_m,y_m\n0,1,2\n": "z_m: no such column",
+    **{f"{HEAD}{row}\n": "line 3: not four finite numbers" for row in ("1,1,nan,3", "1,1")},
+    HEAD + "0,1,2,3\n": "times increasing",
+    HEAD: "two rows or more",
+}
+
+
+@pytest.mark.parametrize(("text", "match"), NO_TABLES.items())
 def test_what_is_no_such_table_is_refused_with_its_place(tmp_path: Path, text: str, match: str) -> None:
     with pytest.raises(ConfigError, match=match):
         measured_tool.read(write(tmp_path / "t.csv", text))
@@ -52,10 +52,8 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 def test_what_the_encoders_do_not_see_is_the_difference_to_where_they_have_the_tool() -> None:
     run = recording()
     time_s = np.linspace(0.0, 5.0, 120)
-    by_encoder = np.stack(
-        [np.interp(time_s + 1.0, run.time_s, column) for column in tool_position(CHAIN, run.positions_rad[:, :5]).T],
-        axis=1,
-    )
+    tool_m = tool_position(CHAIN, run.positions_rad[:, :5])
+    by_encoder = np.stack([np.interp(time_s + 1.0, run.time_s, column) for column in tool_m.T], axis=1)
     unseen = measured_tool.unseen_m(time_s, by_encoder + np.array([0.001, -0.002, 0.003]), run, CHAIN)
     np.testing.assert_allclose(unseen, np.tile([0.001, -0.002, 0.003], (measured_tool.EVEN, 1)), atol=2e-5)
 

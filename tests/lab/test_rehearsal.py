@@ -1,7 +1,7 @@
 """A log on a simulated arm: it follows, slowly at first, within every limit, judged by the simulator's truth."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.errors import LogError
+from armctl.kinematics.transform import FloatArray
 from armctl.lab.rehearsal import logged_motion, rehearse
 from armctl.messages import TickRecord
 from armctl.recording import timeline
@@ -28,12 +29,12 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Timeline:
     return timeline.load(write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS))
 
 
+@dataclass
 class Witness:
     """What the servos really did."""
 
-    def __init__(self) -> None:
-        self.q: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
-        self.records: list[TickRecord] = []
+    q: list[FloatArray] = field(default_factory=list)
+    records: list[TickRecord] = field(default_factory=list)
 
     def __call__(self, arm: SimulatedArm, record: TickRecord) -> None:
         self.q.append(arm.true_positions())
@@ -95,10 +96,8 @@ def test_a_limp_arm_is_followed_where_it_was_led(log: Timeline) -> None:
 
 def test_a_log_of_another_arm_is_refused_unless_asked(log: Timeline) -> None:
     other, recalibrated = changed(ARM, arm_id="other"), changed(ARM, floor_m=0.001)
-    for arm, named in (
-        (other, "arm_id of the log is ax12-line, of this arm other"),
-        (recalibrated, "calibration_hash"),
-    ):
+    names = ("arm_id of the log is ax12-line, of this arm other", "calibration_hash")
+    for arm, named in zip((other, recalibrated), names, strict=True):
         with refused("FOREIGN_LOG", named) as refusal:
             rehearse(log, arm)
         assert "--foreign" in refusal.value.reasons[-1]

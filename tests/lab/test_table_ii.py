@@ -37,7 +37,6 @@ def test_the_recorded_angles_of_every_run_are_in_the_workbook(experiments: list[
     rows = list(book["experiment 3 run 2"].iter_rows(values_only=True))
     second = experiments[1].evidence[1]
     assert rows[0] == ("time_s", *(f"{name}_deg" for name in hand.arm().joint_names))
-    assert len(rows) == 1 + len(second.time_s)
     for row, time_s, q in zip(rows[1:], second.time_s, second.positions_rad, strict=True):
         assert row == pytest.approx((time_s, *(math.degrees(angle) for angle in q)))
     book.close()

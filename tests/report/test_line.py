@@ -10,6 +10,7 @@ import pytest
 from armctl.kinematics.transform import FloatArray
 from armctl.report.line import LineReport, along_and_off, write
 from tests.report.runs import A, B, beside, run
+from tests.words import missing
 
 
 def path(up_m: float) -> FloatArray:
@@ -30,23 +31,23 @@ REPORT = LineReport(
 )
 
 
+def page(report: LineReport, folder: Path) -> str:
+    write(report, folder / "line.html")
+    return (folder / "line.html").read_text()
+
+
 def test_the_page_tells_what_the_paths_show(tmp_path: Path) -> None:
-    write(REPORT, tmp_path / "line.html")
-    html = (tmp_path / "line.html").read_text()
+    html = page(REPORT, tmp_path)
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)
-    assert html.count("12.3 / 12.3") == 2
-    assert html.count("45.6 / 45.6") == 2
-    assert "take &lt;1&gt;" in html
-    assert "2.00 % above" in html
+    assert (html.count("12.3 / 12.3"), html.count("45.6 / 45.6")) == (2, 2)
+    assert not missing(html, "take &lt;1&gt;", "2.00 % above")
     assert html.count('<figure role="img"') == 3 + 1 + 1 + 2
 
 
 def test_without_an_outside_measurement_the_truth_is_left_open(tmp_path: Path) -> None:
     blind = [replace(one, truth_tool_m=None) for one in REPORT.runs]
-    write(replace(REPORT, runs=blind), tmp_path / "line.html")
-    html = (tmp_path / "line.html").read_text()
-    assert "45.6 / 45.6" not in html
-    assert html.count("12.3 / 12.3") == 2
+    html = page(replace(REPORT, runs=blind), tmp_path)
+    assert (html.count("12.3 / 12.3"), html.count("45.6 / 45.6")) == (2, 0)
 
 
 @pytest.mark.parametrize("to", [B, np.array([0.3, -0.1, 0.1]), np.array([0.18, -0.1, 0.2]), A - 0.05])

@@ -12,6 +12,7 @@ from armctl.report import experiment, picture
 from armctl.report.line import DrawnOutcome, ExperimentReport, LineRun
 from tests.report import runs
 from tests.report.runs import A, B, beside
+from tests.words import missing
 
 SVG = "{http://www.w3.org/2000/svg}"
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,37 +35,42 @@ def texts(svg: str) -> list[str]:
     return [str(one.text) for one in ET.fromstring(svg).iter(f"{SVG}text")]
 
 
+def curves(root: ET.Element) -> list[tuple[str, list[list[float]]]]:
+    """Class and points of every curve but the ruler, in the order in which they are drawn."""
+
+    def points(d: str) -> list[list[float]]:
+        return [[float(value) for value in pair.split()] for pair in re.split("[ML]", d) if pair]
+
+    drawn = [one.attrib for one in root.iter(f"{SVG}path") if one.attrib["class"] != "ruler"]
+    return [(one["class"], points(one["d"])) for one in drawn]
+
+
 def test_it_tells_how_far_off_the_true_tool_was_before_and_after() -> None:
     told = texts(picture.svg(report(SAGGED, STRAIGHT)))
-    assert "before: 22.4 mm off the line on average, 22.4 mm at most" in told
-    assert "after: 1.0 mm off the line on average, 1.0 mm at most" in told
-    assert "The same line with a goal every tick" in told
+    off = [
+        f"{when}: {mm} mm off the line on average, {mm} mm at most" for when, mm in (("before", 22.4), ("after", 1.0))
+    ]
+    assert not missing(told, *off, "The same line with a goal every tick")
 
 
 def test_without_an_outside_measurement_it_says_who_measured() -> None:
-    assert "before: 20.0 mm off the line on average, 20.0 mm at most by the encoders" in texts(
-        picture.svg(report(run(np.array([0.0, 0.0, -0.02]), true=False), STRAIGHT))
-    )
+    told = texts(picture.svg(report(run(np.array([0.0, 0.0, -0.02]), true=False), STRAIGHT)))
+    assert "before: 20.0 mm off the line on average, 20.0 mm at most by the encoders" in told
 
 
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.01, 0.05, -0.02), (-0.06, -0.3, 0.09)])
 def test_everything_drawn_is_inside_the_picture(off: tuple[float, float, float]) -> None:
     root = ET.fromstring(picture.svg(report(run(np.array(off)), STRAIGHT)))
     _, _, width, height = map(float, root.attrib["viewBox"].split())
-    curves = [one.attrib["d"] for one in root.iter(f"{SVG}path") if one.attrib["class"] != "ruler"]
-    assert len(curves) == 2 * 2 * 3
-    points = [[float(value) for value in pair.split()] for d in curves for pair in re.split("[ML]", d) if pair]
-    assert all(0.0 <= x <= width and 0.0 <= y <= height for x, y in points)
+    assert len(curves(root)) == 2 * 2 * 3
+    assert all(0.0 <= x <= width and 0.0 <= y <= height for _, points in curves(root) for x, y in points)
 
 
 def test_it_is_true_to_scale() -> None:
-    root = ET.fromstring(picture.svg(report(SAGGED, STRAIGHT)))
-    curve = next(one.attrib["d"] for one in root.iter(f"{SVG}path") if one.attrib["class"] == "before")
-    wanted = next(one.attrib["d"] for one in root.iter(f"{SVG}path") if one.attrib["class"] == "wanted")
-    ends = [[float(value) for value in pair.split()] for pair in re.split("[ML]", wanted) if pair]
-    first = [float(value) for value in re.split("[ML]", curve)[1].split()]
-    scale = (ends[1][0] - ends[0][0]) / 200.0
-    assert abs(first[1] - ends[0][1]) == pytest.approx(10.0 * scale, abs=0.2)
+    first_of = dict(reversed(curves(ET.fromstring(picture.svg(report(SAGGED, STRAIGHT))))))
+    (first, *_), (a, b, *_) = first_of["before"], first_of["wanted"]
+    scale = (b[0] - a[0]) / 200.0
+    assert abs(first[1] - a[1]) == pytest.approx(10.0 * scale, abs=0.2)
 
 
 def test_a_report_named_svg_is_the_picture(tmp_path: Path) -> None:

@@ -134,8 +134,7 @@ async def test_a_page_that_is_back_in_time_keeps_the_commander(tmp_path: Path, m
         async with daemon.page():  # before whoever looks whether it is back had its turn
             for _ in range(3):
                 await daemon.call("status")
-            assert stub.left == []
-            assert stub.asked[-1] == (1, "status")
+            assert (stub.left, stub.asked[-1]) == ([], (1, "status"))
 
 
 async def test_progress_of_an_optimisation_reaches_the_pages(tmp_path: Path) -> None:

@@ -48,8 +48,8 @@ def test_a_snapshot_becomes_the_messages_of_a_tick() -> None:
     messages = dict(live.Encoder(ARM).messages(data, EPOCH_NS))
     assert json.loads(messages["/armctl/status"]["data"]) == data
     assert messages["/joint_states"]["name"] == list(ARM.joint_names)
-    assert messages["/joint_states"]["position"] == [joint["position_rad"] for joint in data["joints"]]
-    assert messages["/joint_states"]["effort"] == [joint["load_ratio"] for joint in data["joints"]]
+    for told, key in (("position", "position_rad"), ("effort", "load_ratio")):
+        assert messages["/joint_states"][told] == [joint[key] for joint in data["joints"]]
     assert list(messages["/tcp_pose"]["pose"]["position"].values()) == data["tool"]["position_m"]
     assert [t["child_frame_id"] for t in messages["/tf"]["transforms"]] == [f"link_{i}" for i in range(1, 7)]
     for topic in ("/joint_states", "/tcp_pose", "/diagnostics"):

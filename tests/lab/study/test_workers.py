@@ -50,35 +50,24 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     with ExitStack() as cleanup:
 
-        def start(*arguments: str) -> subprocess.Popen[str]:
-            words = cleanup.enter_context((folder / f"{arguments[0].rsplit('.', 1)[-1]}.log").open("a"))
-            command = [sys.executable, "-m", *arguments]
+        def started(program: str, sign: str, *arguments: str) -> str:
+            """The line with this sign in it, which the program says once it has started."""
+            words = cleanup.enter_context((folder / f"{program}.log").open("a"))
+            command = [sys.executable, "-m", f"distributed.cli.{program}", "--no-dashboard", *arguments]
             process = subprocess.Popen(command, stdout=words, stderr=subprocess.PIPE, text=True, env=environment)
-
-            def end() -> None:
-                process.terminate()
-                process.communicate()
-
-            cleanup.callback(end)
-            return process
-
-        def until(process: subprocess.Popen[str], sign: str) -> str:
+            cleanup.callback(process.communicate)
+            cleanup.callback(process.terminate)
             assert process.stderr is not None
             for line in process.stderr:
                 if sign in line:
                     return line
             raise AssertionError(f"{process.args!r} ended before it said {sign!r}")
 
-        boss = start(
-            "distributed.cli.dask_scheduler", "--host", LOCAL, "--no-dashboard", "--scheduler-file", str(address_file)
-        )
-        address = until(boss, "Scheduler at:").split()[-1]
+        boss = started("dask_scheduler", "Scheduler at:", "--host", LOCAL, "--scheduler-file", str(address_file))
+        address = boss.split()[-1]
+        place = ("--host", "127.0.0.1", "--local-directory", str(folder))
         for _ in range(2):
-            worker = start(
-                "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny",
-                "--host", "127.0.0.1", "--local-directory", str(folder),
-            )  # fmt: skip
-            until(worker, "Registered to:")
+            started("dask_worker", "Registered to:", address, "--nthreads", "1", "--no-nanny", *place)
         yield address
 
 
