@@ -38,8 +38,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "round(__joint.zero_tick + __joint.direction * __q / __tick_rad)",
         "round(__joint.zero_tick - __joint.direction * __q / __tick_rad)")),
     _m("goals two ticks further ahead", CONTROL,
-       ("__q = __sample(__trajectory, __time_s)\nreturn __s.whole_ticks(__q)",
-        "__q = __sample(__trajectory, __time_s + 2.0 * __s.period_s)\nreturn __s.whole_ticks(__q)"),
+       ("sample_trajectory(__motion.trajectory, __time_s + __d)",
+        "sample_trajectory(__motion.trajectory, __time_s + 2.0 * __s.period_s + __d)"),
        ("if __share < 1.0:\n    __to_s = __motion.progress_s + __way\n    ...",
         "if __share < 0.0:\n    __to_s = __motion.progress_s + __way\n    ...")),
     _m("the lead is not bounded", CONTROL, (
@@ -49,7 +49,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "if __s.fresh and __s.all_powered():\n    __s.send_goal([servo.position for servo in __s.servos if servo])")),
     _m("a stale sample is used", CONTROL,
        ("_nearer(__rate, __wanted if __s.fresh else 0.0, __s.period_s)", "_nearer(__rate, __wanted, __s.period_s)"),
-       ("if not __s.fresh:\n    return None\n__progress = min(__way, __end)", "__progress = min(__way, __end)")),
+       ("if not __s.fresh:\n    return None\nif __running:\n    trim(__s)", "if __running:\n    trim(__s)")),
 
     # -------------------------------------------------------------------------------------------- stops and ends
     _m("a stop is forgotten", CONTROL, (
@@ -121,7 +121,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("a run may start anywhere", CONTROL, ("START_TOLERANCE_RAD = __bound", "START_TOLERANCE_RAD = 9.0")),
     _m("joint speed is not checked", CONTROL, ("__speed > __joint.speed_limit_rad_s * __slack", "__speed > 1e9")),
     _m("NaN is not refused", CONTROL, (
-        "len(__point) != __n or not all(map(math.isfinite, __point))", "len(__point) != __n")),
+        "len(__point) != len(__arm.joints) or not all(map(math.isfinite, __point))",
+        "len(__point) != len(__arm.joints)")),
 
     # ------------------------------------------------------------------------------------------------------- bus
     _m("no retry", BUS, ("__retries < SAMPLE_RETRIES", "__retries < 0")),
@@ -137,7 +138,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _log("replay leaves out writes", (
         "if __topic not in __replay.not_compared:\n    ...",
         "if __topic not in (*__replay.not_compared, '/armctl/writes'):\n    ...")),
-    _log("the mode is not logged", ("{'mode': __mode, 'faults': __faults}", "{'mode': 'off', 'faults': __faults}")),
+    _log("the mode is not logged", (
+        "{'mode': __mode, 'wanted': __q, 'faults': __faults}", "{'mode': 'off', 'wanted': __q, 'faults': __faults}")),
     _log("faults are logged without their servo", ("{'servo_id': __servo_id}", "{'servo_id': -1}")),
     _log("writes are logged as confirmed", ("{'confirmed': __done}", "{'confirmed': True}")),
     _log("confirmations are thrown away", (
@@ -290,8 +292,8 @@ MUTANTS: tuple[Mutant, ...] = (
        ("any((__joint.age_s > SILENT_AGE_S for __joint in __s.joints))", "False"),
        ("_nearer(__rate, __wanted if __s.fresh else 0.0, __s.period_s)",
         "_nearer(__rate, __wanted if __s.fresh or __s.state.phase == 'fault_going' else 0.0, __s.period_s)"),
-       ("if not __s.fresh:\n    return None\n__progress = min(__way, __end)",
-        "if not (__s.fresh or __s.state.phase == 'fault_going'):\n    return None\n__progress = min(__way, __end)")),
+       ("if not __s.fresh:\n    return None\nif __running:\n    trim(__s)",
+        "if not (__s.fresh or __s.state.phase == 'fault_going'):\n    return None\nif __running:\n    trim(__s)")),
     _m("contact is told, and not relieved", CONTROL, (
         "if __s.latch_servo('CONTACT', __i, __text):\n    relieve(__s, __i)",
         "if __s.latch_servo('CONTACT', __i, __text):\n    __s.state.looks = ()")),

@@ -20,6 +20,8 @@ STILL_TICKS = 0.9 / TICK_DEG
 DEAD_TICKS = 10.0 / TICK_DEG
 BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
 BLOCKED_S = 0.3
+# By so much faster than the joint a goal may go that is being corrected.
+CORRECTION_DEG_S = 4.0
 # How long a joint swings whose goal was given up.
 SETTLE_S = 0.6
 
