@@ -156,6 +156,8 @@ class ArmConfig(Frozen):
     temperature_limit_degC: float = Field(65.0, gt=0.0, le=80.0)
     # Whether lasting heat, wrong voltage or overload send the arm to its rest pose; if not, it holds where it is.
     rest_on_strain: bool = True
+    # Whether goals are corrected by the lag that is foreseen and by what the encoders show.
+    correction: bool = True
     # From the base to the tool.
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
     # What `reach --grip` closes.
@@ -206,9 +208,9 @@ class ArmConfig(Frozen):
         """Short fingerprint that tells whether a log was recorded with this calibration.
 
         How thick the links are changes nothing in a log, and every plan is judged anew before it runs. What a gripper
-        was told stands in the log itself.
+        was told stands in the log itself, as does how goals were corrected.
         """
-        told = self.model_dump_json(exclude={"link_radius_m", "gripper"})
+        told = self.model_dump_json(exclude={"link_radius_m", "gripper", "correction"})
         return hashlib.sha256(told.encode()).hexdigest()[:16]
 
 

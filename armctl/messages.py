@@ -83,6 +83,8 @@ class JointTrajectory:
     grip: Grip | None = None
     # When each position is due, rising from 0; empty: one every `period_s`.
     times_s: tuple[float, ...] = ()
+    # Whether goals are corrected so that the joints are at these positions; if not, goals are these positions.
+    corrected: bool = True
 
     @property
     def duration_s(self) -> float:
@@ -195,6 +197,27 @@ class Clear(Answered):
 
 
 @dataclass(frozen=True, slots=True)
+class LagModel:
+    """How far each joint of one arm stays behind its goal (see trajectory/lag.py)."""
+
+    arm_id: str
+    calibration_hash: str
+    # A row a joint of the chain: of each link [rad/m], of friction [rad], of velocity [s], constant [rad].
+    rows: tuple[tuple[float, ...], ...]
+    # What it left unexplained of the motions that it was identified from, and how many they were; 0: it is nominal.
+    residual_tick: tuple[float, ...] = ()
+    lines: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class UseModel(Answered):
+    """Correct goals by this model of the arm from now on; refused of another arm, or while it moves."""
+
+    model: LagModel
+    kind: Literal["use_model"] = "use_model"
+
+
+@dataclass(frozen=True, slots=True)
 class Problem:
     """One reason why a connected bus is not fit for motion."""
 
@@ -228,7 +251,7 @@ class HostSilent:
     kind: Literal["host_silent"] = "host_silent"
 
 
-Request = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Pause | Resume | SetRate | Jog | Park | Clear
+Request = Hold | Release | TorqueOn | Teach | TeachEnd | Run | Pause | Resume | SetRate | Jog | Park | Clear | UseModel
 Command = Request | Connected | HostLost | HostSilent
 
 
@@ -356,6 +379,8 @@ class Outputs:
     rate: float | None = None
     # Time until the arm sets off for its rest pose because of a fault, 0 once it has; None: it does not.
     rest_in_s: float | None = None
+    # Where the joints are wanted, from where a trajectory may begin; empty: armctl has no say in it.
+    wanted_rad: tuple[float, ...] = ()
 
     @property
     def fault(self) -> Fault | None:

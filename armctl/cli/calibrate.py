@@ -149,14 +149,15 @@ def _calibrate_sag(output: Output) -> None:
     """Run the calibration lines on the daemon's arm and keep the sag model."""
     import numpy as np
 
+    from armctl.commissioning import sag_file
     from armctl.files import load_arm
-    from armctl.lab import sag_identification, sag_model
+    from armctl.lab import sag_identification
     from armctl.lab.rig import DaemonRig
 
     with output.client() as client, output.progress("calibration lines", sag_identification.LINES) as show:
         rig = DaemonRig(client, load_arm(output.config.arm))
         model = sag_identification.identify(rig, np.random.default_rng(0), show=show)
-    path = sag_model.save(output.config, model)
+    path = sag_file.save(output.config, model)
     residual = dict(zip(rig.arm.joint_names, model.residual_tick, strict=False))
     if not output.result({"path": str(path), "lines": model.lines, "residual_tick": residual}):
         output.say(f"{path}: sag and friction of {len(residual)} joints from {model.lines} lines")

@@ -17,6 +17,8 @@ PAUSE_AGE_S = 0.2
 SILENT_AGE_S = 0.5
 BLOCKED_RAD = math.radians(8.0)
 BLOCKED_S = 0.3
+# One that is no farther from where it is wanted is not kept from there: its goal is far for what it bears.
+ASTRAY_RAD = math.radians(1.5)
 LOAD_RATIO = 0.8
 # Load above 80 % for this long: a servo's own trip is near.
 LOAD_S = 2.0
@@ -118,8 +120,10 @@ def _detect_power_faults(s: Tick) -> None:
     s.confirm_goals()
     # Of one that shows a goal from elsewhere: it is led, and not kept from where it is to be.
     errors_rad = [
-        abs(servo.position - tick) * ax12a.TICK_RAD if servo and s.is_from_here(i) else 0.0
-        for i, (servo, tick) in enumerate(zip(s.servos, state.goal, strict=True))
+        abs(servo.position - tick) * ax12a.TICK_RAD
+        if servo and s.is_from_here(i) and abs(s.joints[i].position_rad - wanted) > ASTRAY_RAD
+        else 0.0
+        for i, (servo, tick, wanted) in enumerate(zip(s.servos, state.goal, s.wanted_rad(), strict=True))
     ]
     state.error_since_ns = since_ns = _since(s, state.error_since_ns, [error > BLOCKED_RAD for error in errors_rad])
     if state.yielded:

@@ -81,6 +81,9 @@ def stay(s: Tick, index: int) -> None:
     here = s.here(index)
     s.remember((*s.state.goal[:index], here, *s.state.goal[index + 1 :]))
     s.state.ramp = ()
+    if (f := s.state.following) is not None:
+        here_rad = s.arm.joints[index].position_rad(here)
+        s.state.following = replace(f, wanted_rad=(*f.wanted_rad[:index], here_rad, *f.wanted_rad[index + 1 :]))
 
 
 def holds(s: Tick, index: int) -> Status | None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.control.machine import Jogging, Phase, Trigger
+from armctl.control.motion import aimed, set_off, trim
 from armctl.control.tick import Tick
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian
@@ -40,7 +41,8 @@ def begin(s: Tick, command: Jog) -> None:
     s.state.target(Trigger.JOG)
     _check(s.arm, command)
     s.go(Trigger.JOG)
-    position = tuple(joint.position_rad(tick) for joint, tick in zip(s.arm.joints, s.state.goal, strict=True))
+    position = s.wanted_rad()
+    set_off(s)
     still = (0.0,) * len(position)
     s.state.jog = Jogging(position, still, command.joints_rad_s, command.tool_m_s, s.inputs.now_ns)
     s.events.append(Event("info", "JOG_BEGIN", "a jog begins"))
@@ -91,12 +93,16 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         min(max(q + v * s.period_s, joint.limits_rad[0]), joint.limits_rad[1]) if v else q
         for q, v, joint in zip(jog.position_rad, velocity, s.arm.joints, strict=True)
     )
-    share = s.share_of_step(s.whole_ticks(position))
+    trim(s)
+    goal, following = aimed(s, position, velocity)
+    share = s.share_of_step(goal)
     if share < 1.0:  # a joint lags behind: it is waited for
         velocity = [share * v for v in velocity]
         position = tuple(a + share * (b - a) for a, b in zip(jog.position_rad, position, strict=True))
+        goal, following = aimed(s, position, velocity)
     jog.position_rad, jog.velocity_rad_s = position, tuple(velocity)
-    s.send_goal(s.whole_ticks(position))
+    s.send_goal(goal)
+    s.state.following = following
     return None
 
 

@@ -29,7 +29,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from armctl.errors import IllegalTransition
-from armctl.messages import Fault, JointTrajectory, Mode, Problem
+from armctl.messages import Fault, JointTrajectory, LagModel, Mode, Problem
 
 
 class Phase(StrEnum):
@@ -189,6 +189,22 @@ _ADVICE: dict[Mode, str] = {
 # `State.motion` and `State.jog` is a value that cannot change, so a copy of these three objects is a copy of all.
 
 
+@dataclass(frozen=True)
+class Settling:
+    """The tool is brought to its place, at rest (see motion.py)."""
+
+    # In all; those since the last change in which all servos were heard; sum of each joint's errors over the latest.
+    ticks: int = 0
+    heard: int = 0
+    sum_rad: tuple[float, ...] = ()
+    # How often goals were changed.
+    count: int = 0
+    # Each joint's error before the last change, by how much that turned its goal back, and what of it a reversal takes.
+    error_rad: tuple[float, ...] = ()
+    back_rad: tuple[float, ...] = ()
+    slack_rad: tuple[float, ...] = ()
+
+
 @dataclass
 class Motion:
     """A trajectory under way."""
@@ -214,6 +230,8 @@ class Motion:
     lost_s: float = 0.0
     unheard_ticks: int = 0
     slowness_told: bool = False
+    # None: the trajectory is not over.
+    settling: Settling | None = None
 
 
 @dataclass
@@ -233,6 +251,24 @@ class Jogging:
     rate: float = 1.0
     # Why it is being stopped; empty while it goes on.
     stop_code: str = ""
+
+
+@dataclass(frozen=True)
+class Following:
+    """Where the joints are wanted, and by what their goals are corrected (see settle.py)."""
+
+    corrected: bool
+    # Where, when the last goal is due, and how fast there.
+    wanted_rad: tuple[float, ...]
+    velocity_rad_s: tuple[float, ...]
+    # On which side friction pushes, from -1 to 1.
+    side: tuple[float, ...]
+    trim_rad: tuple[float, ...]
+    # The correction with which the motion began, and the last one, before it was made whole ticks.
+    before_rad: tuple[float, ...]
+    given_rad: tuple[float, ...]
+    # For how long the motion has gone on.
+    age_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -290,6 +326,10 @@ class State:
     goal_ns: int = 0
     # Of each servo the registers that only torque-on writes (see ax12a.py), from when torque was taken over.
     settings: tuple[int, ...] = ()
+    # None: the joints are wanted at their goals.
+    following: Following | None = None
+    # How the arm lags, as it showed itself; None: as an arm of new servos does.
+    model: LagModel | None = None
     letting_go: LettingGo | None = None
     # Since when goals from elsewhere have been found again and again, and when the last one was; 0: none.
     foreign_since_ns: int = 0

@@ -1,11 +1,25 @@
-"""A trajectory under way: its goals one tick ahead, its pauses and stops on the path, and the grip that may end it."""
+"""A motion under way: its corrected goals one tick ahead, its pauses and stops on the path, the grip that may end it.
+
+A goal is where a joint is wanted a tick ahead, by a trajectory or a jog, and its correction:
+1. The lag that the arm's model foresees (`trajectory/lag.py`). The side from which each joint came, on which its
+   friction pushes, is remembered from motion to motion.
+2. A trim that grows slowly by what the encoders show, at the instants at which they were read; it begins anew with each
+   motion. A joint that is far off is kept from where it is wanted, and not trimmed. Nothing is trimmed in a motion that
+   is being stopped, nor while a fault is latched.
+3. What the motion before has left of a correction, which is blended out within `BLEND_S`.
+A trajectory that is not corrected, and an arm whose file says `correction: false`, have neither lag nor trim.
+"""
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
 
-from armctl.control.machine import Motion
+from armctl.control.machine import LATCHED, TO_REST, Following, Motion
+from armctl.control.settle import AWAY_RAD, FAR_RAD, TRIM_RAD, settle
 from armctl.control.tick import Tick
-from armctl.messages import Event, Grip, JointTrajectory
+from armctl.messages import NS_PER_S, Event, Grip, JointTrajectory
+from armctl.trajectory.lag import lags_rad, side_after
 
 # Time in which a stop brings the trajectory's rate from 1 to 0: gentle to the gears, and yet hardly any way on.
 STOP_S = 0.2
@@ -14,6 +28,13 @@ GRIP_S = 0.2
 # A motion that lost replies make longer by this share, and by so much time, says so.
 SLOWED_SHARE = 0.2
 SLOWED_S = 0.5
+BLEND_S = 0.8
+# A correction changes no faster than this.
+RATE_RAD_S = math.radians(4.0)
+# Of the error, per second.
+TRIM_RATE = 0.5
+# No correction is larger.
+MOST_RAD = math.radians(7.0)
 
 
 def duration_s(trajectory: JointTrajectory) -> float:
@@ -47,6 +68,10 @@ def move(s: Tick, motion: Motion) -> None:
         if resisted:
             return None  # no closer: the goal stays where its distance made the load
     if motion.progress_s >= end_s:
+        ends = bool(motion.stop_code) or trajectory.grip is not None or (s.fresh and not s.all_powered())
+        ends |= s.state.phase in LATCHED | TO_REST  # where torque goes off no place is to be kept
+        if not ends and (motion.paused or _arrives(s, motion, end_s) or settle(s, motion)):
+            return None
         return s.finish_motion(motion.stop_code, "")
     # A goal would energise a servo that has just restarted: none goes out while one is unheard.
     wanted = 0.0 if motion.stop_code or motion.paused else motion.wanted_rate
@@ -60,15 +85,32 @@ def move(s: Tick, motion: Motion) -> None:
         _tell_slowness(s, motion, end_s)
     if not s.fresh:
         return None
+    if not motion.stop_code and not motion.paused:
+        trim(s)
     progress_s = min(motion.progress_s + rate * s.period_s, end_s)
-    goal = _goal_at(s, trajectory, progress_s)
+    goal, following = _aimed_at(s, motion, progress_s)
     share = s.share_of_step(goal)
     if share < 1.0:
         progress_s = motion.progress_s + share * (progress_s - motion.progress_s)
-        goal = _goal_at(s, trajectory, progress_s)
+        goal, following = _aimed_at(s, motion, progress_s)
     motion.progress_s = progress_s
     s.send_goal(goal)
+    s.state.following = following
     return None
+
+
+def _arrives(s: Tick, motion: Motion, end_s: float) -> bool:
+    """Go on with a correction that had too little time in a short motion; False: it is where it is to be."""
+    if motion.settling is not None:
+        return False
+    last = s.state.following
+    if s.fresh and last is not None:
+        goal, following = aimed(s, sample_trajectory(motion.trajectory, end_s), (0.0,) * len(s.wire))
+        if following.given_rad == last.given_rad:
+            return False
+        s.send_goal(goal)
+        s.state.following = following
+    return True
 
 
 def _nearer(rate: float, wanted: float, period_s: float) -> float:
@@ -103,9 +145,65 @@ def _tell_marks(s: Tick, motion: Motion) -> None:
         s.events.append(Event("info", "PLAN_END", trajectory.label))
 
 
-def _goal_at(s: Tick, trajectory: JointTrajectory, time_s: float) -> list[int]:
-    q = sample_trajectory(trajectory, time_s)
-    return s.whole_ticks(q)
+# --------------------------------------------------------------------------------------------- correction
+
+
+def set_off(s: Tick, *, corrected: bool = True) -> None:
+    """A motion begins where the joints are wanted, with the correction that they have."""
+    wanted, zeros, last = s.wanted_rad(), (0.0,) * len(s.wire), s.state.following
+    before = tuple([goal - q for goal, q in zip(s.goals_rad(), wanted, strict=True)])
+    side = zeros if last is None else last.side
+    s.state.following = Following(corrected and s.arm.correction, wanted, zeros, side, zeros, before, before)
+
+
+def trim(s: Tick) -> None:
+    """Let the trim grow by what the encoders show, while the arm moves."""
+    f = s.state.following
+    if f is None or not f.corrected or not s.fresh or s.state.phase in LATCHED:
+        return
+    gain = TRIM_RATE * s.period_s * min(1.0, f.age_s / BLEND_S)
+    trims = list(f.trim_rad)
+    for i in range(s.robot.chain.n):
+        since_s = (s.inputs.sample.servos[i].stamp_ns - s.state.goal_ns) / NS_PER_S - s.period_s
+        error = f.wanted_rad[i] + f.velocity_rad_s[i] * since_s - s.joints[i].position_rad
+        if abs(error) < FAR_RAD:
+            trims[i] = min(max(trims[i] + gain * error, -TRIM_RAD), TRIM_RAD)
+    s.state.following = replace(f, trim_rad=tuple(trims))
+
+
+def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float]) -> tuple[list[int], Following]:
+    """Goals [tick] for where the joints are wanted a tick ahead, and what is to be remembered once they are sent."""
+    f = s.state.following
+    assert f is not None
+    wanted = tuple(wanted_rad)
+    side = tuple([side_after(h, b - a) for h, a, b in zip(f.side, f.wanted_rad, wanted, strict=True)])
+    age_s = f.age_s + s.period_s
+    lags = [0.0] * len(s.wire)
+    if f.corrected:
+        lags[: s.robot.chain.n] = lags_rad(s.lag_model(), s.robot.chain, wanted, side, velocity_rad_s)
+    share = min(1.0, age_s / BLEND_S)
+    share = share * share * (3.0 - 2.0 * share)
+    given, most = list(f.given_rad), RATE_RAD_S * s.period_s
+    for i, (lag, last) in enumerate(zip(lags, f.given_rad, strict=True)):
+        correction = share * lag + (1.0 - share) * f.before_rad[i] + f.trim_rad[i]
+        off = wanted[i] - s.joints[i].position_rad
+        low, high = max(-MOST_RAD, min(0.0, -AWAY_RAD - off)), min(MOST_RAD, max(0.0, AWAY_RAD - off))
+        given[i] = min(max(correction, low, last - most), high, last + most)
+    goals = s.whole_ticks([q + more for q, more in zip(wanted, given, strict=True)])
+    return goals, Following(
+        f.corrected, wanted, tuple(velocity_rad_s), side, f.trim_rad, f.before_rad, tuple(given), age_s
+    )
+
+
+def _aimed_at(s: Tick, motion: Motion, time_s: float) -> tuple[list[int], Following]:
+    """Goals for a place along the trajectory; the velocity is that around it."""
+    way_s = max(motion.rate * s.period_s, 1e-6)
+    before, q, after = [sample_trajectory(motion.trajectory, time_s + d) for d in (-way_s, 0.0, way_s)]
+    span = 2.0 * s.period_s if motion.rate else math.inf
+    return aimed(s, q, [(b - a) / span for a, b in zip(before, after, strict=True)])
+
+
+# --------------------------------------------------------------------------------------------------- grip
 
 
 def _resists(s: Tick, grip: Grip) -> bool:

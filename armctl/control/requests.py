@@ -13,11 +13,12 @@ from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
 from armctl.control.faults import Cause
 from armctl.control.machine import TO_REST, Motion, Phase, Trigger
+from armctl.control.motion import set_off
 from armctl.control.sequences import soften
 from armctl.control.tick import STILL_TICKS, Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.messages import Command, Event, JointTrajectory, Mode, most_points
+from armctl.messages import Command, Event, JointTrajectory, LagModel, Mode, most_points
 
 START_TOLERANCE_RAD = math.radians(2.0)
 # How far outside its limits a joint may be found and still be energised, at the limit.
@@ -100,6 +101,8 @@ def _carry_out(s: Tick, command: Command) -> str | None:
             return None
         case messages.Clear():
             return _clear(s)
+        case messages.UseModel(_, model):
+            _use_model(s, model)
     return ""
 
 
@@ -167,8 +170,8 @@ def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
     s.state.target(Trigger.RUN)
     if problem := _against(trajectory, s.arm):
         raise RequestRefused("LIMIT", problem)
-    for joint, tick, start in zip(s.arm.joints, s.state.goal, trajectory.positions_rad[0], strict=True):
-        away = abs(joint.position_rad(tick) - start)
+    for joint, q, start in zip(s.arm.joints, s.wanted_rad(), trajectory.positions_rad[0], strict=True):
+        away = abs(q - start)
         if away > START_TOLERANCE_RAD:
             raise RequestRefused(
                 "START_MISMATCH",
@@ -176,7 +179,26 @@ def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
             )
     s.go(Trigger.RUN)
     s.state.motion = Motion(trajectory, request_id)
+    set_off(s, corrected=trajectory.corrected)
     s.events.append(Event("info", "RUN_ACCEPTED", f"{trajectory.label} ({trajectory.duration_s:.1f} s)"))
+
+
+def _use_model(s: Tick, model: LagModel) -> None:
+    """Foresee the lag by this model from now on.
+
+    Raises:
+        IllegalTransition: the arm moves.
+        RequestRefused: it is another arm's, or of another calibration.
+    """
+    if s.state.motion is not None or s.state.jog is not None:
+        raise IllegalTransition("the arm moves; its model is changed at rest alone")
+    arm, n = s.arm, s.robot.chain.n
+    if (model.arm_id, model.calibration_hash) != (arm.arm_id, arm.calibration_hash):
+        whose = f"{model.arm_id}, calibration {model.calibration_hash}"
+        raise RequestRefused("MODEL", f"a lag model of {whose}; this is {arm.arm_id}, {arm.calibration_hash}")
+    if len(model.rows) != n or any(len(row) != n + 3 or not all(map(math.isfinite, row)) for row in model.rows):
+        raise RequestRefused("MODEL", f"a lag model of this arm has {n} rows of {n + 3} finite numbers")
+    s.state.model = model
 
 
 def _under_way(s: Tick, what: str) -> Motion:

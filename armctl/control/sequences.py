@@ -9,6 +9,7 @@ import math
 from armctl.control.detect import REST_AHEAD_S, SILENT_AGE_S
 from armctl.control.faults import KINDS
 from armctl.control.machine import Motion, Phase, Trigger
+from armctl.control.motion import set_off
 from armctl.control.tick import STILL_TICKS, Tick
 from armctl.dynamixel import ax12a
 from armctl.messages import Event
@@ -179,11 +180,12 @@ def go_to_rest(s: Tick) -> None:
             s.events.append(Event("info", "REST_CALLED_OFF", "what sent the arm to rest is over; it holds"))
             s.go(Trigger.GIVE_UP)
         case Phase.PARK_STARTING | Phase.FAULT_STOPPING:
-            q = [joint.position_rad(tick) for joint, tick in zip(joints, state.goal, strict=True)]
-            way = approach_trajectory(q, [joint.rest_rad for joint in joints], s.arm, s.robot, s.period_s, "to rest")
+            rest_rad = [joint.rest_rad for joint in joints]
+            way = approach_trajectory(s.wanted_rad(), rest_rad, s.arm, s.robot, s.period_s, "to rest")
             if lowest_link_m(way, s.robot) < s.arm.floor_m:
                 return s.give_up_rest("LIMIT", "the straight way to rest leads below the floor")
             state.motion = Motion(way, None)
+            set_off(s)
             s.go(Trigger.SET_OFF)
         case Phase.PARK_GOING | Phase.FAULT_GOING:
             s.go(Trigger.ARRIVED)

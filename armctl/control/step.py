@@ -76,6 +76,7 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
         progress=None if motion is None else motion.progress_s / max(duration_s(motion.trajectory), 1e-9),
         rate=None if motion is None else 0.0 if motion.paused else motion.wanted_rate,
         rest_in_s=_rest_in_s(s),
+        wanted_rad=s.wanted_rad(),
     )
 
 

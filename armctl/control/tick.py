@@ -20,8 +20,10 @@ from armctl.control.machine import (
 )
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register, Status
+from armctl.kinematics.chain import SerialChain
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import NS_PER_S, Event, Fault, Goal, Inputs, JointState, Reply, Write
+from armctl.messages import NS_PER_S, Event, Fault, Goal, Inputs, JointState, LagModel, Reply, Write
+from armctl.trajectory.lag import nominal
 
 # No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick.
 # An arm goes on by at most this much when its program dies; noise and overshoot make it 10 deg.
@@ -75,6 +77,17 @@ def wire_joints(arm: ArmConfig) -> tuple[WireJoint, ...]:
     if _latest is None or _latest[0] is not arm:
         _latest = arm, tuple(_wire_joint(joint) for joint in arm.joints)
     return _latest[1]
+
+
+_latest_model: tuple[ArmConfig, LagModel] | None = None
+
+
+def _nominal(arm: ArmConfig, chain: SerialChain) -> LagModel:
+    """`lag.nominal`, worked out once."""
+    global _latest_model
+    if _latest_model is None or _latest_model[0] is not arm:
+        _latest_model = arm, nominal(arm, chain)
+    return _latest_model[1]
 
 
 @dataclass(slots=True)
@@ -143,6 +156,20 @@ class Tick:
     def here(self, index: int) -> int:
         """Where a shaft is [tick], or the limit that it is just beyond."""
         return self.wire[index].within_limits(self.status(index).position)
+
+    def lag_model(self) -> LagModel:
+        """How the arm lags: its own model, or that of an arm of new servos."""
+        return self.state.model or _nominal(self.arm, self.robot.chain)
+
+    def goals_rad(self) -> tuple[float, ...]:
+        """Where the goals are that were decided; empty: there are none."""
+        pairs = zip(self.wire, self.state.goal, strict=False)
+        return tuple([joint.direction * (tick - joint.zero_tick) * ax12a.TICK_RAD for joint, tick in pairs])
+
+    def wanted_rad(self) -> tuple[float, ...]:
+        """Where the joints are wanted; empty: nowhere."""
+        following = self.state.following
+        return self.goals_rad() if following is None else following.wanted_rad
 
     def weak_joints(self) -> list[int]:
         """Which joints have torque but too little to hold: whatever switched it on did not come to its end."""
@@ -272,11 +299,13 @@ class Tick:
     def find_goals(self) -> None:
         """Take the goals of servos that have all been heard as they are."""
         self.state.goal, self.state.ramp = tuple(servo.goal for servo in self.servos if servo is not None), ()
+        self.state.following = None
 
     def forget_goals(self) -> None:
         """No goal is sent any more: armctl has no say in where the servos are."""
         self.goal = None  # after a torque-off it would switch the torque on again
         self.state.goal, self.state.sent, self.state.heard_since, self.state.ramp = (), (), (), ()
+        self.state.following = None
 
     def remember(self, goal: tuple[int, ...]) -> None:
         """A goal is sent, or decided: what the servos are to show from now on."""

@@ -13,22 +13,34 @@ import asyncio
 import json
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
 from armctl.control.jog import joint_velocities
-from armctl.dynamixel import ax12a
-from armctl.errors import IllegalTransition, RequestRefused
+from armctl.errors import ConfigError, IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots
 from armctl.host.takes import TakeRecorder, Takes
 from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Jog, JointTrajectory, Mode, Pause, Reply, Resume, Run, SetRate, TeachEnd, TickRecord
+from armctl.messages import (
+    Jog,
+    JointTrajectory,
+    LagModel,
+    Mode,
+    Pause,
+    Reply,
+    Resume,
+    Run,
+    SetRate,
+    TeachEnd,
+    TickRecord,
+    UseModel,
+)
 from armctl.recording.channels import COMMAND
 from armctl.trajectory.thinning import thinned
 
@@ -47,7 +59,19 @@ logger = logging.getLogger(__name__)
 class Host:
     """One arm, its control process of the moment, its recorder, and its commander of the moment."""
 
-    def __init__(self, arm: ArmConfig, robot: Robot, period_s: float, recorder: TakeRecorder, clock: Clock) -> None:
+    def __init__(
+        self,
+        arm: ArmConfig,
+        robot: Robot,
+        period_s: float,
+        recorder: TakeRecorder,
+        clock: Clock,
+        load_model: Callable[[], LagModel | None] = lambda: None,
+    ) -> None:
+        """
+        Args:
+            load_model: The arm's own lag model, as far as there is one by now.
+        """
         self.arm, self.robot, self.period_s = arm, robot, period_s
         self.recorder = recorder
         self._clock = clock
@@ -62,6 +86,9 @@ class Host:
         self._hurried = False
         self._watch: Watch | None = None
         self._background: set[asyncio.Task[Any]] = set()
+        self._load_model = load_model
+        # The control process that was told a model, and which.
+        self._model: tuple[int | None, LagModel | None] = None, None
 
     # ------------------------------------------------------------------------------------ control process
 
@@ -208,7 +235,7 @@ class Host:
             elif self.latest is None or self.latest.outputs.mode is not Mode.JOGGING:
                 raise IllegalTransition("the jog has ended; begin another one")
             else:
-                q_now = self._goals(self.latest)
+                q_now = self.latest.outputs.wanted_rad
             self.exchange.forget_hold()  # a stop from now on is a new one
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
                 ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
@@ -233,6 +260,7 @@ class Host:
         """
         with self.leases.commanding(client, what) as lease:
             trajectory = await self._made(legs[0], what)
+            await self._use_model()
             name = run_name(trajectory.label)
             await self.takes.begin(name)
             done: list[Done] = []
@@ -265,6 +293,17 @@ class Host:
         q_measured = tuple(joint.position_rad for joint in self.latest.outputs.joints)
         return await asyncio.to_thread(lambda: thinned(leg(q_now, q_measured)))
 
+    async def _use_model(self) -> None:
+        """Let the control process correct by the arm's own model, if there is one that it does not know yet."""
+        try:
+            model = await asyncio.to_thread(self._load_model)
+        except ConfigError as error:
+            logger.error("the lag of this arm is foreseen as that of a new one: %s", error)
+            return
+        if model is not None and (self.exchange.pid, model) != self._model:
+            await self.exchange.request(lambda request_id: UseModel(request_id, model))
+            self._model = self.exchange.pid, model
+
     async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
         request = asyncio.ensure_future(self.exchange.request(lambda request_id: Run(request_id, trajectory), None))
         try:
@@ -282,20 +321,13 @@ class Host:
             request.cancel()
 
     def _commanded_joints(self, what: str) -> tuple[float, ...]:
-        """Where the servos of a holding arm are told to be now [rad], one a joint."""
+        """Where the joints of a holding arm are wanted now [rad]."""
         latest = self.latest
         if self.exchange.pid is None or latest is None:
             raise restarting()
         if (mode := latest.outputs.mode) is not Mode.HOLDING:
             raise IllegalTransition(f"{what}: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")
-        return self._goals(latest)
-
-    def _goals(self, record: TickRecord) -> tuple[float, ...]:
-        """The servos' own goal registers [rad]."""
-        return tuple(
-            joint.position_rad(ax12a.register_value(ax12a.GOAL, reading.registers))
-            for joint, reading in zip(self.arm.joints, record.inputs.sample.servos, strict=True)
-        )
+        return latest.outputs.wanted_rad
 
     # --------------------------------------------------------------------------------------------- status
 

@@ -74,6 +74,8 @@ class Rename(Frozen):
 
 class RunRequest(Frozen):
     plan: Plan
+    # Whether goals are corrected, so that the joints are where the plan has them.
+    corrected: bool = True
 
 
 class Rate(Frozen):
@@ -138,7 +140,7 @@ class Methods:
             "take_mark": Method(Nothing, lambda client, _: teaching.take_mark(host, client)),
             "take_end": Method(Nothing, lambda client, _: teaching.take_end(host, client)),
             "teach_end": Method(Nothing, lambda client, _: teaching.end(host, client)),
-            "run": Method(RunRequest, lambda client, p: run(host, client, p.plan)),
+            "run": Method(RunRequest, lambda client, p: run(host, client, p.plan, corrected=p.corrected)),
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),

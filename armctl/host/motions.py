@@ -1,6 +1,7 @@
 """Motions as clients ask for them: run, move and transfer, where they go and what they are judged by."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from armctl.trajectory.target import MoveRequest, joints_at
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
 
-async def run(host: Host, client: Client, plan: Plan) -> dict[str, Any]:
+async def run(host: Host, client: Client, plan: Plan, *, corrected: bool = True) -> dict[str, Any]:
     """Pre-flight, slow approach, the plan itself; recorded, and compared with the line it was made for.
 
     Raises:
@@ -35,7 +36,7 @@ async def run(host: Host, client: Client, plan: Plan) -> dict[str, Any]:
         if reasons := preflight(plan, host.arm, host.robot, q_now):
             inside = all(within_limits(q, host.arm) for q in plan.waypoints_rad)
             raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
-        return joint_trajectory(plan, host.arm, q_now, host.period_s)
+        return replace(joint_trajectory(plan, host.arm, q_now, host.period_s), corrected=corrected)
 
     name, [done] = await host.execute(client, "run", [make])
     return {"recording": name, **line_result(plan, done.watch, host.robot)}
@@ -112,6 +113,7 @@ def move_result(done: Done, robot: Robot) -> dict[str, Any]:
         "joints_rad": list(joints_rad),
         "target_rad": list(target_rad),
         "duration_s": done.trajectory.duration_s,
+        "corrections": done.watch.corrections,
     }
 
 

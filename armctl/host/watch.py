@@ -28,11 +28,14 @@ class Watch:
     time_ns: list[int] = field(default_factory=list)
     positions_rad: list[tuple[float, ...]] = field(default_factory=list)
     marks_ns: dict[str, int] = field(default_factory=dict)
+    # How often goals were changed at rest.
+    corrections: int = 0
 
     def see(self, record: TickRecord) -> None:
         self.time_ns.append(record.inputs.sample.time_ns)
         self.positions_rad.append(tuple(joint.position_rad for joint in record.outputs.joints))
         for event in record.outputs.events:
+            self.corrections += event.code == "CORRECTED"
             if event.code in ("PLAN_BEGIN", "PLAN_END"):
                 self.marks_ns[event.code] = record.inputs.sample.time_ns
 

@@ -16,8 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from armctl.kinematics.sine import cos_sin, cos_sin_of_all
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, cos_sin, cos_sin_of_all
 
 # Poses computed together: they fit the processor's cache, and the cost of a call is small beside their work.
 BLOCK = 2048

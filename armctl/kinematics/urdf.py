@@ -20,8 +20,7 @@ from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import DHRow, SerialChain, link_frames
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.sine import cos_sin
-from armctl.kinematics.transform import FloatArray, rpy_from_matrix
+from armctl.kinematics.transform import FloatArray, cos_sin, rpy_from_matrix
 
 BASE = "base_link"
 TOOL = "tool"

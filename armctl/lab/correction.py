@@ -1,8 +1,8 @@
 """A plan corrected by what was measured: run it, learn how far each joint stays behind its goal, place it again.
 
 Rules.
-1. The sag model predicts the lag of each joint (`course`). What the model leaves is learnt from the runs, smoothed,
-   with a gain that falls from round to round. A constant gain creeps or, close to 2, diverges.
+1. The control step corrects what it foresees of the lag of each joint. What that leaves is learnt from the runs,
+   smoothed, with a gain that falls from round to round. A constant gain creeps or, close to 2, diverges.
 2. A plan is corrected as a whole: its waypoints are placed again such that the motion less the lag is straight.
 3. A joint that hardly moves stands in its friction; pushing it further would wind it up until it jumps. It is held, and
    the others make up for where it stands.
@@ -26,7 +26,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.course import Course, placed, plan_goals_rad, plan_of, too_heavy
 from armctl.lab.rig import Measured, Rig
-from armctl.lab.sag_model import SagModel
+from armctl.messages import LagModel
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import distance_to_line
@@ -59,6 +59,8 @@ class Round:
     runs: tuple[Measured, ...]
     # Of each run, see `seen_mm`.
     run_mm: tuple[float, ...]
+    # Whether the control step corrects its runs.
+    corrected: bool
     # Whether it was the best when it was made.
     kept: bool = False
 
@@ -95,13 +97,13 @@ def learn(rig: Rig, last: Round, gain: float) -> Course:
     return placed(rig, replace(course, lag_rad=course.lag_rad + surprise), held=held)
 
 
-def run(rig: Rig, course: Course, plan: Plan, number: int) -> Round:
+def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = True) -> Round:
     """A round of one run.
 
     Raises:
         RequestRefused: the plan may not run, or was stopped.
     """
-    return again(rig, Round(number, course, plan, (), ()))
+    return again(rig, Round(number, course, plan, (), (), corrected))
 
 
 def again(rig: Rig, one: Round) -> Round:
@@ -110,7 +112,7 @@ def again(rig: Rig, one: Round) -> Round:
     Raises:
         RequestRefused: the plan may not run, or was stopped.
     """
-    measured = rig.run(one.plan)
+    measured = rig.run(one.plan, corrected=one.corrected)
     return replace(one, runs=(*one.runs, measured), run_mm=(*one.run_mm, seen_mm(rig, one, measured)))
 
 
@@ -135,7 +137,9 @@ def seen_mm(rig: Rig, one: Round, measured: Measured) -> float:
     return float(np.sqrt((distance_to_line(seen, course.line.A, course.line.B) ** 2).mean())) * 1e3
 
 
-def first_run(rig: Rig, candidates: Iterable[Course], model: SagModel | None, seed: int, number: int = 0) -> Round:
+def first_run(
+    rig: Rig, candidates: Iterable[Course], model: LagModel | None, seed: int, number: int = 0, *, corrected: bool
+) -> Round:
     """The first course whose plan may run and is not too heavy by the model, and its run.
 
     Raises:
@@ -148,7 +152,7 @@ def first_run(rig: Rig, candidates: Iterable[Course], model: SagModel | None, se
             refused = refused or RequestRefused("TOO_HEAVY", reason)
             continue
         try:
-            return run(rig, course, plan, number)
+            return run(rig, course, plan, number, corrected=corrected)
         except RequestRefused as refusal:
             if refusal.code not in ("PREFLIGHT", "LIMIT"):
                 raise
@@ -169,7 +173,7 @@ def refine(rig: Rig, first: Round, rounds: int, show: Callable[[Round], None] = 
         gain = GAINS[min(len(done), len(GAINS)) - 1] * LESS**unkept
         course = learn(rig, best, gain)
         try:
-            one = run(rig, course, plan_of(rig, course, first.plan.seed), number)
+            one = run(rig, course, plan_of(rig, course, first.plan.seed), number, corrected=first.corrected)
             if one.filtered_mm < best.filtered_mm:
                 one = often_enough(rig, one, repeat_noise_mm(done))
         except RequestRefused as refusal:

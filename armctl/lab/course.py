@@ -1,8 +1,8 @@
 """The way along a line that an arm is sent: chosen among many, its via points placed where the lagging arm is straight.
 
 Rules.
-1. What a joint stays behind its goal is its lag: goal less position, a function of time along one plan. The sag model
-   predicts it (`sag_model`), later runs correct it (`correction`).
+1. What a joint stays off its goal is its lag: goal of the plan less position, a function of time along one plan. The
+   control step corrects what it foresees; runs show what that leaves (`correction`).
 2. A plan is placed as a whole: its waypoints are such that the motion less the lag is straight
    (`trajectory/placement.py`), as near as can be to where they were. With a waypoint every tick that is a stream.
 3. Goals go to the nearest whole tick, each joint by itself. Choosing every tick's goals together, among the 2^n
@@ -25,13 +25,13 @@ from armctl.genetic.request import OptimizeRequest
 from armctl.genetic.straight_line import plan_through
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.lab import sag_model
 from armctl.lab.rig import Rig
-from armctl.lab.sag_model import SagModel
+from armctl.messages import LagModel
+from armctl.trajectory import lag
 from armctl.trajectory.interpolate import Interpolation, columns_at, joint_path, time_law
 from armctl.trajectory.line_path import sensitivity_m
 from armctl.trajectory.placement import Objective, StraightMotion, place
-from armctl.trajectory.plan import LEAD_RAD, LEAD_SHARE, Plan, joint_trajectory, plan_positions
+from armctl.trajectory.plan import Plan, joint_trajectory, plan_positions
 from armctl.trajectory.straightness import distance_to_line, max_error, mean_error
 
 # How many via points; auto: as few as will do; stream: a goal every tick.
@@ -88,7 +88,7 @@ class Course:
     # [rad], shape (k, n).
     waypoints: FloatArray
     knots: FloatArray
-    # Goal less position: what the model says at first, then corrected by what was measured; shape (m, n).
+    # Goal of the plan less position, as far as it was measured; shape (m, n).
     lag_rad: FloatArray
     # The line's `unseen_m`, shape (m, 3).
     offset_m: FloatArray
@@ -115,7 +115,7 @@ def ticks_of(duration_s: float, period_s: float) -> int:
     return max(3, round(duration_s / period_s) + 1)
 
 
-def courses(rig: Rig, line: Line, via: int | None, model: SagModel | None, ways: FloatArray) -> Iterator[Course]:
+def courses(rig: Rig, line: Line, via: int | None, ways: FloatArray) -> Iterator[Course]:
     """Courses along a line, the most promising first.
 
     Args:
@@ -124,7 +124,7 @@ def courses(rig: Rig, line: Line, via: int | None, model: SagModel | None, ways:
     """
     chain = rig.robot.chain
     if via is None:
-        yield from (_course(rig, line, None, model, way) for way in ways[:TRIED_WAYS])
+        yield from (_course(rig, line, None, way) for way in ways[:TRIED_WAYS])
         return
 
     # What few waypoints cannot follow counts as well as what the servos get wrong: a joint that turns around on the way
@@ -137,35 +137,24 @@ def courses(rig: Rig, line: Line, via: int | None, model: SagModel | None, ways:
     stations = np.broadcast_to(np.linspace(0.0, 1.0, ways.shape[1]), ways.shape[:2])
     kept = joint_path(ways, stations, knots[0], "cubic")
     plain = joint_path(kept, knots, progress_of_ticks(ticks_of(line.duration_s, rig.period_s)), "cubic")
-    made = [_course(rig, line, via, model, ways[i]) for i in np.argsort(cost(plain), kind="stable")[:PLACED_WAYS]]
+    made = [_course(rig, line, via, ways[i]) for i in np.argsort(cost(plain), kind="stable")[:PLACED_WAYS]]
     yield from sorted(made, key=lambda course: float(cost(course.expected_rad)))
 
 
-def _course(rig: Rig, line: Line, via: int | None, model: SagModel | None, way: FloatArray) -> Course:
+def _course(rig: Rig, line: Line, via: int | None, way: FloatArray) -> Course:
     m = ticks_of(line.duration_s, rig.period_s)
     s = progress_of_ticks(m)
     stations = np.linspace(0.0, 1.0, len(way))
     knots = s if via is None else np.linspace(0.0, 1.0, via + 2)
     kind: Interpolation = "linear" if via is None else "cubic"
-    on_ticks = joint_path(way, stations, s, "cubic")
-    lag = _model_lag(rig, model, on_ticks)
-    at_knots = joint_path(way + columns_at(stations, s, lag), stations, knots, "cubic")
+    at_knots = joint_path(way, stations, knots, "cubic")
     offset = np.zeros((m, 3))
     if line.unseen_m is not None:
         offset = columns_at(np.linspace(0.0, 1.0, m), np.linspace(0.0, 1.0, len(line.unseen_m)), line.unseen_m)
-    course = Course(line, kind, via is None, at_knots, knots, lag, offset)
+    course = Course(line, kind, via is None, at_knots, knots, np.zeros((m, rig.robot.chain.n)), offset)
     for _ in range(1 if via is None else 3):
         course = placed(rig, course, move_knots=via is not None)
-        course = replace(course, lag_rad=_model_lag(rig, model, course.expected_rad))
     return course
-
-
-def _model_lag(rig: Rig, model: SagModel | None, q: FloatArray) -> FloatArray:
-    if model is None:
-        return np.zeros_like(q)
-    early = q[min(len(q) - 1, round(LEAD_SHARE * (len(q) - 1)))]
-    before = np.clip(early - q[0], -LEAD_RAD, LEAD_RAD)
-    return sag_model.predict(model, sag_model.regressors(rig.robot.chain, q, before, rig.period_s))
 
 
 def placed(rig: Rig, course: Course, *, move_knots: bool = False, held: FloatArray | None = None) -> Course:
@@ -208,17 +197,17 @@ def plan_goals_rad(rig: Rig, plan: Plan) -> FloatArray:
     return sent_rad(rig.arm, plan_positions(plan, ticks * np.float64(rig.period_s))[:, : rig.robot.chain.n])
 
 
-def too_heavy(rig: Rig, model: SagModel | None, plan: Plan) -> str:
+def too_heavy(rig: Rig, model: LagModel | None, plan: Plan) -> str:
     """Why the plan, or the way to its start, is more than the motors can carry; empty: it is not.
 
     An arm that nobody has measured gets a lower bound. An arm that stands close to the bound must be able to leave, so
     a little more than it bears there is allowed.
     """
     chain = rig.robot.chain
-    model, bound = (sag_model.nominal(rig.arm, chain), UNKNOWN_HEAVIEST_RAD) if model is None else (model, HEAVIEST_RAD)
+    model, bound = (lag.nominal(rig.arm, chain), UNKNOWN_HEAVIEST_RAD) if model is None else (model, HEAVIEST_RAD)
     whole = np.array(joint_trajectory(plan, rig.arm, rig.goals_rad, rig.period_s).positions_rad)[:, : chain.n]
-    most = sag_model.heaviest_rad(model, chain, whole)
-    borne = sag_model.heaviest_rad(model, chain, np.tile(whole[0], (2, 1)))
+    most = lag.heaviest_rad(model, chain, whole)
+    borne = lag.heaviest_rad(model, chain, np.tile(whole[0], (2, 1)))
     allowed = np.maximum(bound, np.minimum(LEAVING * borne, HEAVIEST_RAD))
     if (most <= allowed).all():
         return ""

@@ -1,8 +1,8 @@
 """The straight-line experiment: before any correction, with the sag model, corrected, repeated; and the GA beside it.
 
-Round 0 is the plain plan on the arm as it is. Round 1 runs with the sag model's prediction, where there is one; later
-rounds are corrected by what the ones before showed. The plan that was kept last is then run `repeats` times anew: those
-runs are the experiment's rows, so that one lucky run does not decide.
+Round 0 is the plain plan on the arm as it is. Round 1 is the same one, corrected by the control step, with the arm's
+sag model if there is one; in later rounds the plan is corrected by what the ones before showed. The plan that was kept
+last is then run `repeats` times anew: those runs are the experiment's rows, so that one lucky run does not decide.
 """
 
 import os
@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from armctl.commissioning import sag_file
 from armctl.config import ArmConfig, Config
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.files import data_dir
@@ -22,13 +23,13 @@ from armctl.genetic.straight_line import optimize
 from armctl.host.jobs import NICENESS, load_takes
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.lab import correction, course, measured_tool, sag_identification, sag_model
+from armctl.lab import correction, course, measured_tool, sag_identification
 from armctl.lab.correction import Round
 from armctl.lab.course import Line, Via, courses
 from armctl.lab.line_results import Outcome, as_json, drawn, rms_lever_m
 from armctl.lab.rig import Rig, VirtualRig
-from armctl.lab.sag_model import SagModel
 from armctl.lab.stage import Progress, Stage, silent
+from armctl.messages import LagModel
 from armctl.recording import recordings
 from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport
@@ -105,7 +106,7 @@ def on_daemon(rig: Rig, asked: Asked, config: Config, stage: Stage) -> dict[str,
     """The experiment on a daemon's arm. The sag model is the one stored beside the calibration, if there is one."""
     os.nice(NICENESS)  # planning between runs must not take the processor from who drives the arm
     line = _line(rig, asked, config)
-    model, takes = sag_model.load(config, rig.arm), named_takes(config, rig.arm, asked.recordings)
+    model, takes = sag_file.load(config, rig.arm), named_takes(config, rig.arm, asked.recordings)
     return _report(rig, line, asked, model, takes, stage)
 
 
@@ -118,7 +119,7 @@ def _line(rig: Rig, asked: Asked, config: Config) -> Line:
 
 
 def _report(
-    rig: Rig, line: Line, asked: Asked, model: SagModel | None, takes: list[FloatArray], stage: Stage
+    rig: Rig, line: Line, asked: Asked, model: LagModel | None, takes: list[FloatArray], stage: Stage
 ) -> dict[str, Any]:
     """Run the experiment; its JSON, and its page where one is asked for."""
     ways, ga = drawn_ways(rig, line, asked.seed), None
@@ -153,7 +154,7 @@ def experiment(
     line: Line,
     via: Sequence[Via],
     budget: Budget,
-    model: SagModel | None,
+    model: LagModel | None,
     stage: Stage = silent,
     ways: FloatArray | None = None,
 ) -> list[Outcome]:
@@ -168,7 +169,7 @@ def experiment(
         ways = drawn_ways(rig, line, budget.seed)
     outcomes = []
     for wanted in via:
-        count = choose_via(rig, line, model, ways, budget.tolerance_mm) if wanted == "auto" else wanted
+        count = choose_via(rig, line, ways, budget.tolerance_mm) if wanted == "auto" else wanted
         points = None if count == "stream" else int(count)
         label = f"via {wanted}" if wanted != "auto" else f"via auto: {count}"
         with stage(label, 1 + budget.rounds + budget.repeats) as show:
@@ -176,7 +177,7 @@ def experiment(
             best = correction.best_of(done)
             runs = []
             for repeat in range(1, budget.repeats + 1):
-                runs.append(rig.run(best.plan))
+                runs.append(rig.run(best.plan, corrected=best.corrected))
                 show(1 + budget.rounds + repeat, f"repeat {repeat} of {budget.repeats}")
         outcomes.append(Outcome(count, done, best, runs))
     return outcomes
@@ -187,7 +188,7 @@ def run_rounds(
     line: Line,
     via: int | None,
     budget: Budget,
-    model: SagModel | None,
+    model: LagModel | None,
     ways: FloatArray,
     show: Progress = lambda _done, _note: None,
 ) -> list[Round]:
@@ -197,22 +198,24 @@ def run_rounds(
         show(done.number + 1, f"round {done.number}: {done.filtered_mm:.2f} mm")
 
     rounds, seed = budget.rounds, budget.seed
-    before = correction.first_run(rig, courses(rig, line, via, None, ways), model, seed)
+    before = correction.first_run(rig, courses(rig, line, via, ways), model, seed, corrected=False)
     tell(before)
     if rounds == 0:
         return [replace(before, kept=True)]
-    if model is None:
+    if not rig.arm.correction:
         return correction.refine(rig, before, rounds, tell)
-    first = correction.first_run(rig, courses(rig, line, via, model, ways), model, seed, 1)
+    if model is not None:
+        rig.use(model)
+    first = correction.run(rig, before.course, before.plan, 1)
     tell(first)
     if first.filtered_mm < before.filtered_mm:
         return [before, *correction.refine(rig, first, rounds - 1, tell)]
-    # The model does harm: it is of another arm, or the arm has changed.
+    # The correction does harm: its model is of another arm, or the arm has changed.
     start, *later = correction.refine(rig, before, rounds - 1, tell)
     return [start, first, *(replace(one, number=one.number + 1) for one in later)]
 
 
-def identified(rig: Rig, rounds: int, seed: int, stage: Stage = silent) -> SagModel | None:
+def identified(rig: Rig, rounds: int, seed: int, stage: Stage = silent) -> LagModel | None:
     """The sag model of the rig's arm; None if there are no rounds of correction, which alone need it.
 
     Raises:
@@ -249,11 +252,11 @@ def _held_as_taught(rig: Rig, line: Line, path: FloatArray, ways: FloatArray) ->
     return way[None]
 
 
-def choose_via(rig: Rig, line: Line, model: SagModel | None, ways: FloatArray, tolerance_mm: float) -> int:
+def choose_via(rig: Rig, line: Line, ways: FloatArray, tolerance_mm: float) -> int:
     """The fewest via points whose predicted error is within the tolerance; if none is, the most that are tried."""
     chain = rig.robot.chain
     for count in AUTO_VIA:
-        q = next(courses(rig, line, count, model, ways)).expected_rad
+        q = next(courses(rig, line, count, ways)).expected_rad
         # What whole ticks and friction leave at the tool, whatever the plan.
         floor_mm = course.SERVO_ERROR_RAD * rms_lever_m(chain, q, line.A, line.B) * 1e3
         if float(mean_error(tool_position(chain, q), line.A, line.B)) * 1e3 + floor_mm <= tolerance_mm:

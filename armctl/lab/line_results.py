@@ -13,7 +13,7 @@ from armctl.lab import correction
 from armctl.lab.correction import Round
 from armctl.lab.course import Line, Via
 from armctl.lab.rig import Measured, Rig
-from armctl.lab.sag_model import SagModel
+from armctl.messages import LagModel
 from armctl.report.line import DrawnOutcome, LineRun
 from armctl.trajectory.line_path import levers_m
 from armctl.trajectory.plan import Plan, plan_positions
@@ -83,7 +83,7 @@ def unseen_mm(rig: Rig, plan: Plan) -> dict[str, float]:
     return {"zero_offset_mm": rms_mm * TICK_RAD / np.sqrt(12.0), "per_degree_mm": rms_mm * float(np.radians(1.0))}
 
 
-def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: SagModel | None) -> dict[str, Any]:
+def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: LagModel | None) -> dict[str, Any]:
     """The outcomes in the terms of `armctl experiment line --json`."""
     most = max(outcome.rounds[-1].number for outcome in outcomes)
     refined = [

@@ -108,7 +108,7 @@ def rehearse(
     most = most_points(len(arm.joints))
     for begin in range(0, len(motion) - 1, most - 1):
         rows = motion[begin : begin + most]
-        part = JointTrajectory(period_s, tuple(map(tuple, rows.tolist())), label="log")
+        part = JointTrajectory(period_s, tuple(map(tuple, rows.tolist())), label="log", corrected=False)
         # Each part ends at rest; what follows its last row until that is reported belongs to no row.
         records += virtual.carry_out(Run(virtual.next_id(), part))[: len(rows) - 1]
         if progress is not None:

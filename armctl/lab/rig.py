@@ -5,7 +5,7 @@ by: nothing that corrects a plan may look at it. `DaemonRig` reads its runs back
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -18,7 +18,7 @@ from armctl.errors import RequestRefused
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import Run, Teach, TeachEnd, TorqueOn
+from armctl.messages import LagModel, Run, Teach, TeachEnd, TorqueOn, UseModel
 from armctl.recording import recordings
 from armctl.recording.recordings import Recording
 from armctl.sim.arm import SimulatedArm
@@ -66,9 +66,15 @@ class Rig(Protocol):
         """Where the arm is commanded to be."""
         ...
 
-    def run(self, plan: Plan) -> Measured:
+    def use(self, model: LagModel) -> None:
+        """Let the control step correct by this model from now on."""
+        ...
+
+    def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
         """Approach the plan's start, run it, measure.
 
+        Args:
+            corrected: Whether the control step corrects goals.
         Raises:
             RequestRefused: the plan may not run, or was stopped; every reason.
         """
@@ -114,10 +120,14 @@ class VirtualRig:
         """Where the arm is commanded to be."""
         return self._virtual.goals_rad
 
-    def run(self, plan: Plan) -> Measured:
+    def use(self, model: LagModel) -> None:
+        self._virtual.carry_out(UseModel(self._virtual.next_id(), model))
+
+    def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
         if reasons := preflight(plan, self.arm, self.robot, self.goals_rad):
             raise RequestRefused("PREFLIGHT", reasons)
         trajectory = joint_trajectory(plan, self.arm, self.goals_rad, self.period_s)
+        trajectory = replace(trajectory, corrected=corrected)
         clock = self._clock
         clock.seen = []
         clock.observe_from_ns = clock.now_ns() + round((trajectory.begin_s - EARLY_TICKS * self.period_s) * NS_PER_S)
@@ -181,10 +191,13 @@ class DaemonRig:
         """Where the arm is, by its encoders."""
         return [joint["position_rad"] for joint in self._client.call("status")["joints"]]
 
-    def run(self, plan: Plan) -> Measured:
+    def use(self, model: LagModel) -> None:
+        """The daemon has it from the file beside the calibration."""
+
+    def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
         """As `Rig.run`. A run that waited for a silent servo took longer than the plan; it is repeated."""
         for _ in range(TRIES):
-            answer = self._client.call("run", plan=plan.model_dump(mode="json"))
+            answer = self._client.call("run", plan=plan.model_dump(mode="json"), corrected=corrected)
             path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
             measured = measured_run(recordings.load(path), float(answer["duration_s"]))
             if abs(measured.duration_s - plan.duration_s) < self.period_s / 2.0:

@@ -6,11 +6,11 @@ import numpy as np
 
 from armctl.errors import RequestRefused
 from armctl.kinematics.transform import FloatArray
-from armctl.lab import sag_model
 from armctl.lab.correction import lag_of, smoothed
 from armctl.lab.course import Line, courses, plan_of, too_heavy
 from armctl.lab.rig import Rig
-from armctl.lab.sag_model import SagModel
+from armctl.messages import LagModel
+from armctl.trajectory import lag
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import lead
 
@@ -46,7 +46,7 @@ def random_line(rig: Rig, rng: np.random.Generator, *, stretch: float = STRETCH)
             return middle - half, middle + half
 
 
-def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = lambda _: None) -> SagModel:
+def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = lambda _: None) -> LagModel:
     """Identify the sag model of the rig's arm from uncorrected lines.
 
     Raises:
@@ -62,20 +62,19 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
         try:
             ways = line_paths(rig.arm, rig.robot, A, B, DURATION_S, rng, most=DRAWN_WAYS)
             way = ways[int(rng.integers(len(ways)))]
-            course = next(courses(rig, Line(A, B, DURATION_S), None, None, way[None]))
+            course = next(courses(rig, Line(A, B, DURATION_S), None, way[None]))
             plan = plan_of(rig, course, 0)
             if too_heavy(rig, None, plan):
                 continue
-            measured = rig.run(plan)
+            measured = rig.run(plan, corrected=False)
         except RequestRefused as refusal:
             if refusal.code not in ("PREFLIGHT", "LIMIT", "LINE"):
                 raise
             continue
-        lag = lag_of(rig, plan, measured)
-        q = course.goals_rad - smoothed(lag, rig.period_s)
-        lags.append(lag)
-        rows.append(sag_model.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
+        lags.append(lag_of(rig, plan, measured))
+        q = course.goals_rad - smoothed(lags[-1], rig.period_s)
+        rows.append(lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
         show(len(lags))
     if len(lags) < LINES:
         raise RequestRefused("CALIBRATE", f"only {len(lags)} of {LINES} calibration lines could be run")
-    return sag_model.fitted(rig.arm, chain, lags, rows)
+    return lag.fitted(rig.arm, chain, lags, rows)

@@ -58,7 +58,7 @@ def run(case: Case) -> Found:
     """
     rig = case.rig()
     plan = through_points(rig, case)
-    runs = [rig.run(plan) for _ in range(RUNS)]
+    runs = [rig.run(plan, corrected=False) for _ in range(RUNS)]
     result = replace(case, takes=tuple(run.positions_rad for run in runs)).optimum()
     recorded_mm = [take.mean_error_mm for take in result.baseline]
     row = {

@@ -208,9 +208,18 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
         "rest_in_s": -1.0 if outputs.rest_in_s is None else outputs.rest_in_s,
     }
     since = [fault[key] for fault in faults for key in ("since_ns", "servo_id")]
-    shape = (outputs.mode, *[(fault["code"], fault["text"], fault["follows"]) for fault in faults])
-    said = {"mode": outputs.mode, "faults": faults}
-    return Row(CYCLE, shape, [*numbers.values(), *since], lambda header: {"header": header, **numbers, **said})
+    shape = (
+        outputs.mode,
+        len(outputs.wanted_rad),
+        *[(fault["code"], fault["text"], fault["follows"]) for fault in faults],
+    )
+    said = {"mode": outputs.mode, "wanted": list(outputs.wanted_rad), "faults": faults}
+    return Row(
+        CYCLE,
+        shape,
+        [*numbers.values(), *outputs.wanted_rad, *since],
+        lambda header: {"header": header, **numbers, **said},
+    )
 
 
 def _fault(fault: Fault) -> Value:

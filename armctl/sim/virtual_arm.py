@@ -81,8 +81,10 @@ class VirtualArm:
     @property
     def goals_rad(self) -> tuple[float, ...]:
         """Where the arm is commanded to be [rad]."""
-        goal = self.loop.state.goal
-        assert goal is not None
+        state = self.loop.state
+        if state.following is not None:
+            return state.following.wanted_rad
+        goal = state.goal
         return tuple(joint.position_rad(tick) for joint, tick in zip(self.arm.joints, goal, strict=True))
 
     def next_id(self) -> int:

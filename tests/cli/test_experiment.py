@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armctl.commissioning import sag_file
 from armctl.config import Config
 from armctl.files import load_arm
-from armctl.lab import line_results, sag_model
+from armctl.lab import line_results
 from armctl.lab.course import Line
 from armctl.lab.measured_tool import COLUMNS
 from armctl.lab.rig import Measured, VirtualRig
@@ -86,7 +87,7 @@ def test_a_sag_model_from_calibration_lines_is_stored_and_makes_the_first_run_st
     found = answer("calibrate", "--sag", "--config", config)
     assert found["lines"] == len(served.runs) == 8
     arm = str(config.with_name("mine.yaml"))
-    model = sag_model.load(Config(arm=arm), load_arm(arm))
+    model = sag_file.load(Config(arm=arm), load_arm(arm))
     assert model is not None
     assert list(model.residual_tick) == list(found["residual_tick"].values())
     served.runs.clear()

@@ -56,7 +56,7 @@ class Rig(VirtualArm):
 
     def at(self, deg: Sequence[float] = STRETCHED_DEG) -> "Rig":
         """Holding in a pose."""
-        self.ticks(60, Run(901, self.way(deg)))
+        self.ticks(110, Run(901, self.way(deg)))
         assert self.replies()[901].ok
         return self
 

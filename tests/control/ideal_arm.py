@@ -23,7 +23,8 @@ PERIOD_S = 0.1
 class IdealArm:
     """Register blocks 24..49 of every servo, the step's state, and everything the step said."""
 
-    arm: ArmConfig = field(default_factory=lambda: load_arm("ax12-line"))
+    # Whose joints are at their goals: there is nothing to correct.
+    arm: ArmConfig = field(default_factory=lambda: load_arm("ax12-line").model_copy(update={"correction": False}))
     state: State = field(default_factory=State)
     tick: int = 0
     now_ns: int = 1_000_000_000

@@ -31,7 +31,7 @@ def test_goals_that_are_lost_are_no_other_program_and_the_run_ends_where_it_shou
     rig.records.clear()
     rig.port.damages = lambda packet: is_goal(packet) and len(rig.records) in lost
     begin = rig.goals_rad[0]
-    rig.ticks(40, Run(5, rig.turned(20.0)))
+    rig.ticks(70, Run(5, rig.turned(20.0)))
     assert "OTHER_WRITER" not in rig.codes()
     if max(map(len, runs_of_losses), default=0) <= 4:
         assert rig.replies()[5].ok

@@ -89,8 +89,8 @@ def test_a_hundred_stops_in_a_row_lower_the_tool_by_2_mm_at_most(seed: int) -> N
 def test_a_lasting_push_at_standstill_is_a_fault_and_is_relieved(joint: int, lean_deg: float) -> None:
     rig = Rig().holding().at(ELBOW_OUT_DEG)
     rig.fault("blocked_joint", joint + 1)
-    rig.ticks(35, Run(5, rig.turned(lean_deg, joint, seconds=1.0)))
-    assert rig.code() == "CONTACT"
+    rig.ticks(65, Run(5, rig.turned(lean_deg, joint, seconds=1.0)))
+    assert "CONTACT" in rig.codes()
     assert rig.loop.state.fault is not None
     assert rig.loop.state.fault.servo_id == joint + 1
     rig.ticks(10)

@@ -15,7 +15,7 @@ from armctl import json_text, messages
 from armctl.config import Config
 from armctl.json_text import command_from_json, to_json
 from armctl.kinematics import robots
-from armctl.kinematics.sine import cos_sin
+from armctl.kinematics.transform import cos_sin
 from armctl.messages import Clear, Hold, Jog, Mode, Park, Pause, Resume, Run, SetRate, Teach
 from armctl.recording import replay
 from armctl.recording.writer import LogContext, LogWriter

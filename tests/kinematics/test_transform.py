@@ -9,8 +9,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from armctl.kinematics import transform
-from armctl.kinematics.sine import FEW, LARGEST_RAD, cos_sin, cos_sin_of_all
-from armctl.kinematics.transform import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix, rpy_from_matrix
+from armctl.kinematics.transform import (
+    FEW,
+    LARGEST_RAD,
+    cos_sin,
+    cos_sin_of_all,
+    matrix_from_quaternion,
+    matrix_from_rpy,
+    quaternion_from_matrix,
+    rpy_from_matrix,
+)
 from tests.kinematics.conftest import X, Y, Z, screw
 
 angle = st.floats(-math.pi, math.pi)

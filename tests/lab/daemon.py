@@ -50,7 +50,7 @@ class SimulatedDaemon:
                 return {"period_s": self.rig.period_s, "joints": joints}
             case "run":
                 self.plans.append(Plan.model_validate(params["plan"]))
-                self.runs.append(self.rig.run(self.plans[-1]))
+                self.runs.append(self.rig.run(self.plans[-1], corrected=params["corrected"]))
                 return {"recording": f"run-{len(self.runs)}", "duration_s": self.runs[-1].duration_s}
             case "recordings_show":
                 return {"path": f"takes/{params['name']}.mcap"}

@@ -8,14 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.kinematics.chain import tool_position
-from armctl.lab import correction, sag_model
+from armctl.lab import correction
 from armctl.lab.course import UNKNOWN_HEAVIEST_RAD, Course, Line, courses, plan_of, too_heavy
 from armctl.lab.line_experiment import Budget, experiment, run_rounds
 from armctl.lab.line_results import true_mm
 from armctl.lab.rig import Measured, VirtualRig
-from armctl.lab.sag_model import SagModel
+from armctl.messages import LagModel
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
+from armctl.trajectory import lag
 from armctl.trajectory.interpolate import joint_path, time_law
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan, plan_from_text, plan_positions, plan_to_text
@@ -44,15 +45,14 @@ def ways() -> np.ndarray:
     return line_paths(hand.arm(), ROBOT, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=24)
 
 
-def first_run(on: VirtualRig, via: int | None, known: SagModel | None = None) -> correction.Round:
-    return correction.first_run(on, courses(on, LINE, via, None, ways()), known, 0)
+def first_run(on: VirtualRig, via: int | None, known: LagModel | None = None) -> correction.Round:
+    return correction.first_run(on, courses(on, LINE, via, ways()), known, 0, corrected=False)
 
 
-def model(gravity_share: float = 1.0) -> SagModel:
+def model(gravity_share: float = 1.0) -> LagModel:
     """The nominal arm's, of another weight."""
-    plain = sag_model.nominal(hand.arm(), ROBOT.chain)
-    gravity = tuple(tuple(gravity_share * g for g in row) for row in plain.gravity_rad_m)
-    return plain.model_copy(update={"gravity_rad_m": gravity})
+    plain = lag.nominal(hand.arm(), ROBOT.chain)
+    return replace(plain, rows=tuple((*[gravity_share * g for g in row[:5]], *row[5:]) for row in plain.rows))
 
 
 @pytest.mark.parametrize("via", [2, None])
@@ -68,13 +68,13 @@ def test_an_arm_nobody_has_measured_gets_straight_by_its_own_encoders(on: Virtua
 
 def test_the_plan_of_a_round_is_a_plain_plan_that_text_keeps(on: VirtualRig) -> None:
     for via in (None, 0, 3):
-        plan = plan_of(on, next(courses(on, LINE, via, None, ways())), 7)
+        plan = plan_of(on, next(courses(on, LINE, via, ways())), 7)
         assert plan.via == (49 if via is None else via)
         assert plan_from_text(plan_to_text(plan), "plan") == plan
 
 
 def test_a_stream_has_a_goal_for_every_tick_exactly(on: VirtualRig) -> None:
-    course = next(courses(on, LINE, None, None, ways()))
+    course = next(courses(on, LINE, None, ways()))
     q = plan_positions(plan_of(on, course, 0), np.arange(51) * np.float64(0.1))
     np.testing.assert_allclose(q[:, :5], course.waypoints, atol=1e-9)
 
@@ -89,7 +89,10 @@ class Scripted:
         self.off_rad = list(off_rad)
         self.plans: list[Plan] = []
 
-    def run(self, plan: Plan) -> Measured:
+    def use(self, model: LagModel) -> None:
+        raise NotImplementedError
+
+    def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
         time_s: np.ndarray = np.arange(51) * 0.1
         s = time_law(time_s / 5.0)
         q = np.column_stack([joint_path(ways()[0], np.linspace(0.0, 1.0, 41), s, "cubic"), np.zeros(51)])
@@ -99,7 +102,7 @@ class Scripted:
 
 
 def begun(on: Scripted) -> correction.Round:
-    course = next(courses(on, LINE, None, None, ways()[:1]))
+    course = next(courses(on, LINE, None, ways()[:1]))
     return correction.run(on, course, plan_of(on, course, 0), 0)
 
 
@@ -179,7 +182,7 @@ def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_mor
     stands = np.radians([-35.0, 51.5, -103.0, 67.0, 42.0, 0.0])
     there = stands - np.radians([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
     twice = [np.tile(q[:5], (2, 1)) for q in (stands, there)]
-    borne, most = (np.degrees(sag_model.heaviest_rad(model(), ROBOT.chain, q)[1]) for q in twice)
+    borne, most = (np.degrees(lag.heaviest_rad(model(), ROBOT.chain, q)[1]) for q in twice)
     assert borne < np.degrees(UNKNOWN_HEAVIEST_RAD) < most
     plan = make_plan(via=0, waypoints_rad=(tuple(stands), tuple(there)), waypoint_progress=(0.0, 1.0))
     on = Scripted(0.0)
@@ -189,7 +192,7 @@ def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_mor
 
 
 def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points(on: VirtualRig) -> None:
-    course = next(courses(on, LINE, 2, model(), ways()))
+    course = next(courses(on, LINE, 2, ways()))
     off = distance_to_line(tool_position(ROBOT.chain, course.expected_rad), LINE.A, LINE.B)
     assert off.max() < 0.003
     steps = np.diff(course.expected_rad, axis=0)
@@ -198,7 +201,7 @@ def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points(on: Virt
 
 def test_a_tool_seen_beside_where_the_encoders_have_it_is_brought_to_the_line(on: VirtualRig) -> None:
     aside = replace(LINE, unseen_m=np.tile([0.0, 0.0, 0.01], (5, 1)))
-    tool = tool_position(ROBOT.chain, next(courses(on, aside, None, None, ways())).expected_rad)
+    tool = tool_position(ROBOT.chain, next(courses(on, aside, None, ways())).expected_rad)
     np.testing.assert_allclose(tool[:, 2], hand.A[2] - 0.01, atol=5e-4)
 
 
@@ -219,7 +222,7 @@ def test_a_correction_that_did_not_help_is_tried_anew_from_the_kept_plan_at_half
         gains.append(gain)
         return last.course
 
-    def run(_rig: object, course: Course, plan: Plan, number: int) -> correction.Round:
+    def run(_rig: object, course: Course, plan: Plan, number: int, *, corrected: bool) -> correction.Round:
         return replace(first, course=course, plan=plan, number=number, run_mm=(next(seen),))
 
     monkeypatch.setattr(correction, "learn", learn)

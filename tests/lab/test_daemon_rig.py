@@ -8,6 +8,7 @@ import pytest
 from armctl.client import Client
 from armctl.errors import RequestRefused
 from armctl.lab.rig import DaemonRig, Measured
+from armctl.messages import LagModel
 from armctl.trajectory.plan import Plan
 from tests.genetic import hand
 from tests.lab.daemon import SimulatedDaemon
@@ -26,7 +27,10 @@ class Timed:
     def __init__(self, *durations_s: float) -> None:
         self.durations_s = list(durations_s)
 
-    def run(self, plan: Plan) -> Measured:
+    def use(self, model: LagModel) -> None:
+        raise NotImplementedError
+
+    def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
         return Measured(TIME_S, Q, self.durations_s.pop(0), "")
 
 

@@ -30,12 +30,12 @@ def on() -> VirtualRig:
 
 def plan(on: VirtualRig, via: int | None = 4) -> Plan:
     ways = line_paths(on.arm, on.robot, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=12)
-    return plan_of(on, next(courses(on, LINE, via, None, ways)), 0)
+    return plan_of(on, next(courses(on, LINE, via, ways)), 0)
 
 
 def test_a_perfect_arm_is_measured_where_its_plan_says_and_in_its_time(on: VirtualRig) -> None:
     wanted = plan(on)
-    measured = on.run(wanted)
+    measured = on.run(wanted, corrected=False)
     assert measured.duration_s == pytest.approx(3.0, abs=1e-3)
     assert len(measured.time_s) == 31
     np.testing.assert_allclose(measured.time_s, np.arange(31) * 0.1, atol=0.01)

@@ -14,8 +14,8 @@ from armctl.lab import line_results
 from armctl.lab.course import Via
 from armctl.lab.line_experiment import experiment, identified
 from armctl.lab.rig import VirtualRig
-from armctl.lab.sag_model import SagModel
 from armctl.lab.study.case import Case, Found, Row
+from armctl.messages import LagModel
 
 TOLD = ("mean_error_mm", "max_error_mm", "duration_s", "truth", "predicted_mean_error_mm", "predicted_max_error_mm")
 
@@ -38,7 +38,7 @@ def run(case: Case) -> Found:
     return Found(rows)
 
 
-def _ran(case: Case, via: Via, rig: VirtualRig, model: SagModel | None) -> Row:
+def _ran(case: Case, via: Via, rig: VirtualRig, model: LagModel | None) -> Row:
     corrected: Row = {"before": None}
     if case.plan is not None:
         plan, runs = case.plan, [rig.run(case.plan)]

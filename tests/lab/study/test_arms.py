@@ -1,5 +1,6 @@
 import pytest
 
+from armctl.lab.line_results import true_mm
 from armctl.lab.study.arms import run, summary
 from armctl.lab.table_ii import through_points
 from tests.lab.study.cases import case
@@ -24,7 +25,8 @@ def test_a_plan_is_run_as_it_stands() -> None:
     plan = through_points(one.rig(), one)
     (row,) = run(case(plan=plan, rounds=5)).rows
     assert (row["via"], row["before"]) == (1, None)
-    assert row["truth"]["mean_error_mm"] > 5.0  # nothing corrected it
+    plain_mm, _ = true_mm(one.rig().run(plan, corrected=False), one.line)
+    assert row["truth"]["mean_error_mm"] < 0.7 * plain_mm
     (refused,) = run(case(plan=plan.model_copy(update={"calibration_hash": "other"}))).rows
     assert "calibration" in refused["refused"]
 

@@ -1,0 +1,156 @@
+"""What keeps a joint behind its goal, as far as gravity, friction and speed tell it.
+
+    lag = goal - position = sum_k g_k * reach_k(q) + f * h + d * velocity + c        (one equation a joint)
+
+`reach_k` is the horizontal lever of link k about the joint's axis: through the servo's compliance slope, gravity on it
+bends the joint in proportion. `h` in [-1, 1] is the side on which friction pushes: the direction of the joint's last
+motion, which a reversal turns over within `TURN_RAD` or so (Dahl's model). The position is the potentiometer's, on the
+output shaft: sag and play are seen; zero offsets, bending and the potentiometer's own nonlinearity are not.
+
+`lags_rad` foresees it for the control step, so its sums and products are written out; the rest is for whole motions.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.dynamixel.ax12a import LOAD_MAX, NO_LOAD_SPEED_RAD_S, STALL_TORQUE_NM, TICK_RAD, compliance_slope
+from armctl.kinematics.chain import SerialChain, joint_axes, link_frames
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import LagModel
+
+TURN_RAD = 0.5 * TICK_RAD
+# An AX-12A with its bracket, and a light tool: what an arm nobody has measured is taken to weigh.
+SERVO_KG, TOOL_KG = 0.075, 0.08
+FRICTION_NM = 0.12
+# How far, as a share, an arm's coefficients may be from those of the nominal one: the ridge pulls towards the nominal
+# arm as strongly as one sample with an error of a tick.
+SPREAD = 0.5
+CONSTANT_RAD = TICK_RAD
+GRAVITY_M_S2 = 9.81
+
+
+def side_after(side: float, way_rad: float) -> float:
+    """On which side friction pushes once a joint has gone a way, from -1 to 1: (1 + x / 8)^-8 stands for e^-x."""
+    if way_rad == 0.0:
+        return side
+    x = 1.0 + abs(way_rad) / (8.0 * TURN_RAD)
+    x *= x
+    x *= x
+    toward = 1.0 if way_rad > 0.0 else -1.0
+    return toward + (side - toward) / (x * x)
+
+
+def lags_rad(
+    model: LagModel, chain: SerialChain, q: Sequence[float], side: Sequence[float], velocity_rad_s: Sequence[float]
+) -> list[float]:
+    """By how much each joint of the chain stays behind its goal, at one instant [rad]."""
+    n = chain.n
+    axes, tool = joint_axes(chain, np.array([q[:n]]))
+    at = [(float(P[0, 0]), float(P[1, 0])) for _, P in axes]
+    at.append((float(tool[0, 0]), float(tool[1, 0])))
+    found = []
+    for i, (row, (z, _)) in enumerate(zip(model.rows, axes, strict=True)):
+        lag = row[n] * side[i] + row[n + 1] * velocity_rad_s[i] + row[n + 2]
+        zx, zy = float(z[0, 0]), float(z[1, 0])
+        for k in range(i, n):
+            lag += row[k] * (zx * (at[k + 1][1] - at[k][1]) - zy * (at[k + 1][0] - at[k][0]))
+        found.append(lag)
+    return found
+
+
+def directions(q: FloatArray, before: FloatArray) -> FloatArray:
+    """On which side friction pushes along a motion.
+
+    Args:
+        q: Joint positions [rad], shape (m, n).
+        before: How each joint came to the first one: displacement [rad], shape (n,).
+    Returns:
+        h, shape (m, n).
+    """
+    h = np.zeros_like(q)
+    last = [side_after(0.0, float(way)) for way in before]
+    h[0] = last
+    for i, step in enumerate(np.diff(q, axis=0), start=1):
+        last = [side_after(side, float(way)) for side, way in zip(last, step, strict=True)]
+        h[i] = last
+    return h
+
+
+def regressors(chain: SerialChain, q: FloatArray, before: FloatArray, period_s: float) -> FloatArray:
+    """The quantities that explain each joint's lag, along a motion that is sampled every `period_s`.
+
+    Args:
+        q: Joint positions the arm is to have [rad], shape (m, n).
+        before: As `directions`.
+    Returns:
+        Shape (n, m, n + 3): reach of each link [m] (0 upstream), h, velocity [rad/s], 1.
+    """
+    m, n = q.shape
+    T = link_frames(chain, q)
+    axes = T[:, :-1] if chain.convention == "standard" else T[:, 1:]
+    links = np.diff(T[:, :, :3, 3], axis=1)
+    X = np.zeros((n, m, n + 3))
+    for i in range(n):
+        z = axes[:, i, :3, 2]
+        X[i, :, i:n] = z[:, None, 0] * links[:, i:, 1] - z[:, None, 1] * links[:, i:, 0]
+    X[:, :, n] = directions(q, before).T
+    X[:, :, n + 1] = np.gradient(q, period_s, axis=0).T
+    X[:, :, n + 2] = 1.0
+    return X
+
+
+def nominal(arm: ArmConfig, chain: SerialChain) -> LagModel:
+    """The model of an arm of new AX-12A servos, from the data sheet: it is used before anything is measured.
+
+    A servo's output climbs over its compliance slope from `punch` to full; a torque bends it by torque / stiffness.
+    """
+    n = chain.n
+    # Servos sit on the axes, those beyond the chain halfway along its last link.
+    further_kg = SERVO_KG * (len(arm.joints) - n)
+    carried = [SERVO_KG * (n - 1 - i) + further_kg + TOOL_KG for i in range(n)]
+    carried[-1] -= further_kg / 2.0
+    rows = []
+    for i, joint in enumerate(arm.joints[:n]):
+        punch = joint.compliance.punch / LOAD_MAX
+        softness = compliance_slope(joint.compliance.slope) * TICK_RAD / ((1.0 - punch) * STALL_TORQUE_NM)
+        # A servo carries what is further out than its own joint.
+        gravity = [GRAVITY_M_S2 * softness * kg if k >= i else 0.0 for k, kg in enumerate(carried)]
+        rows.append((*gravity, FRICTION_NM * softness, STALL_TORQUE_NM / NO_LOAD_SPEED_RAD_S * softness, 0.0))
+    return LagModel(arm.arm_id, arm.calibration_hash, tuple(rows))
+
+
+def fitted(arm: ArmConfig, chain: SerialChain, lags: Sequence[FloatArray], rows: Sequence[FloatArray]) -> LagModel:
+    """The model that explains measured lags best: least squares, with a weak ridge penalty towards the nominal model.
+
+    Args:
+        lags: Goal less position [rad] of each motion, shape (m, n).
+        rows: Its `regressors`, shape (n, m, n + 3).
+    """
+    lag, X = np.concatenate(lags), np.concatenate(rows, axis=1)
+    n = lag.shape[1]
+    prior = np.array(nominal(arm, chain).rows)
+    coefficients, residual = np.empty((n, n + 3)), np.empty(n)
+    for i in range(n):
+        scale = SPREAD * np.abs(prior[i])
+        scale[-1] = CONSTANT_RAD
+        S, rest = X[i] * scale, lag[:, i] - X[i] @ prior[i]
+        normal = S.T @ S + TICK_RAD**2 * np.eye(n + 3)
+        coefficients[i] = prior[i] + scale * np.linalg.solve(normal, S.T @ rest)
+        residual[i] = (lag[:, i] - X[i] @ coefficients[i]).std() / TICK_RAD
+    found = tuple(map(tuple, coefficients.tolist()))
+    return LagModel(arm.arm_id, arm.calibration_hash, found, tuple(residual.tolist()), len(lags))
+
+
+def predict(model: LagModel, X: FloatArray) -> FloatArray:
+    """Lag [rad], shape (m, n), from `regressors`."""
+    return np.asarray(np.einsum("imk,ik->mi", X, np.array(model.rows)))
+
+
+def heaviest_rad(model: LagModel, chain: SerialChain, q: FloatArray) -> FloatArray:
+    """Largest lag of each joint by gravity and friction along a motion [rad], shape (n,); q [rad], shape (m, n)."""
+    n, rows = chain.n, np.array(model.rows)
+    X = regressors(chain, q, np.zeros(n), 1.0)
+    sag = np.einsum("imk,ik->mi", X[:, :, :n], rows[:, :n]) + rows[:, n + 2]
+    return np.asarray(np.abs(sag).max(axis=0) + np.abs(rows[:, n]))

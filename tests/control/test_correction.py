@@ -1,0 +1,157 @@
+"""Joints are where they are wanted: goals are corrected, moving and at rest, within bounds and by nobody's fault."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armctl.control.motion import BLEND_S, MOST_RAD, RATE_RAD_S
+from armctl.control.settle import REST_S, TRIM_RAD
+from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.messages import Hold, LagModel, Mode, Pause, Resume, Run, UseModel
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import RANDOM_SPEC
+from armctl.trajectory.lag import nominal
+from tests.control.damaged_arm import ARM, STRETCHED_DEG, DamagingPort, Rig
+from tests.control.ideal_arm import holding, line
+
+REST_TICKS = round(REST_S / 0.1)
+# What a correction takes that a short motion leaves no time for.
+ARRIVE_TICKS = round((MOST_RAD / RATE_RAD_S + BLEND_S) / 0.1)
+FORWARD_DEG = (20.0, 50.0, -70.0, -20.0, 0.0, 0.0)
+
+
+def away_mm(rig: Rig) -> float:
+    """How far the tool truly is from where the joints are wanted."""
+    wanted, true = rig.simulated.tool_positions(np.array([rig.goals_rad, rig.simulated.true_positions()]))
+    return float(np.linalg.norm(wanted - true)) * 1e3
+
+
+def rig(seed: int) -> Rig:
+    return Rig(seed, RANDOM_SPEC).holding()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_tool_comes_to_its_place_and_stays_there_without_another_goal(seed: int) -> None:
+    on = rig(seed)
+    on.ticks(50 + 2 + REST_TICKS, Run(5, replace(on.way(FORWARD_DEG), corrected=False)))
+    plain_mm = away_mm(on)
+    on.ticks(10 + ARRIVE_TICKS + 2 + REST_TICKS, Run(6, on.way(FORWARD_DEG, seconds=1.0)))
+    assert on.replies()[6].ok
+    assert away_mm(on) < plain_mm / 8.0
+    on.records.clear()
+    on.ticks(600)
+    assert not any(record.outputs.goal for record in on.records)
+    assert away_mm(on) < plain_mm / 7.0
+    assert on.code() == ""
+
+
+@given(
+    seed=st.integers(0, 30),
+    deg=st.tuples(*[st.floats(-40.0, 40.0)] * 5, st.just(0.0)),
+    seconds=st.floats(1.0, 4.0),
+)
+@settings(max_examples=15)
+def test_no_correction_and_no_trim_is_larger_than_its_bound_and_no_goal_leaves_the_limits(
+    seed: int, deg: tuple[float, ...], seconds: float
+) -> None:
+    on = rig(seed)
+    begin_deg = np.degrees(on.goals_rad)
+    low, high = np.array([joint.limits_deg for joint in ARM.joints]).T
+    speed = np.array([joint.speed_limit_deg_s for joint in ARM.joints])
+    end_deg = begin_deg + np.clip(np.clip(begin_deg + deg, low, high) - begin_deg, -speed * seconds, speed * seconds)
+    on.ticks(1, Run(5, on.way(end_deg.tolist(), seconds)))
+    for _ in range(80):
+        on.ticks(1)
+        following = on.loop.state.following
+        assert following is not None
+        assert max(map(abs, following.trim_rad)) <= TRIM_RAD + TICK_RAD
+        for joint, tick, wanted in zip(ARM.joints, on.loop.state.goal, following.wanted_rad, strict=True):
+            assert joint.limits_tick[0] <= tick <= joint.limits_tick[1]
+            assert abs(joint.position_rad(tick) - wanted) <= MOST_RAD + TRIM_RAD
+
+
+def test_an_arm_whose_file_says_so_gets_its_goals_as_they_are() -> None:
+    plain = ARM.model_copy(update={"correction": False})
+    on = Rig.__new__(Rig)
+    super(Rig, on).__init__(SimulatedArm(plain, seed=3, spec=RANDOM_SPEC), make_port=DamagingPort)
+    on.records = []
+    on.on_tick = on.records.append
+    on.start()
+    on.ticks(3)
+    on.holding()
+    way = on.way(STRETCHED_DEG)
+    on.records.clear()
+    on.ticks(60, Run(5, way))
+    sent = [record.outputs.goal.ticks for record in on.records if record.outputs.goal]
+    assert 50 <= len(sent) <= 51
+    assert sent[-1] == tuple(round(joint.tick(q)) for joint, q in zip(ARM.joints, way.positions_rad[-1], strict=True))
+
+
+def test_a_motion_begins_where_the_joints_are_wanted_and_not_where_their_goals_are() -> None:
+    on = rig(1).at()
+    state = on.loop.state
+    assert state.following is not None
+    assert on.records[-1].outputs.wanted_rad == state.following.wanted_rad == on.goals_rad
+    shoulder = ARM.joints[1].position_rad(state.goal[1])
+    assert shoulder - on.goals_rad[1] > math.radians(2.0), "it is kept up"
+    from_goals = replace(on.turned(5.0), positions_rad=((on.goals_rad[0], shoulder, *on.goals_rad[2:]),) * 2)
+    on.ticks(1, Run(6, from_goals))
+    assert on.replies()[6].code == "START_MISMATCH"
+
+
+@pytest.mark.parametrize("ends", ["stop", "fault"])
+def test_what_ends_a_motion_ends_its_way_to_its_place(ends: str) -> None:
+    on = rig(2)
+    on.ticks(12, Run(5, on.turned(-10.0, 1, seconds=1.0)))
+    assert (on.mode(), on.records[-1].outputs.progress) == (Mode.MOVING, 1.0)
+    if ends == "stop":
+        on.ticks(1, Hold(6))
+        assert on.mode() is Mode.HOLDING
+    else:
+        on.fault("mute", 5)
+        on.ticks(12)
+        assert (on.mode(), on.code()) == (Mode.FAULTED, "SERVO_SILENT")
+    on.records.clear()
+    on.ticks(REST_TICKS)
+    assert not any(record.outputs.goal for record in on.records)
+
+
+def test_a_paused_motion_goes_to_its_place_once_it_is_resumed() -> None:
+    on = rig(2)
+    on.ticks(12, Run(5, on.turned(-10.0, 1, seconds=1.0)))
+    on.ticks(1, Pause(6))
+    on.records.clear()
+    on.ticks(40)
+    assert not any(record.outputs.goal for record in on.records)
+    assert on.mode() is Mode.MOVING
+    on.ticks(2 + REST_TICKS, Resume(7))
+    assert on.replies()[5].ok
+
+
+MODEL = nominal(ARM, holding().robot.chain)
+
+
+@pytest.mark.parametrize(("model", "code"), [
+    (MODEL, ""),
+    (replace(MODEL, arm_id="another"), "MODEL"),
+    (replace(MODEL, calibration_hash="older"), "MODEL"),
+    (replace(MODEL, rows=MODEL.rows[1:]), "MODEL"),
+    (replace(MODEL, rows=(MODEL.rows[0][1:], *MODEL.rows[1:])), "MODEL"),
+    (replace(MODEL, rows=((math.nan, *MODEL.rows[0][1:]), *MODEL.rows[1:])), "MODEL"),
+])  # fmt: skip
+def test_a_model_of_another_arm_is_refused(model: LagModel, code: str) -> None:
+    arm = holding()
+    arm.arm = ARM
+    assert arm.ask(UseModel(5, model)).code == code
+    assert arm.state.model == (None if code else model)
+
+
+def test_no_model_is_changed_while_the_arm_moves() -> None:
+    arm = holding()
+    arm.arm = ARM
+    arm.run_ticks(3, Run(5, line(arm)))
+    assert arm.ask(UseModel(6, MODEL)).code == "ILLEGAL_TRANSITION"
