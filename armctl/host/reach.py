@@ -18,7 +18,7 @@ from armctl.trajectory.grasp import Grasp, ReachRequest
 # Of the load asked for: with less the gripper has lost what it held.
 HELD_SHARE = 0.5
 # The leg after which the tool is at the point.
-_THERE = 4
+_THERE = 1
 
 
 async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, Any]:
@@ -76,12 +76,8 @@ def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:
     def straight(step: int) -> Leg:
         return lambda q_now, _: grasp.straight(planned[0].path_rad[::step], q_now, *where)
 
-    def align(place: int) -> Leg:
-        return lambda q_now, q_measured: grasp.align(planned[0].path_rad[place], q_now, q_measured, *where)
-
     def act(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
         return grasp.gripping(q_now, *where, closing=request.gripper == "grip")
 
-    # Twice at the point: the second correction takes what the first one has left.
-    there = [approach, align(0), straight(1), align(-1), align(-1)]
+    there = [approach, straight(1)]
     return there if request.gripper == "stay" else [*there, act, straight(-1)]

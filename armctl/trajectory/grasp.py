@@ -5,9 +5,7 @@ Rules.
    the way, unless the joint limits leave nothing else.
 2. The joint positions are the inverse kinematics' (closed form, numeric, or the genetic algorithms), taken in the order
    of least weighted travel (Bao, Liu & Zhao eq. 10); the first whose whole way passes the pre-flight is gone.
-3. A loaded arm sags. At the line's beginning and at the point the goals are moved by what the encoders lack, at most
-   `MOST_OFFSET_RAD` a joint.
-4. A gripper closes evenly until its load says that it holds something (`messages.Grip`), or until it is closed.
+3. A gripper closes evenly until its load says that it holds something (`messages.Grip`), or until it is closed.
 """
 
 import math
@@ -41,8 +39,6 @@ STRAIGHT_M_S = 0.05
 CLOSING_RAD_S = math.radians(20.0)
 # A loaded arm comes to rest within this time.
 SETTLE_S = 0.4
-# Largest correction of a joint: a goal farther from its joint than 8 deg counts as blocked.
-MOST_OFFSET_RAD = math.radians(6.0)
 # At so many places of the straight line the joints are computed; in between they follow a spline.
 PLACES = 13
 # At so many places the speeds on the straight line are computed.
@@ -117,38 +113,14 @@ def approach(
     return _settled(approach_trajectory(q_now, there, arm, robot, period_s, "reach"), q_now, arm, robot)
 
 
-def align(
-    q_wanted: FloatArray,
-    q_now: Sequence[float],
-    q_measured: Sequence[float],
-    arm: ArmConfig,
-    robot: Robot,
-    period_s: float,
-) -> JointTrajectory:
-    """The small motion of the goals after which the joints should be where they are wanted (rule 3).
-
-    Args:
-        q_wanted: Joint positions of the chain [rad], shape (n,).
-        q_now, q_measured: Where all joints are told to be, and are [rad], shape (joints,).
-    Raises:
-        RequestRefused: code PREFLIGHT.
-    """
-    n = robot.chain.n
-    low, high = np.array([joint.limits_rad for joint in arm.joints[:n]]).T
-    offset = np.asarray(q_now[:n]) - np.asarray(q_measured[:n])
-    goal = np.clip(q_wanted + np.clip(offset, -MOST_OFFSET_RAD, MOST_OFFSET_RAD), low, high)
-    there = [*goal.tolist(), *q_now[n:]]
-    return _settled(approach_trajectory(q_now, there, arm, robot, period_s, "align"), q_now, arm, robot)
-
-
 def straight(
     path_rad: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
 ) -> JointTrajectory:
-    """The straight line, or the same backwards, with the offset from it that the goals have at its beginning.
+    """The straight line, or the same backwards.
 
     Args:
         path_rad: Joint positions of the chain [rad] along it, shape (m, n).
-        q_now: Where the joints are told to be [rad], shape (joints,).
+        q_now: Where the joints are wanted [rad], shape (joints,).
     Raises:
         RequestRefused: code PREFLIGHT.
     """
@@ -157,11 +129,10 @@ def straight(
     duration_s = QUINTIC_PEAK_SPEED * float(np.linalg.norm(tool_m[1] - tool_m[0])) / STRAIGHT_M_S
     knots = np.linspace(0.0, 1.0, len(path_rad))
     low, high = np.array([joint.limits_rad for joint in arm.joints[:n]]).T
-    offset = np.asarray(q_now[:n]) - path_rad[0]
 
     def rows(count: int) -> FloatArray:
         place = rest_to_rest(np.zeros(1), np.ones(1), np.arange(count + 1) / count)[:, 0]
-        return np.asarray(np.clip(joint_path(path_rad, knots, place, "cubic") + offset, low, high))
+        return np.asarray(np.clip(joint_path(path_rad, knots, place, "cubic"), low, high))
 
     speed, acceleration = peak_rates(rows(LOOKS), duration_s / LOOKS)
     joints = arm.joints[:n]

@@ -101,16 +101,6 @@ def test_a_point_that_cannot_be_come_to_is_refused_before_anything_moves(
         path_to(point, off_m=0.3)
 
 
-def test_goals_move_by_what_the_encoders_lack_and_no_farther_than_a_blocked_joint_may_be() -> None:
-    begin = path_to()[0]
-    told = [*begin.tolist(), REST[5]]
-    for sag_rad, moved_rad in ((math.radians(1.5), math.radians(1.5)), (math.radians(20.0), grasp.MOST_OFFSET_RAD)):
-        measured = (np.array(told) - sag_rad).tolist()
-        goal = grasp.align(begin, told, measured, ARM, ROBOT, PERIOD_S).positions_rad[-1]
-        assert np.subtract(goal[:5], begin) == pytest.approx(moved_rad)
-        assert goal[5] == told[5]
-
-
 def test_a_gripper_closes_evenly_while_the_arm_stays() -> None:
     closing = grasp.gripping(*XIANG, closing=True)
     rows = np.array(closing.positions_rad)
