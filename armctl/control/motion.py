@@ -80,10 +80,10 @@ def move(s: Tick, motion: Motion) -> None:
         return s.finish_motion(motion.stop_code, "")
     if s.fresh and not s.all_powered():
         return s.finish_motion(motion.stop_code or "LOST_TORQUE", "")
-    motion.rate, motion.free_rate = rate, _nearer(motion.free_rate, wanted, s.period_s)
+    stood, motion.rate, motion.free_rate = motion.rate == 0.0, rate, _nearer(motion.free_rate, wanted, s.period_s)
     if not motion.stop_code:
         _tell_slowness(s, motion, end_s)
-    if not s.fresh:
+    if not s.fresh or (motion.paused and stood and rate == 0.0):
         return None
     if not motion.stop_code and not motion.paused:
         trim(s)

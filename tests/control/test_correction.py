@@ -132,6 +132,17 @@ def test_a_paused_motion_goes_to_its_place_once_it_is_resumed() -> None:
     assert on.replies()[5].ok
 
 
+@pytest.mark.parametrize("ticks", [2, 5, 20])
+def test_a_pause_changes_no_goal_any_more_once_the_arm_stands(ticks: int) -> None:
+    on = rig(2)
+    on.ticks(ticks, Run(5, on.way(FORWARD_DEG)))
+    on.ticks(4, Pause(6))
+    goal = on.loop.state.goal
+    for _ in range(30):
+        on.ticks(1)
+        assert on.loop.state.goal == goal
+
+
 MODEL = nominal(ARM, holding().robot.chain)
 
 
