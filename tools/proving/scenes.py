@@ -258,6 +258,14 @@ def _(d: Drawing) -> float:
     return LIFTED_S + 7.0
 
 
+@_scene("another program leads a joint that is held")
+def _(d: Drawing) -> float:
+    d.wish("lift", 0.3)
+    d.strike("blocked_joint", LIFTED_S, (7.0, 7.5))
+    d.strike("second_writer", LIFTED_S + 0.2, (6.0, 6.5), (60.0, 120.0))
+    return LIFTED_S + 8.0
+
+
 @_scene("goals are lost while the arm moves")
 def _(d: Drawing) -> float:
     d.wish("stand", 0.3)
