@@ -309,7 +309,7 @@ def _(d: Drawing) -> float:
 def _(d: Drawing) -> float:
     d.wish("stand", 0.3)
     d.wish("ram", STANDS_S)
-    d.say(("hold", STANDS_S + float(d.rng.uniform(0.3, 0.5))))
+    d.say(("hold", STANDS_S + float(d.rng.uniform(0.65, 0.75))))
     return STANDS_S + 5.0
 
 
