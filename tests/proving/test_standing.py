@@ -193,13 +193,31 @@ def test_torque_does_not_come_on_while_a_servo_is_hot(limp: Bench) -> None:
 
 
 @pytest.mark.parametrize(("asked", "ticks", "broken"), [
-    ("hold", 15, set()), ("hold", 24, {"stall"}), ("pause", 24, set())])  # fmt: skip
+    ("hold", 11, set()), ("hold", 16, {"stall"}), ("pause", 24, set())])  # fmt: skip
 def test_a_push_counts_from_the_stop_on(holding: Bench, asked: str, ticks: int, broken: set[str]) -> None:
     holding.feel(0.5)
     holding.ticks(10, Mode.HOLDING)
     holding.ask(asked)
     holding.ticks(ticks, Mode.HOLDING)
     assert holding.red == broken
+
+
+def test_what_is_stopped_may_push_longer_where_a_servo_was_not_heard(holding: Bench) -> None:
+    holding.feel(0.5)
+    holding.ask("hold")
+    holding.tick(Mode.HOLDING, heard=False)
+    holding.ticks(17, Mode.HOLDING)
+    assert holding.red == set()
+
+
+@pytest.mark.parametrize(("also", "broken"), [("OVERLOAD", set()), ("", {"faults"})])
+def test_a_motor_that_works_too_hard_is_told_of_beside_whatever_else(
+    holding: Bench, also: str, broken: set[str]
+) -> None:
+    holding.feel(0.9, gravity=0.9)
+    for _ in range(30):
+        holding.tick(Mode.FAULTED, "BUS_NOISE", also=also)
+    assert holding.red & {"faults", "rows"} == broken
 
 
 @pytest.mark.parametrize(("also", "broken"), [("BLOCKED", set()), ("", {"rest"})])

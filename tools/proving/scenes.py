@@ -1,8 +1,7 @@
 """Short episodes drawn for one situation each: what random stories meet too seldom to tell one program from another.
 
-A scene is a story as any other (`story.py`), played and judged in the same way; it is only drawn more narrowly. Every
-one brings the arm to where the situation begins and lets it happen there. Which servo, when within a tick, how long and
-on which arm comes from the seed. Scenes are numbered behind the episodes, from `SCENES_FROM`, each kind in its turn.
+A scene is a story (`story.py`), played and judged as any other. It brings the arm to where the situation
+begins; which servo, when, how long and on which arm comes from the seed. Scenes are numbered from `SCENES_FROM`.
 """
 
 import re
@@ -15,8 +14,7 @@ from armctl.config import ArmConfig
 from proving.story import Drawing, Garble, HostGone, Kill, Late, Story, Tamper, Wish, Word
 
 SCENES_FROM = 1_000_000
-# The arm is under torque by then: where it lay, or where a hand has lifted it.
-STANDS_S, LIFTED_S = 3.0, 10.5
+STANDS_S, LIFTED_S = 3.0, 10.5  # by then the arm is under torque: where it lay, or where a hand has lifted it
 # Those that are not played on whichever arm.
 NO_REST = "heat of an arm whose file forbids the way to rest"
 WRONG_MOTIONS = "motions that are wrong in one thing"
@@ -72,11 +70,9 @@ def _(d: Drawing) -> float:
 @_scene("the first words of a torque-on are lost")
 def _(d: Drawing) -> float:
     for at_s in (1.0, 4.0, 7.0, 10.0):
+        d.lines.append(Word(at_s - 0.05, "torque_on", d.number()))
         # Behind the readings of the tick that carries it out.
-        d.lines += [
-            Word(at_s - 0.05, "torque_on", d.number()),
-            Garble(d.within(at_s + 0.003, 0.005), 0.08, 0.6, "dropped"),
-        ]
+        d.lines.append(Garble(d.within(at_s + 0.003, 0.005), 0.08, 0.6, "dropped"))
         d.lines.append(Word(at_s + 2.0, "release", d.number()))
     return 12.0
 
@@ -258,6 +254,14 @@ def _(d: Drawing) -> float:
     return LIFTED_S + 7.0
 
 
+@_scene("another program leads a joint that is held")
+def _(d: Drawing) -> float:
+    d.wish("lift", 0.3)
+    d.strike("blocked_joint", LIFTED_S, (7.0, 7.5))
+    d.strike("second_writer", LIFTED_S + 0.2, (6.0, 6.5), (60.0, 120.0))
+    return LIFTED_S + 8.0
+
+
 @_scene("goals are lost while the arm moves")
 def _(d: Drawing) -> float:
     d.wish("stand", 0.3)
@@ -301,7 +305,7 @@ def _(d: Drawing) -> float:
 def _(d: Drawing) -> float:
     d.wish("stand", 0.3)
     d.wish("ram", STANDS_S)
-    d.say(("hold", STANDS_S + float(d.rng.uniform(0.3, 0.5))))
+    d.say(("hold", STANDS_S + float(d.rng.uniform(0.65, 0.75))))
     return STANDS_S + 5.0
 
 
@@ -358,8 +362,8 @@ def _(d: Drawing) -> float:
 @_scene("motions that nobody has looked at")
 def _(d: Drawing) -> float:
     d.wish("lift", 0.3)
-    d.wish("plan", LIFTED_S)
-    d.wish("plan", LIFTED_S + 0.1)
+    for at_s in (LIFTED_S, LIFTED_S + 0.1):
+        d.wish("plan", at_s)
     return LIFTED_S + 20.0
 
 
@@ -390,8 +394,7 @@ def seeded(number: int) -> int:
 
 def scene(seed: int, number: int, arm: ArmConfig) -> Story:
     """The story of a scene, the same for the same numbers."""
-    rng = np.random.default_rng((seed, seeded(number), 21))
-    drawing = Drawing(rng, arm, (number - SCENES_FROM) // len(SCENES))
+    drawing = Drawing(np.random.default_rng((seed, seeded(number), 21)), arm, (number - SCENES_FROM) // len(SCENES))
     duration_s = SCENES[named(number)](drawing)
     lines = tuple(sorted(drawing.lines, key=lambda line: line.at_s))
-    return Story(int(rng.integers(2**31)), duration_s, lines)
+    return Story(int(drawing.rng.integers(2**31)), duration_s, lines)

@@ -7,7 +7,7 @@
 | rows, held | a fault that is newly told | its cause is there, or was just now; a lost goal is no other program |
 | faults | every fault that is certain | under its own name among all that are told, another one being latched |
 | stall | output at standstill beyond what gravity asks for, with 150 g at the tool or not | 0.42 for 3.5 s; 2 s |
-| | | after a stop or a latch |
+| | | after a latch, 1.2 s after a stop |
 | rest | the way to rest for heat, supply, load | after a cause that lasted (2, 0.5, 2 s), 3 s after it was told |
 | yields | goals held while OTHER_WRITER is told, its writer gone for 0.6 s | this program's, or OVERRULED is told |
 | limp | what `release` answers | every servo is without torque, or it is refused |
@@ -27,7 +27,7 @@ PUSH = 0.3 + 0.12
 LEAST_PUSH = 0.2
 # What a gripper may hold with.
 GRIP = 0.5
-PUSH_S, PUSH_STOPPED_S, PUSH_BLOCKED_S = 3.5, 2.0, 1.0
+PUSH_S, PUSH_STOPPED_S, PUSH_WELL_S, PUSH_BLOCKED_S = 3.5, 2.0, 1.2, 1.0
 # Of a cause that has to last: the reading before it, and the one that ends it.
 SLACK_S = 0.25
 # Ticks in which all servos are heard and what is told of torque is wrong.
@@ -93,8 +93,9 @@ class StandingJudge(ShaftJudge):
         self._unheard_ticks = 0
         # Ticks in which what is told of torque was wrong.
         self._wrong_ticks = 0
-        # Whether every servo answered in the last tick.
+        # Whether every servo answered in the last tick; when one last did not, or what is sent might be lost.
         self._all_heard = False
+        self._unwell_s = -math.inf
         # Whether all servos were heard when a fault came to be told.
         self._clean = False
         # Since when the arm has been told to stop, and not to move since.
@@ -234,6 +235,8 @@ class StandingJudge(ShaftJudge):
 
     def _watch_standing(self, now_s: float, servos: Sequence[Servo], strains: Sequence[Strain]) -> None:
         """Once a tick, with the servos of the tick before in `_before`."""
+        if not self._all_heard or self._duties.may_be_lost(now_s) or self._duties.may_be_forged(now_s):
+            self._unwell_s = now_s
         self._strained |= bool(strains)
         hot = [strain.temperature_degC + 0.5 >= self._arm.temperature_limit_degC for strain in strains]
         low_V, high_V = self._arm.voltage_V
@@ -298,7 +301,9 @@ class StandingJudge(ShaftJudge):
         stopped_s = now_s - max(self._push_s[i], told_s)
         # A joint that is told to be blocked is relieved at once, if every servo was heard.
         blocked = self._codes == {"BLOCKED"} and self._named.get("BLOCKED") == self._arm.servo_ids[i] and self._clean
-        soon_s = PUSH_BLOCKED_S if blocked else PUSH_STOPPED_S
+        # What is stopped is relieved as soon as it stands, if every servo is heard and hears.
+        well = not self._codes and now_s - self._unwell_s > stopped_s
+        soon_s = PUSH_BLOCKED_S if blocked else PUSH_WELL_S if well else PUSH_STOPPED_S
         bound_s = soon_s if stopped_s > soon_s else PUSH_S
         if now_s - self._push_s[i] > bound_s:
             text = f"pushes with {strain.output:.2f} where gravity asks for {strain.gravity:.2f}"
@@ -307,10 +312,11 @@ class StandingJudge(ShaftJudge):
 
     def _watch_load(self, now_s: float, i: int) -> None:
         # A program that was late has seen it once.
-        if now_s - max(self._load_s[i], self._late_s) > OVERLOADED_S and not self._codes and self._mode in POWERED:
-            self._violate(
-                "rows", now_s, i, f"works above 80 % for {now_s - self._load_s[i]:.1f} s, and nobody tells it"
-            )
+        lasts_s = now_s - max(self._load_s[i], self._late_s)
+        if lasts_s > OVERLOADED_S and "OVERLOAD" not in self._codes and (self._codes or self._mode in POWERED):
+            beside = f" beside {'+'.join(self._codes)}" if self._codes else ""
+            text = f"works above 80 % for {now_s - self._load_s[i]:.1f} s, and nobody tells it{beside}"
+            self._violate("faults" if beside else "rows", now_s, i, text)
 
     def _watch_silence(self, now_s: float) -> None:
         """A servo that nobody hears, for whatever reason, has to be told of."""
