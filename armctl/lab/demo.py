@@ -28,13 +28,14 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.lab.line_experiment import TAKES
 from armctl.lab.line_results import line_run
-from armctl.lab.rig import Measured, measured_run
+from armctl.lab.rig import measured_run
 from armctl.lab.stage import Progress, Stage
 from armctl.lab.table_ii import FROM_M, TO_M, VIA
 from armctl.recording import recordings, replay
 from armctl.report import line
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
+from armctl.trajectory.refinement import Measured
 
 ENDS = np.array(FROM_M), np.array(TO_M)
 DURATION_S = 5.0

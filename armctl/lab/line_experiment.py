@@ -24,8 +24,7 @@ from armctl.host.jobs import NICENESS, load_takes
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import correction, course, measured_tool, sag_identification
-from armctl.lab.correction import Round
-from armctl.lab.course import Line, Via, courses
+from armctl.lab.course import Via, courses, request_of
 from armctl.lab.line_results import Outcome, as_json, drawn, rms_lever_m
 from armctl.lab.rig import Rig, VirtualRig
 from armctl.lab.stage import Progress, Stage, silent
@@ -35,9 +34,11 @@ from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
+from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.line_path import line_paths, onto
 from armctl.trajectory.placement import Objective
+from armctl.trajectory.refinement import Round, best_of
 from armctl.trajectory.straightness import mean_error
 
 # Of the genetic algorithm.
@@ -174,7 +175,7 @@ def experiment(
         label = f"via {wanted}" if wanted != "auto" else f"via auto: {count}"
         with stage(label, 1 + budget.rounds + budget.repeats) as show:
             done = run_rounds(rig, line, points, budget, model, ways, show)
-            best = correction.best_of(done)
+            best = best_of(done)
             runs = []
             for repeat in range(1, budget.repeats + 1):
                 runs.append(rig.run(best.plan, corrected=best.corrected))
@@ -276,7 +277,7 @@ def genetic(
     """
     counts = tuple(sorted({count for count in via if isinstance(count, int)}))
     settings, free = PROFILES[profile], profile == "default"
-    request = line.request(seed, via=counts, settings=settings, objective="mean", free=free)
+    request = request_of(line, seed, via=counts, settings=settings, objective="mean", free=free)
     result = optimize(takes, rig.arm, rig.robot, request)
     ga, exact = result.ga, result.exact
     return {

@@ -9,14 +9,14 @@ import numpy as np
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.lab import correction
-from armctl.lab.correction import Round
-from armctl.lab.course import Line, Via
-from armctl.lab.rig import Measured, Rig
+from armctl.lab.course import Via
+from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.report.line import DrawnOutcome, LineRun
+from armctl.trajectory.course import Line
 from armctl.trajectory.line_path import levers_m
 from armctl.trajectory.plan import Plan, plan_positions
+from armctl.trajectory.refinement import Measured, Round, repeat_noise_mm
 
 PREDICTED_POINTS = 201
 
@@ -104,7 +104,7 @@ def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: LagModel |
         "before": refined[0]["rows"],
         "refined": refined,
         "sag_model": None if model is None else {"lines": model.lines, "residual_tick": list(model.residual_tick)},
-        "repeat_noise_mm": {str(one.via): correction.repeat_noise_mm(one.rounds) for one in outcomes},
+        "repeat_noise_mm": {str(one.via): repeat_noise_mm(one.rounds) for one in outcomes},
         "unseen": {str(one.via): unseen_mm(rig, one.best.plan) for one in outcomes},
     }
 

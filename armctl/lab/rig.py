@@ -5,7 +5,7 @@ by: nothing that corrects a plan may look at it. `DaemonRig` reads its runs back
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -24,6 +24,7 @@ from armctl.recording.recordings import Recording
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
+from armctl.trajectory.refinement import Measured as Measured
 
 # Time between two points of the true tool path.
 TRUTH_NS = 4_000_000
@@ -34,24 +35,6 @@ FIRST_TICKS = 5
 BEFORE_S, AFTER_S = 0.3, 0.8
 # Runs of a daemon's arm at most until one takes as long as its plan.
 TRIES = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """One executed plan, as the encoders saw it; times count from the plan's begin.
-
-    Shapes: times (m,), positions (m, joints), tool points (k, 3).
-    """
-
-    time_s: FloatArray
-    # By the encoders, at `time_s`.
-    positions_rad: FloatArray
-    duration_s: float
-    # Name of the log; empty where none was kept.
-    recording: str
-    # The tool's real path: known of a simulated arm only.
-    true_time_s: FloatArray | None = None
-    true_tool_m: FloatArray | None = None
 
 
 class Rig(Protocol):

@@ -6,13 +6,14 @@ import numpy as np
 
 from armctl.errors import RequestRefused
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.correction import lag_of, smoothed
-from armctl.lab.course import Line, courses, plan_of, too_heavy
+from armctl.lab.course import courses, too_heavy
 from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory import lag
+from armctl.trajectory.course import Line, plan_of
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import lead
+from armctl.trajectory.refinement import lag_of, smoothed
 
 LINES = 8
 DURATION_S = 5.0

@@ -18,18 +18,20 @@ from armctl.genetic.algorithm import PAPER
 from armctl.genetic.straight_line import StraightLineResult, plan_through
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.course import Line
+from armctl.lab.course import request_of
 from armctl.lab.line_experiment import Budget, experiment, guided_takes, identified
 from armctl.lab.line_results import true_mm
-from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.rig import VirtualRig
 from armctl.lab.stage import Progress, Stage
 from armctl.lab.study.case import Case, Found
 from armctl.recording.disk import new_file
 from armctl.recording.export import extra
 from armctl.report.line import PRINTED
+from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import joint_path
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.refinement import Measured
 
 # A line of the paper's kind; the paper does not print its ends.
 FROM_M = (0.18, -0.125, 0.10)
@@ -85,7 +87,7 @@ def through_points(rig: VirtualRig, case: Case) -> Plan:
     knots = np.linspace(0.0, 1.0, via + 2)
     waypoints = np.tile([joint.rest_rad for joint in case.arm.joints], (len(knots), 1))
     waypoints[:, : rig.robot.chain.n] = joint_path(way, np.linspace(0.0, 1.0, len(way)), knots, "cubic")
-    return plan_through(case.arm, line.request(case.seed, interpolation="linear"), waypoints, knots, (0.0, 0.0))
+    return plan_through(case.arm, request_of(line, case.seed, interpolation="linear"), waypoints, knots, (0.0, 0.0))
 
 
 def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[Found]) -> None:

@@ -9,11 +9,12 @@ from armctl.commissioning import sag_file
 from armctl.config import Config
 from armctl.files import load_arm
 from armctl.lab import line_results
-from armctl.lab.course import Line
 from armctl.lab.measured_tool import COLUMNS
-from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.rig import VirtualRig
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
+from armctl.trajectory.course import Line
+from armctl.trajectory.refinement import Measured
 from tests.cli.conftest import Answer
 from tests.genetic import hand
 from tests.lab.daemon import SimulatedDaemon, true_path

@@ -8,10 +8,11 @@ import pytest
 
 import armctl.client
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.rig import Measured, Rig
+from armctl.lab.rig import Rig
 from armctl.recording import recordings
 from armctl.recording.recordings import Recording
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.refinement import Measured
 
 # From a recording's begin to its plan's.
 BEGIN_S = 1.0

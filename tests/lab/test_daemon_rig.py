@@ -7,9 +7,10 @@ import pytest
 
 from armctl.client import Client
 from armctl.errors import RequestRefused
-from armctl.lab.rig import DaemonRig, Measured
+from armctl.lab.rig import DaemonRig
 from armctl.messages import LagModel
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.refinement import Measured
 from tests.genetic import hand
 from tests.lab.daemon import SimulatedDaemon
 from tests.trajectory.test_plan import make_plan

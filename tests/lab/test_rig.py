@@ -2,14 +2,15 @@ import numpy as np
 import pytest
 
 from armctl.kinematics.chain import tool_position
-from armctl.lab.correction import lag_of
-from armctl.lab.course import Line, courses, plan_of
+from armctl.lab.course import courses
 from armctl.lab.rig import TRUTH_NS, VirtualRig
 from armctl.lab.study.limits import EFFECTS
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import ArmSpec
+from armctl.trajectory.course import Line, plan_of
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.refinement import lag_of
 from tests.genetic import hand
 from tests.host.doubles import refused
 from tests.lab.daemon import true_path

@@ -9,6 +9,7 @@ from armctl.genetic.algorithm import DEFAULT, Settings
 from armctl.genetic.straight_line import StraightLineResult, optimize
 from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
+from armctl.lab.course import request_of
 from armctl.lab.line_experiment import Wanted
 from armctl.lab.rig import VirtualRig
 from armctl.sim.arm import SimulatedArm
@@ -53,7 +54,7 @@ class Case(Wanted):
         Raises:
             RequestRefused: the takes are unfit.
         """
-        request = self.line.request(self.seed, via=tuple(via), settings=self.settings, free=free)
+        request = request_of(self.line, self.seed, via=tuple(via), settings=self.settings, free=free)
         return optimize(self.takes, self.arm, robots.get(self.arm.robot, self.arm.lengths_m), request)
 
 

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from armctl.kinematics.chain import tool_position
-from armctl.lab.correction import Round
-from armctl.lab.course import Line, sent_rad, ticks_of
 from armctl.lab.line_experiment import experiment, identified
 from armctl.lab.line_results import drawn, unseen_mm
 from armctl.lab.rig import VirtualRig
@@ -23,9 +21,11 @@ from armctl.lab.study.case import Case, Found, Row
 from armctl.lab.study.workers import Workers
 from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport, errors_mm
+from armctl.trajectory.course import Line, sent_rad, ticks_of
 from armctl.trajectory.interpolate import columns_at, time_law
 from armctl.trajectory.line_path import onto
 from armctl.trajectory.plan import plan_positions
+from armctl.trajectory.refinement import Round
 
 # What of the simulated arm's specification switches one effect off.
 EFFECTS: dict[str, dict[str, Any]] = {
