@@ -13,17 +13,18 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.correction import seen_mm
-from armctl.lab.course import Line, Via
+from armctl.lab.course import Via
 from armctl.lab.line_experiment import Budget, experiment
 from armctl.lab.line_results import true_mm, unseen_mm
-from armctl.lab.rig import Measured, VirtualRig
+from armctl.lab.rig import VirtualRig
 from armctl.lab.sag_identification import identify, random_line
 from armctl.lab.study.limits import tick_floor_mm
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
+from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import RAMP, time_of_progress
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.refinement import Measured, seen_mm
 
 ARM = "ax12-line"
 DURATION_S = 5.0
