@@ -9,8 +9,7 @@ from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory.course import Course, plan_of
 from armctl.trajectory.plan import Plan
-from armctl.trajectory.refinement import ASTRAY, Refinement, Round, following
-from armctl.trajectory.refinement import seen_mm as seen_mm
+from armctl.trajectory.refinement import ASTRAY, Refinement, Round, following, seen_mm
 
 
 def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = True) -> Round:

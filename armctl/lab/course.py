@@ -12,8 +12,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory import lag
-from armctl.trajectory.course import Course, placed, progress_of_ticks, ticks_of
-from armctl.trajectory.course import Line as Line
+from armctl.trajectory.course import Course, Line, placed, progress_of_ticks, ticks_of
 from armctl.trajectory.interpolate import Interpolation, columns_at, joint_path
 from armctl.trajectory.line_path import sensitivity_m
 from armctl.trajectory.plan import Plan, joint_trajectory

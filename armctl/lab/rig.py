@@ -24,7 +24,7 @@ from armctl.recording.recordings import Recording
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
-from armctl.trajectory.refinement import Measured as Measured
+from armctl.trajectory.refinement import Measured
 
 # Time between two points of the true tool path.
 TRUTH_NS = 4_000_000
