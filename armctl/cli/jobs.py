@@ -194,21 +194,55 @@ def _optimize_here(
 
 @command("run", SOCKET)
 @click.argument("plan", type=FILE)
-def run_command(output: Output, plan: Path) -> None:
+@click.option(
+    "--refine",
+    type=click.IntRange(0, 20),
+    default=0,
+    help="Further runs at most, which correct the plan; the best one is kept as a new file.",
+)
+def run_command(output: Output, plan: Path, refine: int) -> int:
     """Pre-flight PLAN, approach its start slowly, run it, record it and compare with the prediction.
 
-    Ctrl-C stops the arm: it slows down on its path and holds.
+    With --refine its points are moved by what the encoders showed, and it is run again. A corrected plan is kept only
+    if it is better by more than the noise of the readings. Ctrl-C stops the arm: it slows down on its path and holds.
+    Exit status 1 if something ended the refinement before its time; what was reached is kept.
 
-    Example: armctl run plan-via2.json
+    Example: armctl run plan-via2.json --refine 3
     """
     from armctl.files import read_text
     from armctl.trajectory.plan import plan_from_text
 
     parsed = plan_from_text(read_text(plan, "plan"), str(plan))
     with output.motion("running", kept=", and what was recorded is kept") as client:
-        result = client.call("run", plan=parsed.model_dump())
-    output.answer(
-        result,
+        if refine:
+            result = client.call("run", on_progress=partial(_tell_run, output), plan=parsed.model_dump(), refine=refine)
+        else:
+            result = client.call("run", plan=parsed.model_dump())
+    output.answer(result, partial(_show_run, output, result))
+    return 1 if result.get("ended") else 0
+
+
+def _tell_run(output: Output, told: dict[str, Any]) -> None:
+    """What the daemon tells between the runs of a refinement."""
+    if "warning" in told:
+        output.warned(told)
+    else:
+        output.warn(f"after {told['runs']} of at most {told['of']} runs, {_in_words(told['round'])}")
+
+
+def _in_words(row: dict[str, Any]) -> str:
+    kept = "kept" if row["kept"] else "not kept"
+    return f"round {row['round']}: {row['mean_error_mm']:.2f} mm mean and {row['max_error_mm']:.2f} mm at most, {kept}"
+
+
+def _show_run(output: Output, result: dict[str, Any]) -> None:
+    if "rounds" in result:
+        for row in result["rounds"]:
+            output.say(_in_words(row))
+        if result["ended"]:
+            output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
+        output.say(f"the best plan: {result['plan']}")
+    output.say(
         f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "
         f"off the line in {result['duration_s']:.1f} s (by the encoders; predicted on perfect servos: "
         f"{result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})",

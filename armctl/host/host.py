@@ -22,7 +22,7 @@ from armctl.config import ArmConfig
 from armctl.control.jog import joint_velocities
 from armctl.errors import ConfigError, IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
-from armctl.host.lease import Client, Leases
+from armctl.host.lease import Client, Lease, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots
 from armctl.host.takes import TakeRecorder, Takes
 from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
@@ -206,13 +206,22 @@ class Host:
             return self.state()
 
     async def pause(self) -> dict[str, Any]:
-        """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is."""
-        await self.exchange.request(Pause)
+        """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is.
+
+        Between two runs of a refinement the next one waits.
+        """
+        if (lease := self.leases.current) is not None and lease.what == "run" and self._watch is None:
+            lease.paused = True
+        else:
+            await self.exchange.request(Pause)
         return self.state()
 
     async def resume(self, client: Client) -> dict[str, Any]:
         self.leases.refuse_others(client, "resume")
-        await self.exchange.request(Resume)
+        if (lease := self.leases.current) is not None and lease.paused:
+            lease.paused = False
+        else:
+            await self.exchange.request(Resume)
         return self.state()
 
     async def rate(self, client: Client, rate: float) -> dict[str, Any]:
@@ -259,33 +268,42 @@ class Host:
             LogError: the recording cannot be made.
         """
         with self.leases.commanding(client, what) as lease:
-            trajectory = await self._made(legs[0], what)
-            await self._use_model()
-            name = run_name(trajectory.label)
-            await self.takes.begin(name)
-            done: list[Done] = []
-            try:
-                if note is not None:
-                    self.note(note)
-                for leg in legs:
-                    if done:
-                        trajectory = await self._made(leg, what)
-                    when = "ended" if done else "began"
-                    if lease.lost:
-                        raise RequestRefused("LEASE_LOST", f"the client left before its {what} {when}")
-                    if lease.stopped:
-                        raise RequestRefused("STOPPED", f"the {what} was stopped before it {when}")
-                    self._watch = watch = Watch()
-                    self.exchange.forget_hold()  # a stop from now on is a new one
-                    reply = await self._run_to_its_end(trajectory)
-                    done.append(Done(trajectory, watch, reply))
-                    end_ns = watch.time_ns[-1] + TAIL_NS
-                    while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
-                        await self.tick()
-            finally:
-                self._watch = None
-                await self.takes.end()
-            return name, done
+            return await self.carry_out(lease, legs, note)
+
+    async def carry_out(
+        self, lease: Lease, legs: Sequence[Leg], note: dict[str, Any] | None = None
+    ) -> tuple[str, list[Done]]:
+        """`execute` for a client that commands already."""
+        what = lease.what
+        trajectory = await self._made(legs[0], what)
+        await self._use_model()
+        name = run_name(trajectory.label)
+        await self.takes.begin(name)
+        done: list[Done] = []
+        try:
+            if note is not None:
+                self.note(note)
+            for leg in legs:
+                if done:
+                    trajectory = await self._made(leg, what)
+                while lease.waits:
+                    await self.tick()
+                when = "ended" if done else "began"
+                if lease.lost:
+                    raise RequestRefused("LEASE_LOST", f"the client left before its {what} {when}")
+                if lease.stopped:
+                    raise RequestRefused("STOPPED", f"the {what} was stopped before it {when}")
+                self._watch = watch = Watch()
+                self.exchange.forget_hold()  # a stop from now on is a new one
+                reply = await self._run_to_its_end(trajectory)
+                done.append(Done(trajectory, watch, reply))
+                end_ns = watch.time_ns[-1] + TAIL_NS
+                while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
+                    await self.tick()
+        finally:
+            self._watch = None
+            await self.takes.end()
+        return name, done
 
     async def _made(self, leg: Leg, what: str) -> JointTrajectory:
         q_now = self._commanded_joints(what)

@@ -35,6 +35,12 @@ class Lease:
     lost: bool = False
     # Whether somebody asked the arm to stop meanwhile.
     stopped: bool = False
+    # Whether what is to move next waits for a `resume`.
+    paused: bool = False
+
+    @property
+    def waits(self) -> bool:
+        return self.paused and not (self.stopped or self.lost)
 
 
 class Leases:

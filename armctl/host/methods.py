@@ -19,6 +19,7 @@ from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
 from armctl.host.motions import move, run, transfer
 from armctl.host.reach import reach
+from armctl.host.refining import MOST_FURTHER, refine
 from armctl.host.server import Connection, Method
 from armctl.recording import recordings
 from armctl.recording.recordings import describe, listing
@@ -76,6 +77,8 @@ class RunRequest(Frozen):
     plan: Plan
     # Whether goals are corrected, so that the joints are where the plan has them.
     corrected: bool = True
+    # Further runs at most, which correct the plan.
+    refine: int = Field(0, ge=0, le=MOST_FURTHER)
 
 
 class Rate(Frozen):
@@ -140,7 +143,7 @@ class Methods:
             "take_mark": Method(Nothing, lambda client, _: teaching.take_mark(host, client)),
             "take_end": Method(Nothing, lambda client, _: teaching.take_end(host, client)),
             "teach_end": Method(Nothing, lambda client, _: teaching.end(host, client)),
-            "run": Method(RunRequest, lambda client, p: run(host, client, p.plan, corrected=p.corrected)),
+            "run": Method(RunRequest, self._run),
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
@@ -186,6 +189,12 @@ class Methods:
     async def _subscribe(self, client: Connection, _: Nothing) -> dict[str, Any]:
         client.subscribed = True
         return {"subscribed": True, "period_s": self._host.period_s}
+
+    async def _run(self, client: Connection, p: RunRequest) -> dict[str, Any]:
+        if not p.refine:
+            return await run(self._host, client, p.plan, corrected=p.corrected)
+        folder = self._recordings_dir.parent / "plans"
+        return await refine(self._host, client, p.plan, p.refine, folder, corrected=p.corrected)
 
     async def _optimize(self, client: Connection, p: RecordedRequest) -> dict[str, Any]:
         if self._job is not None:

@@ -31,6 +31,12 @@ async def run(host: Host, client: Client, plan: Plan, *, corrected: bool = True)
         RequestRefused: pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
+    name, [done] = await host.execute(client, "run", [run_leg(host, plan, corrected=corrected)])
+    return {"recording": name, **line_result(plan, done.watch, host.robot)}
+
+
+def run_leg(host: Host, plan: Plan, *, corrected: bool) -> Leg:
+    """The motion of a run; refused by pre-flight with every reason."""
 
     def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
         if reasons := preflight(plan, host.arm, host.robot, q_now):
@@ -38,8 +44,7 @@ async def run(host: Host, client: Client, plan: Plan, *, corrected: bool = True)
             raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
         return replace(joint_trajectory(plan, host.arm, q_now, host.period_s), corrected=corrected)
 
-    name, [done] = await host.execute(client, "run", [make])
-    return {"recording": name, **line_result(plan, done.watch, host.robot)}
+    return make
 
 
 async def move(host: Host, client: Client, request: MoveRequest) -> dict[str, Any]:

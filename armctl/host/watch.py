@@ -26,6 +26,8 @@ class Watch:
     """What is seen of the arm while it moves."""
 
     time_ns: list[int] = field(default_factory=list)
+    # When each servo was read.
+    stamps_ns: list[tuple[int, ...]] = field(default_factory=list)
     positions_rad: list[tuple[float, ...]] = field(default_factory=list)
     marks_ns: dict[str, int] = field(default_factory=dict)
     # How often goals were changed at rest.
@@ -33,6 +35,7 @@ class Watch:
 
     def see(self, record: TickRecord) -> None:
         self.time_ns.append(record.inputs.sample.time_ns)
+        self.stamps_ns.append(tuple(servo.stamp_ns for servo in record.inputs.sample.servos))
         self.positions_rad.append(tuple(joint.position_rad for joint in record.outputs.joints))
         for event in record.outputs.events:
             self.corrections += event.code == "CORRECTED"

@@ -1,0 +1,143 @@
+"""Runs that correct a plan, on an arm that serves people."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armctl.host.motions import move, run
+from armctl.host.refining import refine
+from armctl.kinematics.chain import tool_position
+from armctl.messages import Mode, Run
+from armctl.trajectory.plan import Plan, plan_from_text
+from armctl.trajectory.target import MoveRequest
+from tests.host.bench import Bench
+from tests.host.doubles import refused
+from tests.host.simulated import on_arm
+from tests.trajectory.test_refinement import Scripted, first
+
+
+def line_plan(bench: Bench, **changes: object) -> Plan:
+    """A short plan whose line leads from its own first point to its last."""
+    plan, chain = bench.plan(**changes), bench.arm.robot.chain
+    ends = tool_position(chain, np.array([plan.waypoints_rad[0], plan.waypoints_rad[-1]])[:, : chain.n])
+    return plan.model_copy(update=dict(zip(("from_m", "to_m"), map(tuple, ends.tolist()), strict=True)))
+
+
+async def refining(bench: Bench, folder: Path, plan: Plan | None = None) -> asyncio.Task[dict[str, Any]]:
+    """Anna's refinement, its first run over and the second under way."""
+    task = asyncio.ensure_future(refine(bench.host, bench.anna, plan or line_plan(bench), 2, folder))
+    await bench.until(lambda: runs(bench) == 2 and bench.arm.mode() is Mode.MOVING)
+    return task
+
+
+def runs(bench: Bench) -> int:
+    return sum(isinstance(command, Run) for command in bench.control.commands)
+
+
+async def test_a_refinement_says_what_a_run_says_and_every_round_and_keeps_the_plan(
+    bench: Bench, tmp_path: Path
+) -> None:
+    plain = await bench.served(run(bench.host, bench.anna, line_plan(bench)))
+    result = await bench.served(refine(bench.host, bench.anna, line_plan(bench), 2, tmp_path))
+    assert plain.keys() | {"rounds", "plan", "ended"} == result.keys()
+    assert result["ended"] is None
+    assert [row["round"] for row in result["rounds"]] == list(range(len(result["rounds"])))
+    assert result["rounds"][0]["kept"]
+    kept = [row for row in result["rounds"] if row["kept"]][-1]
+    assert result["recording"] == kept["recordings"][-1]
+    made = [name for row in result["rounds"] for name in row["recordings"]]
+    assert 2 <= len(made) == len(bench.recorder.takes) - 1 <= 3
+    plan = plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "plan")
+    assert (plan.via, plan.duration_s, plan.arm_id) == (0, 2.0, bench.arm.arm.arm_id)
+    assert [path.name for path in tmp_path.iterdir()] == [Path(result["plan"]).name]
+    assert [params["of"] for _, params in bench.anna.told] == [3] * len(bench.anna.told)
+    assert bench.anna.told[0][1]["round"] == result["rounds"][0]
+    assert bench.anna.told[-1][1] == {"runs": len(made), "of": 3, "round": result["rounds"][-1]}
+
+
+async def test_the_arm_is_the_refiner_s_until_its_last_run(bench: Bench, tmp_path: Path) -> None:
+    task = await refining(bench, tmp_path)
+    there = MoveRequest(joints_rad=bench.arm.positions_rad())
+    with refused("BUSY"):
+        await move(bench.host, bench.ben, there)
+    await bench.served(task)
+    assert bench.host.leases.current is None
+
+
+async def test_a_stop_keeps_what_was_reached(bench: Bench, tmp_path: Path) -> None:
+    task = await refining(bench, tmp_path, plan := line_plan(bench))
+    await bench.served(bench.host.stop())
+    result = await bench.served(task)
+    assert result["ended"]["code"] == "STOPPED"
+    assert [row["round"] for row in result["rounds"]] == [0]
+    assert plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "plan") == plan
+    assert bench.arm.mode() is Mode.HOLDING
+    assert len(bench.recorder.takes) == 2, "what was recorded of the run that was stopped is kept"
+
+
+async def test_a_stop_in_the_first_run_is_told_as_that_of_a_run(bench: Bench, tmp_path: Path) -> None:
+    task = asyncio.ensure_future(refine(bench.host, bench.anna, line_plan(bench), 2, tmp_path))
+    await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
+    await bench.served(bench.host.stop())
+    await bench.refused(task, "STOPPED")
+    assert not list(tmp_path.iterdir())
+
+
+async def test_a_client_that_leaves_stops_the_arm_and_its_plan_is_in_the_log(bench: Bench, tmp_path: Path) -> None:
+    task = await refining(bench, tmp_path)
+    bench.host.client_gone(bench.anna)
+    result = await bench.served(task)
+    assert result["ended"]["code"] in ("STOPPED", "LEASE_LOST")
+    assert any(result["plan"] in note for note in bench.recorder.notes)
+    assert bench.host.leases.current is None
+
+
+async def test_a_refinement_that_is_paused_between_runs_waits_for_resume(bench: Bench, tmp_path: Path) -> None:
+    task = asyncio.ensure_future(refine(bench.host, bench.anna, line_plan(bench), 1, tmp_path))
+    begin_take = bench.recorder.begin_take
+    paused: list[asyncio.Task[dict[str, Any]]] = []
+
+    def begin(name: str) -> Path:
+        if bench.recorder.takes:
+            paused.append(asyncio.ensure_future(bench.host.pause()))
+        return begin_take(name)
+
+    bench.recorder.begin_take = begin  # type: ignore[method-assign]
+    await bench.until(lambda: bool(paused) and paused[0].done())
+    bench.ticks(50)
+    for _ in range(5):
+        await asyncio.sleep(0)
+    bench.ticks(50)
+    assert runs(bench) == 1
+    await bench.host.resume(bench.anna)
+    assert (await bench.served(task))["ended"] is None
+    assert runs(bench) == 2
+
+
+async def test_a_run_that_was_paused_is_not_learnt_from_but_repeated(bench: Bench, tmp_path: Path) -> None:
+    task = await refining(bench, tmp_path)
+    await bench.until(lambda: any(e.code == "PLAN_BEGIN" for e in bench.recorder.records[-1].outputs.events))
+    await bench.served(bench.host.pause())
+    bench.ticks(20)
+    await bench.served(bench.host.resume(bench.anna))
+    result = await bench.served(task)
+    assert runs(bench) == 3
+    assert result["ended"] is None
+    assert [len(row["recordings"]) for row in result["rounds"]] == [1, 1]
+
+
+async def test_a_plan_of_another_arm_is_refused_as_by_run(bench: Bench, tmp_path: Path) -> None:
+    await bench.refused(refine(bench.host, bench.anna, bench.plan(arm_id="other"), 1, tmp_path), "PREFLIGHT")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+async def test_a_simulated_arm_gets_straighter(tmp_path: Path, corrected: bool) -> None:
+    async with on_arm("ax12-line", seed=3) as bench:
+        plan = first(Scripted(0.0), via=1).plan
+        result = await bench.served(refine(bench.host, bench.anna, plan, 2, tmp_path, corrected=corrected))
+        before, *_, after = (row["mean_error_mm"] for row in result["rounds"] if row["kept"])
+        assert after < (0.95 if corrected else 0.4) * before
