@@ -18,7 +18,7 @@ PURPOSES: dict[str, tuple[str, ...]] = {
     "First steps": ("demo", "sim", "daemon", "help", "completion"),
     "Running the arm": (
         *("status", "watch", "stop", "hold", "pause", "resume", "rate", "torque", "move", "jog", "reach", "transfer"),
-        *("run", "park", "release", "clear"),
+        *("run", "path", "park", "release", "clear"),
     ),
     "Teaching and straightening": ("teach", "recordings", "optimize", "experiment"),
     "Setting an arm up": ("scan", "doctor", "servo", "calibrate", "install", "uninstall", "web", "live"),
@@ -33,7 +33,7 @@ _SHARED = {
     "jobs": ("optimize", "recordings", "run"),
     "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),
     "logs": ("log", "replay"),
-    "motion": ("jog", "move", "reach", "transfer"),
+    "motion": ("jog", "move", "path", "reach", "transfer"),
     "processes": ("daemon", "fault", "hand", "live", "sim", "web"),
     "setup": ("doctor", "install", "report", "scan", "uninstall"),
 }

@@ -1,4 +1,4 @@
-"""What moves the arm somewhere: `armctl move`, `jog`, `reach` and `transfer`."""
+"""What moves the arm somewhere: `armctl move`, `jog`, `path`, `reach` and `transfer`."""
 
 import math
 import time
@@ -87,6 +87,33 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
         tool = client.call("status")["tool"]
     position_m = tool["position_m"]
     output.answer({**state, "position_m": position_m}, f"{state['state']}, tool at {millimetres(position_m)}")
+
+
+@command("path", SOCKET)
+@click.argument("file", type=FILE)
+@click.option("--duration", "duration_s", type=Seconds(0.5), help="Seconds.  [default: about 30 mm/s]")
+@click.option("--tolerance-mm", type=click.FloatRange(0.1, 50.0), default=2.0, help="How far a corner may be cut.")
+def path_command(output: Output, file: Path, **how: Any) -> None:
+    """Lead the tool along the points in FILE: lines and arcs with rounded corners.
+
+    FILE is a table (CSV) with a header: x_m,y_m,z_m, and kind where wanted. kind is line, or through and arc for an arc
+    of a circle: from the point before through this one to the next. The whole motion is checked before it starts, and
+    is recorded like a run. Ctrl-C stops the arm.
+
+    Example: armctl path square.csv --duration 15
+    """
+    from armctl.files import read_text
+    from armctl.trajectory.tool_path import path_from_text
+
+    request = path_from_text(read_text(file, "path"), str(file), **how)
+    with output.motion("following the path", kept=", and what was recorded is kept") as client:
+        result = client.call("path", **request.model_dump(exclude_none=True))
+    output.answer(
+        result,
+        f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most off "
+        f"the path in {result['duration_s']:.1f} s (by the encoders; rounding its corners leads "
+        f"{result['predicted_max_error_mm']:.1f} mm off)",
+    )
 
 
 @command("reach", SOCKET)

@@ -116,7 +116,7 @@ def doctor_command(output: Output) -> int:
     bus = make_bus(output, arm.servo_ids)
     daemon = ""
     with contextlib.suppress(NoDaemon), output.client(timeout_s=2.0) as client:
-        daemon = f"{client.path}"
+        daemon = f"{client.socket_file}"
     options = {"--port": output.port, "--baud": output.baud, "--config": output.config_file}
     surroundings = doctor.Surroundings(
         daemon=daemon,

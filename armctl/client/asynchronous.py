@@ -12,7 +12,7 @@ ended, and `stop` is served meanwhile.
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -50,7 +50,7 @@ class AsyncClient(Protocol):
 
     async def _open(self) -> None:
         try:
-            self._reader, self._writer = await asyncio.open_unix_connection(self.path, limit=MAX_LINE_BYTES)
+            self._reader, self._writer = await asyncio.open_unix_connection(self.socket_file, limit=MAX_LINE_BYTES)
         except OSError as error:
             raise self.no_daemon(error) from None
         self._notifications: asyncio.Queue[Notification | None] = asyncio.Queue(MAX_WAITING_NOTIFICATIONS)
@@ -99,6 +99,17 @@ class AsyncClient(Protocol):
             raise self.no_daemon(error) from None
         finally:
             self._waiting.pop(request_id, None)
+
+    async def path(
+        self,
+        points_m: Sequence[Sequence[float]],
+        *,
+        kinds: Sequence[str] = (),
+        duration_s: float | None = None,
+        tolerance_mm: float = 2.0,
+    ) -> Message:
+        """Lead the tool along points [m]; as `armctl.client.Client.path`."""
+        return await self.call("path", points_m=points_m, kinds=kinds, duration_s=duration_s, tolerance_mm=tolerance_mm)
 
     async def subscribe(self) -> AsyncIterator[Message]:
         """Snapshots as they come, one a tick; a consumer that lags loses the oldest."""

@@ -13,7 +13,7 @@ import json
 import select
 import socket
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -77,6 +77,25 @@ class Client(Protocol):
             else:
                 self._notifications.append(told)
 
+    def path(
+        self,
+        points_m: Sequence[Sequence[float]],
+        *,
+        kinds: Sequence[str] = (),
+        duration_s: float | None = None,
+        tolerance_mm: float = 2.0,
+    ) -> Message:
+        """Lead the tool along points [m], each reached by a `line`, or by an `arc` that goes `through` another.
+
+        Args:
+            kinds: How each point is reached; empty: by lines.
+            duration_s: None: about 30 mm/s.
+            tolerance_mm: How far a corner may be cut.
+        Raises:
+            ArmctlError: the path was refused (every reason), or stopped on the way.
+        """
+        return self.call("path", points_m=points_m, kinds=kinds, duration_s=duration_s, tolerance_mm=tolerance_mm)
+
     def subscribe(self) -> Iterator[Message]:
         """Snapshots as they come, one a tick; `gap` counts those lost just before each one."""
         self.call("subscribe")
@@ -94,7 +113,7 @@ class Client(Protocol):
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(self._timeout_s)
         try:
-            self._socket.connect(str(self.path))
+            self._socket.connect(str(self.socket_file))
         except OSError as error:
             self._socket.close()
             raise self.no_daemon(error) from None

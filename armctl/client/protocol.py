@@ -27,7 +27,7 @@ class Protocol:
     """
 
     def __init__(self, path: str | Path | None = None) -> None:
-        self.path = socket_path(None if path is None else str(path))
+        self.socket_file = socket_path(None if path is None else str(path))
         self._last_id = 0
 
     def request(self, method: str, params: Message) -> bytes:
@@ -47,7 +47,7 @@ class Protocol:
         """The error for a daemon that is not there, or no longer."""
         if isinstance(why, OSError):
             why = why.strerror or str(why)
-        return NoDaemon(f"no daemon answers on {self.path}: {why}; start it with `armctl daemon --port PORT`")
+        return NoDaemon(f"no daemon answers on {self.socket_file}: {why}; start it with `armctl daemon --port PORT`")
 
     @staticmethod
     def notification(message: Message) -> Notification | None:

@@ -17,7 +17,7 @@ from armctl.host.exchange import COMMANDS
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
-from armctl.host.motions import move, run, transfer
+from armctl.host.motions import move, path, run, transfer
 from armctl.host.reach import reach
 from armctl.host.refining import MOST_FURTHER, refine
 from armctl.host.server import Connection, Method
@@ -27,6 +27,7 @@ from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.target import MoveRequest
+from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
 
 Handler = Callable[[Connection, Any], Awaitable[dict[str, Any]]]
@@ -144,6 +145,7 @@ class Methods:
             "take_end": Method(Nothing, lambda client, _: teaching.take_end(host, client)),
             "teach_end": Method(Nothing, lambda client, _: teaching.end(host, client)),
             "run": Method(RunRequest, self._run),
+            "path": Method(PathRequest, partial(path, host)),
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),

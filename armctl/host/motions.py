@@ -1,4 +1,4 @@
-"""Motions as clients ask for them: run, move and transfer, where they go and what they are judged by."""
+"""Motions as clients ask for them: run, path, move and transfer, where they go and what they are judged by."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,16 +11,18 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.host.host import Host
 from armctl.host.lease import Client
-from armctl.host.watch import Done, Leg, Watch
+from armctl.host.watch import Done, Leg
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.path_motion import PathMotion, path_motion
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.preflight import preflight_motion
-from armctl.trajectory.straightness import max_error, mean_error
+from armctl.trajectory.reference import ReferencePath, error_mm
 from armctl.trajectory.target import MoveRequest, joints_at
+from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
 
@@ -32,7 +34,7 @@ async def run(host: Host, client: Client, plan: Plan, *, corrected: bool = True)
         LogError: the recording cannot be made.
     """
     name, [done] = await host.execute(client, "run", [run_leg(host, plan, corrected=corrected)])
-    return {"recording": name, **line_result(plan, done.watch, host.robot)}
+    return {"recording": name, **line_result(plan, done, host.robot)}
 
 
 def run_leg(host: Host, plan: Plan, *, corrected: bool) -> Leg:
@@ -45,6 +47,24 @@ def run_leg(host: Host, plan: Plan, *, corrected: bool) -> Leg:
         return replace(joint_trajectory(plan, host.arm, q_now, host.period_s), corrected=corrected)
 
     return make
+
+
+async def path(host: Host, client: Client, request: PathRequest) -> dict[str, Any]:
+    """Approach slowly and lead the tool along a path; recorded, and compared with the path as it was asked for.
+
+    Raises:
+        RequestRefused: PATH, pre-flight (every reason), BUSY, stopped or failed on the way.
+        LogError: the recording cannot be made.
+    """
+    wanted: list[PathMotion] = []
+
+    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+        wanted.append(path_motion(request, q_now, host.arm, host.robot, host.period_s))
+        return wanted[0].trajectory
+
+    name, [done] = await host.execute(client, "path", [make], {"event": "PATH", **request.model_dump()})
+    predicted = {f"predicted_{key}": value for key, value in error_mm(wanted[0].rounding_m).items()}
+    return {"recording": name, **followed([done], wanted[0].reference, host.robot), **predicted}
 
 
 async def move(host: Host, client: Client, request: MoveRequest) -> dict[str, Any]:
@@ -122,25 +142,41 @@ def move_result(done: Done, robot: Robot) -> dict[str, Any]:
     }
 
 
-def line_result(plan: Plan, watch: Watch, robot: Robot) -> dict[str, Any]:
-    """The executed path against the plan's line (Raharjo et al. eqs. 19, 20).
+def line_result(plan: Plan, done: Done, robot: Robot) -> dict[str, Any]:
+    """The executed path against the plan's line (Raharjo et al. eqs. 19, 20); raises as `followed`."""
+    line = ReferencePath.line(np.array(plan.from_m), np.array(plan.to_m))
+    predicted = plan.model_dump(include={"predicted_mean_error_mm", "predicted_max_error_mm"})
+    return {**followed([done], line, robot), **predicted}
+
+
+def followed(
+    done: Sequence[Done], reference: ReferencePath, robot: Robot, *, at_equal_progress: bool = False
+) -> dict[str, Any]:
+    """The tool's executed path against the one it was to follow, by the encoders; of several legs all together.
+
+    Args:
+        at_equal_progress: Whether to be early or late counts; if not, only the distance from the path does.
 
     Raises:
-        RequestRefused: code RECORDS_LOST, the run's beginning or end was not seen.
+        RequestRefused: code RECORDS_LOST, a leg's beginning or end was not seen.
     """
-    if len(watch.marks_ns) < 2:
-        raise RequestRefused("RECORDS_LOST", "the run ended, but its beginning or end was lost; see its recording")
-    begin_ns, end_ns = watch.marks_ns["PLAN_BEGIN"], watch.marks_ns["PLAN_END"]
-    time_ns = np.array(watch.time_ns)
-    q = np.array(watch.positions_rad)[(begin_ns <= time_ns) & (time_ns <= end_ns), : robot.chain.n]
-    points = tool_position(robot.chain, q)
-    line = np.asarray(plan.from_m), np.asarray(plan.to_m)
+    distances, begins_ns, ends_ns = [], [], []
+    for leg in done:
+        watch, way = leg.watch, leg.trajectory
+        if len(watch.marks_ns) < 2:
+            raise RequestRefused("RECORDS_LOST", "the run ended, but its beginning or end was lost; see its recording")
+        begin_ns, end_ns = watch.marks_ns["PLAN_BEGIN"], watch.marks_ns["PLAN_END"]
+        time_ns = np.array(watch.time_ns)
+        inside = (begin_ns <= time_ns) & (time_ns <= end_ns)
+        points = tool_position(robot.chain, np.array(watch.positions_rad)[inside, : robot.chain.n])
+        due_s = np.array(watch.progress)[inside] * way.duration_s - way.begin_s
+        progress = np.clip(due_s / (way.end_s - way.begin_s), 0.0, 1.0)
+        distances.append((reference.apart_m if at_equal_progress else reference.off_m)(points, progress))
+        begins_ns.append(begin_ns)
+        ends_ns.append(end_ns)
     return {
-        "mean_error_mm": 1e3 * float(mean_error(points, *line)),
-        "max_error_mm": 1e3 * float(max_error(points, *line)),
-        "duration_s": (end_ns - begin_ns) / NS_PER_S,
-        "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-        "predicted_max_error_mm": plan.predicted_max_error_mm,
-        "begin_ns": begin_ns,
-        "end_ns": end_ns,
+        **error_mm(np.concatenate(distances)),
+        "duration_s": (ends_ns[-1] - begins_ns[0]) / NS_PER_S,
+        "begin_ns": begins_ns[0],
+        "end_ns": ends_ns[-1],
     }

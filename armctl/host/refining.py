@@ -97,7 +97,7 @@ class _Job:
         for _ in range(min(TRIES, self.most - self.runs)):
             self.runs += 1
             name, [done] = await self.host.carry_out(self.lease, [run_leg(self.host, plan, corrected=self.corrected)])
-            result = self.results[name] = {"recording": name, **line_result(plan, done.watch, self.host.robot)}
+            result = self.results[name] = {"recording": name, **line_result(plan, done, self.host.robot)}
             if abs(result["duration_s"] - plan.duration_s) < self.host.period_s / 2.0:
                 return _measured(name, done.watch)
             if self.work is not None:

@@ -29,6 +29,10 @@ class Watch:
     # When each servo was read.
     stamps_ns: list[tuple[int, ...]] = field(default_factory=list)
     positions_rad: list[tuple[float, ...]] = field(default_factory=list)
+    # Fraction of the trajectory at which the arm was to be then.
+    progress: list[float] = field(default_factory=list)
+    # The same at the next tick, as far as it is known.
+    ahead: float = 0.0
     marks_ns: dict[str, int] = field(default_factory=dict)
     # How often goals were changed at rest.
     corrections: int = 0
@@ -37,6 +41,8 @@ class Watch:
         self.time_ns.append(record.inputs.sample.time_ns)
         self.stamps_ns.append(tuple(servo.stamp_ns for servo in record.inputs.sample.servos))
         self.positions_rad.append(tuple(joint.position_rad for joint in record.outputs.joints))
+        self.progress.append(self.ahead)
+        self.ahead = self.ahead if record.outputs.progress is None else record.outputs.progress
         for event in record.outputs.events:
             self.corrections += event.code == "CORRECTED"
             if event.code in ("PLAN_BEGIN", "PLAN_END"):

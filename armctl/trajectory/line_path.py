@@ -125,7 +125,11 @@ def sensitivity_m(chain: SerialChain, ways: FloatArray, A: FloatArray, B: FloatA
     Returns:
         [m/rad], shape (...).
     """
-    lever = levers_m(chain, ways, A, B)
+    return turning_too(levers_m(chain, ways, A, B), ways)
+
+
+def turning_too(lever: FloatArray, ways: FloatArray) -> FloatArray:
+    """The same of ways [rad], shape (..., m, n), from how far a radian of each joint moves the tool off [m/rad]."""
     steps = np.diff(ways, axis=-2)
     back = np.minimum(np.maximum(steps, 0.0).sum(axis=-2), np.maximum(-steps, 0.0).sum(axis=-2))
     turning = np.minimum(back / TURN_RAD, 1.0) * lever.mean(axis=-2)

@@ -126,17 +126,41 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
     Raises:
         ValueError: `q_now` is not one finite number a joint of the plan, or the period is not positive.
     """
-    start = np.array(plan.waypoints_rad[0])
+    motion = partial(plan_positions, plan)
+    return led_in(motion, plan.duration_s, arm, q_now, period_s, f"line via {plan.via}")
+
+
+def led_in(
+    motion: Callable[[FloatArray], FloatArray],
+    duration_s: float,
+    arm: ArmConfig,
+    q_now: Sequence[float],
+    period_s: float,
+    label: str,
+    *,
+    early_s: float = math.inf,
+) -> JointTrajectory:
+    """Any motion with its slow approach, which comes to its first point in the direction of departure.
+
+    Args:
+        motion: As `approached`.
+        q_now: Commanded joint positions [rad], shape (joints,).
+        early_s: The direction of departure is where the motion leads within this time, and within `LEAD_SHARE` of it.
+    Raises:
+        ValueError: `q_now` is not one finite number a joint of the motion, or the period is not positive.
+    """
+    [start] = motion(np.zeros(1))
     q0 = np.asarray(q_now, dtype=np.float64)
     if not start.shape == q0.shape == (len(arm.joints),) or not np.isfinite(q0).all():
-        raise ValueError(f"q_now {q0.shape} and plan {start.shape} must be one finite number for each joint of the arm")
+        raise ValueError(f"q_now {q0.shape} and motion {start.shape} must be one finite number for each joint")
     if not 0.0 < period_s < math.inf:
         raise ValueError(f"period_s {period_s} must be above 0")
     robot = robots.get(arm.robot, arm.lengths_m)
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
-    behind = np.where((low <= start) & (start <= high), np.clip(start - lead(plan), low, high), start)
+    lead_rad = _lead(motion, min(early_s, LEAD_SHARE * duration_s))
+    behind = np.where((low <= start) & (start <= high), np.clip(start - lead_rad, low, high), start)
     ways = [(a, b, approach_duration_s(a, b, arm, robot)) for a, b in ((q0, behind), (behind, start))]
-    return approached(ways, partial(plan_positions, plan), plan.duration_s, period_s, f"line via {plan.via}")
+    return approached(ways, motion, duration_s, period_s, label)
 
 
 def approached(
@@ -177,7 +201,11 @@ def lead(plan: Plan) -> FloatArray:
     A servo that comes to a point from one side and leaves it to the other first crosses its play and turns its
     friction around; one that comes in the direction of its departure has done both before the plan begins.
     """
-    start, early = plan_positions(plan, np.array([0.0, LEAD_SHARE * plan.duration_s]))
+    return _lead(partial(plan_positions, plan), LEAD_SHARE * plan.duration_s)
+
+
+def _lead(motion: Callable[[FloatArray], FloatArray], early_s: float) -> FloatArray:
+    start, early = motion(np.array([0.0, early_s]))
     return np.asarray(np.clip(early - start, -LEAD_RAD, LEAD_RAD))
 
 

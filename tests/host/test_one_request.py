@@ -12,7 +12,7 @@ import pytest
 from armctl import client
 from armctl.cli import main
 from armctl.cli.jobs import optimize_command
-from armctl.cli.motion import move_command, reach_command, transfer_command
+from armctl.cli.motion import move_command, path_command, reach_command, transfer_command
 from armctl.config import Frozen, validate
 from armctl.genetic.algorithm import PROFILES
 from armctl.genetic.request import OptimizeRequest
@@ -23,6 +23,7 @@ from armctl.host.server import Connection
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.target import MoveRequest
+from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
 from tests.host.doubles import methods_over
 
@@ -34,6 +35,7 @@ from tests.host.doubles import methods_over
         ("reach", reach_command, ReachRequest, {"gripper"}),  # --grip, --let-go
         ("transfer", transfer_command, TransferRequest, set()),
         ("move", move_command, MoveRequest, set()),
+        ("path", path_command, PathRequest, {"points_m", "kinds"}),  # FILE
     ],
 )
 def test_an_option_a_parameter_and_a_field_have_the_same_name(
@@ -109,6 +111,7 @@ def test_an_optimisation_is_one_object_from_the_command_line_to_the_plan(
         ReachRequest(point_m=(0.1, 0.0, 0.1), gripper="grip"),
         TransferRequest(pick_m=(0.1, 0.0, 0.1), place_m=(0.1, 0.1, 0.1)),
         MoveRequest(pose=(0.1, 0.0, 0.1, 0.0, 1.0, 0.0)),
+        PathRequest(points_m=((0.1, 0.0, 0.1), (0.2, 0.0, 0.1), (0.2, 0.1, 0.1)), kinds=("line", "through", "arc")),
     ],
     ids=lambda request_: type(request_).__name__,
 )

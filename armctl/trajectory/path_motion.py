@@ -1,0 +1,225 @@
+"""The motion of the joints that leads the tool along an outline: which posture, and when it is where.
+
+Rules.
+1. Postures that reach the first point are followed along the path, from station to station, by the least change of the
+   joints: so none changes its branch. Those that break off are dropped. The rest are ordered as on a line: a joint's
+   error should move the tool little off the path, and no joint should turn around.
+2. Beside the joint limits `MARGIN_RAD` are kept free, for corrections.
+3. The tool goes at one speed. Where a joint would be too fast, as in a tight corner, it goes slower, and gets there
+   gently. It sets off and arrives by `time_law`.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.config import ArmConfig
+from armctl.errors import RequestRefused
+from armctl.kinematics.chain import jacobian, link_frames
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import LONGEST_S, JointTrajectory
+from armctl.trajectory.interpolate import PEAK_SPEED, columns_at, joint_path, time_law
+from armctl.trajectory.line_path import (
+    FLOOR_MARGIN_M,
+    MARGIN_RAD,
+    REACHED_M,
+    SPEED_SHARE,
+    near_point,
+    onto,
+    out_of_reach,
+    point_text,
+    turning_too,
+)
+from armctl.trajectory.plan import CHECK_PERIOD_S, led_in
+from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.reference import ReferencePath
+from armctl.trajectory.tool_path import Outline, PathRequest
+
+# Of the tool where nothing else is asked for.
+SPEED_M_S = 0.03
+SHORTEST_S = 2.0
+# Between two places at which a posture is followed, and between two rows of the way that is kept.
+STATION_M, ROW_M = 0.01, 0.001
+FEWEST_ROWS, MOST_ROWS = 200, 4000
+# No joint turns by more from station to station.
+LARGEST_STEP_RAD = 0.3
+TRIED_WAYS = 6
+# So much before and after a place where the tool goes slower it does so, too.
+GENTLE_M = 0.008
+# What a duration is multiplied by while accelerations are too large, and how often.
+LONGER, TIMES_LONGER = 1.25, 8
+# Points of the path that is told, and at which of them it is said how far rounding leads off it.
+TOLD_ROWS, TOLD_EACH = 2000, 5
+EARLY_S = 1.0
+
+Motion = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class PathMotion:
+    """A motion of the joints along a path, from where the arm is."""
+
+    trajectory: JointTrajectory
+    # The path as it was asked for, corners and all, by the share of the motion's time.
+    reference: ReferencePath
+    # How far rounding leads from it [m], at even times, shape (m,).
+    rounding_m: FloatArray
+
+
+def path_motion(
+    request: PathRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
+) -> PathMotion:
+    """The whole motion from where the arm is.
+
+    Args:
+        q_now: Where the joints are wanted [rad], shape (joints,).
+    Raises:
+        RequestRefused: code PATH, the tool cannot follow it; code PREFLIGHT, every reason against the best way, and
+            what duration would do.
+    """
+    outline = Outline(request)
+    refused: tuple[str, ...] = ()
+    for way in joint_ways(outline, q_now, arm, robot):
+        pace_s = _slowest_pace_s(way, outline, arm)
+        duration_s, least_s = _duration_s(request.duration_s, pace_s, outline.length_m)
+        if request.duration_s is not None and least_s > request.duration_s:
+            refused = refused or (f"{request.duration_s:g} s are too short for it; give {least_s:.1f} s or more",)
+            continue
+        for _ in range(TIMES_LONGER):
+            progress = _progress(pace_s, duration_s)
+            motion = _motion(way, progress, duration_s, q_now[robot.chain.n :])
+            reasons = _against(motion, duration_s, arm, robot, q_now)
+            if not reasons:
+                return PathMotion(
+                    led_in(motion, duration_s, arm, q_now, period_s, "path", early_s=EARLY_S),
+                    *_told(outline, progress),
+                )
+            if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
+                break
+            duration_s = min(LONGER * duration_s, LONGEST_S)
+        refused = refused or reasons
+    raise RequestRefused("PREFLIGHT", refused)
+
+
+def joint_ways(outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> Iterator[FloatArray]:
+    """Ways of the joints along the path, at most `TRIED_WAYS`, the most promising first.
+
+    Yields:
+        Joint positions of the chain [rad], each of shape (m, n), at m even places along the path.
+    Raises:
+        RequestRefused: code PATH, there is none; says where the path leaves what the arm reaches.
+    """
+    chain = robot.chain
+    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]]) + np.array([MARGIN_RAD, -MARGIN_RAD])
+    stations = np.linspace(0.0, outline.length_m, max(5, math.ceil(outline.length_m / STATION_M)) + 1)
+    points = outline.rounded(stations)
+    rng = np.random.default_rng(0)
+    q, _ = near_point(chain, points[0], limits, rng)
+    q = np.vstack([np.array(q_now[: chain.n]), q])
+    followed, alive = [], np.ones(len(q), dtype=bool)
+    for index, point in enumerate(points):
+        before = q
+        q, missed = onto(chain, np.broadcast_to(point, (len(q), 3)), q, limits, 60 if index == 0 else 8)
+        alive &= missed < REACHED_M
+        if index > 0:
+            alive &= (np.abs(q - before) < LARGEST_STEP_RAD).all(axis=1)
+        if not alive.any():
+            missing = out_of_reach(chain, point, limits, arm.floor_m, rng)
+            why = (
+                f"is {missing}"
+                if missing
+                else "cannot be reached in one go from where the path begins; begin elsewhere"
+            )
+            gone = f"the point {point_text(point)} m, {stations[index] * 1e3:.0f} mm along the path,"
+            raise RequestRefused("PATH", f"{gone} {why}")
+        followed.append(q)
+    ways = np.stack(followed, axis=1)[alive]
+    low = link_frames(chain, ways)[..., 1:, 2, 3].min(axis=(1, 2)) >= arm.floor_m + FLOOR_MARGIN_M
+    if not low.any():
+        raise RequestRefused(
+            "PATH", f"every way along the path leads a link below the floor at {arm.floor_m:.3f} m; raise the path"
+        )
+    ways = ways[low]
+    along = np.gradient(points, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    J = jacobian(chain, ways)[..., :3, :]
+    lever = np.linalg.norm(J - along[:, :, None] * (along[:, None, :] @ J), axis=-2)
+    best = np.argsort(turning_too(lever, ways), kind="stable")[:TRIED_WAYS]
+    rows = int(np.clip(math.ceil(outline.length_m / ROW_M), FEWEST_ROWS, MOST_ROWS)) + 1
+    place = np.linspace(0.0, 1.0, rows)
+    fine = outline.rounded(place * outline.length_m)
+    knots = np.linspace(0.0, 1.0, len(stations))
+    for i in best:
+        yield onto(chain, fine, joint_path(ways[i], knots, place, "cubic"), limits, 12)[0]
+
+
+def _slowest_pace_s(way: FloatArray, outline: Outline, arm: ArmConfig) -> FloatArray:
+    """Time for the whole path [s] at each of the rows' greatest speed, neighbours considered, shape (m,)."""
+    m, n = way.shape
+    apart = 1.0 / (m - 1)
+    speed = np.array([joint.speed_limit_rad_s for joint in arm.joints[:n]]) * SPEED_SHARE
+    acceleration = np.array([joint.acceleration_limit_rad_s2 for joint in arm.joints[:n]]) * SPEED_SHARE
+    first = np.abs(np.gradient(way, apart, axis=0))
+    second = np.abs(np.gradient(np.gradient(way, apart, axis=0), apart, axis=0))
+    tool = np.linalg.norm(np.gradient(outline.rounded(np.linspace(0.0, outline.length_m, m)), apart, axis=0), axis=1)
+    pace_s = np.maximum((first / speed).max(axis=1), np.sqrt((second / acceleration).max(axis=1)))
+    pace_s = np.maximum(pace_s, tool / (SPEED_SHARE * arm.tool_speed_limit_m_s))
+    reach = max(1, round(GENTLE_M / outline.length_m * (m - 1)))
+    padded = np.pad(pace_s, 2 * reach, mode="edge")
+    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
+    # The mean of the greatest around is nowhere less than what it is the mean for.
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(highest, 2 * reach + 1).mean(axis=1))
+
+
+def _duration_s(wanted_s: float | None, pace_s: FloatArray, length_m: float) -> tuple[float, float]:
+    """How long the motion is to take, and the least that the joints' speeds allow [s]."""
+    least_s = PEAK_SPEED * float(pace_s.mean())
+    if wanted_s is not None:
+        return wanted_s, least_s
+    even_s = np.maximum(pace_s, length_m / SPEED_M_S)
+    return min(max(PEAK_SPEED * float(even_s.mean()), SHORTEST_S), LONGEST_S), least_s
+
+
+def _progress(slowest_s: FloatArray, duration_s: float) -> tuple[FloatArray, FloatArray]:
+    """Share of the cruise at which each row is passed, from 0 to 1, and the rows' progress; both of shape (m,)."""
+    low_s, high_s = 0.0, duration_s
+    for _ in range(60):
+        even_s = (low_s + high_s) / 2.0
+        if PEAK_SPEED * float(np.maximum(slowest_s, even_s).mean()) > duration_s:
+            high_s = even_s
+        else:
+            low_s = even_s
+    pace_s = np.maximum(slowest_s, low_s)
+    gone = np.concatenate([[0.0], np.cumsum((pace_s[1:] + pace_s[:-1]) / 2.0)])
+    return gone / gone[-1], np.linspace(0.0, 1.0, len(slowest_s))
+
+
+def _motion(
+    way: FloatArray, progress: tuple[FloatArray, FloatArray], duration_s: float, others: Sequence[float]
+) -> Motion:
+    """Joint positions [rad], shape (m, joints), by the time since the begin; joints beyond the chain stay."""
+    share, place = progress
+
+    def positions(time_s: FloatArray) -> FloatArray:
+        q = columns_at(np.interp(time_law(time_s / duration_s), share, place), place, way)
+        return np.concatenate([q, np.tile(np.asarray(others, dtype=np.float64), (len(q), 1))], axis=1)
+
+    return positions
+
+
+def _against(
+    motion: Motion, duration_s: float, arm: ArmConfig, robot: Robot, q_now: Sequence[float]
+) -> tuple[str, ...]:
+    whole = led_in(motion, duration_s, arm, q_now, CHECK_PERIOD_S, "path", early_s=EARLY_S)
+    return preflight_motion(np.array(whole.positions_rad), CHECK_PERIOD_S, arm, robot, duration_s=duration_s)
+
+
+def _told(outline: Outline, progress: tuple[FloatArray, FloatArray]) -> tuple[ReferencePath, FloatArray]:
+    u = np.linspace(0.0, 1.0, TOLD_ROWS + 1)
+    way_m = np.interp(time_law(u), *progress) * outline.length_m
+    reference = ReferencePath(u, outline.sharp(way_m))
+    rounded = outline.rounded(way_m)[::TOLD_EACH]
+    return reference, reference.off_m(rounded, u[::TOLD_EACH])
