@@ -18,7 +18,7 @@ PURPOSES: dict[str, tuple[str, ...]] = {
     "First steps": ("demo", "sim", "daemon", "help", "completion"),
     "Running the arm": (
         *("status", "watch", "stop", "hold", "pause", "resume", "rate", "torque", "move", "jog", "reach", "transfer"),
-        *("run", "path", "park", "release", "clear"),
+        *("run", "play", "path", "park", "release", "clear"),
     ),
     "Teaching and straightening": ("teach", "recordings", "optimize", "experiment"),
     "Setting an arm up": ("scan", "doctor", "servo", "calibrate", "install", "uninstall", "web", "live"),
@@ -30,7 +30,7 @@ PURPOSES: dict[str, tuple[str, ...]] = {
 _SHARED = {
     "arm": ("clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
     "help": ("completion",),
-    "jobs": ("optimize", "recordings", "run"),
+    "jobs": ("optimize", "play", "recordings", "run"),
     "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),
     "logs": ("log", "replay"),
     "motion": ("jog", "move", "path", "reach", "transfer"),

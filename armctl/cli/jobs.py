@@ -1,4 +1,4 @@
-"""From hand to line: recordings, optimize, run. `teach` makes the recordings."""
+"""From hand to line: recordings, optimize, run, play. `teach` makes the recordings."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ import click
 
 from armctl.cli.output import CONFIG, DURATION, END, FILE, JSON, PROFILE, SOCKET, START, Output, command
 from armctl.cli.tables import show_rows, show_table
-from armctl.errors import LogError, NoDaemon
+from armctl.errors import ConfigError, LogError, NoDaemon
 
 if TYPE_CHECKING:
     from armctl.genetic.request import OptimizeRequest
+    from armctl.trajectory.playback import TaughtMotion
+
+# Of a motion that is sent to the daemon: its socket takes 64 KiB a line.
+MOST_NUMBERS = 6000
 
 
 def in_words(recording: dict[str, Any]) -> str:
@@ -247,3 +251,52 @@ def _show_run(output: Output, result: dict[str, Any]) -> None:
         f"off the line in {result['duration_s']:.1f} s (by the encoders; predicted on perfect servos: "
         f"{result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})",
     )
+
+
+@command("play", SOCKET)
+@click.argument("name", metavar="NAME|FILE")
+@click.option("--rate", type=click.FloatRange(0.1, 2.0), default=1.0, help="Taught seconds a second.")
+@click.option("--repeat", type=click.IntRange(1, 100), default=1, help="How often.")
+def play_command(output: Output, name: str, **how: Any) -> None:
+    """Move as was taught: a take or a run by its name, or a file: a log, or a table (CSV) of joint angles.
+
+    A table has a header: time_s, and a column a joint, named by it, in radians, or with _deg behind it in degrees; or
+    it comes from `armctl log export`. The motion is smoothed, approached slowly and eased in; a gripper moves with it.
+    The whole is checked before it starts, and is recorded like a run. Ctrl-C stops the arm.
+
+    Example: armctl play line-1 --rate 0.5
+    """
+    from armctl.config import validate
+    from armctl.trajectory.playback import PlayRequest
+
+    file = Path(name)
+    of_file = "/" in name or file.suffix in (".csv", ".mcap")
+    request = validate(PlayRequest, {"motion": _motion_in(file), **how} if of_file else {"name": name, **how}, "play")
+    with output.motion("playing", kept=", and what was recorded is kept") as client:
+        result = client.call("play", **request.model_dump(exclude_none=True))
+    output.answer(
+        result,
+        f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "
+        f"from where the tool was taught to be at the same progress, in {result['duration_s']:.1f} s (by the encoders; "
+        f"{result['path_mean_error_mm']:.1f} and {result['path_max_error_mm']:.1f} mm off the taught path)",
+    )
+
+
+def _motion_in(file: Path) -> TaughtMotion:
+    """The motion in a log, or in a table of joint angles."""
+    from armctl.files import read_text
+    from armctl.recording import recordings
+    from armctl.trajectory.playback import motion_from_text
+
+    if file.suffix == ".csv":
+        motion = motion_from_text(read_text(file, "motion"), str(file))
+    else:
+        motion = recordings.taught(recordings.load(file))
+    if (numbers := len(motion.time_s) * (len(motion.joints) + 1)) > MOST_NUMBERS:
+        raise ConfigError(
+            str(file),
+            "time_s",
+            f"{len(motion.time_s)} rows are {numbers} numbers, at most {MOST_NUMBERS} reach the daemon at once",
+            "leave rows out, or play a recording by its name",
+        )
+    return motion

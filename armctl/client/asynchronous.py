@@ -100,6 +100,10 @@ class AsyncClient(Protocol):
         finally:
             self._waiting.pop(request_id, None)
 
+    async def play(self, name: str, *, rate: float = 1.0, repeat: int = 1) -> Message:
+        """Move as a take or a run was taught; as `armctl.client.Client.play`."""
+        return await self.call("play", name=name, rate=rate, repeat=repeat)
+
     async def path(
         self,
         points_m: Sequence[Sequence[float]],

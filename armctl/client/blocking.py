@@ -77,6 +77,18 @@ class Client(Protocol):
             else:
                 self._notifications.append(told)
 
+    def play(self, name: str, *, rate: float = 1.0, repeat: int = 1) -> Message:
+        """Move as a take or a run was taught.
+
+        Args:
+            name: Of the recording.
+            rate: Taught seconds a second, 0.1 to 2.
+            repeat: How often.
+        Raises:
+            ArmctlError: there is none of that name, or the motion was refused (every reason), or stopped on the way.
+        """
+        return self.call("play", name=name, rate=rate, repeat=repeat)
+
     def path(
         self,
         points_m: Sequence[Sequence[float]],

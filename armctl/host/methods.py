@@ -17,7 +17,7 @@ from armctl.host.exchange import COMMANDS
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
-from armctl.host.motions import move, path, run, transfer
+from armctl.host.motions import move, path, play, run, transfer
 from armctl.host.reach import reach
 from armctl.host.refining import MOST_FURTHER, refine
 from armctl.host.server import Connection, Method
@@ -26,6 +26,7 @@ from armctl.recording.recordings import describe, listing
 from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.playback import PlayRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
@@ -146,6 +147,7 @@ class Methods:
             "teach_end": Method(Nothing, lambda client, _: teaching.end(host, client)),
             "run": Method(RunRequest, self._run),
             "path": Method(PathRequest, partial(path, host)),
+            "play": Method(PlayRequest, self._play),
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
@@ -215,6 +217,14 @@ class Methods:
             raise RequestRefused("CANCELLED", "the client left, and its optimisation ended") from None
         finally:
             self._job = None
+
+    async def _play(self, client: Connection, p: PlayRequest) -> dict[str, Any]:
+        motion = p.motion
+        if p.name is not None:
+            path = self._path(p.name)
+            motion = await asyncio.to_thread(lambda: recordings.taught(recordings.load(path)))
+        assert motion is not None  # the request has one of the two
+        return await play(self._host, client, motion, p)
 
     def _path(self, name: str) -> Path:
         return recordings.find(self._recordings_dir, name)

@@ -1,4 +1,4 @@
-"""Motions as clients ask for them: run, path, move and transfer, where they go and what they are judged by."""
+"""Motions as clients ask for them: run, path, play, move and transfer, where they go and what they are judged by."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,6 +19,7 @@ from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.path_motion import PathMotion, path_motion
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
+from armctl.trajectory.playback import Playback, PlayRequest, TaughtMotion, playback
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.reference import ReferencePath, error_mm
 from armctl.trajectory.target import MoveRequest, joints_at
@@ -65,6 +66,27 @@ async def path(host: Host, client: Client, request: PathRequest) -> dict[str, An
     name, [done] = await host.execute(client, "path", [make], {"event": "PATH", **request.model_dump()})
     predicted = {f"predicted_{key}": value for key, value in error_mm(wanted[0].rounding_m).items()}
     return {"recording": name, **followed([done], wanted[0].reference, host.robot), **predicted}
+
+
+async def play(host: Host, client: Client, motion: TaughtMotion, request: PlayRequest) -> dict[str, Any]:
+    """Approach slowly and move as was taught, as often as asked for; recorded, and compared with the taught path.
+
+    Raises:
+        RequestRefused: FOREIGN_LOG, JOINTS, pre-flight (every reason), BUSY, stopped or failed on the way.
+        LogError: the recording cannot be made.
+    """
+    played: list[Playback] = []
+
+    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+        if not played:
+            played.append(playback(motion, request.rate, host.arm, host.robot))
+        return played[0].trajectory(q_now, host.period_s)
+
+    note = {"event": "PLAY", "name": request.name, "rate": request.rate, "repeat": request.repeat}
+    name, done = await host.execute(client, "play", [make] * request.repeat, note)
+    reference = played[0].reference
+    off = {f"path_{key}": value for key, value in followed(done, reference, host.robot).items() if "error" in key}
+    return {"recording": name, **followed(done, reference, host.robot, at_equal_progress=True), **off}
 
 
 async def move(host: Host, client: Client, request: MoveRequest) -> dict[str, Any]:
@@ -160,7 +182,7 @@ def followed(
     Raises:
         RequestRefused: code RECORDS_LOST, a leg's beginning or end was not seen.
     """
-    distances, begins_ns, ends_ns = [], [], []
+    distances, marks_ns = [], []
     for leg in done:
         watch, way = leg.watch, leg.trajectory
         if len(watch.marks_ns) < 2:
@@ -172,11 +194,10 @@ def followed(
         due_s = np.array(watch.progress)[inside] * way.duration_s - way.begin_s
         progress = np.clip(due_s / (way.end_s - way.begin_s), 0.0, 1.0)
         distances.append((reference.apart_m if at_equal_progress else reference.off_m)(points, progress))
-        begins_ns.append(begin_ns)
-        ends_ns.append(end_ns)
+        marks_ns.append((begin_ns, end_ns))
     return {
         **error_mm(np.concatenate(distances)),
-        "duration_s": (ends_ns[-1] - begins_ns[0]) / NS_PER_S,
-        "begin_ns": begins_ns[0],
-        "end_ns": ends_ns[-1],
+        "duration_s": sum(end_ns - begin_ns for begin_ns, end_ns in marks_ns) / NS_PER_S,
+        "begin_ns": marks_ns[0][0],
+        "end_ns": marks_ns[-1][1],
     }

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from armctl.clock import NS_PER_S
-from armctl.config import NAME_PATTERN
+from armctl.config import NAME_PATTERN, validate
 from armctl.errors import LogError
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
@@ -29,6 +29,7 @@ from armctl.recording.log_file import LogFile
 from armctl.recording.reader import joint_track, read
 from armctl.recording.recover import recover
 from armctl.trajectory.dead_time import moving_part
+from armctl.trajectory.playback import DECIMALS, TaughtMotion
 from armctl.trajectory.straightness import max_error, mean_error
 
 SUFFIX = ".mcap"
@@ -111,6 +112,29 @@ def load(path: Path) -> Recording:
             plan_s=window,
             complete=log.complete,
         )
+
+
+def taught(recording: Recording) -> TaughtMotion:
+    """What of a recording is played: of a run the plan proper, of a take not its dead time at both ends.
+
+    Raises:
+        ConfigError: it is too short or too long to be played.
+    """
+    time_s, positions_rad = recording.time_s, recording.positions_rad
+    if recording.plan_s is None:
+        part = moving_part(positions_rad)
+        time_s, positions_rad = time_s[part], positions_rad[part]
+    else:
+        begin_s, end_s = recording.plan_s
+        time_s, positions_rad = time_s[(time_s >= begin_s) & (time_s <= end_s)], recording.plan_positions_rad
+    data = {
+        "joints": recording.joint_names,
+        "time_s": tuple(np.round(time_s, 6).tolist()),
+        "positions_rad": tuple(map(tuple, np.round(positions_rad, DECIMALS).tolist())),
+        "arm_id": recording.arm_id,
+        "calibration_hash": recording.calibration_hash,
+    }
+    return validate(TaughtMotion, data, f"recording {recording.name}")
 
 
 def find(folder: Path, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Paths of the tool through the host, on simulated servos in virtual time; judged by the simulator's true tool."""
+"""Paths and taught motions through the host, on simulated servos in virtual time; judged by the true tool."""
 
 import asyncio
 import math
@@ -10,11 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armctl.host.motions import path
+from armctl.clock import NS_PER_S
+from armctl.host import teaching
+from armctl.host.motions import move, path, play
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Mode, TickRecord
+from armctl.trajectory.dead_time import moving_part
+from armctl.trajectory.playback import PlayRequest, TaughtMotion
+from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import Outline, PathRequest
 from tests.control.ideal_arm import PERIOD_S
+from tests.genetic import hand
 from tests.host.simulated import SimulatedBench, on_arm
 
 HEIGHT_M = 0.1
@@ -125,3 +131,107 @@ async def test_a_client_that_leaves_while_its_path_is_followed_stops_the_arm() -
         await bench.until(lambda: Mode.MOVING in bench.modes)
         bench.host.client_gone(bench.anna)
         await bench.refused(task, "STOPPED")
+
+
+# --------------------------------------------------------------------------------------------------- play
+
+
+async def by_hand(bench: SimulatedBench, seed: int) -> tuple[TaughtMotion, FloatArray]:
+    """A take along the line by the simulator's hand, and where the tool truly was at its samples [m], shape (m, 3)."""
+    await bench.served(teaching.begin(bench.host, bench.anna))
+    guided = bench.simulated.hand.guide(hand.A, hand.B, seed=seed)
+    rows: list[tuple[int, tuple[float, ...], FloatArray]] = []
+
+    def see(record: TickRecord) -> None:
+        joints = tuple(joint.position_rad for joint in record.outputs.joints)
+        rows.append((record.inputs.sample.time_ns, joints, bench.simulated.true_tool_position()))
+
+    bench.on_tick = see
+    bench.ticks(round(guided.duration_s / PERIOD_S))
+    bench.on_tick = lambda _: None
+    await bench.served(teaching.end(bench.host, bench.anna))
+    await bench.served(bench.host.command(bench.anna, "torque_on"))
+    bench.simulated.hand.release()
+    rows = rows[round((guided.begin_s - 0.3) / PERIOD_S) : round((guided.end_s + 0.8) / PERIOD_S)]
+    rows = rows[moving_part(np.array([joints for _, joints, _ in rows]))]
+    arm = bench.arm
+    take = TaughtMotion(
+        joints=arm.joint_names,
+        time_s=tuple((time_ns - rows[0][0]) / NS_PER_S for time_ns, _, _ in rows),
+        positions_rad=tuple(joints for _, joints, _ in rows),
+        arm_id=arm.arm_id,
+        calibration_hash=arm.calibration_hash,
+    )
+    return take, np.array([true for _, _, true in rows])
+
+
+def due_m(take: TaughtMotion, taught_m: FloatArray, rate: float, count: int) -> FloatArray:
+    """Where the tool was taught to be at each of `count` ticks of a play eased over 0.8 s, by summing its speed."""
+    step_s = 1e-3
+    ticks = np.arange(count) * PERIOD_S
+    end_s = take.duration_s / rate + 0.8
+    time_s = np.arange(0.0, end_s, step_s)
+    x = np.clip(np.minimum(time_s, end_s - time_s) / 0.8, 0.0, 1.0)
+    gone = np.cumsum(rate * (10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5)) * step_s
+    taught_s = np.interp(ticks, time_s, gone)
+    return np.stack([np.interp(taught_s, take.time_s, column) for column in taught_m.T], axis=1)
+
+
+async def test_a_taught_take_is_played_as_it_was_at_equal_progress() -> None:
+    means = []
+    for seed in (0, 2, 3, 7, 9):
+        async with on_arm("ax12-line", seed) as bench:
+            take, taught_m = await by_hand(bench, seed + 5)
+            result, true = await followed(bench, play(bench.host, bench.anna, take, PlayRequest(motion=take)))
+            apart = 1e3 * np.linalg.norm(true - due_m(take, taught_m, 1.0, len(true)), axis=1)
+            means.append(float(apart.mean()))
+            assert apart.max() < 5.0
+            assert result["path_mean_error_mm"] <= result["mean_error_mm"] < 2.5
+            assert result["duration_s"] == pytest.approx(take.duration_s + 0.8, abs=1.5 * PERIOD_S)
+            assert list(bench.recorder.takes)[-1] == result["recording"]
+            assert Mode.FAULTED not in bench.modes
+    assert np.median(means) <= 1.5, means
+
+
+async def test_a_take_is_played_twice_at_half_its_speed_into_one_recording() -> None:
+    async with on_arm("ax12-line", 9) as bench:
+        take, _ = await by_hand(bench, 14)
+        asked = PlayRequest(motion=take, rate=0.5, repeat=2)
+        result = await bench.served(play(bench.host, bench.anna, take, asked))
+        assert result["duration_s"] == pytest.approx(2.0 * (2.0 * take.duration_s + 0.8), abs=3 * PERIOD_S)
+        assert sum("PLAN_BEGIN" in event.code for r in bench.recorder.records for event in r.outputs.events) == 2
+        assert len([name for name in bench.recorder.takes if name.startswith("run-play")]) == 1
+        assert result["mean_error_mm"] < 2.5
+
+
+async def test_a_gripper_is_played_as_it_was_taught() -> None:
+    async with on_arm("xiang-6dof") as bench:
+        gripper = bench.arm.gripper
+        assert gripper is not None
+        index = bench.arm.joint_names.index(gripper.joint)
+        away = MoveRequest(joints_rad=tuple(np.radians((20.0, 120.0, -100.0, -40.0, 10.0, 30.0)).tolist()))
+        await bench.served(move(bench.host, bench.anna, away))
+        assert bench.host.latest is not None
+        here = np.array(bench.host.latest.outputs.wanted_rad)
+        time_s = np.linspace(0.0, 3.0, 31)
+        rows = np.tile(here, (31, 1))
+        rows[:, index] += 0.3 * np.sin(time_s)
+        take = TaughtMotion(
+            joints=bench.arm.joint_names,
+            time_s=tuple(time_s.tolist()),
+            positions_rad=tuple(map(tuple, rows.tolist())),
+        )
+        turned: list[float] = []
+        bench.on_tick = lambda _: turned.append(float(bench.simulated.true_positions()[index]))
+        result = await bench.served(play(bench.host, bench.anna, take, PlayRequest(motion=take)))
+        assert max(turned) - here[index] == pytest.approx(0.3, abs=0.05)
+        assert result["max_error_mm"] < 5.0
+
+
+async def test_a_motion_that_is_too_fast_moves_nothing() -> None:
+    async with on_arm("ax12-line", 9) as bench:
+        take, _ = await by_hand(bench, 14)
+        bench.modes.clear()
+        error = await bench.refused(play(bench.host, bench.anna, take, PlayRequest(motion=take, rate=2.0)), "PREFLIGHT")
+        assert re.search(r"rate [01]\.\d+ would do", str(error))
+        assert Mode.MOVING not in bench.modes

@@ -122,6 +122,7 @@ async def test_an_unknown_recording_is_answered_with_the_known_ones(bench: Bench
     for method, params in (
         ("optimize", LINE | {"recordings": ["a", "c"]}),
         ("recordings_show", {"name": "c"}),
+        ("play", {"name": "c"}),
         ("recordings_rename", {"name": "c", "to": "d"}),
         ("recordings_delete", {"name": "c"}),
     ):

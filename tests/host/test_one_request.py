@@ -11,7 +11,7 @@ import pytest
 
 from armctl import client
 from armctl.cli import main
-from armctl.cli.jobs import optimize_command
+from armctl.cli.jobs import optimize_command, play_command
 from armctl.cli.motion import move_command, path_command, reach_command, transfer_command
 from armctl.config import Frozen, validate
 from armctl.genetic.algorithm import PROFILES
@@ -22,6 +22,7 @@ from armctl.host.jobs import OptimizeJob, Progress
 from armctl.host.server import Connection
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan, plan_from_text
+from armctl.trajectory.playback import PlayRequest, TaughtMotion
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
@@ -35,6 +36,7 @@ from tests.host.doubles import methods_over
         ("reach", reach_command, ReachRequest, {"gripper"}),  # --grip, --let-go
         ("transfer", transfer_command, TransferRequest, set()),
         ("move", move_command, MoveRequest, set()),
+        ("play", play_command, PlayRequest, {"motion"}),  # NAME|FILE
         ("path", path_command, PathRequest, {"points_m", "kinds"}),  # FILE
     ],
 )
@@ -111,6 +113,9 @@ def test_an_optimisation_is_one_object_from_the_command_line_to_the_plan(
         ReachRequest(point_m=(0.1, 0.0, 0.1), gripper="grip"),
         TransferRequest(pick_m=(0.1, 0.0, 0.1), place_m=(0.1, 0.1, 0.1)),
         MoveRequest(pose=(0.1, 0.0, 0.1, 0.0, 1.0, 0.0)),
+        PlayRequest(
+            motion=TaughtMotion(joints=("a", "b"), time_s=(0.0, 1.0), positions_rad=((0.0, 0.1), (0.2, 0.3))), rate=0.5
+        ),
         PathRequest(points_m=((0.1, 0.0, 0.1), (0.2, 0.0, 0.1), (0.2, 0.1, 0.1)), kinds=("line", "through", "arc")),
     ],
     ids=lambda request_: type(request_).__name__,

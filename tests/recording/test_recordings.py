@@ -1,10 +1,12 @@
 """Takes by name."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from armctl.errors import ConfigError
 from armctl.recording import recordings
 from armctl.recording.recordings import listing
 from armctl.recording.writer import LogWriter
@@ -42,6 +44,24 @@ def test_a_take_without_a_plan_is_used_whole(tmp_path: Path) -> None:
     loaded = recordings.load(write(tmp_path / "a.mcap", RECORDS[:10]))
     assert loaded.plan_s is None
     assert loaded.plan_positions_rad is loaded.positions_rad
+
+
+def test_of_a_run_the_plan_is_played_and_of_a_take_what_moves(tmp_path: Path) -> None:
+    run = recordings.load(take(tmp_path, "run"))
+    motion = recordings.taught(run)
+    assert (motion.joints, motion.arm_id, motion.calibration_hash) == (
+        ARM.joint_names,
+        ARM.arm_id,
+        ARM.calibration_hash,
+    )
+    np.testing.assert_allclose(motion.positions_rad, run.plan_positions_rad, atol=1e-5)
+    assert run.plan_s is not None
+    assert motion.duration_s == pytest.approx(run.plan_s[1] - run.plan_s[0], abs=1e-5)
+    swing = np.concatenate([np.zeros(20), 0.5 * np.sin(np.linspace(0.0, 1.5, 30)), np.full(20, 0.5)])
+    guided = replace(run, plan_s=None, positions_rad=np.repeat(swing[:, None], 6, axis=1))
+    assert recordings.taught(guided).duration_s == pytest.approx(2.9, abs=0.4)
+    with pytest.raises(ConfigError, match=r"recording run: .*can be played"):
+        recordings.taught(replace(guided, plan_s=(0.0, 0.2)))
 
 
 def test_a_part_is_listed_and_loads_without_its_end(tmp_path: Path) -> None:

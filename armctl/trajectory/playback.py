@@ -1,0 +1,247 @@
+"""A taught motion, played again: smoothed, eased in and out, at a rate of its own.
+
+Rules.
+1. Samples are brought to an even grid and smoothed by local cubics: what was recorded is whole ticks, and what was
+   written may have corners. Smoothing reaches `HALF_WIDTH_S` to either side.
+2. The taught time passes at the rate that was asked for; it sets off and stops smoothly within `EASE_S` each. So the
+   joints go the taught way.
+3. Every joint of the chain has to be in it. Joints that move no tool point, such as a gripper, move as far as they are
+   in it, and stay where they are otherwise.
+4. What is too fast for the arm is refused with the rate that would do; nothing is slowed down or clipped by itself.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from armctl.config import ArmConfig, Frozen, Name, validate
+from armctl.errors import ConfigError, RequestRefused
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import LONGEST_S, JointTrajectory
+from armctl.trajectory.bounds import Joints
+from armctl.trajectory.interpolate import columns_at
+from armctl.trajectory.plan import CHECK_PERIOD_S, led_in
+from armctl.trajectory.preflight import ROUNDING, peak_rates, peak_tool_speed, preflight_motion
+from armctl.trajectory.reference import ReferencePath
+from armctl.trajectory.smoothing import local_cubics
+
+HALF_WIDTH_S = 0.55
+# Between samples before they are smoothed, at most, and after.
+SAMPLE_S, ROW_S = 0.1, 0.02
+EASE_S = 0.8
+EARLY_S = 1.0
+SHORTEST_S = 0.5
+LOWEST_RATE, HIGHEST_RATE = 0.1, 2.0
+MOST_REPEATS = 100
+TIME = "time_s"
+# As `armctl log export` names the position of a joint.
+EXPORTED, DEGREES = ".position_rad", "_deg"
+# Of angles in a request: a thousandth of a servo's tick.
+DECIMALS = 5
+
+
+class TaughtMotion(Frozen):
+    """Joint positions over time."""
+
+    joints: Annotated[tuple[Name, ...], Field(min_length=1, max_length=32, strict=False)]
+    # When each row is due; rises, and begins anywhere.
+    time_s: Annotated[tuple[float, ...], Field(min_length=2, strict=False)]
+    # One row a sample, in the order of `joints`.
+    positions_rad: Annotated[tuple[Joints, ...], Field(min_length=2, strict=False)]
+    # Of whom it was recorded; empty: nobody knows.
+    arm_id: str = Field("", max_length=64)
+    calibration_hash: str = Field("", max_length=64)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(set(self.joints)) != len(self.joints):
+            raise ValueError(f"joints: {', '.join(self.joints)}; each may stand there once")
+        if len(self.time_s) != len(self.positions_rad):
+            raise ValueError(f"time_s has {len(self.time_s)} entries, positions_rad {len(self.positions_rad)} rows")
+        if odd := [number for number, row in enumerate(self.positions_rad, 1) if len(row) != len(self.joints)]:
+            raise ValueError(f"positions_rad: row {odd[0]} has not {len(self.joints)} numbers, one a joint")
+        for number, (before, after) in enumerate(pairwise(self.time_s), 2):
+            if after <= before:
+                raise ValueError(
+                    f"time_s: row {number} is at {after:g} s, the one before at {before:g} s; it must rise"
+                )
+        if not SHORTEST_S <= self.duration_s <= LONGEST_S:
+            raise ValueError(f"time_s: {self.duration_s:g} s long; {SHORTEST_S:g} to {LONGEST_S:g} s can be played")
+        return self
+
+    @property
+    def duration_s(self) -> float:
+        return self.time_s[-1] - self.time_s[0]
+
+
+class PlayRequest(Frozen):
+    """What to play, a recording by its `name` or a `motion`, how fast and how often."""
+
+    name: Name | None = None
+    motion: TaughtMotion | None = None
+    # Taught seconds a second.
+    rate: float = Field(1.0, ge=LOWEST_RATE, le=HIGHEST_RATE)
+    repeat: int = Field(1, ge=1, le=MOST_REPEATS)
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.name is None) == (self.motion is None):
+            raise ValueError("name, motion: give just one of them")
+        return self
+
+
+def motion_from_text(text: str, file: str) -> TaughtMotion:
+    """The motion in comma-separated values: `time_s`, and a column a joint, named by it: radians, with `_deg` degrees.
+
+    A table that `armctl log export` made has columns such as `shoulder.position_rad`; its other columns do not count.
+
+    Args:
+        file: Name of the file, for error messages.
+    Raises:
+        ConfigError: the table is none, or holds no motion; names the row or field, the value and its bound.
+    """
+    rows = [row for row in csv.reader(io.StringIO(text), skipinitialspace=True) if any(cell.strip() for cell in row)]
+    header = [name.strip() for name in rows[0]] if rows else []
+    columns = [name for name in header if name.endswith(EXPORTED)] or [name for name in header if name != TIME]
+    if TIME not in header or not columns:
+        remedy = "the first row must be time_s and the joints' names, such as time_s,base,shoulder"
+        raise ConfigError(file, "header", f"no column {TIME if TIME not in header else 'of a joint'}", remedy)
+    time_s, positions = [], []
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(header):
+            raise ConfigError(file, f"row {number}", f"has {len(row)} cells, the header {len(header)}")
+        cells = dict(zip(header, row, strict=True))
+        try:
+            time_s.append(float(cells[TIME]))
+            angles = [float(cells[name]) for name in columns]
+        except ValueError as error:
+            raise ConfigError(file, f"row {number}", str(error)) from None
+        scaled = (math.radians(q) if name.endswith(DEGREES) else q for name, q in zip(columns, angles, strict=True))
+        positions.append(tuple(round(q, DECIMALS) if math.isfinite(q) else q for q in scaled))
+    joints = tuple(name.removesuffix(EXPORTED).removesuffix(DEGREES) for name in columns)
+    data = {"joints": joints, "time_s": tuple(time_s), "positions_rad": tuple(positions)}
+    return validate(TaughtMotion, data, file)
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """A taught motion for one arm, smoothed and timed."""
+
+    arm: ArmConfig
+    robot: Robot
+    rate: float
+    # Of the taught motion, since its begin, shape (m,).
+    taught_s: FloatArray
+    # Shape (m, joints); NaN: the joint stays where it is.
+    positions_rad: FloatArray
+
+    @property
+    def ease_s(self) -> float:
+        return min(EASE_S, float(self.taught_s[-1]) / self.rate)
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.taught_s[-1]) / self.rate + self.ease_s
+
+    def taught_at(self, time_s: FloatArray) -> FloatArray:
+        """Taught time [s] at times since the begin [s], both of shape (k,)."""
+        ease_s, time_s = self.ease_s, np.clip(time_s, 0.0, self.duration_s)
+        # The rate climbs as 6x^5 - 15x^4 + 10x^3; this is its integral.
+        x = np.minimum(np.minimum(time_s, self.duration_s - time_s) / ease_s, 1.0)
+        eased = self.rate * ease_s * x**4 * (x * (x - 3.0) + 2.5)
+        even = self.rate * (time_s - ease_s / 2.0)
+        ending = np.where(time_s > self.duration_s - ease_s, self.taught_s[-1] - eased, even)
+        return np.asarray(np.where(time_s < ease_s, eased, ending))
+
+    @property
+    def reference(self) -> ReferencePath:
+        """The taught path of the tool by the share of the motion's time."""
+        share = np.linspace(0.0, 1.0, len(self.taught_s))
+        q = columns_at(self.taught_at(share * self.duration_s), self.taught_s, self.positions_rad)
+        return ReferencePath(share, tool_position(self.robot.chain, q[:, : self.robot.chain.n]))
+
+    def trajectory(self, q_now: Sequence[float], period_s: float) -> JointTrajectory:
+        """The whole motion from where the arm is.
+
+        Args:
+            q_now: Where the joints are wanted [rad], shape (joints,).
+        Raises:
+            RequestRefused: code PREFLIGHT, every reason, and the rate that would do where it is too fast.
+        """
+        kept = np.where(np.isnan(self.positions_rad), np.asarray(q_now), self.positions_rad)
+
+        def motion(time_s: FloatArray) -> FloatArray:
+            return columns_at(self.taught_at(time_s), self.taught_s, kept)
+
+        def led(every_s: float) -> JointTrajectory:
+            return led_in(motion, self.duration_s, self.arm, q_now, every_s, "play", early_s=EARLY_S)
+
+        q = np.array(led(CHECK_PERIOD_S).positions_rad)
+        reasons = preflight_motion(q, CHECK_PERIOD_S, self.arm, self.robot, duration_s=self.duration_s)
+        if reasons:
+            raise RequestRefused("PREFLIGHT", self._with_rate(reasons, kept))
+        return led(period_s)
+
+    def _with_rate(self, reasons: Sequence[str], kept: FloatArray) -> list[str]:
+        """The reasons, with the rate that would do in place of a duration."""
+        slower = self
+        # What was eased over at a high rate may show at a lower one.
+        while (over := slower._over(kept)) > ROUNDING and slower.rate >= LOWEST_RATE:
+            slower = replace(slower, rate=math.floor(100.0 * slower.rate / over) / 100.0)
+        enough = slower.rate >= LOWEST_RATE
+        remedy = f"rate {slower.rate:g} would do" if enough else f"even rate {LOWEST_RATE:g} is too fast"
+        return [
+            f"{reason.split('give it a duration')[0]}{remedy}" if "give it a duration" in reason else reason
+            for reason in reasons
+        ]
+
+    def _over(self, kept: FloatArray) -> float:
+        """How many times too fast it is: a number by which the rate has to be divided."""
+        time_s = np.arange(0.0, self.duration_s + CHECK_PERIOD_S, CHECK_PERIOD_S)
+        q = columns_at(self.taught_at(time_s), self.taught_s, kept)
+        speed, acceleration = peak_rates(q, CHECK_PERIOD_S)
+        tool_m_s = peak_tool_speed(tool_position(self.robot.chain, q[:, : self.robot.chain.n]), CHECK_PERIOD_S)
+        joints = self.arm.joints
+        return max(
+            float((speed / [joint.speed_limit_rad_s for joint in joints]).max()),
+            math.sqrt(float((acceleration / [joint.acceleration_limit_rad_s2 for joint in joints]).max())),
+            tool_m_s / self.arm.tool_speed_limit_m_s,
+        )
+
+
+def playback(motion: TaughtMotion, rate: float, arm: ArmConfig, robot: Robot) -> Playback:
+    """A taught motion as this arm plays it.
+
+    Raises:
+        RequestRefused: code FOREIGN_LOG, another arm was taught, or with another calibration; code JOINTS, a joint of
+            the arm is missing in it, or it has others.
+    """
+    mine = arm.arm_id, arm.calibration_hash
+    if motion.arm_id and (motion.arm_id, motion.calibration_hash) != mine:
+        raise RequestRefused(
+            "FOREIGN_LOG",
+            f"it was recorded with arm {motion.arm_id}, calibration {motion.calibration_hash}; this is "
+            f"{arm.arm_id}, {arm.calibration_hash}",
+        )
+    known, needed = ", ".join(arm.joint_names), arm.joint_names[: robot.chain.n]
+    reasons = [f"there is no joint {name!r}; joints: {known}" for name in motion.joints if name not in arm.joint_names]
+    reasons += [f"joint {name} is missing; it moves the tool" for name in needed if name not in motion.joints]
+    if reasons:
+        raise RequestRefused("JOINTS", reasons)
+    time_s = np.array(motion.time_s) - motion.time_s[0]
+    even_s = np.linspace(0.0, time_s[-1], math.ceil(time_s[-1] / min(SAMPLE_S, float(np.median(np.diff(time_s))))) + 1)
+    rows_s = np.linspace(0.0, time_s[-1], math.ceil(time_s[-1] / ROW_S) + 1)
+    samples = columns_at(even_s, time_s, np.array(motion.positions_rad))
+    smooth, _, _ = local_cubics(even_s, samples, rows_s, HALF_WIDTH_S)
+    positions = np.full((len(rows_s), len(arm.joints)), np.nan)
+    positions[:, [arm.joint_names.index(name) for name in motion.joints]] = smooth
+    return Playback(arm, robot, rate, rows_s, positions)
