@@ -15,10 +15,11 @@ from armctl.cli.tables import show_rows
 )
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a demonstration.")
 def demo_command(output: Output, out: Path, seed: int) -> int:
-    """The whole job on simulated servos, in about two minutes.
+    """The whole job on simulated servos, in about three minutes.
 
     A simulated hand teaches five candidates, the genetic algorithm straightens them, the daemon runs the result through
-    0, 1 and 2 intermediate points, every log is replayed bit for bit, and a report is written.
+    0, 1 and 2 intermediate points: plain, then corrected by what these runs showed of the arm. Every log is replayed
+    bit for bit, and a report is written.
 
     Example: armctl demo --out demo
     """
@@ -36,8 +37,8 @@ def show(output: Output, result: dict[str, Any]) -> None:
     show_rows(output.console, "demo", "Distance of the tool from the line, mean / maximum, mm", rows)
     replayed = result["replay"]
     output.say(
-        "Predicted: perfect servos. True: the tool's real place, sag under gravity included.\n"
-        "Nothing corrects it here: `armctl experiment line` measures and corrects it.\n"
+        "Plain: goals are the plan's own positions. Corrected: goals lead them by how the arm lagged before.\n"
+        "Predicted: perfect servos. True: the tool's real place.\n"
         f"Genetic algorithm: {result['ga']['mean_error_mm']:.2f} mm mean over the recorded genes, "
         f"{result['gap_ratio']:.2%} above the exact optimum.\n"
         f"Replay: {replayed['ticks']} ticks, {replayed['messages']} messages, {replayed['mismatches']} mismatches.\n"

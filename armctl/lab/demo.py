@@ -1,4 +1,7 @@
-"""The whole job on simulated servos: teach, optimise, run with 0, 1 and 2 via points, replay, report.
+"""The whole job on simulated servos: teach, optimise, run with 0, 1 and 2 via points, learn, run again, replay, report.
+
+The first runs are plain: goals are the plan's own positions, and the arm sags. They show how each joint lags behind its
+goal. That model is stored beside the arm's file, and the same plans run again, corrected by it in the control step.
 
 Everything happens as on a real arm: the simulator is a program behind a pseudo terminal, the daemon owns that port,
 and what follows are requests on its socket. Only two things come from the simulator beside the wire: the hand that
@@ -20,15 +23,17 @@ import numpy as np
 import yaml
 
 from armctl.client import Client
-from armctl.config import ArmConfig
+from armctl.commissioning import sag_file
+from armctl.config import ArmConfig, Config
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.files import load_arm
+from armctl.files import find_arm_file, load_arm, read_text
 from armctl.genetic.algorithm import DEFAULT
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
+from armctl.lab import sag_identification
 from armctl.lab.line_experiment import TAKES
 from armctl.lab.line_results import line_run
-from armctl.lab.rig import measured_run
+from armctl.lab.rig import DaemonRig, measured_run
 from armctl.lab.stage import Progress, Stage
 from armctl.lab.table_ii import FROM_M, TO_M, VIA
 from armctl.recording import recordings, replay
@@ -37,6 +42,7 @@ from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.refinement import Measured
 
+ARM = "ax12-line"
 ENDS = np.array(FROM_M), np.array(TO_M)
 DURATION_S = 5.0
 START_TIMEOUT_S = 20.0
@@ -67,6 +73,17 @@ class _Session:
             show(passed + 1, note)
 
 
+@dataclass(frozen=True, eq=False)
+class _Ran:
+    """One run of a plan: what the daemon answered, and what was measured, where the tool really was included."""
+
+    plan: Plan
+    # Whether the control step corrected it.
+    corrected: bool
+    answer: dict[str, Any]
+    measured: Measured
+
+
 def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
     """Run the demonstration into `out`; an earlier one there is moved aside, not overwritten.
 
@@ -76,12 +93,15 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         ArmctlError: some part failed; the messages of the programs are in `out`/daemon.log and simulator.log.
     """
     _make_room(out)
-    arm = load_arm("ax12-line")
+    arm = load_arm(ARM)
     with ExitStack() as cleanup:
         sockets = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="armctl-")))
         port, socket = sockets / "servos", sockets / "daemon.sock"
-        config = out / "armctl.yaml"
-        config.write_text(yaml.safe_dump({"port": str(port), "data_dir": str(out)}), encoding="utf-8")
+        config, own_arm = out / "armctl.yaml", out / f"{ARM}.yaml"
+        # An arm's file of its own, so that what is learnt here stays here.
+        own_arm.write_text(read_text(find_arm_file(ARM), "calibration"), encoding="utf-8")
+        told = {"arm": str(own_arm), "port": str(port), "data_dir": str(out)}
+        config.write_text(yaml.safe_dump(told), encoding="utf-8")
         with stage("starting", 2) as show:
             simulator = ("sim", "--link", str(port), "--seed", str(seed), "--lockstep")
             cleanup.enter_context(program(out / "simulator.log", *simulator))
@@ -100,7 +120,9 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         plans = [plan_from_text(plan["text"], f"plan with {plan['via']} via points") for plan in optimised["plans"]]
         for plan in optimised["plans"]:
             (out / f"plan-via{plan['via']}.json").write_text(plan["text"], encoding="utf-8")
-        runs = [_run(session, out, plan) for plan in plans]
+        runs = [_run(session, out, plan, corrected=False) for plan in plans]
+        _learn(DaemonRig(session.client, arm), Config(arm=str(own_arm)), runs, stage)
+        runs += [_run(session, out, plan, corrected=True) for plan in plans]
     return _finish(out, arm, stage, names, optimised, runs)
 
 
@@ -154,16 +176,30 @@ def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
         )
 
 
-def _run(session: _Session, out: Path, plan: Plan) -> tuple[Plan, dict[str, Any], Measured]:
-    """Run a plan; it, the daemon's answer, and what was measured, where the tool really was included."""
-    with session.stage(f"running, {plan.via} via points", 1) as show:
-        answer = session.client.call("run", plan=plan.model_dump(mode="json"))
+def _run(session: _Session, out: Path, plan: Plan, *, corrected: bool) -> _Ran:
+    how = "corrected" if corrected else "plain"
+    with session.stage(f"running, {plan.via} via points, {how}", 1) as show:
+        answer = session.client.call("run", plan=plan.model_dump(mode="json"), corrected=corrected)
         show(1, f"{answer['mean_error_mm']:.1f} mm by encoders")
     truth = session.simulator.truth(answer["begin_ns"], answer["end_ns"])
     if len(truth.time_ns) < 2:
         raise RequestRefused("SIMULATOR", "the simulator kept no truth of this run")
     seen = measured_run(_recording(out, answer["recording"]), answer["duration_s"])
-    return plan, answer, replace(seen, true_time_s=(truth.time_ns - answer["begin_ns"]) / 1e9, true_tool_m=truth.tool_m)
+    true_time_s = (truth.time_ns - answer["begin_ns"]) / 1e9
+    return _Ran(plan, corrected, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m))
+
+
+def _learn(rig: DaemonRig, config: Config, runs: list[_Ran], stage: Stage) -> None:
+    """Store how the arm lagged in its plain runs beside its file, from where the daemon takes it before the next run.
+
+    A run in which the arm waited for a servo's reading says nothing of its lag in time; with none left the daemon goes
+    on foreseeing the lag of a new arm.
+    """
+    with stage("learning how the arm lags", 1) as show:
+        seen = [(ran.plan, ran.measured) for ran in runs if not rig.was_disturbed(ran.plan, ran.measured)]
+        if seen:
+            sag_file.save(config, sag_identification.learnt(rig, seen))
+        show(1, f"from {len(seen)} runs")
 
 
 def _recording(out: Path, name: str) -> recordings.Recording:
@@ -176,7 +212,7 @@ def _finish(
     stage: Stage,
     names: list[str],
     optimised: dict[str, Any],
-    runs: list[tuple[Plan, dict[str, Any], Measured]],
+    runs: list[_Ran],
 ) -> dict[str, Any]:
     """Replay every log, write the report, and say it all."""
     logs = sorted((out / "logs").glob("*.mcap")) + sorted((out / "recordings").glob("*.mcap"))
@@ -199,7 +235,7 @@ def _finish(
         gap_ratio=optimised["gap_ratio"],
         best_mm=np.array(optimised["history"]["best_cost_mm"]),
         mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
-        runs=[line_run(chain, plan.via, plan, seen) for plan, _, seen in runs],
+        runs=[replace(line_run(chain, ran.plan.via, ran.plan, ran.measured), corrected=ran.corrected) for ran in runs],
         notes=(
             f"Every log was run through the control step again: {replayed['ticks']} ticks, "
             f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
@@ -209,7 +245,7 @@ def _finish(
         line.write(report, out / "report.html")
         show(1, "")
     return {
-        "rows": [_row(*run) for run in runs],
+        "rows": [_row(ran) for ran in runs],
         **{who: {key: value for key, value in optimised[who].items() if key != "tool_m"} for who in ("ga", "exact")},
         "gap_ratio": optimised["gap_ratio"],
         "baseline": optimised["baseline"],
@@ -220,16 +256,18 @@ def _finish(
     }
 
 
-def _row(plan: Plan, answer: dict[str, Any], run: Measured) -> dict[str, Any]:
-    assert run.true_tool_m is not None
-    mean_mm, max_mm = line.errors_mm(run.true_tool_m, *ENDS)
+def _row(ran: _Ran) -> dict[str, Any]:
+    plan, tool_m = ran.plan, ran.measured.true_tool_m
+    assert tool_m is not None
+    mean_mm, max_mm = line.errors_mm(tool_m, *ENDS)
     return {
         "via": plan.via,
-        **{key: answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
+        "corrected": ran.corrected,
+        **{key: ran.answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
         "predicted_mean_error_mm": plan.predicted_mean_error_mm,
         "predicted_max_error_mm": plan.predicted_max_error_mm,
         "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},
-        "recording": answer["recording"],
+        "recording": ran.answer["recording"],
     }
 
 

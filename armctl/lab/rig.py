@@ -183,13 +183,17 @@ class DaemonRig:
             answer = self._client.call("run", plan=plan.model_dump(mode="json"), corrected=corrected)
             path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
             measured = measured_run(recordings.load(path), float(answer["duration_s"]))
-            if abs(measured.duration_s - plan.duration_s) < self.period_s / 2.0:
+            if not self.was_disturbed(plan, measured):
                 return measured
         raise RequestRefused(
             "DISTURBED",
             f"{TRIES} runs in a row took {measured.duration_s:.2f} s or so instead of {plan.duration_s:.2f} s: servos "
             "miss readings and the arm waits for them; see `armctl doctor`",
         )
+
+    def was_disturbed(self, plan: Plan, measured: Measured) -> bool:
+        """Whether a run waited for a silent servo, and so took longer than its plan."""
+        return abs(measured.duration_s - plan.duration_s) >= self.period_s / 2.0
 
 
 def measured_run(run: Recording, duration_s: float) -> Measured:

@@ -1,6 +1,6 @@
 """How the sag model of an arm is identified: a rig runs calibration lines uncorrected, and their lags are explained."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from armctl.messages import LagModel
 from armctl.trajectory import lag
 from armctl.trajectory.course import Line, plan_of
 from armctl.trajectory.line_path import line_paths
-from armctl.trajectory.plan import lead
-from armctl.trajectory.refinement import lag_of, smoothed
+from armctl.trajectory.plan import Plan, lead, plan_positions
+from armctl.trajectory.refinement import Measured, lag_of, smoothed
 
 LINES = 8
 DURATION_S = 5.0
@@ -78,4 +78,19 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
         show(len(lags))
     if len(lags) < LINES:
         raise RequestRefused("CALIBRATE", f"only {len(lags)} of {LINES} calibration lines could be run")
+    return lag.fitted(rig.arm, chain, lags, rows)
+
+
+def learnt(rig: Rig, runs: Sequence[tuple[Plan, Measured]]) -> LagModel:
+    """The lag model that explains uncorrected runs of plans: of any plans, where `identify` chooses its own lines.
+
+    What runs do not show of an arm stays as the nominal model has it.
+    """
+    chain = rig.robot.chain
+    lags, rows = [], []
+    for plan, measured in runs:
+        lags.append(lag_of(rig, plan, measured))
+        time_s: FloatArray = np.arange(len(lags[-1])) * np.float64(rig.period_s)
+        q = plan_positions(plan, time_s)[:, : chain.n] - smoothed(lags[-1], rig.period_s)
+        rows.append(lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
     return lag.fitted(rig.arm, chain, lags, rows)

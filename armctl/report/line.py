@@ -58,11 +58,18 @@ class LineRun:
     tool_m: FloatArray
     # By an outside measurement (the simulator's true pose), where there is one.
     truth_tool_m: FloatArray | None = None
+    # Whether the control step corrected goals by how the arm lags behind them.
+    corrected: bool = False
 
     @property
     def real_tool_m(self) -> FloatArray:
         """Where the tool was: really, if that is known, else by the encoders."""
         return self.tool_m if self.truth_tool_m is None else self.truth_tool_m
+
+    @property
+    def told(self) -> str:
+        """Its name among others: `2 via, corrected`."""
+        return f"{self.via} via, {'corrected' if self.corrected else 'plain'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +138,8 @@ def write(report: LineReport, path: Path) -> None:
     page.text(
         f"The tool was to move from ({begin}) to ({end}) m in a straight line. "
         f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
-        "result through 0, 1 and 2 intermediate points.",
+        "result through 0, 1 and 2 intermediate points: plain, with the plan's own positions as goals, then corrected "
+        "by what the plain runs had shown of the arm.",
         *report.notes,
     )
     _table(page, report)
@@ -155,6 +163,7 @@ def _table(page: Page, report: LineReport) -> None:
         rows.append(
             (
                 run.via,
+                "corrected" if run.corrected else "plain",
                 f"{run.predicted_mean_mm:.1f} / {run.predicted_max_mm:.1f}",
                 "{:.1f} / {:.1f}".format(*encoder),
                 "-" if truth is None else "{:.1f} / {:.1f}".format(*truth),
@@ -165,7 +174,7 @@ def _table(page: Page, report: LineReport) -> None:
         )
     page.heading("Distance from the line")
     page.table(
-        ("via points", "predicted", "by encoders", "true", "time s", "paper", "paper's time s"),
+        ("via points", "goals", "predicted", "by encoders", "true", "time s", "paper", "paper's time s"),
         rows,
         "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20). Predicted: the commanded motion on "
         "perfect servos. True: the tool's real place, with sag under gravity, play and zero offsets. "
@@ -199,8 +208,8 @@ def along_and_off(
 
 def _path_figures(page: Page, report: LineReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
-    ends, runs = report.ends, list(zip(report.runs, COLOURS, strict=False))
-    paths = [(f"{run.via} via", run.real_tool_m, colour) for run, colour in runs]
+    ends, runs = report.ends, _coloured(report.runs)
+    paths = [(run.told, run.real_tool_m, colour if run.corrected else FAINT) for run, colour in runs]
     space_figure(page, ends, paths, "Tool paths in space against the line AB")
     for axis, title in VIEWS:
         with page.chart(f"Tool paths against the line AB, {title}", title, ALONG, OFF) as chart:
@@ -209,11 +218,24 @@ def _path_figures(page: Page, report: LineReport) -> None:
                 path_curve(chart, ends, axis, candidate, "taught", FAINT, width=1, **group)
             wanted_curve(chart, ends)
             for run, colour in runs:
-                name, hidden = f"{run.via} via, commanded", {"visible": "legendonly"}
-                path_curve(chart, ends, axis, run.predicted_tool_m, name, colour, width=1, dash="dot", **hidden)
                 judge = "by encoders" if run.truth_tool_m is None else "true"
-                path_curve(chart, ends, axis, run.real_tool_m, f"{run.via} via, {judge}", colour)
+                dash, width = _strokes(run)
+                path_curve(chart, ends, axis, run.real_tool_m, f"{run.told}, {judge}", colour, dash=dash, width=width)
+            for run, colour in {run.via: (run, colour) for run, colour in runs}.values():  # one plan, however it ran
+                name, hidden = f"{run.via} via, commanded", {"visible": "legendonly"}
+                path_curve(chart, ends, axis, run.predicted_tool_m, name, colour, width=1, dash="dash", **hidden)
                 via_markers(chart, ends, axis, run, colour, f"{run.via} via points", showlegend=False)
+
+
+def _coloured(runs: Sequence[LineRun]) -> list[tuple[LineRun, str]]:
+    """Each run with the colour of its number of via points."""
+    colours = dict(zip(dict.fromkeys(run.via for run in runs), COLOURS, strict=False))
+    return [(run, colours[run.via]) for run in runs]
+
+
+def _strokes(run: LineRun) -> tuple[str, float]:
+    """Dash and width of its path: what the corrected arm did stands out from what the plain one did."""
+    return ("solid", 2.5) if run.corrected else ("dot", 1.5)
 
 
 def wanted_curve(chart: Any, ends: Ends) -> None:
@@ -249,14 +271,15 @@ def _deviation_figure(page: Page, report: LineReport) -> None:
     page.heading("Deviation along the path")
     description = "Distance of the tool from the line AB along the path, for each run"
     with page.chart(description, "Distance from the line", ALONG, "distance, mm") as chart:
-        for run, colour in zip(report.runs, COLOURS, strict=False):
-            for tool_m, dash, label in (
-                (run.predicted_tool_m, "dot", "predicted"),
-                (run.tool_m, "dash", "by encoders"),
-                (run.truth_tool_m, "solid", "true"),
-            ):
-                if tool_m is not None:
-                    distance_curve(chart, report.ends, tool_m, f"{run.via} via, {label}", colour, dash=dash)
+        for run, colour in _coloured(report.runs):
+            dash, width = _strokes(run)
+            more = {"dash": "dash", "width": 1, "visible": "legendonly"}
+            if run.truth_tool_m is None:
+                more = {"dash": dash, "width": width}
+            else:
+                name = f"{run.told}, true"
+                distance_curve(chart, report.ends, run.truth_tool_m, name, colour, dash=dash, width=width)
+            distance_curve(chart, report.ends, run.tool_m, f"{run.told}, by encoders", colour, **more)
 
 
 def _convergence_figure(page: Page, report: LineReport) -> None:
@@ -273,8 +296,8 @@ def _convergence_figure(page: Page, report: LineReport) -> None:
 def _joint_figures(page: Page, report: LineReport) -> None:
     page.heading("Joint angles against time")
     for run in report.runs:
-        description = f"Joint angles against time with {run.via} via points"
-        title = f"{run.via} via points (dotted: commanded)"
+        description = f"Joint angles against time: {run.told}"
+        title = f"{run.told} (dotted: the plan)"
         with page.chart(description, title, "time, s", "joint angle, deg") as chart:
             measured, goals = np.degrees(run.positions_rad), np.degrees(run.goals_rad)
             for joint, (name, colour) in enumerate(zip(report.joint_names, cycle((*COLOURS, "#5a6878")), strict=False)):

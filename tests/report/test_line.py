@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.line import LineReport, along_and_off, write
+from armctl.report.line import COLOURS, LineReport, along_and_off, write
 from tests.report.runs import A, B, beside, run
 from tests.words import missing
 
@@ -27,7 +27,10 @@ REPORT = LineReport(
     gap_ratio=0.02,
     best_mm=np.array([6.0, 5.0]),
     mean_mm=np.array([8.0, 7.0]),
-    runs=[run(via, path(0.001), path(-0.0123), path(-0.0456)) for via in (0, 2)],
+    runs=[
+        *(run(via, path(0.001), path(-0.0123), path(-0.0456)) for via in (0, 2)),
+        *(replace(run(via, path(0.001), path(-0.0011), path(-0.0022)), corrected=True) for via in (0, 2)),
+    ],
 )
 
 
@@ -41,7 +44,19 @@ def test_the_page_tells_what_the_paths_show(tmp_path: Path) -> None:
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)
     assert (html.count("12.3 / 12.3"), html.count("45.6 / 45.6")) == (2, 2)
     assert not missing(html, "take &lt;1&gt;", "2.00 % above")
-    assert html.count('<figure role="img"') == 3 + 1 + 1 + 2
+    assert html.count('<figure role="img"') == 3 + 1 + 1 + 4
+
+
+def test_plain_and_corrected_paths_stand_in_one_picture_in_the_colour_of_their_number_of_points(
+    tmp_path: Path,
+) -> None:
+    write(REPORT, tmp_path / "line.html")
+    html = (tmp_path / "line.html").read_text()
+    for how, dash in (("plain", "dot"), ("corrected", "solid")):
+        assert f"<td>{how}</td>" in html
+        for via, colour in zip((0, 2), COLOURS, strict=False):
+            stroke = rf'"line":{{"color":"{colour}","dash":"{dash}","width":[0-9.]+}}'
+            assert len(re.findall(rf'{stroke}[^}}]*"name":"{via} via, {how}, true"', html)) == 3
 
 
 def test_without_an_outside_measurement_the_truth_is_left_open(tmp_path: Path) -> None:
