@@ -38,7 +38,8 @@ def show(output: Output, result: dict[str, Any]) -> None:
     replayed = result["replay"]
     output.say(
         "Plain: goals are the plan's own positions. Corrected: goals lead them by how the arm lagged before.\n"
-        "Predicted: perfect servos. True: the tool's real place.\n"
+        "Predicted: perfect servos. Encoders: what the servos measured, as in the paper. True: the tool's real place\n"
+        "against the wanted line. Own line: against the straight line that fits it best.\n"
         f"Genetic algorithm: {result['ga']['mean_error_mm']:.2f} mm mean over the recorded genes, "
         f"{result['gap_ratio']:.2%} above the exact optimum.\n"
         f"Replay: {replayed['ticks']} ticks, {replayed['messages']} messages, {replayed['mismatches']} mismatches.\n"

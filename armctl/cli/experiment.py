@@ -94,9 +94,17 @@ def line_command(output: Output, virtual: bool, period_s: float | None, **asked:
 
 
 def show(output: Output, result: dict[str, Any]) -> None:
+    from armctl.report.line import PRINTED
+
     rounds = {row["via"]: corrected["round"] for corrected in result["refined"] for row in corrected["rows"]}
     rows = [
-        {**row, "before": before, "rounds": rounds[row["via"]], "repeated": row["runs"] > 1}
+        {
+            **row,
+            "before": before,
+            "rounds": rounds[row["via"]],
+            "repeated": row["runs"] > 1,
+            "paper": PRINTED.get(row["via"]),
+        }
         for row, before in zip(result["rows"], result["before"], strict=True)
     ]
     show_rows(output.console, "experiment", "Distance of the tool from the line, mean / maximum, mm", rows)
@@ -109,7 +117,8 @@ def show(output: Output, result: dict[str, Any]) -> None:
         output.say(f"Drawn in {result['report']}")
     unseen = max(one["zero_offset_mm"] for one in result["unseen"].values())
     output.say(
-        "Before and after are measured by the encoders, in whole ticks. What the encoders cannot see: zero offsets of "
-        f"half a tick move the tool by about {unseen:.1f} mm; what bending and the potentiometers' own errors do is "
-        "unknown."
+        "Before and after are measured by the encoders, in whole ticks, as were the paper's figures. True: the tool's "
+        "real place against the wanted line; own line: against the straight line that fits it best. What the encoders "
+        f"cannot see: zero offsets of half a tick move the tool by about {unseen:.1f} mm; what bending and the "
+        "potentiometers' own errors do is unknown."
     )

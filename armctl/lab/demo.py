@@ -41,6 +41,7 @@ from armctl.report import line
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.refinement import Measured
+from armctl.trajectory.straightness import own_chord_mm
 
 ARM = "ax12-line"
 ENDS = np.array(FROM_M), np.array(TO_M)
@@ -267,6 +268,7 @@ def _row(ran: _Ran) -> dict[str, Any]:
         "predicted_mean_error_mm": plan.predicted_mean_error_mm,
         "predicted_max_error_mm": plan.predicted_max_error_mm,
         "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},
+        "own_chord": dict(zip(("mean_error_mm", "max_error_mm"), own_chord_mm(tool_m), strict=True)),
         "recording": ran.answer["recording"],
     }
 

@@ -13,6 +13,7 @@ from armctl.lab.course import Via
 from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.report.line import DrawnOutcome, LineRun
+from armctl.trajectory import straightness
 from armctl.trajectory.course import Line
 from armctl.trajectory.line_path import levers_m
 from armctl.trajectory.plan import Plan, plan_positions
@@ -38,6 +39,7 @@ def row(line: Line, via: Via, rig: Rig, plan: Plan, runs: Sequence[Measured]) ->
     chain = rig.robot.chain
     by_encoder = np.array([line.errors_mm(tool_position(chain, run.positions_rad[:, : chain.n])) for run in runs])
     truths = [line.errors_mm(run.true_tool_m) for run in runs if run.true_tool_m is not None]
+    own = [straightness.own_chord_mm(run.true_tool_m) for run in runs if run.true_tool_m is not None]
 
     # Column by column: sums over rows of pairs would round otherwise.
     def both(of: Callable[[FloatArray], Any], errors: FloatArray, prefix: str = "") -> dict[str, float]:
@@ -51,6 +53,7 @@ def row(line: Line, via: Via, rig: Rig, plan: Plan, runs: Sequence[Measured]) ->
         **both(np.mean, by_encoder),
         "duration_s": float(np.mean([run.duration_s for run in runs])),
         "truth": None,
+        "own_chord": None,
         "predicted_mean_error_mm": plan.predicted_mean_error_mm,
         "predicted_max_error_mm": plan.predicted_max_error_mm,
         "runs": len(runs),
@@ -60,6 +63,7 @@ def row(line: Line, via: Via, rig: Rig, plan: Plan, runs: Sequence[Measured]) ->
     if truths:
         true = np.array(truths)
         result["truth"] = both(np.mean, true)
+        result["own_chord"] = both(np.mean, np.array(own))
         result["spread"] |= both(np.std, true, "true_")
     return result
 

@@ -11,6 +11,7 @@ import numpy as np
 from armctl.kinematics.transform import FloatArray
 from armctl.report import line, pareto, picture
 from armctl.report.page import Page, curve
+from armctl.trajectory import straightness
 
 
 def write(report: line.ExperimentReport, path: Path) -> None:
@@ -49,6 +50,7 @@ def _table(page: Page, report: line.ExperimentReport) -> None:
     for one in report.outcomes:
         by_encoder = [line.errors_mm(run.tool_m, *report.ends) for run in one.runs]
         truths = [line.errors_mm(run.truth_tool_m, *report.ends) for run in one.runs if run.truth_tool_m is not None]
+        own = [straightness.own_chord_mm(run.truth_tool_m) for run in one.runs if run.truth_tool_m is not None]
         durations = [run.duration_s for run in one.runs]
         paper = line.PRINTED.get(one.via) if isinstance(one.via, int) else None
         rows.append(
@@ -57,20 +59,22 @@ def _table(page: Page, report: line.ExperimentReport) -> None:
                 "{:.1f} / {:.1f}".format(*line.errors_mm(one.before.real_tool_m, *report.ends)),
                 f"{one.runs[0].predicted_mean_mm:.2f} / {one.runs[0].predicted_max_mm:.2f}",
                 _spread(by_encoder),
+                "-" if paper is None else f"{paper.errors} in {paper.duration_s:.1f} s",
                 _spread(truths) if truths else "unknown",
+                _spread(own) if own else "unknown",
                 f"{np.mean(durations):.2f}" + (f" ± {np.std(durations):.2f}" if len(durations) > 1 else ""),
                 len(one.runs),
                 len(one.rounds) - 1,
-                "-" if paper is None else f"{paper.errors} in {paper.duration_s:.1f} s",
             )
         )
     page.heading("Distance from the line")
     page.table(
-        ("via", "before", "predicted", "by encoders", "true", "time s", "repeats", "corrections", "paper"),
+        ("via", "before", "predicted", "by encoders", "paper", "true", "own line", "time s", "repeats", "corrections"),
         rows,
         "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20), ± standard deviation over the "
         "repeats. Before: the plain plan on the arm as it is; the true distance where it is known. Predicted: the "
-        "corrected plan, with what was learnt about the arm. Paper: Raharjo et al., Table II.",
+        "corrected plan, with what was learnt about the arm. Paper: Raharjo et al., Table II, measured by encoders. "
+        "True: the tool's real place against AB; own line: against the straight line that fits it best.",
     )
 
 

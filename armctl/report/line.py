@@ -159,6 +159,7 @@ def _table(page: Page, report: LineReport) -> None:
     for run in report.runs:
         encoder = errors_mm(run.tool_m, *report.ends)
         truth = None if run.truth_tool_m is None else errors_mm(run.truth_tool_m, *report.ends)
+        own = None if run.truth_tool_m is None else straightness.own_chord_mm(run.truth_tool_m)
         paper = PRINTED.get(run.via)
         rows.append(
             (
@@ -166,19 +167,21 @@ def _table(page: Page, report: LineReport) -> None:
                 "corrected" if run.corrected else "plain",
                 f"{run.predicted_mean_mm:.1f} / {run.predicted_max_mm:.1f}",
                 "{:.1f} / {:.1f}".format(*encoder),
-                "-" if truth is None else "{:.1f} / {:.1f}".format(*truth),
-                f"{run.duration_s:.1f}",
                 "-" if paper is None else paper.errors,
+                "-" if truth is None else "{:.1f} / {:.1f}".format(*truth),
+                "-" if own is None else "{:.1f} / {:.1f}".format(*own),
+                f"{run.duration_s:.1f}",
                 "-" if paper is None else f"{paper.duration_s:.1f}",
             )
         )
     page.heading("Distance from the line")
     page.table(
-        ("via points", "goals", "predicted", "by encoders", "true", "time s", "paper", "paper's time s"),
+        ("via points", "goals", "predicted", "by encoders", "paper", "true", "own line", "time s", "paper's time s"),
         rows,
         "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20). Predicted: the commanded motion on "
-        "perfect servos. True: the tool's real place, with sag under gravity, play and zero offsets. "
-        "Paper: Table II.",
+        "perfect servos. By encoders: servo angles through forward kinematics, as the paper measured its Table II. "
+        "True: the tool's real place, with sag under gravity, play and zero offsets. Own line: the real path against "
+        "the straight line that fits it best.",
     )
     page.heading("Candidates")
     page.table(

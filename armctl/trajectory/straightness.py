@@ -52,6 +52,27 @@ def max_error(points: FloatArray, A: FloatArray, B: FloatArray) -> FloatArray:
     return np.asarray(distance_to_line(points, A, B).max(axis=-1))
 
 
+def best_line(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The path's own chord: the line from which its points are least far, root mean square.
+
+    How straight a path is in itself, wherever it lies: errors of an arm's geometry move and turn a path much more than
+    they bend it.
+
+    Args:
+        points: Tool points [m], shape (m, 3), not all the same.
+    Returns:
+        Two points of the line, a metre apart, each shape (3,).
+    """
+    middle = points.mean(axis=0)
+    return middle, middle + np.linalg.svd(points - middle, full_matrices=False)[2][0]
+
+
+def own_chord_mm(points: FloatArray) -> tuple[float, float]:
+    """Mean and largest distance of a path, shape (m, 3) [m], from its `best_line` [mm]."""
+    distance = distance_to_line(points, *best_line(points)) * 1e3
+    return float(distance.mean()), float(distance.max())
+
+
 def _checked(points: FloatArray, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     points, A, B = (np.asarray(value, dtype=np.float64) for value in (points, A, B))
     if A.shape != (3,) or B.shape != (3,) or points.shape[-1:] != (3,):

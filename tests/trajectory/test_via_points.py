@@ -7,9 +7,16 @@ import pytest
 from hypothesis import given
 
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, matrix_from_rpy
 from armctl.trajectory.interpolate import Interpolation
-from armctl.trajectory.straightness import distance_to_line, max_error, mean_error, progress_along_line
+from armctl.trajectory.straightness import (
+    best_line,
+    distance_to_line,
+    max_error,
+    mean_error,
+    own_chord_mm,
+    progress_along_line,
+)
 from armctl.trajectory.via_points import SAMPLES, choose_via_points, predict_tool_path
 from tests.genetic import hand
 from tests.kinematics.conftest import seeds
@@ -110,3 +117,28 @@ def test_a_line_needs_two_points() -> None:
         distance_to_line(np.zeros((4, 3)), A, A)
     with pytest.raises(ValueError, match="x, y, z"):
         progress_along_line(np.zeros((4, 2)), A, B)
+
+
+# ------------------------------------------------------------------------------------------------- a path's own chord
+
+
+@given(seeds)
+def test_no_other_line_is_nearer_to_a_path_than_its_own_chord_root_mean_square(seed: int) -> None:
+    A, B, (points, *_) = line_and_points(seed)
+    own = (distance_to_line(points, *best_line(points)) ** 2).mean()
+    assert own <= (distance_to_line(points, A, B) ** 2).mean() + 1e-15
+
+
+@given(seeds)
+def test_moving_and_turning_a_path_leaves_how_straight_it_is_in_itself(seed: int) -> None:
+    *_, (points, *_) = line_and_points(seed)
+    rng = np.random.default_rng(seed)
+    moved = points @ matrix_from_rpy(*rng.uniform(-3.0, 3.0, 3)).T + rng.uniform(-1.0, 1.0, 3)
+    np.testing.assert_allclose(own_chord_mm(moved), own_chord_mm(points), rtol=1e-6, atol=1e-9)
+
+
+@given(seeds)
+def test_a_straight_path_lies_on_its_own_chord_wherever_it_is(seed: int) -> None:
+    A, B, _ = line_and_points(seed)
+    points = A + np.random.default_rng(seed).uniform(-1.0, 2.0, 9)[:, None] * (B - A)
+    np.testing.assert_allclose(own_chord_mm(points), 0.0, atol=1e-9)
