@@ -43,13 +43,14 @@ def _loaded(model: type[M], path: Path, what: str) -> M:
 
 def calibration_dirs() -> tuple[Path, ...]:
     """Folders searched for an arm's name, first hit wins."""
+    own = _user_dir("XDG_CONFIG_HOME", ".config") / "armctl" / "calibration"
+    return (own, Path("/etc/armctl/calibration"), *shipped_dirs())
+
+
+def shipped_dirs() -> tuple[Path, ...]:
+    """Where the arms lie that come with armctl."""
     package = Path(__file__).resolve().parent
-    return (
-        _user_dir("XDG_CONFIG_HOME", ".config") / "armctl" / "calibration",
-        Path("/etc/armctl/calibration"),
-        package / "calibration",
-        package.parent / "calibration",
-    )
+    return package / "calibration", package.parent / "calibration"
 
 
 def find_arm_file(arm: str) -> Path:
@@ -91,7 +92,7 @@ def load_config(path: str | None = None) -> Config:
 
 
 def data_dir(config: Config) -> Path:
-    """Folder that holds `logs/`, `recordings/` and `plans/`."""
+    """Folder that holds `logs/`, `recordings/`, `plans/` and `sag/`."""
     return Path(config.data_dir) if config.data_dir else _own_data_dir()
 
 

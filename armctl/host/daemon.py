@@ -152,9 +152,9 @@ async def _parts(
     config: Config, arm: ArmConfig, port: str, folders: tuple[Path, Path], outside: Outside
 ) -> tuple[Host, Server, TakeRecorder]:
     """Import and make what serves clients, once what a crash left in the folders is whole again."""
-    from armctl.commissioning import sag_file
     from armctl.host.host import Host
     from armctl.host.jobs import optimize_task, run_job
+    from armctl.host.learning import Learner
     from armctl.host.methods import Methods
     from armctl.host.roles import may_command
     from armctl.host.server import Server
@@ -167,8 +167,8 @@ async def _parts(
         await asyncio.to_thread(_recover, folder)
     context = LogContext(arm=arm, robot=robot, config=config, port=port, period_s=config.period_s)
     recorder = (outside.make_recorder or Recorder)(context, *folders)
-    load_model = partial(sag_file.load, config, arm)
-    host = Host(arm, robot, config.period_s, recorder, outside.clock, load_model)
+    learner = Learner(config, arm, robot, config.period_s)
+    host = Host(arm, robot, config.period_s, recorder, outside.clock, learner.load, learner.learn)
     methods = Methods(host, folders[1], partial(run_job, optimize_task))
     server = Server(
         methods.table(),

@@ -21,7 +21,7 @@ from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
 from armctl.control.jog import joint_velocities
 from armctl.errors import ConfigError, IllegalTransition, RequestRefused
-from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
+from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, not_holding, restarting
 from armctl.host.lease import Client, Lease, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots
 from armctl.host.takes import TakeRecorder, Takes
@@ -67,10 +67,12 @@ class Host:
         recorder: TakeRecorder,
         clock: Clock,
         load_model: Callable[[], LagModel | None] = lambda: None,
+        learn: Callable[[Sequence[Done]], str] = lambda _: "",
     ) -> None:
         """
         Args:
             load_model: The arm's own lag model, as far as there is one by now.
+            learn: Learns from what was run; what is not as the model says, or nothing.
         """
         self.arm, self.robot, self.period_s = arm, robot, period_s
         self.recorder = recorder
@@ -86,7 +88,9 @@ class Host:
         self._hurried = False
         self._watch: Watch | None = None
         self._background: set[asyncio.Task[Any]] = set()
-        self._load_model = load_model
+        self._load_model, self._learn = load_model, learn
+        # What the answer of the motion that ended last is to tell besides.
+        self.notice = ""
         # The control process that was told a model, and which.
         self._model: tuple[int | None, LagModel | None] = None, None
 
@@ -303,6 +307,10 @@ class Host:
         finally:
             self._watch = None
             await self.takes.end()
+        if notice := await asyncio.to_thread(self._learn, done):
+            self.notice = notice
+            self.note({"event": "MODEL", "text": notice})
+            lease.client.notify("progress", {"warning": "MODEL", "text": notice})
         return name, done
 
     async def _made(self, leg: Leg, what: str) -> JointTrajectory:
@@ -344,7 +352,7 @@ class Host:
         if self.exchange.pid is None or latest is None:
             raise restarting()
         if (mode := latest.outputs.mode) is not Mode.HOLDING:
-            raise IllegalTransition(f"{what}: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")
+            raise not_holding(what, mode)
         return latest.outputs.wanted_rad
 
     # --------------------------------------------------------------------------------------------- status
@@ -385,16 +393,3 @@ class Host:
             "tool_speed_limit_m_s": self.arm.tool_speed_limit_m_s,
             "pids": {"daemon": os.getpid(), "control": self.exchange.pid},
         }
-
-
-_TO_HOLD = {
-    Mode.STARTING: "wait until every servo has answered",
-    Mode.OFF: "`armctl torque on` first",
-    Mode.ENERGISING: "wait until torque is on",
-    Mode.MOVING: "wait, or `armctl stop`",
-    Mode.JOGGING: "end the jog, or `armctl stop`",
-    Mode.PARKING: "wait, or `armctl stop`",
-    Mode.TEACHING: "end the teaching first",
-    Mode.RELEASING: "wait until torque is off, then `armctl torque on`",
-    Mode.FAULTED: "see `armctl status`, then `armctl clear`",
-}

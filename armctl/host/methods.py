@@ -97,6 +97,8 @@ class JogBeat(Frozen):
 
 # Heartbeats of a jog are logged as commands of the control step; an optimisation moves nothing.
 UNNOTED = ("jog", "optimize")
+# What is learnt from.
+MOTIONS = {"run", "move", "reach", "transfer", "play", "path"}
 
 
 def _observed(look: Callable[[], dict[str, Any]]) -> Method:
@@ -161,6 +163,8 @@ class Methods:
             "recordings_delete": Method(Named, _in_thread(self._recordings_delete)),
             "optimize": Method(RecordedRequest, self._optimize),
         }
+        for name in MOTIONS & methods.keys():
+            methods[name] = replace(methods[name], handle=self._with_notice(methods[name].handle))
         return {
             name: method if method.observes or name in UNNOTED else replace(method, handle=self._noted(name, method))
             for name, method in methods.items()
@@ -171,6 +175,16 @@ class Methods:
         self._host.client_gone(client)
         if self._job is not None and self._job[0] is client:
             self._job[1].cancel()
+
+    def _with_notice(self, handle: Handler) -> Handler:
+        """The handler of a motion, whose answer tells what is not as the arm's model says."""
+
+        async def told(client: Connection, p: Any) -> dict[str, Any]:
+            result = await handle(client, p)
+            notice, self._host.notice = self._host.notice, ""
+            return {**result, "notice": notice} if notice else result
+
+        return told
 
     def _noted(self, name: str, method: Method) -> Handler:
         """The method's handler, whose use and outcome go into the log."""

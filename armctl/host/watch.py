@@ -34,6 +34,13 @@ class Watch:
     # The same at the next tick, as far as it is known.
     ahead: float = 0.0
     marks_ns: dict[str, int] = field(default_factory=dict)
+    # When each tick's goal left, the goal, and where the joints are wanted a tick later [rad]; empty: there was none.
+    now_ns: list[int] = field(default_factory=list)
+    goals: list[tuple[int, ...]] = field(default_factory=list)
+    wanted_rad: list[tuple[float, ...]] = field(default_factory=list)
+    # Whether each servo answered, and its load.
+    fresh: list[tuple[bool, ...]] = field(default_factory=list)
+    load_ratio: list[tuple[float, ...]] = field(default_factory=list)
     # How often goals were changed at rest.
     corrections: int = 0
 
@@ -43,6 +50,12 @@ class Watch:
         self.positions_rad.append(tuple(joint.position_rad for joint in record.outputs.joints))
         self.progress.append(self.ahead)
         self.ahead = self.ahead if record.outputs.progress is None else record.outputs.progress
+        self.fresh.append(tuple(servo.fresh for servo in record.inputs.sample.servos))
+        self.load_ratio.append(tuple(joint.load_ratio for joint in record.outputs.joints))
+        self.now_ns.append(record.inputs.now_ns)
+        goal = record.outputs.goal
+        self.goals.append(goal.ticks if goal is not None else self.goals[-1] if self.goals else ())
+        self.wanted_rad.append(record.outputs.wanted_rad)
         for event in record.outputs.events:
             self.corrections += event.code == "CORRECTED"
             if event.code in ("PLAN_BEGIN", "PLAN_END"):

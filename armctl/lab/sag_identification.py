@@ -54,10 +54,9 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
         RequestRefused: the arm cannot run enough lines, or stopped.
     """
     chain = rig.robot.chain
-    lags: list[FloatArray] = []
-    rows: list[FloatArray] = []
+    seen: list[lag.Summary] = []
     for _ in range(MOST_TRIES):
-        if len(lags) == LINES:
+        if len(seen) == LINES:
             break
         A, B = random_line(rig, rng)
         try:
@@ -72,13 +71,13 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
             if refusal.code not in ("PREFLIGHT", "LIMIT", "LINE"):
                 raise
             continue
-        lags.append(lag_of(rig, plan, measured))
-        q = course.goals_rad - smoothed(lags[-1], rig.period_s)
-        rows.append(lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
-        show(len(lags))
-    if len(lags) < LINES:
-        raise RequestRefused("CALIBRATE", f"only {len(lags)} of {LINES} calibration lines could be run")
-    return lag.fitted(rig.arm, chain, lags, rows)
+        lags = lag_of(rig, plan, measured)
+        q = course.goals_rad - smoothed(lags, rig.period_s)
+        seen.append(lag.summary(lags, lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s)))
+        show(len(seen))
+    if len(seen) < LINES:
+        raise RequestRefused("CALIBRATE", f"only {len(seen)} of {LINES} calibration lines could be run")
+    return lag.fitted(rig.arm, chain, seen)
 
 
 def learnt(rig: Rig, runs: Sequence[tuple[Plan, Measured]]) -> LagModel:
@@ -87,10 +86,10 @@ def learnt(rig: Rig, runs: Sequence[tuple[Plan, Measured]]) -> LagModel:
     What runs do not show of an arm stays as the nominal model has it.
     """
     chain = rig.robot.chain
-    lags, rows = [], []
+    seen = []
     for plan, measured in runs:
-        lags.append(lag_of(rig, plan, measured))
-        time_s: FloatArray = np.arange(len(lags[-1])) * np.float64(rig.period_s)
-        q = plan_positions(plan, time_s)[:, : chain.n] - smoothed(lags[-1], rig.period_s)
-        rows.append(lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
-    return lag.fitted(rig.arm, chain, lags, rows)
+        lags = lag_of(rig, plan, measured)
+        time_s: FloatArray = np.arange(len(lags)) * np.float64(rig.period_s)
+        q = plan_positions(plan, time_s)[:, : chain.n] - smoothed(lags, rig.period_s)
+        seen.append(lag.summary(lags, lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s)))
+    return lag.fitted(rig.arm, chain, seen)

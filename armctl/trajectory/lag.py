@@ -11,8 +11,11 @@ output shaft: sag and play are seen; zero offsets, bending and the potentiometer
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.config import ArmConfig
 from armctl.dynamixel.ax12a import LOAD_MAX, NO_LOAD_SPEED_RAD_S, STALL_TORQUE_NM, TICK_RAD, compliance_slope
@@ -121,26 +124,61 @@ def nominal(arm: ArmConfig, chain: SerialChain) -> LagModel:
     return LagModel(arm.arm_id, arm.calibration_hash, tuple(rows))
 
 
-def fitted(arm: ArmConfig, chain: SerialChain, lags: Sequence[FloatArray], rows: Sequence[FloatArray]) -> LagModel:
-    """The model that explains measured lags best: least squares, with a weak ridge penalty towards the nominal model.
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What samples tell of each joint's equation, however many: least squares needs no more than these sums."""
+
+    # Of regressors by regressors, shape (n, n + 3, n + 3), and by lag, shape (n, n + 3).
+    XX: FloatArray
+    Xy: FloatArray
+    # Of lag by lag [rad^2], shape (n,), and how many samples there are, shape (n,).
+    yy: FloatArray
+    count: FloatArray
+
+    def __add__(self, other: Self) -> Self:
+        sums = [a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)]
+        return type(self)(*sums)
+
+    def squares(self, rows: FloatArray) -> FloatArray:
+        """What coefficients, shape (n, n + 3), leave of each joint's lag: the sum of squares [rad^2], shape (n,)."""
+        explained = np.einsum("ik,ikl,il->i", rows, self.XX, rows)
+        return np.asarray(np.maximum(self.yy - 2.0 * (rows * self.Xy).sum(axis=1) + explained, 0.0))
+
+    def rms_rad(self, rows: FloatArray) -> FloatArray:
+        """The same as a root mean square [rad], shape (n,); 0 where there is no sample."""
+        return np.asarray(np.sqrt(self.squares(rows) / np.maximum(self.count, 1.0)))
+
+
+def summary(lags: FloatArray, X: FloatArray, known: NDArray[np.bool_] | None = None) -> Summary:
+    """The sums over one motion.
 
     Args:
-        lags: Goal less position [rad] of each motion, shape (m, n).
-        rows: Its `regressors`, shape (n, m, n + 3).
+        lags: Goal less position [rad], shape (m, n).
+        X: Its `regressors`, shape (n, m, n + 3).
+        known: Which samples count, shape (m, n); None: all.
     """
-    lag, X = np.concatenate(lags), np.concatenate(rows, axis=1)
-    n = lag.shape[1]
+    y = lags.T
+    weight = np.ones(y.shape) if known is None else known.T.astype(float)
+    W = X * weight[..., None]
+    return Summary(
+        np.einsum("imk,iml->ikl", W, X), np.einsum("imk,im->ik", W, y), (weight * y * y).sum(axis=1), weight.sum(axis=1)
+    )
+
+
+def fitted(arm: ArmConfig, chain: SerialChain, motions: Sequence[Summary]) -> LagModel:
+    """The model that explains motions best: least squares, with a weak ridge penalty towards the nominal model."""
+    whole, n = sum(motions[1:], motions[0]), chain.n
     prior = np.array(nominal(arm, chain).rows)
-    coefficients, residual = np.empty((n, n + 3)), np.empty(n)
+    coefficients = np.empty((n, n + 3))
     for i in range(n):
         scale = SPREAD * np.abs(prior[i])
         scale[-1] = CONSTANT_RAD
-        S, rest = X[i] * scale, lag[:, i] - X[i] @ prior[i]
-        normal = S.T @ S + TICK_RAD**2 * np.eye(n + 3)
-        coefficients[i] = prior[i] + scale * np.linalg.solve(normal, S.T @ rest)
-        residual[i] = (lag[:, i] - X[i] @ coefficients[i]).std() / TICK_RAD
+        normal = scale[:, None] * whole.XX[i] * scale + TICK_RAD**2 * np.eye(n + 3)
+        pull = scale * (whole.Xy[i] - whole.XX[i] @ prior[i])
+        coefficients[i] = prior[i] + scale * np.linalg.solve(normal, pull)
     found = tuple(map(tuple, coefficients.tolist()))
-    return LagModel(arm.arm_id, arm.calibration_hash, found, tuple(residual.tolist()), len(lags))
+    residual = whole.rms_rad(coefficients) / TICK_RAD
+    return LagModel(arm.arm_id, arm.calibration_hash, found, tuple(residual.tolist()), len(motions))
 
 
 def predict(model: LagModel, X: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from armctl.trajectory.lag import (
     predict,
     regressors,
     side_after,
+    summary,
 )
 from tests.genetic import hand
 
@@ -39,7 +40,7 @@ def test_coefficients_are_found_again_in_what_they_make(seed: int) -> None:
     plain = nominal(ARM, CHAIN)
     truth = replace(plain, rows=tuple(tuple(g * rng.uniform(0.7, 1.3) for g in row) for row in plain.rows))
     lags = [predict(truth, rows) + 0.3 * TICK_RAD * rng.standard_normal((51, 5)) for rows in X]
-    found = fitted(ARM, CHAIN, lags, X)
+    found = fitted(ARM, CHAIN, [summary(lag, rows) for lag, rows in zip(lags, X, strict=True)])
     assert max(found.residual_tick) < 0.36
     for rows in X:
         assert np.abs(predict(found, rows) - predict(truth, rows)).mean() < 0.2 * TICK_RAD
@@ -102,3 +103,16 @@ def test_friction_s_side_stays_within_one_and_goes_the_way_of_the_motion(side: f
     after = side_after(side, way_rad)
     assert -1.0 <= after <= 1.0
     assert (after - side) * way_rad >= -1e-15
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_sums_tell_of_a_model_what_the_samples_tell(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    X = regressors(CHAIN, motion(rng), rng.uniform(-0.05, 0.05, 5), PERIOD_S)
+    lags, known = 0.01 * rng.standard_normal((51, 5)), rng.random((51, 5)) < 0.7
+    model = nominal(ARM, CHAIN)
+    left = lags - predict(model, X)
+    rms = [float(np.sqrt((left[known[:, i], i] ** 2).mean())) for i in range(5)]
+    halves = [summary(lags[part], X[:, part], known[part]) for part in (slice(20), slice(20, None))]
+    np.testing.assert_allclose((halves[0] + halves[1]).rms_rad(np.array(model.rows)), rms, rtol=1e-6)

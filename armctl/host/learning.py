@@ -1,0 +1,109 @@
+"""The arm's lag model, learnt after each motion (see `trajectory/learning.py`), kept beside its calibration.
+
+It runs in a thread, once the arm rests and before the motion is answered: the next motion has what this one taught, and
+the answer tells what is not as the model says. A motion that failed, or with something in the gripper, teaches nothing.
+"""
+
+import logging
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+
+from armctl.clock import NS_PER_S
+from armctl.commissioning import sag_file
+from armctl.config import ArmConfig, Config
+from armctl.errors import ConfigError
+from armctl.host.watch import Done, Watch
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.transform import FloatArray
+from armctl.messages import LagModel
+from armctl.trajectory import lag, learning
+from armctl.trajectory.learning import Seen, Stand
+
+logger = logging.getLogger(__name__)
+
+# Of the load with which a gripper holds: with more it has something between its fingers.
+HELD_SHARE = 0.5
+
+
+class Learner:
+    """What is known of one arm's lag."""
+
+    def __init__(self, config: Config, arm: ArmConfig, robot: Robot, period_s: float) -> None:
+        self._config, self.arm, self.robot, self.period_s = config, arm, robot, period_s
+        self._history: sag_file.History | None = None
+        # How the last motion left the joints.
+        self._stand: Stand | None = None
+
+    def load(self) -> LagModel | None:
+        """The arm's own model, as far as there is one by now.
+
+        Raises:
+            ConfigError: its file is no model.
+        """
+        return sag_file.load(self._config, self.arm)
+
+    def learn(self, done: Sequence[Done]) -> str:
+        """Learn from what was run, leg by leg; what is not as the model says, or nothing."""
+        before, self._stand = self._stand, None
+        sums: lag.Summary | None = None
+        for leg in done:
+            if leg.trajectory.grip is not None or self._holds(leg.watch):
+                return ""
+            if (seen := self._seen(leg.watch)) is None:
+                continue
+            more, before = learning.sums_of(self.robot.chain, seen, before, self.period_s)
+            sums = more if sums is None else sums + more
+        self._stand = before
+        if sums is None:
+            return ""
+        try:
+            return self._learnt(sums)
+        except ConfigError as error:
+            logger.error("nothing is learnt of the arm's lag: %s", error)
+            return ""
+
+    def _learnt(self, sums: lag.Summary) -> str:
+        chain = self.robot.chain
+        if self._history is None:
+            self._history = sag_file.load_history(self._config, self.arm, chain.n)
+        history, present = self._history, self.load() or lag.nominal(self.arm, chain)
+        lesson = learning.learn(self.arm, chain, history.experience(), present, sums)
+        made = datetime.now(UTC).isoformat(timespec="seconds")
+        self._history = history.after(lesson, made)
+        if lesson.model is not None:
+            sag_file.save(self._config, lesson.model, version=self._history.version, made=made)
+        sag_file.save_history(self._config, self._history)
+        return lesson.change
+
+    def _holds(self, watch: Watch) -> bool:
+        """Whether the gripper had something between its fingers at the end."""
+        gripper = self.arm.gripper
+        if gripper is None:
+            return False
+        index = self.arm.joint_names.index(gripper.joint)
+        return abs(watch.load_ratio[-1][index]) >= HELD_SHARE * gripper.load_ratio
+
+    def _seen(self, watch: Watch) -> Seen | None:
+        """The motion from its first goal on; None: there was hardly any."""
+        n = self.robot.chain.n
+        begin = next((k for k, goal in enumerate(watch.goals) if goal), len(watch.goals))
+        if len(watch.goals) - begin < learning.SAMPLES:
+            return None
+        origin_ns = watch.now_ns[begin]
+
+        def since_s(times_ns: Sequence[object]) -> FloatArray:
+            since_ns = np.array(times_ns[begin:], dtype=np.int64) - origin_ns
+            return np.asarray(since_ns / np.float64(NS_PER_S))
+
+        ticks = zip(*watch.goals[begin:], strict=True)
+        goals = [[joint.position_rad(tick) for tick in row] for joint, row in zip(self.arm.joints, ticks, strict=True)]
+        return Seen(
+            due_s=since_s(watch.now_ns) + self.period_s,
+            goals_rad=np.array(goals).T[:, :n],
+            wanted_rad=np.array(watch.wanted_rad[begin:])[:, :n],
+            read_s=since_s(watch.stamps_ns)[:, :n],
+            positions_rad=np.array(watch.positions_rad[begin:])[:, :n],
+            fresh=np.array(watch.fresh[begin:])[:, :n],
+        )
