@@ -165,7 +165,9 @@ def optimize_command(
     except OSError as error:
         raise LogError(f"{out}: cannot write the plan: {error.strerror}") from None
     plan = {"path": str(out)} | {key: value for key, value in plan.items() if key != "text"}
-    answer = {key: result[key] for key in ("baseline", "ga", "exact", "gap_ratio", "free")} | {"plan": plan}
+    answer = {key: result[key] for key in ("baseline", "best_take_mm", "ga", "exact", "gap_ratio", "free")} | {
+        "plan": plan
+    }
     output.answer(answer, partial(show_optimum, output, result, plan))
 
 
@@ -181,6 +183,9 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
     rows += [(path, f"{error['mean_error_mm']:.2f}", "") for path, error in found.items() if error]
     mean, worst = (f"{plan[f'predicted_{kind}_error_mm']:.2f}" for kind in ("mean", "max"))
     rows.append((f"plan with {plan['via']} via points, on perfect servos", mean, worst))
+    mean, worst = (f"{plan[f'expected_{kind}_error_mm']:.2f}" for kind in ("mean", "max"))
+    whose = "this arm's" if plan["sag_model"] else "a new arm's"
+    rows.append((f"to be expected, by {whose} model of the sag", mean, worst))
     show_table(output.console, "Distance from the line, mm", ("path", "mean", "maximum"), rows, words=("path",))
     output.say(f"run it with: armctl run {plan['path']}")
 
@@ -188,12 +193,14 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
 def _optimize_here(
     output: Output, recordings: tuple[str, ...], request: OptimizeRequest, progress: Any
 ) -> dict[str, Any]:
+    from armctl.commissioning import sag_file
     from armctl.files import data_dir
     from armctl.host.jobs import OptimizeJob, optimize_task
 
     folder = data_dir(output.config) / "recordings"
+    arm = output.arm
     paths = tuple(Path(name) if "/" in name else folder / f"{name}.mcap" for name in recordings)
-    return optimize_task(OptimizeJob(output.arm, paths, request), progress)
+    return optimize_task(OptimizeJob(arm, paths, request, sag_file.load(output.config, arm)), progress)
 
 
 @command("run", SOCKET)

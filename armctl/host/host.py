@@ -319,13 +319,17 @@ class Host:
         q_measured = tuple(joint.position_rad for joint in self.latest.outputs.joints)
         return await asyncio.to_thread(lambda: thinned(leg(q_now, q_measured)))
 
-    async def _use_model(self) -> None:
-        """Let the control process correct by the arm's own model, if there is one that it does not know yet."""
+    async def own_model(self) -> LagModel | None:
+        """The arm's own lag model, if there is one that can be read."""
         try:
-            model = await asyncio.to_thread(self._load_model)
+            return await asyncio.to_thread(self._load_model)
         except ConfigError as error:
             logger.error("the lag of this arm is foreseen as that of a new one: %s", error)
-            return
+            return None
+
+    async def _use_model(self) -> None:
+        """Let the control process correct by the arm's own model, if there is one that it does not know yet."""
+        model = await self.own_model()
         if model is not None and (self.exchange.pid, model) != self._model:
             await self.exchange.request(lambda request_id: UseModel(request_id, model))
             self._model = self.exchange.pid, model

@@ -27,8 +27,11 @@ from armctl.errors import ArmctlError, RequestRefused
 from armctl.genetic.request import OptimizeRequest, ViaCounts
 from armctl.genetic.straight_line import optimize
 from armctl.kinematics import robots
+from armctl.kinematics.chain import SerialChain
+from armctl.messages import LagModel
 from armctl.recording import recordings
-from armctl.trajectory.plan import plan_to_text
+from armctl.trajectory.expectation import expected_mm
+from armctl.trajectory.plan import Plan, plan_to_text
 
 PROGRESS_PERIOD_S = 0.1
 # A computation must not take the processor from the control process.
@@ -132,6 +135,8 @@ class OptimizeJob:
     arm: ArmConfig
     paths: tuple[Path, ...]
     request: OptimizeRequest
+    # The arm's own lag model, if there is one.
+    model: LagModel | None = None
 
 
 def load_takes(arm: ArmConfig, paths: Sequence[Path]) -> list[recordings.Recording]:
@@ -169,8 +174,9 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
         times_s.append(time.monotonic())
         progress(generation, best, mean)
 
+    robot = robots.get(arm.robot, arm.lengths_m)
     takes = [recording.positions_rad for recording in loaded]
-    result = optimize(takes, arm, robots.get(arm.robot, arm.lengths_m), request, timed)
+    result = optimize(takes, arm, robot, request, timed)
     if not result.feasible:
         least_s = result.least_duration_s
         remedy = f"give {least_s:.1f} s or more" if least_s is not None else "record steadier takes"
@@ -181,6 +187,7 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
         "baseline": [
             {"name": recording.name, **asdict(error)} for recording, error in zip(loaded, result.baseline, strict=True)
         ],
+        "best_take_mm": min(error.mean_error_mm for error in result.baseline),
         "ga": {
             **_named(ga.path, "mean_error_mm", "max_error_mm"),
             **_named(ga, "generations", "evaluations"),
@@ -192,11 +199,19 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
         "free": free and _named(free, "mean_error_mm", "max_error_mm", "largest_offset_rad", "feasible", "tool_m"),
         "plans": [
             _named(plan, "via", "predicted_mean_error_mm", "predicted_max_error_mm", "duration_s")
+            | _expected(job, robot.chain, plan)
             | {"text": plan_to_text(plan)}
             for plan in result.plans
         ],
         "history": {key: list(getattr(ga, key)) for key in ("best_cost_mm", "mean_cost_mm")},
     }
+
+
+def _expected(job: OptimizeJob, chain: SerialChain, plan: Plan) -> dict[str, Any]:
+    """What the arm will make of a plan; `sag_model`: whether its own lag is foreseen, not that of a new arm."""
+    mean_mm, max_mm = expected_mm(job.arm, chain, plan, job.model)
+    known = job.model is not None and job.arm.correction
+    return {"sag_model": known, "expected_mean_error_mm": mean_mm, "expected_max_error_mm": max_mm}
 
 
 def _named(result: object, *names: str) -> dict[str, Any]:

@@ -218,12 +218,12 @@ class Methods:
         if self._job is not None:
             raise RequestRefused("BUSY", f"client {self._job[0].name} is optimising; try again when it is done")
         job = next(self._job_ids)
-        work_on = OptimizeJob(self._host.arm, tuple(map(self._path, p.recordings)), p)
+        paths = tuple(map(self._path, p.recordings))
 
         def progress(generation: int, best: float, mean: float) -> None:
             client.notify("progress", {"job": job, "generation": generation, "best": best, "mean": mean})
 
-        work = asyncio.ensure_future(self._run_optimisation(work_on, progress))
+        work = asyncio.ensure_future(self._optimized(paths, p, progress))
         self._job = client, work
         try:
             return {"job": job, **await work}
@@ -239,6 +239,10 @@ class Methods:
             motion = await asyncio.to_thread(lambda: recordings.taught(recordings.load(path)))
         assert motion is not None  # the request has one of the two
         return await play(self._host, client, motion, p)
+
+    async def _optimized(self, paths: tuple[Path, ...], p: RecordedRequest, progress: Progress) -> dict[str, Any]:
+        model = await self._host.own_model()
+        return await self._run_optimisation(OptimizeJob(self._host.arm, paths, p, model), progress)
 
     def _path(self, name: str) -> Path:
         return recordings.find(self._recordings_dir, name)

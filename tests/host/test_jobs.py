@@ -106,7 +106,13 @@ def test_an_optimisation_says_everything_the_contract_names(tmp_path: Path) -> N
     assert result["ga"]["evaluations"] > 0
     assert result["ga"]["evaluations_per_s"] > 0.0
     assert result["ga"]["mean_error_mm"] < min(entry["mean_error_mm"] for entry in result["baseline"])
+    assert result["best_take_mm"] == min(entry["mean_error_mm"] for entry in result["baseline"])
     assert result["gap_ratio"] >= 0.0
+    for entry in result["plans"]:
+        assert entry["sag_model"] is False
+        assert (
+            0.95 * entry["predicted_mean_error_mm"] < entry["expected_mean_error_mm"] < entry["expected_max_error_mm"]
+        )
     assert result["exact"]["mean_error_mm"] > 0.0
     assert [entry["via"] for entry in result["plans"]] == [0, 2]
     for entry in result["plans"]:
