@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from armctl.cli.output import CONFIG, DURATION, END, FILE, HOLDS, PROFILE, SOCKET, START, Output, command
+from armctl.cli.output import CONFIG, DURATION, END, FILE, GEOMETRY, HOLDS, PROFILE, SOCKET, START, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
@@ -67,8 +67,9 @@ def experiment_command() -> None:
     help="Draw it: a page with paths, deviation, convergence; or one picture of the paths (FILE.svg).",
 )
 @click.option("--virtual", is_flag=True, help="Simulated servos on a virtual clock; no daemon.")
+@click.option("--geometry", type=GEOMETRY, help="How well the virtual arm was put together.  [default: perfect]")
 @click.option("--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the virtual arm.  [default: 0.1]")
-def line_command(output: Output, virtual: bool, period_s: float | None, **asked: Any) -> None:
+def line_command(output: Output, virtual: bool, period_s: float | None, geometry: str | None, **asked: Any) -> None:
     """The straight line from A to B with so many intermediate points: before and after correction.
 
     Every plan is run as it is, then with what the arm's sag model predicts, then corrected by what was measured, and
@@ -80,10 +81,13 @@ def line_command(output: Output, virtual: bool, period_s: float | None, **asked:
     from armctl.lab.line_experiment import Asked, on_daemon, on_virtual_arm
     from armctl.lab.rig import DaemonRig
 
-    if period_s is not None and not virtual:
-        why = "the daemon's period is in its configuration"
-        raise ConfigError("armctl experiment", "--period", why, "leave it out")
-    config, arm, wanted = output.config, output.arm, Asked(**asked)
+    for option, value, why in (
+        ("--period", period_s, "the daemon's period is in its configuration"),
+        ("--geometry", geometry, "the daemon's arm is as it was put together"),
+    ):
+        if value is not None and not virtual:
+            raise ConfigError("armctl experiment", option, why, "leave it out")
+    config, arm, wanted = output.config, output.arm, Asked(**asked, geometry=geometry or "perfect")
     if virtual:
         result = on_virtual_arm(arm, wanted, period_s or config.period_s, config, output.progress)
     else:

@@ -252,6 +252,8 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 # Operators of the genetic algorithm.
 PROFILE = click.Choice(("default", "paper"))
 IK_METHODS = click.Choice(("closed", "numeric", "ga", "ga-improved"))
+# Of a simulated arm, see sim/geometry.py.
+GEOMETRY = click.Choice(("perfect", "careful", "typical", "poor"))
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -12,7 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import ARM, CONFIG, FILE, FOLDER, LINK, POINT, PORT, SOCKET, Output, Point, command, kept_option
+from armctl.cli.output import (
+    ARM,
+    CONFIG,
+    FILE,
+    FOLDER,
+    GEOMETRY,
+    LINK,
+    POINT,
+    PORT,
+    SOCKET,
+    Output,
+    Point,
+    command,
+    kept_option,
+)
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -70,6 +84,9 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
 @click.option(
     "--factory", is_flag=True, help="The servos have the factory's EEPROM, unfit for torque until it is mended."
 )
+@click.option(
+    "--geometry", type=GEOMETRY, default="perfect", help="How well the arm was put together; no encoder shows it."
+)
 @click.option("--lockstep", is_flag=True, help="The arm's time advances with the bus master's ticks, not the clock's.")
 def sim_command(
     output: Output,
@@ -79,6 +96,7 @@ def sim_command(
     faults_file: Path | None,
     return_delay_us: int | None,
     factory: bool,
+    geometry: str,
     **line: Any,
 ) -> int:
     """Simulate an arm: servos that answer the real protocol bytes on a pseudo terminal.
@@ -93,13 +111,16 @@ def sim_command(
     from armctl.sim import pty
     from armctl.sim.arm import SimulatedArm
     from armctl.sim.faults import Fault, Faults, parse
+    from armctl.sim.geometry import GEOMETRIES
+    from armctl.sim.spec import DEFAULT_SPEC
 
     played = load_arm(arm)
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
         faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
     link = (link or default_link()).absolute()
-    simulated = SimulatedArm(played, seed=line["seed"], faults=Faults(faults, seed=line["seed"]))
+    spec = replace(DEFAULT_SPEC, geometry=GEOMETRIES[geometry])
+    simulated = SimulatedArm(played, seed=line["seed"], spec=spec, faults=Faults(faults, seed=line["seed"]))
     if return_delay_us is not None:
         simulated.set_all(ax12a.RETURN_DELAY, return_delay_us // 2)
     for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT) if factory else ():

@@ -33,6 +33,7 @@ from armctl.recording import recordings
 from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport
 from armctl.sim.arm import SimulatedArm
+from armctl.sim.geometry import GEOMETRIES
 from armctl.sim.spec import RANDOM_SPEC
 from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import columns_at
@@ -86,6 +87,8 @@ class Asked(Wanted):
     measured: tuple[Path, str] | None
     # A page that shows what was found.
     report: Path | None
+    # Of a virtual arm: how well it was put together, a name in `GEOMETRIES`.
+    geometry: str = "perfect"
 
 
 def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
@@ -93,14 +96,16 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
 
     The sag model is identified and the candidates are guided on the spot.
     """
-    rig = VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=RANDOM_SPEC), period_s)
+    spec = replace(RANDOM_SPEC, geometry=GEOMETRIES[asked.geometry])
+    rig = VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=spec), period_s)
     line = _line(rig, asked, config)
     drawn_ways(rig, line, asked.seed)  # a line that cannot be followed is refused before anything moves
     takes = named_takes(config, arm, asked.recordings)
     if not takes:
         with suppress(UnreachableTarget):  # the hand cannot lead the arm along all of the line
             takes = guided_takes(rig, line, asked.seed, stage)
-    return _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
+    found = _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
+    return {**found, "geometry": asked.geometry}
 
 
 def on_daemon(rig: Rig, asked: Asked, config: Config, stage: Stage) -> dict[str, Any]:

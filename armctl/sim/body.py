@@ -93,6 +93,8 @@ class Body:
             self._update_gravity()
 
     def _end_chunk(self) -> None:
+        for joint in self.joints:
+            joint.settle(carried=self.pulled)
         self._changed |= self.update_voltage()
         self.update_temperatures(self.chunk_end - self.chunk_begin)
         self._still, self._changed = not self._changed, False

@@ -1,4 +1,4 @@
-"""Draws one arm of a batch: its lengths, masses, motors, friction, play and zero offsets, all by one seed."""
+"""Draws one arm of a batch: its geometry, masses, motors, friction, play and zero offsets, all by one seed."""
 
 import math
 
@@ -8,6 +8,7 @@ from armctl.config import ArmConfig, JointConfig
 from armctl.dynamixel import ax12a
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain
+from armctl.sim.geometry import PERFECT, Draws
 from armctl.sim.gravity import PointMasses
 from armctl.sim.joint import Joint
 from armctl.sim.servo import SimulatedServo
@@ -31,6 +32,11 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
     tool_kg = float(rng.uniform(*spec.tool_kg))
     servo_rngs = rng.spawn(len(arm.joints))
     joints = [_joint(config, spec, rng, own_rng) for config, own_rng in zip(arm.joints, servo_rngs, strict=True)]
+    if spec.geometry != PERFECT:
+        draws = Draws(spec.geometry, seed)
+        chain = draws.chain(robot.with_lengths(draws.lengths_m(lengths_m)).chain)
+        for joint in joints:
+            joint.misplace(draws.zero_rad(), draws.deviation(spec.shaft_friction_Nm))
     for joint in joints:
         joint.stall_Nm = spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
     servo_kg = spec.servo_kg + spec.bracket_kg

@@ -21,6 +21,7 @@ import math
 from dataclasses import dataclass, field
 
 from armctl.sim.drive import Drive, Ramp
+from armctl.sim.geometry import Deviation
 from armctl.sim.hand import hand_torque
 from armctl.sim.potentiometer import sensed_range
 from armctl.sim.servo import SimulatedServo
@@ -80,6 +81,8 @@ class Joint:
     # Where a hand wanted the shaft when the chunk began.
     aim_rad: float = 0.0
     aim_rad_s: float = 0.0
+    # Of the link from the shaft; None: the link is where the sensor shows the shaft.
+    deviation: Deviation | None = None
 
     def __post_init__(self) -> None:
         self.motor_rad = self.servo.shaft_rad
@@ -87,11 +90,30 @@ class Joint:
 
     def position_rad(self) -> float:
         """Of the link: what the kinematics calls the joint position."""
-        return self.direction * (self.servo.shaft_rad - self.zero_rad)
+        shaft_rad = self.servo.shaft_rad
+        if self.deviation is not None:
+            shaft_rad += self.deviation.at(shaft_rad)
+        return self.direction * (shaft_rad - self.zero_rad)
+
+    def misplace(self, zero_rad: float, deviation: Deviation) -> None:
+        """Turn the horn on its shaft, which stays where it is, and let the link deviate; before time begins."""
+        self.zero_rad += zero_rad
+        self.deviation = deviation
+
+    def settle(self, *, carried: bool) -> None:
+        """Let the link come to where its load has it.
+
+        Args:
+            carried: A hand carries the link, so that its weight does not go through the shaft.
+        """
+        if self.deviation is not None:
+            self.deviation.settle(self.servo.shaft_rad, 0.0 if carried else self.gravity_Nm)
 
     def take_aim(self, position_rad: float, velocity_rad_s: float) -> None:
         """Note where a hand wants the joint, and how fast."""
         self.aim_rad = self.zero_rad + self.direction * position_rad
+        if self.deviation is not None:
+            self.aim_rad -= self.deviation.settled_rad
         self.aim_rad_s = self.direction * velocity_rad_s
 
     def take_drive(self) -> bool:

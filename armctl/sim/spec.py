@@ -6,6 +6,7 @@ docs/simulator.md says of each figure whether it is ROBOTIS', a study's or a gue
 from dataclasses import dataclass, field, replace
 
 from armctl.dynamixel import ax12a
+from armctl.sim.geometry import PERFECT, Geometry
 from armctl.sim.servo import ServoVariants
 
 
@@ -66,6 +67,8 @@ class ArmSpec:
     # A servo is deaf for this long after its firmware restarts.
     boot_s: float = 0.3
     variants: ServoVariants = field(default_factory=ServoVariants)
+    # What else is off, by streams of their own.
+    geometry: Geometry = PERFECT
 
 
 DEFAULT_SPEC = ArmSpec()

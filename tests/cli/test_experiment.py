@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armctl.cli import main
 from armctl.commissioning import sag_file
 from armctl.config import Config
 from armctl.files import load_arm
@@ -111,3 +112,20 @@ def test_a_measurement_from_outside_corrects_what_no_encoder_sees(
     answer(*told, "--measured", csv, f"takes/run-{len(served.runs)}")
     assert true_mm(blind) > 2.0
     assert true_mm(served.runs[-1]) < 0.5 * true_mm(blind)
+
+
+def test_a_geometry_moves_the_true_tool_off_the_line_and_hardly_bends_its_path(answer: Answer) -> None:
+    told = (*LINE, "--via", "2", "--duration", "3", "--repeats", "1", "--refine", "1", "--seed", "3", "--virtual")
+    found = {level: answer(*told, "--geometry", level) for level in ("perfect", "poor")}
+    assert answer(*told) == found["perfect"]
+    (perfect,), (poor,) = (found[level]["rows"] for level in ("perfect", "poor"))
+    assert found["poor"]["geometry"] == "poor"
+    assert poor["truth"]["mean_error_mm"] > 2.0 * perfect["truth"]["mean_error_mm"]
+    for row in (perfect, poor):
+        assert row["own_chord"]["mean_error_mm"] < 3.0
+        assert row["mean_error_mm"] < 3.0  # the encoders see nothing of it
+
+
+def test_a_geometry_is_for_virtual_arms_only(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*LINE, "--geometry", "careful"]) == 2
+    assert "--geometry" in capsys.readouterr().err
