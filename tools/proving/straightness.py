@@ -15,11 +15,8 @@ plans that were run more than once; the motion itself repeats far better, which 
    exceeds round 1 nowhere by over 5 % and `LIKELY` deviations of the noise. How often by over 5 % alone is told.
 """
 
-import multiprocessing
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -29,12 +26,12 @@ from armctl.lab.course import Via
 from armctl.lab.study import limits
 from proving import line_trials
 from proving.line_trials import Trial
+from proving.workers import WORKERS, carry_out
 
 ARMS = 20
 REFINED_ARMS = 100
 ROUNDS = 5
 EFFECT_ARMS = 4
-WORKERS = 2
 VIA: tuple[Via, ...] = (0, 1, 2, 8, "stream")
 FAST_PERIOD_S = 0.02
 # Mean and maximum of the true distance to the line.
@@ -79,7 +76,7 @@ def prove(
         effect: [replace(job, via=compared, spec=replace(job.spec, **changes)) for job in jobs[:effect_arms]]
         for effect, changes in limits.EFFECTS.items()
     }
-    done = _all([*jobs, *fast, *(job for some in off.values() for job in some)], tell, workers)
+    done = carry_out(line_trials.run, [*jobs, *fast, *(job for some in off.values() for job in some)], tell, workers)
     plain, quick, rest = done[:arms], done[arms : arms + len(fast)], done[arms + len(fast) :]
     rows = [row for one in map(str, via) for row in _rows(f"via {one}", [trial["via"][one] for trial in plain])]
     if quick:
@@ -124,7 +121,7 @@ def prove_refinement(
     """Rows of medians and worst cases, how often truth got worse, and everything that broke one of the three rules."""
     began_s = time.monotonic()
     jobs = [Trial(seed * 1000 + 500 + k, via, rounds) for k in range(arms)]
-    done = _all(jobs, tell, workers)
+    done = carry_out(line_trials.run, jobs, tell, workers)
     all_found = [found for trial in done for found in trial["via"].values()]
     noise_mm = _repeat_noise([some for found in all_found for some in found["seen_mm"]])
     rows, violations = [], []
@@ -181,22 +178,6 @@ def _repeat_noise(repeats: Sequence[Sequence[float]]) -> float:
     """Standard deviation within groups, over all groups."""
     squares = sum(len(some) * float(np.var(some)) for some in repeats)
     return float(np.sqrt(squares / max(1, sum(len(some) - 1 for some in repeats))))
-
-
-def _all(jobs: Sequence[Trial], tell: Callable[[str], None], workers: int) -> list[dict[str, Any]]:
-    """The trials' outcomes in order; one worker: in this process."""
-    if workers == 1:
-        return [line_trials.run(job) for job in jobs]
-    # The workers' own threads would only fight over the processors.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    began_s = time.monotonic()
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        done = []
-        for result in pool.map(line_trials.run, jobs):
-            done.append(result)
-            left_s = (time.monotonic() - began_s) / len(done) * (len(jobs) - len(done))
-            tell(f"{len(done)} of {len(jobs)} trials, about {left_s:.0f} s left")
-    return done
 
 
 def _rows(what: str, found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
