@@ -28,6 +28,25 @@ def test_a_proof_prints_one_object_and_fails_on_violations(
     assert json.loads(result.stdout) == {"runs": 3, "violations": violations, "seed": 9}
 
 
+@pytest.mark.parametrize(("told", "says"), [
+    (("lines", "--classes", "radial,sideways"), "no class sideways; there are turning, radial"),
+    (("lines", "--targets", "3"), "lines takes no --targets"),
+    (("place", "--classes", "radial"), "place takes no --classes"),
+])  # fmt: skip
+def test_an_option_that_a_proof_does_not_know_is_refused_before_it_runs(told: tuple[str, ...], says: str) -> None:
+    result = CliRunner().invoke(proving.main, ["prove", *told])
+    assert result.exit_code == 2
+    assert says in " ".join(result.stderr.replace("│", " ").split())
+
+
+def test_lines_are_told_their_classes_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(proving.PROOFS, "lines", lambda seed, **given: {"violations": [], **given})
+    result = CliRunner().invoke(
+        proving.main, ["prove", "lines", "--classes", "radial,vertical", "--arms", "3", "--json"]
+    )
+    assert json.loads(result.stdout) == {"violations": [], "classes": ["radial", "vertical"], "arms": 3}
+
+
 def test_all_benches_make_one_object(monkeypatch: pytest.MonkeyPatch) -> None:
     def bench(seed: int) -> dict[str, Any]:
         row = {"work": "w", "who": "armctl", "value": 1.0, "unit": "ms", "ratio": 1.0}

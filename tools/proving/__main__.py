@@ -36,6 +36,8 @@ PROOFS: dict[str, Work] = {
     "powercut": _work("powercut", "prove"),
     "refinement": _work("straightness", "prove_refinement", tells=True),
     "straightness": _work("straightness", "prove", tells=True),
+    "lines": _work("lines", "prove", tells=True),
+    "place": _work("place", "prove", tells=True),
     "packets": _work("packets", "prove"),
     "wire": _work("wire", "prove", tells=True),
     "unit": _work("unit", "prove"),
@@ -44,7 +46,13 @@ PROOFS: dict[str, Work] = {
     "load": _work("load", "prove", tells=True),
 }
 # What a proof takes beside the seed.
-OPTIONS = {"soak": {"hours", "workers", "episode"}, "mutants": {"workers"}, "hang": {"runs", "hours"}}
+OPTIONS = {
+    "soak": {"hours", "workers", "episode"},
+    "mutants": {"workers"},
+    "hang": {"runs", "hours"},
+    "lines": {"arms", "classes", "workers"},
+    "place": {"arms", "targets", "workers"},
+}
 BENCHES: dict[str, Work] = {
     name: _work(f"{name}_bench", "bench")
     for name in ("log", "web", "bus", "sim", "jitter", "ik", "ga", "line", "start")
@@ -59,15 +67,28 @@ def main() -> None:
     """Proofs and benchmarks of armctl."""
 
 
+def _named(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    """The classes of lines that an option names."""
+    from proving.truth import CLASSES
+
+    names = None if value is None else tuple(value.split(","))
+    if names is not None and (unknown := [name for name in names if name not in CLASSES]):
+        raise click.BadParameter(f"no class {', '.join(unknown)}; there are {', '.join(CLASSES)}")
+    return names
+
+
 @main.command()
 @click.argument("name", type=click.Choice(tuple(PROOFS)))
 @seeded
 @click.option("--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine.")
 @click.option("--runs", type=click.IntRange(0), help="hang: of each process.")
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
-@click.option("--workers", type=click.IntRange(1), help="soak, mutants: processes.  [default: 2]")
+@click.option("--workers", type=click.IntRange(1), help="soak, mutants, lines, place: processes.  [default: 2]")
+@click.option("--arms", type=click.IntRange(1), help="lines, place: how many.  [default: 20]")
+@click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")
+@click.option("--classes", callback=_named, help="lines: which classes, with commas between them.  [default: all]")
 @as_json
-def prove(name: str, seed: int, as_json: bool, **options: float | int | None) -> None:
+def prove(name: str, seed: int, as_json: bool, **options: float | int | tuple[str, ...] | None) -> None:
     """Run a proof; exit status 1 if anything was violated."""
     given = {option: value for option, value in options.items() if value is not None}
     if unknown := given.keys() - OPTIONS.get(name, set()):
