@@ -6,7 +6,7 @@ from proving.mutants import Mutant
 from proving.syntax import Edit
 
 CONTROL, BUS, TRAJECTORY = "control", "dynamixel", "trajectory"
-OUTPUTS = "tests/recording/test_outputs.py"
+OUTPUTS, PLACE = "tests/recording/test_outputs.py", "tests/proving/test_place.py::"
 
 
 def _m(name: str, room: str, *edits: tuple[str, str]) -> Mutant:
@@ -300,5 +300,21 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("contact is never seen", CONTROL, ("PUSH_S = 2.0", "PUSH_S = 2000.0")),
     _m("no joint is relieved after a stop", CONTROL, (
         "if _is_too_far(__s, __i):\n    relieve(__s, __i)", "")),
+
+    # ------------------------------------------------------------------------------ correction, seen by `prove place`
+    _log("trim without bound",
+         ("TRIM_RAD = math.radians(3.0)", "TRIM_RAD = math.radians(99.0)"),
+         ("AWAY_RAD = math.radians(7.5)", "AWAY_RAD = math.radians(99.0)"),
+         ("MOST_RAD = math.radians(7.0)", "MOST_RAD = math.radians(99.0)"),
+         room=CONTROL, tests=PLACE + "test_the_goal_of_a_joint_that_is_held_keeps_its_bound"),
+    _log("trim while latched",
+         ("__f is None or not __f.corrected or (not __s.fresh) or (__s.state.phase in LATCHED)",
+          "__f is None or not __f.corrected or (not __s.fresh)"),
+         ("__ends = bool(__motion.stop_code) or __grips or __limp\n__ends |= __s.state.phase in LATCHED | TO_REST",
+          "__ends = __grips or __limp"),
+         room=CONTROL, tests=PLACE + "test_nothing_is_corrected_while_a_fault_is_latched"),
+    _log("a model of another arm is used", (
+        "(__model.arm_id, __model.calibration_hash) != (__arm.arm_id, __arm.calibration_hash)", "False"),
+        room=CONTROL, tests=PLACE + "test_the_model_of_another_arm_is_refused"),
 )
 # fmt: on
