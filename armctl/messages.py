@@ -107,10 +107,7 @@ class Hold(Answered):
 
 @dataclass(frozen=True, slots=True)
 class Release(Answered):
-    """Switch torque off; answered when every servo is seen limp, or names one that is not.
-
-    The caller has done the countdown and warned that the arm drops.
-    """
+    """Switch torque off, the caller having warned of it; answered when all are limp, or names one that is not."""
 
     kind: Literal["release"] = "release"
 
@@ -168,10 +165,7 @@ class SetRate(Answered):
 
 @dataclass(frozen=True, slots=True)
 class Jog(Answered):
-    """One heartbeat of a jog: the velocity wanted until the next one; without a next one the arm stops.
-
-    Either of the two velocities is given, the other one is empty.
-    """
+    """One heartbeat of a jog: the one velocity that is wanted until the next heartbeat, without which the arm stops."""
 
     # One velocity for each joint.
     joints_rad_s: tuple[float, ...] = ()

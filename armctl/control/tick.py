@@ -60,11 +60,8 @@ class WireJoint(NamedTuple):
 
 def _wire_joint(joint: JointConfig) -> WireJoint:
     speed_rad_s = joint.speed_limit_rad_s
-    full_torque = round(ax12a.TORQUE_LIMIT.maximum * joint.torque_limit_ratio)
-    speed_units = ax12a.moving_speed_units(speed_rad_s)
-    return WireJoint(
-        joint.servo_id, joint.direction, joint.zero_tick, *joint.limits_tick, speed_rad_s, speed_units, full_torque
-    )
+    units = ax12a.moving_speed_units(speed_rad_s), round(ax12a.TORQUE_LIMIT.maximum * joint.torque_limit_ratio)
+    return WireJoint(joint.servo_id, joint.direction, joint.zero_tick, *joint.limits_tick, speed_rad_s, *units)
 
 
 # The joints of the arm that was asked for last: a process has one. It only saves time; the step is as pure without it.
@@ -298,13 +295,13 @@ class Tick:
 
     def find_goals(self) -> None:
         """Take the goals of servos that have all been heard as they are."""
-        self.state.goal, self.state.ramp = tuple(servo.goal for servo in self.servos if servo is not None), ()
-        self.state.following = None
+        self.state.goal = tuple(servo.goal for servo in self.servos if servo is not None)
+        self.state.ramp, self.state.following = (), None
 
     def forget_goals(self) -> None:
         """No goal is sent any more: armctl has no say in where the servos are."""
         self.goal = None  # after a torque-off it would switch the torque on again
-        self.state.goal, self.state.sent, self.state.heard_since, self.state.ramp = (), (), (), ()
+        self.state.goal = self.state.sent = self.state.heard_since = self.state.ramp = ()
         self.state.following = None
 
     def remember(self, goal: tuple[int, ...]) -> None:
