@@ -59,7 +59,7 @@ class SagFile(Frozen):
 def path_of(config: Config) -> Path:
     """Where the model of the configured arm lies."""
     path = find_arm_file(config.arm)
-    if path.parent in shipped_dirs():
+    if path.resolve().parent in shipped_dirs():
         path = data_dir(config) / "sag" / path.name
     return path.with_suffix(".sag.json")
 

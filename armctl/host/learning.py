@@ -86,10 +86,10 @@ class Learner:
         return abs(watch.load_ratio[-1][index]) >= HELD_SHARE * gripper.load_ratio
 
     def _seen(self, watch: Watch) -> Seen | None:
-        """The motion from its first goal on; None: there was hardly any."""
+        """The motion from its first goal on; None: there was hardly any, or armctl had no say in part of it."""
         n = self.robot.chain.n
         begin = next((k for k, goal in enumerate(watch.goals) if goal), len(watch.goals))
-        if len(watch.goals) - begin < learning.SAMPLES:
+        if len(watch.goals) - begin < learning.SAMPLES or not all(watch.wanted_rad[begin:]):
             return None
         origin_ns = watch.now_ns[begin]
 

@@ -144,6 +144,10 @@ async def test_a_motion_that_was_stopped_and_one_with_a_grip_teach_nothing(tmp_p
     gripping = replace(done, trajectory=replace(done.trajectory, grip=Grip(5, 0.5)))
     assert bench.learner.learn([gripping]) == ""
     assert not sag_file.history_path(own_arm(tmp_path)).exists()
+    done.watch.wanted_rad[20], wanted = (), done.watch.wanted_rad[20]
+    assert bench.learner.learn([done]) == ""
+    assert not sag_file.history_path(own_arm(tmp_path)).exists()
+    done.watch.wanted_rad[20] = wanted
     assert bench.learner.learn([done]) == ""
     assert sag_file.history_path(own_arm(tmp_path)).exists()
 
@@ -168,8 +172,9 @@ async def test_a_changed_arm_is_told_in_the_answer_and_learnt_anew(tmp_path: Pat
     assert sum(friction[3:]) > 1.4 * sum(friction[:3])
 
 
-async def test_an_arm_that_comes_with_armctl_is_learnt_in_the_data_folder(tmp_path: Path) -> None:
-    config = Config(arm="ax12-line", data_dir=str(tmp_path))
+@pytest.mark.parametrize("arm", ["ax12-line", "calibration/ax12-line.yaml"])
+def test_an_arm_that_comes_with_armctl_is_learnt_in_the_data_folder(tmp_path: Path, arm: str) -> None:
+    config = Config(arm=arm, data_dir=str(tmp_path))
     assert sag_file.path_of(config) == tmp_path / "sag" / "ax12-line.sag.json"
     assert sag_file.history_path(config) == tmp_path / "sag" / "ax12-line.sag-history.json"
 
