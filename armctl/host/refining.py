@@ -41,7 +41,7 @@ async def refine(
         folder: Where the best plan is kept, as a new file.
     Raises:
         RequestRefused: as `run`, of the first run; later ones only end the refinement.
-        LogError: a recording or the plan cannot be written.
+        LogError: the first run's recording or the plan cannot be written.
     """
     with host.leases.commanding(client, "run") as lease:
         return await _Job(host, lease, plan, further, folder, corrected).done()
@@ -73,6 +73,8 @@ class _Job:
                     if refusal.code not in ASTRAY:
                         raise
                     told = refusal
+                except LogError as error:  # what was reached is no worse for it
+                    raise RequestRefused("LOG", str(error)) from None
                 one = await asyncio.to_thread(following, steps, told)
                 self._keep(work.best.plan)
         except RequestRefused as refusal:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from armctl.errors import LogError
 from armctl.host.motions import move, run
 from armctl.host.refining import refine
 from armctl.kinematics.chain import tool_position
@@ -75,6 +76,19 @@ async def test_a_stop_keeps_what_was_reached(bench: Bench, tmp_path: Path) -> No
     assert plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "plan") == plan
     assert bench.arm.mode() is Mode.HOLDING
     assert len(bench.recorder.takes) == 2, "what was recorded of the run that was stopped is kept"
+
+
+async def test_a_full_disk_keeps_what_was_reached(bench: Bench, tmp_path: Path) -> None:
+    task = await refining(bench, tmp_path, plan := line_plan(bench))
+
+    def full() -> None:
+        raise LogError("the disk is full")
+
+    bench.recorder.on_begin = full
+    result = await bench.served(task)
+    assert result["ended"] == {"code": "LOG", "text": "the disk is full"}
+    assert result["rounds"][0]["round"] == 0
+    assert plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "plan").via == plan.via
 
 
 async def test_a_stop_in_the_first_run_is_told_as_that_of_a_run(bench: Bench, tmp_path: Path) -> None:
