@@ -1,7 +1,8 @@
 """The arm's lag model, learnt after each motion (see `trajectory/learning.py`), kept beside its calibration.
 
 It runs in a thread, once the arm rests and before the motion is answered: the next motion has what this one taught, and
-the answer tells what is not as the model says. A motion that failed, or with something in the gripper, teaches nothing.
+the answer tells what is not as the model says. A motion that failed, or with something in the gripper, teaches nothing;
+nor does one that was not corrected, whose joints were degrees away from where the model is asked.
 """
 
 import logging
@@ -46,23 +47,27 @@ class Learner:
 
     def learn(self, done: Sequence[Done]) -> str:
         """Learn from what was run, leg by leg; what is not as the model says, or nothing."""
+        try:
+            return self._taught(done)
+        except ConfigError as error:
+            logger.error("nothing is learnt of the arm's lag: %s", error)
+        except Exception:  # a defect; the motion is over, and was done well
+            logger.exception("nothing is learnt of the arm's lag")
+        return ""
+
+    def _taught(self, done: Sequence[Done]) -> str:
         before, self._stand = self._stand, None
         sums: lag.Summary | None = None
         for leg in done:
-            if leg.trajectory.grip is not None or self._holds(leg.watch):
+            plain = not (self.arm.correction and leg.trajectory.corrected)
+            if plain or leg.trajectory.grip is not None or self._holds(leg.watch):
                 return ""
             if (seen := self._seen(leg.watch)) is None:
                 continue
             more, before = learning.sums_of(self.robot.chain, seen, before, self.period_s)
             sums = more if sums is None else sums + more
         self._stand = before
-        if sums is None:
-            return ""
-        try:
-            return self._learnt(sums)
-        except ConfigError as error:
-            logger.error("nothing is learnt of the arm's lag: %s", error)
-            return ""
+        return "" if sums is None else self._learnt(sums)
 
     def _learnt(self, sums: lag.Summary) -> str:
         chain = self.robot.chain

@@ -130,7 +130,7 @@ async def test_the_same_motions_teach_the_same_model(tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
-async def test_a_motion_that_was_stopped_and_one_with_a_grip_teach_nothing(tmp_path: Path) -> None:
+async def test_a_motion_that_was_stopped_or_gripped_or_not_corrected_teaches_nothing(tmp_path: Path) -> None:
     bench = await Watched(tmp_path, 0).holding()
     task = asyncio.ensure_future(move(bench.host, bench.anna, MoveRequest(point_m=(0.2, 0.0, 0.2))))
     await bench.until(lambda: bench.loop.state.mode is Mode.MOVING)
@@ -148,6 +148,9 @@ async def test_a_motion_that_was_stopped_and_one_with_a_grip_teach_nothing(tmp_p
     assert bench.learner.learn([done]) == ""
     assert not sag_file.history_path(own_arm(tmp_path)).exists()
     done.watch.wanted_rad[20] = wanted
+    uncorrected = replace(done, trajectory=replace(done.trajectory, corrected=False))
+    assert bench.learner.learn([uncorrected]) == ""
+    assert not sag_file.history_path(own_arm(tmp_path)).exists(), "its joints were not where they were wanted"
     assert bench.learner.learn([done]) == ""
     assert sag_file.history_path(own_arm(tmp_path)).exists()
 
@@ -183,3 +186,16 @@ async def test_a_folder_that_cannot_be_written_stops_no_motion(tmp_path: Path) -
     bench = await Watched(tmp_path, 0).holding()
     sag_file.history_path(own_arm(tmp_path)).mkdir()
     assert (await bench.some_motion())["position_error_mm"] < 5.0
+
+
+async def test_a_defect_in_learning_is_logged_and_the_motion_is_answered(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = await Watched(tmp_path, 0).holding()
+
+    def broken(*_: object) -> None:
+        raise ValueError("sums of nothing")
+
+    monkeypatch.setattr(learning, "sums_of", broken)
+    assert (await bench.some_motion())["position_error_mm"] < 5.0
+    assert "sums of nothing" in caplog.text
