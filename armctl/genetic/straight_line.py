@@ -3,6 +3,9 @@
 The straight line of Raharjo et al. with the problem made honest: as printed, the best point of every sample is the
 optimum of eq. 20 and a chromosome of copies of A scores zero. Here genes are aligned by progress (`alignment.py`), a
 path must be one the arm can follow (`path_cost.py`), and its true optimum is known (`shortest_path.py`).
+By default the genetic algorithm is a memetic one: its crossover finds the cheapest mixture of two parents exactly, by
+dynamic programming, and some children search. So it is expected at the optimum, and no proof that evolution alone gets
+there; the paper's own operators are the profile "paper".
 Joints that do not move the tool are carried along: at each station the mean of the recordings. After evolution the
 genes may leave the recordings (`free_path.py`) and via points the line (`placement.py`), unless the paper's own
 procedure is wanted.
@@ -42,6 +45,14 @@ class LineError:
 
     mean_error_mm: float
     max_error_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class TakeError(LineError):
+    """How far a recording by itself is off the line, and what the genetic algorithm took of it."""
+
+    # At how many stations its path is this recording's.
+    genes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +103,7 @@ class StraightLineResult:
 
     candidates: Candidates
     # Each recording by itself, at the same stations as the paths below.
-    baseline: tuple[LineError, ...]
+    baseline: tuple[TakeError, ...]
     ga: GeneticRun
     exact: CandidatePath
     # Cost of the genetic algorithm's path over the exact least cost, minus 1.
@@ -135,10 +146,12 @@ def optimize(
     found, exact = (line.path(candidates, costs, table, some) for some in (genes, shortest_path(table)))
     freed = line.freed(found, candidates.progress) if request.free else None
     chosen = freed or found
-    alone = costs.distance_m.T * 1e3
+    alone, taken = costs.distance_m.T * 1e3, np.bincount(found.genes, minlength=len(recordings)).tolist()
     return StraightLineResult(
         candidates=candidates,
-        baseline=tuple(LineError(float(row.mean()), float(row.max())) for row in alone),
+        baseline=tuple(
+            TakeError(float(row.mean()), float(row.max()), genes) for row, genes in zip(alone, taken, strict=True)
+        ),
         ga=GeneticRun(found, request.settings.generations, evaluations, best_cost_mm, mean_cost_mm),
         exact=exact,
         # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.

@@ -230,7 +230,9 @@ def _finish(
         ends=ENDS,
         joint_names=arm.joint_names,
         candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
-        candidate_errors_mm=[(one["name"], one["mean_error_mm"], one["max_error_mm"]) for one in optimised["baseline"]],
+        candidate_errors_mm=[
+            (one["name"], one["mean_error_mm"], one["max_error_mm"], one["genes"]) for one in optimised["baseline"]
+        ],
         ga_mean_mm=optimised["ga"]["mean_error_mm"],
         exact_mean_mm=optimised["exact"]["mean_error_mm"],
         gap_ratio=optimised["gap_ratio"],

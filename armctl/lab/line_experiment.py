@@ -8,7 +8,7 @@ last is then run `repeats` times anew: those runs are the experiment's rows, so 
 import os
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -295,7 +295,7 @@ def genetic(
         "exact_mean_error_mm": exact.mean_error_mm,
         "gap_ratio": result.gap_ratio,
         "history": {"best_cost_mm": list(ga.best_cost_mm)},
-        "baseline": [{"mean_error_mm": one.mean_error_mm, "max_error_mm": one.max_error_mm} for one in result.baseline],
+        "baseline": [asdict(one) for one in result.baseline],
         "plans": [
             {key: getattr(plan, key) for key in ("via", "predicted_mean_error_mm", "predicted_max_error_mm")}
             for plan in result.plans

@@ -171,6 +171,12 @@ def test_progress_is_told_after_every_generation_and_kept_as_history() -> None:
     assert result.ga.best_cost_mm[-1] == pytest.approx(result.ga.path.cost_mm)
 
 
+def test_every_station_counts_for_the_take_its_gene_came_from(five: StraightLineResult) -> None:
+    genes = five.ga.path.genes.tolist()
+    assert [take.genes for take in five.baseline] == [genes.count(take) for take in range(5)]
+    assert sum(take.genes for take in five.baseline) == len(genes)
+
+
 def test_one_recording_alone_is_its_own_optimum() -> None:
     result = optimized(hand.recordings(1, 6))
     assert result.gap_ratio == 0.0
