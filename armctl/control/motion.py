@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from armctl.control.machine import LATCHED, TO_REST, Following, Motion
-from armctl.control.settle import AWAY_RAD, FAR_RAD, TRIM_RAD, settle
+from armctl.control.settle import AWAY_RAD, FAR_RAD, MOST_RAD, TRIM_RAD, settle
 from armctl.control.tick import Tick
 from armctl.messages import NS_PER_S, Event, Grip, JointTrajectory
 from armctl.trajectory.lag import lags_rad, side_after
@@ -33,8 +33,6 @@ BLEND_S = 0.8
 RATE_RAD_S = math.radians(4.0)
 # Of the error, per second.
 TRIM_RATE = 0.5
-# No correction is larger.
-MOST_RAD = math.radians(7.0)
 
 
 def duration_s(trajectory: JointTrajectory) -> float:

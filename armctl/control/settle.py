@@ -2,11 +2,12 @@
 
 Rules.
 1. The arm is looked at for `LOOK_S` once it stands. Then goals change by whole ticks, those of all joints together,
-   such that the tool comes nearest to its place; and again, for `REST_S` in all. From the first time on that this would
-   gain too little (`GAIN_M`) nothing changes: noise and stiction would have the arm hunt.
+   such that the tool comes nearest to its place; and again, for `REST_S` in all, its last rest included. From the first
+   time on that this would gain too little (`GAIN_M`) nothing changes: noise and stiction would have the arm hunt.
 2. A joint that turns back has its friction to overcome first. The model foresees how much that takes of a change, and
    each such change shows it.
-3. A joint that is far off is kept from where it is wanted; no trim is larger than `TRIM_RAD` (see motion.py).
+3. A joint that is far off is kept from where it is wanted. No trim is larger than `TRIM_RAD`, and no correction in all
+   than `MOST_RAD` (see motion.py).
 """
 
 import math
@@ -22,6 +23,8 @@ from armctl.kinematics.chain import jacobian
 from armctl.messages import Event
 
 TRIM_RAD = math.radians(3.0)
+# No correction is larger in all.
+MOST_RAD = math.radians(7.0)
 # No correction makes a goal farther from its joint: one that is blocked is to be told of as that.
 AWAY_RAD = math.radians(7.5)
 FAR_RAD = math.radians(3.0)
@@ -52,7 +55,7 @@ def settle(s: Tick, motion: Motion) -> bool:
         return True
     errors = [total / look for total in now.sum_rad]
     changes = _changes(s, f, errors, GAIN_M * GAIN_RISE**now.count)
-    if not any(changes):
+    if not any(changes) or now.ticks + wait + look > s.ticks_in(REST_S):
         return False
     slack = _slack_rad(s, now, errors)
     back = _change(s, f, changes, slack)
@@ -113,15 +116,18 @@ def _change(s: Tick, f: Following, changes: Sequence[int], slack_rad: Sequence[f
     for i, change in enumerate(changes):
         if not change:
             continue
-        way = 1.0 if change > 0 else -1.0
+        way = 1 if change > 0 else -1
         turns = way * sides[i] < 0.0
         step_rad = change * TICK_RAD + (way * slack_rad[i] if turns else 0.0)
         ticks = round((min(max(trims[i] + step_rad, -TRIM_RAD), TRIM_RAD) - trims[i]) / TICK_RAD)
-        ahead_rad = way * (s.goals_rad()[i] - s.joints[i].position_rad)
-        ticks = round(way * max(0.0, min(way * ticks, (AWAY_RAD - ahead_rad) / TICK_RAD)))
+        goal_rad = s.goals_rad()[i]
+        room_rad = min(
+            AWAY_RAD - way * (goal_rad - s.joints[i].position_rad), MOST_RAD - way * (goal_rad - f.wanted_rad[i])
+        )
+        ticks = way * max(0, min(way * ticks, math.floor(room_rad / TICK_RAD)))
         trims[i] += ticks * TICK_RAD
         goal[i] += s.wire[i].direction * ticks
-        sides[i] = way
+        sides[i] = float(way)
         back[i] = ticks * TICK_RAD if turns else 0.0
     s.state.following = replace(f, trim_rad=tuple(trims), side=tuple(sides))
     s.send_goal(goal)

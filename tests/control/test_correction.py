@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.control.motion import BLEND_S, MOST_RAD, RATE_RAD_S
-from armctl.control.settle import REST_S, TRIM_RAD
+from armctl.control.motion import BLEND_S, RATE_RAD_S
+from armctl.control.settle import MOST_RAD, REST_S, TRIM_RAD
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.messages import Hold, LagModel, Mode, Pause, Resume, Run, UseModel
 from armctl.sim.arm import SimulatedArm
@@ -71,7 +71,7 @@ def test_no_correction_and_no_trim_is_larger_than_its_bound_and_no_goal_leaves_t
         assert max(map(abs, following.trim_rad)) <= TRIM_RAD + TICK_RAD
         for joint, tick, wanted in zip(ARM.joints, on.loop.state.goal, following.wanted_rad, strict=True):
             assert joint.limits_tick[0] <= tick <= joint.limits_tick[1]
-            assert abs(joint.position_rad(tick) - wanted) <= MOST_RAD + TRIM_RAD
+            assert abs(joint.position_rad(tick) - wanted) <= MOST_RAD + TICK_RAD
 
 
 def test_an_arm_whose_file_says_so_gets_its_goals_as_they_are() -> None:
@@ -101,6 +101,16 @@ def test_a_motion_begins_where_the_joints_are_wanted_and_not_where_their_goals_a
     from_goals = replace(on.turned(5.0), positions_rad=((on.goals_rad[0], shoulder, *on.goals_rad[2:]),) * 2)
     on.ticks(1, Run(6, from_goals))
     assert on.replies()[6].code == "START_MISMATCH"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_goals_that_change_at_rest_leave_time_to_come_to_rest(seed: int) -> None:
+    on = rig(seed)
+    on.ticks(20, Run(5, on.way(FORWARD_DEG, seconds=1.0)))
+    while on.mode() is Mode.MOVING:
+        on.ticks(1)
+    sent = [record.outputs.goal is not None for record in on.records[-5:]]
+    assert not any(sent), "the tool is told to be at its place while a goal has just changed"
 
 
 @pytest.mark.parametrize("ends", ["stop", "fault"])
