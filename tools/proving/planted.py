@@ -49,7 +49,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "if __s.fresh and __s.all_powered():\n    __s.send_goal([servo.position for servo in __s.servos if servo])")),
     _m("a stale sample is used", CONTROL,
        ("_nearer(__rate, __wanted if __s.fresh else 0.0, __s.period_s)", "_nearer(__rate, __wanted, __s.period_s)"),
-       ("if not __s.fresh:\n    return None\nif __running:\n    trim(__s)", "if __running:\n    trim(__s)")),
+       ("if not __s.fresh or __stands:\n    return None\nif __running:\n    trim(__s)",
+        "if __stands:\n    return None\nif __running:\n    trim(__s)")),
 
     # -------------------------------------------------------------------------------------------- stops and ends
     _m("a stop is forgotten", CONTROL, (
@@ -292,8 +293,9 @@ MUTANTS: tuple[Mutant, ...] = (
        ("any((__joint.age_s > SILENT_AGE_S for __joint in __s.joints))", "False"),
        ("_nearer(__rate, __wanted if __s.fresh else 0.0, __s.period_s)",
         "_nearer(__rate, __wanted if __s.fresh or __s.state.phase == 'fault_going' else 0.0, __s.period_s)"),
-       ("if not __s.fresh:\n    return None\nif __running:\n    trim(__s)",
-        "if not (__s.fresh or __s.state.phase == 'fault_going'):\n    return None\nif __running:\n    trim(__s)")),
+       ("if not __s.fresh or __stands:\n    return None\nif __running:\n    trim(__s)",
+        "if not (__s.fresh or __s.state.phase == 'fault_going') or __stands:\n    return None\n"
+        "if __running:\n    trim(__s)")),
     _m("contact is told, and not relieved", CONTROL, (
         "if __s.latch_servo('CONTACT', __i, __text):\n    relieve(__s, __i)",
         "if __s.latch_servo('CONTACT', __i, __text):\n    __s.state.looks = ()")),
