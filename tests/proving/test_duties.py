@@ -193,6 +193,20 @@ def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else(holding: Bench) -> Non
     assert holding.broken == {"7", "rest"}
 
 
+@pytest.mark.parametrize(("step", "seen"), [(2, False), (3, True)])
+def test_7_on_the_way_to_rest_goals_go_back_by_what_a_correction_adds_and_not_by_more(
+    holding: Bench, step: int, seen: bool
+) -> None:
+    holding.servos[0].goal = 400  # the base rests at 512
+    holding.at(400.0)
+    holding.tick(Mode.FAULTED, "HOT")
+    assert advancing(holding, mode=Mode.FAULTED, code="HOT") is None
+    holding.at(holding.servos[0].goal - 20.0)  # it hangs down
+    holding.tick(Mode.FAULTED, "HOT")
+    holding.move(-step, follow=False, mode=Mode.FAULTED, code="HOT")
+    assert ("7" in holding.broken) == seen
+
+
 @pytest.mark.parametrize("stopped_by", ["a silence", "hold"])
 @pytest.mark.parametrize("announced", [True, False])
 def test_7_heat_that_outlasts_a_silence_may_send_the_arm_to_rest_once_that_is_announced(

@@ -61,7 +61,7 @@ from proving.reading import (
     TORQUE_ENABLE,
     Arm,
 )
-from proving.shafts import BLOCKED_TICKS, CORRECTION_DEG_S, NOISE_TICKS, copied
+from proving.shafts import BLOCKED_TICKS, NOISE_TICKS, copied
 from proving.torque import HERE_TICKS, TorqueJudge
 
 LEAD_TICKS = 12.0 / TICK_DEG
@@ -94,9 +94,9 @@ class Judge(TorqueJudge):
             (max(low, joint.low), min(high, joint.high))
             for joint, (low, high) in zip(arm.joints, eeprom_limits, strict=True)
         ]
-        self._steps = [(joint.speed_deg_s + CORRECTION_DEG_S) * period_s / TICK_DEG + 1.0 for joint in arm.joints]
+        self._steps = [joint.speed_deg_s * period_s / TICK_DEG + self._bend_ticks for joint in arm.joints]
         self._speeds = [joint.speed_units for joint in arm.joints]
-        self._rest_step = (REST_SPEED_DEG_S + CORRECTION_DEG_S) * period_s / TICK_DEG + 1.0
+        self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + self._bend_ticks
         self._sent_lately: list[deque[tuple[float, int]]] = [deque(maxlen=40) for _ in arm.joints]
         # When each servo was last heard.
         self._heard_s = self._duties.heard_s
@@ -333,7 +333,7 @@ class Judge(TorqueJudge):
                 self._violate("5", now_s, i, f"goal {known} -> {goal} on the way to rest (bound {self._rest_step:.1f})")
             if settling:
                 self._advances_to_rest(now_s, i, f"goal {known} -> {goal}")
-            if settling and abs(goal - self._rest[i]) > abs(known - self._rest[i]) + 1.0:
+            if settling and abs(goal - self._rest[i]) > abs(known - self._rest[i]) + self._bend_ticks:
                 self._violate("7", now_s, i, f"goal {known} -> {goal}, away from rest, {self._code} being latched")
 
     def _alive(self) -> bool:

@@ -36,6 +36,8 @@ class ShaftJudge:
         self._arm = arm
         self._names = [joint.name for joint in arm.joints]
         self._period_s = period_s
+        # What a correction and rounding may add to a goal in a tick.
+        self._bend_ticks = CORRECTION_DEG_S * period_s / TICK_DEG + 1.0
         self._seen: set[tuple[str, int]] = set()
         self._duties = Duties(arm, period_s)
         # What is reported: the mode, and the code of a fault.
