@@ -43,6 +43,8 @@ TRIES = 3
 LASTING = frozenset(
     (
         "run",
+        "path",
+        "play",
         "move",
         "reach",
         "transfer",

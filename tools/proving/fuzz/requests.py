@@ -70,6 +70,8 @@ def requests_to(arm: ArmConfig) -> list[tuple[str, dict[str, Any]]]:
         *((method, {"confirm": True}) for method in ("release", "teach_begin")),
         ("take_begin", {"name": "take"}),
         ("run", {"plan": plan}),
+        ("path", {"points_m": [[0.18, -0.02, 0.12], [0.18, 0.02, 0.12]], "tolerance_mm": 2.0}),
+        ("play", {"name": "take", "rate": 0.5}),
         ("move", {"joints_rad": rest, "duration_s": 1.0}),
         ("move", {"point_m": [0.18, 0.0, 0.15]}),
         ("move", {"pose": [0.18, 0.0, 0.15, 0.0, 1.5, 0.0]}),
