@@ -8,6 +8,7 @@ rho < |offset|, on that cylinder. Joint ranges do not count here.
 """
 
 import math
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +56,7 @@ class PlaneReach:
             candidates.append((0.0, 0.0))
         u, height = min(candidates, key=lambda uv: self._square(uv[0], uv[1], rho, v))
         near_rho = math.hypot(u + self.a1, self.offset)
-        c, s = (x / rho, y / rho) if rho > 0.0 else (1.0, 0.0)
+        c, s = (x / rho, y / rho) if rho > sys.float_info.min else (1.0, 0.0)
         near = np.array([near_rho * c, near_rho * s, height + self.height])
         return near, math.sqrt(self._square(u, height, rho, v))
 

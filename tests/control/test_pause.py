@@ -20,9 +20,10 @@ def test_a_pause_rests_on_the_path_until_it_is_resumed() -> None:
     arm = running()
     assert arm.ask(Pause(6)).ok
     arm.run_ticks(3)
-    rest = arm.goals[-1]
+    rest, sent = arm.goals[-1], len(arm.goals)
     outputs = arm.run_ticks(100)
-    assert set(arm.goals[-100:]) == {rest}
+    assert arm.state.goal == rest
+    assert set(arm.goals[sent:]) <= {rest}
     assert (outputs.mode, outputs.rate) == (Mode.MOVING, 0.0)
     arm.run_ticks(41, Resume(7))
     assert (arm.replies[7].ok, arm.mode(), arm.replies[5].ok) == (True, Mode.HOLDING, True)

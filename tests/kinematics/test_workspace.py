@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.random import Generator as Rng
 
@@ -94,6 +94,7 @@ def sweep(reach: PlaneReach, u: FloatArray, v: FloatArray, turn: FloatArray) -> 
 
 
 @given(reaches, points, rngs)
+@example(PlaneReach((0.5, 0.25), 0.0, 0.0, 0.0), np.array([5e-324, 5e-324, 0.0]), np.random.default_rng(0))
 def test_no_point_of_the_workspace_is_nearer_than_the_nearest(reach: PlaneReach, point: FloatArray, rng: Rng) -> None:
     near, distance = reach.nearest(point)
     assert np.linalg.norm(near - point) == pytest.approx(distance, abs=1e-12)

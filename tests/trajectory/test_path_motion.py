@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
+from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.trajectory.line_path import MARGIN_RAD
 from armctl.trajectory.path_motion import PathMotion, path_motion
@@ -73,7 +74,10 @@ def test_no_joint_leaves_its_limits_less_the_room_for_corrections_or_jumps_to_an
 def test_progress_never_goes_back_and_no_limit_of_speed_is_broken(seed: int, tolerance_mm: float) -> None:
     rng = np.random.default_rng(seed)
     points = np.array([0.19, 0.0, 0.12]) + rng.uniform(-1.0, 1.0, (5, 3)) * np.array([0.04, 0.08, 0.03])
-    motion = made(PathRequest(points_m=tuple(map(tuple, points.tolist())), tolerance_mm=tolerance_mm))
+    try:
+        motion = made(PathRequest(points_m=tuple(map(tuple, points.tolist())), tolerance_mm=tolerance_mm))
+    except RequestRefused:
+        reject()  # what the arm cannot do is another claim
     _, q = rows(motion)
     speed, acceleration = peak_rates(q, PERIOD_S)
     joints = ARM.joints[: CHAIN.n]
