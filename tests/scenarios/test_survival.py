@@ -179,13 +179,17 @@ def test_a_signal_to_the_daemon_stops_the_arm(holding: Bench, arm: Simulator) ->
 def test_a_stop_is_served_while_the_host_hangs(holding: Bench, arm: Simulator, way: str) -> None:
     run = holding.run_to_the_middle(arm)
     command = [sys.executable, "-m", "armctl", "stop", "--json", "--socket", str(holding.socket)]
-    with hung(holding.daemons[0].process.pid) as asked_ns:
+    with hung(holding.daemons[0].process.pid) as hung_ns:
+        asked_ns = hung_ns
         if way == "signal":
             os.kill(holding.controls[0], signal.SIGUSR1)
         else:
             assert json.loads(subprocess.check_output(command, timeout=60)) == {"state": "holding"}
             asked_ns = time.monotonic_ns()  # it is answered when the arm is still
         assert arm.motion_deg(asked_ns + 500 * MS, asked_ns + 1000 * MS) < STOPPED_DEG
-    with refused("STOPPED"):
+    # A command that a busy machine lets begin late finds an arm that stops for its host's silence.
+    late = asked_ns - hung_ns > 300 * MS
+    with pytest.raises(RequestRefused) as ended:
         run.result()
+    assert ended.value.code in {"STOPPED", "HOST_SILENT" if late else "STOPPED"}
     assert_ends_well(holding)
