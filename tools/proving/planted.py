@@ -39,7 +39,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "round(__joint.zero_tick - __joint.direction * __q / __tick_rad)")),
     _m("goals two ticks further ahead", CONTROL,
        ("sample_trajectory(__motion.trajectory, __time_s + __d)",
-        "sample_trajectory(__motion.trajectory, __time_s + 2.0 * __s.period_s + __d)"),
+        "sample_trajectory(__motion.trajectory, __time_s + 0.2 + __d)"),
        ("if __share < 1.0:\n    __to_s = __motion.progress_s + __way\n    ...",
         "if __share < 0.0:\n    __to_s = __motion.progress_s + __way\n    ...")),
     _m("the lead is not bounded", CONTROL, (
