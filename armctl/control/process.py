@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self, cast
 
-from armctl.clock import NS_PER_S, Clock, MonotonicClock, ask_for_real_time
+from armctl.clock import NS_PER_S, Clock, MonotonicClock, Stalls, ask_for_real_time
 from armctl.config import ArmConfig
 from armctl.control.link import Beat, Link, LinkClosed, Ready, StartFailed, StopAsked
 from armctl.control.stop_lane import REQUEST_ID, StopLane
@@ -35,6 +35,8 @@ SETTINGS_TIMEOUT_S = 10.0
 BUSY_NS = 2 * NS_PER_S
 # A host that was not heard for so long hangs: it says something every 50 ms.
 SILENT_NS = 300_000_000
+# A host is no more silent than the machine stood still, up to so long.
+STALLED_MOST_NS = NS_PER_S
 BUSY_POLL_NS = NS_PER_S // 10
 
 
@@ -107,6 +109,7 @@ class Inbox:
         # When the host's last word came; 0: none has come yet.
         self._heard_ns = 0
         self._silent = False
+        self._stalls = Stalls()
         # Whether a stop of the lane is under way.
         self._stopping = False
 
@@ -125,7 +128,10 @@ class Inbox:
         if self.leaving:
             return (HostLost(),)
         commands, self._commands = self._commands, []
-        before, self._silent = self._silent, 0 < self._heard_ns < self._clock.now_ns() - SILENT_NS
+        silent_ns = self._clock.now_ns() - self._heard_ns if self._heard_ns else 0
+        if silent_ns > SILENT_NS:
+            silent_ns -= min(self._stalls.since_ns(), STALLED_MOST_NS)
+        before, self._silent = self._silent, silent_ns > SILENT_NS
         return (*commands, HostSilent()) if self._silent and not before else commands
 
     def _receive(self) -> None:
@@ -136,6 +142,7 @@ class Inbox:
             return
         if received:
             self._heard_ns = self._clock.now_ns()
+            self._stalls.begin()
         for command in received:
             if not isinstance(command, Beat):
                 self._put(command)

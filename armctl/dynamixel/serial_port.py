@@ -6,7 +6,8 @@ Two rules more than the contract has:
    long: whoever polls or reads an empty terminal while bytes are on their way waits for the kernel's worker (see
    `kernel_worker`), whatever the time limit. So the terminal is asked only once it has told that bytes are there. A
    reply that this worker may keep back is waited for once more, as long as the bus is patient. So is one for which
-   this process was not run in time: on a machine that stood still, what answers it may not have been run either.
+   this process was not run in time: on a machine that stood still, what answers it may not have been run either. A
+   virtual machine of which one processor stands still is waited for as long as that takes, up to half a second.
 2. The first opening remembers the adapter by its USB identity (/dev/serial/by-id carries the serial number); every
    later one looks for that adapter, whatever name the kernel gave it after a replug, and takes no other.
 """
@@ -23,7 +24,7 @@ from pathlib import Path
 import serial
 from serial.tools import list_ports
 
-from armctl.clock import NS_PER_S, Clock
+from armctl.clock import NS_PER_S, Clock, Stalls
 from armctl.dynamixel.kernel_worker import KernelWorker
 from armctl.dynamixel.port import HEARD_MAX, NS_PER_MS, QUIET_MS, ServoPort
 from armctl.errors import BusError, PortBusy, PortGone, PortMissing
@@ -33,6 +34,8 @@ KEEPS_UP_NS = NS_PER_MS
 LATELY_NS = NS_PER_S
 # A process that waits comes back sooner after its time is over, unless the machine keeps it.
 HELD_UP_NS = 3 * NS_PER_MS
+# Of a round in which a processor of a virtual machine was not run.
+STALLED_MOST_NS = NS_PER_S // 2
 # Linux: the flag in the fifth number that TIOCGSERIAL tells.
 ASYNC_LOW_LATENCY = 0x2000
 BY_ID = Path("/dev/serial/by-id")
@@ -62,6 +65,9 @@ class SerialPort(ServoPort):
         self.ser: serial.Serial | None = None
         self._identity: Path | None = None
         self._opened = ExitStack()
+        self._stalls = Stalls()
+        # How long this round has waited on because of a stall.
+        self._made_up_ns = 0
         super().__init__(name, baud, clock)
 
     def openPort(self) -> bool:
@@ -99,6 +105,11 @@ class SerialPort(ServoPort):
             with suppress(OSError):  # an unplugged device may refuse even this; the descriptor is gone all the same
                 self.ser.close()
             self.ser = None
+
+    def begin_round(self, patience_ns: int | None = None) -> int:
+        self._stalls.begin()
+        self._made_up_ns = 0
+        return super().begin_round(patience_ns)
 
     def getBytesAvailable(self) -> int:
         if self.ser is None:
@@ -167,6 +178,10 @@ class SerialPort(ServoPort):
         held_up_ns = now_ns - self._deadline_ns
         if held_up_ns > HELD_UP_NS:
             self._patient_until_ns += held_up_ns
+            return True
+        if self._made_up_ns < min(self._stalls.since_ns(), STALLED_MOST_NS):
+            self._made_up_ns += self._allowed_ns
+            self._patient_until_ns += self._allowed_ns
             return True
         if self._worker is None or now_ns >= self._patient_until_ns:
             return False

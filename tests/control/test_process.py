@@ -5,6 +5,7 @@ import os
 import select
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -31,6 +32,7 @@ from armctl.messages import (
     TickRecord,
 )
 from tests.control.test_loop import Rig, holding
+from tests.stalled import Machine
 
 SOON_NS = 1_000_000
 NOTHING = Inputs(0, 1, Sample(1, ()))
@@ -160,6 +162,23 @@ def test_a_host_that_has_fallen_silent_is_told_to_one_tick(bench: Bench) -> None
         bench.clock.sleep_until_ns(bench.clock.now_ns() + SOON_NS)
         assert bench.inbox.take() == (HostSilent(),)
         assert bench.inbox.take() == []
+
+
+def test_a_host_on_a_machine_that_stood_still_is_no_more_silent_than_that(bench: Bench, tmp_path: Path) -> None:
+    machine = Machine(tmp_path, bench.clock)
+    bench.inbox._stalls = machine.stalls
+    told = []
+    for stalled in (35, 5, 1000):
+        assert bench.host.send(Beat())
+        bench.inbox.take()
+        machine.run(stalled, (1,))
+        told.append(bench.inbox.take())
+        machine.run(29)
+        told.append(bench.inbox.take())
+        machine.run(2)
+        told.append(bench.inbox.take())
+    silent = (HostSilent(),)
+    assert told == [[], [], silent, [], [], silent, silent, [], []], "at most a second is made up for"
 
 
 def test_words_that_waited_while_this_process_hung_count_as_heard(bench: Bench) -> None:

@@ -22,6 +22,7 @@ from armctl.dynamixel.kernel_worker import KernelWorker
 from armctl.dynamixel.serial_port import SerialPort
 from armctl.errors import PortBusy, PortMissing
 from armctl.messages import Goal
+from tests.stalled import TICK_NS, Machine
 
 pytestmark = pytest.mark.pty
 BAUD = 1_000_000
@@ -204,6 +205,35 @@ def test_a_reply_is_waited_for_once_more_where_nothing_was_run_meanwhile(
     port.setPacketTimeout(5)
     assert port.readPort(5) == reply
     port.closePort()
+
+
+@pytest.mark.parametrize(("stalled", "reply"), [(8, b"reply"), (0, b"")])
+def test_a_reply_is_waited_for_as_long_as_a_processor_of_a_virtual_machine_was_not_run(
+    pty: Pty, port: SerialPort, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stalled: int, reply: bytes
+) -> None:
+    machine = Machine(tmp_path)
+    port._stalls, port._worker = machine.stalls, None
+    port.begin_round(PATIENT_NS)
+    machine.run(stalled, (0,))
+    wait, ends = select.select, 0
+
+    def late(*what: Any) -> Any:
+        nonlocal ends
+        ends += 1
+        if ends == 3 and reply:
+            os.write(pty.master, reply)
+        return wait(*what)
+
+    monkeypatch.setattr(select, "select", late)
+    for expected, least in ((reply, 3 if stalled else 1), (b"", 1)):
+        ends = 0
+        port.setPacketTimeout(5)
+        assert port.readPort(5) == expected
+        reply = b""
+        assert least <= ends < least + 60
+    waited_ns = port._made_up_ns
+    assert (waited_ns > 0) == (stalled > 0)
+    assert waited_ns < stalled * TICK_NS + port._allowed_ns, "no longer in all, whoever is silent"
 
 
 def test_patience_ends(pty: Pty, port: SerialPort) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import select
 import signal
 import subprocess
 import time
@@ -247,5 +248,6 @@ def test_unread_replies_do_not_block_the_simulator(tmp_path: Path) -> None:
         terminal.write(bytes(1000))
     with serial.Serial(str(tmp_path / "port"), 1_000_000) as port:
         port.write(b"abc")
+        assert select.select([terminal.fileno()], [], [], 60.0)[0]  # the kernel hands them on when it gets to it
         assert terminal.read() == b"abc"
     terminal.unplug()
