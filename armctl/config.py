@@ -3,42 +3,48 @@
 Two files exist. `Config` says how the daemon runs (`armctl.yaml`, optional: every key has a default).
 `ArmConfig` describes one physical arm (`calibration/NAME.yaml`). Units stand in the key; angles are degrees in
 the files, because people write them, and radians in every property the code reads. The comment above a key is what
-`armctl help configuration` tells of it.
-
-A file is refused as a whole, with file, key, value and bound of everything that is wrong in it. YAML is read
-without its surprises: no aliases, tags or duplicate keys, no `.nan`, no `1:30` or `0o17` numbers, at most 64 KiB and
-16 levels deep.
+`armctl help configuration` tells of it. How both are read stands in `armctl.strict_yaml`.
 """
 
 import hashlib
 import math
-import re
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    Tag,
+    model_serializer,
+    model_validator,
+)
 
-from armctl.dynamixel import ax12a
+from armctl.dynamixel import ax12a, servos
 from armctl.errors import ConfigError
+from armctl.strict_yaml import NAME_PATTERN as NAME_PATTERN
+from armctl.strict_yaml import Frozen as Frozen
+from armctl.strict_yaml import Name as Name
+from armctl.strict_yaml import parse_yaml as parse_yaml
+from armctl.strict_yaml import validate as validate
 
-MAX_YAML_BYTES = 65536
-MAX_YAML_DEPTH = 16
 # 5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked.
 MAX_GRIP_TICK = 20
-# How many faults of a file or a request are told at once.
-MAX_FAULTS = 20
-NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
-Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 UserOrGroup = Annotated[str, Field(pattern=r"^@?[A-Za-z_][A-Za-z0-9_.-]{0,31}$")]
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
+# No link of an arm of such servos is longer.
+LONGEST_LINK_M = 2.0
 
 
-class Frozen(BaseModel):
-    """What comes from outside: checked as a whole, nothing converted, nothing unknown, and never changed after."""
+def _metres(value: float) -> float:
+    if abs(value) > LONGEST_LINK_M:
+        raise ValueError(f"{value:g} m is beyond any arm of AX-12A (at most {LONGEST_LINK_M:g} m); give metres, not mm")
+    return value
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+Metres = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_metres)]
 
 
 class Compliance(Frozen):
@@ -59,6 +65,8 @@ class JointConfig(Frozen):
     name: Name
     # Its ID on the bus.
     servo_id: int = Field(ge=0, le=253)
+    # Which servo it is: one of `ax-12a`, `ax-12w`, `ax-18a`.
+    model: str = servos.DEFAULT
     # -1 where the servo is mounted the other way round.
     direction: Literal[1, -1] = 1
     # What the servo reads at joint position 0; `armctl calibrate` finds it.
@@ -78,6 +86,8 @@ class JointConfig(Frozen):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.model not in servos.MODELS:
+            raise ValueError(f"model {self.model!r}: no such servo; known: {', '.join(servos.MODELS)}")
         low, high = self.limits_deg
         if not low < high:
             raise ValueError(f"limits_deg [{low}, {high}]: the first must be below the second")
@@ -90,6 +100,14 @@ class JointConfig(Frozen):
                     f"limits_deg {limit} is tick {tick:.0f} with zero_tick {self.zero_tick}; a servo reaches 0 to 1023"
                 )
         return self
+
+    @model_serializer(mode="wrap")
+    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """An AX-12A is not told: logs and hashes of old arms stay as they are."""
+        told: dict[str, Any] = handler(self)
+        if self.model == servos.DEFAULT:
+            told.pop("model", None)
+        return told
 
     def tick(self, position_rad: float) -> float:
         """Servo position [tick, unrounded] of a joint position [rad]."""
@@ -122,6 +140,75 @@ class JointConfig(Frozen):
         return math.radians(self.rest_deg)
 
 
+class ChainRow(Frozen):
+    """One joint of a Denavit-Hartenberg table; the joint's own angle is added to `theta_deg`."""
+
+    # Along x to the next joint's axis; in a modified row of the link before the joint.
+    a_m: Metres = 0.0
+    # About x, between this joint's axis and the next; in a modified row of the link before the joint.
+    alpha_deg: Degrees = 0.0
+    # Along the joint's axis.
+    d_m: Metres = 0.0
+    # The angle of the table at joint position 0.
+    theta_deg: Degrees = 0.0
+    # Along y, where no convention puts the frame; of modified rows, as a URDF makes them.
+    b_m: Metres = 0.0
+    # About y, in the same rows.
+    beta_deg: Degrees = 0.0
+
+
+class ChainTable(Frozen):
+    """The links of an arm, as a table."""
+
+    # Which Denavit-Hartenberg convention; in a modified row `a_m` and `alpha_deg` are the link's before (Craig).
+    convention: Literal["standard", "modified"]
+    # One row a joint, from the base to the tool.
+    dh: tuple[ChainRow, ...] = Field(min_length=1, max_length=16, strict=False)
+    # The tool in the last link's frame.
+    tool_m: tuple[Metres, Metres, Metres] = Field((0.0, 0.0, 0.0), strict=False)
+    # Its rotation there: roll about x, pitch about y, yaw about z.
+    tool_rpy_deg: tuple[Degrees, Degrees, Degrees] = Field((0.0, 0.0, 0.0), strict=False)
+    # The URDF that the table was made of; the table counts.
+    urdf: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for number, row in enumerate(self.dh, start=1):
+            if self.convention == "standard" and (row.b_m or row.beta_deg):
+                raise ValueError(f"dh row {number} has b_m or beta_deg, which are for `convention: modified`")
+        if not any((*self.tool_m, *(length for row in self.dh for length in (row.a_m, row.b_m, row.d_m)))):
+            raise ValueError("every length of the table is 0 m; give a_m, d_m or tool_m in metres")
+        return self
+
+
+class OwnGripper(Frozen):
+    """A gripper that is none of the joints: a servo of its own."""
+
+    # What to call it.
+    name: Name = "gripper"
+    # Its ID on the bus.
+    servo_id: int = Field(ge=0, le=253)
+    # What the servo reads where the gripper has let go.
+    open_tick: int = Field(ge=0, le=ax12a.TICK_MAX)
+    # What it reads where it is closed with nothing in between.
+    closed_tick: int = Field(ge=0, le=ax12a.TICK_MAX)
+    # How wide it is where it has let go.
+    open_mm: float | None = Field(None, ge=0.0, le=500.0)
+    # And where it is closed.
+    closed_mm: float | None = Field(None, ge=0.0, le=500.0)
+    # The load that tells a grip, and that holds it.
+    load_ratio: float = Field(0.3, ge=0.15, le=0.5)
+
+    def as_joint(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The joint that it is, and what `gripper` then says."""
+        closed_deg = math.degrees((self.closed_tick - self.open_tick) * ax12a.TICK_RAD)
+        joint = {"name": self.name, "servo_id": self.servo_id, "zero_tick": float(self.open_tick)}
+        joint |= {"limits_deg": sorted((0.0, closed_deg)), "rest_deg": 0.0}
+        sizes = {key: size for key in ("open_mm", "closed_mm") if (size := getattr(self, key)) is not None}
+        gripper = {"joint": self.name, "open_deg": 0.0, "closed_deg": closed_deg, "load_ratio": self.load_ratio}
+        return joint, gripper | sizes
+
+
 class GripperConfig(Frozen):
     """The joint that grips. It moves no tool point, and gets from open to closed unless something is in between."""
 
@@ -133,6 +220,22 @@ class GripperConfig(Frozen):
     closed_deg: Degrees
     # The load that tells a grip, and that holds it: above friction, below what makes the servo hot.
     load_ratio: float = Field(0.3, ge=0.15, le=0.5)
+    # How wide it is where it has let go.
+    open_mm: float | None = Field(None, ge=0.0, le=500.0)
+    # And where it is closed.
+    closed_mm: float | None = Field(None, ge=0.0, le=500.0)
+
+    def opening_mm(self, position_rad: float) -> float | None:
+        """How wide it is, if its file says how wide it opens and closes."""
+        if self.open_mm is None or self.closed_mm is None:
+            return None
+        share = (math.degrees(position_rad) - self.open_deg) / (self.closed_deg - self.open_deg)
+        return self.open_mm + share * (self.closed_mm - self.open_mm)
+
+    @model_serializer(mode="wrap")
+    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Sizes that nobody gave are not told: logs of old arms stay as they are."""
+        return {key: value for key, value in handler(self).items() if value is not None}
 
 
 class ArmConfig(Frozen):
@@ -140,10 +243,13 @@ class ArmConfig(Frozen):
 
     # Of this one arm; recordings, plans and logs carry it, and another arm refuses them.
     arm_id: Name
-    # Kinematic model, one of `armctl robots`.
-    robot: Name
+    # Kinematic model: one of `armctl robots`, or a table of one's own, or a URDF (`armctl help new-arm`).
+    robot: Annotated[
+        Annotated[Name, Tag("a name")] | Annotated[ChainTable, Tag("a table")],
+        Discriminator(lambda told: "a name" if isinstance(told, str) else "a table"),
+    ]
     # Link lengths that differ from the robot's own, by the robot's parameter names.
-    lengths_m: dict[str, float] = {}
+    lengths_m: dict[str, float] = Field(default_factory=dict)
     # Height of the surface the arm stands on, in the base frame; no plan goes below it.
     floor_m: float = 0.0
     # How thick the links are all round, for what may touch; half the longest side of an AX-12A.
@@ -162,6 +268,40 @@ class ArmConfig(Frozen):
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
     # What `reach --grip` closes.
     gripper: GripperConfig | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_own_gripper(cls, told: Any) -> Any:
+        """A gripper with a servo of its own becomes the last joint."""
+        gripper = told.get("gripper") if isinstance(told, dict) else None
+        if (
+            not isinstance(gripper, dict)
+            or "servo_id" not in gripper
+            or not isinstance(told.get("joints"), list | tuple)
+        ):
+            return told
+        try:
+            own = validate(OwnGripper, gripper, "gripper")
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+        if own.open_tick == own.closed_tick:
+            raise ValueError(f"gripper: open_tick and closed_tick are both {own.open_tick}")
+        joint, gripper = own.as_joint()
+        return told | {"joints": [*told["joints"], joint], "gripper": gripper}
+
+    @model_validator(mode="after")
+    def _check_chain(self) -> Self:
+        if isinstance(self.robot, str):
+            return self
+        rows, names = len(self.robot.dh), self.joint_names
+        if rows > len(names):
+            raise ValueError(f"robot has {rows} joints, but joints has {len(names)}; give one entry each")
+        if self.gripper is not None and self.gripper.joint in names[:rows]:
+            raise ValueError(
+                f"gripper.joint {self.gripper.joint}: it is one of the {rows} joints that move the tool; name one after"
+                " them, or leave it out of the chain"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_gripper(self) -> Self:
@@ -192,8 +332,14 @@ class ArmConfig(Frozen):
             values = [getattr(joint, what) for joint in self.joints]
             for index, value in enumerate(values):
                 if value in values[:index]:
-                    raise ValueError(f"two joints have {what} {value}")
+                    remedy = "give each servo an id of its own" if what == "servo_id" else "give each its own"
+                    raise ValueError(f"two joints have {what} {value}; {remedy}")
         return self
+
+    @property
+    def robot_name(self) -> str:
+        """What to call its kinematic model."""
+        return self.robot if isinstance(self.robot, str) else self.arm_id
 
     @cached_property
     def servo_ids(self) -> tuple[int, ...]:
@@ -227,8 +373,10 @@ class LogConfig(Frozen):
     quota_bytes: int = Field(4 * 2**30, ge=2**20)
     # Logs older than this, counted back from the newest, are deleted; 0: none is for its age.
     max_age_s: float = Field(0.0, ge=0.0)
-    # So much before and after a fault is kept in a file of its own, which no bound deletes.
+    # So much before and after a fault is kept in a file of its own.
     snapshot_s: float = Field(30.0, ge=1.0, le=600.0)
+    # What these files may take together; the oldest are deleted beyond it.
+    snapshots_bytes: int = Field(512 * 2**20, ge=2**20)
 
 
 class Config(Frozen):
@@ -249,98 +397,3 @@ class Config(Frozen):
     commanders: tuple[UserOrGroup, ...] = Field((), strict=False)
     # Bounds of the log.
     log: LogConfig = LogConfig()
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader without aliases, tags, duplicate keys, depth and surprising scalars."""
-
-    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012
-
-    depth = 0
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        problem = (
-            "aliases are not allowed" if isinstance(event, yaml.AliasEvent)
-            else "tags are not allowed" if getattr(event, "tag", None) is not None
-            else f"nested more than {MAX_YAML_DEPTH} deep" if self.depth == MAX_YAML_DEPTH
-            else ""
-        )  # fmt: skip
-        if problem:
-            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise yaml.MarkedYAMLError(problem="a key must be a plain word", problem_mark=key_node.start_mark)
-            if key_node.value in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"key {key_node.value!r} stands twice", problem_mark=key_node.start_mark
-                )
-            seen.add(key_node.value)
-        return super().construct_mapping(node, deep)
-
-
-for _tag, _regexp, _first in (
-    ("tag:yaml.org,2002:null", r"^(?:~|null|)$", ["~", "n", ""]),
-    ("tag:yaml.org,2002:bool", r"^(?:true|false)$", list("tf")),
-    ("tag:yaml.org,2002:int", r"^[-+]?(?:0|[1-9][0-9]*)$", list("-+0123456789")),
-    ("tag:yaml.org,2002:float", r"^[-+]?[0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]+)?$", list("-+0123456789")),
-):
-    _StrictLoader.add_implicit_resolver(_tag, re.compile(_regexp), _first)
-
-
-def parse_yaml(text: str, file: str) -> dict[str, Any]:
-    """The top-level mapping of a YAML text.
-
-    Raises:
-        ConfigError: not YAML, not a mapping, too large, or using a feature that is not allowed.
-    """
-    if len(text.encode(errors="replace")) > MAX_YAML_BYTES:
-        raise ConfigError(file, "", f"larger than {MAX_YAML_BYTES} bytes")
-    try:
-        data = yaml.load(text, Loader=_StrictLoader)  # a SafeLoader with fewer features
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise ConfigError(file, where, error.problem or "not valid YAML") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(file, "", f"not valid YAML: {error}") from None
-    if data is None:
-        return {}
-    if not isinstance(data, dict):
-        raise ConfigError(file, "", f"holds a {type(data).__name__}, not keys and values")
-    return data
-
-
-M = TypeVar("M", bound=BaseModel)
-
-
-def validate(model: type[M], data: object, file: str) -> M:
-    """`data` as a `model`.
-
-    Raises:
-        ConfigError: naming the file and, for every fault in it up to `MAX_FAULTS`, key, value and bound.
-    """
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        lines = []
-        for fault in error.errors(include_url=False)[:MAX_FAULTS]:
-            key = ".".join(str(part) for part in fault["loc"])
-            message = fault["msg"].removeprefix("Value error, ")
-            if fault["type"] == "extra_forbidden":
-                message = "unknown key"
-            if fault["type"] not in ("missing", "value_error"):
-                message += f" (found {str(fault['input'])[:60]!r})"
-            lines.append((key, message))
-        first, *rest = lines
-        text = first[1] + "".join(f"\n  {key}: {message}" for key, message in rest)
-        if (more := error.error_count() - MAX_FAULTS) > 0:
-            text += f"\n  and {more} more"
-        raise ConfigError(file, first[0], text) from None

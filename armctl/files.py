@@ -8,12 +8,13 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armctl.config import ArmConfig, Config, M
+    from armctl.config import ArmConfig, Config
+    from armctl.strict_yaml import M
 
 
 def read_text(path: Path, what: str) -> str:
@@ -75,20 +76,94 @@ def find_arm_file(arm: str) -> Path:
 
 
 def load_arm(arm: str) -> ArmConfig:
-    """The arm of that name or path."""
-    from armctl.config import ArmConfig
+    """The arm of that name or path, whole: a URDF that its file names is read and made the table in it.
 
-    return _loaded(ArmConfig, find_arm_file(arm), "calibration")
+    Raises:
+        ConfigError: the file, its URDF, or what they say of the robot is not acceptable.
+    """
+    from armctl.config import ArmConfig, parse_yaml, validate
+
+    path = find_arm_file(arm)
+    told = parse_yaml(read_text(path, "calibration"), str(path))
+    if isinstance(robot := told.get("robot"), dict) and "urdf" in robot and "dh" not in robot:
+        told = _with_urdf(told, robot, path)
+    found = validate(ArmConfig, told, str(path))
+    if not isinstance(found.robot, str):
+        from armctl.kinematics import robots
+
+        try:
+            robots.of(found)
+        except ConfigError as error:
+            raise ConfigError(str(path), f"lengths_m.{error.key}", error.problem, error.remedy) from None
+    return found
+
+
+def _with_urdf(told: dict[str, Any], robot: dict[str, Any], path: Path) -> dict[str, Any]:
+    """An arm's file with the table of its URDF, and the URDF's limits where the file gives a joint none."""
+    from armctl.kinematics.urdf_reader import read
+
+    if set(robot) != {"urdf", "tool"} or not all(isinstance(value, str) for value in robot.values()):
+        raise ConfigError(str(path), "robot", f"has the keys {', '.join(robot)}", "a URDF takes `urdf` and `tool`")
+    file = path.parent / robot["urdf"]
+    found = read(_urdf_text(file), robot["tool"], str(file))
+    for link, mesh in found.meshes:
+        if not (file.parent / mesh.rpartition("://")[2]).is_file():
+            text = f"mesh {mesh!r} is not there; armctl draws links by itself"
+            raise ConfigError(str(file), f"link {link}", text, "put it there, or remove the <mesh>")
+    joints = told.get("joints")
+    if isinstance(joints, list):
+        told["joints"] = [*map(dict, joints)] if all(isinstance(joint, dict) for joint in joints) else joints
+        for index, (name, limits) in enumerate(zip(found.joint_names, found.limits_deg, strict=True)):
+            if index >= len(joints) or not isinstance(joint := told["joints"][index], dict):
+                break
+            if joint.get("name") != name and joint.get("name") in found.joint_names:
+                text = f"{joint['name']} stands in place {index + 1}, where the URDF has {name}"
+                raise ConfigError(str(path), f"joints.{index}.name", text, "give joints in the URDF's order")
+            if limits is not None:
+                joint.setdefault("limits_deg", list(limits))
+    return told | {"robot": found.table | {"urdf": robot["urdf"]}}
+
+
+def _urdf_text(file: Path) -> str:
+    """The text of a URDF; a xacro is expanded by the package `xacro`.
+
+    Raises:
+        ConfigError: there is no such file, or no such package.
+    """
+    if file.suffix != ".xacro":
+        return read_text(file, "URDF")
+    try:
+        import xacro
+    except ImportError:
+        remedy = f"pip install xacro, or expand it: xacro {file.name} > {file.stem}"
+        raise ConfigError(str(file), "", "is a xacro, and the package `xacro` is not installed", remedy) from None
+    try:
+        text: str = xacro.process_file(str(file)).toxml()
+    except Exception as error:  # of many classes, whatever stands in the file
+        raise ConfigError(str(file), "", f"xacro cannot expand it: {str(error).strip()}") from None
+    return text
 
 
 def load_config(path: str | None = None) -> Config:
-    """The daemon's configuration: `path`, else `ARMCTL_CONFIG`, else the user's or the system's file, else defaults."""
+    """The daemon's configuration, of `config_file`; defaults where there is none."""
     from armctl.config import Config
 
-    chosen = path or os.environ.get("ARMCTL_CONFIG")
-    places = (_user_dir("XDG_CONFIG_HOME", ".config") / "armctl" / "armctl.yaml", Path("/etc/armctl/armctl.yaml"))
-    file = Path(chosen) if chosen else next(filter(Path.is_file, places), None)
+    file = config_file(path)
     return Config() if file is None else _loaded(Config, file, "configuration")
+
+
+def config_file(path: str | None = None) -> Path | None:
+    """`path`, else `ARMCTL_CONFIG`, else the user's or the system's file, whichever is there."""
+    if chosen := path or os.environ.get("ARMCTL_CONFIG"):
+        return Path(chosen)
+    places = (_user_dir("XDG_CONFIG_HOME", ".config") / "armctl" / "armctl.yaml", Path("/etc/armctl/armctl.yaml"))
+    return next(filter(Path.is_file, places), None)
+
+
+def tokens_path(path: str | None = None) -> Path:
+    """Where people's tokens for the dashboard are kept: beside the configuration."""
+    file = config_file(path)
+    return (file.parent if file else _user_dir("XDG_CONFIG_HOME", ".config") / "armctl") / "web-tokens.json"
 
 
 def data_dir(config: Config) -> Path:
@@ -105,12 +180,17 @@ def stop_path(socket: Path) -> Path:
     return socket.with_name(f"{socket.name}.stop")
 
 
+def served_socket(name: str) -> str:
+    """Where the service armctl@NAME listens; that of armctl itself is called armctl."""
+    return f"/run/armctl/{name}.sock"
+
+
 def socket_path(override: str | None = None) -> Path:
     """Where the daemon listens: `override`, else `ARMCTL_SOCKET`, else the user's or the service's socket."""
     chosen = override or os.environ.get("ARMCTL_SOCKET")
     if chosen:
         return Path(chosen)
-    service = Path("/run/armctl/armctl.sock")
+    service = Path(served_socket("armctl"))
     try:
         if service.exists():
             return service

@@ -8,9 +8,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.config import MAX_YAML_BYTES, MAX_YAML_DEPTH, ArmConfig, Config, parse_yaml, validate
+from armctl.config import ArmConfig, Config, parse_yaml, validate
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, load_arm
+from armctl.strict_yaml import MAX_YAML_BYTES, MAX_YAML_DEPTH
 
 REFUSED = yaml.safe_load(Path(__file__).with_name("config.yaml").read_text(encoding="utf-8"))
 
@@ -98,3 +99,19 @@ def test_a_thousand_faults_are_counted_and_not_listed() -> None:
         validate(Config, {f"key{number}": 1 for number in range(1000)}, "armctl.yaml")
     assert "and 980 more" in str(caught.value)
     assert str(caught.value).count("unknown key") == 20
+
+
+def test_an_ax_12a_is_not_told_and_another_servo_is() -> None:
+    """Hashes and logs of arms that were there before stay as they are."""
+    arm = load_arm("ax12-line")
+    assert "model" not in arm.model_dump(mode="json")["joints"][0]
+    assert arm.calibration_hash == "10542f8f115a0cf0"
+    other = validate(ArmConfig, {**arm.model_dump(mode="json"), "joints": [
+        {**joint, "model": "ax-18a"} for joint in arm.model_dump(mode="json")["joints"]]}, "arm.yaml")  # fmt: skip
+    assert other.model_dump(mode="json")["joints"][0]["model"] == "ax-18a"
+    assert other.calibration_hash != arm.calibration_hash
+
+
+def test_a_servo_that_is_none_is_refused_with_those_there_are() -> None:
+    with pytest.raises(ConfigError, match="model 'mx-28': no such servo; known: ax-12a, ax-12w, ax-18a"):
+        arm_with(GRIPPER, model="mx-28")

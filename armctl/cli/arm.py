@@ -5,29 +5,45 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Group, RenderableType
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
 
 from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
+from armctl.errors import NoDaemon
+from armctl.files import served_socket
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.text import Text
+
     from armctl.client import Client
 
 
 @command("status", SOCKET)
-def status_command(output: Output) -> None:
+@click.option("--all", "every", is_flag=True, help="Of every arm that is a service of this computer.")
+def status_command(output: Output, every: bool) -> None:
     """Show one snapshot: state, fault, joints, tool.
 
     Example: armctl status
     """
+    if every:
+        arms = [_served(output, path.stem) for path in sorted(Path(served_socket("*")).parent.glob("*.sock"))]
+        lines = "\n".join(f"{one['arm']:<20} {one['state']}" for one in arms)
+        output.answer({"arms": arms}, lines or "no arm is a service of this computer; see `armctl help arm`")
+        return
     with output.client() as client:
         snapshot = client.call("status")
     output.answer(snapshot, lambda: output.console.print(picture(snapshot)))
+
+
+def _served(output: Output, name: str) -> dict[str, Any]:
+    try:
+        with output.client(socket=served_socket(name), timeout_s=2.0) as client:
+            return {"arm": name, **client.call("status")}
+    except NoDaemon:
+        return {"arm": name, "state": "unreachable"}
 
 
 @command("watch", SOCKET)
@@ -44,6 +60,8 @@ def watch_command(output: Output) -> None:
             for snapshot in snapshots:
                 output.result(snapshot)
         elif output.console.is_terminal:
+            from rich.live import Live
+
             with Live(console=output.console, auto_refresh=False) as live:
                 for snapshot in snapshots:
                     live.update(picture(snapshot), refresh=True)
@@ -61,6 +79,10 @@ NEAR_LIMIT = 0.03
 
 
 def picture(snapshot: dict[str, Any]) -> RenderableType:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
     joints = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     joints.add_column("joint", overflow="fold", max_width=WIDEST_NAME)
     for column in ("id", "deg", "limits", "deg/s", "load %", "V", "degC", "torque", "age s"):
@@ -101,11 +123,15 @@ def picture(snapshot: dict[str, Any]) -> RenderableType:
         parts.append(Text(f"{card}\n  next: {fault['next']}", style="red"))
     if fault := snapshot["fault"]:
         parts.append(Text(f"the arm: {fault['arm']}", style="red"))
+    if snapshot["notice"]:
+        parts.append(Text(f"{snapshot['notice']}\n  to hear no more of it: armctl clear", style="yellow"))
     return Group(*parts)
 
 
 def _place(joint: dict[str, Any]) -> Text:
     """A joint between its limits, as a mark on a bar."""
+    from rich.text import Text
+
     low, high = joint["limits_rad"]
     share = (joint["position_rad"] - low) / (high - low)
     at = max(0, min(BAR - 1, math.floor(share * BAR)))
@@ -182,7 +208,7 @@ def torque_command() -> None:
 stop_command = state_command("stop", "Stop now: decelerate on the path and hold. Everyone may do this, always.")
 hold_command = state_command("hold", "The same as stop.")
 clear_command = state_command(
-    "clear", "Acknowledge a latched fault; refused while its cause lasts, with what to do about it."
+    "clear", "Acknowledge a latched fault, or a notice; refused while a fault's cause lasts, with what to do about it."
 )
 park_command = state_command(
     "park",
@@ -239,3 +265,44 @@ def release_command(output: Output, countdown: int) -> None:
     with output.client() as client:
         warn_of_limpness(output, client, countdown)
     request(output, "release", confirm=True)
+
+
+# ----------------------------------------------------------------------------------------- arms, without any of them
+
+
+@command("arms")
+def arms_command(output: Output) -> None:
+    """The arms at hand: those that come with armctl, and your own.
+
+    Example: armctl arms
+    """
+    from armctl.cli.tables import show_rows
+    from armctl.commissioning.arm_file import arms_at_hand
+
+    rows = arms_at_hand()
+    output.answer({"arms": rows}, lambda: show_rows(output.console, "arms", "", rows))
+
+
+@click.group("arm")
+def arm_command() -> None:
+    """What describes an arm: its file.
+
+    Example: armctl arm check my-arm.yaml
+    """
+
+
+@command("check", group=arm_command)
+@click.argument("file", metavar="NAME|FILE")
+def check_command(output: Output, file: str) -> int:
+    """Judge the file of an arm without hardware, and draw the arm at rest, from its side.
+
+    Example: armctl arm check my-arm.yaml
+    """
+    from dataclasses import asdict
+
+    from armctl.commissioning.arm_file import judged
+
+    found = judged(file)
+    told = [f"{problem['key']}: {problem['text']}".removeprefix(": ") for problem in found.problems]
+    output.answer(asdict(found), "\n".join([found.picture, *(told or ["nothing is wrong with it"])]).strip("\n"))
+    return 0 if found.ok else 1

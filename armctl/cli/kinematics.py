@@ -38,15 +38,29 @@ def robot_option(function: F) -> F:
 
     @functools.wraps(function)
     def on_robot(output: Output, robot_name: str, lengths: tuple[tuple[str, float], ...], **given: Any) -> object:
-        from armctl.kinematics import robots
+        return function(output, _robot(robot_name).with_lengths(dict(lengths)), **given)
 
-        return function(output, robots.get(robot_name, dict(lengths)), **given)
-
-    named = click.option("--robot", "robot_name", required=True, metavar="R", help="See `armctl robots`.")
+    named = click.option(
+        "--robot", "robot_name", required=True, metavar="NAME|FILE", help="See `armctl robots` and `armctl arms`."
+    )
     changed = click.option(
         "--set", "lengths", type=length, multiple=True, metavar="NAME=M", help="Another length, metres."
     )
     return named(changed(on_robot))  # type: ignore[return-value]  # what click calls has other parameters
+
+
+def _robot(name: str) -> Robot:
+    """A robot by its name, or that of an arm or its file."""
+    from armctl.files import find_arm_file, load_arm
+    from armctl.kinematics import robots
+
+    if name not in robots.names():
+        try:
+            find_arm_file(name)
+        except ConfigError:
+            return robots.get(name)  # says which there are
+        return robots.of(load_arm(name))
+    return robots.get(name)
 
 
 deg_option = click.option("--deg", is_flag=True, help="Angles are given and told in degrees (JSON: always radians).")
@@ -119,10 +133,13 @@ def ik_command(
 
 
 def show_solutions(output: Output, found: Answer, solutions: Sequence[Solution], deg: bool) -> None:
+    from armctl.kinematics.solution import REACHED_M
+
     if not found.reachable:
         gap = found.least_position_error_m
-        far = f"out of reach by {gap * 1000.0:.6g} mm"
-        output.say(f"{far if gap > 0.0 else 'the position is in reach, this rotation is not'}; the nearest:")
+        found_it = bool(solutions) and solutions[0].position_error_m <= REACHED_M
+        in_reach = "the position is in reach, this rotation is not" if found_it else "in reach, but not reached by this"
+        output.say(f"{f'out of reach by {gap * 1000.0:.6g} mm' if gap > 0.0 else in_reach}; the nearest:")
     for solution in solutions:
         missed = f"{solution.position_error_m * 1000.0:.3g} mm, {solution.orientation_error_rad:.3g} rad off"
         output.say(_angles(solution.q_rad, deg))

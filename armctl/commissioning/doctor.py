@@ -22,7 +22,7 @@ from armctl.config import ArmConfig, JointConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.bus import ServoBus
-from armctl.dynamixel.fitness import unfit_registers
+from armctl.dynamixel.fitness import unfit_registers, wrong_model
 from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS
 from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS
@@ -243,6 +243,7 @@ def _servo_checks(
     wire_ns = (2 * OVERHEAD_BYTES + 2 + ax12a.EEPROM_END) * bus.port.byte_ns
     round_trips_ns.append(table.elapsed_ns - wire_ns - 1000 * delay_us)
     model, level, mask = (stored(register) for register in (ax12a.MODEL, ax12a.RETURN_LEVEL, ax12a.SHUTDOWN))
+    wrong = wrong_model(joint, model)
     unfit = {it.register: it for it in unfit_registers(joint, table.data)}
     asked = "..".join(map(str, joint.limits_tick))
     limits = f"{stored(ax12a.CW_LIMIT)}..{stored(ax12a.CCW_LIMIT)}, the calibration asks for {asked}"
@@ -254,7 +255,7 @@ def _servo_checks(
     volts_fix = f"give the servos {VOLTAGE_V[0]:.0f} to {VOLTAGE_V[1]:.1f} V"
     heat_fix = "support the arm, `armctl release`, and let it cool down"
     rows = [
-        ("model", model == ax12a.MODEL_NUMBER, str(model), f"use an AX-12A (model {ax12a.MODEL_NUMBER})"),
+        ("model", not wrong, str(model), f"wanted {wrong}"),
         ("firmware", True, str(stored(ax12a.FIRMWARE)), ""),
         ("round_trip", True, f"{table.elapsed_ns // 1000} us for {ax12a.EEPROM_END} bytes", ""),
         ("return_delay", delay_us <= MAX_RETURN_DELAY_US, f"{delay_us} us (register {delay_us // 2})", delay_fix),

@@ -4,6 +4,7 @@ from typing import NamedTuple, Protocol
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
+from armctl.dynamixel.servos import MODELS, by_number
 from armctl.messages import Problem
 
 # How far outside a joint's limits those of its servo may lie and still be a wall: not quite 5 deg.
@@ -21,6 +22,11 @@ class ServoJoint(Protocol):
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def model(self) -> str:
+        """Name of its servo's model."""
+        ...
 
     @property
     def limits_tick(self) -> tuple[int, int]:
@@ -100,9 +106,8 @@ def table_problems(joint: ServoJoint, table: bytes, port_name: str) -> list[Prob
     """Why the EEPROM (bytes 0..23) of a joint's servo forbids its motion, and the command that mends it."""
     servo, servo_id = _servo(joint), joint.servo_id
     model = ax12a.register_value(ax12a.MODEL, table, 0)
-    if model != ax12a.MODEL_NUMBER:
-        text = f"{servo}: model number {model}, wanted {ax12a.MODEL_NUMBER} (AX-12A); use an AX-12A, or the right id"
-        return [Problem("WRONG_MODEL", text, servo_id)]
+    if wrong := wrong_model(joint, model):
+        return [Problem("WRONG_MODEL", f"{servo}: model number {model}, wanted {wrong}", servo_id)]
     unfit = unfit_registers(joint, table)
     if not unfit:
         return []
@@ -111,6 +116,15 @@ def table_problems(joint: ServoJoint, table: bytes, port_name: str) -> list[Prob
         faults += " (wheel mode)"
     remedy = f"end the daemon, type `armctl servo mend {servo_id} --port {port_name}` (with its --arm if it has one)"
     return [Problem("EEPROM_MISMATCH", f"{servo}: {faults}; {remedy}", servo_id)]
+
+
+def wrong_model(joint: ServoJoint, model_number: int) -> str:
+    """Which model a joint wants instead, and what to do; empty: it is the one."""
+    wanted, found = MODELS[joint.model], by_number(model_number)
+    if found is wanted:
+        return ""
+    told = f"{wanted.model_number} ({wanted.title}); use an {wanted.title}, or the right id"
+    return told if found is None else f"{told}, or write `model: {found.name}` for it into the arm's file"
 
 
 def _servo(joint: ServoJoint) -> str:

@@ -38,6 +38,8 @@ SLOW_ADAPTER_MS = 8.0
 DUPLICATE_PROBES = 3
 # How long the line is to be silent before each reading that confirms a suspicion, and at one go.
 CONFIRM_QUIET_MS = (20.0, 40.0, 80.0, 160.0)
+# How often that is done before two servos are told of: a cable that garbles one reply in ten may do so once.
+CONFIRMATIONS = 2
 LISTEN_MS = 10.0
 # Listenings to a line that does not fall silent.
 LISTENINGS = 30
@@ -171,11 +173,14 @@ def answers_twice(bus: Bus, servo_id: int) -> Steps[bool]:
         doubled += yield from _is_doubled(bus, servo_id)
     if doubled <= DUPLICATE_PROBES // 2:
         return False
-    doubled = 0
-    for quiet_ms in CONFIRM_QUIET_MS:
-        yield from _silence(bus, quiet_ms)
-        doubled += yield from _is_doubled(bus, servo_id)
-    return doubled >= len(CONFIRM_QUIET_MS) - 1
+    for _ in range(CONFIRMATIONS):
+        doubled = 0
+        for quiet_ms in CONFIRM_QUIET_MS:
+            yield from _silence(bus, quiet_ms)
+            doubled += yield from _is_doubled(bus, servo_id)
+        if doubled < len(CONFIRM_QUIET_MS) - 1:
+            return False
+    return True
 
 
 def _is_doubled(bus: Bus, servo_id: int) -> Steps[bool]:

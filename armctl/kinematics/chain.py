@@ -37,6 +37,14 @@ class DHRow:
     alpha: float = 0.0
     d: float = 0.0
     offset: float = 0.0
+    # Along y and about y; of modified rows alone.
+    b: float = 0.0
+    beta: float = 0.0
+
+    @cached_property
+    def numbers(self) -> tuple[float, ...]:
+        """offset, a, b, d, and the cosine and sine of alpha and of beta."""
+        return self.offset, self.a, self.b, self.d, *_exact_cos_sin(self.alpha), *_exact_cos_sin(self.beta)
 
 
 @dataclass(frozen=True)
@@ -47,33 +55,40 @@ class SerialChain:
     convention: Literal["standard", "modified"] = "standard"
     # How far the tool frame lies along x of the last link frame: the fixed last row of a modified table.
     tool_m: float = 0.0
+    # Where the tool frame lies if it is anywhere else: a fixed modified row after the last one.
+    tool: DHRow = DHRow()
+
+    @property
+    def has_tool(self) -> bool:
+        """Whether the tool frame is another than the last link frame."""
+        return self.tool_m != 0.0 or self.tool != DHRow()
+
+    @property
+    def reach_m(self) -> float:
+        """Bound on how far the tool is from the base."""
+        rows = sum(abs(row.a) + abs(row.d) + abs(row.b) for row in (*self.rows, self.tool))
+        return rows + abs(self.tool_m)
 
     @property
     def n(self) -> int:
         return len(self.rows)
 
     @property
-    def _first_axis(self) -> int:
+    def first_axis(self) -> int:
         """The frame whose z is the first joint's axis: of joint i it is frame i - 1 (standard) or i (modified)."""
         return 0 if self.convention == "standard" else 1
-
-    @cached_property
-    def _table(self) -> tuple[tuple[float, float, float, float, float], ...]:
-        """Of each row offset, a, d, and the cosine and sine of alpha."""
-        table = []
-        for row in self.rows:
-            # The alphas of real arms are multiples of 90 deg, as near as a float comes to them: their sines and
-            # cosines are kept exact.
-            quarter = row.alpha / (np.pi / 2.0)
-            exact = abs(quarter - round(quarter)) < 1e-14
-            trig = QUARTER_TURNS[round(quarter) % 4] if exact else cos_sin(row.alpha)
-            table.append((row.offset, row.a, row.d, *trig))
-        return tuple(table)
 
     @cached_property
     def _offsets(self) -> FloatArray:
         """Shape (n, 1)."""
         return np.array([[row.offset] for row in self.rows])
+
+
+def _exact_cos_sin(angle: float) -> tuple[float, float]:
+    """The twists of real arms are multiples of 90 deg, as near as a float comes to them: theirs are kept exact."""
+    quarter = angle / (np.pi / 2.0)
+    exact = abs(quarter - round(quarter)) < 1e-14
+    return QUARTER_TURNS[round(quarter) % 4] if exact else cos_sin(angle)
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
@@ -93,7 +108,7 @@ def link_frames(chain: SerialChain, q: FloatArray) -> FloatArray:
         ValueError: the last axis of q is not n.
     """
     flat = _flat(chain, q)
-    count = chain.n + 1 + (chain.tool_m != 0.0)
+    count = chain.n + 1 + chain.has_tool
     T = np.zeros((len(flat), count, 4, 4))
     T[:, :, 3, 3] = 1.0
     T[:, 0, :, :] = np.eye(4)
@@ -176,7 +191,7 @@ def joint_axes(chain: SerialChain, q: FloatArray) -> tuple[list[tuple[FloatArray
         n pairs (direction, origin [m]) and the tool point [m], each of shape (3, m) or, where all are equal, (3, 1).
     """
     frames = [_BASE, *_frames(chain, q)]
-    return [(Z, P) for _, _, Z, P in frames[chain._first_axis : chain._first_axis + chain.n]], frames[-1][3]
+    return [(Z, P) for _, _, Z, P in frames[chain.first_axis : chain.first_axis + chain.n]], frames[-1][3]
 
 
 def cross(u: FloatArray, v: FloatArray) -> FloatArray:
@@ -206,8 +221,9 @@ def _frames(chain: SerialChain, q: FloatArray) -> Iterator[Columns]:
     """Every link frame, and the tool frame if it is another, of q, shape (m, n)."""
     X, Y, Z, P = _BASE
     cosines, sines = cos_sin_of_all(np.ascontiguousarray(q.T) + chain._offsets)
-    for (_, a, d, ca, sa), c, s in zip(chain._table, cosines, sines, strict=True):
+    for row, c, s in zip(chain.rows, cosines, sines, strict=True):
         if chain.convention == "standard":
+            _, a, _, d, ca, sa, *_ = row.numbers
             if a != 0.0:
                 along = X * (a * c) + Y * (a * s)
                 P = (along if d == 0.0 else along + Z * d) + P
@@ -216,15 +232,32 @@ def _frames(chain: SerialChain, q: FloatArray) -> Iterator[Columns]:
             X, Y = X * c + Y * s, Y * c - X * s
             Y, Z = _twist(Y, Z, ca, sa)
         else:
-            if a != 0.0:
-                P = X * a + P
-            Y, Z = _twist(Y, Z, ca, sa)
-            if d != 0.0:
-                P = Z * d + P
+            X, Y, Z, P = _moved(X, Y, Z, P, row)
             X, Y = X * c + Y * s, Y * c - X * s
         yield X, Y, Z, P
-    if chain.tool_m != 0.0:
-        yield X, Y, Z, X * chain.tool_m + P
+    if chain.has_tool:
+        yield _tool(chain, X, Y, Z, P)
+
+
+def _tool(chain: SerialChain, X: FloatArray, Y: FloatArray, Z: FloatArray, P: FloatArray) -> Columns:
+    """The tool frame, from the last link frame."""
+    X, Y, Z, P = _moved(X, Y, Z, X * chain.tool_m + P, chain.tool)
+    c, s = _exact_cos_sin(chain.tool.offset)
+    return (X, Y, Z, P) if s == 0.0 and c > 0.0 else (X * c + Y * s, Y * c - X * s, Z, P)
+
+
+def _moved(X: FloatArray, Y: FloatArray, Z: FloatArray, P: FloatArray, row: DHRow) -> Columns:
+    """The frame before the joint of a modified row turns."""
+    _, a, b, d, ca, sa, cb, sb = row.numbers
+    if a != 0.0:
+        P = X * a + P
+    Y, Z = _twist(Y, Z, ca, sa)
+    if b != 0.0:
+        P = Y * b + P
+    if d != 0.0:
+        P = Z * d + P
+    Z, X = _twist(Z, X, cb, sb)
+    return X, Y, Z, P
 
 
 def _twist(Y: FloatArray, Z: FloatArray, ca: float, sa: float) -> tuple[FloatArray, FloatArray]:
@@ -245,7 +278,8 @@ def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, A
     (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2) = frame = _BASE_OF_ONE
     frames = [frame]
     standard = chain.convention == "standard"
-    for (offset, a, d, ca, sa), angle in zip(chain._table, q, strict=True):
+    for row, angle in zip(chain.rows, q, strict=True):
+        offset, a, b, d, ca, sa, cb, sb = row.numbers
         c, s = cos_sin(angle + offset)
         twisted = sa != 0.0 or ca < 0.0
         if standard and a != 0.0:
@@ -261,8 +295,14 @@ def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, A
                 y0, z0 = ca * y0 + sa * z0, ca * z0 - sa * y0
                 y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
                 y2, z2 = ca * y2 + sa * z2, ca * z2 - sa * y2
+            if b != 0.0 and not standard:
+                p0, p1, p2 = y0 * b + p0, y1 * b + p1, y2 * b + p2
             if d != 0.0:
                 p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
+            if (sb != 0.0 or cb < 0.0) and not standard:
+                z0, x0 = cb * z0 + sb * x0, cb * x0 - sb * z0
+                z1, x1 = cb * z1 + sb * x1, cb * x1 - sb * z1
+                z2, x2 = cb * z2 + sb * x2, cb * x2 - sb * z2
         x0, y0 = x0 * c + y0 * s, y0 * c - x0 * s
         x1, y1 = x1 * c + y1 * s, y1 * c - x1 * s
         x2, y2 = x2 * c + y2 * s, y2 * c - x2 * s
@@ -271,9 +311,9 @@ def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, A
             y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
             y2, z2 = ca * y2 + sa * z2, ca * z2 - sa * y2
         frames.append(((x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2)))
-    if chain.tool_m != 0.0:
-        m = chain.tool_m
-        frames.append((*frames[-1][:3], (x0 * m + p0, x1 * m + p1, x2 * m + p2)))
+    if chain.has_tool:
+        X, Y, Z, P = (tuple(column.tolist()) for column in _tool(chain, *map(np.array, frames[-1])))
+        frames.append((X, Y, Z, P))
     return frames
 
 
@@ -282,7 +322,7 @@ def _jacobian_of_one(chain: SerialChain, q: Sequence[float]) -> list[list[float]
     frames = _frames_of_one(chain, q)
     t0, t1, t2 = frames[-1][3]
     columns = []
-    for _, _, (z0, z1, z2), (p0, p1, p2) in frames[chain._first_axis : chain._first_axis + chain.n]:
+    for _, _, (z0, z1, z2), (p0, p1, p2) in frames[chain.first_axis : chain.first_axis + chain.n]:
         v0, v1, v2 = t0 - p0, t1 - p1, t2 - p2
         columns.append((z1 * v2 - z2 * v1, z2 * v0 - z0 * v2, z0 * v1 - z1 * v0, z0, z1, z2))
     return [list(row) for row in zip(*columns, strict=True)]

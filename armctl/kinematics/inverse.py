@@ -110,7 +110,7 @@ def refine_poses(
     Returns:
         q, shape (m, n): never worse than the (clamped) start.
     """
-    scale = 1.0 / max(sum(abs(row.a) + abs(row.d) for row in chain.rows) + abs(chain.tool_m), 1e-9)
+    scale = 1.0 / max(chain.reach_m, 1e-9)
     turning = limits[:, 1] - limits[:, 0] >= TURN_RAD
     low, high = np.where(turning, -np.inf, limits[:, 0]), np.where(turning, np.inf, limits[:, 1])
     q = np.clip(np.asarray(q_start, dtype=np.float64), low, high)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.errors import ConfigError
-from armctl.kinematics.chain import tool_position
+from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.inverse import TURN_RAD, pose_errors, refine_poses, solve_poses, within_a_turn
 from armctl.kinematics.robots.robot import ClosedForm, Robot
 from armctl.kinematics.transform import FloatArray, finite
@@ -22,6 +22,12 @@ from armctl.kinematics.transform import FloatArray, finite
 REACHED_M = 1e-6
 REACHED_RAD = 1e-6
 LIMIT_SLACK_RAD = 1e-9
+# Configurations that are one.
+SAME_RAD = 1e-6
+# Below this share of the largest singular value the joints can move while the tool stays.
+SINGULAR = 1e-6
+# How many starts a search has where no formula helps, and how often what it found is moved nearer.
+STARTS, NEARER_STEPS = 64, 12
 # How far R R^T may be from 1, element by element: the rounding of numbers somebody typed.
 ROTATION_SLACK = 1e-4
 
@@ -149,15 +155,25 @@ def solve(
         ConfigError: `present` or `limits` have another number of joints than the chain.
     """
     limits = robot.limits_rad if limits is None else np.asarray(limits, dtype=np.float64)
+    stands = present is not None
     present = limits.mean(axis=1) if present is None else np.asarray(present, dtype=np.float64)
     if limits.shape != (robot.chain.n, 2) or present.shape != (robot.chain.n,):
-        found = f"present {present.shape}, limits {limits.shape}"
-        raise ConfigError(robot.name, "q", found, f"the chain has {robot.chain.n} joints")
+        shapes = f"present {present.shape}, limits {limits.shape}"
+        raise ConfigError(robot.name, "q", shapes, f"the chain has {robot.chain.n} joints")
     if method == "closed" and robot.closed_form is not None:
         q, least = _closed(robot.closed_form, robot, target, present, limits)
     else:
         q, least = _numeric(robot, target, present, limits, seed)
-    return answer(robot, target, q, present, limits, least=least, polish=polish)
+    found = answer(robot, target, q, present, limits, least=least, polish=polish)
+    if not (stands and within_limits(present, limits)):
+        return found
+    position_m, turn_rad, reached = _errors(robot, target, present[None])
+    if not reached[0]:
+        return found
+    # The arm is there: it stays.
+    here = Solution(tuple(present.tolist()), float(position_m[0]), float(turn_rad[0]), True)
+    others = [one for one in found.solutions if np.abs(present - one.q_rad).max() > SAME_RAD]
+    return Answer(True, 0.0, (here, *(others if found.reachable else ())))
 
 
 def answer(
@@ -191,11 +207,63 @@ def _closed(
     form: ClosedForm, robot: Robot, target: Target, present: FloatArray, limits: FloatArray
 ) -> tuple[FloatArray, float]:
     families = form.pose_families(target.T) if target.turned else form.positions(target.position_m[None])[0]
-    q = np.array([_best(finite(family), present, limits) for family in families if np.isfinite(family).any()])
+    if families.shape[1] == 1:
+        q = finite(families)
+    else:
+        q = np.array([_best(finite(family), present, limits) for family in families if np.isfinite(family).any()])
     if len(q) and _errors(robot, target, q)[2].any():
+        if target.turned:
+            q = _slid(robot, target, q, present, limits)
+        if families.shape[1] > 1 and not within_limits(within_a_turn(q, limits), limits).any():
+            # Members of families lie in steps: between two of them there may be one within the limits.
+            return np.vstack([q, _from_many(robot, target, finite(families), present, limits)]), 0.0
         return q, 0.0
     q, least = _nearest(form, target)
     return _numeric(robot, target, present, limits, 0) if least == 0.0 and not target.turned else (q, least)
+
+
+def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
+    """Configurations of a pose, shape (k, n); of a singular one the best of those into which it can move.
+
+    There the joints can move and the tool stays. Along that motion the places are tried at which a joint is where it is
+    at present or at its limits: between two of them nothing gets better.
+    """
+    _, values, directions = np.linalg.svd(jacobian(robot.chain, q))
+    for k in np.flatnonzero(values[:, -1] <= SINGULAR * values[:, 0]).tolist():
+        q[k] = _along(robot, target, q[k], directions[k, -1], present, limits)
+    return q
+
+
+def _along(
+    robot: Robot, target: Target, q: FloatArray, way: FloatArray, present: FloatArray, limits: FloatArray
+) -> FloatArray:
+    """The best of the configurations that a singular one, shape (n,), can move into along a way."""
+    moving = np.flatnonzero(np.abs(way) > SINGULAR)
+    ends = np.stack([present, *limits.T])[:, moving]
+    turns = (ends - q[moving] + np.pi) % (2.0 * np.pi) - np.pi
+    steps = np.concatenate([turns, turns - np.copysign(2.0 * np.pi, turns)]) / way[moving]
+    slid = q + steps.reshape(-1, 1) * way
+    slid = slid[np.abs(slid - q).max(axis=1) <= 2.0 * np.pi]
+    T = np.broadcast_to(target.T, (len(slid), 4, 4))
+    slid = refine_poses(robot.chain, T, slid, _whole_turns(robot), turned=True)
+    return _best(np.vstack([q, slid[_errors(robot, target, slid)[2]]]), present, limits)
+
+
+def _from_many(
+    robot: Robot, target: Target, starts: FloatArray, present: FloatArray, limits: FloatArray, seed: int = 0
+) -> FloatArray:
+    """Configurations within limits that reach the target, found from many starts, shape (k, n); k may be 0.
+
+    Args:
+        starts: Such as almost do, shape (k, n); the nearest to the limits are tried, beside the present one and others.
+    """
+    starts = within_a_turn(starts, limits)
+    beyond = np.maximum(limits[:, 0] - starts, starts - limits[:, 1]).max(axis=1, initial=0.0)
+    drawn = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (STARTS, len(limits)))
+    starts = np.vstack([present, starts[np.argsort(beyond, kind="stable")[:STARTS]], drawn])
+    T = np.broadcast_to(target.T, (len(starts), 4, 4))
+    q = refine_poses(robot.chain, T, starts, limits, turned=target.turned)
+    return np.asarray(q[_errors(robot, target, q)[2] & within_limits(q, limits)])
 
 
 def _nearest(form: ClosedForm, target: Target) -> tuple[FloatArray, float]:
@@ -213,14 +281,38 @@ def _best(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
 def _numeric(
     robot: Robot, target: Target, present: FloatArray, limits: FloatArray, seed: int
 ) -> tuple[FloatArray, float]:
-    """The best configuration of several starts: within limits if there is one, else without them, else the nearest."""
+    """Configurations within limits from many starts, else one without them, else the nearest."""
     rng = np.random.default_rng(seed)
+    if robot.closed_form is None:
+        q = _from_many(robot, target, present[None], present, limits, seed)
+        if len(q):
+            return _nearer(robot, target, q, present, limits), 0.0
     for ranges in (limits, _whole_turns(robot)):
         q = solve_poses(robot.chain, target.T[None], ranges, rng, q_start=present[None], turned=target.turned)
         position_m, _, reached = _errors(robot, target, q)
         if reached[0]:
             return q, 0.0
     return (q, float(position_m[0])) if robot.closed_form is None else _nearest(robot.closed_form, target)
+
+
+def _nearer(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
+    """Configurations within limits, each moved towards the present one as far as the target leaves it free."""
+    T = np.broadcast_to(target.T, (len(q), 4, 4))
+    rows = 6 if target.turned else 3
+    if robot.chain.n <= rows:
+        return q
+    for _ in range(NEARER_STEPS):
+        J = jacobian(robot.chain, q)[:, :rows]
+        away = present - q
+        along = away - (np.linalg.pinv(J, rcond=SINGULAR) @ (J @ away[..., None]))[..., 0]
+        moved = refine_poses(robot.chain, T, np.clip(q + along, *limits.T), limits, turned=target.turned)
+        better = _errors(robot, target, moved)[2] & (
+            weighted_travel(moved, present, limits) < weighted_travel(q, present, limits) - SAME_RAD
+        )
+        if not better.any():
+            break
+        q = np.where(better[:, None], moved, q)
+    return q
 
 
 def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:

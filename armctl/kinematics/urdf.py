@@ -17,7 +17,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.dynamixel import ax12a
+from armctl.dynamixel.servos import MODELS
 from armctl.kinematics.chain import DHRow, SerialChain, link_frames
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, cos_sin, rpy_from_matrix
@@ -74,7 +74,7 @@ def urdf(arm: ArmConfig, robot: Robot) -> str:
             f'  <joint name={quoteattr(joint.name)} type="revolute">',
             f"    <parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>",
             f'    {_frame(G)}<axis xyz="{axis}"/>',
-            f'    <limit lower="{low!r}" upper="{high!r}" effort="{ax12a.STALL_TORQUE_NM}" '
+            f'    <limit lower="{low!r}" upper="{high!r}" effort="{MODELS[joint.model].stall_torque_Nm}" '
             f'velocity="{joint.speed_limit_rad_s!r}"/>',
             "  </joint>",
         ]
@@ -99,9 +99,8 @@ def _row_parts(chain: SerialChain, row: DHRow) -> tuple[FloatArray, FloatArray]:
 
 
 def _tool_offset(chain: SerialChain) -> FloatArray:
-    T = np.eye(4)
-    T[0, 3] = chain.tool_m
-    return T
+    whole = SerialChain((DHRow(),), "modified", chain.tool_m, chain.tool)
+    return np.asarray(link_frames(whole, np.zeros(1))[-1])
 
 
 def _inverse(T: FloatArray) -> FloatArray:

@@ -1,11 +1,13 @@
 """Draws one arm of a batch: its geometry, masses, motors, friction, play and zero offsets, all by one seed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from armctl.config import ArmConfig, JointConfig
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.servos import DEFAULT, MODELS, ServoModel
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain
 from armctl.sim.geometry import PERFECT, Draws
@@ -31,18 +33,31 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
     chain = robot.with_lengths(lengths_m).chain
     tool_kg = float(rng.uniform(*spec.tool_kg))
     servo_rngs = rng.spawn(len(arm.joints))
-    joints = [_joint(config, spec, rng, own_rng) for config, own_rng in zip(arm.joints, servo_rngs, strict=True)]
+    joints = [
+        _joint(config, _of_model(spec, MODELS[config.model]), rng, own_rng)
+        for config, own_rng in zip(arm.joints, servo_rngs, strict=True)
+    ]
     if spec.geometry != PERFECT:
         draws = Draws(spec.geometry, seed)
         chain = draws.chain(robot.with_lengths(draws.lengths_m(lengths_m)).chain)
         for joint in joints:
             joint.misplace(draws.zero_rad(), draws.deviation(spec.shaft_friction_Nm))
     for joint in joints:
-        joint.stall_Nm = spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
+        joint.stall_Nm = joint.spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
     servo_kg = spec.servo_kg + spec.bracket_kg
     servos_kg = [servo_kg * (1.0 + spec.mass_spread * float(rng.uniform(-1.0, 1.0))) for _ in joints]
     # Servos beyond the chain sit midway between its last axis and the tool.
     return chain, joints, PointMasses(chain, (*servos_kg[: chain.n], sum(servos_kg[chain.n :]), tool_kg))
+
+
+def _of_model(spec: ArmSpec, model: ServoModel) -> ArmSpec:
+    """The same arm with the motor of another model."""
+    usual = MODELS[DEFAULT]
+    return replace(
+        spec,
+        stall_torque_Nm=spec.stall_torque_Nm * (model.stall_torque_Nm / usual.stall_torque_Nm),
+        no_load_speed_rad_s=spec.no_load_speed_rad_s * (model.no_load_rpm / usual.no_load_rpm),
+    )
 
 
 def _joint(config: JointConfig, spec: ArmSpec, rng: np.random.Generator, servo_rng: np.random.Generator) -> Joint:
@@ -61,6 +76,8 @@ def _joint(config: JointConfig, spec: ArmSpec, rng: np.random.Generator, servo_r
         variants=spec.variants,
     )
     servo.shaft_rad, servo.voltage_V, servo.temperature_degC = rest_rad, spec.supply_V, spec.idle_degC
+    if config.model != DEFAULT:
+        servo.set(ax12a.MODEL, MODELS[config.model].model_number)
     for register, limit_tick in zip((ax12a.CW_LIMIT, ax12a.CCW_LIMIT), config.limits_tick, strict=True):
         servo.set(register, limit_tick)
     coulomb_Nm = float(rng.uniform(*spec.friction_Nm))

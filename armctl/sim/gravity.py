@@ -29,6 +29,10 @@ class PointMasses:
         self.n, self.points_kg = chain.n, tuple(points_kg)
         self._modified, self._tool_m = chain.convention == "modified", chain.tool_m
         self._rows = [(math.cos(row.alpha), math.sin(row.alpha), row.a, row.d, row.offset) for row in chain.rows]
+        # Along y and about y, and the tool: none in a table of Denavit and Hartenberg.
+        self._across = [(row.b, math.cos(row.beta), math.sin(row.beta)) for row in chain.rows]
+        tool = chain.tool
+        self._tool = (tool.a, tool.b, tool.d, math.cos(tool.alpha), math.sin(tool.alpha))
 
     def loads(self, q: Sequence[float]) -> list[tuple[float, float]]:
         """Gravity torque [N m] and inertia [kg m^2] about every axis at joint positions q [rad]; those beyond n are
@@ -51,19 +55,27 @@ class PointMasses:
         """Direction of every axis, and where the masses are, in the base frame."""
         x, y, z, o = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
         axes, points = [], []
-        for (ca, sa, a, d, offset), position in zip(self._rows, q, strict=False):
+        for (ca, sa, a, d, offset), (b, cb, sb), position in zip(self._rows, self._across, q, strict=False):
             if self._modified:  # first along and about x, then about and along z
                 o = _beyond(o, a, x)
                 y, z = _turned(y, z, ca, sa)
+            if b or sb:
+                o = _beyond(_beyond(o, b, y), d, z)
+                z, x = _turned(z, x, cb, sb)
             axes.append(z)
             points.append(o)
             angle = position + offset
-            o = _beyond(o, d, z)
+            if not (b or sb):
+                o = _beyond(o, d, z)
             x, y = _turned(x, y, math.cos(angle), math.sin(angle))
             if not self._modified:
                 o = _beyond(o, a, x)
                 y, z = _turned(y, z, ca, sa)
         tool = _beyond(o, self._tool_m, x)
+        if any(self._tool[:3]):
+            a, b, d, ca, sa = self._tool
+            y, z = _turned(y, z, ca, sa)
+            tool = _beyond(_beyond(_beyond(tool, a, x), b, y), d, z)
         (px, py, pz), (tx, ty, tz) = points[-1], tool
         return axes, [*points, ((px + tx) / 2.0, (py + ty) / 2.0, (pz + tz) / 2.0), tool]
 

@@ -9,7 +9,7 @@ Rules.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen, GripperConfig
-from armctl.errors import RequestRefused
+from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics import solution
 from armctl.kinematics.chain import forward_kinematics, link_frames
 from armctl.kinematics.genetic import solve as genetic
@@ -29,7 +29,7 @@ from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.bounds import Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import peak_rates, preflight_motion
-from armctl.trajectory.target import joints_at
+from armctl.trajectory.target import postures_at
 
 Method = Literal["closed", "numeric", "ga", "ga-improved"]
 Along = Literal["above", "tool"]
@@ -186,7 +186,7 @@ def gripper_of(arm: ArmConfig, robot: Robot) -> tuple[int, GripperConfig]:
 
 def _solutions(
     point: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, method: Method, seed: int
-) -> list[FloatArray]:
+) -> Iterator[FloatArray]:
     """Joint positions of the chain [rad] within the limits that reach the point, best first; at least one."""
     n = robot.chain.n
     bounded = replace(robot, ranges_deg=tuple(joint.limits_deg for joint in arm.joints[:n]))
@@ -195,15 +195,22 @@ def _solutions(
         answer = solution.solve(bounded, target, method=method, present=present, seed=seed)
     else:
         answer = genetic.solve(bounded, target, method=method, present=present, seed=seed)
-    if not answer.reachable:
+    if not answer.reachable and answer.least_position_error_m > 0.0:
         raise unreachable(point, answer.least_position_error_m)
     found = [
         np.array(one.q_rad)
         for one in answer.solutions
         if one.within_limits and one.position_error_m <= solution.REACHED_M
     ]
-    # Where no branch lies within the limits, another member of its family may.
-    return found or [np.array(joints_at(target.T, q_now, arm, robot, turned=False)[:n])]
+    yield from found
+    # Where none of these will do, another member of a family may.
+    try:
+        others = postures_at(target.T, q_now, arm, robot, turned=False)
+    except UnreachableTarget:
+        if not found:
+            raise
+        return
+    yield from (np.array(q[:n]) for q in others)
 
 
 def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, off_m: float, along: Along) -> FloatArray:

@@ -1,7 +1,7 @@
 """Where the joints have to be for the tool to be somewhere: the choice nearest to where they are.
 
 The search begins at the present pose, and again at `STARTS` poses drawn within the limits, always the same ones;
-of the solutions the one is taken whose farthest joint travels least.
+the solutions are sorted by how far their farthest joint travels.
 """
 
 import math
@@ -22,6 +22,8 @@ from armctl.trajectory.bounds import Joints, Point, Pose
 STARTS = 12
 POSITION_TOLERANCE_M = 1e-6
 ORIENTATION_TOLERANCE_RAD = 1e-5
+# Postures that are one.
+SAME_RAD = 0.02
 
 
 class MoveRequest(Frozen):
@@ -32,6 +34,8 @@ class MoveRequest(Frozen):
     pose: Pose | None = None
     # How long the motion takes; None: as long as it needs at a slow speed.
     duration_s: float | None = Field(None, gt=0.0, le=LONGEST_S)
+    # Which posture of those that may be gone to, the nearest first; None: the nearest.
+    posture: int | None = Field(None, ge=1, le=STARTS + 1)
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
@@ -40,10 +44,12 @@ class MoveRequest(Frozen):
         return self
 
 
-def joints_at(
+def postures_at(
     T: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, *, turned: bool = True
-) -> list[float]:
-    """Joint positions [rad] inside the limits that bring the tool to a pose; joints beyond the chain stay.
+) -> list[list[float]]:
+    """Joint positions [rad] inside the limits that bring the tool to a pose, the nearest first.
+
+    Joints beyond the chain stay.
 
     Args:
         T: Wanted tool pose in the base frame, shape (4, 4).
@@ -67,5 +73,6 @@ def joints_at(
         turn = f" and {math.degrees(turned_rad[nearest]):.1f} deg" if turned else ""
         raise unreachable(T[:3, 3], float(away_m[nearest]), f"{turn} within the joint limits")
     found = np.clip(q[reached], limits[:, 0], limits[:, 1])
-    best = found[np.abs(found - here).max(axis=1).argmin()]
-    return [*best.tolist(), *q_now[chain.n :]]
+    found = found[np.abs(found - here).max(axis=1).argsort(kind="stable")]
+    distinct = [q for i, q in enumerate(found) if not (np.abs(found[:i] - q).max(axis=1) < SAME_RAD).any()]
+    return [[*q.tolist(), *q_now[chain.n :]] for q in distinct]

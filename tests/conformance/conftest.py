@@ -21,6 +21,7 @@ from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.packet import BROADCAST_ID, Decoder, Instruction, Packet, encode_instruction
 from armctl.dynamixel.port import ServoPort
 from armctl.dynamixel.serial_port import SerialPort
+from armctl.dynamixel.servos import DEFAULT, MODELS
 from armctl.files import load_arm
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.bus import SimulatedBus
@@ -49,6 +50,8 @@ class Wire:
     def __init__(self, kind: str, port: ServoPort, clock: Clock, bus: SimulatedBus | None = None) -> None:
         self.kind, self.port, self.clock, self._bus = kind, port, clock, bus
         self.servo_ids: tuple[int, ...] = ()
+        # What its servos say of themselves.
+        self.model_number = ax12a.MODEL_NUMBER
 
     def sleep(self, duration_s: float) -> None:
         self.clock.sleep_until_ns(self.clock.now_ns() + round(duration_s * 1e9))
@@ -133,6 +136,10 @@ class Wire:
         assert self.silent(encode_instruction(BROADCAST_ID, instruction, parameters))
 
 
+# Models whose servos keep the same rules, each played by a whole arm of them.
+OTHERS = tuple(name for name in MODELS if name != DEFAULT)
+
+
 @contextlib.contextmanager
 def serial_wire(kind: str, path: str) -> Iterator[Wire]:
     clock = MonotonicClock()
@@ -147,7 +154,8 @@ def serial_wire(kind: str, path: str) -> Iterator[Wire]:
 @contextlib.contextmanager
 def simulator(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     """The simulator as a program, until the end of the block."""
-    with subprocess.Popen([*SIMULATOR, str(link), *options], stdout=subprocess.PIPE, text=True) as process:
+    command = [*SIMULATOR, str(link), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == f"ready {link}\n"
@@ -161,11 +169,15 @@ def simulator(link: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
 def opened(kind: str, folder: Path, hardware: str | None) -> Iterator[Wire]:
     """A wire of that kind, with the servos found on it."""
     with contextlib.ExitStack() as cleanup:
-        if kind == "loopback":
-            clock, bus = VirtualClock(), SimulatedBus(SimulatedArm(load_arm("ax12-line"), seed=1))
+        if kind in ("loopback", *MODELS):
+            arm = load_arm("ax12-line")
+            joints = [joint.model_copy(update={"model": kind} if kind in MODELS else {}) for joint in arm.joints]
+            arm = arm.model_copy(update={"joints": tuple(joints)})
+            clock, bus = VirtualClock(), SimulatedBus(SimulatedArm(arm, seed=1))
             port = LoopbackPort(bus, clock)
             port.openPort()
             wire = Wire("loopback", port, clock, bus)
+            wire.model_number = MODELS[arm.joints[0].model].model_number
         elif kind == "pty":
             cleanup.enter_context(simulator(folder / "port"))
             wire = cleanup.enter_context(serial_wire("pty", str(folder / "port")))
@@ -185,7 +197,7 @@ def scan(wire: Wire, ids: Sequence[int]) -> list[int]:
 
 
 def transports(config: pytest.Config) -> list[str]:
-    return ["hardware"] if config.getoption("--hardware", default=None) else ["loopback", "pty"]
+    return ["hardware"] if config.getoption("--hardware", default=None) else ["loopback", *OTHERS, "pty"]
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

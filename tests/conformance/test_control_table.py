@@ -20,10 +20,10 @@ def name(register: Register) -> str:
     return register.name
 
 
-def test_every_servo_is_an_ax_12a_and_knows_its_id(wire: Wire) -> None:
+def test_every_servo_knows_its_model_and_its_id(wire: Wire) -> None:
     for servo_id in wire.servo_ids:
         table = wire.read(servo_id, 0, 4)
-        assert ax12a.register_value(ax12a.MODEL, table, 0) == ax12a.MODEL_NUMBER
+        assert ax12a.register_value(ax12a.MODEL, table, 0) == wire.model_number
         assert table[ax12a.ID.address] == servo_id
 
 

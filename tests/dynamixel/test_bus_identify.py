@@ -4,6 +4,7 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
+from armctl.dynamixel.servos import MODELS, ServoModel
 from tests.dynamixel.conftest import ARM, FINE, LOST, ScriptedBus, Spoil, bad_checksum, echo, good_after
 
 
@@ -40,6 +41,22 @@ def test_other_model_is_named_and_its_table_not_judged(bus: ScriptedBus) -> None
     bus.port.place(2, ax12a.MODEL, 18)
     bus.port.place(2, ax12a.CCW_LIMIT, 1)
     assert "model number 18, wanted 12" in the_problem(bus, "WRONG_MODEL", 2)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
+def test_a_joint_takes_the_servo_that_its_file_names_and_no_other(bus: ScriptedBus, model: ServoModel) -> None:
+    joints = [joint.model_copy(update={"model": model.name}) if joint.servo_id == 2 else joint for joint in ARM.joints]
+    bus.port.place(2, ax12a.MODEL, model.model_number)
+    assert bus.identify(joints) == ()
+    bus.port.place(2, ax12a.MODEL, 29)
+    [problem] = bus.identify(joints)
+    assert (problem.code, problem.servo_id) == ("WRONG_MODEL", 2)
+    assert f"model number 29, wanted {model.model_number} ({model.title})" in problem.text
+
+
+def test_another_known_servo_is_told_by_the_line_that_the_file_needs(bus: ScriptedBus) -> None:
+    bus.port.place(2, ax12a.MODEL, 18)
+    assert "write `model: ax-18a` for it" in the_problem(bus, "WRONG_MODEL", 2)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +98,9 @@ def test_a_servo_from_the_factory_is_one_problem_that_names_both_missing_walls(b
     assert told in the_problem(bus, "EEPROM_MISMATCH", 2)
 
 
-@pytest.mark.parametrize("spoils", [[FINE, *[good_after(0, 400)] * 6], [bad_checksum] * 20], ids=["reply", "collision"])
+@pytest.mark.parametrize(
+    "spoils", [[FINE, *[good_after(0, 400)] * 10], [bad_checksum] * 20], ids=["reply", "collision"]
+)
 def test_doubled_replies_hint_at_two_servos_with_one_id(bus: ScriptedBus, spoils: list[Spoil]) -> None:
     bus.port.spoils[3] = list(spoils)
     assert "two servos with this id" in the_problem(bus, "DUPLICATE_ID", 3)
@@ -93,6 +112,11 @@ def test_a_servo_that_is_misheard_for_a_moment_is_fit(bus: ScriptedBus, spoil: S
     bus.port.spoils[3] = [spoil] * spoiled
     assert bus.identify(ARM.joints) == ()
     assert all(reading.fresh for reading in bus.read_sample().servos)
+
+
+def test_a_bad_cable_that_garbles_a_reading_and_its_confirmation_is_no_second_servo(bus: ScriptedBus) -> None:
+    bus.port.spoils[3] = [FINE, *[bad_checksum] * 2, FINE, *[bad_checksum] * 4]
+    assert bus.identify(ARM.joints) == ()
 
 
 @pytest.mark.parametrize("delay_us", [22_000, 30_000, 45_000, 70_000])
@@ -120,7 +144,7 @@ def test_slow_adapter_is_told_from_a_usual_one_and_from_a_dead_bus_and_still_rea
 
 
 def test_colliding_replies_answer_twice_and_others_do_not(bus: ScriptedBus) -> None:
-    bus.port.spoils[3] = [bad_checksum] * 6
+    bus.port.spoils[3] = [bad_checksum] * 10
     assert bus.answers_twice(3)
     assert not bus.answers_twice(2)
     assert not bus.answers_twice(77)

@@ -13,13 +13,24 @@ from armctl.kinematics.chain import tool_position as tool
 from armctl.kinematics.differential import MOST_DAMPING, dexterity, jacobian_rate, joint_rates, tool_velocity
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_columns, quaternion_from_matrix, rotation_error
-from tests.kinematics.conftest import X, Z, screw, seeds, some_q
+from tests.kinematics.conftest import X, Y, Z, screw, seeds, some_q
 
 length = st.floats(-0.5, 0.5)
 alpha = st.one_of(st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
 row = st.builds(DHRow, a=length, alpha=alpha, d=length, offset=st.floats(-math.pi, math.pi))
+anywhere = st.builds(DHRow, length, alpha, length, alpha, length, alpha)
 rows, conventions = st.lists(row, min_size=1, max_size=7).map(tuple), st.sampled_from(["standard", "modified"])
-chains = st.builds(SerialChain, rows, conventions, st.sampled_from([0.0, 0.13]))
+tools = st.one_of(st.just(DHRow()), anywhere)
+chains = st.one_of(
+    st.builds(SerialChain, rows, conventions, st.sampled_from([0.0, 0.13]), tools),
+    st.builds(SerialChain, st.lists(anywhere, min_size=1, max_size=7).map(tuple), st.just("modified"), tool=tools),
+)
+
+
+def anywhere_by_hand(r: DHRow, angle: float) -> FloatArray:
+    """A modified row: about x, then along x, y and z, about y, about z."""
+    along = screw(X, 0.0, r.a) @ screw(Y, 0.0, r.b) @ screw(Z, 0.0, r.d)
+    return np.asarray(screw(X, r.alpha) @ along @ screw(Y, r.beta) @ screw(Z, r.offset + angle))
 
 
 def frames_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -28,8 +39,8 @@ def frames_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
     for r, angle in zip(chain.rows, q, strict=True):
         about_z, about_x = screw(Z, angle + r.offset, r.d), screw(X, r.alpha, r.a)
         standard = chain.convention == "standard"
-        frames.append(frames[-1] @ (about_z @ about_x if standard else about_x @ about_z))
-    tool = [frames[-1] @ screw(X, 0.0, chain.tool_m)] if chain.tool_m else []
+        frames.append(frames[-1] @ (about_z @ about_x if standard else anywhere_by_hand(r, angle)))
+    tool = [frames[-1] @ screw(X, 0.0, chain.tool_m) @ anywhere_by_hand(chain.tool, 0.0)] if chain.has_tool else []
     return np.array(frames + tool)
 
 

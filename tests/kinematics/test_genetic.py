@@ -175,8 +175,8 @@ def test_solve_answers_as_the_other_methods_do(method: Any) -> None:
 
 def test_solve_without_polish_says_what_the_algorithm_missed() -> None:
     found = solve(PUMA, pose_target(WANTED), method="ga-improved", polish=False)
-    assert found.reachable
-    assert 1e-9 < found.solutions[0].position_error_m < 1e-3
+    assert (found.reachable, found.least_position_error_m) == (False, 0.0)
+    assert 1e-6 < found.solutions[0].position_error_m < 1e-3
     assert solve(PUMA, pose_target(WANTED), method="ga-improved").solutions[0].position_error_m < 1e-9
 
 
@@ -188,10 +188,31 @@ def test_solve_tells_a_target_out_of_reach_with_the_exact_distance() -> None:
     assert found.solutions[0].position_error_m == pytest.approx(exact, abs=1e-4)
 
 
+def test_an_elite_never_gets_worse_and_ranks_know_no_scale() -> None:
+    problem = points_problem(XIANG.chain, POINTS, XIANG.limits_rad)
+    seen: list[FloatArray] = []
+
+    def judged(q: FloatArray) -> FloatArray:
+        cost = Problem.cost(problem, q)
+        seen.append(cost.min(axis=1))
+        return cost
+
+    watched = replace(problem)
+    object.__setattr__(watched, "cost", judged)
+    for selection in ("roulette", "rank"):
+        seen.clear()
+        plain.evolve(watched, replace(SHORT, elite=1, selection=selection), [1, 2, 3, 4])
+        assert (np.diff(seen[: SHORT.generations], axis=0) <= 0.0).all()
+    cost = np.array([[3.0, 1.0, 2.0, 1.0]])
+    np.testing.assert_array_equal(plain.ranks(cost), [[1.0, 4.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(plain.ranks(cost * 1e6), plain.ranks(cost))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda: plain.Settings(population=1), "population: 1 is outside 2 to"),
+        (lambda: plain.Settings(elite=96), "elite: 96 is outside 0 to 95"),
         (lambda: plain.Settings(mutation_probability=1.5), "mutation_probability"),
         (lambda: improved.Settings(populations=0), "populations"),
         (lambda: improved.Settings(niches=61), "niches: 61 is outside 1 to 60"),

@@ -8,13 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.files import load_arm
+from armctl.sim.build import build
 from armctl.sim.drive import Drive
 from armctl.sim.hand import hand_torque
 from armctl.sim.joint import STEP_S, Joint
 from armctl.sim.potentiometer import sensed_tick
 from armctl.sim.servo import SimulatedServo
-from armctl.sim.spec import ArmSpec
+from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
 SPEC = ArmSpec()
 VOLTAGE_V = 11.7
@@ -138,3 +141,18 @@ def test_skipping_what_cannot_change_gives_what_every_step_gives(
         assert servo.position_tick == servo.shaft_rad / TICK_RAD
         unchanged = (servo.shaft_rad, servo.velocity_rad_s, servo.reference_tick) == before
         assert changes or unchanged or plain.drive.spin is not None
+
+
+def test_a_joint_has_the_motor_of_its_servos_model() -> None:
+    """An AX-18A is stronger and faster than the AX-12A beside it; the arm draws nothing else anew for it."""
+    plain = load_arm("ax12-line")
+    joints = [joint.model_copy(update={"model": "ax-18a"} if joint.name == "elbow" else {}) for joint in plain.joints]
+    mixed = build(plain.model_copy(update={"joints": tuple(joints)}), DEFAULT_SPEC, 4)[1]
+    same = build(plain, DEFAULT_SPEC, 4)[1]
+    for index, (one, other) in enumerate(zip(mixed, same, strict=True)):
+        stronger = 1.8 / 1.5 if index == 2 else 1.0
+        assert one.stall_Nm == pytest.approx(stronger * other.stall_Nm)
+        faster = one.spec.no_load_speed_rad_s / other.spec.no_load_speed_rad_s
+        assert faster == pytest.approx(97.0 / 59.0 if index == 2 else 1.0)
+        assert (one.coulomb_Nm, one.zero_rad) == (other.coulomb_Nm, other.zero_rad)
+        assert one.servo.get(ax12a.MODEL) == (18 if index == 2 else 12)

@@ -11,7 +11,7 @@ from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from armctl.trajectory.line_path import MARGIN_RAD, STATIONS, levers_m, line_paths, onto, sensitivity_m
-from armctl.trajectory.target import joints_at
+from armctl.trajectory.target import postures_at
 from tests.genetic import hand
 from tests.host.doubles import refused
 from tests.trajectory.conftest import ARM, CHAIN, LIMITS, ROBOT
@@ -23,7 +23,7 @@ configurations = st.tuples(*(st.floats(low, high) for low, high in LIMITS.tolist
 
 
 def at_point(point: FloatArray) -> list[float]:
-    return joints_at(pose_from_xyz_rpy(*point), NOW, ARM, ROBOT, turned=False)
+    return postures_at(pose_from_xyz_rpy(*point), NOW, ARM, ROBOT, turned=False)[0]
 
 
 @given(configurations)
@@ -56,12 +56,12 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(CHAIN, wanted)
-    assert forward_kinematics(CHAIN, np.array(joints_at(T, NOW, ARM, ROBOT)[:N])) == pytest.approx(T, abs=1e-3)
+    assert forward_kinematics(CHAIN, np.array(postures_at(T, NOW, ARM, ROBOT)[0][:N])) == pytest.approx(T, abs=1e-3)
 
 
 def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:
     with pytest.raises(UnreachableTarget, match=r"no nearer than .* mm and .* deg"):
-        joints_at(pose_from_xyz_rpy(0.18, 0.0, 0.15, yaw=math.pi / 2.0), NOW, ARM, ROBOT)
+        postures_at(pose_from_xyz_rpy(0.18, 0.0, 0.15, yaw=math.pi / 2.0), NOW, ARM, ROBOT)
 
 
 # --------------------------------------------------------------------------------------------------------- along a line

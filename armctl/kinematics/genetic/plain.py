@@ -9,6 +9,7 @@ the greatest error - own error, ranks) it came nearest to the targets.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from armctl.kinematics.genetic import chromosomes
 from armctl.kinematics.genetic.chromosomes import Coding, Streams, check_settings
 from armctl.kinematics.genetic.problem import Course, Evolution, Problem
 from armctl.kinematics.transform import FloatArray
+
+Selection = Literal["roulette", "rank"]
 
 
 @dataclass(frozen=True)
@@ -28,9 +31,13 @@ class Settings:
     mutation_probability: float = 0.01
     generations: int = 300
     bits: int = 16
+    # Chances in proportion to the least error / own error, or to the rank from the worst up.
+    selection: Selection = "roulette"
+    # The best individuals go on as they are.
+    elite: int = 0
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        check_settings(self, elite=(0, self.population))
 
 
 PAPER = Settings()
@@ -46,11 +53,20 @@ def evolve(problem: Problem, settings: Settings, seeds: Sequence[int | Sequence[
     size, streams, course = settings.population, Streams(seeds), Course(problem, coding, len(seeds))
     words = chromosomes.random_words(coding, streams.uniform(size, coding.joints))
     draws = chromosomes.draws(coding, size, settings.mutation_probability)
+    every = np.arange(len(seeds))[:, None]
     for _ in range(settings.generations):
         cost = course.judged(words)
         chance = streams.uniform(draws)
-        words = chromosomes.offspring(coding, words, fitness(cost), chance, settings.crossover_probability)
+        best = words[every, cost.argsort(axis=1)[:, : settings.elite]]
+        worth = fitness(cost) if settings.selection == "roulette" else ranks(cost)
+        words = chromosomes.offspring(coding, words, worth, chance, settings.crossover_probability)
+        words[:, : settings.elite] = best
     return course.evolution()
+
+
+def ranks(cost: FloatArray) -> FloatArray:
+    """How many individuals of its run each one is not worse than, itself included, shape (runs, individuals)."""
+    return np.asarray(cost.shape[1] - cost.argsort(axis=1, kind="stable").argsort(axis=1), dtype=np.float64)
 
 
 def fitness(cost: FloatArray) -> FloatArray:

@@ -1,6 +1,5 @@
 """One target answered by a genetic algorithm, as the closed form and the numeric method answer it."""
 
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -26,7 +25,9 @@ def solve(
     polish: bool = True,
     seed: int = 0,
 ) -> Answer:
-    """The configuration that the algorithm finds; the closed form says whether the target is reachable.
+    """The configuration that the algorithm finds, which alone says whether the target is reached.
+
+    How near the tool can come is still what the closed form says.
 
     Args:
         method: "ga": the algorithm of Xiang Yao et al., for a pose with the error of eq. (4); "ga-improved": with
@@ -47,5 +48,4 @@ def solve(
         q = plain.evolve(problem, plain.PAPER, [seed]).q_rad
     else:
         q = improved.evolve(problem, improved.DEFAULT, [seed]).q_rad
-    found = solution.answer(robot, target, q, present, limits, least=exact.least_position_error_m, polish=polish)
-    return replace(found, reachable=exact.reachable)
+    return solution.answer(robot, target, q, present, limits, least=exact.least_position_error_m, polish=polish)

@@ -1,8 +1,10 @@
-"""Robots by name. One file a robot: its table, its source, what is wrong in print."""
+"""Robots by name, one file a robot: its table, its source, what is wrong in print. And robots of arms' own tables."""
 
+from armctl.config import ArmConfig, ChainTable
 from armctl.errors import ConfigError
 from armctl.kinematics.robots import ax12_line, lanzhou_4dof, puma560, transfer_6dof, xiang_6dof
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.robots.table import robot_of
 
 _ROBOTS = {
     robot.name: robot
@@ -15,12 +17,26 @@ def names() -> tuple[str, ...]:
     return tuple(_ROBOTS)
 
 
-def get(name: str, lengths_m: dict[str, float] | None = None) -> Robot:
-    """The robot of that name, with some of its lengths replaced.
+def get(name: str | ChainTable, lengths_m: dict[str, float] | None = None) -> Robot:
+    """The robot of that name, or of a table, with some of its lengths replaced.
 
     Raises:
         ConfigError: no such robot, or no such length; the message lists the valid names.
     """
+    if isinstance(name, ChainTable):
+        return robot_of(name, name.urdf or "table").with_lengths(lengths_m or {})
     if name not in _ROBOTS:
         raise ConfigError("robot", name, "no such robot", f"known: {', '.join(_ROBOTS)}")
     return _ROBOTS[name].with_lengths(lengths_m or {})
+
+
+def of(arm: ArmConfig) -> Robot:
+    """The robot that an arm is, with the joint ranges of its own file where it has a table.
+
+    Raises:
+        ConfigError: no such robot or length.
+    """
+    if isinstance(arm.robot, str):
+        return get(arm.robot, arm.lengths_m)
+    ranges = tuple(joint.limits_deg for joint in arm.joints[: len(arm.robot.dh)])
+    return robot_of(arm.robot, arm.arm_id, ranges).with_lengths(arm.lengths_m)

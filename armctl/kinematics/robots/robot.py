@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, Self
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import SerialChain
-from armctl.kinematics.errata import Residuals
 from armctl.kinematics.transform import FloatArray
 
 
@@ -44,11 +43,9 @@ class Robot:
     source: str
     lengths_m: dict[str, float]
     make_chain: Callable[[dict[str, float]], SerialChain]
-    make_closed_form: Callable[[dict[str, float]], ClosedForm] | None = None
+    make_closed_form: Callable[[dict[str, float]], ClosedForm | None] | None = None
     # Lowest and highest position of each joint of the chain; none given: a whole turn each.
     ranges_deg: tuple[tuple[float, float], ...] = ()
-    # Of what its paper prints wrong, by the name of its proof in `papers/printed/`.
-    proofs: dict[str, Residuals] = field(default_factory=dict)
 
     @cached_property
     def chain(self) -> SerialChain:

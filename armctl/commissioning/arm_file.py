@@ -1,0 +1,125 @@
+"""An arm's file, judged without hardware, and drawn; and every arm at hand."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armctl.commissioning.calibration import calibration_text
+from armctl.config import ArmConfig
+from armctl.errors import ConfigError
+from armctl.files import calibration_dirs, find_arm_file, load_arm, read_text, shipped_dirs
+from armctl.kinematics import robots
+from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points
+
+# Characters of a drawing, and what stands for links and joints.
+WIDTH, HEIGHT = 56, 24
+LINK, JOINT, TOOL, FLOOR = "·", "o", "x", "_"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What there is to say about an arm's file."""
+
+    ok: bool
+    # Each with the key it is about and what is wrong, with the remedy.
+    problems: tuple[dict[str, str], ...]
+    # The arm from its side, in its rest pose; empty where the file cannot be read.
+    picture: str
+
+
+def judged(path: str) -> Judgement:
+    """The file of an arm, given by name or path."""
+    try:
+        arm = load_arm(path)
+        robot = robots.of(arm)
+    except ConfigError as error:
+        first, *rest = error.problem.split("\n")
+        told = [(error.key, first + (f"; {error.remedy}" if error.remedy else ""))]
+        told += [(key, text) for key, _, text in (line.strip().partition(": ") for line in rest)]
+        return Judgement(False, tuple({"key": key, "text": text} for key, text in told), "")
+    points = link_points(robot.chain, np.array([joint.rest_rad for joint in arm.joints[: robot.chain.n]]))
+    problems = tuple({"key": key, "text": text} for key, text in _of_rest_pose(arm, points))
+    return Judgement(not problems, problems, drawn(points, arm.floor_m))
+
+
+def _of_rest_pose(arm: ArmConfig, points: np.ndarray) -> Iterator[tuple[str, str]]:
+    if len(points) < 3:
+        return
+    below_m = float(floor_clearance(points, arm.floor_m, arm.link_radius_m).min())
+    if below_m < 0.0:
+        yield (
+            "joints.rest_deg",
+            f"the arm at rest is {-1e3 * below_m:.0f} mm in the floor; lower floor_m, or fold the arm",
+        )
+    pairs = judged_pairs(points, arm.link_radius_m)
+    for (i, j), gap_m in zip(pairs.tolist(), link_clearance(points, pairs, arm.link_radius_m).tolist(), strict=True):
+        if gap_m < 0.0:
+            text = f"links {i + 1} and {j + 1} are {-1e3 * gap_m:.0f} mm inside each other at rest"
+            yield "joints.rest_deg", f"{text}; choose another pose, or a smaller link_radius_m"
+
+
+def drawn(points: np.ndarray, floor_m: float) -> str:
+    """Links from their side, in characters; joints as `o`, the tool as `x`.
+
+    Args:
+        points: Ends of the links [m], shape (n + 1, 3), base first.
+    """
+    out = points[np.abs(points[:, :2]).sum(axis=1).argmax(), :2]
+    level = points[:, :2] @ (out / max(float(np.linalg.norm(out)), 1e-9))
+    u, v = np.append(level, level[0]), np.append(points[:, 2], floor_m)
+    # A character is twice as high as it is wide.
+    scale = max(np.ptp(u) / (WIDTH - 1), np.ptp(v) / (2 * (HEIGHT - 1)), 1e-6)
+    columns, rows = np.round((u - u.min()) / scale).astype(int), np.round((v.max() - v) / (2 * scale)).astype(int)
+    page = [[" "] * WIDTH for _ in range(int(rows.max()) + 1)]
+    page[rows[-1]] = [FLOOR] * WIDTH
+    for k in range(len(points) - 1):
+        for share in np.linspace(0.0, 1.0, WIDTH):
+            place = [round(float(a[k] + share * (a[k + 1] - a[k]))) for a in (rows, columns)]
+            page[place[0]][place[1]] = LINK
+    for k in range(len(points)):
+        page[rows[k]][columns[k]] = TOOL if k == len(points) - 1 else JOINT
+    return "\n".join("".join(line).rstrip() for line in page)
+
+
+def whole_text(arm: str) -> str:
+    """The file of an arm, given by name or path, as one text: a URDF beside it is taken in as the table it makes.
+
+    Raises:
+        ConfigError: there is none, or it is not acceptable.
+    """
+    found = load_arm(arm)
+    if isinstance(found.robot, str) or not found.robot.urdf:
+        return read_text(find_arm_file(arm), "calibration")
+    return calibration_text(found, [f"The links are those of {found.robot.urdf}."])
+
+
+def arms_at_hand() -> list[dict[str, Any]]:
+    """Every arm that a name finds, the first of a name; files that cannot be read say so in their title."""
+    found: dict[str, dict[str, Any]] = {}
+    for folder in calibration_dirs():
+        for path in sorted(folder.glob("*.yaml")) if folder.is_dir() else ():
+            found.setdefault(path.stem, _told(path, "shipped" if folder in shipped_dirs() else str(folder)))
+    return list(found.values())
+
+
+def _told(path: Path, source: str) -> dict[str, Any]:
+    try:
+        arm = load_arm(str(path))
+        joints = robots.of(arm).chain.n
+    except ConfigError as error:
+        title = f"cannot be read: {error.key}: {error.problem}".split("\n")[0]
+        return {"name": path.stem, "title": title, "joints": 0, "servos": 0, "gripper": None, "source": source,
+                "path": str(path)}  # fmt: skip
+    remark = " ".join(line[1:].strip() for line in read_text(path, "calibration").split("\n") if line.startswith("#"))
+    return {
+        "name": path.stem,
+        "title": remark.partition(". ")[0].partition(": ")[0].rstrip(".") or arm.arm_id,
+        "joints": joints,
+        "servos": len(arm.joints),
+        "gripper": arm.gripper.joint if arm.gripper else None,
+        "source": source,
+        "path": str(path),
+    }
