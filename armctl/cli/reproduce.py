@@ -12,7 +12,7 @@ from armctl.cli.output import FOLDER, Output, command
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
-    from armctl.kinematics.errata import Erratum
+    from armctl.papers.entry import Entry
     from armctl.papers.page import PaperReport
 
 PAPERS = ("000", "001", "002", "003", "004")
@@ -24,37 +24,41 @@ PAPERS = ("000", "001", "002", "003", "004")
 @click.option("--quick", is_flag=True, help="Fewer seeds, poses and runs: a look instead of the figures.")
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a run.")
 def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool, seed: int) -> int:
-    """Recompute every table and figure of the five papers beside print, and prove what print has wrong.
+    """Recompute every table and figure of the five papers beside print, and judge every entry of every equation.
 
-    Exit status 1 if an erratum is not proven.
+    Exit status 1 if the verdict on an entry is not proven by numbers. Needs the extra `papers`.
 
     Example: armctl reproduce all --out reproduction
     """
+    from armctl.papers import entries as judged
     from armctl.papers import page as report
-    from armctl.papers.errata import errata
+    from armctl.papers.entry import errata
     from armctl.papers.run import reproduce
     from armctl.papers.verdict import FULL, QUICK
 
     papers = PAPERS if paper == "all" else (paper,)
     reports = reproduce(papers, QUICK if quick else FULL, seed, output.progress)
-    wrong = errata(papers)
+    found = judged.entries(papers)
+    wrong = errata(found)
     page = None
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         page = out / "reproduce.html"
-        report.write(reports, wrong, page)
-    told = ("paper", "where", "printed", "true", "proof")
+        report.write(reports, found, page)
+    told = ("paper", "equation", "row", "column", "printed", "true", "verdict", "place")
     result: dict[str, Any] = {
         "rows": [{"paper": made.paper, **asdict(row)} for made in reports for row in made.rows],
-        "errata": [{key: getattr(erratum, key) for key in told} for erratum in wrong],
+        "errata": [{key: getattr(one, key) for key in ("paper", "where", "printed", "true", "proof")} for one in wrong],
+        "entries": [{key: getattr(one, key) for key in told} for one in found],
         "page": None if page is None else str(page),
         "seed": seed,
     }
-    output.answer(result, lambda: show(output, reports, wrong, page))
-    return 0 if all(erratum.proven for erratum in wrong) else 1
+    output.answer(result, lambda: show(output, reports, found, page))
+    return 0 if all(entry.proven for entry in found) else 1
 
 
-def show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page: Path | None) -> None:
+def show(output: Output, reports: list[PaperReport], found: list[Entry], page: Path | None) -> None:
+    from armctl.papers.entry import counted, errata
     from armctl.papers.page import shown
 
     for report in reports:
@@ -63,8 +67,11 @@ def show(output: Output, reports: list[PaperReport], wrong: list[Erratum], page:
         title = f"{report.paper}: {report.title}"
         show_table(output.console, title, columns, rows, words=("quantity", "printed", "unit", "verdict"))
         output.say("")
-    title = f"{len(wrong)} errata, {sum(erratum.proven for erratum in wrong)} of them proven"
-    errata = [(f"{found.paper} {found.where}", str(found.printed), str(found.true), found.proof) for found in wrong]
+    wrong = errata(found)
+    words = [(f"{one.paper} {one.where}", one.printed, str(one.true), one.proof) for one in wrong]
     headings = ("where", "printed", "true", "proof")
-    show_table(output.console, title, headings, errata, words=headings)
+    title = f"{len(wrong)} errata, {sum(one.proven for one in wrong)} of them proven"
+    show_table(output.console, title, headings, words, words=headings)
+    for paper, said in counted(found).items():
+        output.say(f"{paper}: {said}")
     output.say(f"page: {page}" if page is not None else "--out DIR writes a page with the tables and pictures")

@@ -6,15 +6,14 @@ Rules.
 3. Columns move together before anything is wrapped that need not be.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import yaml
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Row = Mapping[str, Any]
 # What stands in the tables that are made from rows of data, by their names.
@@ -33,6 +32,10 @@ def show_table(
         rows: A cell a column; markup in it is plain text.
         words: Headings of the columns whose cells are words, set from the left; in the others stand figures.
     """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
     cells = [[column, *(row[i] for row in rows)] for i, column in enumerate(columns)]
     gap, found = layout(cells, [column in words for column in columns], console.width)
     shown = Table(
@@ -53,6 +56,8 @@ def show_table(
 
 def show_rows(console: Console, table: str, title: str, rows: Iterable[Row]) -> None:
     """Print one of `tables.yaml` with a line for each row of data."""
+    import yaml
+
     about = yaml.safe_load(TABLES.read_text(encoding="utf-8"))[table]
     cells = [[_filled(row, *cell) for _, *cell in about["columns"]] for row in rows]
     show_table(console, title, [heading for heading, *_ in about["columns"]], cells, about.get("words", ()))

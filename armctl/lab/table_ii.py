@@ -1,37 +1,28 @@
 """Table II of Raharjo et al., made on simulated arms: experiments 1, 2, 3 move the tool from A to B by 0, 1, 2 points.
 
-Two ways. `run` does what the paper did: five recorded runs of a plan that goes through the points, joints interpolated,
-a servo reading each 100 ms; its genetic algorithm takes the five recordings as individuals. Nothing is corrected.
-`corrected` gives each experiment the time that the paper prints and measures the tool's true place, before and after
-the corrections that armctl learns. What the paper prints is `PRINTED`, in `report/line.py`.
+`run` does what the paper did: five recorded runs of a plan that goes through the points, joints interpolated, a servo
+reading each 100 ms; its genetic algorithm takes the five recordings as individuals. Nothing is corrected. What the
+paper prints is `PRINTED`, in `report/line.py`.
 """
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from armctl.config import ArmConfig
 from armctl.genetic.algorithm import PAPER
-from armctl.genetic.straight_line import StraightLineResult, plan_through
-from armctl.kinematics.chain import tool_position
+from armctl.genetic.straight_line import plan_through
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.course import request_of
-from armctl.lab.line_experiment import Budget, experiment, guided_takes, identified
-from armctl.lab.line_results import true_mm
 from armctl.lab.rig import VirtualRig
-from armctl.lab.stage import Progress, Stage
 from armctl.lab.study.case import Case, Found
 from armctl.recording.disk import new_file
 from armctl.recording.export import extra
 from armctl.report.line import PRINTED
-from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import joint_path
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan
-from armctl.trajectory.refinement import Measured
 
 # A line of the paper's kind; the paper does not print its ends.
 FROM_M = (0.18, -0.125, 0.10)
@@ -41,9 +32,6 @@ VIA = (0, 1, 2)
 RUNS = 5
 # The paper's recorder wrote every 100 ms.
 PERIOD_S = 0.1
-
-
-# --------------------------------------------------------------------------------------------------- as published
 
 
 def every_experiment(case: Case) -> list[Case]:
@@ -109,51 +97,3 @@ def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[F
                 for time_s, angles in zip(run.time_s.tolist(), degrees.tolist(), strict=True):
                     sheet.append([time_s, *angles])
         book.save(stream)
-
-
-# ------------------------------------------------------------------------------------------------------ corrected
-
-
-@dataclass(frozen=True, eq=False)
-class Corrected:
-    """What a simulated arm did in the three experiments. Its true tool paths are known."""
-
-    arm_id: str
-    line: Line
-    # Tool paths of the guided candidates.
-    takes_m: tuple[FloatArray, ...]
-    # Of the genetic algorithm over them.
-    optimum: StraightLineResult
-    # By number of via points: before any correction, and each run of the plan that was kept last.
-    before: dict[int, list[Measured]]
-    after: dict[int, list[Measured]]
-
-    def errors_mm(self, runs: Sequence[Measured]) -> tuple[float, float]:
-        """Mean and maximum distance of the tool's true place from the line [mm], averaged over runs."""
-        mean, most = np.mean([true_mm(run, self.line) for run in runs], axis=0).tolist()
-        return mean, most
-
-
-def corrected(arm: ArmConfig, rounds: int, repeats: int, seed: int, stage: Stage) -> Corrected:
-    """Guide candidates, optimise them, run 0, 1 and 2 via points, correct, repeat; all in virtual time.
-
-    Raises:
-        UnreachableTarget: the hand cannot lead this arm along the line.
-    """
-
-    def told(label: str, total: float) -> AbstractContextManager[Progress]:
-        return stage(f"002: {label}", total)
-
-    case = Case(arm=arm, seed=seed, from_m=FROM_M, to_m=TO_M, duration_s=PRINTED[0].duration_s, period_s=PERIOD_S)
-    rig, line = case.rig(), case.line
-    takes = tuple(guided_takes(rig, line, seed, told))
-    with told("genetic algorithm", 1):
-        optimum = replace(case, takes=takes, objective="mean").optimum(VIA, free=True)
-    model = identified(rig, rounds, seed, told)
-    before, after = {}, {}
-    for via in VIA:
-        timed = replace(line, duration_s=PRINTED[via].duration_s)
-        (outcome,) = experiment(rig, timed, [via], Budget(rounds, repeats, seed), model, stage)
-        before[via], after[via] = [outcome.rounds[0].measured], outcome.runs
-    takes_m = tuple(tool_position(rig.robot.chain, take[:, : rig.robot.chain.n]) for take in takes)
-    return Corrected(rig.arm.arm_id, line, takes_m, optimum, before, after)

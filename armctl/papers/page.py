@@ -6,14 +6,15 @@ A `PaperReport` is data: rows of numbers with a verdict, tables, and pictures th
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from armctl.kinematics.errata import Erratum
 from armctl.kinematics.transform import FloatArray
-from armctl.report.page import Figure, Page, curve
+from armctl.papers.entry import Entry, counted, errata
+from armctl.report.page import Figure, Marked, Page, curve
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Row:
     printed: float | str | None
     armctl: float | str
     unit: str
-    # "equal", "better", "misprint" or "differs: why".
+    # "equal", "misprint", "differs: why" or "not printed".
     verdict: str
 
 
@@ -73,20 +74,30 @@ class PaperReport:
     pictures: tuple[Picture, ...] = ()
 
 
-def write(reports: Sequence[PaperReport], errata: Sequence[Erratum], path: Path) -> None:
-    """Write the page."""
-    page = Page("Five papers, recomputed")
+# Looks of the verdicts, by their first word.
+KINDS = {"equal": "equal", "misprint": "misprint", "differs": "differs", "not": "unread"}
+
+
+def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) -> None:
+    """Write the page: of every paper its quantities, figures and tables, and every entry that it prints."""
+    page = Page("Five papers, recomputed", contents=True)
     page.text(
         "Each quantity that a paper prints is shown beside the one computed here. Equal: the same to the printed "
-        "digits. Better: an error that is smaller here. Misprint: the print contradicts itself or the model of the "
-        "paper; the proof is below. Differs: none of these; the reason is given."
+        "digits, or by algebra. Misprint: print contradicts itself or the model of the paper, as numbers prove. "
+        "Differs: the reason is given. Not printed: the paper has no number and no word of it. Not readable: the scan "
+        "has lost it.",
+        *(f"{paper}: {words}." for paper, words in counted(found).items()),
     )
     for report in reports:
-        page.heading(f"{report.paper}: {report.title}")
+        page.chapter(f"{report.paper}: {report.title}")
         page.text(*report.notes)
+        page.heading(f"{report.paper}, quantities")
         page.table(
             ("quantity", "printed", "armctl", "unit", "verdict"),
-            [(row.quantity, shown(row.printed), shown(row.armctl), row.unit, row.verdict) for row in report.rows],
+            [
+                (row.quantity, shown(row.printed), shown(row.armctl), row.unit, marked(row.verdict, row.verdict))
+                for row in report.rows
+            ],
             words=True,
         )
         for picture in report.pictures:
@@ -95,16 +106,36 @@ def write(reports: Sequence[PaperReport], errata: Sequence[Erratum], path: Path)
         for table in report.tables:
             page.heading(f"{report.paper}, {table.title}")
             page.table(table.header, table.rows, table.caption)
-    page.heading("Errata")
-    page.text(
-        f"{len(errata)} statements of these papers do not hold. Each is proven by a computation that a test repeats."
-    )
-    page.table(
-        ("paper", "where", "printed", "true", "proof"),
-        [(one.paper, one.where, one.printed, one.true, one.proof) for one in errata],
-        words=True,
-    )
+        _write_entries(page, report.paper, [entry for entry in found if entry.paper == report.paper])
     page.write(path)
+
+
+def _write_entries(page: Page, paper: str, found: Sequence[Entry]) -> None:
+    """Each equation and table as it is laid out in print, and what is wrong in it below."""
+    wrong = errata(found)
+    page.heading(f"{paper}, errata: {len(wrong)}")
+    told = [(one.where, one.printed, one.true, one.proof) for one in wrong]
+    page.table(("where", "printed", "true", "proof"), told, words=True)
+    for equation, of in groupby((one for one in found if one.row is not None), key=lambda one: one.equation):
+        rows = [list(row) for _, row in groupby(of, key=lambda one: one.row)]
+        page.heading(f"{paper}, {equation}")
+        verdicts = counted([one for row in rows for one in row])[paper]
+        widest = range(1, max(map(len, rows)) + 1)
+        cells = [tuple(marked(_cell(one), one.verdict) for one in row) for row in rows]
+        page.table(
+            tuple(map(str, widest)), cells, f"{verdicts}; from {rows[0][0].place} of the scanned text", words=True
+        )
+
+
+def _cell(entry: Entry) -> str:
+    if entry.verdict == "misprint":
+        return f"{entry.printed} (misprint: {entry.true})"
+    return "(not readable)" if entry.verdict == "not readable" else entry.printed
+
+
+def marked(text: str, verdict: str) -> Marked:
+    """Text in the colour of a verdict."""
+    return Marked(text, KINDS[verdict.split(":")[0].split(" ")[0]])
 
 
 def shown(value: float | str | None) -> str:

@@ -15,14 +15,14 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian
 from armctl.kinematics.differential import dexterity
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.robots.transfer_6dof import FIG_3_START_M, INITIAL_DEG, PRINTED_INITIAL
+from armctl.kinematics.robots.transfer_6dof import INITIAL_DEG
 from armctl.kinematics.solution import pose_target, solve
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error
 from armctl.lab.stage import Stage
 from armctl.lab.virtual_transfer import record
 from armctl.papers.page import PaperReport, Picture, Row, pictures
-from armctl.papers.transcription import introduced, transcription
-from armctl.papers.verdict import Effort, claim, through_closed_form
+from armctl.papers.transcription import introduced, said, transcription
+from armctl.papers.verdict import Effort, claim, through_closed_form, unprinted
 from armctl.report import kinematics as drawn
 from armctl.report import transfer_curves
 from armctl.report.transfer_curves import Transfer
@@ -114,20 +114,15 @@ def logged_cycle(seed: int) -> Transfer:
 
 
 def _pose_rows(robot: Robot) -> list[Row]:
-    found = forward_kinematics(robot.chain, np.radians(INITIAL_DEG)) * 1e3
-    rows = []
-    for axis, printed, value in zip("xyz", np.array(PRINTED_INITIAL)[:3, 3], found[:3, 3], strict=True):
-        verdict = "equal" if abs(printed * 1e3 - value) < 0.5 else "misprint"
-        rows.append(Row(f"initial position, {axis}", float(printed) * 1e3, round(float(value), 9) + 0.0, "mm", verdict))
-    R = np.array(PRINTED_INITIAL)[:3, :3]
+    printed = transcription("004")
+    R = np.array(printed.equations["after (3), 0T6"].rows, dtype=np.float64)[:3, :3]
     off = float(np.abs(R @ R.T - np.eye(3)).max())
-    rows.append(claim("R R^T - 1 of the initial rotation", "a rotation", off, off < 1e-9))
+    rows = [claim("R R^T - 1 of the initial rotation", said("004", "correct"), off, off < 1e-9)]
     assert robot.closed_form is not None
-    _, beyond = robot.closed_form.nearest_position(np.array(FIG_3_START_M))
-    start = "({:.0f}, {:.0f}, {:.0f})".format(*(value * 1e3 for value in FIG_3_START_M))
-    rows.append(
-        claim(f"Fig. 3 starts at {start}: out of reach by", "as calculated", beyond * 1e3, beyond == 0.0, unit="mm")
-    )
+    start = printed.tables["fig_3"].numbers[0]
+    _, beyond = robot.closed_form.nearest_position(start / 1e3)
+    quantity = "Fig. 3 starts at ({:.0f}, {:.0f}, {:.0f}): out of reach by".format(*start)
+    rows.append(claim(quantity, said("004", "start"), beyond * 1e3, beyond == 0.0, unit="mm"))
     return rows
 
 
@@ -135,10 +130,10 @@ def _inverse_rows(robot: Robot, q: FloatArray) -> list[Row]:
     _, missed = through_closed_form(robot, q)
     exists = np.isfinite(missed)
     worst, most = float(missed[exists].max()), int(exists.sum(axis=1).max())
-    what = f"{len(q)} poses through IK and back, every branch: greatest error"
+    what, why = f"{len(q)} poses through IK and back, every branch: greatest error", "differs: near a singularity"
     return [
-        claim(what, "mutually", worst, worst < EXACT, unit="m, rad", why="differs: rounding near a singularity"),
-        claim("solutions of a pose at most", "16 (2 each of theta1 to theta4)", str(most), most == 16),
+        claim(what, said("004", "mutually"), worst, worst < EXACT, unit="m, rad", why=why),
+        claim("solutions of a pose at most", said("004", "possibilities"), str(most), most == 16),
     ]
 
 
@@ -146,13 +141,10 @@ def _jacobian_rows(robot: Robot, q: FloatArray) -> list[Row]:
     columns = [tool_rate(robot.chain, q, rate) for rate in np.eye(robot.chain.n)]
     gap = float(np.abs(np.stack(columns, axis=-1) - jacobian(robot.chain, q)).max())
     found = dexterity(jacobian(robot.chain, np.radians(INITIAL_DEG)))
-    best = max(dexterity(one).manipulability for one in jacobian(robot.chain, q))
-    why = "differs: print gives none"
     return [
-        claim("Jacobian by eq. (8) against central differences", "the same", gap, gap < DIFFERENCE_BOUND),
-        Row("rank of the Jacobian at the initial position", None, str(found.rank), "", why),
-        Row("manipulability at the initial position", None, found.manipulability, "", why),
-        Row(f"greatest manipulability of {len(q)} random configurations", None, best, "", why),
+        claim("Jacobian by eq. (8) against central differences", said("004", "jacobian"), gap, gap < DIFFERENCE_BOUND),
+        unprinted("rank of the Jacobian at the initial position", str(found.rank)),
+        unprinted("manipulability at the initial position", found.manipulability),
     ]
 
 
@@ -162,23 +154,11 @@ def _curve_rows(shown: Curves) -> list[Row]:
         np.abs(values).max(axis=0) * 1e3 for values in (shown.tool_velocity_m_s, shown.tool_acceleration_m_s2)
     )
     print_ = transcription("004").tables
-    rows = [
+    return [
         Row(f"greatest {what} along {axis}, {table.place}", printed, float(found), table.unit, why)
         for what, table, most in (("speed", print_["speed"], speed), ("acceleration", print_["acceleration"], push))
         for (axis, printed), found in zip(table.by_column.items(), most, strict=True)
     ]
-    away = _derivative_gap(shown)
-    rows.append(claim("Fig. 4 against the slope of Fig. 3, of its peak", "consistent", away, away < 0.01))
-    return rows
-
-
-def _derivative_gap(shown: Curves) -> float:
-    """Greatest difference between the tool's velocity and the slope of its position, as a share of the top speed."""
-    step = np.diff(shown.time_s)
-    moving = step > 0.0
-    slope = np.diff(shown.tool_position_m, axis=0)[moving] / step[moving, None]
-    middle = (shown.tool_velocity_m_s[1:] + shown.tool_velocity_m_s[:-1])[moving] / 2.0
-    return float(np.abs(slope - middle).max() / np.abs(shown.tool_velocity_m_s).max())
 
 
 def _pictures(robot: Robot, shown: Curves) -> list[Picture]:

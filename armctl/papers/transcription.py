@@ -1,8 +1,8 @@
 """What the papers print and how it is read: one YAML file a paper, in `printed/`.
 
-A file holds the paper's title, notes on how it is read, every table that is compared with its place in the paper, and
-the errata (`errata.py` has their proofs, or the robot that they are about). Cells stay the text that is printed: the
-last digit tells the rounding.
+A file holds the paper's title, notes on how it is read, every numbered equation and every table, cell by cell, and the
+statements that are put to a proof (`statements.py`). Cells stay the text that is printed: the last digit tells the
+rounding. The papers are at hand as scanned text without page marks: a place is a line of that text.
 """
 
 from decimal import Decimal
@@ -21,6 +21,7 @@ class PrintedTable(Frozen):
 
     # Such as "Table II" or "Fig. 7".
     place: str
+    line: int
     unit: str
     columns: tuple[str, ...] = Field((), strict=False)
     # A line a row, blanks between the cells.
@@ -32,7 +33,7 @@ class PrintedTable(Frozen):
 
     @property
     def numbers(self) -> FloatArray:
-        return np.array(self.rows, dtype=np.float64)
+        return np.array([[float(cell.replace(",", "")) for cell in row] for row in self.rows])
 
     @property
     def rounding(self) -> FloatArray:
@@ -45,11 +46,29 @@ class PrintedTable(Frozen):
         return dict(zip(self.columns, self.numbers[0].tolist(), strict=True))
 
 
-class PrintedError(Frozen):
-    """The words of an `Erratum`."""
+class PrintedEquation(Frozen):
+    """Formulas in the paper's notation (`notation.py`)."""
 
-    # The name of its proof in `PROOFS` of a robot; empty: `errata.py` has it, by paper and place.
-    proof: str = ""
+    line: int
+    # A line a row, `|` between the cells; "?" begins a cell that is not readable, what the scan shows follows.
+    cells: str
+
+    @property
+    def rows(self) -> list[list[str]]:
+        return [[cell.strip() for cell in line.split("|")] for line in self.cells.splitlines()]
+
+
+class Quote(Frozen):
+    """Words of a paper that a row of its page is compared with."""
+
+    line: int
+    text: str
+
+
+class PrintedStatement(Frozen):
+    """Words of a paper that a proof is about."""
+
+    line: int
     where: str
     printed: str
     corrected: str
@@ -62,7 +81,10 @@ class Transcription(Frozen):
     title: str
     notes: tuple[str, ...] = Field(strict=False)
     tables: dict[str, PrintedTable] = Field({})
-    errata: tuple[PrintedError, ...] = Field((), strict=False)
+    equations: dict[str, PrintedEquation] = Field({})
+    quotes: dict[str, Quote] = Field({})
+    # By the names of their proofs in `statements.py`.
+    statements: dict[str, PrintedStatement] = Field({})
 
 
 @cache
@@ -71,6 +93,11 @@ def transcription(paper: str) -> Transcription:
     file = f"printed/{paper}.yaml"
     text = resources.files("armctl.papers").joinpath(file).read_text(encoding="utf-8")
     return validate(Transcription, parse_yaml(text, file), file)
+
+
+def said(paper: str, quote: str) -> str:
+    """Words of a paper, by their name among its quotes."""
+    return transcription(paper).quotes[quote].text
 
 
 def introduced(paper: str, **values: object) -> tuple[str, str, tuple[str, ...]]:

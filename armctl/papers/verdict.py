@@ -15,40 +15,41 @@ from armctl.papers.page import Row
 class Effort:
     """How much is computed."""
 
-    # Runs of the genetic algorithm over the grid of 000.
+    # Runs of the genetic algorithm over the grid of 000 in each reading, and every which target of the grid.
     grid_seeds: int
+    grid_step: int
     # Runs on the pose of 001.
     pose_seeds: int
     # Poses put through inverse kinematics.
     random_poses: int
+    # Simulated arms that make the experiments of 002.
+    arms: int
     # Points of a workspace.
     samples: int
-    # Corrections of the straight line.
-    rounds: int
-    # Runs of each straight-line plan.
-    repeats: int
 
 
-FULL = Effort(grid_seeds=10, pose_seeds=50, random_poses=1000, samples=20_000, rounds=5, repeats=3)
-QUICK = Effort(grid_seeds=2, pose_seeds=8, random_poses=50, samples=2000, rounds=0, repeats=1)
+SMALLER = "differs: less of it here"
 
-
-def same(quantity: str, printed: float, armctl: float, unit: str, *, digits: float) -> Row:
-    """Equal if within half a unit of the last printed digit (`digits`), else a misprint."""
-    return Row(quantity, printed, armctl, unit, "equal" if abs(printed - armctl) <= 0.5 * digits else "misprint")
+FULL = Effort(grid_seeds=5, grid_step=1, pose_seeds=50, random_poses=1000, arms=12, samples=20_000)
+QUICK = Effort(grid_seeds=1, grid_step=25, pose_seeds=3, random_poses=20, arms=1, samples=2000)
 
 
 def error(quantity: str, printed: float, armctl: float, unit: str, *, why: str) -> Row:
     """An error, of which less is better; `why` says what a greater one comes from."""
-    verdict = "better" if armctl < printed else "equal" if armctl == printed else f"differs: {why}"
+    verdict = SMALLER if armctl < printed else "equal" if armctl == printed else f"differs: {why}"
     return Row(quantity, printed, armctl, unit, verdict)
 
 
 def claim(
     quantity: str, printed: str, armctl: float | str, holds: bool, *, unit: str = "", why: str = "misprint"
 ) -> Row:
-    """A statement in words: equal if it holds, else `why` it does not."""
+    """A statement in a paper's words: equal if it holds, else `why` it does not."""
     return Row(quantity, printed, armctl, unit, "equal" if holds else why)
+
+
+def unprinted(quantity: str, armctl: float | str, unit: str = "") -> Row:
+    """What the paper has no word and no number of: it is shown, and not scored."""
+    return Row(quantity, None, armctl, unit, "not printed")
 
 
 def through_closed_form(robot: Robot, q: FloatArray) -> tuple[FloatArray, FloatArray]:

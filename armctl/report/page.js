@@ -1,10 +1,10 @@
 (() => {
   const dark = matchMedia("(prefers-color-scheme: dark)");
-  const paint = () => {
+  const paint = (charts = document.querySelectorAll(".js-plotly-plot")) => {
     const of = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
     const axis = (name, key) => ({[`${name}.gridcolor`]: of("--rule"), [`${name}.zerolinecolor`]: of("--edge"),
       [`${name}.linecolor`]: of("--edge"), ...key});
-    for (const chart of document.querySelectorAll(".js-plotly-plot")) {
+    for (const chart of charts) {
       const change = {paper_bgcolor: of("--paper"), plot_bgcolor: of("--paper"), "font.color": of("--ink"),
         ...axis("xaxis"), ...axis("yaxis")};
       if (chart.layout.scene) for (const letter of "xyz") Object.assign(change, axis(`scene.${letter}axis`,
@@ -14,6 +14,14 @@
       Plotly.relayout(chart, change);
     }
   };
+  // A long page draws a chart when it is nearly in sight, and keeps it.
+  const later = new IntersectionObserver(seen => seen.filter(one => one.isIntersecting).forEach(({target}) => {
+    later.unobserve(target);
+    const {data, layout, config} = JSON.parse(target.firstElementChild.textContent);
+    target.replaceChildren();
+    Plotly.newPlot(target, data, layout, config).then(chart => paint([chart]));
+  }), {rootMargin: "300px"});
+  document.querySelectorAll(".later").forEach(chart => later.observe(chart));
   paint();
-  dark.addEventListener("change", paint);
+  dark.addEventListener("change", () => paint());
 })();

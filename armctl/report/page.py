@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,16 +61,42 @@ def cube(chart: Any, points: FloatArray, camera: dict[str, Any]) -> None:
     )
 
 
-class Page:
-    """Collects blocks in order and writes them as one file."""
+class Marked(str):
+    """A table's cell with a look of its own: `kind` is a class of `page.css`."""
 
-    def __init__(self, title: str) -> None:
+    kind: str
+
+    def __new__(cls, text: str, kind: str) -> Marked:
+        marked = super().__new__(cls, text)
+        marked.kind = kind
+        return marked
+
+
+class Page:
+    """Collects blocks in order and writes them as one file.
+
+    A page with `contents` has a list of its chapters and their headings, and draws a chart when it comes into sight.
+    """
+
+    def __init__(self, title: str, *, contents: bool = False) -> None:
         self._title = title
         self._blocks: list[str] = [f"<h1>{html.escape(title)}</h1>"]
         self._has_script = False
+        self._contents: list[tuple[str, list[str]]] | None = [] if contents else None
+
+    def chapter(self, text: str) -> None:
+        """A heading above others, in a page with contents."""
+        assert self._contents is not None
+        self._contents.append((text, []))
+        self._blocks.append(f'<h2 class="chapter" id="{len(self._contents)}">{html.escape(text)}</h2>')
 
     def heading(self, text: str) -> None:
-        self._blocks.append(f"<h2>{html.escape(text)}</h2>")
+        place = ""
+        if self._contents:
+            headings = self._contents[-1][1]
+            headings.append(text)
+            place = f' id="{len(self._contents)}.{len(headings)}"'
+        self._blocks.append(f"<h2{place}>{html.escape(text)}</h2>")
 
     def text(self, *texts: str) -> None:
         self._blocks += [f"<p>{html.escape(text)}</p>" for text in texts]
@@ -80,7 +107,11 @@ class Page:
         """Add a table; `words`: its cells are text, set from the left, and not numbers."""
 
         def line(cells: Sequence[object], tag: str) -> str:
-            return "<tr>" + "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
+            return "<tr>" + "".join(map(cell, cells, [tag] * len(cells))) + "</tr>"
+
+        def cell(content: object, tag: str) -> str:
+            kind = f' class="{content.kind}"' if isinstance(content, Marked) else ""
+            return f"<{tag}{kind}>{html.escape(str(content))}</{tag}>"
 
         body = "".join(line(row, "td") for row in rows)
         # Beside the table and not in it: what is wider than a phone is moved sideways, its explanation is not.
@@ -107,10 +138,31 @@ class Page:
     def figure(self, figure: Figure, description: str) -> None:
         """Add a plotly figure; `description` says in words what it shows."""
         library, config = False if self._has_script else "inline", {"displaylogo": False, "responsive": True}
-        markup = figure.to_html(full_html=False, include_plotlyjs=library, config=config)
+        if self._contents is not None:
+            markup = self._drawn_when_seen(figure, config)
+        else:
+            markup = figure.to_html(full_html=False, include_plotlyjs=library, config=config)
         self._has_script = True
         label = html.escape(description, quote=True)
         self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{markup}</figure>')
+
+    def _drawn_when_seen(self, figure: Figure, config: dict[str, bool]) -> str:
+        """A chart that `page.js` draws; the first one brings the library along."""
+        from plotly.offline import get_plotlyjs
+
+        library = "" if self._has_script else f"<script>{get_plotlyjs()}</script>"
+        data = f'{{"config":{json.dumps(config)},{figure.to_json()[1:]}'.replace("</", "<\\/")
+        height = figure.layout.height or 450
+        script = f'<script type="application/json">{data}</script>'
+        return f'{library}<div class="later" style="height:{height}px">{script}</div>'
+
+    def _list_of_contents(self) -> str:
+        """Chapters with links to what is in them."""
+        text = ""
+        for number, (chapter, headings) in enumerate(self._contents or [], 1):
+            links = "".join(f'<a href="#{number}.{k}">{html.escape(one)}</a>' for k, one in enumerate(headings, 1))
+            text += f'<details><summary><a href="#{number}">{html.escape(chapter)}</a></summary>{links}</details>'
+        return f'<nav aria-label="Contents">{text}</nav>' if text else ""
 
     def html(self) -> str:
         """The whole page."""
@@ -119,7 +171,7 @@ class Page:
         return (
             f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(self._title)}</title>'
             f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>\n{style}</style></head>'
-            f"<body>{''.join(self._blocks)}{script}</body></html>\n"
+            f"<body>{self._blocks[0]}{self._list_of_contents()}{''.join(self._blocks[1:])}{script}</body></html>\n"
         )
 
     def write(self, path: Path) -> None:

@@ -14,17 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from armctl.cli import calibrate, demo, experiment, jobs, logs, motion, reproduce, servo, setup, study
+from armctl.cli import calibrate, demo, experiment, jobs, log, logs, motion, reproduce, servo, setup, study
 from armctl.cli.output import Output
-from armctl.cli.tables import show_table
+from armctl.cli.tables import show_rows, show_table
 from armctl.commissioning.calibration import Fit, Parameter
 from armctl.commissioning.doctor import Check
 from armctl.commissioning.eeprom import Difference
 from armctl.commissioning.scan import FoundServo
 from armctl.files import load_arm
 from armctl.kinematics import robots
-from armctl.kinematics.errata import Erratum
 from armctl.lab.study.limits import WITHOUT
+from armctl.papers.entry import Entry
 from armctl.papers.page import PaperReport, Row
 from armctl.recording import timeline
 from armctl.recording.player import Player
@@ -62,11 +62,15 @@ def assert_whole(show: Callable[[Output], object]) -> str:
     return text
 
 
+def show_rows_of(output: Output, name: str) -> None:
+    show_rows(output.console, name, "", WIDEST[f"log {name}"])
+
+
 TITLE = "a title that is as long as the longest of the five papers' titles, and then some more of it"
 ROWS = tuple(Row(**row) for row in WIDEST["paper"])
 REPORT = PaperReport(paper="004", title=TITLE, notes=(), rows=ROWS, tables=(), pictures=())
 PRINTED = ("eqs. (19), (20)", "C1 (a2 C2 + a3 C23)", "S1 (a2 C2 + a3 C23) + ...", "[m]")
-ERRATUM = Erratum("002", *PRINTED, lambda: (0.1, 0.0))
+ENTRY = Entry("002", PRINTED[0], 1, 2, *PRINTED[1:3], "misprint", "line 1", PRINTED[3], (0.1, 0.0))
 SERVOS = [FoundServo(**row) for row in WIDEST["servos"]]
 CHECKS = [Check(**row) for row in WIDEST["checks"]]
 DIFFERENCES = [Difference(**row) for row in WIDEST["differences"]]
@@ -81,21 +85,39 @@ TABLES: dict[str, Callable[[Output], object]] = {
     "demo": lambda out: demo.show(out, WIDEST["demo"]),
     "experiment": lambda out: experiment.show(out, WIDEST["experiment"]),
     **{f"study {name}": partial(study.show, name=name, result=result) for name, result in STUDIES.items()},
-    "reproduce": lambda out: reproduce.show(out, [REPORT], [ERRATUM], None),
+    "reproduce": lambda out: reproduce.show(out, [REPORT], [ENTRY], None),
     "recordings": lambda out: jobs.show_list(out, WIDEST["recordings"]),
     "optimize": lambda out: jobs.show_optimum(out, WIDEST["optimum"], WIDEST["plan"]),
+    "arms": lambda out: show_rows(out.console, "arms", "", WIDEST["arms"]),
     "transfer": lambda out: motion.show_curves(out, WIDEST["transfer"]),
     "scan": lambda out: setup.show_servos(out, SERVOS),
     "doctor": lambda out: setup.show_checks(out, CHECKS),
     "servo eeprom": lambda out: servo.show_differences(out, DIFFERENCES, "file", "servo"),
     "calibrate": lambda out: calibrate.show_fit(out, FIT),
-    "log info": lambda out: logs.show_topics(out, {"/armctl/" + "t" * 80: 1234567890}),
+    "log info": lambda out: log.show_topics(out, {"/armctl/" + "t" * 80: 1234567890}),
+    **{f"log {name}": partial(show_rows_of, name=name) for name in ("logs", "events", "stats", "diff")},
 }
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_fits_80_columns_with_every_figure_whole(name: str) -> None:
     assert assert_whole(TABLES[name])
+
+
+def test_all_that_a_demonstration_says_fits_80_columns_with_no_pair_of_figures_broken() -> None:
+    usual = {"mean_error_mm": 23.84, "max_error_mm": 41.94}
+    told = WIDEST["demo"]
+    row = {"mean_error_mm": 33.7, "max_error_mm": 41.9, "duration_s": 5.0, "truth": usual, "own_chord": usual}
+    row |= {"predicted_mean_error_mm": 20.94, "predicted_max_error_mm": 39.24}
+    rows = [{**row, "via": via, "corrected": corrected} for corrected in (False, True) for via in (0, 1, 2)]
+    output, screen = Output(), io.StringIO()
+    output.console = Console(file=screen, width=COLUMNS, color_system=None)
+    demo.show(output, {**told, "rows": rows, "refined": rows[4:]})
+    lines = screen.getvalue().splitlines()
+    assert max(len(line) for line in lines) <= COLUMNS, "\n".join(lines)
+    pairs = [re.findall(r"\d+\.\d / \d+\.\d", line) for line in lines]
+    assert [len(found) for found in pairs if found] == [5] * (len(rows) + 2)
+    assert [line.split()[1] for line in lines if " / " in line][6:] == ["corrected", "refined", "refined"]
 
 
 def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:

@@ -1,0 +1,176 @@
+"""What every numbered equation should say, derived by symbols from the Denavit-Hartenberg table of its paper.
+
+Each function gives, by the equations' numbers, cells like those of a transcription; `derived.yaml` has those that take
+algebra by hand. A cell is an expression, or words where print has no formula to compute; None: not derived.
+`measurements.py` has the same cells on numbers, by other means: a slip made here is found there.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import reduce
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from armctl.config import parse_yaml
+from armctl.kinematics import robots
+from armctl.kinematics.robots.lanzhou_4dof import RANGES_DEG
+from armctl.kinematics.robots.transfer_6dof import INITIAL_DEG
+from armctl.papers.notation import product_to_sum, read, symbol, sympy
+
+Cells = Sequence[Sequence[Any]]
+# Of the tool's pose, its rows one after the other.
+NAMES = ("n_x", "o_x", "a_x", "p_x", "n_y", "o_y", "a_y", "p_y", "n_z", "o_z", "a_z", "p_z")
+THETA = [symbol(f"theta{joint}") for joint in range(1, 7)]
+LAST = sympy.Matrix([[0, 0, 0, 1]])
+QUARTER = sympy.pi / 2
+
+
+def about_z(theta: Any, d: Any = 0) -> Any:
+    """Turn about z by theta and go along it by d."""
+    c, s = sympy.cos(theta), sympy.sin(theta)
+    return sympy.Matrix([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, d], [0, 0, 0, 1]])
+
+
+def about_x(alpha: Any, a: Any = 0) -> Any:
+    """Turn about x by alpha and go along it by a."""
+    c, s = sympy.cos(alpha), sympy.sin(alpha)
+    return sympy.Matrix([[1, 0, 0, a], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
+
+
+def _sums(expression: Any) -> Any:
+    """Products of sines and cosines as those of sums of their angles."""
+    return sympy.expand(product_to_sum(expression))
+
+
+def _product(*links: Any) -> Any:
+    """Links with parallel axes, multiplied from the left."""
+    return reduce(lambda T, link: (T * link).applyfunc(_sums), links)
+
+
+def _back(T: Any) -> Any:
+    """The inverse of such a product."""
+    R = T[:3, :3].T
+    return R.row_join((-R * T[:3, 3]).applyfunc(_sums)).col_join(LAST)
+
+
+def _pose(names: Sequence[str] = NAMES) -> Any:
+    return sympy.Matrix(3, 4, [symbol(name) for name in names]).col_join(LAST)
+
+
+def derived(paper: str) -> dict[str, Cells]:
+    """Every derived equation of a paper: those below, and `derived.yaml`."""
+    text = resources.files("armctl.papers").joinpath("derived.yaml").read_text(encoding="utf-8")
+    by_hand = {
+        number: [[_by_hand(cell.strip()) for cell in line.split("|")] for line in lines.splitlines()]
+        for number, lines in parse_yaml(text, "derived.yaml")[paper].items()
+    }
+    return DERIVED[paper]() | by_hand
+
+
+def _by_hand(cell: str) -> Any:
+    return cell[1:-1] if cell.startswith('"') else read(cell)
+
+
+def _xiang() -> dict[str, Cells]:
+    """Eqs. (2) to (17) are of an arm without d1, with a4 and a turned fifth joint; Fig. 9 is of another one."""
+    a2, a3, a4 = (symbol(name) for name in ("a2", "a3", "a4"))
+    rows = ((0, QUARTER), (a2, 0), (a3, 0), (a4, -QUARTER), (0, QUARTER), (0, 0))
+    A = [about_z(theta) * about_x(alpha, a) for theta, (a, alpha) in zip(THETA, rows, strict=True)]
+    upper, hand, T = _product(*A[1:4]), A[4] * A[5], _pose()
+    turned = _back(A[0]) * T
+    stretched, all_links = _back(upper) * turned, A[0] * upper
+    # Print has it as the 0 that it is.
+    stretched[1, 3] = stretched[1, 3].subs({T[0, 3]: all_links[0, 3], T[1, 3]: all_links[1, 3]})
+    table = enumerate(robots.get("xiang-6dof").chain.rows, 1)
+    return {
+        **{f"({number})": link.tolist() for number, link in enumerate(A, 2)},
+        "(9)": (A[0] * upper * hand).tolist(),
+        "(10)": T.tolist(),
+        "(11), left": turned.tolist(),
+        "(11), right": (upper * hand).tolist(),
+        "(13)": [[turned[0, 3], upper[0, 3]]],
+        "(14)": [[T[2, 3], upper[1, 3]]],
+        "(17), left": stretched.tolist(),
+        "(17), right": hand.tolist(),
+        "Fig. 9": [[n, symbol(f"q{n}"), *_numbers(row.d * 100, row.a * 100, row.alpha), 0] for n, row in table],
+    }
+
+
+def _numbers(*values: float) -> list[Any]:
+    return [sympy.Rational(f"{value:.6f}") for value in values]
+
+
+def _puma() -> dict[str, Cells]:
+    rows = enumerate(robots.get("puma560").chain.rows, 1)
+    theta, alpha, a, d = (symbol(f"{name}_i") for name in ("theta", "alpha", "a", "d"))
+    away = [[None, None, None, symbol(f"p_n{axis}") - symbol(f"p_{axis}")] for axis in "xyz"]
+    return {
+        "Table 1": [[n, *_numbers(np.degrees(row.alpha), row.a, row.d)] for n, row in rows],
+        "(1)": (about_z(theta, d) * about_x(alpha, a)).tolist(),
+        "(3)": _pose().tolist(),
+        "(5)": [*away, [0, 0, 0, 0]],
+    }
+
+
+def _line() -> dict[str, Cells]:
+    a2, a3, a4, a5, a6, d1 = (symbol(name) for name in ("a2", "a3", "a4", "a5", "a6", "d1"))
+    rows = ((0, QUARTER, d1), (a2, 0, 0), (a3, 0, 0), (a4, 0, 0), (a5 + a6, 0, 0))
+    A = [about_z(theta, d) * about_x(alpha, a) for theta, (a, alpha, d) in zip(THETA, rows, strict=False)]
+    T = A[0] * _product(*A[1:])
+    names = [name for row in (1, 2, 3) for name in (f"r_{row}1", f"r_{row}2", f"r_{row}3", f"p_{' xyz'[row]}")]
+    numbered = enumerate(((name.replace("p", "P"), T[k // 4, k % 4]) for k, name in enumerate(names)), 7)
+    return {
+        "Table I": [[n + 1, alpha * 180 / sympy.pi, a, d, THETA[n]] for n, (a, alpha, d) in enumerate(rows)],
+        **{f"({number})": link.tolist() for number, link in enumerate(A, 1)},
+        "(6)": _pose(names).tolist(),
+        **{f"({number})": [[symbol(name), value]] for number, (name, value) in numbered},
+    }
+
+
+def _lanzhou() -> dict[str, Cells]:
+    a2, a3, a4, a5, d1, d2 = (symbol(name) for name in ("a2", "a3", "a4", "a5", "d1", "d2"))
+    rows = ((0, 0, d1), (a2, -QUARTER, d2), (a3, 0, 0), (a4, 0, 0))
+    A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=False)]
+    theta, alpha, a, d = (symbol(name) for name in ("theta_i", "alpha_before", "a_before", "d_i"))
+    mm = {name: round(1000 * length) for name, length in robots.get("lanzhou-4dof").lengths_m.items()}
+    table = ((0, 0, mm["d1"]), (-90, mm["a2"], mm["d2"]), (0, mm["a3"], 0), (0, mm["a4"], 0), (0, mm["a5"], 0))
+    ranges = [*(f"{low:g}~{high:g}" for low, high in RANGES_DEG), "0"]
+    return {
+        "Table 1": [[n + 1, THETA[n], *row, within] for n, (row, within) in enumerate(zip(table, ranges, strict=True))],
+        "(1)": (about_x(alpha, a) * about_z(theta, d)).tolist(),
+        "(2), names": _pose().tolist(),
+        "(2)": (A[0] * _product(*A[1:], about_x(0, a5))).tolist(),
+    }
+
+
+def _transfer() -> dict[str, Cells]:
+    a1, a2, d4, d6 = (symbol(name) for name in ("a1", "a2", "d4", "d6"))
+    rows = ((0, 0, 0), (a1, -QUARTER, 0), (a2, 0, 0), (0, QUARTER, d4), (0, -QUARTER, 0), (0, QUARTER, d6))
+    A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=True)]
+    theta, alpha, a, d = (symbol(name) for name in ("theta_i", "alpha_before", "a_before", "d_i"))
+    mm = {name: round(1000 * length) for name, length in robots.get("transfer-6dof").lengths_m.items()}
+    at = {symbol(name): value for name, value in mm.items()}
+    at |= {angle: sympy.pi * round(deg) / 180 for angle, deg in zip(THETA, INITIAL_DEG, strict=True)}
+    initial = reduce(lambda T, link: T * link.subs(at), A, sympy.eye(4))
+
+    def named(length: Any) -> Any:
+        return f"{str(length)[0]}_{str(length)[1]}={at[length]}" if length in at else length
+
+    angles = [f"theta_{n}={deg:g}{'°' if deg else ''}" for n, deg in enumerate(INITIAL_DEG, 1)]
+    return {
+        "Table 1": [
+            [n, named(a), alpha * 180 / sympy.pi, named(d), angle]
+            for n, ((a, alpha, d), angle) in enumerate(zip(rows, angles, strict=True), 1)
+        ],
+        "(1)": (about_x(alpha, a) * about_z(theta, d)).tolist(),
+        "(3)": _pose().tolist(),
+        "after (3), 0T6": initial.tolist(),
+        "(4), first matrix": _back(A[0]).tolist(),
+        "(4), second matrix": _pose().tolist(),
+    }
+
+
+_ALL: tuple[Callable[[], dict[str, Cells]], ...] = (_xiang, _puma, _line, _lanzhou, _transfer)
+# By paper.
+DERIVED = {f"{paper:03}": derive for paper, derive in enumerate(_ALL)}

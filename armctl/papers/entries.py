@@ -1,0 +1,137 @@
+"""Every entry that a paper prints, beside what it should be, with a verdict.
+
+Of an equation's entry the verdict is symbolic: print against the derivation. Then both are put to numbers, at random
+configurations: the derivation has to agree with what `measurements.py` finds there, and a misprint has not to. Of a
+table's cell, and of words, the verdict is a difference beyond rounding.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armctl.papers.cells import TRUE_CELLS
+from armctl.papers.derivations import derived
+from armctl.papers.entry import EQUAL, MISPRINT, NOT_READABLE, PRINT_OFF, Entry
+from armctl.papers.measurements import MEASURED
+from armctl.papers.notation import read, same, show, some_value, sympy
+from armctl.papers.statements import PROOFS
+from armctl.papers.transcription import Transcription, transcription
+
+NOT_DERIVED = "differs: print gives nothing to compute it from"
+CONFIGURATIONS = 8
+
+
+@dataclass(eq=False)
+class _Formula:
+    """An entry of an equation on its way to a verdict."""
+
+    number: str
+    row: int
+    column: int
+    printed: str
+    # Expressions, or words, or None.
+    read: Any
+    derived: Any
+    off: tuple[float, float] | None = None
+
+    @property
+    def computed(self) -> bool:
+        return not isinstance(self.derived, str | None) and self.read is not None
+
+
+def entries(papers: Sequence[str]) -> list[Entry]:
+    """Every entry of some papers ("000" to "004"), in their order."""
+    return [entry for paper in sorted(papers) for entry in of_paper(paper, transcription(paper))]
+
+
+def of_paper(paper: str, printed: Transcription) -> list[Entry]:
+    """Every entry of one paper, as it is transcribed."""
+    return [*_equations(paper, printed), *_tables(paper, printed), *_statements(paper, printed)]
+
+
+def _equations(paper: str, printed: Transcription) -> Iterator[Entry]:
+    formulas = list(_formulas(paper, printed))
+    _measure(paper, formulas)
+    for one in formulas:
+        place = f"line {printed.equations[one.number].line}"
+        verdict, true = _judged(one, small=paper in ("003", "004"))
+        yield Entry(paper, one.number, one.row, one.column, one.printed, true, verdict, place, off=one.off)
+
+
+def _formulas(paper: str, printed: Transcription) -> Iterator[_Formula]:
+    known = derived(paper)
+    for number, equation in printed.equations.items():
+        for r, row in enumerate(equation.rows):
+            for c, text in enumerate(row):
+                true = known[number][r][c] if number in known and not text.startswith("?") else None
+                if true is None or isinstance(true, str):
+                    yield _Formula(number, r + 1, c + 1, text, None, true)
+                else:
+                    yield _Formula(number, r + 1, c + 1, text, _read(text), sympy.sympify(true))
+
+
+def _read(text: str) -> Any:
+    try:
+        return read(text)
+    except ValueError:
+        return sympy.nan
+
+
+def _measure(paper: str, formulas: list[_Formula]) -> None:
+    """How far print and derivation are off, at most, at several configurations."""
+    computed = [one for one in formulas if one.computed]
+    pairs = [expression for one in computed for expression in (one.read, one.derived)]
+    names = sorted({name for pair in pairs for name in pair.free_symbols}, key=str)
+    value_of = sympy.lambdify([names], pairs, "numpy")
+    for seed in range(CONFIGURATIONS):
+        values, cells = MEASURED[paper](np.random.default_rng(seed))
+        # A name that the derivation does not know has some value too.
+        given = [values.get(str(name), some_value(str(name))) for name in names]
+        with np.errstate(all="ignore"):
+            numbers = iter(value_of(given))
+        for one in formulas:
+            pair = (next(numbers), next(numbers)) if one.computed else (one.printed, one.derived)
+            measured = cells[one.number][one.row - 1][one.column - 1] if one.number in cells else None
+            if measured is not None and one.derived is not None:
+                gaps = [measured(value) if callable(measured) else abs(value - measured) for value in pair]
+                print_, true = (math.inf if math.isnan(gap) else float(gap) for gap in gaps)
+                before = one.off or (0.0, 0.0)
+                one.off = max(before[0], print_), max(before[1], true)
+
+
+def _judged(one: _Formula, *, small: bool) -> tuple[str, str | None]:
+    """The verdict, and what is true."""
+    if one.printed.startswith("?"):
+        return NOT_READABLE, None
+    if one.derived is None:
+        return NOT_DERIVED, None
+    if one.read is None:
+        return (EQUAL if one.printed == one.derived else MISPRINT), one.derived
+    if one.read.is_Number and one.derived.is_Number and "." in one.printed:
+        holds = abs(float(one.read - one.derived)) <= 0.5 * 10.0 ** -len(one.printed.split(".")[1])
+    else:
+        holds = one.read is not sympy.nan and same(one.read, one.derived)
+    return (EQUAL, one.printed) if holds else (MISPRINT, show(one.derived, small=small))
+
+
+def _tables(paper: str, printed: Transcription) -> Iterator[Entry]:
+    known = TRUE_CELLS[paper](printed) if paper in TRUE_CELLS else {}
+    for name, (true, slack) in known.items():
+        table = printed.tables[name]
+        bound = (table.rounding + slack) * (1.0 + 1e-9)
+        gap = np.abs(table.numbers - true)
+        for r, c in np.ndindex(true.shape):
+            told = (paper, table.place, r + 1, c + 1, table.rows[r][c], f"{true[r, c]:.7g}")
+            verdict = EQUAL if gap[r, c] <= bound[r, c] else MISPRINT
+            how = f"computed: print is off by {gap[r, c]:.2g}, rounding by {bound[r, c]:.2g} at most"
+            yield Entry(*told, verdict, f"line {table.line + r}", how)
+
+
+def _statements(paper: str, printed: Transcription) -> Iterator[Entry]:
+    for name, of in printed.statements.items():
+        off = PROOFS[name]()
+        verdict = MISPRINT if off[0] > PRINT_OFF else EQUAL
+        yield Entry(paper, of.where, None, None, of.printed, of.corrected, verdict, f"line {of.line}", of.how, off)

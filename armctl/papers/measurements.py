@@ -1,0 +1,168 @@
+"""The quantities of the papers' equations at random configurations, by `kinematics.chain` and not by symbols.
+
+Each function gives the values of all names at one configuration, and the equations' cells as numbers. A cell may also
+be a function of the printed words, which tells how far off they are. None: not measured.
+"""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from armctl.kinematics import robots
+from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, link_frames, tool_position
+from armctl.kinematics.robots.lanzhou_4dof import RANGES_DEG
+from armctl.kinematics.robots.transfer_6dof import INITIAL_DEG
+from armctl.kinematics.transform import FloatArray
+from armctl.papers.derivations import NAMES
+
+# Values by name, and cells by equation.
+Measured = tuple[dict[str, float], dict[str, Any]]
+QUARTER = math.pi / 2.0
+
+
+def _named(letter: str, values: FloatArray | Sequence[float], first: int = 1) -> dict[str, float]:
+    return {f"{letter}{number}": float(value) for number, value in enumerate(values, first)}
+
+
+def _pose(T: FloatArray, names: Sequence[str] = NAMES) -> dict[str, float]:
+    return dict(zip(names, T[:3].ravel().tolist(), strict=True))
+
+
+def _drawn(rng: np.random.Generator, *names: str) -> dict[str, float]:
+    return {name: float(rng.uniform(0.1, 0.5)) for name in names}
+
+
+def _links(frames: FloatArray) -> list[FloatArray]:
+    """Each frame in the one before it."""
+    return [np.linalg.inv(before) @ after for before, after in pairwise(frames)]
+
+
+def _links_from(number: int, links: Sequence[FloatArray]) -> dict[str, Any]:
+    """Equations that have a link each."""
+    return {f"({k})": link for k, link in enumerate(links, number)}
+
+
+def _both(sides: dict[str, float]) -> dict[str, Any]:
+    """Equations whose two sides are one number."""
+    return {number: [[value] * 2] for number, value in sides.items()}
+
+
+def _one_link(rng: np.random.Generator, convention: Any, of_link: str) -> tuple[dict[str, float], FloatArray]:
+    """Any row of a table, and its link; `of_link`: whose a and alpha, "i" or "before" the joint."""
+    a, alpha, d, theta = rng.uniform(0.1, 1.4, 4).tolist()
+    link = forward_kinematics(SerialChain((DHRow(a, alpha, d),), convention), np.array([theta]))
+    return {f"a_{of_link}": a, f"alpha_{of_link}": alpha, "d_i": d, "theta_i": theta}, link
+
+
+def _xiang(rng: np.random.Generator) -> Measured:
+    q, lengths = rng.uniform(-math.pi, math.pi, 6), _drawn(rng, "a2", "a3", "a4")
+    a2, a3, a4 = lengths.values()
+    rows = (DHRow(alpha=QUARTER), DHRow(a2), DHRow(a3), DHRow(a4, -QUARTER), DHRow(alpha=QUARTER), DHRow())
+    frames = link_frames(SerialChain(rows), q)
+    T, links = frames[-1], _links(frames)
+    turned, stretched = (np.linalg.inv(frames[joint]) @ T for joint in (1, 4))
+    # Eq. (18): the arm of Fig. 9, its angles from the vertical, its hand's joint turned by a quarter.
+    fig_9 = _drawn(rng, "d1", "a2", "a3", "d5")
+    robot = robots.get("xiang-6dof", fig_9)
+    tool = tool_position(robot.chain, np.array([q[0], QUARTER - q[1], -q[2], -q[3] - QUARTER, 0.0]))
+    target = _drawn(rng, "x0", "y0", "z0")
+    missed = float(((tool - list(target.values())) ** 2).sum())
+    signs = {"plus_minus": math.copysign(1.0, turned[0, 3]), "plus_minus3": math.copysign(1.0, math.sin(q[2]))}
+    values = lengths | target | _pose(T) | _named("theta", q) | _named("l", list(fig_9.values())) | signs
+    values |= {"x": float(tool[0]), "y": float(tool[1])}
+    ranges = [[low, angle, high] for (low, high), angle in zip(robot.limits_rad[1:4], q[1:4], strict=True)]
+    sides = {"(12)": q[0], "(13)": turned[0, 3], "(14)": T[2, 3]}
+    sides |= {"(15)": math.cos(q[2]), "(16)": math.cos(q[2]), "after (16)": math.sin(q[2])}
+    matrices = {"(9)": T, "(10)": T, "(11), left": turned, "(11), right": turned}
+    matrices |= {"(17), left": stretched, "(17), right": stretched, "(18)": [[missed], *ranges]}
+    return values, _links_from(2, links) | _both(sides) | matrices
+
+
+def _puma(rng: np.random.Generator) -> Measured:
+    values, link = _one_link(rng, "standard", "i")
+    T = forward_kinematics(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
+    return values | _pose(T), {"(1)": link, "(3)": T}
+
+
+def _line(rng: np.random.Generator) -> Measured:
+    q, lengths = rng.uniform(-math.pi, math.pi, 5), _drawn(rng, "a2", "a3", "a4", "d1", "a5", "a6")
+    of_robot = {name: length for name, length in lengths.items() if name not in ("a5", "a6")}
+    chain = robots.get("ax12-line", of_robot | {"a56": lengths["a5"] + lengths["a6"]}).chain
+    frames = link_frames(chain, q)
+    T, links = frames[-1], _links(frames)
+    names = [name for row, axis in enumerate("xyz", 1) for name in (f"r_{row}1", f"r_{row}2", f"r_{row}3", f"p_{axis}")]
+    entries = {f"({number})": [[value] * 2] for number, value in enumerate(T[:3].ravel(), 7)}
+    large = {f"P_{axis}": float(T[k, 3]) for k, axis in enumerate("xyz")}
+    values = {name.replace("_", "", name[0] == "r"): value for name, value in _pose(T, names).items()}
+    values |= {**lengths, **large, **_named("theta", q)}
+    return values, _links_from(1, links) | entries | {"(6)": T}
+
+
+def _lanzhou(rng: np.random.Generator) -> Measured:
+    q = np.radians(rng.uniform(*np.array(RANGES_DEG).T))
+    # Print knows the sum of these within half a turn.
+    q[1:] *= min(1.0, 3.0 / abs(q[1:].sum()))
+    lengths = _drawn(rng, "d1", "a2", "d2", "a3", "a4", "a5")
+    chain = robots.get("lanzhou-4dof", lengths).chain
+    frames = link_frames(chain, q)
+    T = frames[-1]
+    # In the plane of links 3 and 4, seen from joint 2: x outwards, y the way positive angles turn.
+    out, down = (np.linalg.inv(frames[1]) @ (frames[4] - frames[2])[:, 3])[[0, 2]] * (1.0, -1.0)
+    along = math.hypot(out, down)
+    alpha = math.acos((out * math.cos(q[1]) + down * math.sin(q[1])) / along)
+    beta, total = math.atan2(down, out), float(q[1:].sum())
+    values, link = _one_link(rng, "modified", "before")
+    turned, weights = rng.uniform(-1.0, 1.0, 4), rng.uniform(0.1, 1.0, 4)
+    weighted = float((np.abs(turned) * weights).sum())
+    least, span, rand = (float(value) for value in rng.uniform(0.1, 1.0, 3))
+    # In (12) theta_i is another angle than in (1); there it stands alone.
+    values |= {**lengths, **_pose(T), **_named("theta", q), **_named("Δtheta", turned), **_named("l", weights)}
+    values |= {"x": out, "y": down, "alpha": alpha, "beta": beta, "Δ": weighted}
+    values |= {"theta_min": least, "theta_max": least + span, "Rand": rand}
+    bent_up = q[2] < 0.0
+    matrices = {"(1), left": [[lambda words: _order(words, values, link)]], "(1)": link, "(2), names": T, "(2)": T}
+    cosine, rows = math.cos(q[2]), {"(3)": [math.tan(q[0]), q[0]], "(6)": [math.tan(beta), beta]}
+    sides = {"(4)": along**2, "(5)": cosine, "(7)": math.cos(alpha), "(8)": total, "(9)": q[3], "(10)": weighted}
+    others = {name: [[value] * 2 for value in column] for name, column in rows.items()}
+    others |= {"(11)": [[span * rand]], "(12)": [[None, least + span * rand]]}
+    others["after (7)"] = [[q[1], q[1] if bent_up else None, None if bent_up else q[1]]]
+    return values, matrices | _both(sides) | others
+
+
+def _order(words: str, values: dict[str, float], link: FloatArray) -> float:
+    """How far motions in the order of the words are from a link."""
+    T = np.eye(4)
+    for axis, name in re.findall(r"_([xz])\((\w+?)_", words):
+        value = values[f"{name}_i" if axis == "z" else f"{name}_before"]
+        row = DHRow(**{} if name == "theta" else {name: value})
+        T = T @ forward_kinematics(SerialChain((row,)), np.array([value if name == "theta" else 0.0]))
+    return float(np.abs(T - link).max())
+
+
+def _transfer(rng: np.random.Generator) -> Measured:
+    q, lengths = rng.uniform(-math.pi, math.pi, 6), _drawn(rng, "a1", "a2", "d4", "d6")
+    chain = robots.get("transfer-6dof", lengths).chain
+    frames = link_frames(chain, q)
+    T, J = frames[-1], jacobian(chain, q)
+    values, link = _one_link(rng, "modified", "before")
+    initial = forward_kinematics(robots.get("transfer-6dof").chain, np.radians(INITIAL_DEG))
+    axes = frames[1:, :3, 2]
+    columns = np.concatenate([np.cross(axes, T[:3, 3] - frames[1:, :3, 3]), axes], axis=1)  # (eq. 8)
+    off = float(np.abs(columns.T - J).max())
+    return values | lengths | _pose(T) | _named("theta", q), {
+        "(1)": link,
+        "(3)": T,
+        "(4), second matrix": T,
+        "after (3), 0T6": initial * np.array([[1.0, 1.0, 1.0, 1000.0]] * 3 + [[1.0] * 4]),
+        "(4), first matrix": np.linalg.inv(frames[1]),
+        "(8)": [[lambda _words: off] * 2] * 2,
+    }
+
+
+_ALL: tuple[Callable[[np.random.Generator], Measured], ...] = (_xiang, _puma, _line, _lanzhou, _transfer)
+# By paper.
+MEASURED = {f"{paper:03}": measure for paper, measure in enumerate(_ALL)}
