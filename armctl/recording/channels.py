@@ -10,11 +10,14 @@ Rules.
 """
 
 import json
+import struct
 import time
+import zlib
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import chain, repeat
+from operator import attrgetter
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -26,7 +29,7 @@ from armctl.json_text import to_json
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Command, Event, Fault, JointTrajectory, Reply, Run, ServoReading, TickRecord
+from armctl.messages import Command, Event, Fault, JointState, JointTrajectory, Reply, Run, ServoReading, TickRecord
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.schemas import full_name
 
@@ -42,6 +45,8 @@ READING = ("registers", "stamp_ns", "fresh", "error", "problem")
 QUANTITIES = {"position": "position_rad", "velocity": "velocity_rad_s", "effort": "load_ratio"}
 # What /diagnostics says of each joint.
 _HEALTH = ("temperature_degC", "voltage_V", "load_ratio", "torque_enabled", "age_s")
+_OF_A_JOINT = attrgetter(*JointState.__slots__)
+_JOINT = struct.Struct(f"<{len(JointState.__slots__)}d")
 Message = tuple[str, Value]
 
 
@@ -206,6 +211,8 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
         "progress": -1.0 if outputs.progress is None else outputs.progress,
         "rate": -1.0 if outputs.rate is None else outputs.rate,
         "rest_in_s": -1.0 if outputs.rest_in_s is None else outputs.rest_in_s,
+        # Most of it stands in no message of every tick, being repeated from the registers.
+        "joints_crc": zlib.crc32(b"".join([_JOINT.pack(*_OF_A_JOINT(joint)) for joint in outputs.joints])),
     }
     since = [fault[key] for fault in faults for key in ("since_ns", "servo_id")]
     shape = (

@@ -11,7 +11,7 @@ The rare records are put into bytes by the mcap package; messages, being thousan
 import mmap
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -31,6 +31,8 @@ MAX_CHUNK_BYTES = 16 * 2**20
 # zstd level of a log while it is written: its chunks of a second are no smaller at 3, and take longer.
 LEVEL = 1
 RECORD = struct.Struct("<BQ")  # opcode, length
+FOOTER = struct.Struct("<BQQQI")  # opcode, length, where the summary and its offsets begin, CRC
+CHUNK_INDEX = struct.Struct("<BQQQQ")  # opcode, length, start, end, where the chunk begins; and more
 CHUNK = struct.Struct("<QQQII")  # start, end, inflated size, CRC, length of the compression's name
 MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # comparing enumeration members costs more than all the rest
@@ -203,6 +205,25 @@ def inflate(body: memoryview) -> bytes:
     if len(data) != size or crc not in (0, zlib.crc32(data)):
         raise LogError("a chunk's checksum does not hold")
     return data
+
+
+def ends_well(data: mmap.mmap, begins: Sequence[int]) -> bool:
+    """Whether a file has its end, with a summary that is as it was written and leads to the chunks that begin there."""
+    footer = len(data) - len(MAGIC) - FOOTER.size
+    opcode, length, begin, _, crc = FOOTER.unpack_from(data, max(footer, 0)) if footer > 0 else (0,) * 5
+    if (opcode, length, data[-len(MAGIC) :]) != (Opcode.FOOTER, 20, MAGIC) or begin > footer:
+        return False
+    if begin == 0:
+        return True  # without a summary others read from the beginning, as we do
+    if crc not in (0, zlib.crc32(data[begin : footer + FOOTER.size - 4])):
+        return False
+    found = []
+    while begin < footer:
+        opcode, length, _, _, chunk = CHUNK_INDEX.unpack_from(data, begin)
+        if opcode == Opcode.CHUNK_INDEX:
+            found.append(chunk)
+        begin += RECORD.size + length
+    return begin == footer and (not found or sorted(found) == [*begins])
 
 
 def next_chunk(data: mmap.mmap, after: int) -> int:

@@ -3,7 +3,8 @@
 Rules.
 1. A log is replaced only by a file that was read back and holds the same messages in the same order, bit for bit;
    on the disk before it takes the name. What is damaged, being written or compacted already is left alone.
-2. It runs in a process of its own that takes what time nobody else wants: `python -m armctl.recording.compact FOLDER`.
+2. It runs in a process of its own that takes what time nobody else wants, and that recovers first what a crash left:
+   `python -m armctl.recording.compact FOLDER...`.
 """
 
 import contextlib
@@ -12,6 +13,7 @@ import logging
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from armctl.errors import LogError
@@ -19,6 +21,7 @@ from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, Disk, new_file, owned
 from armctl.recording.log_file import LogFile
 from armctl.recording.quota import stored_logs
+from armctl.recording.recover import recover_folder
 from armctl.recording.rewrite import Rewrite
 
 # Metadata record of a file that needs no more compacting.
@@ -69,14 +72,14 @@ class Compaction:
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
 
-    def start(self, folder: Path) -> None:
+    def start(self, *folders: Path) -> None:
         """Begin, unless the last one is still at it: the next one will find what it leaves.
 
         Raises:
             OSError: no process can be started.
         """
         if self._process is None or self._process.poll() is not None:
-            command = [sys.executable, "-m", "armctl.recording.compact", str(folder)]
+            command = [sys.executable, "-m", "armctl.recording.compact", *map(str, folders)]
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
 
@@ -91,13 +94,18 @@ def _digest(path: Path) -> tuple[object, ...]:
         return count, digest.digest(), log.complete, attachments, log.facts
 
 
-def main(folder: str) -> None:
+def main(folders: Sequence[str]) -> None:
     """Body of the process."""
     os.nice(19)
+    for folder in map(Path, folders):
+        with contextlib.suppress(OSError):  # a folder that is gone
+            recover_folder(folder)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    compact_folder(Path(folder))
+    for folder in map(Path, folders):
+        with contextlib.suppress(OSError):
+            compact_folder(folder)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1:])

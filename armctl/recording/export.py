@@ -316,8 +316,8 @@ def _of_type(kind: type, cells: Sequence[Cell]) -> Sequence[Cell]:
     return [None if cell is None else str(cell) for cell in cells] if kind is str else cells
 
 
-def extra(what: str, package: str) -> Any:
-    """A package that the extra `export` brings.
+def extra(what: str, package: str, name: str = "export") -> Any:
+    """A package that the extra `name` brings.
 
     Raises:
         ArmctlError: it is missing; the message tells how to get it.
@@ -325,4 +325,4 @@ def extra(what: str, package: str) -> Any:
     try:
         return import_module(package)
     except ImportError:
-        raise ArmctlError(f"{what} need {package}; install it with: pip install 'armctl[export]'") from None
+        raise ArmctlError(f"{what} need {package}; install it with: pip install 'armctl[{name}]'") from None

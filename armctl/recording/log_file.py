@@ -6,7 +6,8 @@ Rules.
    be parsed; the search goes on at the next chunk, and `complete` tells.
 3. The channels come from the seed attachment if there is one, so that a damaged first chunk costs only itself.
 4. A chunk is never inflated beyond `MAX_CHUNK_BYTES`, whatever it claims, and a file whose chunks together claim
-   more than `FREE_BYTES` and `MAX_RATIO` times its size is refused. Every failure is a LogError.
+   more than `FREE_BYTES` and `MAX_RATIO` times its size is refused, or one that declares over `MAX_DECLARED` channels.
+   Every failure is a LogError.
 """
 
 import io
@@ -36,6 +37,7 @@ from armctl.recording.writer import SEED
 FREE_BYTES = MAX_CHUNK_BYTES
 MAX_RATIO = 256
 MAX_SEED_BYTES = 2**20
+MAX_DECLARED = 10_000
 MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**16
 MAX_CHUNK_NS = 3600 * NS_PER_S
 _CHUNK, _MESSAGE_INDEX, _DATA_END = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX), int(Opcode.DATA_END)
@@ -70,13 +72,17 @@ class LogFile:
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        # Whether the file has its end, and no damage; known after the last message.
-        self.complete = False
+        # Whether the file has no damage, and its end; or at least its messages have theirs. Known after the last one.
+        self.complete = self.ended = False
         # Places that had to be skipped so far.
         self.damaged = 0
         self._end_ns = self._lost_ns = self._tail_ns = 0
         self._bridged = 0  # damaged places whose cost in log time is known
-        self._kept = self._claimed = 0
+        self._kept = self._claimed = self._declarations = 0
+        self.begins: list[int] = []  # of chunks
+        self._names: dict[int, str] = {}
+        self._by_topic: dict[str, Channel] = {}
+        self._declared: dict[tuple[int, bytes], bytes] = {}
         self._codecs: dict[str, Codec] = {}
         try:
             with path.open("rb") as file:
@@ -184,8 +190,7 @@ class LogFile:
     @contextmanager
     def _schema(self, topic: str) -> Iterator[tuple[str, str]]:
         """Full name and text of a topic's schema; what goes wrong with them becomes a LogError."""
-        channel = next((channel for channel in self.channels.values() if channel.topic == topic), None)
-        if channel is None:
+        if (channel := self._by_topic.get(topic)) is None:
             raise LogError(f"{self.path}: no topic {topic}; known: {', '.join(sorted(self.topics)) or 'none'}")
         schema = self.schemas.get(channel.schema_id)
         if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
@@ -203,7 +208,7 @@ class LogFile:
 
     @property
     def topics(self) -> frozenset[str]:
-        return frozenset(channel.topic for channel in self.channels.values())
+        return frozenset(self._by_topic)
 
     def __enter__(self) -> Self:
         return self
@@ -211,8 +216,6 @@ class LogFile:
     def __exit__(self, *_: object) -> None:
         self._scanning.close()
         self._data.close()
-
-    # ------------------------------------------------------------------------------------------- records
 
     def _chunks(self) -> Iterator[bytes]:
         if self._first is not None:
@@ -230,7 +233,8 @@ class LogFile:
                 self._at = begin + length
                 continue
             if opcode == _DATA_END and length == 4:
-                self.complete = self.damaged == 0 and data[size - 8 :] == MAGIC
+                self.ended = True
+                self.complete = self.damaged == 0 and chunks.ends_well(data, self.begins)
                 break
             try:
                 if not 0 < opcode < _DATA_END or length > min(MAX_RECORD_BYTES, size - begin):
@@ -264,6 +268,7 @@ class LogFile:
     def _record(self, opcode: int, body: bytes) -> bytes | None:
         """Take note of one record; the inflated data if it is a chunk."""
         if opcode == _CHUNK:
+            self.begins.append(self._at)  # and if it cannot be inflated the file is damaged anyway
             return chunks.inflate(memoryview(body))
         if opcode == Opcode.MESSAGE:
             raise LogError("a message outside a chunk has no checksum")
@@ -291,7 +296,7 @@ class LogFile:
         elif isinstance(record, Schema) and (in_chunk or record.id not in self.schemas):
             self.schemas[record.id] = record
         elif isinstance(record, Channel) and (in_chunk or record.id not in self.channels):
-            self.channels[record.id] = record
+            self._declare(record)
         if stream.count != len(body) and not in_chunk:
             raise LogError("a record of another length")
 
@@ -303,7 +308,12 @@ class LogFile:
         for entry in seed["channels"]:
             metadata = {str(key): str(value) for key, value in entry["metadata"].items()}
             number, topic = int(entry["id"]), str(entry["topic"])
-            self.channels[number] = Channel(number, topic, "cdr", metadata, int(entry["schema"]))
+            self._declare(Channel(number, topic, "cdr", metadata, int(entry["schema"])))
+
+    def _declare(self, channel: Channel) -> None:
+        self.channels[channel.id], self._names[channel.id] = channel, channel.topic
+        if self._by_topic.setdefault(channel.topic, channel).id == channel.id:
+            self._by_topic[channel.topic] = channel
 
     def _skip_damage(self, opcode: int, begin: int, length: int) -> None:
         """Go on behind an attachment if records follow it, else at the next place that looks like a chunk."""
@@ -324,15 +334,15 @@ class LogFile:
         `_split` does the same for every chunk, but takes twice the time: here no message becomes a tuple.
         """
         lists: dict[int, Payloads | None] = {}
-        for number, name in self._names().items():
-            wanted = topics is None or name in topics
-            lists[number] = found.setdefault(name, Payloads()) if wanted else None
         unpack, last, at = MESSAGE.unpack_from, len(chunk) - MESSAGE.size, 0
         while at <= last:
             opcode, length, number, sequence, time_ns, _ = unpack(chunk, at)
             end = at + 9 + length
-            if opcode != MESSAGE_OPCODE or number not in lists or end < at + 31 or end > len(chunk):
+            if opcode != MESSAGE_OPCODE or number not in self._names or end < at + 31 or end > len(chunk):
                 break
+            if number not in lists:
+                wanted = topics is None or self._names[number] in topics
+                lists[number] = found.setdefault(self._names[number], Payloads()) if wanted else None
             if (payloads := lists[number]) is not None:
                 payloads.log_time_ns.append(time_ns)
                 payloads.sequence.append(sequence)
@@ -345,7 +355,7 @@ class LogFile:
         size = len(chunk)
         padded = chunk + bytes(MESSAGE.size) if at < size else b""  # so that a short last record unpacks, too
         unpack, head = MESSAGE.unpack_from, MESSAGE.size
-        names, damaged = self._names(), self.damaged
+        names, damaged = self._names, self.damaged
         first_ns = last_ns = 0
         while at < size:
             opcode, length, number, sequence, time_ns, _ = unpack(padded, at)
@@ -357,7 +367,6 @@ class LogFile:
                 if not self._chunk_record(opcode, chunk[at + RECORD.size : end]):
                     self.damaged += 1
                     break  # where the next record begins is not known any more
-                names = self._names()
             elif (name := names.get(number)) is None:
                 self.damaged += 1
             else:
@@ -370,13 +379,16 @@ class LogFile:
                 self._lost_ns += max(0, first_ns - self._end_ns)
             self._end_ns, self._tail_ns, self._bridged = last_ns, 0, self.damaged
 
-    def _names(self) -> dict[int, str]:
-        return {channel.id: channel.topic for channel in self.channels.values()}
-
     def _chunk_record(self, opcode: int, body: bytes) -> bool:
         """Take note of a record inside a chunk that is no message; False if it does not belong there."""
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
             return opcode >= _PRIVATE
+        if self._declared.get((opcode, body[:2])) == body:
+            return True  # many writers say it again in every chunk
+        self._declared[opcode, body[:2]] = body
+        self._declarations += 1
+        if self._declarations > MAX_DECLARED:
+            raise _Refused(f"{self.path}: declares over {MAX_DECLARED} channels and schemas; such a file is not read")
         try:
             self._take(opcode, body, in_chunk=True)
         except Exception:  # as in _scan

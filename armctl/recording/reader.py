@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from mcap.reader import make_reader
 
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
@@ -35,7 +36,7 @@ class DecodedMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class LogInfo:
-    """What a file holds. `complete`: it has its end, and nothing in it is damaged."""
+    """What a file holds. `complete`: nothing in it is damaged, and stock readers read all of it."""
 
     messages: int
     start_s: float
@@ -43,6 +44,8 @@ class LogInfo:
     topics: dict[str, int]
     complete: bool
     facts: dict[str, str]
+    # Whether its end is as it was written; others may refuse a file whose summary has a wrong checksum.
+    summary_ok: bool
 
 
 @dataclass(frozen=True)
@@ -99,9 +102,24 @@ def info(path: Path) -> LogInfo:
             start_s=begin_ns / NS_PER_S,
             duration_s=(end_ns - begin_ns) / NS_PER_S,
             topics=dict(sorted(topics.items())),
-            complete=log.complete,
+            complete=log.complete or (log.ended and not log.damaged and _stock_reads(log, topics)),
             facts=log.facts,
+            summary_ok=log.complete,
         )
+
+
+def _stock_reads(log: LogFile, topics: Counter[str]) -> bool:
+    """Whether the mcap package finds as many messages of every topic by the file's summary."""
+    try:
+        with log.path.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            summary = reader.get_summary()
+            begins = [] if summary is None else [index.chunk_start_offset for index in summary.chunk_indexes]
+            if sorted(begins) != log.begins:
+                return False  # it misses chunks, or finds some that have not been seen to be sound
+            return Counter(channel.topic for _, channel, _ in reader.iter_messages()) == topics
+    except Exception:  # it has no common type of error
+        return False
 
 
 def ticks(path: Path) -> JointTrack:

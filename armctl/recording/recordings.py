@@ -35,6 +35,8 @@ from armctl.trajectory.straightness import max_error, mean_error
 SUFFIX = ".mcap"
 # Ends closer than this make no line: their distance is rounding, not motion (a servo tick moves the tool far more).
 MIN_LINE_M = 1e-6
+# Of a curve that is sent to be drawn.
+MOST_POINTS = 1000
 Line = tuple[Sequence[float], Sequence[float]]
 _log = logging.getLogger(__name__)
 
@@ -112,6 +114,11 @@ def load(path: Path) -> Recording:
             plan_s=window,
             complete=log.complete,
         )
+
+
+def drawn(count: int) -> Any:
+    """Indices of at most `MOST_POINTS` of `count` points, first and last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)) if count else np.arange(0)
 
 
 def taught(recording: Recording) -> TaughtMotion:

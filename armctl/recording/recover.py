@@ -17,11 +17,10 @@ from armctl.errors import LogError
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, PART, Disk, PartInUse, new_file, owned, writing
 from armctl.recording.log_file import LogFile
+from armctl.recording.replay import RECOVERED
 from armctl.recording.rewrite import Rewrite
 
 BROKEN = ".broken"
-# Metadata record of a recovered file: what it was made from, and what was lost.
-RECOVERED = "recovered"
 _UNFINISHED = ".recovering"
 _log = logging.getLogger(__name__)
 

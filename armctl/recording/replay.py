@@ -2,10 +2,12 @@
 
 Rules.
 1. Configuration, calibration, robot and clock anchor are the file's own.
-2. It begins at the first keyframe. Where ticks are missing, or the log says that some were dropped, it waits for
-   the next keyframe; where a keyframe comes along the way, the state must equal it.
+2. It begins at tick 0, with which every control process begins, or at the first keyframe. Where ticks are missing, or
+   the log says that some were dropped, it waits for the next one; where a keyframe comes along the way, the state must
+   equal it.
 3. The messages are made by the very function that made them for the log (channels.py).
-4. A tick whose cycle is missing was cut off and is not judged.
+4. What is not judged is told: a tick whose state is not known, or whose cycle is missing because it was cut off, is
+   `skipped`; a stretch of time of which nothing was judged, or in which something may have been, is one of the `gaps`.
 5. Each file of a merged one keeps its own clock anchor: a tick uses the anchor that gives its log time.
 6. What the world answered to the outputs (times, confirmed writes) is taken over from the log: no step can compute it.
 7. A topic that the file lacks or declares otherwise, being of another build, is not compared, and the result says so.
@@ -34,12 +36,15 @@ from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.schemas import schema_text
+from armctl.recording.writer import DIAGNOSTICS_PERIOD_NS
 
 PROGRESS_TICKS = 500
 # Characters of a value in `first_mismatch`.
 SHOWN = 200
 # Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic.
 MERGED = "merged"
+# Metadata record of a recovered file: what it was made from, and what was lost.
+RECOVERED = "recovered"
 _COMPARED = (
     channels.JOINT_STATES, channels.JOINT_COMMANDS, channels.TF, channels.TCP_POSE, channels.JOINT_TRAJECTORY,
     channels.WRITES, channels.COMMAND, channels.ROSOUT, channels.CYCLE, channels.DIAGNOSTICS,
@@ -54,6 +59,7 @@ Step = Callable[[State, Inputs, ArmConfig, Robot, float], tuple[State, Outputs]]
 class ReplayResult:
     """Outcome of a check. `messages` were compared, `mismatches` of them differ; `first_mismatch` says where."""
 
+    # Whose outputs were compared, and `judged` as well.
     ticks: int
     messages: int
     mismatches: int
@@ -64,8 +70,24 @@ class ReplayResult:
     first: dict[str, Any] | None
     # Topics that the log's armctl did not write, or not as this one does.
     not_compared: tuple[str, ...]
+    # Ticks of the file's own that could not be judged.
+    skipped: int
+    # Where nothing was judged, `from_s` and `to_s` since the file's first tick; None: nobody knows how long.
+    gaps: tuple[dict[str, float | None], ...]
     # Of the armctl that made the log: another one may decide otherwise.
     version: str
+    # Its commit and the digest of its sources (see provenance.py); empty: they are not in the log.
+    commit: str
+    sources: str
+
+    @property
+    def judged(self) -> int:
+        return self.ticks
+
+    @property
+    def passed_over(self) -> bool:
+        """Whether anything in the file was not judged."""
+        return bool(self.skipped or self.gaps or self.not_compared)
 
 
 @dataclass(frozen=True)
@@ -97,7 +119,7 @@ def log_setup(log: LogFile) -> LogSetup:
         facts, robot, merged = log.facts, log.seed()["robot"], log.metadata.get(MERGED, {})
         return LogSetup(
             arm=arm,
-            robot=robots.get(robot["name"], robot["lengths_m"]),
+            robot=robots.get(robot["name"] if isinstance(arm.robot, str) else arm.robot, robot["lengths_m"]),
             period_s=float(facts["period_s"]),
             anchor=Anchor(int(facts["anchor_wall_ns"]), int(facts["anchor_monotonic_ns"])),
             later_anchors=tuple(Anchor(*map(int, pair.split("/"))) for pair in merged.get("anchors", "").split()),
@@ -125,30 +147,31 @@ def check(path: Path, progress: Callable[[float], None] | None = None, *, step: 
         progress: Called with the fraction done.
         step: What to run the inputs through.
     Raises:
-        LogError: the file is no log of armctl's, holds no keyframe, or cannot be parsed.
+        LogError: the file is no log of armctl's, holds no state to begin at, or cannot be parsed.
     """
     begun_s = time.perf_counter()
     with LogFile(path) as log:
         replay = Rerun(log, log_setup(log), step)
         for message in log.messages():
             replay.take(message)
-            if progress is not None and message.topic == channels.CYCLE and replay.ticks % PROGRESS_TICKS == 0:
+            if progress is not None and message.topic == channels.CYCLE and replay.ticks % PROGRESS_TICKS == 1:
                 progress(log.progress)
-        version = log.facts.get("version", "")
-    if not replay.keyframes:
+        replay.end()
+        written_by: dict[str, Any] = {key: log.facts.get(key, "") for key in ("version", "commit", "sources")}
+    if not replay.keyframes and not replay.ticks:
         raise LogError(f"{path}: holds no keyframe; there is no state to begin at")
-    figures = ("ticks", "messages", "mismatches", "first_mismatch", "first", "not_compared")
+    figures = ("ticks", "messages", "mismatches", "first_mismatch", "first", "not_compared", "skipped", "gaps")
     found = {key: getattr(replay, key) for key in figures}
     seconds = time.perf_counter() - begun_s
     ratio = replay.duration_ns / NS_PER_S / max(seconds, 1e-9)
-    return ReplayResult(seconds=seconds, realtime_ratio=ratio, version=version, **found)
+    return ReplayResult(seconds=seconds, realtime_ratio=ratio, **written_by, **found)
 
 
 class Rerun:
     """The control step over a log's inputs, compared on the way: messages in, figures out."""
 
     def __init__(self, log: LogFile, setup: LogSetup, step: Step = control_step) -> None:
-        self.ticks = self.messages = self.mismatches = self.keyframes = self.duration_ns = 0
+        self.ticks = self.messages = self.mismatches = self.keyframes = self.duration_ns = self.skipped = 0
         self.first: dict[str, Any] | None = None
         # Known from the first tick on that is judged.
         self.not_compared: tuple[str, ...] = ()
@@ -158,6 +181,11 @@ class Rerun:
         self._last_tick: int | None = None
         self._last_ns = 0
         self._tick = _Tick()
+        # Epoch times [ns] of the file's first own tick and of the last one, and since when nothing is judged.
+        self._zero_ns = self._own_ns = self._gap_ns = 0
+        self._gaps: list[tuple[int, int | None]] = []
+        # What diagnostics are written of when it changes (see writer.py); empty: not known.
+        self._diagnosed: tuple[object, ...] = ()
 
     @property
     def first_mismatch(self) -> str:
@@ -167,6 +195,24 @@ class Rerun:
         tick, field, *values = (self.first[key] for key in ("tick", "field", "logged", "computed"))
         logged, computed = ("nothing" if value is None else json.dumps(value)[:SHOWN] for value in values)
         return f"tick {tick}, {field}: logged {logged}, computed {computed}"
+
+    @property
+    def gaps(self) -> tuple[dict[str, float | None], ...]:
+        """Where nothing was judged [s since the first tick]."""
+        since = [[None if at is None else (at - self._zero_ns) / NS_PER_S for at in gap] for gap in self._gaps]
+        return tuple({"from_s": from_s, "to_s": to_s} for from_s, to_s in since)
+
+    def end(self) -> None:
+        """Behind the last message: what the file lacks there."""
+        self._cut_off()
+        log = self._log
+        cut = not log.ended or RECOVERED in log.metadata or not (log.complete or log.damaged)
+        if self._gap_ns:
+            self._gaps.append((self._gap_ns, None if cut else self._own_ns))
+        elif cut:
+            self._gaps.append((self._own_ns, None))
+        elif log.damaged and not self._gaps:
+            self._gaps.append((self._zero_ns, self._own_ns))  # what was lost there nobody knows
 
     def take(self, message: LogMessage) -> None:
         """The next message of the file.
@@ -186,6 +232,7 @@ class Rerun:
             self._keyframe(self._log.decode(message)["data"])
         elif topic == channels.SERVOS:
             # Servos come first: whatever was collected without a cycle belonged to a tick that was cut.
+            self._cut_off()
             self._tick = _Tick(servos=self._log.decode(message))
         elif topic == channels.COMMAND:
             number, kind, data = channels.parse_record(self._log.decode(message)["data"]) or (0, "", None)
@@ -212,22 +259,37 @@ class Rerun:
                 self._differs(channels.STATE, state, self.state, lambda one: json.loads(to_json(one)))
         self.state = state
 
+    def _cut_off(self) -> None:
+        """Count what was collected of a tick that has no cycle; a trimmed file begins with diagnostics of its own."""
+        tick = self._tick
+        self.skipped += tick.servos is not None or not tick.logged.keys() <= {channels.DIAGNOSTICS}
+
     def _finish(self, tick: _Tick, cycle: Value, epoch_ns: int) -> None:
-        number, time_ns = cycle["tick"], cycle["time_ns"]
+        number, time_ns, own = cycle["tick"], cycle["time_ns"], not cycle["inputs_only"]
         gap = self._last_tick is not None and number != self._last_tick + 1
         if gap or cycle["dropped"] or tick.servos is None:
-            self.state = None
+            self.state, self._diagnosed = None, ()
+            self._gap_ns = self._gap_ns or self._own_ns
+        if number == 0:
+            self.state = State()
         previous_ns = self._last_ns
         self._last_tick, self._last_ns = number, time_ns
+        if own:
+            self._zero_ns, self._own_ns = self._zero_ns or epoch_ns, epoch_ns
         if self.state is None or tick.servos is None:
+            self.skipped += own
+            self._gap_ns = self._gap_ns or epoch_ns * own
             return
+        if own and self._gap_ns:
+            self._gaps.append((self._gap_ns, epoch_ns))
+            self._gap_ns = 0
         setup = self._setup
         inputs = self._inputs(tick.servos["servos"], tick.commands, cycle)
         try:
             self.state, outputs = self._step(self.state, inputs, setup.arm, setup.robot, setup.period_s)
         except Exception as error:  # the log may be anybody's, and say anything
             raise LogError(f"{self._log.path}: tick {number}: the control step cannot take it: {error!r}") from error
-        if cycle["inputs_only"]:
+        if not own:
             return
         if not self.ticks:
             declared = self._log.declarations
@@ -248,7 +310,10 @@ class Rerun:
         arm, robot = self._setup.arm, self._setup.robot
         messages = channels.output_messages(record, anchor, arm, robot)
         messages.append(channels.row_message(channels.cycle_row(record), record, anchor))
-        if channels.DIAGNOSTICS in tick.logged:  # which comes when the recorder thinks it time
+        now = (record.inputs.sample.time_ns // DIAGNOSTICS_PERIOD_NS, record.outputs.mode, record.outputs.faults)
+        due = self._diagnosed and self._diagnosed != now
+        self._diagnosed = now
+        if due or channels.DIAGNOSTICS in tick.logged:  # a file of several has more of them than are due
             messages.append(channels.diagnostics(record, anchor, arm))
         for topic in _COMPARED:
             if topic not in self.not_compared:

@@ -1,22 +1,24 @@
 """The files that a daemon writes: its log, rotated and kept within bounds, a take, and the snapshot of a fault.
 
 Rules.
-1. A log is rotated when it is old or large enough (`LogConfig`): the next record begins another one, and the
-   finished one is compacted (compact.py). The oldest logs are deleted when all of them take too much (quota.py).
-2. A file that fails is abandoned and the others go on. A log is tried again every `RETRY_NS`.
+1. A log is rotated when it is old or large enough (`LogConfig`), and when the wall clock was set: the next record
+   begins another one, and the finished one is compacted (compact.py). The oldest logs are deleted when all of them take
+   too much; a file's number, which only rises, says which those are (quota.py).
+2. A file that fails is abandoned and the others go on. A log is tried again every `RETRY_NS`; at once where its file or
+   folder was taken away. While the folder cannot be written the open files go on.
 3. Every file can be replayed alone: the newest ticks back to a keyframe (`History`) are handed to each one.
-4. Around a fault a snapshot is kept beside the log; no bound on the logs deletes it.
+4. Around a fault a snapshot is kept beside the log; a bound of its own deletes the oldest (quota.py).
 
 Everything here runs in the recorder's thread (recorder.py), but for what its docstring says is for others.
 """
 
 import errno
 import logging
+import os
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import chain, count
 from pathlib import Path
 
 from armctl.clock import NS_PER_S, Clock
@@ -107,6 +109,9 @@ class Files:
         self._previous = ""
         self._snapshot_end_ns = self._retry_ns = 0
         self._clock_offset_ns: int | None = None
+        self._retention = quota.Retention(folder, context.config.log, clock.now_ns, disk)
+        # Whether no file can be begun or finished.
+        self._read_only = False
 
     @property
     def log(self) -> LogWriter | None:
@@ -156,15 +161,21 @@ class Files:
     def flush(self) -> None:
         """Return when everything written is on the disk."""
         self._watch_wall_clock()
+        self._watch_files()
         self._write(LogWriter.flush)
         self.written = False
 
     def check_space(self) -> None:
         """Delete what may be deleted; close all files if the disk is too full all the same."""
-        if problem := self._space_problem():
+        self._read_only = self._folder.is_dir() and not os.access(self._folder, os.W_OK | os.X_OK)
+        if self._read_only:
+            self._fail(f"LOG_ERROR: {self._folder}: can no longer be written; what is open goes on, nothing new begins")
+        elif problem := self._space_problem():
             self._fail(problem)
             self.close(LOG, TAKE, SNAPSHOT)
             self._retry_ns = self._clock.now_ns() + RETRY_NS
+        elif self.log is not None:
+            self.log_problem = ""
 
     def close(self, *kinds: str) -> None:
         """Finish the open files of these kinds."""
@@ -182,15 +193,19 @@ class Files:
     def _rotate(self, record: TickRecord) -> None:
         """End the log if it is old or large enough; the next `_ensure_log` begins another one."""
         log, limits = self.log, self._context.config.log
-        if log is None:
+        if log is None or self._read_only:
             return
         age_s = (record.inputs.sample.time_ns - log.begin_ns) / NS_PER_S
         if age_s >= limits.rotate_s or log.size_bytes >= limits.rotate_bytes:
             self.close(LOG)
-            try:
-                self._compactor(self._folder)
-            except OSError as error:
-                _log.warning("%s: not compacted: %s", log.path, error)
+            self._tidy()
+
+    def _tidy(self) -> None:
+        """Have compacted what is finished, and recovered what was abandoned."""
+        try:
+            self._compactor(self._folder)
+        except OSError as error:
+            _log.warning("%s: not compacted: %s", self._folder, error)
 
     def _ensure_log(self) -> None:
         """Open a log where there is none, unless the last attempt failed a moment ago."""
@@ -213,6 +228,7 @@ class Files:
         self._clock_offset_ns = anchor.wall_ns - anchor.monotonic_ns
         if self.log_problem:
             _log.info("recording again, to %s", log.path)
+            self._tidy()
         self.log_problem = ""
 
     def _keep_snapshot(self, code: str, time_ns: int) -> None:
@@ -228,15 +244,15 @@ class Files:
         try:
             for record in self._begin(SNAPSHOT, stem, log.path.name, log.anchor, time_ns - span_ns):
                 self._open[SNAPSHOT].write_tick(record)
-        except (LogError, ValueError) as error:
+        except (LogError, OSError, ValueError) as error:
             _log.error("no snapshot of %s: %s", code, error)
             if SNAPSHOT in self._open:
                 self._abandon(SNAPSHOT, error)
 
     def _begin(self, kind: str, stem: str, previous: str, anchor: Anchor, begin_ns: int | None = None) -> Ticks:
         """Open a file beside the logs; returns the ticks since `begin_ns`, which are to be written to it."""
-        names = chain((f"{stem}.mcap",), (f"{stem}-{number}.mcap" for number in count(2)))
-        paths = (self._folder / name for name in names)
+        numbers = iter(self._retention.next_number, None)
+        paths = (self._folder / f"{stem}-{number:0{quota.DIGITS}d}.mcap" for number in numbers)
         path = next(path for path in paths if not path.exists() and not path.with_name(path.name + PART).exists())
         keyframe, inputs_only, records = self._history.beginning(begin_ns)
         self._open[kind] = LogWriter(path, self._context, previous=previous, anchor=anchor, disk=self._disk)
@@ -277,7 +293,7 @@ class Files:
         limits, folder = self._context.config.log, self._folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            quota.enforce(folder, limits, disk=self._disk)
+            self._retention.enforce(0 if self.log is None else self.log.size_bytes)
             free = self._disk.free_bytes(folder)
         except OSError as error:
             return _problem(error)
@@ -286,14 +302,24 @@ class Files:
         need = limits.free_bytes / 2**20
         return f"NO_SPACE: {free / 2**20:.0f} MiB free in {folder}, {need:.0f} needed; delete old logs"
 
+    def _watch_files(self) -> None:
+        """Let go of files that are no longer where they were begun: what is written to them nobody will find."""
+        for kind in (LOG, TAKE, SNAPSHOT):
+            if kind in self._open and not self._open[kind].in_place:
+                self._abandon(kind, LogError(f"{self._open[kind].part}: was taken away while it was written"))
+                self._retry_ns = 0
+
     def _watch_wall_clock(self) -> None:
-        """Note in the files when the wall clock steps; their own times come from their anchors and do not change."""
+        """Note in the files when the wall clock steps, and begin another log: a file's times come from its anchor."""
         now_ns = self._clock.now_ns()
         offset_ns = self._wall_ns() - now_ns
         if self._clock_offset_ns is not None and abs(offset_ns - self._clock_offset_ns) > CLOCK_STEP_NS:
             text = f"the wall clock was set by {(offset_ns - self._clock_offset_ns) / NS_PER_S:+.3f} s"
             self._write(lambda writer: writer.write_event(Event("warning", "CLOCK_STEP", text), now_ns))
             self._clock_offset_ns = offset_ns
+            if not self._read_only:
+                self.close(LOG)
+                self._tidy()
 
 
 def _stamp(epoch_ns: int) -> str:

@@ -10,6 +10,7 @@ Rules.
 """
 
 import json
+import os
 import platform
 from collections.abc import Sequence
 from contextlib import suppress
@@ -20,14 +21,13 @@ from typing import Any
 import yaml
 from mcap.records import Attachment
 
-from armctl import __version__
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig, Config
 from armctl.errors import LogError
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.urdf import urdf
 from armctl.messages import Event, TickRecord
-from armctl.recording import channels
+from armctl.recording import channels, provenance
 from armctl.recording.channels import TOPICS, Anchor, Message
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, PART, Disk, publish, writing
@@ -100,6 +100,16 @@ class LogWriter:
     def size_bytes(self) -> int:
         """What has gone to the file since its head."""
         return self._writer.offset - self._head_bytes
+
+    @property
+    def in_place(self) -> bool:
+        """Whether the part is still where it was begun."""
+        try:
+            return os.path.samestat(os.fstat(self._stream.fileno()), os.stat(self.part))
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError:  # nobody can tell
+            return True
 
     def begin(self, keyframe: str, inputs_only: Sequence[TickRecord] = ()) -> None:
         """Say before the first tick where a replay can begin.
@@ -189,9 +199,11 @@ class LogWriter:
         context = self.context
         writer, now_ns = self._writer, self.anchor.wall_ns
         facts = {
-            "version": __version__,
+            **provenance.program(),
+            **provenance.clock(),
             "host": platform.node(),
             "port": context.port,
+            "simulated": str(provenance.simulated(context.port)).lower(),
             "arm_id": context.arm.arm_id,
             "firmware": " ".join(map(str, context.firmware)),
             "calibration_hash": context.arm.calibration_hash,
@@ -231,24 +243,24 @@ class LogWriter:
         if self._begun:
             return
         self._begun = True
-        first = self._inputs_only[0].inputs.sample.time_ns if self._inputs_only else time_ns
         self.begin_ns = time_ns
-        epoch_ns = self.anchor.epoch_ns(first)
+        epoch_ns = self.anchor.epoch_ns(time_ns)
         context = self.context
         self._add(channels.string_message(channels.ROBOT_DESCRIPTION, self._description), epoch_ns)
         self._add(channels.static_transforms(epoch_ns, context.arm, context.robot), epoch_ns)
         if self._keyframe:
             self._add(channels.string_message(channels.STATE, self._keyframe), epoch_ns)
         for record in self._inputs_only:
-            self._write(record, self._encoder.inputs(record, self.anchor))
-            self._write(record, [self._encoder.cycle(record, self.anchor, inputs_only=True)])
+            # At the time the file begins: who plays it is not to wait for what is not its own.
+            self._write(record, self._encoder.inputs(record, self.anchor), epoch_ns)
+            self._write(record, [self._encoder.cycle(record, self.anchor, inputs_only=True)], epoch_ns)
         self._inputs_only = ()
         self._writer.end_chunk()
         self._head_bytes = self._writer.offset
 
-    def _write(self, record: TickRecord, messages: Sequence[Encoded]) -> None:
+    def _write(self, record: TickRecord, messages: Sequence[Encoded], epoch_ns: int | None = None) -> None:
         self._sequence = record.inputs.tick & 0xFFFFFFFF
-        epoch_ns = self.anchor.epoch_ns(record.inputs.sample.time_ns)
+        epoch_ns = self.anchor.epoch_ns(record.inputs.sample.time_ns) if epoch_ns is None else epoch_ns
         for topic, data in messages:
             self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
 

@@ -18,7 +18,8 @@ from armctl.cli import logs
 from armctl.cli.keys import keys
 from armctl.cli.output import Output
 from armctl.clock import VirtualClock
-from armctl.recording import reader, timeline
+from armctl.messages import Event
+from armctl.recording import provenance, reader, timeline
 from armctl.recording.player import Player
 from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import CONTEXT, make_records
@@ -44,7 +45,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_replay_in_json_compares_bit_for_bit(log: Path, check: Sequence[str], answer: Answer) -> None:
     found = answer("replay", log, *check)
     assert found.keys() >= REPLAY_KEYS
-    assert (found["ticks"], found["mismatches"]) == (59, 0)
+    assert (found["ticks"], found["judged"], found["mismatches"]) == (60, 60, 0)
+    assert (found["skipped"], found["gaps"], found["first"]) == (0, [], None)
 
 
 @pytest.fixture
@@ -65,7 +67,16 @@ def test_a_log_of_another_version_that_differs_says_so(
 ) -> None:
     monkeypatch.setattr(logs, "__version__", "99.0")
     said = typed("replay", wrong, "--check", status=1)
-    assert f"made by armctl {__version__}, this is 99.0" in " ".join(said.out.split())
+    told = " ".join(said.out.split())
+    assert f"made by armctl {__version__}, this is 99.0" in told
+    commit = provenance.program()["commit"]
+    assert told.endswith(f"git checkout {commit}" if commit else f"pip install armctl=={__version__}")
+    monkeypatch.undo()
+    assert "made by" not in typed("replay", wrong, "--check", status=1).out
+    other = provenance.program() | {"sources": "0123456789abcdef"}
+    monkeypatch.setattr(provenance, "program", lambda: other)
+    told = " ".join(typed("replay", wrong, "--check", status=1).out.split())
+    assert f"made by other sources of armctl {__version__}" in told
 
 
 def test_a_log_of_an_older_build_says_in_a_line_what_was_not_compared(
@@ -73,12 +84,29 @@ def test_a_log_of_an_older_build_says_in_a_line_what_was_not_compared(
 ) -> None:
     old = of_an_older_build(log, tmp_path / "old.mcap")
     left_out = ["/armctl/writes", "/armctl/cycle"]
-    said = " ".join(typed("replay", old, "--check").out.split())
+    said = " ".join(typed("replay", old, "--check", "--allow-gaps").out.split())
     why = "not compared, since the log's armctl wrote them otherwise or not at all: "
     assert "bit for bit the same" in said
     assert said.endswith(why + ", ".join(left_out))
-    assert answer("replay", old)["not_compared"] == left_out
+    assert answer("replay", old, status=1)["not_compared"] == left_out
     assert "not compared" not in typed("replay", log, "--check").out
+
+
+def test_a_check_that_passed_something_over_fails_unless_that_is_allowed(
+    tmp_path: Path, typed: Typed, answer: Answer
+) -> None:
+    gap = write_log(tmp_path / "gap.mcap", [*RECORDS[:20], *RECORDS[25:]])
+    found = answer("replay", gap, status=1)
+    assert (found["judged"], found["skipped"], found["mismatches"]) == (20, 35, 0)
+    assert [set(one) for one in found["gaps"]] == [{"from_s", "to_s"}]
+    assert answer("replay", gap, "--allow-gaps") | {"seconds": 0, "realtime_ratio": 0} == found | {
+        "seconds": 0,
+        "realtime_ratio": 0,
+    }
+    said = " ".join(typed("replay", gap, "--check", status=1).out.split())
+    assert "what was judged is bit for bit the same" in said
+    assert "not judged: 35 ticks" in said
+    assert "nothing judged from 1.9 s to 5.9 s" in said
 
 
 def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, answer: Answer) -> None:
@@ -191,6 +219,52 @@ def test_damage_is_told_on_stderr(tmp_path: Path, typed: Typed) -> None:
     assert "a[bold].mcap.part was not closed properly" in said.err
 
 
+# -------------------------------------------------------------------------------------------------- a folder of them
+
+
+@pytest.fixture
+def logs_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The daemon's folder, with two logs of which one has a fault."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    folder = tmp_path / "armctl" / "logs"
+    write_log(folder / "armctl-1.mcap", RECORDS[:20])
+    tripped = Event("error", "TRIPPED", "servo 3 (elbow): shut itself down", 3)
+    changed = replace(RECORDS[30], outputs=replace(RECORDS[30].outputs, events=(tripped,)))
+    write_log(folder / "armctl-2.mcap", [*RECORDS[20:30], changed])
+    return folder
+
+
+def test_a_folder_is_listed_searched_and_noted_as_the_contract_says(
+    logs_folder: Path, answer: Answer, typed: Typed
+) -> None:
+    answer("log", "note", logs_folder / "armctl-1.mcap", "a [new] gripper")
+    first, second = answer("log", "list")["logs"]
+    listed = {"path", "start", "duration_s", "arm_id", "version", "simulated", "faults", "size_bytes", "complete"}
+    assert first.keys() >= listed
+    assert (first["path"], first["notes"]) == (str(logs_folder / "armctl-1.mcap"), ["a [new] gripper"])
+    assert (first["version"], first["complete"], second["faults"]) == (__version__, True, ["TRIPPED"])
+    (event,) = answer("log", "find", "code:TRIPPED", "servo:3")["events"]
+    assert event.keys() >= {"log", "time_s", "code", "text"}
+    assert (event["log"], event["time_s"]) == (second["path"], pytest.approx(1.0, abs=0.01))
+    assert answer("log", "find", "code:NOTHING")["events"] == []
+    assert answer("log", "find", "servo:many", status=1)["error"]["code"] == "QUERY"
+    shown = typed("log", "list", "--log-dir", logs_folder).out
+    assert not missing(" ".join(shown.split()), "TRIPPED", "a [new] gripper")
+    assert "shut itself down" in typed("log", "find", "TRIPPED").out
+    typed("log", "list", "--log-dir", logs_folder / "none", status=1)
+
+
+def test_joints_are_followed_and_two_logs_compared(logs_folder: Path, answer: Answer, typed: Typed) -> None:
+    rows = answer("log", "stats", "--by", "month")["rows"]
+    assert {row["joint"] for row in rows} == set(CONTEXT.arm.joint_names)
+    assert CONTEXT.arm.joint_names[0] in typed("log", "stats").out
+    pair = logs_folder / "armctl-1.mcap", logs_folder / "armctl-2.mcap"
+    found = {row["quantity"]: row for row in answer("log", "diff", *pair)["rows"]}
+    assert all(row.keys() == {"quantity", "a", "b", "difference"} for row in found.values())
+    assert found["events, error"]["difference"] == 1
+    assert "duration_s" in typed("log", "diff", *pair).out
+
+
 # ------------------------------------------------------------------------------------------------------- docs
 
 
@@ -204,6 +278,8 @@ def examples() -> list[list[str]]:
 def test_documented_commands_work(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: Typed) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    (tmp_path / "armctl" / "logs").mkdir(parents=True)
     for name in ("lift.mcap", "cut.mcap"):
         Path(name).write_bytes(log.read_bytes())
     found = examples()

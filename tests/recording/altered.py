@@ -17,6 +17,14 @@ def with_sample(record: TickRecord, **changes: Any) -> TickRecord:
     return replace(record, inputs=replace(record.inputs, sample=replace(record.inputs.sample, **changes)))
 
 
+def later(record: TickRecord, by_ns: int) -> TickRecord:
+    """The tick at a later time, its sample and the servos' stamps with it."""
+    sample = record.inputs.sample
+    servos = tuple(replace(one, stamp_ns=one.stamp_ns + by_ns if one.stamp_ns else 0) for one in sample.servos)
+    sample = replace(sample, time_ns=sample.time_ns + by_ns, servos=servos)
+    return replace(record, inputs=replace(record.inputs, now_ns=record.inputs.now_ns + by_ns, sample=sample))
+
+
 def without_first_joint(record: TickRecord) -> TickRecord:
     """The tick as it is while the first servo has never answered."""
     first, *others = record.outputs.joints

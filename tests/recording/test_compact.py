@@ -41,7 +41,7 @@ def test_a_compacted_log_is_smaller_and_holds_the_same_and_replays_bit_for_bit(l
     assert compact(log)
     assert held(log) == before
     assert log.stat().st_size < 0.7 * size
-    assert replayed(log) == (399, 0)
+    assert replayed(log) == (400, 0)
     assert [path.name for path in log.parent.iterdir()] == [log.name]
 
 

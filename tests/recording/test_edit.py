@@ -171,7 +171,7 @@ def test_files_around_a_rotation_become_the_log_they_would_have_been(tmp_path: P
     assert topics["/tf_static"] == topics["/robot_description"] == 1
     times_ns = [message.log_time_ns for message in merged]
     assert times_ns == sorted(times_ns)
-    assert replayed(tmp_path / "c.mcap") == (89, 0)
+    assert replayed(tmp_path / "c.mcap") == (90, 0)
     assert result.messages == len(merged) == reader.info(tmp_path / "c.mcap").messages
     a, b = (own(path) for path in paths)
     assert merged[: len(messages(paths[0]))] == messages(paths[0])
@@ -201,7 +201,7 @@ def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one
     ticks = [m.value["tick"] for m in reader.read(tmp_path / "c.mcap", ["/armctl/cycle"])]
     assert ticks == [*range(40), *range(55, 90)]
     # up to the gap, and from the keyframe of tick 75 on
-    assert replayed(tmp_path / "c.mcap") == (39 + 14, 0)
+    assert replayed(tmp_path / "c.mcap") == (40 + 14, 0)
 
 
 @pytest.mark.parametrize(

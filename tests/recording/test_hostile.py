@@ -1,13 +1,16 @@
 """Files made to do harm are refused, and quickly."""
 
+import io
 import struct
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from armctl.recording import reader
-from armctl.recording.chunks import MAGIC
+from armctl.recording.chunks import MAGIC, ChunkWriter
 from proving import hostile
 from tests.recording.programs import told_by
 from tests.recording.refusals import cannot
@@ -58,3 +61,51 @@ def test_nonsense_inside_a_chunk_is_damage(tmp_path: Path, body: bytes) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(chunk)) + chunk + end)
     assert (reader.info(path).messages, reader.info(path).complete) == (0, False)
+
+
+def declaring(channels: int, chunks: int = 1) -> bytes:
+    """A small file with so many channels, declared between two messages, and more chunks of one message each."""
+    stream = io.BytesIO()
+    writer = ChunkWriter(stream)
+    schema = writer.add_schema("pkg/msg/T0", "ros2msg", b"uint8 a")
+    for number in range(channels):
+        channel = writer.add_channel(f"/{number}", "cdr", schema, {})
+        writer.add_message(channel, 1, 1, b"\0\1\0\0\7")
+    for _ in range(chunks):
+        writer.end_chunk()
+        writer.add_message(1, 1, 1, b"\0\1\0\0\7")
+    writer.finish()
+    return stream.getvalue()
+
+
+def read_s(path: Path, data: bytes) -> float:
+    """CPU time of reading a file in every way."""
+    path.write_bytes(data)
+    begun_s = time.process_time()
+    hostile.read_all(path)
+    return time.process_time() - begun_s
+
+
+def test_time_is_in_proportion_to_what_is_declared(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    few, many = min(read_s(path, declaring(500)) for _ in range(3)), read_s(path, declaring(4000))
+    assert many < 25 * few, "with eight times as much"
+    few, many = min(read_s(path, declaring(1000, 50)) for _ in range(3)), read_s(path, declaring(1000, 800))
+    assert many < 25 * few, "with the same, and sixteen times as many chunks"
+
+
+def test_a_file_of_more_channels_than_anybody_has_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(declaring(20_000))
+    cannot(reader.info, tmp_path / "a.mcap", why="declares over 10000 channels")
+
+
+def test_channels_that_are_said_again_in_every_chunk_are_no_more_than_one(tmp_path: Path) -> None:
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream, chunk_size=1)
+        writer.start("ros2", "somebody")
+        schema = writer.register_schema("pkg/msg/T0", "ros2msg", b"uint8 a")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for number in range(12_000):
+            writer.add_message(channel, number, b"\0\1\0\0\7", number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert (reader.info(tmp_path / "a.mcap").messages, reader.info(tmp_path / "a.mcap").complete) == (12_000, True)

@@ -94,6 +94,16 @@ def test_every_leaf_of_the_outputs_is_compared(name: str, tmp_path: Path) -> Non
         assert result.first_mismatch.startswith(f"tick {record.inputs.tick}, {result.first['field']}: logged ")
 
 
+def test_what_is_said_of_the_joints_is_compared_in_a_tick_without_diagnostics(tmp_path: Path) -> None:
+    last, before, tick = RECORDS[MOVING.inputs.tick + 1 : MOVING.inputs.tick + 4]
+    sound = write(tmp_path / "sound.mcap", [before, tick], keyframe=last.keyframe)
+    assert [m.sequence for m in read(sound, ["/diagnostics"])] == [before.inputs.tick]
+    for index, (where, value) in enumerate(others("joints", tick.outputs.joints)):
+        changed = [before, with_outputs(tick, joints=value)]
+        result = check(write(tmp_path / f"{index}.mcap", changed, keyframe=last.keyframe))
+        assert result.mismatches > 0, where
+
+
 @pytest.mark.parametrize(
     ("record", "changes", "field"),
     [

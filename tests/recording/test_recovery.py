@@ -11,8 +11,8 @@ from armctl.clock import NS_PER_S
 from armctl.recording.compact import compact
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.reader import info
-from armctl.recording.recover import RECOVERED, recover, recover_folder
-from armctl.recording.replay import check, log_setup
+from armctl.recording.recover import recover, recover_folder
+from armctl.recording.replay import RECOVERED, check, log_setup
 from proving import damage
 from proving.damage import chunk_places
 from tests.recording.factory import ANCHOR, make_records

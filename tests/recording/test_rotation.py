@@ -1,6 +1,7 @@
 """Rotation: one log follows another, old ones make room, and the seconds around a fault are kept."""
 
 import errno
+import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,12 +9,13 @@ from typing import Any
 
 import pytest
 
+from armctl.clock import NS_PER_S
 from armctl.recording.disk import Disk
 from armctl.recording.reader import info, read
 from armctl.recording.replay import check
 from tests.recording.altered import faulty
 from tests.recording.factory import make_records
-from tests.recording.logs import replayed, ticks
+from tests.recording.logs import recorder_lines, replayed, ticks
 from tests.recording.rig import Rig, failing
 
 RECORDS = make_records(100, keyframe_ticks=40)
@@ -28,24 +30,25 @@ def test_a_full_file_is_compacted_and_followed_by_one_that_replays_alone(tmp_pat
     assert rig.compacted == [rig.logs] * (len(paths) - 1)
     assert [tick for path in paths for tick in ticks(path)] == list(range(400))
     of_each, mismatches = zip(*map(replayed, paths), strict=True)
-    assert (sum(of_each), sum(mismatches)) == (399, 0)
+    assert (sum(of_each), sum(mismatches)) == (400, 0)
     assert [info(path).facts["previous"] for path in paths] == ["", *(path.name for path in paths[:-1])]
 
 
-def test_files_of_the_same_second_get_a_number(tmp_path: Path) -> None:
+def test_files_are_numbered_one_behind_the_other(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     first = Rig(tmp_path)
     rig.put(RECORDS[:1])
     first.put(RECORDS[:1])
     first.close()
-    assert [path.name for path in rig.close()] == ["armctl-20250615T150645Z-2.mcap", "armctl-20250615T150645Z.mcap"]
+    names = ["armctl-20250615T150645Z-000001.mcap", "armctl-20250615T150645Z-000002.mcap"]
+    assert [path.name for path in rig.close()] == names
 
 
 def test_the_seconds_around_a_fault_are_kept_in_a_file_of_its_own(tmp_path: Path) -> None:
     rig = Rig(tmp_path, snapshot_s=2.0)
     rig.put(faulty(make_records(150, keyframe_ticks=30), 80, 90))
     snapshot, log = sorted(rig.close(), reverse=True)
-    assert snapshot.name == "fault-20250615T150653Z-TRIPPED.mcap"
+    assert snapshot.name == "fault-20250615T150653Z-TRIPPED-000002.mcap"
     assert ticks(snapshot) == list(range(60, 101))
     assert (info(snapshot).complete, info(snapshot).facts["previous"]) == (True, log.name)
     assert ticks(log) == list(range(150))
@@ -90,7 +93,7 @@ def test_old_logs_make_room_and_snapshots_and_takes_stay(tmp_path: Path) -> None
         (tmp_path / "logs" / name).write_bytes(bytes(2**20))
     rig = Rig(tmp_path, quota_bytes=2**20)
     rig.put(RECORDS[:20])
-    assert [path.name for path in rig.close()] == [*old[2:], "armctl-20250615T150645Z.mcap", snapshot]
+    assert [path.name for path in rig.close()] == [*old[2:], "armctl-20250615T150645Z-000001.mcap", snapshot]
 
 
 def test_recording_ends_before_the_disk_is_full_and_begins_again(
@@ -125,3 +128,56 @@ def test_a_file_that_cannot_be_begun_is_tried_again(rig: Rig, monkeypatch: pytes
     path = rig.only_log()
     assert ticks(path)[-1] == 99
     assert check(path).mismatches == 0
+
+
+@pytest.mark.parametrize("step_s", [3600, -86_400 * 365, 86_400 * 4000])
+def test_a_step_of_the_wall_clock_begins_another_log_whose_times_are_the_new_ones(rig: Rig, step_s: int) -> None:
+    rig.put(RECORDS[:30])
+    rig.wall_offset_ns += step_s * NS_PER_S
+    rig.put(RECORDS[30:])
+    first, second = sorted(rig.close(), key=lambda path: path.name[-11:])
+    assert [line["function"] for line in recorder_lines(first)] == ["CLOCK_STEP"]
+    assert ticks(first) + ticks(second) == list(range(100))
+    assert info(second).facts["previous"] == first.name
+    assert info(second).start_s - info(first).start_s == pytest.approx(step_s + info(first).duration_s, abs=0.2)
+    assert check(second).mismatches == 0
+    assert rig.compacted == [rig.logs]
+
+
+def test_a_log_that_was_taken_away_is_noticed_within_a_second_and_another_begins(rig: Rig) -> None:
+    rig.put(RECORDS[:30])
+    shutil.rmtree(rig.logs)
+    rig.put(RECORDS[30:41])
+    path = rig.only_log()
+    assert path.suffix == ".mcap"
+    assert ticks(path)[0] <= 40
+    assert check(path).mismatches == 0
+
+
+def test_a_folder_that_cannot_be_written_any_more_is_told_within_a_second_and_the_log_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path, rotate_s=4.0)
+    rig.put(RECORDS[:20])
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: path != rig.logs and access(path, mode))
+    rig.put(RECORDS[20:31])
+    assert rig.recorder.problem.startswith(f"LOG_ERROR: {rig.logs}: can no longer be written")
+    rig.put(RECORDS[31:60])
+    assert [path.suffix for path in rig.logs.iterdir()] == [".part"], "no rotation meanwhile"
+    monkeypatch.undo()
+    rig.put(RECORDS[60:])
+    assert rig.recorder.problem == ""
+    assert [tick for path in rig.close() for tick in ticks(path)] == list(range(100))
+
+
+def test_what_was_abandoned_is_recovered_once_recording_goes_on(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.put(RECORDS[:20])
+    monkeypatch.setattr(os, "fdatasync", failing(errno.ENOSPC))
+    rig.put(RECORDS[20:30])
+    monkeypatch.undo()
+    assert rig.recorder.problem.startswith("NO_SPACE")
+    assert rig.compacted == []
+    rig.put(make_records(150)[30:])
+    assert rig.recorder.problem == ""
+    assert rig.compacted == [rig.logs]

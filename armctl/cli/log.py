@@ -1,0 +1,236 @@
+"""Commands on logs: a folder of them, and one file. No daemon is needed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from armctl.cli.output import CONFIG, FILE, FOLDER, Output, command
+from armctl.cli.tables import show_rows, show_table
+
+if TYPE_CHECKING:
+    from armctl.recording.index import Index
+
+LOG = click.argument("log", type=FILE)
+LOG_DIR = click.option("--log-dir", type=FOLDER, help="The folder of logs.  [default: the daemon's]")
+NEW_FILE = click.option("--out", type=FILE, required=True, metavar="PATH", help="The new file.")
+
+
+@click.group("log")
+def log_command() -> None:
+    """Find, compare, read, cut, join, convert and repair MCAP logs.
+
+    Example: armctl log find code:TRIPPED
+    """
+
+
+# ------------------------------------------------------------------------------------------------ a folder of them
+
+
+@contextmanager
+def _index(output: Output, folder: Path | None) -> Iterator[Index]:
+    """The index of a folder, brought up to date; None: the folder of the daemon."""
+    from armctl.files import data_dir
+    from armctl.recording.index import Index
+
+    with Index(folder or data_dir(output.config) / "logs") as index, output.progress("reading new logs", 1.0) as show:
+        index.update(show)
+        yield index
+
+
+@command("list", CONFIG, group=log_command)
+@LOG_DIR
+def log_list(output: Output, log_dir: Path | None) -> None:
+    """List every log: when it began, of which arm, which faults came up in it.
+
+    Example: armctl log list
+    """
+    from armctl.recording import search
+
+    with _index(output, log_dir) as index:
+        logs = search.listing(index)
+    shown = [row | {"name": Path(row["path"]).name, "told": " ".join([*row["faults"], *row["notes"]])} for row in logs]
+    output.answer({"logs": logs}, lambda: show_rows(output.console, "logs", "", shown))
+
+
+@command("find", CONFIG, group=log_command)
+@click.argument("expression", nargs=-1, required=True)
+@LOG_DIR
+def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) -> None:
+    """Find what happened, in all logs: every word of EXPRESSION has to fit.
+
+    code:HOT  servo:3  level:error  arm:ID  log:GLOB  after:2025-06-01  before:2025-06-15T12:00  or any part of a text;
+    by the minute: load>0.8  temperature>60  voltage<10  error>3 (degrees from the goal).
+
+    Example: armctl log find code:TRIPPED servo:3 after:2025-06-01
+    """
+    from armctl.recording import search
+
+    with _index(output, log_dir) as index:
+        events = search.find(index, " ".join(expression))
+    shown = [row | {"name": Path(row["log"]).name} for row in events]
+    output.answer({"events": events}, lambda: show_rows(output.console, "events", "", shown))
+
+
+@command("stats", CONFIG, group=log_command)
+@click.option("--by", "period", type=click.Choice(("day", "week", "month")), default="week")
+@LOG_DIR
+def log_stats(output: Output, period: str, log_dir: Path | None) -> None:
+    """Tell what every joint went through, week by week: is a servo wearing out?
+
+    Example: armctl log stats --by month
+    """
+    from armctl.recording import search
+
+    with _index(output, log_dir) as index:
+        rows = search.stats(index, period)
+    output.answer({"rows": rows}, lambda: show_rows(output.console, "stats", "", rows))
+
+
+@command("diff", group=log_command)
+@click.argument("a", type=FILE)
+@click.argument("b", type=FILE)
+def log_diff(output: Output, a: Path, b: Path) -> None:
+    """Compare two logs, quantity by quantity.
+
+    Example: armctl log diff line-1.mcap line-2.mcap
+    """
+    from armctl.recording import search
+
+    rows = search.diff(a, b)
+    shown = [{key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()} for row in rows]
+    output.answer({"rows": rows}, lambda: show_rows(output.console, "diff", "", shown))
+
+
+@command("note", group=log_command)
+@LOG
+@click.argument("text")
+def log_note(output: Output, log: Path, text: str) -> None:
+    """Keep a note about LOG; `log list` shows it, and `log find` finds it.
+
+    Example: armctl log note armctl-20250615T120000Z-000012.mcap "new gripper"
+    """
+    from armctl.recording.index import add_note
+
+    add_note(log, text)
+    output.answer({"log": str(log), "text": text}, f"noted: {log.name}: {text}")
+
+
+# ------------------------------------------------------------------------------------------------------- files
+
+
+# What `log info` tells.
+INFO = ("messages", "start_s", "duration_s", "topics", "complete", "summary_ok")
+
+
+@command("info", group=log_command)
+@LOG
+def info(output: Output, log: Path) -> None:
+    """Tell what LOG holds: messages, duration, topics, whether it was closed properly.
+
+    Example: armctl log info armctl-20250615T120000Z.mcap
+    """
+    from armctl.recording import reader
+
+    found = reader.info(log)
+    if output.result({key: getattr(found, key) for key in INFO}):
+        return
+    output.say(f"{found.messages} messages in {found.duration_s:.1f} s")
+    show_topics(output, found.topics)
+    if not found.complete:
+        output.say(f"The file was not closed properly; its intact part is shown. Repair it: armctl log recover {log}")
+    elif not found.summary_ok:
+        output.say(f"Its summary is damaged, and some readers will refuse it. Repair it: armctl log recover {log}")
+
+
+def show_topics(output: Output, topics: Mapping[str, int]) -> None:
+    rows = [(topic, str(count)) for topic, count in sorted(topics.items())]
+    show_table(output.console, "", ("topic", "messages"), rows, words=("topic",))
+
+
+@command("recover", group=log_command)
+@LOG
+def recover(output: Output, log: Path) -> None:
+    """Write every intact message of a truncated LOG into a finished file beside it.
+
+    Example: armctl log recover armctl-20250615T120000Z.mcap.part
+    """
+    from armctl.recording import recover as recovery
+
+    result = recovery.recover(log)
+    output.answer(
+        asdict(result) | {"path": str(result.path)},
+        f"{result.recovered_messages} messages recovered into {result.path}\n"
+        f"lost: {result.lost_s:.1f} s, and what was not yet written (at most 1 s)",
+    )
+
+
+@command("export", group=log_command)
+@LOG
+@click.option("--format", "kind", type=click.Choice(["csv", "xlsx", "parquet"]), required=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="PATH", help="The new file.")
+@click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only the messages of TOPIC; repeatable.")
+def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, ...]) -> None:
+    """Write LOG as a table: one row for each tick, units in the column names.
+
+    Without --topic there is a column for everything about every joint, and for the tool. An Excel file also has the
+    joint angles in degrees on a sheet of their own. With several --topic, csv and parquet make a folder PATH.
+
+    Example: armctl log export demo-1.mcap --format xlsx --out demo-1.xlsx
+    """
+    from armctl.recording import export as exporting
+
+    with output.progress("exporting", 1.0) as show:
+        result = exporting.export(log, out, kind, topics, show)
+    answer = {"paths": [str(path) for path in result.paths], "rows": result.rows, "complete": result.complete}
+    told = [f"{table}: {rows} rows" for table, rows in result.rows.items()]
+    output.answer(answer, "\n".join([*told, f"written: {', '.join(map(str, result.paths))}"]))
+    if not result.complete:
+        output.warn(f"{log} was not closed properly, or is damaged; its intact part was exported")
+
+
+@command("trim", group=log_command)
+@LOG
+@click.option("--from", "begin_s", type=float, default=0.0, help="Seconds since the beginning.")
+@click.option("--to", "end_s", type=float, help="Seconds since the beginning; the end if left out.")
+@NEW_FILE
+def trim(output: Output, log: Path, begin_s: float, end_s: float | None, out: Path) -> None:
+    """Write a part of LOG as a log of its own, which opens and replays alone.
+
+    Example: armctl log trim armctl-20250615T120000Z.mcap --from 60 --to 75 --out lift.mcap
+    """
+    from armctl.recording import edit
+
+    with output.progress("trimming", 1.0) as show:
+        result = edit.trim(log, out, begin_s, math.inf if end_s is None else end_s, show)
+    _edited(output, result)
+    if result.begins_with_state is False:
+        output.warn("no state is known where it begins; a replay starts at the first keyframe in it")
+
+
+@command("merge", group=log_command)
+@click.argument("logs", type=FILE, nargs=-1, required=True)
+@NEW_FILE
+def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
+    """Write consecutive LOGS of one daemon as one file; the order in which they are named does not matter.
+
+    Example: armctl log merge armctl-20250615T12*.mcap --out noon.mcap
+    """
+    from armctl.recording import edit
+
+    with output.progress("merging", 1.0) as show:
+        result = edit.merge(logs, out, show)
+    _edited(output, result)
+
+
+def _edited(output: Output, result: Any) -> None:
+    answer = asdict(result) | {"path": str(result.path)}
+    output.answer(answer, f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
+    if result.damaged:
+        output.warn(f"{result.damaged} damaged places were left out")

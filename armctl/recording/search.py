@@ -1,0 +1,156 @@
+"""What people ask of a folder of logs, answered from its index (index.py)."""
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armctl.errors import LogError, RequestRefused
+from armctl.recording.index import FAULT_LEVEL, FIGURES, Index, describe
+
+Row = dict[str, Any]
+LEVELS = {"info": 20, "warning": 30, "error": FAULT_LEVEL}
+# What may stand before a comparison, and its column of a minute.
+READINGS = {"temperature": "temperature_degC", "load": "load_ratio", "voltage": "voltage_V", "error": "error_deg"}
+# What may stand before a colon, and its condition.
+_TERMS = {
+    "code": "code = ?", "servo": "servo_id = ?", "level": "level >= ?", "arm": "arm_id = ?", "log": "name GLOB ?",
+    "after": "time_s >= ?", "before": "time_s < ?",
+}  # fmt: skip
+_COMPARED = re.compile(rf"({'|'.join(READINGS)})([<>])(-?\d+(?:\.\d+)?)")
+# What becomes of each figure of a minute in a longer time.
+_OF_A_PERIOD = ("max", "max", "avg", "min", "avg")
+PERIODS_S = {"day": 86_400, "week": 604_800, "month": 2_629_746}
+
+
+def listing(index: Index) -> list[Row]:
+    """Every log, the oldest first; `faults`: codes of those that came up in it."""
+    return [
+        {
+            "path": str(index.folder / row["name"]),
+            "start": None if row["start_s"] is None else iso(row["start_s"]),
+            **{key: row[key] for key in ("duration_s", "arm_id", "version", "problem")},
+            **{key: None if row[key] is None else bool(row[key]) for key in ("simulated", "complete")},
+            **{key: json.loads(row[key]) for key in ("faults", "notes")},
+            "size_bytes": row["size"],
+        }
+        for row in index.ask("SELECT * FROM listed")
+    ]
+
+
+def find(index: Index, expression: str) -> list[Row]:
+    """Events, or minutes of servos, that fulfil every word of an expression, in the order of time.
+
+    A word is `code:HOT`, `servo:3`, `level:error`, `arm:ID`, `log:GLOB`, `after:` or `before:` and a time (ISO 8601,
+    UTC unless it says otherwise), a comparison such as `load>0.8` or `temperature<60`, or any part of an event's text.
+
+    Raises:
+        RequestRefused: QUERY, a word cannot be understood.
+    """
+    words = expression.split()
+    compared = [match for word in words if (match := _COMPARED.fullmatch(word))]
+    where, arguments = ["1"], list[Any]()
+    for word in words:
+        key, colon, value = word.partition(":")
+        if match := _COMPARED.fullmatch(word):
+            where.append(f"{READINGS[match[1]]} {match[2]} ?")
+            arguments.append(float(match[3]))
+        elif colon and key in _TERMS:
+            where.append(_TERMS[key])
+            arguments.append(_value(key, value))
+        else:
+            where.append("instr(lower(text), ?)")
+            arguments.append(word.lower())
+    if compared and any("text" in one or "code" in one or "level" in one for one in where):
+        raise RequestRefused(
+            "QUERY", f"{expression}: a comparison is of servos, and a code or text of events; ask twice"
+        )
+    source = "minutes" if compared else "events"
+    query = f"SELECT *, s.time_s AS at_s FROM {source} s JOIN logs ON logs.id = s.log WHERE {' AND '.join(where)}"
+    return [_found(index, row, compared) for row in index.ask(f"{query} ORDER BY s.time_s", arguments)]
+
+
+def _found(index: Index, row: Row, compared: Sequence[re.Match[str]]) -> Row:
+    if compared:
+        figures = ", ".join(f"{match[1]} {row[READINGS[match[1]]]:.4g}" for match in compared)
+        row |= {"code": compared[0][1].upper(), "text": f"servo {row['servo_id']} ({row['joint']}): {figures}"}
+    since_s = row["at_s"] - (row["start_s"] or row["at_s"])
+    return {
+        "log": str(index.folder / row["name"]), "time_s": since_s, "time": iso(row["at_s"]), "code": row["code"],
+        "servo_id": row["servo_id"], "text": row["text"],
+    }  # fmt: skip
+
+
+def _value(key: str, text: str) -> Any:
+    try:
+        if key in ("after", "before"):
+            time = datetime.fromisoformat(text)
+            return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+        return LEVELS[text] if key == "level" else int(text) if key == "servo" else text
+    except (ValueError, KeyError, OverflowError):
+        raise RequestRefused("QUERY", f"{key}:{text}: cannot be understood; see armctl log find --help") from None
+
+
+def stats(index: Index, period: str) -> list[Row]:
+    """What each joint went through in every period, an hour of it being 60 minutes with the servo answering.
+
+    `change`: slope of each figure over the joint's periods, a period, by least squares; None of fewer than three.
+    """
+    selected = ", ".join(f"{of}({name}) AS {name}" for name, of in zip(FIGURES, _OF_A_PERIOD, strict=True))
+    rows = index.ask(
+        f"SELECT arm_id, joint, servo_id, CAST(time_s / ? AS INTEGER) AS period, count(*) / 60.0 AS hours, {selected} "
+        "FROM served GROUP BY arm_id, servo_id, joint, period ORDER BY arm_id, servo_id, period",
+        [PERIODS_S[period]],
+    )
+    joints: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        joints.setdefault((row["arm_id"], row["servo_id"]), []).append(row)
+    for row in rows:
+        row["from"] = iso(row["period"] * PERIODS_S[period])
+        points = joints[row["arm_id"], row["servo_id"]]
+        row["change"] = {name: _slope([(one["period"], one[name]) for one in points]) for name in FIGURES}
+    return rows
+
+
+def _slope(points: Sequence[tuple[int, float | None]]) -> float | None:
+    known = np.array([point for point in points if point[1] is not None], dtype=float)
+    return float(np.polyfit(known[:, 0] - known[0, 0], known[:, 1], 1)[0]) if len(known) >= 3 else None
+
+
+def diff(a: Path, b: Path) -> list[Row]:
+    """Two logs side by side, quantity by quantity.
+
+    Raises:
+        LogError: one cannot be read.
+    """
+    ours, theirs = _quantities(a), _quantities(b)
+    rows = []
+    for name in dict.fromkeys([*ours, *theirs]):
+        values: list[Any] = [ours.get(name), theirs.get(name)]
+        figures = all(isinstance(value, int | float) for value in values)
+        rows.append({"quantity": name, "a": values[0], "b": values[1]})
+        rows[-1]["difference"] = values[1] - values[0] if figures else None
+    return rows
+
+
+def _quantities(path: Path) -> Row:
+    entry = describe(path)
+    if entry.problem:
+        raise LogError(entry.problem)
+    found: Row = {key: getattr(entry, key) for key in ("arm_id", "version", "duration_s")}
+    found |= {f"events, {level}": sum(event[1] == number for event in entry.events) for level, number in LEVELS.items()}
+    worst: tuple[Callable[[Any], Any], ...] = (np.max, np.max, np.mean, np.min, np.nanmean)
+    for joint in dict.fromkeys(row[2] for row in entry.minutes):
+        minutes = np.array([row[3:] for row in entry.minutes if row[2] == joint])
+        for name, of, values in zip(FIGURES, worst, minutes.T, strict=True):
+            found[f"{joint}.{name}"] = None if np.isnan(values).all() else float(of(values))
+    return found
+
+
+def iso(time_s: float) -> str:
+    """An epoch time as people and programs read it."""
+    return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds")

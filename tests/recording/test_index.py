@@ -1,0 +1,255 @@
+"""The index of a folder of logs: true to them, made anew whenever it is not, and quick to ask."""
+
+import json
+import os
+import shutil
+import sqlite3
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armctl.errors import LogError, RequestRefused
+from armctl.messages import Event
+from armctl.recording import search
+from armctl.recording.index import INDEX, NOTES, Index, add_note
+from armctl.recording.timeline import load
+from armctl.recording.writer import LogContext
+from tests.recording.altered import later, with_outputs
+from tests.recording.factory import CONTEXT, make_records
+from tests.recording.logs import spoilt, write
+from tests.recording.refusals import cannot
+
+RECORDS = make_records(100, keyframe_ticks=40)
+WEEK_NS = 604_800 * 10**9
+TRIPPED = Event("error", "TRIPPED", "servo 3 (elbow): shut itself down", 3)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log a week for five weeks, one of which has a fault, a cut one and one that is none."""
+    folder = tmp_path_factory.mktemp("logs")
+    for week in range(5):
+        records = [later(record, week * WEEK_NS) for record in RECORDS]
+        if week == 2:
+            records[50] = with_outputs(records[50], events=(TRIPPED,))
+        write(folder / f"armctl-{week}.mcap", records)
+    (folder / "cut.mcap.part").write_bytes((folder / "armctl-0.mcap").read_bytes()[:30_000])
+    (folder / "none.mcap").write_bytes(b"nothing")
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "logs"))
+
+
+def updated(folder: Path) -> Index:
+    index = Index(folder)
+    index.update()
+    return index
+
+
+def asked(index: Index, expression: str) -> list[tuple[str, str]]:
+    """Log and code of what is found."""
+    return [(Path(row["log"]).name, row["code"]) for row in search.find(index, expression)]
+
+
+def test_every_log_is_listed_with_what_it_says_of_itself_and_what_came_up(folder: Path) -> None:
+    with updated(folder) as index:
+        logs = {Path(row["path"]).name: row for row in search.listing(index)}
+    assert len(logs) == 7
+    one = logs["armctl-2.mcap"]
+    assert (one["faults"], one["complete"], one["simulated"]) == (["TRIPPED"], True, False)
+    assert one["arm_id"] == CONTEXT.arm.arm_id
+    assert one["start"].startswith("2025-06-29T15:06:40")
+    assert one["duration_s"] == pytest.approx(load(folder / "armctl-2.mcap").duration_s)
+    assert one["size_bytes"] == (folder / "armctl-2.mcap").stat().st_size
+    assert (logs["armctl-0.mcap"]["faults"], logs["cut.mcap.part"]["complete"]) == ([], False)
+    assert (logs["none.mcap"]["start"], logs["none.mcap"]["complete"]) == (None, False)
+    assert "is no MCAP file" in logs["none.mcap"]["problem"]
+
+
+def test_a_log_is_read_once_and_again_when_it_has_changed(folder: Path) -> None:
+    with Index(folder) as index:
+        assert [index.update(), index.update()] == [7, 0]
+        write(folder / "armctl-6.mcap", RECORDS[:20])
+        (folder / "armctl-4.mcap").unlink()
+        os.utime(folder / "armctl-3.mcap", ns=(1, 1))
+        assert [index.update(), index.update()] == [2, 0]
+        names = [Path(row["path"]).name for row in search.listing(index)]
+        assert ("armctl-4.mcap" in names, "armctl-6.mcap" in names) == (False, True)
+        events = index.ask("SELECT count(*) AS n FROM events WHERE log NOT IN (SELECT id FROM logs)")
+        assert events == [{"n": 0}]
+
+
+@pytest.mark.parametrize("spoil", ["lost", "garbage", "other", "truncated"])
+def test_an_index_that_is_lost_or_damaged_is_made_anew(folder: Path, spoil: str) -> None:
+    with updated(folder) as index:
+        before = search.listing(index), search.find(index, "code:STATE")
+    path = folder / INDEX
+    assert index.path == path
+    if spoil == "lost":
+        path.unlink()
+    elif spoil == "garbage":
+        path.write_bytes(b"garbage" * 1000)
+    elif spoil == "truncated":
+        path.write_bytes(path.read_bytes()[:5000])
+    else:
+        with sqlite3.connect(path) as other:
+            other.execute("PRAGMA user_version = 99")
+    if spoil == "truncated":
+        with suppress(LogError):  # noticed when it was open already: the next one makes it anew
+            updated(folder).__exit__(None, None, None)
+    with updated(folder) as index:
+        assert (search.listing(index), search.find(index, "code:STATE")) == before
+
+
+def test_events_are_found_by_code_servo_level_arm_log_time_and_text(folder: Path) -> None:
+    with updated(folder) as index:
+        assert asked(index, "code:TRIPPED") == [("armctl-2.mcap", "TRIPPED")]
+        assert asked(index, "servo:3 level:error") == [("armctl-2.mcap", "TRIPPED")]
+        assert asked(index, "servo:4 level:error") == []
+        assert asked(index, "SHUT elbow") == [("armctl-2.mcap", "TRIPPED")]
+        assert asked(index, "level:error arm:nobody") == []
+        everything = asked(index, "code:PLAN_BEGIN log:armctl*")
+        assert [name for name, _ in everything] == [f"armctl-{week}.mcap" for week in range(5)]
+        assert [n for n, _ in asked(index, "code:PLAN_BEGIN after:2025-06-28")] == [
+            f"armctl-{w}.mcap" for w in (2, 3, 4)
+        ]
+        assert len(asked(index, "code:PLAN_BEGIN before:2025-06-28T00:00+00:00 log:armctl*")) == 2
+        (found,) = search.find(index, "code:TRIPPED")
+        since_s = (RECORDS[50].inputs.sample.time_ns - RECORDS[0].inputs.sample.time_ns) / 1e9
+        assert found["time_s"] == pytest.approx(since_s, abs=1e-5)
+
+
+@pytest.mark.parametrize("wrong", ["servo:x", "after:never", "level:loud", "load>0.1 code:HOT"])
+def test_a_word_that_means_nothing_is_refused(folder: Path, wrong: str) -> None:
+    with updated(folder) as index, pytest.raises(RequestRefused) as refused:
+        search.find(index, wrong)
+    assert refused.value.code == "QUERY"
+
+
+def test_quotes_and_wildcards_are_only_text(folder: Path) -> None:
+    with updated(folder) as index:
+        for word in ("'", '"', "%", "_;--", "'); DROP TABLE logs; --", "code:' OR 1=1 --"):
+            assert asked(index, word) == []
+        assert len(search.listing(index)) == 7
+
+
+def test_what_servos_went_through_is_found_by_the_minute(folder: Path) -> None:
+    timeline = load(folder / "armctl-0.mcap")
+    with updated(folder) as index:
+        rows = index.ask("SELECT minutes.*, name FROM minutes JOIN logs ON logs.id = log WHERE name = 'armctl-0.mcap'")
+        assert {row["joint"] for row in rows} == set(timeline.arm.joint_names)
+        for j, (name, servo_id) in enumerate(zip(timeline.arm.joint_names, timeline.arm.servo_ids, strict=True)):
+            mine = [row for row in rows if row["servo_id"] == servo_id]
+            assert {row["joint"] for row in mine} == {name}
+            assert max(row["temperature_degC"] for row in mine) == timeline.temperature_degC[:, j].max()
+            assert max(row["load_ratio"] for row in mine) == pytest.approx(np.abs(timeline.load_ratio[:, j]).max())
+            assert min(row["voltage_V"] for row in mine) == pytest.approx(timeline.voltage_V[:, j].min())
+            error_deg = np.degrees(np.abs(timeline.position_rad[:, j] - timeline.goal_rad[:, j]))
+            if len(mine) == 1:
+                assert mine[0]["error_deg"] == pytest.approx(np.nanmean(error_deg), abs=1e-6)
+        most = max(row["load_ratio"] for row in rows)
+        found = search.find(index, f"load>{most - 1e-6:.6f} log:armctl-0*")
+        assert len(found) >= 1
+        assert {row["code"] for row in found} == {"LOAD"}
+        assert f"load {most:.4g}" in found[0]["text"]
+        assert search.find(index, f"load>{most + 1e-3:.6f}") == []
+        servo = found[0]["servo_id"]
+        assert search.find(index, f"load>{most - 1e-6:.6f} servo:{servo % 6 + 1}") == []
+
+
+def test_joints_are_followed_from_week_to_week(folder: Path) -> None:
+    with updated(folder) as index:
+        rows = search.stats(index, "week")
+        first = [row for row in rows if row["joint"] == CONTEXT.arm.joint_names[0]]
+    assert len(first) == 5
+    assert [row["from"] for row in first] == sorted(row["from"] for row in first)
+    assert first[0]["change"]["temperature_degC"] == pytest.approx(0.0, abs=1e-9)
+    assert first[0]["hours"] > 0.0
+
+
+def test_a_joint_that_grows_hotter_week_by_week_shows_by_how_much(tmp_path: Path) -> None:
+    for week in range(4):
+        records = []
+        for record in (later(record, week * WEEK_NS) for record in RECORDS[:20]):
+            first, *others = record.inputs.sample.servos
+            hot = bytearray(first.registers)
+            hot[43 - 24] = 40 + 3 * week
+            sample = replace(record.inputs.sample, servos=(replace(first, registers=bytes(hot)), *others))
+            records.append(replace(record, inputs=replace(record.inputs, sample=sample)))
+        write(tmp_path / f"{week}.mcap", records)
+    with updated(tmp_path) as index:
+        changes = {row["joint"]: row["change"]["temperature_degC"] for row in search.stats(index, "week")}
+    hotter, same, *_ = CONTEXT.arm.joint_names
+    assert changes[hotter] == pytest.approx(3.0)
+    assert changes[same] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_notes_are_shown_and_found_and_outlive_the_index(folder: Path) -> None:
+    add_note(folder / "armctl-1.mcap", "new gripper, it's lighter")
+    add_note(folder / "armctl-1.mcap", "[bold]")
+    (folder / NOTES).write_text(
+        (folder / NOTES).read_text() + 'no json\n{"log": 3}\n{"log": "gone.mcap", "text": "x"}\n'
+    )
+    for _ in range(2):
+        with updated(folder) as index:
+            noted = {Path(row["path"]).name: row["notes"] for row in search.listing(index) if row["notes"]}
+            assert noted == {"armctl-1.mcap": ["new gripper, it's lighter", "[bold]"]}
+            assert asked(index, "gripper") == [("armctl-1.mcap", "NOTE")]
+            assert asked(index, "code:NOTE gone") == []
+        index.path.unlink()
+    cannot(add_note, folder / "nothing.mcap", "x", why="there is no such log")
+
+
+def test_two_logs_are_compared_by_every_figure(folder: Path) -> None:
+    rows = {row["quantity"]: row for row in search.diff(folder / "armctl-1.mcap", folder / "armctl-2.mcap")}
+    assert rows["events, error"] == {"quantity": "events, error", "a": 0, "b": 1, "difference": 1}
+    assert rows["arm_id"]["difference"] is None
+    joint = CONTEXT.arm.joint_names[0]
+    assert rows[f"{joint}.temperature_degC"]["difference"] == 0.0
+    json.dumps(list(rows.values()), allow_nan=False)
+    cannot(search.diff, folder / "armctl-1.mcap", folder / "none.mcap", why="is no MCAP file")
+
+
+def test_a_folder_that_cannot_be_written_is_indexed_elsewhere(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: path != folder and access(path, mode))
+    with updated(folder) as index:
+        assert index.path.parent == tmp_path / "cache" / "armctl"
+        assert len(search.listing(index)) == 7
+    assert not (folder / INDEX).exists()
+    cannot(Index, tmp_path / "nowhere", why="is no folder with logs")
+
+
+def test_logs_damaged_anywhere_disturb_no_other(folder: Path) -> None:
+    data = (folder / "armctl-0.mcap").read_bytes()
+    for count, place in enumerate(range(0, len(data), len(data) // 30)):
+        (folder / f"z{count}.mcap").write_bytes(data[:place] + bytes(40) + data[place + 40 :])
+    (folder / "spoilt.mcap").write_bytes(spoilt(data, 1, 2))
+    with updated(folder) as index:
+        logs = {Path(row["path"]).name: row for row in search.listing(index)}
+        assert logs["armctl-2.mcap"]["faults"] == ["TRIPPED"]
+        assert not logs["spoilt.mcap"]["complete"]
+        assert len(logs) == 7 + 31 + 1
+
+
+def test_a_servo_that_never_answered_has_no_minutes(tmp_path: Path) -> None:
+    records = []
+    for record in RECORDS[:10]:
+        one, *rest = record.inputs.sample.servos
+        silent = replace(one, registers=b"", stamp_ns=0, fresh=False, problem="NO_REPLY")
+        sample = replace(record.inputs.sample, servos=(silent, *rest))
+        records.append(replace(record, inputs=replace(record.inputs, sample=sample)))
+    context: LogContext = CONTEXT
+    write(tmp_path / "a.mcap", records, context=context)
+    with updated(tmp_path) as index:
+        servos = {row["servo_id"] for row in index.ask("SELECT servo_id FROM minutes")}
+    assert servos == set(CONTEXT.arm.servo_ids[1:])
