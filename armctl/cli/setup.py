@@ -7,20 +7,23 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shlex
+import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from armctl.cli.output import ARM, BAUD, CONFIG, FILE, FOLDER, PORT, SOCKET, Output, command
 from armctl.cli.tables import show_rows
-from armctl.errors import ConfigError, NoDaemon
+from armctl.errors import ArmctlError, ConfigError, NoDaemon, RequestRefused
+from armctl.files import served_socket
 
 if TYPE_CHECKING:
     from armctl.commissioning.doctor import Check
@@ -165,11 +168,17 @@ def report_command(output: Output, out: Path | None) -> None:
     from armctl.commissioning import bundle
 
     path = out or Path(f"armctl-report-{datetime.now():%Y%m%d-%H%M%S}.zip")
-    files = bundle.write(path, output.config, output.config_file or "", lambda part: output.say(f"  {part}"))
+    logs = None
+    with contextlib.suppress(ArmctlError), output.client(timeout_s=2.0) as client:
+        log = client.call("log")["path"]
+        logs = log and Path(log).parent
+    files = bundle.write(path, output.config, output.config_file or "", logs, lambda part: output.say(f"  {part}"))
     size_MB = path.stat().st_size / 1e6
     output.answer({"path": str(path), "files": files}, f"{path}: {len(files)} files, {size_MB:.1f} MB")
 
 
+# States in which a restart of the daemon changes nothing that the arm does.
+AT_REST = ("off", "holding", "faulted", "starting", "stalled")
 DRY_RUN = click.Option(["--dry-run"], is_flag=True, help="Say what would be done, and do nothing.")
 ROOT = click.Option(
     ["--root"], type=FOLDER, default=Path("/"), help="Write below this folder and run no command: for packages."
@@ -177,31 +186,58 @@ ROOT = click.Option(
 
 
 @command("install", DRY_RUN, ROOT)
-@click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to serve.")
+@click.option("--arm", metavar="NAME|FILE", help="Which arm to serve.  [default: the configured one, or ax12-line]")
 @click.option("--port", metavar="PATH", help="Serial port of the arm, to limit the udev rule to its adapter.")
 @click.option("--user", help="Who may command the arm.  [default: you]")
 @click.option("--prefix", type=FOLDER, help="Environment whose bin/armctl the service starts.  [default: this one]")
-def install_command(
-    output: Output, arm: str, port: str | None, user: str | None, prefix: Path | None, dry_run: bool, root: Path
-) -> None:
-    """Make the daemon a service that starts with the system.
+@click.option("--yes", is_flag=True, help="Do not ask before a file that is there is replaced.")
+def install_command(output: Output, dry_run: bool, root: Path, yes: bool, **wanted: Any) -> None:
+    """Make the daemon a service that starts with the system, or bring that service up to date.
 
-    Says what it does, changes nothing the second time, and keeps configuration and calibrations that are there.
+    Says what it does, shows how files change that are there, asks, and restarts only what changed, while the arm is at
+    rest. Keeps configuration, calibrations and drop-ins. The adapter need not be plugged in.
     The dashboard's service is installed too, but starts only when asked:
     `sudo systemctl enable --now armctl-web`.
 
     Example: sudo armctl install --port /dev/ttyUSB0
     """
-    from armctl.commissioning.installation import SYSTEM, installation, missing_commands
+    from armctl.cli.keys import attended
+    from armctl.commissioning.installation import SYSTEM, File, Run, installation, missing_commands
 
-    user = os.environ.get("SUDO_USER", "") if user is None else user
-    acts = installation(arm=arm, port=port or "", user=user, prefix=prefix)
+    wanted["user"] = os.environ.get("SUDO_USER", "") if wanted["user"] is None else wanted["user"]
+    acts = installation(**wanted, root=root)
     if root == SYSTEM and not dry_run and (missing := missing_commands(acts)):
         raise ConfigError(
             "armctl install", "", f"this system has no {', '.join(missing)}", "run `armctl daemon` by hand instead"
         )
+    if not dry_run and root == SYSTEM:
+        _refuse_moving(act.command for act in acts if isinstance(act, Run) and act.due(root))
+    differences = [text for act in acts if isinstance(act, File) and (text := act.difference(root))]
+    for text in differences:
+        output.say(text)
+    if differences and not (yes or dry_run or output.json) and attended(sys.stdin):
+        click.confirm("replace what is shown?", abort=True)
     done = "armctl runs as a service; see `armctl status`" if root == SYSTEM else f"written below {root}"
     _carry_out(output, acts, root, dry_run, done)
+
+
+def _refuse_moving(commands: Iterable[Sequence[str]]) -> None:
+    """Refuse to restart a daemon whose arm is not at rest.
+
+    Raises:
+        RequestRefused: code MOVING.
+    """
+    from armctl.client import Client
+
+    for words in commands:
+        found = re.fullmatch(r"armctl(?:@(.+))?[.]service", words[-1])
+        if words[1] != "restart" or found is None:
+            continue
+        socket = served_socket(found[1] or "armctl")
+        with contextlib.suppress(NoDaemon), Client(socket, timeout_s=2.0) as client:
+            if (state := client.call("status")["state"]) not in AT_REST:
+                what = f"{words[-1]} has to be restarted, and its arm is {state}; nothing was changed"
+                raise RequestRefused("MOVING", f"{what}; wait, or type `armctl stop`, then install again")
 
 
 @command("uninstall", DRY_RUN, ROOT)

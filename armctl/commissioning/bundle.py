@@ -2,14 +2,15 @@
 
 Rules.
 1. Nothing is changed and no servo is written. Where a part cannot be read the file says so, and the rest is gathered.
-2. Secrets are left out: values of keys that sound like one, the user's name and home folder are removed from every
-   text. Logs hold joint angles, requests and the arm's calibration, which is what they are wanted for.
+2. Secrets are left out: values of keys that sound like one, the computer's name, the user's name and folders are
+   removed from every text. Logs hold joint angles, requests and the arm's calibration, which they are wanted for.
 """
 
 import getpass
 import json
 import platform
 import re
+import socket
 import subprocess
 import sys
 import zipfile
@@ -29,13 +30,17 @@ LOG_BYTES = 20 * 2**20
 TOOL_TIMEOUT_S = 90
 SECRET = re.compile(r"""(?im)^(\s*["']?[\w-]*(?:token|secret|password|key)[\w-]*["']?\s*[:=]\s*).+$""")
 
+# Home folders, and ports by a name that holds the adapter's serial number.
+PRIVATE_PATH = re.compile(r"/(?:home|run/user)/[^/\s\"']+|/dev/serial/[^\s\"',]+")
 
-def write(path: Path, config: Config, config_file: str, tell: Callable[[str], None]) -> list[str]:
+
+def write(path: Path, config: Config, config_file: str, logs: Path | None, tell: Callable[[str], None]) -> list[str]:
     """Gather everything into a new zip file.
 
     Args:
         path: The file; it must not exist.
         config_file: What `--config` named, or nothing.
+        logs: Where the daemon keeps its logs; None: where one of this user would.
         tell: Called with the name of each part before it is gathered.
     Returns:
         Names of the files inside.
@@ -47,7 +52,7 @@ def write(path: Path, config: Config, config_file: str, tell: Callable[[str], No
             for name, gather in _texts(config, config_file):
                 tell(name)
                 archive.writestr(name, redacted(gather()))
-            for log in newest_logs(data_dir(config)):
+            for log in newest_logs(logs or data_dir(config) / "logs"):
                 tell(log.name)
                 archive.write(log, f"logs/{log.name}")
             return archive.namelist()
@@ -94,16 +99,18 @@ def _said(command: tuple[str, ...]) -> str:
     return done.stdout + done.stderr
 
 
-def newest_logs(data: Path) -> list[Path]:
+def newest_logs(folder: Path) -> list[Path]:
     """The newest logs, and what a crash left unfinished, as many as fit into `LOG_BYTES`."""
-    logs = sorted((data / "logs").glob("*.mcap*"), key=lambda log: (log.stat().st_mtime_ns, log), reverse=True)
+    logs = sorted(folder.glob("*.mcap*"), key=lambda log: (log.stat().st_mtime_ns, log), reverse=True)
     sizes = accumulate(log.stat().st_size for log in logs)
     return [log for log, size in zip(logs, sizes, strict=True) if size <= LOG_BYTES]
 
 
 def redacted(text: str) -> str:
-    """The text without the values of secret-sounding keys, and without the user's home folder and name."""
+    """The text without the values of secret-sounding keys, the computer's and the user's names, folders and port."""
     text = SECRET.sub(r"\1(left out)", text)
-    text = text.replace(str(Path.home()), "~")
+    text = PRIVATE_PATH.sub("~", text.replace(str(Path.home()), "~"))
+    host = socket.gethostname()
+    text = re.sub(rf"\b{re.escape(host)}\b", "(host)", text) if len(host) > 2 else text
     user = getpass.getuser()
     return re.sub(rf"\b{re.escape(user)}\b", "(user)", text) if len(user) > 2 and user != "root" else text

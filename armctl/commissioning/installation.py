@@ -1,15 +1,18 @@
 """armctl as a system service: the files and commands it needs, and how they are done and undone.
 
 Rules.
-1. An installation is a list of acts, made before anything is touched: printing it is the dry run.
-2. Doing it twice changes nothing; what a person wrote (configuration, calibrations) is never overwritten, and
-   neither that nor data is ever removed.
+1. An installation is a list of acts, made before anything is touched: printing it is the dry run. Which of them are due
+   is settled before the first is done.
+2. Doing it twice changes nothing and restarts nothing; what a person wrote (configuration, calibrations) is never
+   overwritten, save the name of the arm where another is asked for, and neither that nor data is ever removed.
 3. Files go below a root folder, commands run only where that is the running system: packages are made, and tests
    run, in any other.
 4. The program itself is not copied: the units start the one that installs, which therefore has to lie where a
    system user may read it.
 """
 
+import difflib
+import grp
 import os
 import re
 import shutil
@@ -19,11 +22,28 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from armctl.commissioning.arm_file import whole_text
+from armctl.config import NAME_PATTERN
 from armctl.errors import ArmctlError, ConfigError
-from armctl.files import find_arm_file
+from armctl.files import find_arm_file, load_arm, load_config
 
 SYSTEM = Path("/")
 UNITS = ("armctl.service", "armctl-web.service")
+# Unit -> the one that it is made of, and what it has instead of what.
+DERIVED = {
+    "armctl@.service": ("armctl.service", {
+        "a Dynamixel arm": "the Dynamixel arm %i", "armctl/armctl.": "armctl/%i.",
+        "XDG_DATA_HOME=/var/lib": "XDG_DATA_HOME=/var/lib/armctl/%i",
+    }),
+    "armctl-web-lan.service": ("armctl-web.service", {
+        "on the loopback interface": "in the local network, over TLS", "--now armctl-web`": "--now armctl-web-lan`",
+        "armctl web\n": "armctl web --lan\nStateDirectory=armctl-web-lan\nStateDirectoryMode=0700\n",
+        "RuntimeDirectory=armctl-web": "RuntimeDirectory=armctl-web-lan", "/run/armctl-web/": "/run/armctl-web-lan/",
+        "IPAddressAllow=localhost": "IPAddressAllow=any", "8080": "8443",
+    }),
+}  # fmt: skip
+# What a line of a unit holds without quotes.
+PLAIN_PATH = r"(?:/[A-Za-z0-9._+-]+)+"
 ETC = Path("etc/armctl")
 RULES = Path("etc/udev/rules.d/60-armctl.rules")
 SYSTEMD = Path("etc/systemd/system")
@@ -59,6 +79,14 @@ class File:
             return self.text is not None
         return self.text is None or (not self.keep and target.read_text(encoding="utf-8") != self.text)
 
+    def difference(self, root: Path) -> str:
+        """What a text that is there loses and gets; empty: nothing."""
+        target = root / self.path
+        if self.text is None or not target.exists() or not self.due(root):
+            return ""
+        before, after = target.read_text(encoding="utf-8").splitlines(), self.text.splitlines()
+        return "\n".join(difflib.unified_diff(before, after, f"/{self.path}", "as it is to be", n=0, lineterm=""))
+
     def do(self, root: Path) -> None:
         target = root / self.path
         if self.text is None:
@@ -78,12 +106,14 @@ class Run:
     command: tuple[str, ...]
     # It undoes something that may be gone already.
     may_fail: bool = False
+    # Only where this holds before the first act is done.
+    when: Callable[[], bool] = lambda: True
 
     def __str__(self) -> str:
         return "run " + " ".join(self.command)
 
     def due(self, root: Path) -> bool:
-        return root == SYSTEM
+        return root == SYSTEM and self.when()
 
     def do(self, root: Path) -> None:
         try:
@@ -98,57 +128,158 @@ Act = File | Run
 
 
 def installation(
-    *, arm: str, port: str = "", user: str = "", prefix: Path | None = None, sysfs: Path = Path("/sys")
+    *,
+    arm: str | None = None,
+    port: str = "",
+    user: str = "",
+    prefix: Path | None = None,
+    root: Path = SYSTEM,
+    sysfs: Path = Path("/sys"),
 ) -> list[Act]:
     """What makes armctl a service of this system.
 
     Args:
-        arm: Name or path of the calibration file; it is copied to where the service finds it.
-        port: Serial device of the arm; the udev rule is limited to the adapter behind it. Empty: any U2D2.
+        arm: Name or path of the calibration file; it is copied to where the service finds it. None: the arm that is
+            configured, else the usual one.
+        port: Serial device of the arm; the udev rule is limited to the adapter behind it. Empty: for any U2D2. A rule
+            that is there stays as it is if the port is empty, or not plugged in.
         user: Who joins the group that may command the arm.
         prefix: Where `bin/armctl` lies; the running environment's unless given.
+        root: Below which it is written.
         sysfs: Where the kernel describes its devices.
     Raises:
-        ConfigError: no such arm, no adapter behind the port, or a program that the service could not read.
+        ConfigError: no such arm or not a valid one, no adapter behind the port, or a program that the service could not
+            start.
     """
     prefix = prefix or Path(sys.prefix)
+    _check_program(prefix)
+    configured, calibration = _settings(arm, root)
+    there = (root / RULES).exists()
+    rules = File(RULES, udev_rules(U2D2), keep=there)
+    if port and (Path(port).exists() or not there):
+        rules = File(RULES, udev_rules(usb_adapter(Path(port), sysfs)))
+    units = {unit: File(SYSTEMD / unit, unit_text(unit, prefix)) for unit in (*UNITS, *DERIVED)}
+    made = {kind: File(_configuration(kind), template(f"{kind}.conf")) for kind in CONFIGURED}
+    join, enable = ("usermod", "--append", "--groups", "armctl", user), ("systemctl", "enable", "armctl.service")
+
+    def changed(*files: File) -> Callable[[], bool]:
+        return lambda: any(file.due(SYSTEM) for file in files)
+
+    def restart(unit: str) -> Run:
+        files = [units[re.sub("@.*[.]", "@.", unit)], *((configured, calibration) if unit == UNITS[0] else ())]
+        due = changed(*files)
+        return Run(("systemctl", "restart", unit), when=lambda: due() or _behind(unit, prefix))
+
+    def heard() -> bool:
+        """Whether a udev runs that is to be told."""
+        return rules.due(SYSTEM) and Path("/run/udev/control").exists()
+
+    return [
+        *made.values(),
+        *(Run((*run, f"/{_configuration(kind)}"), when=changed(made[kind])) for kind, run in CONFIGURED.items()),
+        configured,
+        calibration,
+        rules,
+        Run(("udevadm", "control", "--reload"), when=heard),
+        Run(
+            ("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial"), when=heard
+        ),
+        *([Run(join, when=lambda: not _belongs(user))] if user else []),
+        *units.values(),
+        Run(("systemctl", "daemon-reload"), when=changed(*units.values())),
+        Run(enable, when=lambda: _said("is-enabled", UNITS[0]).strip() != "enabled"),
+        *(restart(unit) for unit in dict.fromkeys((UNITS[0], *_running(root)))),
+    ]
+
+
+def _check_program(prefix: Path) -> None:
     program = prefix / "bin" / "armctl"
+    if not re.fullmatch(PLAIN_PATH, str(prefix)):
+        what = "a unit wants an absolute path of letters, digits and . _ + -"
+        raise ConfigError(str(prefix), "--prefix", what, "install armctl in /opt/armctl")
     if not program.is_file():
         raise ConfigError(str(program), "", "no such program", "install armctl into the environment that runs this")
     if any(prefix.is_relative_to(private) for private in ("/home", "/root", "/run/user")):
         install = "/opt/armctl/bin/pip install CHECKOUT_OR_WHEEL, then /opt/armctl/bin/armctl install"
         remedy = f"python3 -m venv /opt/armctl && {install}"
         raise ConfigError(str(prefix), "", "a system service cannot read a program in a home folder", remedy)
-    adapter = usb_adapter(Path(port), sysfs) if port else U2D2
-    calibration = find_arm_file(arm)
-    name = calibration.stem
-    joining = [Run(("usermod", "--append", "--groups", "armctl", user))] if user else []
-    return [
-        *(File(_configuration(kind), template(f"{kind}.conf")) for kind in CONFIGURED),
-        *(Run((*command, f"/{_configuration(kind)}")) for kind, command in CONFIGURED.items()),
-        File(ETC / "armctl.yaml", f"port: /dev/armctl\narm: {name}\n", keep=True),
-        File(ETC / "calibration" / f"{name}.yaml", calibration.read_text(encoding="utf-8"), keep=True),
-        File(RULES, udev_rules(adapter)),
-        Run(("udevadm", "control", "--reload")),
-        Run(("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial")),
-        *joining,
-        *(File(SYSTEMD / unit, template(unit).replace(TEMPLATE_PREFIX, str(prefix))) for unit in UNITS),
-        Run(("systemctl", "daemon-reload")),
-        Run(("systemctl", "enable", "armctl.service")),
-        Run(("systemctl", "restart", "armctl.service")),
-    ]
+
+
+def _settings(arm: str | None, root: Path) -> tuple[File, File]:
+    """The configuration and the calibration as they are to be."""
+    path, folder = root / ETC / "armctl.yaml", root / ETC / "calibration"
+    there = load_config(str(path)).arm if path.exists() else ""
+    here = folder / f"{there}.yaml"
+    source = here if arm is None and here.is_file() else find_arm_file(arm or there or "ax12-line")
+    load_arm(str(source))
+    name, told = source.stem, whole_text(str(source))
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise ConfigError(str(source), "", "its name is no name of an arm", "letters, digits, '.', '_', '-'")
+    target = folder / f"{name}.yaml"
+    if arm is not None and target.exists() and target.read_text(encoding="utf-8") != told:
+        what = f"is kept, and is not what {source} says"
+        raise ConfigError(str(target), "", what, f"to install that one, give it another name, or remove {target}")
+    text, keep = f"port: /dev/armctl\narm: {name}\n", True
+    if there and arm is not None and there != name:
+        before, keep = path.read_text(encoding="utf-8"), False
+        text, count = re.subn(r"(?m)^arm:.*$", f"arm: {name}", before)
+        text = text if count else f"{before.rstrip()}\narm: {name}\n"
+    return File(ETC / "armctl.yaml", text, keep), File(target.relative_to(root), told, keep=True)
+
+
+def _belongs(user: str) -> bool:
+    try:
+        return user in grp.getgrnam("armctl").gr_mem
+    except KeyError:
+        return False
+
+
+def _said(*command: str) -> str:
+    """What systemctl prints; nothing where there is none."""
+    try:
+        return subprocess.run(("systemctl", *command), capture_output=True, text=True, timeout=60).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+
+
+def _running(root: Path) -> list[str]:
+    """Units of armctl that run now."""
+    said = _said("list-units", "--plain", "--no-legend", "--state=active", "armctl*.service") if root == SYSTEM else ""
+    known = {*UNITS, *DERIVED}
+    return [unit for unit in (line.split()[0] for line in said.splitlines()) if re.sub("@.*[.]", "@.", unit) in known]
+
+
+def _behind(unit: str, prefix: Path) -> bool:
+    """Whether a service does not run, or was started before its program was installed."""
+    said = _said("show", unit, "--timestamp=unix", "--property=ActiveState,ExecMainStartTimestamp")
+    since = re.search(r"ExecMainStartTimestamp=@(\d+)", said)
+    if "ActiveState=active" not in said or since is None:
+        return True
+    records = prefix.glob("lib/python3*/site-packages/armctl-*.dist-info/RECORD")
+    return any(record.stat().st_mtime >= int(since[1]) for record in records)
 
 
 def removal() -> list[Act]:
     """What takes the service away; configuration, calibrations, logs and recordings stay."""
+    units = (*UNITS, *DERIVED)
     return [
-        *(Run(("systemctl", "disable", "--now", unit), may_fail=True) for unit in UNITS),
-        *(File(SYSTEMD / unit, None) for unit in UNITS),
+        Run(("systemctl", "stop", *UNITS, "armctl@*.service", "armctl-web-lan.service"), may_fail=True),
+        *(Run(("systemctl", "disable", unit), may_fail=True) for unit in units),
+        *(File(SYSTEMD / unit, None) for unit in units),
         File(RULES, None),
         *(File(_configuration(kind), None) for kind in reversed(CONFIGURED)),
         Run(("systemctl", "daemon-reload")),
-        Run(("udevadm", "control", "--reload")),
+        Run(("udevadm", "control", "--reload"), when=Path("/run/udev/control").exists),
     ]
+
+
+def unit_text(unit: str, prefix: Path) -> str:
+    """A unit that starts the program in `prefix`; some are made of another."""
+    source, changes = DERIVED.get(unit, (unit, {}))
+    text = template(source)
+    for old, new in {TEMPLATE_PREFIX: str(prefix), **changes}.items():
+        text = text.replace(old, new)
+    return text
 
 
 def _configuration(kind: str) -> Path:
@@ -163,8 +294,7 @@ def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None]
     Raises:
         InstallationFailed: one could not be done; those before it are.
     """
-    for act in acts:
-        due = act.due(root)
+    for act, due in [(act, act.due(root)) for act in acts]:
         tell(act, due)
         if due:
             try:
@@ -175,8 +305,9 @@ def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None]
 
 
 def missing_commands(acts: Iterable[Act]) -> list[str]:
-    """Commands an installation needs that this system does not have."""
-    return sorted({act.command[0] for act in acts if isinstance(act, Run) and shutil.which(act.command[0]) is None})
+    """Commands an installation needs that this system does not have; a udev that does not run needs none."""
+    needed = {act.command[0] for act in acts if isinstance(act, Run)} - {"udevadm"}
+    return sorted(command for command in needed if shutil.which(command) is None)
 
 
 def udev_rules(adapter: dict[str, str]) -> str:

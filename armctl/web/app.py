@@ -27,8 +27,9 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import link_frames
 from armctl.web.connections import Connections
 from armctl.web.files import Files
-from armctl.web.guard import Guard
+from armctl.web.guard import PERSON, Guard
 from armctl.web.pages import pages
+from armctl.web.tokens import Tokens
 
 TOKEN_WAIT_S = 5.0
 ErrorBody = {"description": "Refused: `error` holds `code`, `message` and `reasons`."}
@@ -44,7 +45,7 @@ HandedOn = tuple[tuple[str, type[Frozen], str], ...]
 COMMANDS: HandedOn = (
     ("/torque-on", Nothing, "Carefully energise the arm where it is."),
     ("/park", Nothing, "Slowly to the rest pose, then limp."),
-    ("/clear", Nothing, "Acknowledge the latched fault; refused while its cause persists."),
+    ("/clear", Nothing, "Acknowledge the latched fault, or a notice; refused while a fault's cause persists."),
     ("/release", Confirmed, "Switch torque off: the arm drops unless it is supported, which `confirm` says."),
 )
 TEACHING: HandedOn = (
@@ -59,8 +60,23 @@ TEACHING: HandedOn = (
 )
 
 
-def create_app(arm: ArmConfig, config: Config, *, socket: Path, token: str, port: int) -> tuple[FastAPI, Guard]:
-    """The application, and the guard that every request passes first."""
+def create_app(
+    arm: ArmConfig,
+    config: Config,
+    *,
+    socket: Path,
+    token: str,
+    port: int,
+    people: Path | None = None,
+    names: tuple[str, ...] | None = None,
+) -> tuple[FastAPI, Guard]:
+    """The application, and the guard that every request passes first.
+
+    Args:
+        token: That of the address that is printed.
+        people: The file of people's tokens.
+        names: See `Guard`.
+    """
     chain = robots.get(arm.robot, arm.lengths_m).chain
 
     def enrich(snapshot: dict[str, Any]) -> dict[str, Any]:
@@ -71,7 +87,7 @@ def create_app(arm: ArmConfig, config: Config, *, socket: Path, token: str, port
         frames = link_frames(chain, np.array(positions)[: chain.n])
         return {**snapshot, "links_m": [[0.0, 0.0, 0.0], *frames[1:, :3, 3].round(5).tolist()]}
 
-    daemon = Connections(socket, enrich)
+    daemon = Connections(socket, enrich, PERSON.get)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -90,7 +106,7 @@ def create_app(arm: ArmConfig, config: Config, *, socket: Path, token: str, port
     app.add_exception_handler(ArmctlError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _not_served)
-    guard = Guard(app, token=token, port=port)
+    guard = Guard(app, tokens=Tokens(people, token), port=port, names=names)
     app.include_router(_live(daemon, guard))
     for tag, routes in (
         ("commands", _commands(daemon)),
@@ -140,7 +156,8 @@ def _live(daemon: Connections, guard: Guard) -> APIRouter:
                 said = strict_json((await socket.receive_text()).encode(errors="replace"))
         except (TimeoutError, ProtocolError, KeyError, WebSocketDisconnect):
             said = None
-        if not guard.token_is(said.get("token") if isinstance(said, dict) else None):
+        token = said.get("token") if isinstance(said, dict) else None
+        if guard.who(token) is None:
             with contextlib.suppress(RuntimeError):
                 await socket.close(1008, "the token is missing or wrong")
             return
@@ -149,6 +166,10 @@ def _live(daemon: Connections, guard: Guard) -> APIRouter:
             while not leaving.done():
                 waiting = asyncio.create_task(messages.get())
                 await asyncio.wait((leaving, waiting), return_when=asyncio.FIRST_COMPLETED)
+                if guard.who(token) is None:  # it was revoked
+                    await socket.close(1008, "the token was revoked")
+                    waiting.cancel()
+                    break
                 if waiting.done():
                     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
                         await socket.send_text(waiting.result())

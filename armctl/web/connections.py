@@ -32,15 +32,16 @@ Enrich = Callable[[dict[str, Any]], dict[str, Any]]
 class Connections:
     """The daemon as the dashboard sees it."""
 
-    def __init__(self, socket: Path, enrich: Enrich) -> None:
+    def __init__(self, socket: Path, enrich: Enrich, person: Callable[[], str] = str) -> None:
         """
         Args:
             socket: The daemon's socket.
             enrich: Adds to a snapshot what pages draw.
+            person: Who makes the request that is being served; the log names them.
         """
         self.socket = socket
         self.snapshot: dict[str, Any] | None = None
-        self._enrich = enrich
+        self._enrich, self._person = enrich, person
         self._pages: set[asyncio.Queue[str]] = set()
         self._watcher: AsyncClient | None = None
         self._commander: AsyncClient | None = None
@@ -70,7 +71,7 @@ class Connections:
                 self._commander = await AsyncClient.connect(self.socket)
                 self._start(self._forward(self._commander))
             commander = self._commander
-        return await commander.call(method, **params)
+        return await commander.asked(method, params, self._person())
 
     async def stop(self) -> dict[str, Any]:
         """`stop`, straight to the control process; else over whatever connection there is."""
@@ -121,7 +122,7 @@ class Connections:
             put_newest(page, text)
 
     async def _forward(self, commander: AsyncClient) -> None:
-        """Tell the pages how far an optimisation is."""
+        """Tell the pages how far an optimisation or a refinement is, and what a motion warns of."""
         with contextlib.suppress(ArmctlError):
             async for method, params in commander.notifications():
                 if method == "progress":

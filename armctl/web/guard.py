@@ -4,24 +4,33 @@ Rules.
 1. The `Host` is exactly one of the server's own names: a name that was rebound to the loopback address is not.
 2. An `Origin`, where one is sent, is the server's own, and `Sec-Fetch-Site`, where one is sent, says the same origin
    or that the user typed the address. Nothing is ever shared with another origin.
-3. Below /api every request carries the token, compared in constant time. A page gets it from the address that the
-   server printed (behind the `#`, which browsers do not send) and a WebSocket says it in its first message.
+3. Below /api every request carries a token (`tokens.py`). A page gets it from the address that the server printed
+   (behind the `#`, which browsers do not send) or asks for it, and a WebSocket says it in its first message. Who may
+   only look may ask with GET, and stop the arm. Wrong tokens are answered `WRONG_RATE` times a second.
 4. A body is JSON by its content type, at most 64 KiB, and strict as the socket's is.
 5. Every answer forbids scripts, frames and connections from elsewhere, and is not kept unless it says how it may be.
 """
 
 import contextlib
-import hmac
 import json
+import time
+from contextvars import ContextVar
 
 from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from armctl.host.allowance import TokenBucket
 from armctl.host.jsonrpc import MAX_LINE_BYTES, ProtocolError, strict_json
+from armctl.web.tokens import Person, Tokens
 
 TOKEN_HEADER = "x-armctl-token"
+# Wrong tokens of all senders together, a second and at once.
+WRONG_RATE = 5.0
+WRONG_BURST = 50.0
+# Whose request is being served.
+PERSON: ContextVar[str] = ContextVar("person", default="")
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
@@ -35,6 +44,12 @@ HEADERS = {
 }
 
 
+NO_TOKEN = (
+    "the token is missing or wrong; open the address that `armctl web` printed (of the service it stands in "
+    "/run/armctl-web/address), or get a token of your own: `armctl web token add NAME`"
+)
+
+
 class Refused(Exception):
     """A request that is none of ours: HTTP status, stable code and the reason."""
 
@@ -44,12 +59,18 @@ class Refused(Exception):
 
 
 class Guard:
-    """ASGI middleware that lets through what keeps the rules."""
+    """ASGI middleware that lets through what keeps the rules.
 
-    def __init__(self, app: ASGIApp, *, token: str, port: int) -> None:
-        self._app, self._token = app, token.encode()
-        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
-        self._origins = {f"http://{host}" for host in self._hosts}
+    Args:
+        names: What this computer is called in its network; by these names, and by the address at which it was reached,
+            it is served over TLS. None: only this computer itself is served.
+    """
+
+    def __init__(self, app: ASGIApp, *, tokens: Tokens, port: int, names: tuple[str, ...] | None = None) -> None:
+        self._app, self.who, self._port = app, tokens.who, port
+        self._lan, self._scheme = names is not None, "http" if names is None else "https"
+        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]", *(names or ()))}
+        self._wrong = TokenBucket(WRONG_RATE, WRONG_BURST, time.monotonic())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -57,10 +78,10 @@ class Guard:
             return
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         try:
-            self._check_sender(headers, socket=scope["type"] == "websocket")
+            self._check_sender(headers, scope)
             if scope["type"] == "http":
                 if scope["path"].startswith("/api"):
-                    self._check_token(headers)
+                    PERSON.set(self._checked(headers, scope).name)
                 receive = await _checked_body(scope, headers, receive)
         except Refused as refused:
             await _refuse(scope, receive, send, refused)
@@ -76,23 +97,26 @@ class Guard:
 
         await self._app(scope, receive, send_with_headers)
 
-    def token_is(self, said: object) -> bool:
-        """Whether a text is the token."""
-        return isinstance(said, str) and hmac.compare_digest(said.encode(), self._token)
-
-    def _check_sender(self, headers: dict[str, str], *, socket: bool) -> None:
-        host = headers.get("host", "")
-        if host not in self._hosts:
+    def _check_sender(self, headers: dict[str, str], scope: Scope) -> None:
+        host, socket = headers.get("host", ""), scope["type"] == "websocket"
+        reached = self._lan and host == f"{(scope.get('server') or ('',))[0]}:{self._port}"
+        if host not in self._hosts and not reached:
             raise Refused(421, "WRONG_HOST", f"this server is not {host[:100]!r}; use the address that it printed")
         origin = headers.get("origin")
-        if (origin is not None or socket) and origin not in self._origins:
+        if (origin is not None or socket) and origin != f"{self._scheme}://{host}":
             raise Refused(403, "WRONG_ORIGIN", f"requests from {str(origin)[:100]!r} are not served")
         if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
             raise Refused(403, "WRONG_ORIGIN", "requests from other sites are not served")
 
-    def _check_token(self, headers: dict[str, str]) -> None:
-        if not self.token_is(headers.get(TOKEN_HEADER, "")):
-            raise Refused(401, "NO_TOKEN", "the token is missing or wrong; open the address that `armctl web` printed")
+    def _checked(self, headers: dict[str, str], scope: Scope) -> Person:
+        person = self.who(headers.get(TOKEN_HEADER, ""))
+        if person is None:
+            if not self._wrong.take(time.monotonic()):
+                raise Refused(429, "RATE_LIMIT", "too many wrong tokens; wait")
+            raise Refused(401, "NO_TOKEN", NO_TOKEN)
+        if person.role == "look" and scope["method"] not in ("GET", "HEAD") and scope["path"] != "/api/stop":
+            raise Refused(403, "LOOK_ONLY", f"{person.name} may look, and stop the arm; `armctl web token` gives roles")
+        return person
 
 
 async def _checked_body(scope: Scope, headers: dict[str, str], receive: Receive) -> Receive:

@@ -1,31 +1,49 @@
-"""`armctl web`: the dashboard on one port of the loopback interface."""
+"""`armctl web`: the dashboard on one port of the loopback interface, or over TLS on one of the local network."""
 
 import asyncio
 import errno
-import os
+import re
 import secrets
+import signal
 import socket as socket_module
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from armctl.config import ArmConfig, Config
 from armctl.errors import ArmctlError, ConfigError
+from armctl.host.service_manager import endings
+from armctl.web.tokens import TOKEN_BYTES, private
 
-TOKEN_BYTES = 24
+if TYPE_CHECKING:
+    import uvicorn
 
 
 def serve(
-    arm: ArmConfig, config: Config, *, socket: Path, port: int, token_file: Path | None, ready: Callable[[str], None]
+    arm: ArmConfig,
+    config: Config,
+    *,
+    socket: Path,
+    port: int,
+    token_file: Path | None,
+    ready: Callable[[str], None],
+    people: Path | None = None,
+    keys: Path | None = None,
 ) -> None:
-    """Serve until SIGINT or SIGTERM.
+    """Serve until SIGINT, SIGTERM or SIGHUP.
 
     Args:
         socket: The daemon's socket.
-        port: TCP port on 127.0.0.1.
-        token_file: Where the address with its token is written, for whoever may read it; None: nowhere.
+        port: TCP port.
+        token_file: Where the address with its token is kept, for whoever may read it; the next start takes its token.
+            None: nowhere, and the token is a new one.
         ready: Called with that address once pages are served.
+        people: The file of people's tokens.
+        keys: Folder of this server's own key and certificate: served is the local network, over TLS. None: this
+            computer alone.
     Raises:
-        ArmctlError: the extra is not installed, or the port is taken.
+        ArmctlError: the extra is not installed, the port is taken, or no key can be made.
     """
     try:
         import uvicorn
@@ -35,12 +53,20 @@ def serve(
     except ImportError as error:
         raise ArmctlError(f"the dashboard needs {error.name}; install it with: pip install 'armctl[web]'") from None
 
-    token = secrets.token_urlsafe(TOKEN_BYTES)
-    _, guard = create_app(arm, config, socket=socket, token=token, port=port)
+    token = (token_file and _kept_token(token_file)) or secrets.token_urlsafe(TOKEN_BYTES)
+    host, scheme, name = "127.0.0.1", "http", "127.0.0.1"
+    names: tuple[str, ...] | None = None
+    key = certificate = None
+    if keys is not None:
+        host, scheme, name = "0.0.0.0", "https", socket_module.gethostname()
+        names, (key, certificate) = (name, f"{name}.local"), _tls(keys, name)
+    _, guard = create_app(arm, config, socket=socket, token=token, port=port, people=people, names=names)
     settings = uvicorn.Config(
         guard,
-        host="127.0.0.1",
+        host=host,
         port=port,
+        ssl_keyfile=key,
+        ssl_certfile=certificate,
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -53,35 +79,66 @@ def serve(
         timeout_graceful_shutdown=2,
     )
     server = uvicorn.Server(settings)
-    address = f"http://127.0.0.1:{port}/#token={token}"
+    address = f"{scheme}://{name}:{port}/#token={token}"
 
     try:  # before anything runs: the server itself would end the program over it
-        listening = socket_module.create_server(("127.0.0.1", port))
+        listening = socket_module.create_server((host, port))
     except OSError as error:
         why = "is taken" if error.errno == errno.EADDRINUSE else f"cannot be had: {error.strerror}"
         raise ConfigError("armctl web", "--port", f"{port} {why}", "choose another with --port") from None
 
-    async def run() -> None:
-        serving = asyncio.create_task(server.serve([listening]))
-        while not server.started and not serving.done():
-            await asyncio.sleep(0.01)
-        if server.started:
-            if token_file is not None:
-                _write_private(token_file, address + "\n")
-            ready(address)
-        await serving
+    def started() -> None:
+        if token_file is not None:
+            token_file.parent.mkdir(parents=True, exist_ok=True)
+            private(token_file, address + "\n")
+        ready(address)
 
     try:
-        asyncio.run(run())
+        asyncio.run(_serving(server, listening, started))
     finally:
         listening.close()
-        if token_file is not None:
-            token_file.unlink(missing_ok=True)
 
 
-def _write_private(path: Path, text: str) -> None:
-    """A file that only its owner and group can read."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.unlink(missing_ok=True)
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o640), "w") as file:
-        file.write(text)
+async def _serving(server: "uvicorn.Server", listening: socket_module.socket, started: Callable[[], None]) -> None:
+    """Serve on a socket until told to end; `started` is called once pages are served."""
+    if signal.SIGHUP in endings():
+        asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, setattr, server, "should_exit", True)
+    serving = asyncio.create_task(server.serve([listening]))
+    while not server.started and not serving.done():
+        await asyncio.sleep(0.01)
+    if server.started:
+        started()
+    await serving
+
+
+def _kept_token(path: Path) -> str:
+    """The token of the start before; empty: there was none."""
+    try:
+        found = re.search(r"#token=([\w-]{20,})\n", path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return found[1] if found else ""
+
+
+def _tls(folder: Path, name: str) -> tuple[Path, Path]:
+    """Where this server's own key and certificate are; made by the first start.
+
+    Raises:
+        ArmctlError: they cannot be made.
+    """
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    if not (key.is_file() and certificate.is_file()):
+        about = ("-subj", f"/CN={name}", "-addext", f"subjectAltName=DNS:{name},DNS:{name}.local")
+        how = ("-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "3650")
+        try:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            command = ("openssl", "req", *how, *about, "-keyout", str(key), "-out", str(certificate))
+            made = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise ArmctlError(
+                f"no key can be made in {folder}: {error}; install it: sudo apt install openssl"
+            ) from None
+        if made.returncode != 0:
+            raise ArmctlError(f"no key can be made in {folder}: {made.stderr.strip()[-300:]}")
+        key.chmod(0o600)
+    return key, certificate

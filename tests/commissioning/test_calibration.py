@@ -56,7 +56,7 @@ def moved(touches: Sequence[Touch], points_m: Iterable[Iterable[float]]) -> list
     return [taken.model_copy(update={"point_m": tuple(point_m)}) for taken, point_m in pairs]
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_planted_zeros_and_3_mm_lengths_come_back(seed: int) -> None:
     """To one tick and 0.5 mm, through the wire, with noise, ticks, gravity and play, the tip 0.3 mm off its point."""
     rng = np.random.default_rng(seed)

@@ -61,7 +61,7 @@ def contents(root: Path) -> dict[str, str]:
 def test_an_installation_is_complete_and_readable_by_the_service(acts: list[Act], prefix: Path, root: Path) -> None:
     due(acts, root)
     found = contents(root)
-    units = [f"systemd/system/{name}.service" for name in ("armctl-web", "armctl")]
+    units = [f"systemd/system/{name}.service" for name in ("armctl-web-lan", "armctl-web", "armctl", "armctl@")]
     others = ["sysusers.d/armctl.conf", "tmpfiles.d/armctl.conf", "udev/rules.d/60-armctl.rules"]
     assert sorted(found) == [*KEPT, *(f"etc/{name}" for name in units + others)]
     assert f"ExecStart={prefix}/bin/armctl daemon" in found["etc/systemd/system/armctl.service"]
@@ -95,8 +95,72 @@ def test_removal_leaves_configuration_and_calibrations_and_nothing_else(acts: li
 
 def test_commands_run_on_the_running_system_only(prefix: Path, root: Path) -> None:
     commands = [act for act in installation(arm="ax12-line", prefix=prefix, user="eve") if isinstance(act, Run)]
-    assert Run(("usermod", "--append", "--groups", "armctl", "eve")) in commands
-    assert all(act.due(SYSTEM) and not act.due(root) for act in commands)
+    assert ("usermod", "--append", "--groups", "armctl", "eve") in [act.command for act in commands]
+    assert not any(act.due(root) for act in commands)
+    assert Run(("true",)).due(SYSTEM)
+    assert not Run(("true",), when=lambda: False).due(SYSTEM)
+
+
+def test_what_is_due_is_settled_before_the_first_act(root: Path) -> None:
+    unit = module.File(Path("unit"), "new")
+    told: list[bool] = []
+    carry_out([unit, module.File(Path("unit"), "new")], root, lambda _, is_due: told.append(is_due))
+    assert told == [True, True]  # so a command that runs because of a file still sees that the file changed
+
+
+def test_a_changed_unit_is_shown_before_it_is_replaced(acts: list[Act], root: Path) -> None:
+    due(acts, root)
+    files = [act for act in acts if isinstance(act, module.File)]
+    assert {file.difference(root) for file in files} == {""}
+    unit = root / "etc/systemd/system/armctl.service"
+    unit.write_text(unit.read_text() + "# mine\n")
+    [shown] = filter(None, (file.difference(root) for file in files))
+    assert shown.splitlines()[-1] == "-# mine"
+
+
+@pytest.mark.parametrize("prefix", ["opt/armctl", "/opt/a b", "/opt/50%", "/opt/$HOME", "/opt/a\nb", "/opt/a\n", "/"])
+def test_a_prefix_that_a_unit_would_not_take_is_refused(prefix: str) -> None:
+    with pytest.raises(ConfigError, match="absolute path"):
+        installation(arm="ax12-line", prefix=Path(prefix))
+
+
+def test_an_arm_that_is_not_valid_is_refused(prefix: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("arm_id: mine\n")
+    with pytest.raises(ConfigError, match=r"mine\.yaml"):
+        installation(arm=str(tmp_path / "mine.yaml"), prefix=prefix)
+
+
+def test_another_arm_is_entered_in_the_configuration_and_nothing_else_of_it_changes(
+    acts: list[Act], prefix: Path, root: Path
+) -> None:
+    due(acts, root)
+    config = root / "etc/armctl/armctl.yaml"
+    config.write_text("# mine\nperiod_s: 0.05\narm: ax12-line\nport: /dev/ttyAMA0\n")
+    assert due(installation(prefix=prefix, root=root), root) == []
+    due(installation(arm="xiang-6dof", prefix=prefix, root=root), root)
+    assert config.read_text() == "# mine\nperiod_s: 0.05\narm: xiang-6dof\nport: /dev/ttyAMA0\n"
+    assert (root / "etc/armctl/calibration/xiang-6dof.yaml").is_file()
+
+
+def test_a_calibration_that_is_kept_is_not_overwritten_by_another_of_its_name(
+    acts: list[Act], prefix: Path, root: Path
+) -> None:
+    due(acts, root)
+    kept = root / "etc/armctl/calibration/ax12-line.yaml"
+    kept.write_text(kept.read_text().replace("arm_id: ax12-line", "arm_id: mine"))
+    with pytest.raises(ConfigError, match="is kept"):
+        installation(arm="ax12-line", prefix=prefix, root=root)
+    assert due(installation(prefix=prefix, root=root), root) == []
+
+
+@pytest.mark.parametrize(("unit", "holds"), [
+    ("armctl@.service", ("/run/armctl/%i.sock", "/etc/armctl/%i.yaml", "XDG_DATA_HOME=/var/lib/armctl/%i")),
+    ("armctl-web-lan.service", ("armctl web --lan", "ipv4:tcp:8443", "IPAddressAllow=any", "=armctl-web-lan")),
+])  # fmt: skip
+def test_a_unit_made_of_another_has_what_is_its_own(unit: str, holds: tuple[str, ...]) -> None:
+    source, changes = module.DERIVED[unit]
+    assert all(old in module.template(source) for old in changes)
+    assert not missing(module.unit_text(unit, Path("/opt/armctl")), *holds)
 
 
 def test_a_command_that_fails_is_named_with_its_words() -> None:

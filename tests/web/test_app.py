@@ -71,7 +71,7 @@ def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:
         ("/api/logs/link.mcap/file", 404, "LOG"),
         ("/api/logs/bad.mcap", 404, "LOG"),
         ("/api/logs/.hidden", 422, "INVALID"),
-        ("/api/plans/none", 409, "NO_PLAN"),
+        ("/api/plans/none", 503, "NO_DAEMON"),
         ("/api/plans/a%0A", 422, "INVALID"),
         ("/api/recordings/", 404, "NOT_FOUND"),
         ("/api/logs/bad.mcap?from_s=nan", 422, "INVALID"),
@@ -101,6 +101,16 @@ def test_the_newest_log_comes_first_whatever_its_name(tmp_path: Path) -> None:
 def test_a_field_that_does_not_fit_is_named_with_its_bound(guard: Guard) -> None:
     error = get(guard, "/api/logs/bad.mcap?from_s=-1").json()["error"]
     assert error["reasons"] == ["query.from_s: Input should be greater than or equal to 0"]
+
+
+@pytest.mark.parametrize("refine", [-1, 21, 1.5, "x"])
+def test_a_run_takes_as_many_corrections_as_one_from_the_command_line(guard: Guard, refine: object) -> None:
+    headers = {TOKEN_HEADER: TOKEN, "Content-Type": "application/json"}
+    answer = asked(guard, "POST", "/api/plans/none/run", headers, content=json.dumps({"refine": refine}))
+    assert (answer.status_code, answer.json()["error"]["code"]) == (422, "INVALID")
+    assert "body.refine" in answer.json()["error"]["message"]
+    answer = asked(guard, "POST", "/api/plans/none/run", headers, content=json.dumps({"refine": 20}))
+    assert (answer.status_code, answer.json()["error"]["code"]) == (503, "NO_DAEMON"), "which keeps the plans"
 
 
 def test_a_method_that_is_not_served_says_which_are(guard: Guard) -> None:

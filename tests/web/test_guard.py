@@ -8,6 +8,7 @@ from starlette.types import Receive, Scope, Send
 
 from armctl.host.jsonrpc import MAX_LINE_BYTES
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
+from armctl.web.tokens import Tokens
 from tests.web.asking import TOKEN, asked, streamed
 
 OWN = {"host": "127.0.0.1:8080", TOKEN_HEADER: TOKEN}
@@ -24,7 +25,7 @@ async def echo(scope: Scope, receive: Receive, send: Send) -> None:
     await send({"type": "http.response.body", "body": message.get("body", b"")})
 
 
-GUARD = Guard(echo, token=TOKEN, port=8080)
+GUARD = Guard(echo, tokens=Tokens(None, TOKEN), port=8080)
 
 
 def ask(method: str, path: str, headers: dict[str, str], body: bytes = b"") -> httpx.Response:

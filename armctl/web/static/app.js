@@ -4,7 +4,7 @@ const token = takeToken();
 const $ = (id) => document.getElementById(id);
 const degrees = (rad) => rad * 180 / Math.PI;
 const millimetres = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} mm`;
-let arm = null, snapshot = null, teaching = false, taking = null, takes = [], plotly = null;
+let arm = null, snapshot = null, teaching = false, taking = null, running = false, takes = [], plotly = null;
 const trail = [];
 const TRAIL = 150;
 
@@ -15,6 +15,16 @@ function takeToken() {
     history.replaceState(null, "", location.pathname);
   }
   return found || sessionStorage.getItem("armctl-token") || "";
+}
+
+// Asks for a token where the address had none, or it opens nothing any more.
+function logIn() {
+  $("login").hidden = false;
+  $("login").onsubmit = (event) => {
+    event.preventDefault();
+    sessionStorage.setItem("armctl-token", $("login-token").value.trim());
+    location.reload();
+  };
 }
 
 // ------------------------------------------------------------------------------------------------- requests
@@ -84,16 +94,16 @@ function confirmed(text, yes) {
 // ------------------------------------------------------------------------------------------------- live view
 
 function connect() {
-  const socket = new WebSocket(`ws://${location.host}/api/stream`);
+  const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/stream`);
   socket.onopen = () => socket.send(JSON.stringify({ token }));
   socket.onmessage = (event) => {
     const message = JSON.parse(event.data);
     if (message.kind === "snapshot") show(message.snapshot);
-    else if (message.kind === "progress") converge(message);
+    else if (message.kind === "progress") progressed(message);
   };
   socket.onclose = (event) => {
     show(null);
-    if (event.code === 1008) tell("The token is missing or wrong: open the address that `armctl web` printed.");
+    if (event.code === 1008) logIn();
     else setTimeout(connect, 1000);
   };
 }
@@ -104,6 +114,9 @@ function show(latest) {
   if ($("state").textContent !== state) $("state").textContent = state;
   $("state").dataset.state = state;
   showFaults(latest ? latest.faults : []);
+  const notice = latest && latest.notice && !latest.fault ? latest.notice : "";
+  if ($("notice-text").textContent !== notice) $("notice-text").textContent = notice;
+  $("notice").hidden = !notice;
   controls();
   if (!latest) return;
   latest.joints.forEach(showJoint);
@@ -190,7 +203,8 @@ function controls() {
   $("take").disabled = !teaching;
   $("take").textContent = taking ? "End the take" : "Begin a take";
   $("teach-end").disabled = !teaching || taking !== null;
-  $("run").disabled = !$("plan-choice").value || !(state === "holding" || state === "off");
+  // Between two runs of a refinement the arm holds.
+  for (const id of ["run", "refine"]) $(id).disabled = running || !$("plan-choice").value || !(state === "holding" || state === "off");
 }
 
 // ------------------------------------------------------------------------------------------------- geometry
@@ -361,6 +375,15 @@ async function toggleTake() {
 
 const generations = { x: [], best: [], mean: [] };
 
+function progressed(message) {
+  if (message.warning) tell(`${message.warning}: ${message.text}`);
+  else if (message.round) $("run-figures").textContent = `after ${message.runs} of at most ${message.of} runs, ${roundText(message.round)}`;
+  else converge(message);
+}
+
+const roundText = (round) => `round ${round.round}: ${millimetres(round.mean_error_mm)} off the line on average, ` +
+  `${millimetres(round.max_error_mm)} at most, ${round.kept ? "kept" : "not kept"}`;
+
 function converge({ generation, best, mean }) {
   generations.x.push(generation);
   generations.best.push(best);
@@ -416,7 +439,16 @@ function fill(select, rows, wanted) {
   if (rows.some(([value]) => value === before)) select.value = before;
 }
 
-async function run() {
+async function run(refine = 0) {
+  running = true;
+  try {
+    await runPlan(refine);
+  } finally {
+    running = false;
+  }
+}
+
+async function runPlan(refine) {
   const name = $("plan-choice").value;
   if (snapshot.state === "off") {
     $("run-figures").textContent = "torque is coming on";
@@ -425,7 +457,7 @@ async function run() {
   $("run-figures").textContent = `${name} is running`;
   let result;
   try {
-    result = await post(`/plans/${encodeURIComponent(name)}/run`);
+    result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine });
   } catch (error) {
     $("run-figures").textContent = "the run failed";
     throw error;
@@ -433,10 +465,19 @@ async function run() {
   $("run-figures").textContent = `${result.recording}: ${millimetres(result.mean_error_mm)} off the line on average, ` +
     `${millimetres(result.max_error_mm)} at most, in ${result.duration_s.toFixed(1)} s (by the encoders; predicted on perfect ` +
     `servos ${millimetres(result.predicted_mean_error_mm)} and ${millimetres(result.predicted_max_error_mm)})`;
-  const [plan, recording] = await Promise.all([request(`/plans/${encodeURIComponent(name)}`), request(`/recordings/${encodeURIComponent(result.recording)}`)]);
+  const recorded = async (one) => proper(await request(`/recordings/${encodeURIComponent(one)}`));
+  const [plan, measured] = await Promise.all([request(`/plans/${encodeURIComponent(name)}`), recorded(result.recording)]);
+  const paths = [["predicted", plan.tool_m], ["measured", measured]];
+  if (result.rounds) {
+    const [first] = result.rounds, count = result.rounds.reduce((sum, round) => sum + round.recordings.length, 0);
+    $("run-figures").textContent = `${result.ended ? `ended before its time: ${result.ended.code}: ${result.ended.text}. ` : ""}` +
+      `The best of ${count} runs: ${$("run-figures").textContent}; the first one: ${millimetres(first.mean_error_mm)} and ${millimetres(first.max_error_mm)}`;
+    paths[0] = ["first run", await recorded(first.recordings[0])];
+    await loadPlanChoice(result.plan.split("/").pop().replace(/\.json$/, ""));
+  }
   $("run-plot").hidden = false;
   const A = plan.plan.from_m, B = plan.plan.to_m;
-  drawDeviation("run-plot", [["predicted", plan.tool_m], ["measured", proper(recording)]], A, B);
+  drawDeviation("run-plot", paths, A, B);
 }
 
 // The tool path to compare: of a run only the part that the plan describes, of a take everything.
@@ -614,7 +655,12 @@ function wire() {
     $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "write three numbers for each point, separated by commas";
   });
   $("plan-choice").addEventListener("change", controls);
-  $("run").addEventListener("click", (event) => act(event.target, run));
+  $("run").addEventListener("click", (event) => act(event.target, () => run()));
+  $("refine").addEventListener("click", (event) => act(event.target, () => {
+    const most = $("refine-most");
+    if (!most.checkValidity()) throw new Refused("the further runs are a whole number from 1 to 20");
+    return run(Number(most.value));
+  }));
   $("log-choice").addEventListener("change", (event) => act(null, () => showLog(event.target.value)));
   $("log-download").addEventListener("click", (event) => act(event.target, download));
   $("scrub").addEventListener("input", (event) => scrubTo(Number(event.target.value)));

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from armctl.errors import RequestRefused
+from armctl.host import plans
 from armctl.trajectory.plan import plan_to_text
-from armctl.web import plans
 from tests.host.doubles import refused
 from tests.trajectory.test_plan import make_plan
 

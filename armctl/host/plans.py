@@ -1,4 +1,4 @@
-"""Plans that were made in the dashboard: one JSON file each, below one folder, never overwritten."""
+"""Plans that the daemon keeps for its clients: one JSON file each, below one folder, never overwritten."""
 
 import re
 from pathlib import Path

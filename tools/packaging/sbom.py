@@ -1,0 +1,66 @@
+"""What a release is made of, as a CycloneDX 1.5 document: `python tools/packaging/sbom.py VERSION [COMMIT]` prints it.
+
+Read from lock.txt beside this file: every package with its version and the SHA-256 of each of its files.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+LOCK = Path(__file__).with_name("lock.txt")
+PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)")
+HASH = re.compile(r"--hash=sha256:([0-9a-f]{64})")
+
+
+def locked(text: str) -> dict[str, tuple[str, list[str]]]:
+    """Name -> version and hashes, in the lock's order."""
+    found: dict[str, tuple[str, list[str]]] = {}
+    name = ""
+    for line in text.splitlines():
+        if pin := PIN.match(line):
+            name = pin[1]
+            found[name] = pin[2], []
+        if digest := HASH.search(line):
+            found[name][1].append(digest[1])
+    return found
+
+
+def bill(version: str, commit: str, text: str) -> dict[str, Any]:
+    """The document; the same lock gives the same one."""
+    parts = locked(text)
+    refs = {name: f"pkg:pypi/{name}@{release}" for name, (release, _) in parts.items()}
+    itself = f"pkg:pypi/armctl@{version}"
+    about: dict[str, Any] = {
+        "type": "application",
+        "name": "armctl",
+        "version": version,
+        "purl": itself,
+        "bom-ref": itself,
+    }
+    if commit:
+        about["properties"] = [{"name": "commit", "value": commit}]
+    return {
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.5",
+        "version": 1,
+        "metadata": {"component": about},
+        "components": [
+            {
+                "type": "library",
+                "name": name,
+                "version": release,
+                "purl": refs[name],
+                "bom-ref": refs[name],
+                "hashes": [{"alg": "SHA-256", "content": digest} for digest in digests],
+            }
+            for name, (release, digests) in parts.items()
+        ],
+        "dependencies": [{"ref": itself, "dependsOn": sorted(refs.values())}],
+    }
+
+
+if __name__ == "__main__":
+    json.dump(bill(sys.argv[1], "".join(sys.argv[2:3]), LOCK.read_text(encoding="utf-8")), sys.stdout, indent=1)
+    sys.stdout.write("\n")
