@@ -207,6 +207,33 @@ def test_7_on_the_way_to_rest_goals_go_back_by_what_a_correction_adds_and_not_by
     assert ("7" in holding.broken) == seen
 
 
+@pytest.mark.parametrize(("steps", "seen"), [(4, False), (6, True)])
+def test_7_a_joint_that_hangs_below_its_rest_is_led_there_by_goals_beyond_it_as_far_as_a_correction_may_be(
+    holding: Bench, steps: int, seen: bool
+) -> None:
+    holding.servos[0].goal = 412  # the base rests at 512
+    holding.at(412.0)
+    holding.tick(Mode.FAULTED, "HOT")
+    assert advancing(holding, mode=Mode.FAULTED, code="HOT") is None
+    holding.at(500.0)
+    holding.tick(Mode.FAULTED, "HOT")
+    for _ in range(steps):
+        holding.move(5, follow=False, mode=Mode.FAULTED, code="HOT")
+    assert ("7" in holding.broken) == seen
+
+
+@pytest.mark.parametrize(("mode", "code", "broken"), [(Mode.JOGGING, "", set()), (Mode.FAULTED, "HOT", {"7"})])
+def test_7_a_jog_that_comes_with_clear_is_no_way_to_rest_once_the_fault_is_gone(
+    holding: Bench, mode: Mode, code: str, broken: set[str]
+) -> None:
+    holding.tick(Mode.FAULTED, "HOT")
+    holding.ticks(5, Mode.FAULTED, "HOT")
+    holding.ask("clear", "jog")
+    holding.goal(holding.servos[0].goal - 5)
+    holding.tick(mode, code)
+    assert holding.broken == broken
+
+
 @pytest.mark.parametrize("stopped_by", ["a silence", "hold"])
 @pytest.mark.parametrize("announced", [True, False])
 def test_7_heat_that_outlasts_a_silence_may_send_the_arm_to_rest_once_that_is_announced(

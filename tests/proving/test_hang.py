@@ -27,6 +27,7 @@ def test_every_state_meets_every_victim_in_the_full_form() -> None:
 
 
 @pytest.mark.pty
+@pytest.mark.crowd
 def test_a_hang_of_each_process_leaves_the_arm_safe() -> None:
     result = hang.prove(seed=1, runs=1, hours=0.0)
     assert [one["runs"] for one in result["by_victim"]] == [1] * 4
@@ -36,6 +37,7 @@ def test_a_hang_of_each_process_leaves_the_arm_safe() -> None:
 
 
 @pytest.mark.pty
+@pytest.mark.crowd
 def test_a_busy_machine_is_no_hung_daemon_and_one_that_hangs_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(busy_machine, "HOGS", 0)  # the disk alone: what else runs beside the tests is enough
     result = busy_machine.watch(seed=1, hours=6.0 / 3600.0)

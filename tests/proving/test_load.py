@@ -41,6 +41,7 @@ def test_the_work_of_others_is_told_from_ones_own() -> None:
 
 
 @pytest.mark.pty
+@pytest.mark.crowd
 def test_a_small_load_is_generated_measured_and_told() -> None:
     """What it came to means nothing on a machine that runs tests; that it is counted does."""
     crowds = {"idle": 3, "half_sent": 3, "long_lines": 2, "subscribers": 2}

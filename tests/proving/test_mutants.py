@@ -3,13 +3,14 @@
 import ast
 import copy
 import functools
+from collections.abc import Iterator
 
 import pytest
 
 from proving import mutants
 from proving.mutants import ROOT, Mutant, StaleMutant
 from proving.planted import MUTANTS
-from proving.syntax import Edit, apply, fits
+from proving.syntax import Edit, Field, apply, fields, fits
 
 QUICK = ("speed 0 is written", "torque-on without a soft limit")
 
@@ -28,19 +29,26 @@ class Renamed(ast.NodeTransformer):
         return node
 
 
+Statements = list[tuple[ast.Module, list[Field]]]
+
+
 @functools.cache
-def trees(room: str) -> tuple[tuple[ast.Module, ...], tuple[ast.Module, ...]]:
-    """A room of the package as it is; and as one file, with every local name another one."""
-    texts = [path.read_text() for path in sorted((ROOT / room).rglob("*.py"))]
-    everything = ast.Module([node for text in texts for node in ast.parse(text).body], [])
-    return tuple(map(ast.parse, texts)), (Renamed().visit(everything),)
+def statements(room: str) -> tuple[Statements, Statements]:
+    """The outermost statements of a room of the package as they are, and with every local name another one."""
+
+    def parsed() -> Iterator[ast.Module]:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            yield from (ast.Module([node], []) for node in ast.parse(path.read_text()).body)
+
+    renamed = map(Renamed().visit, parsed())
+    return [(one, fields(one)) for one in parsed()], [(one, fields(one)) for one in renamed]
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_every_edit_fits_one_place_whatever_files_and_local_names_are_called(mutant: Mutant) -> None:
-    for room in trees(mutant.room):
+    for room in statements(mutant.room):
         for edit in mutant.edits:
-            [tree] = [tree for tree in room for _ in range(fits(tree, edit))]
+            [tree] = [one for one, among in room for _ in range(fits(among, edit))]
             changed = copy.deepcopy(tree)
             apply(changed, edit)
             assert ast.dump(changed) != ast.dump(tree)

@@ -220,6 +220,16 @@ def test_a_motor_that_works_too_hard_is_told_of_beside_whatever_else(
     assert holding.red & {"faults", "rows"} == broken
 
 
+@pytest.mark.parametrize(("ticks", "broken"), [(20, set()), (30, {"faults"})])
+def test_a_program_that_has_just_begun_sees_what_a_motor_works_once_it_has_asked_who_is_there(
+    holding: Bench, ticks: int, broken: set[str]
+) -> None:
+    holding.feel(0.9, gravity=0.9)
+    holding.ticks(12, Mode.STARTING)
+    holding.ticks(ticks, Mode.FAULTED, "BUS_NOISE")
+    assert holding.red & {"faults"} == broken
+
+
 @pytest.mark.parametrize(("also", "broken"), [("BLOCKED", set()), ("", {"rest"})])
 def test_a_supply_is_told_at_once_with_what_it_holds_up_alone(holding: Bench, also: str, broken: set[str]) -> None:
     holding.feel(volts=7.0)

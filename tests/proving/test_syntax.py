@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from proving.syntax import Edit, apply, fits
+from proving.syntax import Edit, apply, fields, fits
 
 CODE = """
 def bounded(s, tick, low, high):
@@ -25,7 +25,7 @@ EDITS = yaml.safe_load(Path(__file__).with_name("syntax.yaml").read_text(encodin
 @pytest.mark.parametrize("edit", EDITS, ids=lambda edit: str(edit["old"]))
 def test_what_fits_once_is_replaced(edit: dict[str, str]) -> None:
     tree, change = ast.parse(CODE), Edit(edit["old"], edit["new"])
-    assert fits(tree, change) == 1
+    assert fits(fields(tree), change) == 1
     apply(tree, change)
     assert edit["expected"] in ast.unparse(tree)
 
@@ -34,4 +34,4 @@ def test_what_fits_once_is_replaced(edit: dict[str, str]) -> None:
     "old", ["min(max(__t, __t), __high)", "first(__x)\nsecond(__x)", "__s.goal = 1", "if __a:\n    wait()"]
 )
 def test_what_differs_does_not_fit(old: str) -> None:
-    assert fits(ast.parse(CODE), Edit(old, "")) == 0
+    assert fits(fields(ast.parse(CODE)), Edit(old, "")) == 0

@@ -34,13 +34,14 @@ PROOFS: dict[str, Work] = {
     "mutants": _work("mutants", "prove", tells=True),
     "gap": _work("gap", "prove", tells=True),
     "powercut": _work("powercut", "prove"),
+    "replay": _work("replay", "prove", tells=True),
     "refinement": _work("straightness", "prove_refinement", tells=True),
     "straightness": _work("straightness", "prove", tells=True),
     "lines": _work("lines", "prove", tells=True),
     "place": _work("place", "prove", tells=True),
     "packets": _work("packets", "prove"),
     "wire": _work("wire", "prove", tells=True),
-    "unit": _work("unit", "prove"),
+    "units": _work("units", "prove", tells=True),
     "kill": _work("kill", "prove", tells=True),
     "hang": _work("hang", "prove", tells=True),
     "load": _work("load", "prove", tells=True),
@@ -52,6 +53,7 @@ OPTIONS = {
     "hang": {"runs", "hours"},
     "lines": {"arms", "classes", "workers"},
     "place": {"arms", "targets", "workers"},
+    "replay": {"workers"},
 }
 BENCHES: dict[str, Work] = {
     name: _work(f"{name}_bench", "bench")
@@ -83,7 +85,7 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine.")
 @click.option("--runs", type=click.IntRange(0), help="hang: of each process.")
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
-@click.option("--workers", type=click.IntRange(1), help="soak, mutants, lines, place: processes.  [default: 2]")
+@click.option("--workers", type=click.IntRange(1), help="soak, mutants, lines, place, replay: processes.  [default: 2]")
 @click.option("--arms", type=click.IntRange(1), help="lines, place: how many.  [default: 20]")
 @click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")
 @click.option("--classes", callback=_named, help="lines: which classes, with commas between them.  [default: all]")

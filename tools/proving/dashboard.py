@@ -54,7 +54,7 @@ def dashboard(folder: Path, seed: int) -> Iterator[Dashboard]:
         log = folder / "web.log"
         command = [sys.executable, "-m", "armctl", "web", "--port", str(port), *common]
         with log.open("w", encoding="utf-8") as words:
-            web = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True)
+            web = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True, start_new_session=True)
         cleanup.callback(_end, web)
         assert web.stdout is not None
         ready, _, token = web.stdout.readline().strip().partition("#token=")

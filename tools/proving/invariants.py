@@ -106,8 +106,6 @@ class Judge(TorqueJudge):
         self._missed = [0] * n
         # In the tick that is reported of.
         self._asked_before: set[str] = set()
-        # Whether this tick's `clear` comes together with a request to move.
-        self._clears_and_moves = False
         # What is right if this tick's report tells of a fault that sends the arm to rest at once.
         self._unless_settling: list[tuple[str, float, int, str]] = []
         # Which fault was cleared last, and when: told again at once it is that one still.
@@ -332,9 +330,7 @@ class Judge(TorqueJudge):
             if way > self._rest_step:
                 self._violate("5", now_s, i, f"goal {known} -> {goal} on the way to rest (bound {self._rest_step:.1f})")
             if settling:
-                self._advances_to_rest(now_s, i, f"goal {known} -> {goal}")
-            if settling and abs(goal - self._rest[i]) > abs(known - self._rest[i]) + self._bend_ticks:
-                self._violate("7", now_s, i, f"goal {known} -> {goal}, away from rest, {self._code} being latched")
+                self._led_to_rest(now_s, i, known, goal)
 
     def _alive(self) -> bool:
         return self._in_charge

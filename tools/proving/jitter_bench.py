@@ -121,6 +121,7 @@ def busy(hogs: int, seconds: float) -> Iterator[None]:
 
 
 def _burn(seconds: float) -> None:
+    os.setsid()  # other work has a session of its own
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         sum(range(10_000))

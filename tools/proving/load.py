@@ -134,23 +134,11 @@ def prove(
             ways = [stop for one in by_way for stop in one.get()]
             answers = [answer for one in asked for answer in one.get()]
             connections, cuts = unread.connections, unread.cuts
-            crowds = [
-                {
-                    "crowd": kind,
-                    "of": crowd[kind],
-                    "connections": tally[0],
-                    "sent_away": tally[1],
-                    "MiB": tally[2] >> 20,
-                }
-                for kind, tally in tallies.items()
-            ]
+            crowds = [_crowd(kind, crowd[kind], tally) for kind, tally in tallies.items()]
         programs.close()  # and with it the log
         log = _Log(folder / "logs", counting_s, end_s)
         late = log.figures()
-        held_ms = [1e3 * (stop.answer_s - stop.sent_s) for stop in stops if not stop.moving]
-        moving = [(stop, log.taken_s(stop)) for stop in stops if stop.moving]
-        taken_ms = [1e3 * (taken_s - stop.sent_s) for stop, taken_s in moving]
-        still_ms = [1e3 * (stop.answer_s - taken_s) for stop, taken_s in moving]
+        at_stops = _stops(stops, log)
     counted = [(due_s, answer_s) for due_s, answer_s in answers if counting_s <= due_s < end_s]
     status_ms = [1e3 * (answer_s - due_s) for due_s, answer_s in counted if answer_s < math.inf]
     result: dict[str, Any] = {
@@ -160,14 +148,7 @@ def prove(
         "status_ms_p50": _share(status_ms, 50),
         "status_ms_p99": _share(status_ms, 99),
         "status_ms_max": _share(status_ms, 100),
-        "stops": len(held_ms),
-        "stop_ms_p50": _share(held_ms, 50),
-        "stop_ms_max": _share(held_ms, 100),
-        "moving_stops": len(moving),
-        "taken_ms_p50": _share(taken_ms, 50),
-        "taken_ms_max": _share(taken_ms, 100),
-        "still_ms_p50": _share(still_ms, 50),
-        "still_ms_max": _share(still_ms, 100),
+        **at_stops,
         "ways": [_way(way, ways) for way in WAYS],
         "unanswered_stops": sum(stop.answered_s == math.inf for stop in ways),
         **late,
@@ -207,6 +188,28 @@ def _judge(result: dict[str, Any], rate_hz: float) -> tuple[list[str], list[str]
     alone = result["other_work_cores"] <= OTHER_WORK_CORES
     judged = [text for key, text in found.items() if alone or key in ALWAYS]
     return judged, [text for text in found.values() if text not in judged]
+
+
+def _crowd(kind: str, count: int, tally: Any) -> dict[str, Any]:
+    return {"crowd": kind, "of": count, "connections": tally[0], "sent_away": tally[1], "MiB": tally[2] >> 20}
+
+
+def _stops(stops: list[_Stop], log: _Log) -> dict[str, Any]:
+    """How long stops took: of an arm that holds in all, of one that moves until they were taken and until it stood."""
+    held_ms = [1e3 * (stop.answer_s - stop.sent_s) for stop in stops if not stop.moving]
+    moving = [(stop, log.taken_s(stop)) for stop in stops if stop.moving]
+    taken_ms = [1e3 * (taken_s - stop.sent_s) for stop, taken_s in moving]
+    still_ms = [1e3 * (stop.answer_s - taken_s) for stop, taken_s in moving]
+    return {
+        "stops": len(held_ms),
+        "stop_ms_p50": _share(held_ms, 50),
+        "stop_ms_max": _share(held_ms, 100),
+        "moving_stops": len(moving),
+        "taken_ms_p50": _share(taken_ms, 50),
+        "taken_ms_max": _share(taken_ms, 100),
+        "still_ms_p50": _share(still_ms, 50),
+        "still_ms_max": _share(still_ms, 100),
+    }
 
 
 def _way(way: str, stops: list[Stopped]) -> dict[str, Any]:

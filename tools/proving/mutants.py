@@ -25,7 +25,7 @@ from typing import Any
 
 from armctl.errors import ArmctlError
 from proving.scenes import SCENES, SCENES_FROM, named
-from proving.syntax import Edit, apply, fits
+from proving.syntax import Edit, apply, fields, fits
 
 SEED = 1
 # At most so many for each mutant, until one fails, behind every scene in so many drawings.
@@ -73,7 +73,7 @@ def plant(mutant: Mutant, package: Path) -> set[Path]:
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(room.rglob("*.py"))}
     changed: set[Path] = set()
     for edit in mutant.edits:
-        counts = {path: fits(tree, edit) for path, tree in trees.items()}
+        counts = {path: fits(fields(tree), edit) for path, tree in trees.items()}
         if sum(counts.values()) != 1:
             raise StaleMutant(mutant, edit.old, sum(counts.values()))
         [path] = [path for path, count in counts.items() if count]

@@ -191,8 +191,7 @@ class ServedArm:
         """
         done = []
         for leg in legs:
-            measured = [joint.position_rad for joint in self._records[-1].outputs.joints]
-            trajectory = thinned(leg(self.goals_rad, measured))
+            trajectory = thinned(leg(self.goals_rad))
             self._records, self.asked, self.began = [], trajectory, len(self.looks)
             if trajectory.end_s > trajectory.begin_s:
                 self._eye.open_ns = self._eye.now_ns() + round((trajectory.begin_s - EARLY_S) * NS_PER_S)

@@ -22,6 +22,8 @@ BLOCKED_TICKS = 8.0 / TICK_DEG + 2.0
 BLOCKED_S = 0.3
 # By so much faster than the joint a goal may go that is being corrected.
 CORRECTION_DEG_S = 4.0
+# And so much it may be bent in all.
+CORRECTION_DEG = 7.0
 # How long a joint swings whose goal was given up.
 SETTLE_S = 0.6
 

@@ -154,7 +154,7 @@ class EpisodeLog:
 
     def take(self, record: TickRecord) -> None:
         """The next record."""
-        self._over |= not all(map(_finite, record.inputs.commands))
+        self._over |= not all(map(finite, record.inputs.commands))
         if not self._over:
             self._writer.write_tick(record)
             self._ticks += 1
@@ -165,7 +165,8 @@ class EpisodeLog:
         return replay.check(self._path).first_mismatch if self._ticks else ""
 
 
-def _finite(command: Command) -> bool:
+def finite(command: Command) -> bool:
+    """Whether a log can hold it: JSON has neither NaN nor infinity."""
     if isinstance(command, Run):
         return all(map(math.isfinite, chain.from_iterable(command.trajectory.positions_rad)))
     return not isinstance(command, SetRate) or math.isfinite(command.rate)

@@ -275,7 +275,9 @@ class StandingJudge(ShaftJudge):
         before = self._before[i] if self._before else servo
         duties = self._duties
         lately = now_s - duties.heard_s[i] < HEARD_LATELY_S and self._alive()
-        loaded = servo.torque and abs(strain.output) > OVERLOADED and servo.limit == FULL_LIMIT
+        # A program that has just begun asks who is there first.
+        seen = self._mode != STARTING
+        loaded = seen and servo.torque and abs(strain.output) > OVERLOADED and servo.limit == FULL_LIMIT
         self._load_s[i] = min(self._load_s[i], now_s) if loaded and lately else math.inf
         reachable = lately and not duties.may_be_forged(now_s) and not duties.writer_in_force(now_s, JUST_NOW_S)
         # An arm whose adapter was out may have been moved by anybody, until every servo of it is heard; and one that is

@@ -11,7 +11,10 @@ import copy
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
+# A field of a node that holds an expression, or a list.
+Field = tuple[ast.AST, str, ast.expr | list[Any]]
 # What each placeholder of a pattern stands for: a node, a run of statements, or a name.
 Found = dict[str, object]
 IGNORED = frozenset({"ctx", "type_comment", "kind", "lineno", "col_offset", "end_lineno", "end_col_offset"})
@@ -36,14 +39,24 @@ class _Place:
     found: Found
 
 
-def fits(tree: ast.Module, edit: Edit) -> int:
-    """At how many places of a module an edit fits."""
-    return sum(1 for _ in _places(tree, edit))
+def fields(tree: ast.Module) -> list[Field]:
+    """What of a module an edit may fit."""
+    return [
+        (parent, name, value)
+        for parent in ast.walk(tree)
+        for name, value in ast.iter_fields(parent)
+        if isinstance(value, ast.expr) or (isinstance(value, list) and value)
+    ]
+
+
+def fits(among: list[Field], edit: Edit) -> int:
+    """At how many places of a module, of which these are the fields, an edit fits."""
+    return sum(1 for _ in _places(among, edit))
 
 
 def apply(tree: ast.Module, edit: Edit) -> None:
     """Carry out an edit at the first place that it fits."""
-    place = next(_places(tree, edit))
+    place = next(_places(fields(tree), edit))
     new = [_Fill(place.found).visit(node) for node in ast.parse(edit.new).body]
     statements = _statements(edit.old) is not None
     if statements:
@@ -75,15 +88,13 @@ def _statements(old: str) -> list[ast.stmt] | None:
     return None if len(body) == 1 and isinstance(body[0], ast.Expr) else body
 
 
-def _places(tree: ast.Module, edit: Edit) -> Iterator[_Place]:
+def _places(among: list[Field], edit: Edit) -> Iterator[_Place]:
     statements = _statements(edit.old)
-    for parent in ast.walk(tree):
-        for field, value in ast.iter_fields(parent):
-            if statements is not None:
-                if isinstance(value, list) and value and isinstance(value[0], ast.stmt):
-                    yield from _runs(parent, field, value, statements)
-            else:
-                yield from _expressions(parent, field, value, _expression(edit.old))
+    for parent, field, value in among:
+        if statements is None:
+            yield from _expressions(parent, field, value, _expression(edit.old))
+        elif isinstance(value, list) and isinstance(value[0], ast.stmt):
+            yield from _runs(parent, field, value, statements)
 
 
 def _expressions(parent: ast.AST, field: str, value: object, wanted: ast.expr) -> Iterator[_Place]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from proving.duties import GARBLES
 from proving.evidence import Servo
 from proving.reading import ENERGISING, FULL_LIMIT, PARKING, RESTING, TICK_DEG, Arm
-from proving.shafts import NOISE_TICKS
+from proving.shafts import CORRECTION_DEG, NOISE_TICKS
 from proving.standing import StandingJudge
 
 # A goal this near to the servo's own position asks for no motion.
@@ -52,6 +52,8 @@ class TorqueJudge(StandingJudge):
         self._going: set[int] = set()
         # What this tick's `clear`, if it is granted, makes right.
         self._unless_cleared: list[tuple[str, float, int, str]] = []
+        # Whether this tick's `clear` comes together with a request to move.
+        self._clears_and_moves = False
         # When a `clear` was asked for that nothing has come of yet.
         self._clear_s = -math.inf
         # Whether there is a program at all.
@@ -150,6 +152,22 @@ class TorqueJudge(StandingJudge):
         away = abs(goal - min(max(self._told[i], low), high))
         if was.torque and was.goal != goal and away > LED_TICKS:
             self._violate("2", now_s, i, f"brought back {away * TICK_DEG:.1f} deg to goal {goal} (bound 12)")
+
+    def _off_rest(self, i: int, goal: int) -> float:
+        """How far a goal is off rest [ticks]; beyond it as its joint comes, what a correction may be does not count."""
+        rest = self._rest[i]
+        beyond = (goal - rest) * (rest - self._told[i]) > 0.0
+        return max(0.0, abs(goal - rest) - beyond * CORRECTION_DEG / TICK_DEG)
+
+    def _led_to_rest(self, now_s: float, i: int, known: int, goal: int) -> None:
+        """A goal goes on while a fault is told that may send the arm to rest."""
+        text = f"goal {known} -> {goal}"
+        if self._clears_and_moves:
+            self._unless_cleared.append(("7", now_s, i, f"{text}, as was asked for, {self._code} being latched"))
+            return
+        self._advances_to_rest(now_s, i, text)
+        if self._off_rest(i, goal) > self._off_rest(i, known) + self._bend_ticks:
+            self._violate("7", now_s, i, f"{text}, away from rest, {self._code} being latched")
 
     def _told_off(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
         """A servo is told to let go."""

@@ -10,10 +10,10 @@ from typing import Any
 from armctl.config import ArmConfig, Config, LogConfig, parse_yaml, validate
 from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.files import load_arm
+from armctl.host import plans
 from armctl.recording import recordings
 from armctl.recording.writer import LogWriter
 from armctl.sim import faults
-from armctl.web import plans
 from proving.fuzz import malformed
 from proving.fuzz.tally import Memory, Tally
 from proving.log_rig import ARM, log_context, simulated_records

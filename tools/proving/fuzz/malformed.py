@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from armctl.config import MAX_YAML_BYTES
 from armctl.host.jsonrpc import MAX_LINE_BYTES
+from armctl.strict_yaml import MAX_YAML_BYTES
 
 # dict, list, scalar, `Raw`, or `Pairs` where a key stands twice.
 Tree = Any

@@ -1,0 +1,27 @@
+"""A story of the installed service, and all of them in their order (`units.py`)."""
+
+from collections.abc import Callable
+
+from proving.installed import FROM_M, TO_M, Installed
+
+Told = tuple[bool, object]
+Story = Callable[[Installed], Told]
+Tell = Callable[[str], None]
+# Stories in their order, and those of the short form.
+STORIES: list[tuple[str, Story]] = []
+SHORT: set[str] = set()
+CONFIG = "/etc/armctl/armctl.yaml"
+# Share of a core while an adapter is missing, and how long that is watched [s].
+MISSING_SHARE, MISSING_S = 0.001, 20.0
+POWER_CUTS, STARTS, UPGRADES = 20, 100, 20
+OPTIMISE = {"from_m": FROM_M, "to_m": TO_M, "via": [2], "duration_s": 5.0, "name": "proved"}
+
+
+def story(name: str, *, short: bool = False) -> Callable[[Story], Story]:
+    def kept(function: Story) -> Story:
+        STORIES.append((name, function))
+        if short:
+            SHORT.add(name)
+        return function
+
+    return kept
