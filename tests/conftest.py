@@ -5,6 +5,7 @@ A fixture that is an asynchronous context is entered on that loop, and the test 
 
 import asyncio
 import inspect
+import os
 from concurrent.futures import Executor
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from pathlib import Path
@@ -21,11 +22,21 @@ settings.load_profile("any time")
 COVERED = {"kinematics", "trajectory", "genetic", "control", "dynamixel"}
 
 
+PROCESSORS = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     tests = Path(__file__).parent
     for item in items:
         if item.path.relative_to(tests).parts[0] not in COVERED:
             item.add_marker(pytest.mark.no_cover)
+
+
+def pytest_runtest_setup() -> None:
+    """While tests run in real time beside these, of which a file tells, half of the processors are left to them."""
+    if (beside := os.environ.get("BESIDE_REAL_TIME")) and hasattr(os, "sched_setaffinity"):
+        some = PROCESSORS[len(PROCESSORS) // 2 :]
+        os.sched_setaffinity(0, some if Path(beside).exists() else PROCESSORS)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -1,7 +1,8 @@
-"""The whole job on simulated servos: teach, optimise, run with 0, 1 and 2 via points, learn, run again, replay, report.
+"""The whole job on simulated servos: teach, optimise, run with 0, 1 and 2 via points, learn, run again, refine, report.
 
 The first runs are plain: goals are the plan's own positions, and the arm sags. They show how each joint lags behind its
 goal. That model is stored beside the arm's file, and the same plans run again, corrected by it in the control step.
+What has via points goes on with runs that correct the plan, as `armctl run --refine` does.
 
 Everything happens as on a real arm: the simulator is a program behind a pseudo terminal, the daemon owns that port,
 and what follows are requests on its socket. Only two things come from the simulator beside the wire: the hand that
@@ -16,17 +17,20 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import yaml
 
 from armctl.client import Client
+from armctl.clock import NS_PER_S
 from armctl.commissioning import sag_file
+from armctl.commissioning.arm_file import whole_text
 from armctl.config import ArmConfig, Config
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.files import find_arm_file, load_arm, read_text
+from armctl.files import load_arm, read_text
 from armctl.genetic.algorithm import DEFAULT
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
@@ -38,16 +42,20 @@ from armctl.lab.stage import Progress, Stage
 from armctl.lab.table_ii import FROM_M, TO_M, VIA
 from armctl.recording import recordings, replay
 from armctl.report import line
+from armctl.report.line import Goals
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.refinement import Measured
-from armctl.trajectory.straightness import own_chord_mm
+from armctl.trajectory.straightness import errors_mm, own_chord_mm
 
 ARM = "ax12-line"
 ENDS = np.array(FROM_M), np.array(TO_M)
 DURATION_S = 5.0
 START_TIMEOUT_S = 20.0
 STOP_TIMEOUT_S = 5.0
+GOALS: tuple[Goals, ...] = get_args(Goals)
+# Further runs of a plan at most, which correct it.
+REFINE = 1
 # So often torque is asked for again.
 ASKED_AGAIN = 5
 
@@ -79,8 +87,7 @@ class _Ran:
     """One run of a plan: what the daemon answered, and what was measured, where the tool really was included."""
 
     plan: Plan
-    # Whether the control step corrected it.
-    corrected: bool
+    goals: Goals
     answer: dict[str, Any]
     measured: Measured
 
@@ -100,7 +107,7 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         port, socket = sockets / "servos", sockets / "daemon.sock"
         config, own_arm = out / "armctl.yaml", out / f"{ARM}.yaml"
         # An arm's file of its own, so that what is learnt here stays here.
-        own_arm.write_text(read_text(find_arm_file(ARM), "calibration"), encoding="utf-8")
+        own_arm.write_text(whole_text(ARM), encoding="utf-8")
         told = {"arm": str(own_arm), "port": str(port), "data_dir": str(out)}
         config.write_text(yaml.safe_dump(told), encoding="utf-8")
         with stage("starting", 2) as show:
@@ -121,9 +128,10 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         plans = [plan_from_text(plan["text"], f"plan with {plan['via']} via points") for plan in optimised["plans"]]
         for plan in optimised["plans"]:
             (out / f"plan-via{plan['via']}.json").write_text(plan["text"], encoding="utf-8")
-        runs = [_run(session, out, plan, corrected=False) for plan in plans]
+        runs = [run for plan in plans for run in _run(session, out, plan, corrected=False)]
         _learn(DaemonRig(session.client, arm), Config(arm=str(own_arm)), runs, stage)
-        runs += [_run(session, out, plan, corrected=True) for plan in plans]
+        runs += [run for plan in plans for run in _run(session, out, plan, corrected=True)]
+    runs.sort(key=lambda ran: GOALS.index(ran.goals))
     return _finish(out, arm, stage, names, optimised, runs)
 
 
@@ -177,17 +185,48 @@ def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
         )
 
 
-def _run(session: _Session, out: Path, plan: Plan, *, corrected: bool) -> _Ran:
-    how = "corrected" if corrected else "plain"
-    with session.stage(f"running, {plan.via} via points, {how}", 1) as show:
-        answer = session.client.call("run", plan=plan.model_dump(mode="json"), corrected=corrected)
-        show(1, f"{answer['mean_error_mm']:.1f} mm by encoders")
+def _run(session: _Session, out: Path, plan: Plan, *, corrected: bool) -> list[_Ran]:
+    """A run of a plan; a corrected one with via points is also refined: its first run, and its best.
+
+    Where a busy machine disturbed every run of a refinement, nothing is refined.
+    """
+    how, refine = GOALS[corrected], REFINE if corrected and plan.via else 0
+    with session.stage(f"running via {plan.via}, {how}", 1 + refine) as show:
+        asked = partial(session.client.call, "run", plan=plan.model_dump(mode="json"), corrected=corrected)
+        try:
+            answer = asked(refine=refine, on_progress=lambda told: show(told.get("runs", 0), ""))
+        except RequestRefused as refused:
+            if refused.code != "DISTURBED":
+                raise
+            answer, refine = asked(), 0
+        show(1 + refine, f"{answer['mean_error_mm']:.1f} mm by encoders")
+    best = _ran(session, out, plan, how, answer)
+    if not refine:
+        return [best]
+    row = answer["rounds"][0]
+    first, last = (_recording(out, name) for name in (row["recordings"][0], answer["recording"]))
+    earlier_ns = _begin_ns(last) - _begin_ns(first)
+    times_ns = {key: answer[key] - earlier_ns for key in ("begin_ns", "end_ns")}
+    refined = plan_from_text(read_text(Path(answer["plan"]), "plan"), answer["plan"])
+    return [
+        _ran(session, out, plan, how, {**answer, **row, **times_ns, "recording": first.name}),
+        replace(best, plan=refined, goals="refined"),
+    ]
+
+
+def _begin_ns(run: recordings.Recording) -> int:
+    """When the plan of a recorded run began, on the recorder's clock."""
+    assert run.plan_s is not None
+    return run.start_ns + round(run.plan_s[0] * NS_PER_S)
+
+
+def _ran(session: _Session, out: Path, plan: Plan, goals: Goals, answer: dict[str, Any]) -> _Ran:
     truth = session.simulator.truth(answer["begin_ns"], answer["end_ns"])
     if len(truth.time_ns) < 2:
         raise RequestRefused("SIMULATOR", "the simulator kept no truth of this run")
     seen = measured_run(_recording(out, answer["recording"]), answer["duration_s"])
-    true_time_s = (truth.time_ns - answer["begin_ns"]) / 1e9
-    return _Ran(plan, corrected, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m))
+    true_time_s = (truth.time_ns - answer["begin_ns"]) / NS_PER_S
+    return _Ran(plan, goals, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m))
 
 
 def _learn(rig: DaemonRig, config: Config, runs: list[_Ran], stage: Stage) -> None:
@@ -223,7 +262,7 @@ def _finish(
             result = replay.check(log)
             for key in replayed:
                 replayed[key] += getattr(result, key)
-            show(count + 1, log.name)
+            show(count + 1, f"{count + 1} of {len(logs)}")
     chain = robots.get(arm.robot, arm.lengths_m).chain
     takes = [_recording(out, name).positions_rad for name in names]
     report = line.LineReport(
@@ -238,7 +277,7 @@ def _finish(
         gap_ratio=optimised["gap_ratio"],
         best_mm=np.array(optimised["history"]["best_cost_mm"]),
         mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
-        runs=[replace(line_run(chain, ran.plan.via, ran.plan, ran.measured), corrected=ran.corrected) for ran in runs],
+        runs=[replace(line_run(chain, ran.plan.via, ran.plan, ran.measured), goals=ran.goals) for ran in runs],
         notes=(
             f"Every log was run through the control step again: {replayed['ticks']} ticks, "
             f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
@@ -248,7 +287,12 @@ def _finish(
         line.write(report, out / "report.html")
         show(1, "")
     return {
-        "rows": [_row(ran) for ran in runs],
+        "rows": [_row(ran) for ran in runs if ran.goals != "refined"],
+        "refined": [
+            {**_row(ran), **{key: ran.answer[key] for key in ("rounds", "plan")}}
+            for ran in runs
+            if ran.goals == "refined"
+        ],
         **{who: {key: value for key, value in optimised[who].items() if key != "tool_m"} for who in ("ga", "exact")},
         "gap_ratio": optimised["gap_ratio"],
         "baseline": optimised["baseline"],
@@ -262,10 +306,10 @@ def _finish(
 def _row(ran: _Ran) -> dict[str, Any]:
     plan, tool_m = ran.plan, ran.measured.true_tool_m
     assert tool_m is not None
-    mean_mm, max_mm = line.errors_mm(tool_m, *ENDS)
+    mean_mm, max_mm = errors_mm(tool_m, *ENDS)
     return {
         "via": plan.via,
-        "corrected": ran.corrected,
+        "corrected": ran.goals != "plain",
         **{key: ran.answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
         "predicted_mean_error_mm": plan.predicted_mean_error_mm,
         "predicted_max_error_mm": plan.predicted_max_error_mm,
@@ -279,6 +323,9 @@ def _row(ran: _Ran) -> dict[str, Any]:
 def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Start an armctl program and wait until it says `ready`; it is ended on leaving.
 
+    It has a session of its own. Linux delays the bytes of a terminal if busy processes share the session: by up to
+    0.24 s with four of them, and by 0.03 s where they have another session.
+
     Args:
         log: Where its messages go.
     Raises:
@@ -287,7 +334,7 @@ def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "armctl", *arguments]
     with (
         log.open("a", encoding="utf-8") as words,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True) as process,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True, start_new_session=True) as process,
     ):
         assert process.stdout is not None
         try:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from armctl.control.motion import BLEND_S, RATE_RAD_S
 from armctl.control.settle import MOST_RAD, REST_S, TRIM_RAD
+from armctl.control.tick import LEAD_TICKS
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.messages import Hold, LagModel, Mode, Pause, Resume, Run, UseModel
 from armctl.sim.arm import SimulatedArm
@@ -74,6 +75,31 @@ def test_no_correction_and_no_trim_is_larger_than_its_bound_and_no_goal_leaves_t
             assert abs(joint.position_rad(tick) - wanted) <= MOST_RAD + TICK_RAD
 
 
+@pytest.mark.parametrize("fault", ["stuck_joint", "frozen_sensor"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_joint_that_falls_or_is_not_where_it_seemed_gets_its_goals_by_small_steps_and_never_farther_ahead(
+    seed: int, fault: str
+) -> None:
+    on = rig(seed)
+    on.ticks(20, Run(5, on.way(FORWARD_DEG)))
+    number = on.fault(fault, None if fault == "stuck_joint" else ARM.joints[1].servo_id)
+    most_rad = RATE_RAD_S * 0.1 + 1e-9
+    for tick in range(30):
+        if tick == 15:
+            on.simulated.faults.end(number)
+        before, goal = on.loop.state.following, on.loop.state.goal
+        on.ticks(1)
+        after = on.loop.state.following
+        told = [reading.position_rad for reading in on.records[-1].outputs.joints]
+        assert before is not None
+        assert after is not None
+        if before.age_s < after.age_s:
+            assert np.abs(np.subtract(after.given_rad, before.given_rad)).max() <= most_rad
+        for joint, was, now, at in zip(ARM.joints, goal, on.loop.state.goal, told, strict=True):
+            ahead = abs(now - joint.tick(at))
+            assert ahead <= max(LEAD_TICKS + 1.0, abs(was - joint.tick(at)))
+
+
 def test_an_arm_whose_file_says_so_gets_its_goals_as_they_are() -> None:
     plain = ARM.model_copy(update={"correction": False})
     on = Rig.__new__(Rig)
@@ -111,6 +137,23 @@ def test_goals_that_change_at_rest_leave_time_to_come_to_rest(seed: int) -> None
         on.ticks(1)
     sent = [record.outputs.goal is not None for record in on.records[-5:]]
     assert not any(sent), "the tool is told to be at its place while a goal has just changed"
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_joint_that_does_not_turn_when_it_is_to_is_left_where_it_stands(seed: int, joint: int) -> None:
+    on = rig(seed)
+    on.ticks(1, Run(5, on.way(FORWARD_DEG)))
+    on.ticks(48)
+    on.fault("blocked_joint", ARM.joints[joint].servo_id)
+    changes, goal = 0, on.loop.state.goal[joint]
+    for _ in range(REST_TICKS + 10):
+        on.ticks(1)
+        settling = on.loop.state.motion and on.loop.state.motion.settling
+        changes += bool(settling and settling.count and on.loop.state.goal[joint] != goal)
+        goal = on.loop.state.goal[joint]
+    assert changes <= 1
+    assert on.replies()[5].ok
 
 
 @pytest.mark.parametrize("ends", ["stop", "fault"])

@@ -168,6 +168,19 @@ def test_what_seems_led_off_while_other_replies_come_damaged_is_told_nothing() -
     assert arm.state.goal[0] == ours[0] + 96
 
 
+def test_what_seems_led_off_while_another_servo_is_not_heard_is_told_nothing() -> None:
+    arm = holding()
+    ours, arm.silent = arm.state.goal, {2}
+    for register in (ax12a.GOAL, ax12a.PRESENT_POSITION):
+        arm.put(0, register, ours[0] + 96)
+    outputs = arm.run_ticks(4)
+    assert (outputs.goal, outputs.writes, arm.state.goal) == (None, (), ours)
+    assert "OTHER_WRITER" in arm.events
+    arm.silent = set()
+    arm.run_ticks(2)
+    assert arm.state.goal[0] == ours[0] + 96
+
+
 def test_who_is_led_off_keeps_no_other_joint_from_being_held() -> None:
     arm = holding()
     ours = arm.state.goal

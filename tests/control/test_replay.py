@@ -81,7 +81,7 @@ def test_a_log_with_every_command_replays_without_a_mismatch(story: tuple[Path, 
     path, ticks = story
     result = replay.check(path)
     assert (result.mismatches, result.first_mismatch) == (0, "")
-    assert result.ticks == ticks - 1
+    assert result.ticks == ticks
 
 
 def rounded_elsewhere(function: Callable[..., Any]) -> Callable[..., Any]:

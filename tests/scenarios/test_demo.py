@@ -1,5 +1,9 @@
-"""The demonstration, shortened: one take of a short line, and its runs, plain and corrected."""
+"""The demonstration, shortened: one take of a short line, and its runs, plain, corrected and refined."""
 
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +17,7 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.lab import demo
 from armctl.lab.stage import silent
-from tests.scenarios.bench import SHORT_DEMO
+from tests.scenarios.bench import SHORT_DEMO, alive
 
 pytestmark = pytest.mark.pty
 
@@ -32,7 +36,17 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path
     # An AX-12A hangs below its goal under load; a truth without sag would not be one.
     assert 10.0 < plain < 40.0
     assert corrected < 0.25 * plain
-    assert "1 via, corrected, true" in Path(result["report"]).read_text(encoding="utf-8")
+    [refined] = result["refined"]
+    assert refined.keys() == result["rows"][0].keys() | {"rounds", "plan"}
+    first, *_ = refined["rounds"]
+    for key in ("mean_error_mm", "max_error_mm"):  # the corrected row is the refinement's own first run
+        assert result["rows"][1][key] == first[key]
+    assert first["recordings"] == [result["rows"][1]["recording"]]
+    best = [one for one in refined["rounds"] if one["kept"]][-1]
+    assert (refined["mean_error_mm"], refined["recording"]) == (best["mean_error_mm"], best["recordings"][-1])
+    assert refined["mean_error_mm"] == pytest.approx(refined["truth"]["mean_error_mm"], abs=5.0)
+    for how in ("corrected", "refined"):
+        assert f"1 via, {how}, true" in Path(result["report"]).read_text(encoding="utf-8")
     # What was learnt stays with the demonstration's own copy of the arm's file.
     model = sag_file.load(Config(arm=str(out / "ax12-line.yaml")), load_arm("ax12-line"))
     assert model is not None
@@ -40,9 +54,22 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path
     assert result["replay"]["mismatches"] == 0
     assert result["replay"]["ticks"] > 100
     assert {Path(log).name for log in result["logs"]} >= {"candidate-1.mcap", f"{result['rows'][1]['recording']}.mcap"}
-    for path in (*result["logs"], result["plan"], result["report"]):
+    for path in (*result["logs"], result["plan"], refined["plan"], result["report"]):
         assert Path(path).stat().st_size > 0
     assert not list(out.rglob("*.part"))
+
+
+def test_a_demonstration_whose_terminal_closes_ends_its_programs(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "armctl", "demo", "--out", str(tmp_path / "demo")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as running:
+        assert running.stderr is not None
+        assert [running.stderr.readline().split()[0] for _ in range(2)] == ["starting", "teaching"]
+        started = [int(pid) for pid in Path(f"/proc/{running.pid}/task/{running.pid}/children").read_text().split()]
+        assert len(started) == 2
+        os.kill(running.pid, signal.SIGHUP)
+        running.stderr.read()
+        assert running.wait() == 128 + signal.SIGHUP
+    assert not [pid for pid in started if alive(pid)]
 
 
 def test_torque_is_asked_for_again_after_a_reply_that_came_late_and_after_nothing_else() -> None:
