@@ -21,18 +21,18 @@ PURPOSES: dict[str, tuple[str, ...]] = {
         *("run", "play", "path", "park", "release", "clear"),
     ),
     "Teaching and straightening": ("teach", "recordings", "optimize", "experiment"),
-    "Setting an arm up": ("scan", "doctor", "servo", "calibrate", "install", "uninstall", "web", "live"),
+    "Setting an arm up": ("arms", "arm", "scan", "doctor", "servo", "calibrate", "install", "uninstall", "web", "live"),
     "Logs": ("log", "replay", "report"),
     "Kinematics, without an arm": ("robots", "fk", "ik", "jacobian", "workspace", "trajectory", "reproduce"),
     "For maintainers": ("study", "hand", "fault"),
 }
 # Module of this package -> the commands in it, each as `NAME_command`; every other command has a module of its name.
 _SHARED = {
-    "arm": ("clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
+    "arm": ("arms", "clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
     "help": ("completion",),
     "jobs": ("optimize", "play", "recordings", "run"),
     "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),
-    "logs": ("log", "replay"),
+    "logs": ("replay",),
     "motion": ("jog", "move", "path", "reach", "transfer"),
     "processes": ("daemon", "fault", "hand", "live", "sim", "web"),
     "setup": ("doctor", "install", "report", "scan", "uninstall"),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from armctl.cli.output import CONFIG, DURATION, END, FILE, GEOMETRY, HOLDS, PROFILE, SOCKET, START, Output, command
+from armctl.cli.output import ARM, CONFIG, DURATION, END, FILE, GEOMETRY, HOLDS, PROFILE, SOCKET, START, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
@@ -40,7 +40,7 @@ def experiment_command() -> None:
     """
 
 
-@command("line", SOCKET, CONFIG, group=experiment_command)
+@command("line", SOCKET, CONFIG, ARM, group=experiment_command)
 @START
 @END
 @click.option("--via", **VIA, default="0,1,2", help="Numbers of via points; auto; stream.")

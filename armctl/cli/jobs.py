@@ -242,8 +242,11 @@ def _tell_run(output: Output, told: dict[str, Any]) -> None:
 
 
 def _in_words(row: dict[str, Any]) -> str:
-    kept = "kept" if row["kept"] else "not kept"
-    return f"round {row['round']}: {row['mean_error_mm']:.2f} mm mean and {row['max_error_mm']:.2f} mm at most, {kept}"
+    """A round of a refinement, as whoever has never seen one understands it."""
+    off = f"{row['mean_error_mm']:.2f} mm mean and {row['max_error_mm']:.2f} mm at most off the line"
+    if row["round"] == 0:
+        return f"the plan as it was: {off}"
+    return f"correction {row['round']}: {off}, {'kept' if row['kept'] else 'not better by more than noise: not kept'}"
 
 
 def _show_run(output: Output, result: dict[str, Any]) -> None:
@@ -252,7 +255,7 @@ def _show_run(output: Output, result: dict[str, Any]) -> None:
             output.say(_in_words(row))
         if result["ended"]:
             output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
-        output.say(f"the best plan: {result['plan']}")
+        output.say(f"the best plan; run it with: armctl run {result['plan']}")
     output.say(
         f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "
         f"off the line in {result['duration_s']:.1f} s (by the encoders; predicted on perfect servos: "

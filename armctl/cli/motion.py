@@ -23,6 +23,9 @@ POSE = Numbers(6, "six numbers x,y,z,roll,pitch,yaw")
 @click.option("--pose", type=POSE, metavar="x,y,z,r,p,y", help="Tool point, and roll, pitch, yaw in radians.")
 @click.option("--deg", is_flag=True, help="Angles are in degrees.")
 @click.option("--duration", "duration_s", type=Seconds(0.1), help="Seconds.  [default: at most 20 deg/s]")
+@click.option(
+    "--posture", type=click.IntRange(1, 13), metavar="N", help="The Nth nearest posture; one too many lists them."
+)
 def move_command(output: Output, deg: bool, **asked: Any) -> None:
     """Go somewhere and hold there: all joints start and arrive at once, slowly unless a duration is given.
 

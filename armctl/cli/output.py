@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
+from armctl.files import served_socket
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from armctl.client import Client
     from armctl.config import ArmConfig, Config
 
@@ -37,8 +38,6 @@ class Output:
 
     def __init__(self) -> None:
         self.json = False
-        self.console = Console()
-        self.messages = Console(stderr=True)
         # What a Ctrl-C leaves behind, said when it comes.
         self.after_interrupt = ""
         # The daemon that was named; None: the usual one.
@@ -49,11 +48,25 @@ class Output:
         self.baud: int | None = None
         self.link: Path | None = None
 
-    def client(self, **options: Any) -> Client:
+    @cached_property
+    def console(self) -> Console:
+        """Where answers for people go. Imported with the first of them: it takes as long as the rest of a command."""
+        from rich.console import Console
+
+        return Console()
+
+    @cached_property
+    def messages(self) -> Console:
+        """Where everything else goes."""
+        from rich.console import Console
+
+        return Console(stderr=True)
+
+    def client(self, socket: str | None = None, **options: Any) -> Client:
         """A connection to the daemon that was named."""
         from armctl.client import Client
 
-        return Client(self.socket, **options)
+        return Client(socket or self.socket, **options)
 
     @contextmanager
     def motion(self, doing: str, *, kept: str = "") -> Iterator[Client]:
@@ -135,10 +148,12 @@ class Output:
 
         Yields a function of (done, text); the text may be left out.
         """
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
         if not self.messages.is_terminal:
             self.warn(f"{label} ...")
         words, note = TextColumn("{task.description:<24}"), TextColumn("{task.fields[note]}")
-        columns = (words, BarColumn(30), TimeRemainingColumn(), note)
+        columns = (words, BarColumn(20), TimeRemainingColumn(), note)  # within 80 columns
         with Progress(*columns, console=self.messages, disable=not self.messages.is_terminal) as bars:
             bar = bars.add_task(label, total=total, note="")
 
@@ -203,7 +218,7 @@ def _workspace_command(socket: str | None) -> str:
             arms += [load_arm(str(path)) for folder in calibration_dirs() for path in sorted(folder.glob("*.yaml"))]
             arms = [arm for arm in arms if arm.arm_id == arm_id]
         if arms:
-            return f"armctl workspace --robot {arms[0].robot}"
+            return f"armctl workspace --robot {arms[0].robot_name}"
     return "armctl robots"
 
 
@@ -224,6 +239,8 @@ def command(
     def made(function: Callable[..., Any]) -> click.Command:
         new: click.Command = (group or click).command(name, **about)(click.pass_obj(function))
         new.params += [*shared, JSON]
+        if SOCKET in shared and not any("--arm" in option.opts for option in new.params):
+            new.params.append(SERVED)
         return new
 
     return made
@@ -241,6 +258,20 @@ def kept_option(attribute: str, *names: str, **about: Any) -> click.Option:
 
 JSON = kept_option("json", "--json", is_flag=True, is_eager=True, help="One JSON object on stdout.")
 SOCKET = kept_option("socket", "--socket", metavar="PATH", help="The daemon's socket (ARMCTL_SOCKET).")
+
+
+def _choose(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
+    if name:
+        ctx.ensure_object(Output).socket = served_socket(name)
+
+
+SERVED = click.Option(
+    ["--arm"],
+    metavar="NAME",
+    expose_value=False,
+    callback=_choose,
+    help="Of several arms that are services, this one (armctl@NAME).",
+)
 CONFIG = kept_option("config_file", "--config", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")
 ARM = kept_option("arm_name", "--arm", metavar="NAME|FILE", help="Which calibration file describes the arm.")
 LINK = kept_option("link", "--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")

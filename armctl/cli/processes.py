@@ -18,6 +18,7 @@ from armctl.cli.output import (
     FILE,
     FOLDER,
     GEOMETRY,
+    JSON,
     LINK,
     POINT,
     PORT,
@@ -43,7 +44,8 @@ def default_link() -> Path:
 
 @command("daemon", PORT, ARM, SOCKET, CONFIG)
 @click.option("--log-dir", type=FOLDER, help="Folder of the MCAP logs.")
-def daemon_command(output: Output, log_dir: Path | None) -> int:
+@click.option("--wait", is_flag=True, help="Wait until the port is there, as the service does.")
+def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
     """Control the arm, in the foreground, until Ctrl-C.
 
     Prints `ready SOCKET` once the servos answer. Ctrl-C brings a motion to rest and closes the log; torque stays as
@@ -56,19 +58,22 @@ def daemon_command(output: Output, log_dir: Path | None) -> int:
 
     from armctl.clock import ask_for_precedence
     from armctl.files import socket_path
-    from armctl.host.daemon import run_daemon
+    from armctl.host.service_manager import wait_for_port
 
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     port = output.port or output.config.port
     if not port:
         raise ConfigError("armctl daemon", "--port", "no serial port named", "give --port PATH, or start `armctl sim`")
-    socket = socket_path(output.socket)
+    arm, socket = output.arm, socket_path(output.socket)
+    if wait:  # what is wrong in a file has been told by now, and nothing large is imported yet
+        wait_for_port(port)
+    from armctl.host.daemon import run_daemon
 
     def ready(path: str) -> None:
         ask_for_precedence()
         output.ready("socket", path)
 
-    return asyncio.run(run_daemon(output.config, output.arm, port=port, socket=socket, log_dir=log_dir, ready=ready))
+    return asyncio.run(run_daemon(output.config, arm, port=port, socket=socket, log_dir=log_dir, ready=ready))
 
 
 @command("sim")
@@ -252,27 +257,101 @@ def live_command(output: Output, port: int, layout: Path | None) -> None:
     live.serve(output.socket, output.arm, port, lambda found: ready(f"ws://{live.HOST}:{found}"), output.warn)
 
 
-@command("web", SOCKET, CONFIG)
-@click.option("--port", type=click.IntRange(1, 65535), default=8080, help="TCP port on 127.0.0.1.")
-def web_command(output: Output, port: int) -> None:
+@click.group("web", invoke_without_command=True)
+@click.option("--port", type=click.IntRange(1, 65535), help="TCP port.  [default: 8080; with --lan 8443]")
+@click.option("--lan", is_flag=True, help="Serve the local network, over TLS. `armctl help arm` says what that means.")
+@click.pass_context
+def web_command(ctx: click.Context, port: int | None, lan: bool) -> None:
     """Serve the dashboard on this computer, until Ctrl-C.
 
     Prints `ready ADDRESS`; the address holds the token that opens the page. Nobody else can reach it: for another
-    computer use a tunnel, `ssh -L 8080:127.0.0.1:8080 HOST`, and open the printed address there.
+    computer use --lan, or a tunnel, `ssh -L 8080:127.0.0.1:8080 HOST`, and open the printed address there.
+    `armctl web token add NAME` gives a person a token of their own.
 
     Example: armctl web
     """
+    if ctx.invoked_subcommand is None:
+        _serve_pages(ctx.ensure_object(Output), port or (8443 if lan else 8080), lan)
+
+
+web_command.params += [SOCKET, CONFIG, JSON]
+
+
+def _serve_pages(output: Output, port: int, lan: bool) -> None:
     from armctl.clock import ask_for_precedence
-    from armctl.files import socket_path
+    from armctl.files import data_dir, socket_path, tokens_path
     from armctl.host.service_manager import notify
     from armctl.web.server import serve
 
-    runtime = os.environ.get("RUNTIME_DIRECTORY")
+    runtime, state = os.environ.get("RUNTIME_DIRECTORY"), os.environ.get("STATE_DIRECTORY")
     socket, token_file = socket_path(output.socket), Path(runtime) / "address" if runtime else None
+    keys = Path(state) if state else data_dir(output.config) / "web"
 
     def ready(address: str) -> None:
         ask_for_precedence()  # STOP over the page does not wait for whatever else is computed
         notify("READY=1")
-        output.ready("address", address)
+        # What a service prints stands in the journal; its token is in the file alone.
+        output.ready("address", address if token_file is None else address.partition("#")[0])
 
-    serve(output.arm, output.config, socket=socket, port=port, token_file=token_file, ready=ready)
+    serve(
+        output.arm,
+        output.config,
+        socket=socket,
+        port=port,
+        token_file=token_file,
+        ready=ready,
+        people=tokens_path(output.config_file),
+        keys=keys if lan else None,
+    )
+
+
+@web_command.group("token")
+def web_token() -> None:
+    """Tokens of people who open the dashboard's page.
+
+    Example: armctl web token add ada
+    """
+
+
+@command("add", CONFIG, group=web_token)
+@click.argument("name")
+@click.option("--role", type=click.Choice(("look", "command")), default="command", help="look: look, and stop the arm.")
+def web_token_add(output: Output, name: str, role: Any) -> None:
+    """Give a person a token of their own; it is printed once, and kept as a hash.
+
+    Example: armctl web token add ada --role look
+    """
+    from armctl.files import tokens_path
+    from armctl.web.tokens import add
+
+    person, token = add(tokens_path(output.config_file), name, role)
+    said = f"{name} ({role}) opens the page with this token; it is not shown again:\n{token}"
+    output.answer({"tokens": [{**person.listed(), "token": token}]}, said)
+
+
+@command("list", CONFIG, group=web_token)
+def web_token_list(output: Output) -> None:
+    """Who has a token, and for what.
+
+    Example: armctl web token list
+    """
+    from armctl.files import tokens_path
+    from armctl.web.tokens import people
+
+    found = [one.listed() for one in people(tokens_path(output.config_file))]
+    rows = "\n".join(f"{one['name']:<20} {one['role']:<8} {one['created']}" for one in found)
+    output.answer({"tokens": found}, rows or "nobody has a token; `armctl web token add NAME`")
+
+
+@command("revoke", CONFIG, group=web_token)
+@click.argument("name")
+def web_token_revoke(output: Output, name: str) -> None:
+    """Take a person's token away; from now on it opens nothing.
+
+    Example: armctl web token revoke ada
+    """
+    from armctl.files import tokens_path
+    from armctl.web.tokens import revoke
+
+    person = revoke(tokens_path(output.config_file), name)
+    output.answer({"tokens": [person.listed()]}, f"{name} has no token any more")

@@ -5,14 +5,14 @@
         async for snapshot in client.subscribe():
             ...
 
-The same connection, errors and methods as `armctl.client.Client`, but calls may overlap: a `run` answers when it has
-ended, and `stop` is served meanwhile.
+The same connection, errors and methods as `armctl.client.Client`, but every call is awaited, and calls may overlap: a
+`run` answers when it has ended, and `stop` is served meanwhile.
 """
 
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Coroutine
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -23,7 +23,7 @@ MAX_LINE_BYTES = 16 * 2**20
 T = TypeVar("T")
 
 
-class AsyncClient(Protocol):
+class AsyncClient(Protocol[Coroutine[Any, Any, Message]]):
     """One connection to the daemon; made by `connect`."""
 
     _reader: asyncio.StreamReader
@@ -76,8 +76,14 @@ class AsyncClient(Protocol):
             await self._writer.wait_closed()
 
     async def call(self, method: str, **params: Any) -> Message:
+        """The result of a method; as `asked`."""
+        return await self.asked(method, params)
+
+    async def asked(self, method: str, params: Message, person: str = "") -> Message:
         """The result of a method.
 
+        Args:
+            person: For whom it is asked, where this process serves several people; the daemon's log names them.
         Raises:
             ArmctlError: whatever the daemon answered.
             NoDaemon: it is gone.
@@ -88,7 +94,7 @@ class AsyncClient(Protocol):
                 await self._open()  # the daemon keeps no connection that asks nothing for long
         if self.closed:
             raise self.no_daemon("the connection is closed")
-        line = self.request(method, params)
+        line = self.request(method, params, person)
         request_id, answer = self._last_id, asyncio.get_running_loop().create_future()
         self._waiting[request_id] = answer
         try:
@@ -99,21 +105,6 @@ class AsyncClient(Protocol):
             raise self.no_daemon(error) from None
         finally:
             self._waiting.pop(request_id, None)
-
-    async def play(self, name: str, *, rate: float = 1.0, repeat: int = 1) -> Message:
-        """Move as a take or a run was taught; as `armctl.client.Client.play`."""
-        return await self.call("play", name=name, rate=rate, repeat=repeat)
-
-    async def path(
-        self,
-        points_m: Sequence[Sequence[float]],
-        *,
-        kinds: Sequence[str] = (),
-        duration_s: float | None = None,
-        tolerance_mm: float = 2.0,
-    ) -> Message:
-        """Lead the tool along points [m]; as `armctl.client.Client.path`."""
-        return await self.call("path", points_m=points_m, kinds=kinds, duration_s=duration_s, tolerance_mm=tolerance_mm)
 
     async def subscribe(self) -> AsyncIterator[Message]:
         """Snapshots as they come, one a tick; a consumer that lags loses the oldest."""

@@ -13,14 +13,14 @@ import json
 import select
 import socket
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
 from armctl.client.protocol import MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
 
 
-class Client(Protocol):
+class Client(Protocol[Message]):
     """One connection to the daemon."""
 
     def __init__(self, path: str | Path | None = None, *, timeout_s: float | None = None) -> None:
@@ -76,37 +76,6 @@ class Client(Protocol):
                 on_progress(told[1])
             else:
                 self._notifications.append(told)
-
-    def play(self, name: str, *, rate: float = 1.0, repeat: int = 1) -> Message:
-        """Move as a take or a run was taught.
-
-        Args:
-            name: Of the recording.
-            rate: Taught seconds a second, 0.1 to 2.
-            repeat: How often.
-        Raises:
-            ArmctlError: there is none of that name, or the motion was refused (every reason), or stopped on the way.
-        """
-        return self.call("play", name=name, rate=rate, repeat=repeat)
-
-    def path(
-        self,
-        points_m: Sequence[Sequence[float]],
-        *,
-        kinds: Sequence[str] = (),
-        duration_s: float | None = None,
-        tolerance_mm: float = 2.0,
-    ) -> Message:
-        """Lead the tool along points [m], each reached by a `line`, or by an `arc` that goes `through` another.
-
-        Args:
-            kinds: How each point is reached; empty: by lines.
-            duration_s: None: about 30 mm/s.
-            tolerance_mm: How far a corner may be cut.
-        Raises:
-            ArmctlError: the path was refused (every reason), or stopped on the way.
-        """
-        return self.call("path", points_m=points_m, kinds=kinds, duration_s=duration_s, tolerance_mm=tolerance_mm)
 
     def subscribe(self) -> Iterator[Message]:
         """Snapshots as they come, one a tick; `gap` counts those lost just before each one."""

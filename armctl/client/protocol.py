@@ -5,8 +5,9 @@ it carries, and holds its `result` or its `error`.
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from armctl import errors
 from armctl.errors import ArmctlError, NoDaemon, RequestRefused, rebuilt
@@ -15,12 +16,14 @@ from armctl.files import socket_path
 MAX_WAITING_NOTIFICATIONS = 64
 
 Message = dict[str, Any]
+# What a call gives: the answer, or what has to be awaited for it.
+Answer = TypeVar("Answer")
 # Method and parameters.
 Notification = tuple[str, Message]
 
 
-class Protocol:
-    """What one connection has asked so far.
+class Protocol(Generic[Answer]):
+    """What one connection has asked so far, and the motions that can be asked for by name.
 
     Args:
         path: The daemon's socket; None: `ARMCTL_SOCKET`, else the usual place.
@@ -30,18 +33,55 @@ class Protocol:
         self.socket_file = socket_path(None if path is None else str(path))
         self._last_id = 0
 
-    def request(self, method: str, params: Message) -> bytes:
+    def request(self, method: str, params: Message, person: str = "") -> bytes:
         """The line of a new request, whose id is `_last_id` from then on.
 
         Raises:
             RequestRefused: code LIMIT, a parameter is not a finite number.
         """
         self._last_id += 1
-        request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params}
+        request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params} | (
+            {"person": person} if person else {}
+        )
         try:
             return json.dumps(request, separators=(",", ":"), allow_nan=False).encode() + b"\n"
         except ValueError as error:
             raise RequestRefused("LIMIT", f"{method}: a parameter is not a finite number ({error})") from None
+
+    def call(self, method: str, **params: Any) -> Answer:
+        """The result of a method, or what has to be awaited for it."""
+        raise NotImplementedError
+
+    def play(self, name: str, *, rate: float = 1.0, repeat: int = 1) -> Answer:
+        """Move as a take or a run was taught.
+
+        Args:
+            name: Of the recording.
+            rate: Taught seconds a second, 0.1 to 2.
+            repeat: How often.
+        Raises:
+            ArmctlError: there is none of that name, or the motion was refused (every reason), or stopped on the way.
+        """
+        return self.call("play", name=name, rate=rate, repeat=repeat)
+
+    def path(
+        self,
+        points_m: Sequence[Sequence[float]],
+        *,
+        kinds: Sequence[str] = (),
+        duration_s: float | None = None,
+        tolerance_mm: float = 2.0,
+    ) -> Answer:
+        """Lead the tool along points [m], each reached by a `line`, or by an `arc` that goes `through` another.
+
+        Args:
+            kinds: How each point is reached; empty: by lines.
+            duration_s: None: about 30 mm/s.
+            tolerance_mm: How far a corner may be cut.
+        Raises:
+            ArmctlError: the path was refused (every reason), or stopped on the way.
+        """
+        return self.call("path", points_m=points_m, kinds=kinds, duration_s=duration_s, tolerance_mm=tolerance_mm)
 
     def no_daemon(self, why: str | OSError) -> NoDaemon:
         """The error for a daemon that is not there, or no longer."""

@@ -10,8 +10,8 @@ Rules.
 3. What it shows was lost if it is one of the latest goals from here, and else another program's, which is overruled the
    same way. Only one that goes on writing for `YIELD_NS` is given way to, until `clear`.
 4. A servo that was led off by more than `LED_OFF_TICKS` is not brought back: its goal becomes where it is. Two readings
-   in a row have to say so, on a line that is well, with no damaged reply beside them: one may be another servo's. Until
-   then nothing is sent to it.
+   in a row have to say so, on a line that is well, with no reply damaged or missing beside them: one may be another
+   servo's. Until then nothing is sent to it.
 5. While the port is gone anybody may move the arm. Then armctl has no say in it any more, until it takes it over again.
 """
 
@@ -107,7 +107,7 @@ def hold_goals(s: Tick) -> None:
         s.latch_servo("OVERRULED", foreign[0], "another program goes on writing goals; the arm is left to it")
         return
     led_off = [i for i in owed if abs(s.status(i).position - state.goal[i]) > LED_OFF_TICKS]
-    well = "BUS_NOISE" not in s.found and all(reading.problem != "BUS_NOISE" for reading in s.inputs.sample.servos)
+    well = s.fresh and "BUS_NOISE" not in s.found
     unsure = set(led_off).difference(state.led_off if well else ())
     for i in set(led_off).difference(unsure):
         stay(s, i)

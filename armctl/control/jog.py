@@ -100,6 +100,9 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         velocity = [share * v for v in velocity]
         position = tuple(a + share * (b - a) for a, b in zip(jog.position_rad, position, strict=True))
         goal, following = aimed(s, position, velocity)
+    if share < 1.0 and s.share_of_step(goal) == 0.0:
+        jog.velocity_rad_s = (0.0,) * len(velocity)
+        return None
     jog.position_rad, jog.velocity_rad_s = position, tuple(velocity)
     s.send_goal(goal)
     s.state.following = following

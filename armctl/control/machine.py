@@ -199,6 +199,9 @@ class Settling:
     sum_rad: tuple[float, ...] = ()
     # How often goals were changed.
     count: int = 0
+    # By how many ticks each joint was to turn last, and those that did not when they were to.
+    asked: tuple[int, ...] = ()
+    stuck: tuple[int, ...] = ()
     # Each joint's error before the last change, by how much that turned its goal back, and what of it a reversal takes.
     error_rad: tuple[float, ...] = ()
     back_rad: tuple[float, ...] = ()

@@ -91,6 +91,8 @@ def move(s: Tick, motion: Motion) -> None:
     if share < 1.0:
         progress_s = motion.progress_s + share * (progress_s - motion.progress_s)
         goal, following = _aimed_at(s, motion, progress_s)
+        if s.share_of_step(goal) == 0.0:
+            return None  # a joint is too far behind for its correction to lead it on
     motion.progress_s = progress_s
     s.send_goal(goal)
     s.state.following = following
@@ -104,7 +106,7 @@ def _arrives(s: Tick, motion: Motion, end_s: float) -> bool:
     last = s.state.following
     if s.fresh and last is not None:
         goal, following = aimed(s, sample_trajectory(motion.trajectory, end_s), (0.0,) * len(s.wire))
-        if following.given_rad == last.given_rad:
+        if following.given_rad == last.given_rad or s.share_of_step(goal) == 0.0:
             return False
         s.send_goal(goal)
         s.state.following = following
@@ -186,7 +188,7 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
         correction = share * lag + (1.0 - share) * f.before_rad[i] + f.trim_rad[i]
         off = wanted[i] - s.joints[i].position_rad
         low, high = max(-MOST_RAD, min(0.0, -AWAY_RAD - off)), min(MOST_RAD, max(0.0, AWAY_RAD - off))
-        given[i] = min(max(correction, low, last - most), high, last + most)
+        given[i] = min(max(min(max(correction, low), high), last - most), last + most)
     goals = s.whole_ticks([q + more for q, more in zip(wanted, given, strict=True)])
     return goals, Following(
         f.corrected, wanted, tuple(velocity_rad_s), side, f.trim_rad, f.before_rad, tuple(given), age_s

@@ -26,6 +26,7 @@ from armctl.control.machine import Look
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Status
+from armctl.dynamixel.servos import MODELS
 from armctl.kinematics.chain import joint_axes
 
 PUSH_RAD = math.radians(3.0)
@@ -146,7 +147,7 @@ def explained_ratio(s: Tick) -> list[tuple[float, float]]:
     gripper = s.arm.gripper.joint if s.arm.gripper else ""
     found = []
     for joint, now, (low_Nm, high_Nm), weight in zip(s.arm.joints, s.joints, _holding_Nm(s), borne, strict=True):
-        strength_Nm = STRENGTH_SHARE * ax12a.STALL_TORQUE_NM * max(now.voltage_V, 1.0) / RATED_V
+        strength_Nm = STRENGTH_SHARE * MODELS[joint.model].stall_torque_Nm * max(now.voltage_V, 1.0) / RATED_V
         grip = GRIP_RATIO if joint.name == gripper else 0.0
         low, high = low_Nm / strength_Nm - grip, high_Nm / strength_Nm + grip
         found.append((low + min(weight, 0.0), high + max(weight, 0.0)))

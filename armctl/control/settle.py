@@ -5,13 +5,14 @@ Rules.
    such that the tool comes nearest to its place; and again, for `REST_S` in all, its last rest included. From the first
    time on that this would gain too little (`GAIN_M`) nothing changes: noise and stiction would have the arm hunt.
 2. A joint that turns back has its friction to overcome first. The model foresees how much that takes of a change, and
-   each such change shows it.
+   each such change shows it. One that did not turn when it was to sticks, and pushed further would jump past its place:
+   it is left where it stands, and the others make up for it.
 3. A joint that is far off is kept from where it is wanted. No trim is larger than `TRIM_RAD`, and no correction in all
    than `MOST_RAD` (see motion.py).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,8 +34,8 @@ WAIT_S, LOOK_S, REST_S = 0.2, 0.4, 3.0
 # What a change is to gain, the first one, and by how much more each that follows.
 GAIN_M, GAIN_RISE = 0.0003, 1.3
 # What turning a joint back costs, and what share of twice its friction it takes.
-REVERSAL_M, REVERSAL_SHARE = 0.0003, 0.7
-# One that has turned by less than this tells nothing of that.
+REVERSAL_M, REVERSAL_SHARE = 0.0003, 0.85
+# One that has turned by less than this has not turned.
 TURNED_RAD = 0.5 * TICK_RAD
 # Ticks that goals change by at once, of all joints, and what each is to gain.
 MOST_TICKS, LEAST_M = 12, 0.00002
@@ -54,15 +55,34 @@ def settle(s: Tick, motion: Motion) -> bool:
     if not s.fresh or now.heard < wait + look:
         return True
     errors = [total / look for total in now.sum_rad]
-    changes = _changes(s, f, errors, GAIN_M * GAIN_RISE**now.count)
+    stuck = (*now.stuck, *_sticking(now, errors))
+    changes = _changes(s, f, errors, stuck, GAIN_M * GAIN_RISE**now.count)
     if not any(changes) or now.ticks + wait + look > s.ticks_in(REST_S):
         return False
     slack = _slack_rad(s, now, errors)
     back = _change(s, f, changes, slack)
     motion.settling = Settling(
-        now.ticks, count=now.count + 1, error_rad=tuple(errors), back_rad=tuple(back), slack_rad=tuple(slack)
+        now.ticks,
+        count=now.count + 1,
+        asked=tuple(changes),
+        stuck=stuck,
+        error_rad=tuple(errors),
+        back_rad=tuple(back),
+        slack_rad=tuple(slack),
     )
     return True
+
+
+def _sticking(last: Settling, error_rad: Sequence[float]) -> tuple[int, ...]:
+    """Which joints did not turn when they were last to."""
+    turned = zip(last.asked, last.error_rad, error_rad, strict=True) if last.asked else ()
+    return tuple(
+        [
+            i
+            for i, (asked, before, now) in enumerate(turned)
+            if asked and (before - now) * asked < TURNED_RAD * abs(asked)
+        ]
+    )
 
 
 def _slack_rad(s: Tick, last: Settling, error_rad: Sequence[float]) -> list[float]:
@@ -77,7 +97,7 @@ def _slack_rad(s: Tick, last: Settling, error_rad: Sequence[float]) -> list[floa
     return found
 
 
-def _changes(s: Tick, f: Following, error_rad: Sequence[float], gain_m: float) -> list[int]:
+def _changes(s: Tick, f: Following, error_rad: Sequence[float], stuck: Container[int], gain_m: float) -> list[int]:
     """By how many ticks each joint is to turn so that the tool is nearest to its place: tick by tick the nearest one.
 
     All 0: it would gain less than `gain_m`.
@@ -93,7 +113,7 @@ def _changes(s: Tick, f: Following, error_rad: Sequence[float], gain_m: float) -
     for _ in range(MOST_TICKS):
         found = []
         for i, way in [(i, way) for i in range(n) for way in (1, -1)]:
-            if changes[i] * way < 0 or abs(error_rad[i]) > FAR_RAD:
+            if changes[i] * way < 0 or i in stuck or abs(error_rad[i]) > FAR_RAD:
                 continue
             left_m = [off - way * row[i] * TICK_RAD for off, row in zip(off_m, J, strict=True)]
             turns = not changes[i] and way * f.side[i] < 0.0

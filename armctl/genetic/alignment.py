@@ -11,10 +11,14 @@ is the way from A to B. So time is thrown away:
    on A and on B exactly, become its points of progress 0 and 1. They stay each recording's own. A common end (the
    mean of all) would be a jump for every recording of another posture, and then no candidate could be followed.
 5. Joint positions are interpolated linearly at stations of equal progress.
+
+Means of two recordings are candidates too (`with_blends`): a path goes over from one to the other by a station or more
+of their mean, where a jump would be too fast, and what two hands do wrong on opposite sides cancels out.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -22,20 +26,22 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.inverse import solve_position
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.trajectory.line_path import out_of_reach, point_text
-from armctl.trajectory.straightness import progress_along_line
+from armctl.trajectory.straightness import distance_to_line, progress_along_line
 
 # How near A and B a recording must come; a quarter of the line's length where that is less.
 REACH_M = 0.04
 SHORTEST_LINE_M = 0.01
 # Tables of the search grow with the third power: 40 recordings take 50 MB.
 MAX_RECORDINGS = 40
+# Up to so many candidates there are blends; six recordings have room for all of theirs.
+MOST_CANDIDATES = 24
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """R aligned recordings at m stations."""
+    """R aligned recordings, or means of two, at m stations."""
 
     # Progress of the stations, 0 to 1, shape (m,).
     progress: FloatArray
@@ -43,6 +49,8 @@ class Candidates:
     positions_rad: FloatArray
     # Tool points, shape (R, m, 3).
     tool_m: FloatArray
+    # Of which two recordings each is the mean, shape (R, 2); a recording itself: of twice the same.
+    takes: IntArray
 
 
 def align(
@@ -74,8 +82,36 @@ def align(
             reasons.append(f"recording {number}: {error}")
     if reasons:
         raise RequestRefused("BAD_RECORDINGS", _out_of_reach(arm, chain, A, B) + reasons)
-    positions = np.array(aligned)
-    return Candidates(progress, positions, tool_position(chain, positions[..., : chain.n]))
+    takes = np.repeat(np.arange(len(aligned))[:, None], 2, axis=1)
+    return _candidates(chain, progress, np.array(aligned), takes)
+
+
+def with_blends(some: Candidates, arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray) -> Candidates:
+    """The recordings, and means of two of them, of the straightest first; both ends are put on A and B again.
+
+    Args:
+        some: Recordings alone.
+        A, B: Ends of the line in the base frame [m], shape (3,).
+    """
+    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
+    straightest = distance_to_line(some.tool_m, A, B).mean(axis=1).argsort(kind="stable").tolist()
+    positions, takes = list(some.positions_rad), some.takes.tolist()
+    for pair in combinations(straightest, 2):
+        if len(positions) >= MOST_CANDIDATES:
+            break
+        blend = some.positions_rad[list(pair)].mean(axis=0)
+        try:
+            for end, target in ((0, A), (-1, B)):
+                blend[end, : chain.n] = solve_position(chain, target, blend[end, : chain.n], limits)
+        except UnreachableTarget:  # postures too different to be between them
+            continue
+        positions.append(blend)
+        takes.append(list(pair))
+    return _candidates(chain, some.progress, np.array(positions), np.array(takes))
+
+
+def _candidates(chain: SerialChain, progress: FloatArray, positions_rad: FloatArray, takes: IntArray) -> Candidates:
+    return Candidates(progress, positions_rad, tool_position(chain, positions_rad[..., : chain.n]), takes)
 
 
 def _along_line(

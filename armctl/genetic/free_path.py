@@ -3,11 +3,11 @@
 Recorded genes can be no straighter than the straightest recording was at each station. Here every joint position may
 differ from the recorded one by a bounded offset. The offsets come from damped least squares; how much of them counts
 is decided by the same limits that the recorded path was held to: a share of the step is kept only while the path is
-straighter than before and breaks no more limits.
+straighter than before and breaks no more limits. Where none is, the path is smoothed over its stations first.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -44,9 +44,8 @@ def free_path(
     on_line = A + progress[:, None] * (B - A)
     q, error, broken = path, float(mean_error(tool_position(chain, path), A, B)), breaks(path)
     for _ in range(STEPS):
-        step = step_towards(chain, on_line, q)
-        for share in SHARES:
-            moved = np.clip(q + share * step, low, high)
+        for offered in _nearer(chain, q, on_line):
+            moved = np.clip(offered, low, high)
             moved_error = float(mean_error(tool_position(chain, moved), A, B))
             if moved_error < error and (moved_broken := breaks(moved)) <= broken:
                 q, error, broken = moved, moved_error, moved_broken
@@ -54,3 +53,12 @@ def free_path(
         else:
             break
     return q
+
+
+def _nearer(chain: SerialChain, q: FloatArray, on_line: FloatArray) -> Iterator[FloatArray]:
+    """Paths nearer to the line, as it is and smoothed: one that changes takes as fast as it may has no room to move."""
+    smooth = q.copy()
+    smooth[1:-1] = (q[:-2] + 2.0 * q[1:-1] + q[2:]) / 4.0
+    for begin in (q, smooth):
+        step = step_towards(chain, on_line, begin)
+        yield from (begin + share * step for share in SHARES)

@@ -6,6 +6,7 @@ path must be one the arm can follow (`path_cost.py`), and its true optimum is kn
 By default the genetic algorithm is a memetic one: its crossover finds the cheapest mixture of two parents exactly, by
 dynamic programming, and some children search. So it is expected at the optimum, and no proof that evolution alone gets
 there; the paper's own operators are the profile "paper".
+Genes are recorded configurations and, unless the paper's own procedure is wanted, means of two of them.
 Joints that do not move the tool are carried along: at each station the mean of the recordings. After evolution the
 genes may leave the recordings (`free_path.py`) and via points the line (`placement.py`), unless the paper's own
 procedure is wanted.
@@ -19,7 +20,7 @@ import numpy as np
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.genetic.algorithm import GeneticAlgorithm, Settings
-from armctl.genetic.alignment import Candidates, align
+from armctl.genetic.alignment import Candidates, align, with_blends
 from armctl.genetic.free_path import free_path
 from armctl.genetic.path_cost import PathCost, path_cost
 from armctl.genetic.request import OptimizeRequest
@@ -32,7 +33,7 @@ from armctl.messages import LONGEST_S
 from armctl.trajectory.interpolate import time_of_progress
 from armctl.trajectory.placement import StraightMotion, place
 from armctl.trajectory.plan import Plan
-from armctl.trajectory.straightness import distance_to_line, max_error, mean_error, progress_along_line
+from armctl.trajectory.straightness import distance_to_line, errors_mm, mean_error, progress_along_line
 from armctl.trajectory.via_points import choose_via_points, predict_tool_path
 
 STATIONS_PER_S = 10.0
@@ -51,7 +52,7 @@ class LineError:
 class TakeError(LineError):
     """How far a recording by itself is off the line, and what the genetic algorithm took of it."""
 
-    # At how many stations its path is this recording's.
+    # At how many stations its path is this recording's, alone or blended with another.
     genes: int
 
 
@@ -71,7 +72,7 @@ class StationPath(LineError):
 class CandidatePath(StationPath):
     """A path through the candidates."""
 
-    # Index of the recording used at each station, shape (m,).
+    # Index of the candidate used at each station, shape (m,).
     genes: IntArray
     # The error that was made small (mean, or p-norm), the charges for broken limits in it.
     cost_mm: float
@@ -142,15 +143,16 @@ def optimize(
     costs = line.cost(candidates, request.duration_s)
     table = costs.table()
     rng = np.random.default_rng(request.seed)
-    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, request.settings, rng, progress)
+    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, len(recordings), request.settings, rng, progress)
     found, exact = (line.path(candidates, costs, table, some) for some in (genes, shortest_path(table)))
     freed = line.freed(found, candidates.progress) if request.free else None
     chosen = freed or found
-    alone, taken = costs.distance_m.T * 1e3, np.bincount(found.genes, minlength=len(recordings)).tolist()
+    alone, used = costs.distance_m.T[: len(recordings)] * 1e3, candidates.takes[found.genes]
     return StraightLineResult(
         candidates=candidates,
         baseline=tuple(
-            TakeError(float(row.mean()), float(row.max()), genes) for row, genes in zip(alone, taken, strict=True)
+            TakeError(float(row.mean()), float(row.max()), int((used == take).any(axis=1).sum()))
+            for take, row in enumerate(alone)
         ),
         ga=GeneticRun(found, request.settings.generations, evaluations, best_cost_mm, mean_cost_mm),
         exact=exact,
@@ -174,9 +176,10 @@ class _Line:
         self._limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
 
     def candidates(self, nominal_s: float) -> Candidates:
-        """The recordings at as many stations as a motion of that duration has."""
+        """The recordings at as many stations as a motion of that duration has; blends too where genes may be free."""
         stations = _stations(nominal_s, self._request.via)
-        return align(self._recordings, self._arm, self._chain, *self._ends, stations)
+        some = align(self._recordings, self._arm, self._chain, *self._ends, stations)
+        return with_blends(some, self._arm, self._chain, *self._ends) if self._request.free else some
 
     def cost(self, some: Candidates, nominal_s: float) -> PathCost:
         distance, along = distance_to_line(some.tool_m, *self._ends), progress_along_line(some.tool_m, *self._ends)
@@ -194,7 +197,8 @@ class _Line:
     def path(self, candidates: Candidates, costs: PathCost, table: FloatArray, genes: IntArray) -> CandidatePath:
         station, n = np.arange(len(genes)), self._chain.n
         positions = candidates.positions_rad[genes, station]
-        positions[:, n:] = candidates.positions_rad[..., n:].mean(axis=0)
+        alone = candidates.takes[:, 0] == candidates.takes[:, 1]
+        positions[:, n:] = candidates.positions_rad[alone, :, n:].mean(axis=0)
         distance = costs.distance_m[station, genes] * 1e3
         return CandidatePath(
             genes=genes,
@@ -212,13 +216,13 @@ class _Line:
 
         def breaks(q: FloatArray) -> float:
             # The tables of a single candidate hold what its one path breaks.
-            single = Candidates(progress, q[None], tool_position(chain, q)[None])
+            single = Candidates(progress, q[None], tool_position(chain, q)[None], np.zeros((1, 2), dtype=np.intp))
             return float(self.cost(single, self._request.duration_s).breaks.sum())
 
         q = free_path(chain, found.positions_rad[:, :n], progress, *self._ends, self._limits, breaks)
         tool = tool_position(chain, q)
         return FreePath(
-            *_errors_mm(tool, *self._ends),
+            *errors_mm(tool, *self._ends),
             positions_rad=np.concatenate([q, found.positions_rad[:, n:]], axis=1),
             tool_m=tool,
             largest_offset_rad=float(np.abs(q - found.positions_rad[:, :n]).max()),
@@ -239,12 +243,7 @@ class _Line:
             moved_tool_m = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
             if mean_error(moved_tool_m, *self._ends) < mean_error(tool_m, *self._ends):
                 waypoints, knots, tool_m = moved, off_line.knots, moved_tool_m
-        return plan_through(self._arm, request, waypoints, knots, _errors_mm(tool_m, *self._ends))
-
-
-def _errors_mm(tool_m: FloatArray, A: FloatArray, B: FloatArray) -> tuple[float, float]:
-    """Mean and largest distance of a tool path from the line."""
-    return float(mean_error(tool_m, A, B)) * 1e3, float(max_error(tool_m, A, B)) * 1e3
+        return plan_through(self._arm, request, waypoints, knots, errors_mm(tool_m, *self._ends))
 
 
 def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | None:
@@ -295,15 +294,19 @@ def _refuse_below_floor(arm: ArmConfig, A: FloatArray, B: FloatArray) -> None:
 
 
 def _evolve(
-    costs: PathCost, settings: Settings, rng: np.random.Generator, progress: Callable[[int, float, float], None] | None
+    costs: PathCost,
+    recordings: int,
+    settings: Settings,
+    rng: np.random.Generator,
+    progress: Callable[[int, float, float], None] | None,
 ) -> tuple[IntArray, tuple[float, ...], tuple[float, ...], int]:
-    stations, recordings = costs.distance_m.shape
-    # The first population is the recordings themselves, as in the paper (Fig. 8).
+    stations, choices = costs.distance_m.shape
+    # The first population is the recordings themselves, as in the paper (Fig. 8); searches bring blends in.
     initial = np.repeat(np.arange(recordings, dtype=np.intp)[:, None], stations, axis=1)
     tables = [costs.table(share) for share in settings.charge_shares]
     longest = settings.generations // len(tables)
     part, begun, improved = 0, 0, 0
-    algorithm = GeneticAlgorithm(initial, recordings, settings, rng, triple_cost=tables[0])
+    algorithm = GeneticAlgorithm(initial, choices, settings, rng, triple_cost=tables[0])
     best, least = initial[0], np.inf
     best_cost_mm, mean_cost_mm = [], []
     for generation in range(1, settings.generations + 1):
@@ -321,7 +324,7 @@ def _evolve(
         if stalled or (part + 1 < len(tables) and generation - begun >= longest):
             part, begun = (part + 1) % len(tables), generation
             if part == 0:
-                algorithm = GeneticAlgorithm(initial, recordings, settings, rng, triple_cost=tables[0])
+                algorithm = GeneticAlgorithm(initial, choices, settings, rng, triple_cost=tables[0])
             else:
                 algorithm.restart(tables[part])
     return best, tuple(best_cost_mm), tuple(mean_cost_mm), settings.generations * settings.population

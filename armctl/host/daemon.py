@@ -3,9 +3,10 @@
 Rules.
 1. The port belongs to the control process alone; when that dies, requests under way fail with RESTARTED and a
    new one is started, which takes the arm as it finds it. Dying often makes the waits longer, never endless.
-2. SIGTERM and SIGINT: the arm comes to rest, the log is closed, torque stays; all within two seconds.
+2. SIGTERM, SIGINT and SIGHUP: the arm comes to rest, the log is closed, torque stays; all within two seconds.
 3. If this process dies, the control process sees its end of the link close, brings the arm to rest and leaves.
 4. The control process starts first, so that the arm is taken in hand while this process still imports what it needs.
+5. What a crash left in the folders is made whole again by a process of its own, once clients are served.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import os
 import signal
 import socket
 from collections import deque
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,7 @@ from armctl.files import data_dir, stop_path
 from armctl.host import service_manager
 from armctl.host.pulse import OVERDUE_S, START_S, Heart, Pulse, beat
 from armctl.messages import Reply, TickRecord
+from armctl.recording.disk import PART
 
 if TYPE_CHECKING:
     from armctl.host.host import Host
@@ -85,7 +87,7 @@ async def run_daemon(
     ready: Callable[[str], None],
     outside: Outside | None = None,
 ) -> int:
-    """Serve one arm until SIGTERM or SIGINT.
+    """Serve one arm until SIGTERM, SIGINT or SIGHUP.
 
     Args:
         port: Serial device of the arm.
@@ -108,9 +110,10 @@ async def run_daemon(
         )
         ending = asyncio.Event()
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in service_manager.endings():
             loop.add_signal_handler(number, ending.set)
         control = outside.start_control(settings)
+        left = [folder for folder in folders if any(folder.glob(f"*{PART}"))]
         try:
             # While the new process does the same and opens its port; what it sends meanwhile waits in the link.
             host, server, recorder = await _parts(config, arm, port, folders, outside)
@@ -138,6 +141,7 @@ async def run_daemon(
             if not ending.is_set():
                 service_manager.notify("READY=1")
                 ready(str(socket))
+                _recover(left)
             await _first_of(supervising, ending.wait())
             service_manager.notify("STOPPING=1")
             await _rest(host)
@@ -151,7 +155,7 @@ async def run_daemon(
 async def _parts(
     config: Config, arm: ArmConfig, port: str, folders: tuple[Path, Path], outside: Outside
 ) -> tuple[Host, Server, TakeRecorder]:
-    """Import and make what serves clients, once what a crash left in the folders is whole again."""
+    """Import and make what serves clients."""
     from armctl.host.host import Host
     from armctl.host.jobs import optimize_task, run_job
     from armctl.host.learning import Learner
@@ -163,8 +167,6 @@ async def _parts(
     from armctl.recording.writer import LogContext
 
     robot = robots.get(arm.robot, arm.lengths_m)
-    for folder in folders:
-        await asyncio.to_thread(_recover, folder)
     context = LogContext(arm=arm, robot=robot, config=config, port=port, period_s=config.period_s)
     recorder = (outside.make_recorder or Recorder)(context, *folders)
     learner = Learner(config, arm, robot, config.period_s)
@@ -308,14 +310,15 @@ def _refuse_second(path: Path) -> None:
     raise RequestRefused("BUSY", f"another daemon answers on {path}; end it first, or choose another --socket")
 
 
-def _recover(folder: Path) -> None:
-    """Make what a crash left in the folder whole again; a folder that cannot be read does not stop the arm."""
-    from armctl.recording.recover import recover_folder
+def _recover(folders: Sequence[Path]) -> None:
+    """Begin to make whole again what a crash left in these folders."""
+    from armctl.recording.compact import Compaction
 
     try:
-        recover_folder(folder)
-    except (ArmctlError, OSError) as error:
-        logger.error("%s: not recovered: %s", folder, error)
+        if folders:
+            Compaction().start(*folders)
+    except OSError as error:
+        logger.error("%s: not recovered: %s", ", ".join(map(str, folders)), error)
 
 
 async def _first_tick(host: Host, supervising: asyncio.Task[None], ending: asyncio.Event) -> None:

@@ -75,8 +75,7 @@ class Host:
             learn: Learns from what was run; what is not as the model says, or nothing.
         """
         self.arm, self.robot, self.period_s = arm, robot, period_s
-        self.recorder = recorder
-        self._clock = clock
+        self.recorder, self._clock = recorder, clock
         self._lost_ns: int | None = None
         self.exchange = Exchange()
         self.latest: TickRecord | None = None
@@ -89,7 +88,7 @@ class Host:
         self._watch: Watch | None = None
         self._background: set[asyncio.Task[Any]] = set()
         self._load_model, self._learn = load_model, learn
-        # What the answer of the motion that ended last is to tell besides.
+        # What is not as the arm's model says; told to all, until `clear` or another model.
         self.notice = ""
         # The control process that was told a model, and which.
         self._model: tuple[int | None, LagModel | None] = None, None
@@ -207,7 +206,8 @@ class Host:
         """
         with self.leases.commanding(client, what):
             await self.exchange.request(COMMANDS[what], PARK_S if what == "park" else ANSWER_S)
-            return self.state()
+        self.notice = "" if what == "clear" else self.notice
+        return self.state()
 
     async def pause(self) -> dict[str, Any]:
         """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is.
@@ -315,9 +315,7 @@ class Host:
 
     async def _made(self, leg: Leg, what: str) -> JointTrajectory:
         q_now = self._commanded_joints(what)
-        assert self.latest is not None
-        q_measured = tuple(joint.position_rad for joint in self.latest.outputs.joints)
-        return await asyncio.to_thread(lambda: thinned(leg(q_now, q_measured)))
+        return await asyncio.to_thread(lambda: thinned(leg(q_now)))
 
     async def own_model(self) -> LagModel | None:
         """The arm's own lag model, if there is one that can be read."""
@@ -332,6 +330,8 @@ class Host:
         model = await self.own_model()
         if model is not None and (self.exchange.pid, model) != self._model:
             await self.exchange.request(lambda request_id: UseModel(request_id, model))
+            if self._model[1] not in (None, model):
+                self.notice = ""
             self._model = self.exchange.pid, model
 
     async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
@@ -388,6 +388,7 @@ class Host:
             **self.state(),
             "fault": faults[0] if faults else None,
             "faults": faults,
+            "notice": self.notice or None,
             "period_s": self.period_s,
             **arm_snapshot(self.arm, self.latest, self._statistics, now_ns),
             "recording": self.takes.name,

@@ -10,6 +10,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import resource
 import signal
 import time
 import traceback
@@ -36,6 +37,12 @@ from armctl.trajectory.plan import Plan, plan_to_text
 PROGRESS_PERIOD_S = 0.1
 # A computation must not take the processor from the control process.
 NICENESS = 10
+# Most memory that a job takes beyond what it starts with. An optimisation that would need more is refused before it
+# begins: 100,000 individuals took 2.5 GB in their first seconds.
+JOB_BYTES = 768 * 2**20
+INDIVIDUAL_BYTES = 25_000
+# Where memory runs out all the same, a job ends before its daemon does.
+OOM_SCORE = "700"
 
 logger = logging.getLogger(__name__)
 
@@ -100,6 +107,10 @@ def _work(pipe: Connection, task: Task[A, R], argument: A) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is the parent's to answer
     with contextlib.suppress(PermissionError):  # a sandbox may forbid it
         os.nice(NICENESS)
+    with contextlib.suppress(OSError, ValueError):
+        taken = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_DATA, (taken + JOB_BYTES,) * 2)
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
     due_s = 0.0
 
     def progress(generation: int, best: float, mean: float) -> None:
@@ -112,6 +123,8 @@ def _work(pipe: Connection, task: Task[A, R], argument: A) -> None:
         pipe.send(("result", task(argument, progress)))
     except ArmctlError as error:
         pipe.send(("refused", error))
+    except MemoryError:
+        pipe.send(("refused", RequestRefused("TOO_LARGE", f"the job needs more than {JOB_BYTES >> 20} MiB of memory")))
     except BrokenPipeError:
         pass  # nobody waits for the result any more
     except Exception:  # everything else is a defect: told where it can be read
@@ -167,6 +180,9 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
             keeps the joints' limits in its duration (LIMITS).
     """
     arm, request = job.arm, job.request
+    if (most := JOB_BYTES // INDIVIDUAL_BYTES) < request.settings.population:
+        size = request.settings.population
+        raise RequestRefused("TOO_LARGE", f"a population of {size} does not fit into a job's memory; at most {most}")
     loaded = load_takes(arm, job.paths)
     times_s = [time.monotonic()]
 

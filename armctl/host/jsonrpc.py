@@ -15,6 +15,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
+from armctl.config import NAME_PATTERN
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 
 MAX_LINE_BYTES = 65536
@@ -42,6 +43,8 @@ class Request:
     params: dict[str, Any]
     id: RequestId = None
     answered: bool = True
+    # For whom it is asked, as the client says.
+    person: str = ""
 
 
 class ProtocolError(Exception):
@@ -77,9 +80,12 @@ def decode(line: bytes) -> Request:
     params = message.get("params", {})
     if not isinstance(params, dict):
         refuse(f"params: an object of named parameters, not {_shown(params)}")
-    if unknown := message.keys() - {"jsonrpc", "id", "method", "params"}:
-        refuse(f"{min(unknown)}: unknown key; a request has jsonrpc, id, method, params")
-    return Request(method, params, request_id, "id" in message)
+    person = message.get("person", "")
+    if not isinstance(person, str) or (person and not re.fullmatch(NAME_PATTERN, person)):
+        refuse(f"person: a name, not {_shown(person)}")
+    if unknown := message.keys() - {"jsonrpc", "id", "method", "params", "person"}:
+        refuse(f"{min(unknown)}: unknown key; a request has jsonrpc, id, method, params, person")
+    return Request(method, params, request_id, "id" in message, person)
 
 
 def strict_json(line: bytes) -> object:

@@ -8,11 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from armctl.config import Frozen, Name
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.host import teaching
+from armctl.host import plans, teaching
 from armctl.host.exchange import COMMANDS
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
@@ -20,12 +21,13 @@ from armctl.host.jsonrpc import error_data
 from armctl.host.motions import move, path, play, run, transfer
 from armctl.host.reach import reach
 from armctl.host.refining import MOST_FURTHER, refine
-from armctl.host.server import Connection, Method
+from armctl.host.server import PERSON, Connection, Method
+from armctl.kinematics.chain import tool_position
 from armctl.recording import recordings
-from armctl.recording.recordings import describe, listing
+from armctl.recording.recordings import describe, drawn, listing
 from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.grasp import ReachRequest
-from armctl.trajectory.plan import Plan
+from armctl.trajectory.plan import Plan, plan_positions, plan_to_text
 from armctl.trajectory.playback import PlayRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import PathRequest
@@ -70,17 +72,25 @@ class Show(Frozen):
         return self
 
 
+class KeptPlan(Frozen):
+    name: Name
+    plan: Plan
+
+
 class Rename(Frozen):
     name: Name
     to: Name
 
 
-class RunRequest(Frozen):
-    plan: Plan
+class HowToRun(Frozen):
     # Whether goals are corrected, so that the joints are where the plan has them.
     corrected: bool = True
     # Further runs at most, which correct the plan.
     refine: int = Field(0, ge=0, le=MOST_FURTHER)
+
+
+class RunRequest(HowToRun):
+    plan: Plan
 
 
 class Rate(Frozen):
@@ -128,6 +138,7 @@ class Methods:
     def __init__(self, host: Host, recordings_dir: Path, run_optimisation: RunOptimisation) -> None:
         self._host = host
         self._recordings_dir = recordings_dir
+        self._plans_dir = recordings_dir.parent / "plans"
         self._run_optimisation = run_optimisation
         self._job_ids = itertools.count(1)
         self._job: tuple[Connection, asyncio.Future[dict[str, Any]]] | None = None
@@ -161,6 +172,13 @@ class Methods:
             "recordings_show": Method(Show, _in_thread(self._recordings_show), observes=True),
             "recordings_rename": Method(Rename, _in_thread(self._recordings_rename)),
             "recordings_delete": Method(Named, _in_thread(self._recordings_delete)),
+            "recordings_track": Method(Named, _in_thread(self._recordings_track), observes=True),
+            "plans_list": Method(
+                Nothing, _in_thread(lambda _: {"plans": plans.listed(self._plans_dir)}), observes=True
+            ),
+            "plans_show": Method(Named, _in_thread(self._plans_show), observes=True),
+            "plans_save": Method(KeptPlan, _in_thread(self._plans_save)),
+            "plans_delete": Method(Named, _in_thread(self._plans_delete)),
             "optimize": Method(RecordedRequest, self._optimize),
         }
         for name in MOTIONS & methods.keys():
@@ -181,8 +199,7 @@ class Methods:
 
         async def told(client: Connection, p: Any) -> dict[str, Any]:
             result = await handle(client, p)
-            notice, self._host.notice = self._host.notice, ""
-            return {**result, "notice": notice} if notice else result
+            return {**result, "notice": self._host.notice} if self._host.notice else result
 
         return told
 
@@ -190,7 +207,9 @@ class Methods:
         """The method's handler, whose use and outcome go into the log."""
 
         async def noted(client: Connection, p: Any) -> dict[str, Any]:
-            outcome: dict[str, Any] = {"request": name, "who": client.name}
+            outcome: dict[str, Any] = {"request": name, "who": client.name} | (
+                {"person": person} if (person := PERSON.get()) else {}
+            )
             if isinstance(p, Named | Rename):
                 outcome["params"] = p.model_dump()
             try:
@@ -211,8 +230,7 @@ class Methods:
     async def _run(self, client: Connection, p: RunRequest) -> dict[str, Any]:
         if not p.refine:
             return await run(self._host, client, p.plan, corrected=p.corrected)
-        folder = self._recordings_dir.parent / "plans"
-        return await refine(self._host, client, p.plan, p.refine, folder, corrected=p.corrected)
+        return await refine(self._host, client, p.plan, p.refine, self._plans_dir, corrected=p.corrected)
 
     async def _optimize(self, client: Connection, p: RecordedRequest) -> dict[str, Any]:
         if self._job is not None:
@@ -256,3 +274,30 @@ class Methods:
 
     def _recordings_delete(self, p: Named) -> dict[str, Any]:
         return {"name": p.name, "path": str(recordings.delete(self._recordings_dir, p.name))}
+
+    def _recordings_track(self, p: Named) -> dict[str, Any]:
+        """Its path, thinned out for drawing."""
+        found = recordings.load(self._path(p.name))
+        kept = drawn(len(found.time_s))
+        chain = self._host.robot.chain
+        return {
+            "name": p.name,
+            "time_s": found.time_s[kept].tolist(),
+            "positions_rad": found.positions_rad[kept].tolist(),
+            "tool_m": tool_position(chain, found.positions_rad[kept][:, : chain.n]).round(6).tolist(),
+            "plan_s": found.plan_s,
+        }
+
+    def _plans_show(self, p: Named) -> dict[str, Any]:
+        found, chain = plans.load(self._plans_dir, p.name), self._host.robot.chain
+        positions_rad = plan_positions(found, np.linspace(0.0, found.duration_s, 201))
+        tool_m = tool_position(chain, positions_rad[:, : chain.n]).round(6).tolist()
+        return {"name": p.name, "plan": found.model_dump(mode="json"), "tool_m": tool_m}
+
+    def _plans_save(self, p: KeptPlan) -> dict[str, Any]:
+        plans.save(self._plans_dir, p.name, plan_to_text(p.plan))
+        return {"name": p.name}
+
+    def _plans_delete(self, p: Named) -> dict[str, Any]:
+        plans.delete(self._plans_dir, p.name)
+        return {"name": p.name}

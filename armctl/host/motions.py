@@ -22,7 +22,7 @@ from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.playback import Playback, PlayRequest, TaughtMotion, playback
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.reference import ReferencePath, error_mm
-from armctl.trajectory.target import MoveRequest, joints_at
+from armctl.trajectory.target import MoveRequest, postures_at
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
@@ -34,14 +34,20 @@ async def run(host: Host, client: Client, plan: Plan, *, corrected: bool = True)
         RequestRefused: pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    name, [done] = await host.execute(client, "run", [run_leg(host, plan, corrected=corrected)])
+    legs = [run_leg(host, plan, corrected=corrected)]
+    name, [done] = await host.execute(client, "run", legs, plan_note(plan, corrected=corrected))
     return {"recording": name, **line_result(plan, done, host.robot)}
+
+
+def plan_note(plan: Plan, *, corrected: bool) -> dict[str, Any]:
+    """What the recording of a run says of its plan."""
+    return {"event": "PLAN", "plan": plan.model_dump(mode="json"), "corrected": corrected}
 
 
 def run_leg(host: Host, plan: Plan, *, corrected: bool) -> Leg:
     """The motion of a run; refused by pre-flight with every reason."""
 
-    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+    def make(q_now: Sequence[float]) -> JointTrajectory:
         if reasons := preflight(plan, host.arm, host.robot, q_now):
             inside = all(within_limits(q, host.arm) for q in plan.waypoints_rad)
             raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
@@ -59,7 +65,7 @@ async def path(host: Host, client: Client, request: PathRequest) -> dict[str, An
     """
     wanted: list[PathMotion] = []
 
-    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+    def make(q_now: Sequence[float]) -> JointTrajectory:
         wanted.append(path_motion(request, q_now, host.arm, host.robot, host.period_s))
         return wanted[0].trajectory
 
@@ -77,7 +83,7 @@ async def play(host: Host, client: Client, motion: TaughtMotion, request: PlayRe
     """
     played: list[Playback] = []
 
-    def make(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+    def make(q_now: Sequence[float]) -> JointTrajectory:
         if not played:
             played.append(playback(motion, request.rate, host.arm, host.robot))
         return played[0].trajectory(q_now, host.period_s)
@@ -97,7 +103,7 @@ async def move(host: Host, client: Client, request: MoveRequest) -> dict[str, An
         LogError: the recording cannot be made.
     """
     where = host.arm, host.robot, host.period_s
-    name, [done] = await host.execute(client, "move", [lambda q_now, _: move_trajectory(request, q_now, *where)])
+    name, [done] = await host.execute(client, "move", [lambda q_now: move_trajectory(request, q_now, *where)])
     return {"recording": name, **move_result(done, host.robot)}
 
 
@@ -109,7 +115,7 @@ async def transfer(host: Host, client: Client, request: TransferRequest) -> dict
         LogError: the recording cannot be made.
     """
     where, note = (host.arm, host.robot, host.period_s), {"event": NOTED, "cycle": request.model_dump()}
-    legs: list[Leg] = [lambda q_now, _: transfer_trajectory(request, q_now, *where)]
+    legs: list[Leg] = [lambda q_now: transfer_trajectory(request, q_now, *where)]
     name, [done] = await host.execute(client, "transfer", legs, note)
     cycle_s = done.trajectory.end_s - done.trajectory.begin_s
     return {"recording": name, **move_result(done, host.robot), "cycle_s": cycle_s}
@@ -120,26 +126,40 @@ def move_trajectory(
 ) -> JointTrajectory:
     """The way to a target: all joints start and arrive at once, slowly unless a duration is given.
 
+    Of the postures that reach it the nearest is taken whose whole motion may be gone, or the one that was asked for.
+
     Raises:
         RequestRefused: no pose within the limits reaches it (UNREACHABLE), or the way there must not be gone
-            (PREFLIGHT, every reason; LIMIT where the target itself lies outside the joints' limits).
+            (PREFLIGHT, every reason against the nearest posture; LIMIT where the target itself lies outside the joints'
+            limits), or there are not so many postures (POSTURE, each of them).
     """
     try:
         if request.point_m is not None:
-            goal = joints_at(pose_from_xyz_rpy(*request.point_m), q_now, arm, robot, turned=False)
+            goals = postures_at(pose_from_xyz_rpy(*request.point_m), q_now, arm, robot, turned=False)
         elif request.pose is not None:
-            goal = joints_at(pose_from_xyz_rpy(*request.pose), q_now, arm, robot)
+            goals = postures_at(pose_from_xyz_rpy(*request.pose), q_now, arm, robot)
         else:
-            goal = list(request.joints_rad or ())
+            goals = [list(request.joints_rad or ())]
     except UnreachableTarget as error:
         raise RequestRefused("UNREACHABLE", str(error)) from None
-    if len(goal) != len(arm.joints):
-        raise RequestRefused("LIMIT", f"{len(goal)} joint positions for {len(arm.joints)} joints")
-    trajectory = approach_trajectory(q_now, goal, arm, robot, period_s, "move", request.duration_s)
-    positions = np.array(trajectory.positions_rad)
-    if reasons := preflight_motion(positions, period_s, arm, robot, start_rad=q_now):
-        raise RequestRefused("PREFLIGHT" if within_limits(goal, arm) else "LIMIT", reasons)
-    return trajectory
+    if len(goals[0]) != len(arm.joints):
+        raise RequestRefused("LIMIT", f"{len(goals[0])} joint positions for {len(arm.joints)} joints")
+    allowed: list[JointTrajectory] = []
+    refused: list[RequestRefused] = []
+    for goal in goals:
+        trajectory = approach_trajectory(q_now, goal, arm, robot, period_s, "move", request.duration_s)
+        positions = np.array(trajectory.positions_rad)
+        if reasons := preflight_motion(positions, period_s, arm, robot, start_rad=q_now):
+            refused.append(RequestRefused("PREFLIGHT" if within_limits(goal, arm) else "LIMIT", reasons))
+            continue
+        allowed.append(trajectory)
+        if len(allowed) == (request.posture or 1):
+            return trajectory
+    if not allowed:
+        raise refused[0]
+    ends = [np.degrees(one.positions_rad[-1]).round(1).tolist() for one in allowed]
+    told = [f"posture {i}: {', '.join(f'{angle:g}' for angle in end)} deg" for i, end in enumerate(ends, start=1)]
+    raise RequestRefused("POSTURE", [f"of posture {request.posture} there is none; these can be gone to", *told])
 
 
 def within_limits(q: Sequence[float], arm: ArmConfig) -> bool:

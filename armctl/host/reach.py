@@ -55,7 +55,12 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
     return {
         **result,
         "gripped": (met and held) if request.gripper == "grip" else False,
-        "gripper": {"joint": gripper.joint, "position_rad": now["position_rad"], "load_ratio": now["load_ratio"]},
+        "gripper": {
+            "joint": gripper.joint,
+            "position_rad": now["position_rad"],
+            "load_ratio": now["load_ratio"],
+            **({} if gripper.open_mm is None else {"opening_mm": gripper.opening_mm(now["position_rad"])}),
+        },
         "lifted_m": place[-1].tolist(),
     }
 
@@ -64,7 +69,7 @@ def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:
     """The legs of one reach; the first plans the way, before anything moves, and puts it into `planned`."""
     where = host.arm, host.robot, host.period_s
 
-    def approach(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+    def approach(q_now: Sequence[float]) -> JointTrajectory:
         if request.gripper != "stay":
             grasp.gripper_of(host.arm, host.robot)
         try:
@@ -74,9 +79,9 @@ def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:
         return grasp.approach(planned[0], q_now, *where, opening=request.gripper == "grip")
 
     def straight(step: int) -> Leg:
-        return lambda q_now, _: grasp.straight(planned[0].path_rad[::step], q_now, *where)
+        return lambda q_now: grasp.straight(planned[0].path_rad[::step], q_now, *where)
 
-    def act(q_now: Sequence[float], _: Sequence[float]) -> JointTrajectory:
+    def act(q_now: Sequence[float]) -> JointTrajectory:
         return grasp.gripping(q_now, *where, closing=request.gripper == "grip")
 
     there = [approach, straight(1)]

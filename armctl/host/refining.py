@@ -21,7 +21,7 @@ from armctl.clock import NS_PER_S
 from armctl.errors import LogError, RequestRefused
 from armctl.host.host import Host
 from armctl.host.lease import Client, Lease
-from armctl.host.motions import line_result, run_leg
+from armctl.host.motions import line_result, plan_note, run_leg
 from armctl.host.watch import Watch
 from armctl.trajectory.course import course_of
 from armctl.trajectory.plan import Plan, plan_to_text
@@ -98,7 +98,8 @@ class _Job:
         """
         for _ in range(min(TRIES, self.most - self.runs)):
             self.runs += 1
-            name, [done] = await self.host.carry_out(self.lease, [run_leg(self.host, plan, corrected=self.corrected)])
+            legs, note = [run_leg(self.host, plan, corrected=self.corrected)], plan_note(plan, corrected=self.corrected)
+            name, [done] = await self.host.carry_out(self.lease, legs, note)
             result = self.results[name] = {"recording": name, **line_result(plan, done, self.host.robot)}
             if abs(result["duration_s"] - plan.duration_s) < self.host.period_s / 2.0:
                 return _measured(name, done.watch)

@@ -21,6 +21,7 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,6 +47,9 @@ MAX_REQUESTS = 32
 MAX_ALWAYS_REQUESTS = 1024
 # Whether a user may command, by uid.
 MayCommand = Callable[[int], bool]
+
+# For whom the request is that a task serves.
+PERSON: ContextVar[str] = ContextVar("person", default="")
 
 logger = logging.getLogger(__name__)
 
@@ -267,7 +271,7 @@ class Server:
         account = Account(user, now_s)
         sender = asyncio.create_task(connection.send_all())
         self._connections[connection] = None
-        logger.info("client %s connected", connection.name)
+        logger.debug("client %s connected", connection.name)
         try:
             try:
                 await self._read(connection, account, reader)
@@ -283,7 +287,7 @@ class Server:
                 request.cancel()
             sender.cancel()
             self._connections.pop(connection, None)
-            logger.info("client %s is gone", connection.name)
+            logger.debug("client %s is gone", connection.name)
 
     async def _read(self, connection: Connection, account: Account, reader: asyncio.StreamReader) -> None:
         """Dispatch lines until the client is gone, takes too long over one, or sends one that is too long."""
@@ -375,6 +379,7 @@ def _parameters(method: Method, request: Request) -> BaseModel:
 
 
 async def _serve(connection: Connection, request: Request, method: Method, params: BaseModel) -> None:
+    PERSON.set(request.person)
     try:
         line = jsonrpc.result_line(request.id, await method.handle(connection, params))
     except ArmctlError as error:

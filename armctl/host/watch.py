@@ -17,8 +17,8 @@ from armctl.trajectory.collision import judged_pairs, link_clearance, link_point
 JOG_LOOK_S = 0.5
 JOG_LOOKS = 11
 SAME_M = 1e-6
-# Makes a trajectory from where the joints are told to be, and where they are [rad]; refuses what must not be run.
-Leg = Callable[[Sequence[float], Sequence[float]], JointTrajectory]
+# Makes a trajectory from where the joints are told to be [rad]; refuses what must not be run.
+Leg = Callable[[Sequence[float]], JointTrajectory]
 
 
 @dataclass

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from armctl.errors import RequestRefused
+from armctl.kinematics.chain import joint_axes
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.course import courses, too_heavy
 from armctl.lab.rig import Rig
@@ -21,6 +22,9 @@ DURATION_S = 5.0
 STRETCH = 0.75
 DRAWN_WAYS = 8
 MOST_TRIES = 400
+# From here on an arm, stretched from its shoulder, gets lines of full length.
+LARGE_M = 0.375
+MOST_DRAWN = 20_000
 
 
 def random_line(rig: Rig, rng: np.random.Generator, *, stretch: float = STRETCH) -> tuple[FloatArray, FloatArray]:
@@ -28,23 +32,31 @@ def random_line(rig: Rig, rng: np.random.Generator, *, stretch: float = STRETCH)
 
     Returns:
         A and B [m], shape (3,).
+    Raises:
+        RequestRefused: none fits the arm.
     """
     chain, arm = rig.robot.chain, rig.arm
-    stretched = float(sum(np.hypot(row.a, row.d) for row in chain.rows[1:]))
-    shoulder = np.array([0.0, 0.0, chain.rows[0].d])
-    while True:
+    axes, tool = joint_axes(chain, np.zeros((1, chain.n)))
+    places = np.array([place[:, 0] for place in (*(place for _, place in axes), tool)])
+    stretched = float(np.linalg.norm(np.diff(places[1:], axis=0), axis=1).sum())
+    shoulder = np.array([*places[0, :2], places[1, 2]])
+    # A smaller arm gets smaller lines.
+    size = min(1.0, stretched / LARGE_M)
+    highest = (0.34 * size, 0.3 * size, shoulder[2] + 0.25 * size)
+    for _ in range(MOST_DRAWN):
         direction = rng.standard_normal(3)
-        half = rng.uniform(0.2, 0.3) / 2.0 * direction / np.linalg.norm(direction)
-        middle = rng.uniform((-0.1, -0.3, arm.floor_m + 0.03), (0.34, 0.3, 0.35))
+        half = size * rng.uniform(0.2, 0.3) / 2.0 * direction / np.linalg.norm(direction)
+        middle = rng.uniform((-0.1 * size, -0.3 * size, arm.floor_m + 0.03), highest)
         points = middle + np.linspace(-1.0, 1.0, 21)[:, None] * half
         radius = np.hypot(points[:, 0], points[:, 1])
         if (
             np.linalg.norm(points - shoulder, axis=1).max() < stretch * stretched
-            and radius.min() > 0.10
+            and radius.min() > 0.10 * size
             and points[:, 2].min() > arm.floor_m + 0.03
             and np.abs(np.arctan2(points[:, 1], points[:, 0])).max() < 2.0
         ):
             return middle - half, middle + half
+    raise RequestRefused("LINE", f"no line fits the {stretched:.3f} m that {arm.arm_id} reaches from its shoulder")
 
 
 def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = lambda _: None) -> LagModel:

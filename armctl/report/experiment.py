@@ -11,7 +11,7 @@ import numpy as np
 from armctl.kinematics.transform import FloatArray
 from armctl.report import line, pareto, picture
 from armctl.report.page import Page, curve
-from armctl.trajectory import straightness
+from armctl.trajectory.straightness import errors_mm, own_chord_mm
 
 
 def write(report: line.ExperimentReport, path: Path) -> None:
@@ -48,15 +48,15 @@ def _spread(pairs: Sequence[tuple[float, float]]) -> str:
 def _table(page: Page, report: line.ExperimentReport) -> None:
     rows = []
     for one in report.outcomes:
-        by_encoder = [line.errors_mm(run.tool_m, *report.ends) for run in one.runs]
-        truths = [line.errors_mm(run.truth_tool_m, *report.ends) for run in one.runs if run.truth_tool_m is not None]
-        own = [straightness.own_chord_mm(run.truth_tool_m) for run in one.runs if run.truth_tool_m is not None]
+        by_encoder = [errors_mm(run.tool_m, *report.ends) for run in one.runs]
+        truths = [errors_mm(run.truth_tool_m, *report.ends) for run in one.runs if run.truth_tool_m is not None]
+        own = [own_chord_mm(run.truth_tool_m) for run in one.runs if run.truth_tool_m is not None]
         durations = [run.duration_s for run in one.runs]
         paper = line.PRINTED.get(one.via) if isinstance(one.via, int) else None
         rows.append(
             (
                 one.via,
-                "{:.1f} / {:.1f}".format(*line.errors_mm(one.before.real_tool_m, *report.ends)),
+                "{:.1f} / {:.1f}".format(*errors_mm(one.before.real_tool_m, *report.ends)),
                 f"{one.runs[0].predicted_mean_mm:.2f} / {one.runs[0].predicted_max_mm:.2f}",
                 _spread(by_encoder),
                 "-" if paper is None else f"{paper.errors} in {paper.duration_s:.1f} s",
@@ -123,11 +123,12 @@ def _convergence(page: Page, report: line.ExperimentReport) -> None:
                 curve(chart, list(range(len(errors))), errors, name, colour, dash=dash, mode="lines+markers")
     if report.best_cost_mm:
         description = "Best cost of the genetic algorithm by generation"
-        with page.chart(description, "Genetic algorithm on recorded genes", "generation", "cost, mm") as chart:
+        with page.chart(description, "Genetic algorithm on the recordings", "generation", "cost, mm") as chart:
             generations = list(range(1, len(report.best_cost_mm) + 1))
             curve(chart, generations, list(report.best_cost_mm), "best individual", line.GREEN)
             if report.exact_mean_mm is not None:
-                line.exact_line(chart, report.exact_mean_mm)
+                line.level(chart, report.exact_mean_mm, "exact optimum")
+            line.improving(chart, report.best_cost_mm)
 
 
 def _prediction(page: Page, report: line.ExperimentReport) -> None:
@@ -148,7 +149,7 @@ def _prediction(page: Page, report: line.ExperimentReport) -> None:
 
 
 def _mean_errors_mm(report: line.ExperimentReport, paths: Sequence[FloatArray]) -> list[float]:
-    return [line.errors_mm(tool_m, *report.ends)[0] for tool_m in paths]
+    return [errors_mm(tool_m, *report.ends)[0] for tool_m in paths]
 
 
 def _limits(page: Page, report: line.ExperimentReport) -> None:

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 from armctl.report.page import Page, cube, curve
-from armctl.trajectory import straightness
+from armctl.trajectory.straightness import distance_to_line, errors_mm, own_chord_mm
 
 
 class Printed(NamedTuple):
@@ -33,8 +33,13 @@ PRINTED: dict[int | str, Printed] = {
     2: Printed(7.00036, 14.69483, 7.8),
 }
 
+# What was done about the arm's lag: nothing, the control step led goals by it, or further runs corrected the plan too.
+Goals = Literal["plain", "corrected", "refined"]
+
 COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3")
 FAINT, GREY, GREEN = "#b9c2cd", "#7d8b99", "#2a7f62"
+# Of a genetic algorithm, at least.
+SHOWN_GENERATIONS = 10
 ALONG, OFF = "along the line, mm", "off the line, mm"
 # Which of `along_and_off` is seen from where.
 VIEWS = ((1, "from above: sideways deviation"), (2, "from the side: upward deviation"))
@@ -58,8 +63,7 @@ class LineRun:
     tool_m: FloatArray
     # By an outside measurement (the simulator's true pose), where there is one.
     truth_tool_m: FloatArray | None = None
-    # Whether the control step corrected goals by how the arm lags behind them.
-    corrected: bool = False
+    goals: Goals = "plain"
 
     @property
     def real_tool_m(self) -> FloatArray:
@@ -69,7 +73,7 @@ class LineRun:
     @property
     def told(self) -> str:
         """Its name among others: `2 via, corrected`."""
-        return f"{self.via} via, {'corrected' if self.corrected else 'plain'}"
+        return f"{self.via} via, {self.goals}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +129,6 @@ class LineReport:
     notes: Sequence[str] = ()
 
 
-def errors_mm(tool_m: FloatArray, from_m: FloatArray, to_m: FloatArray) -> tuple[float, float]:
-    """Mean (eq. 20) and maximum distance from the line [mm]."""
-    mean_m, max_m = (error(tool_m, from_m, to_m) for error in (straightness.mean_error, straightness.max_error))
-    return float(mean_m) * 1000.0, float(max_m) * 1000.0
-
-
 def write(report: LineReport, path: Path) -> None:
     """Write the page."""
     page = Page("Straight line: taught, optimised, run")
@@ -139,7 +137,7 @@ def write(report: LineReport, path: Path) -> None:
         f"The tool was to move from ({begin}) to ({end}) m in a straight line. "
         f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
         "result through 0, 1 and 2 intermediate points: plain, with the plan's own positions as goals, then corrected "
-        "by what the plain runs had shown of the arm.",
+        "by what the plain runs had shown of the arm, then refined by a further run.",
         *report.notes,
     )
     _table(page, report)
@@ -159,12 +157,12 @@ def _table(page: Page, report: LineReport) -> None:
     for run in report.runs:
         encoder = errors_mm(run.tool_m, *report.ends)
         truth = None if run.truth_tool_m is None else errors_mm(run.truth_tool_m, *report.ends)
-        own = None if run.truth_tool_m is None else straightness.own_chord_mm(run.truth_tool_m)
+        own = None if run.truth_tool_m is None else own_chord_mm(run.truth_tool_m)
         paper = PRINTED.get(run.via)
         rows.append(
             (
                 run.via,
-                "corrected" if run.corrected else "plain",
+                run.goals,
                 f"{run.predicted_mean_mm:.1f} / {run.predicted_max_mm:.1f}",
                 "{:.1f} / {:.1f}".format(*encoder),
                 "-" if paper is None else paper.errors,
@@ -191,8 +189,8 @@ def _table(page: Page, report: LineReport) -> None:
             ("genetic algorithm", f"{report.ga_mean_mm:.3f}", "", ""),
             ("exact optimum of the same genes", f"{report.exact_mean_mm:.3f}", "", ""),
         ],
-        "It is a memetic algorithm: its crossover finds the cheapest mixture of two parents exactly, by dynamic "
-        "programming. "
+        "A gene is one recording's configuration, or the mean of two, which counts for both. It is a memetic "
+        "algorithm: its crossover finds the cheapest mixture of two parents exactly, by dynamic programming. "
         f"The genetic algorithm is {report.gap_ratio * 100.0:.2f} % above the exact optimum (dynamic programming).",
     )
 
@@ -214,7 +212,7 @@ def along_and_off(
 def _path_figures(page: Page, report: LineReport) -> None:
     page.heading("Path against line, in space, from above and from the side")
     ends, runs = report.ends, _coloured(report.runs)
-    paths = [(run.told, run.real_tool_m, colour if run.corrected else FAINT) for run, colour in runs]
+    paths = [(run.told, run.real_tool_m, FAINT if run.goals == "plain" else colour) for run, colour in runs]
     space_figure(page, ends, paths, "Tool paths in space against the line AB")
     for axis, title in VIEWS:
         with page.chart(f"Tool paths against the line AB, {title}", title, ALONG, OFF) as chart:
@@ -239,8 +237,8 @@ def _coloured(runs: Sequence[LineRun]) -> list[tuple[LineRun, str]]:
 
 
 def _strokes(run: LineRun) -> tuple[str, float]:
-    """Dash and width of its path: what the corrected arm did stands out from what the plain one did."""
-    return ("solid", 2.5) if run.corrected else ("dot", 1.5)
+    """Dash and width of its path: the better its goals, the more it stands out."""
+    return {"plain": ("dot", 1.5), "corrected": ("dash", 2.0), "refined": ("solid", 2.5)}[run.goals]
 
 
 def wanted_curve(chart: Any, ends: Ends) -> None:
@@ -263,13 +261,19 @@ def via_markers(chart: Any, ends: Ends, axis: int, run: LineRun, colour: str, na
 
 def distance_curve(chart: Any, ends: Ends, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
     """Distance from the line AB along it."""
-    distance_mm = straightness.distance_to_line(tool_m, *ends) * 1000.0
+    distance_mm = distance_to_line(tool_m, *ends) * 1000.0
     curve(chart, along_and_off(tool_m, *ends)[0], distance_mm, name, colour, **more)
 
 
-def exact_line(chart: Any, exact_mm: float) -> None:
-    """The exact optimum of the genetic algorithm's problem."""
-    chart.add_hline(y=exact_mm, line={"color": GREY, "dash": "dot"}, annotation_text="exact optimum")
+def level(chart: Any, mm: float, name: str) -> None:
+    """What a genetic algorithm is held against."""
+    chart.add_hline(y=mm, line={"color": GREY, "dash": "dot"}, annotation_text=name)
+
+
+def improving(chart: Any, best_mm: FloatArray | Sequence[float]) -> None:
+    """Show as many generations as it took to the best one, and half as many more; the rest stands to the right."""
+    found = int(np.argmin(np.asarray(best_mm)))
+    chart.update_xaxes(range=[0, max(SHOWN_GENERATIONS, found + found // 2)])
 
 
 def _deviation_figure(page: Page, report: LineReport) -> None:
@@ -295,7 +299,9 @@ def _convergence_figure(page: Page, report: LineReport) -> None:
         generations = np.arange(len(report.best_mm))
         curve(chart, generations, report.best_mm, "best", GREEN)
         curve(chart, generations, report.mean_mm, "mean", FAINT)
-        exact_line(chart, report.exact_mean_mm)
+        level(chart, report.exact_mean_mm, "exact optimum")
+        level(chart, min(mean_mm for _, mean_mm, _, _ in report.candidate_errors_mm), "best take")
+        improving(chart, report.best_mm)
 
 
 def _joint_figures(page: Page, report: LineReport) -> None:

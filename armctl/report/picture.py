@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.line import ExperimentReport, LineRun, along_and_off, errors_mm
+from armctl.report.line import ExperimentReport, LineRun, along_and_off
+from armctl.trajectory.straightness import errors_mm
 
 WIDTH = 800
 MARGIN = 24

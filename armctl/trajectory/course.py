@@ -26,7 +26,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.placement import Objective, StraightMotion, place
 from armctl.trajectory.plan import Plan, plan_positions
-from armctl.trajectory.straightness import distance_to_line, max_error, mean_error
+from armctl.trajectory.straightness import errors_mm
 
 # Kept free before each joint limit: a curve through waypoints swings a little further than they do.
 SWING_RAD = np.radians(2.0)
@@ -55,8 +55,7 @@ class Line:
 
     def errors_mm(self, tool_m: FloatArray) -> tuple[float, float]:
         """Mean and largest distance of tool points, shape (m, 3), from the line [mm]."""
-        distance = distance_to_line(tool_m, self.A, self.B) * 1e3
-        return float(distance.mean()), float(distance.max())
+        return errors_mm(tool_m, self.A, self.B)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +119,7 @@ def plan_of(on: Driven, course: Course, seed: int) -> Plan:
     """The course as a plan for the daemon; its prediction is where the arm is expected, without rounding to ticks."""
     line, arm = course.line, on.arm
     points = tool_position(on.robot.chain, course.expected_rad) + course.offset_m
+    mean_mm, max_mm = line.errors_mm(points)
     return Plan(
         arm_id=arm.arm_id,
         calibration_hash=arm.calibration_hash,
@@ -130,8 +130,8 @@ def plan_of(on: Driven, course: Course, seed: int) -> Plan:
         interpolation=course.kind,
         waypoints_rad=tuple(map(tuple, np.concatenate([course.waypoints, course.beyond_rad], axis=1).tolist())),
         waypoint_progress=tuple(course.knots.tolist()),
-        predicted_mean_error_mm=float(mean_error(points, line.A, line.B)) * 1e3,
-        predicted_max_error_mm=float(max_error(points, line.A, line.B)) * 1e3,
+        predicted_mean_error_mm=mean_mm,
+        predicted_max_error_mm=max_mm,
         seed=seed,
     )
 

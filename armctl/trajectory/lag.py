@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.config import ArmConfig
-from armctl.dynamixel.ax12a import LOAD_MAX, NO_LOAD_SPEED_RAD_S, STALL_TORQUE_NM, TICK_RAD, compliance_slope
+from armctl.dynamixel.ax12a import LOAD_MAX, TICK_RAD, compliance_slope
+from armctl.dynamixel.servos import MODELS
 from armctl.kinematics.chain import SerialChain, joint_axes, link_frames
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LagModel
@@ -92,8 +93,9 @@ def regressors(chain: SerialChain, q: FloatArray, before: FloatArray, period_s: 
     """
     m, n = q.shape
     T = link_frames(chain, q)
-    axes = T[:, :-1] if chain.convention == "standard" else T[:, 1:]
-    links = np.diff(T[:, :, :3, 3], axis=1)
+    axes = T[:, chain.first_axis : chain.first_axis + n]
+    # From each joint to the next, and from the last one to the tool: what `lags_rad` sums.
+    links = np.diff(np.concatenate([axes, T[:, -1:]], axis=1)[:, :, :3, 3], axis=1)
     X = np.zeros((n, m, n + 3))
     for i in range(n):
         z = axes[:, i, :3, 2]
@@ -117,10 +119,11 @@ def nominal(arm: ArmConfig, chain: SerialChain) -> LagModel:
     rows = []
     for i, joint in enumerate(arm.joints[:n]):
         punch = joint.compliance.punch / LOAD_MAX
-        softness = compliance_slope(joint.compliance.slope) * TICK_RAD / ((1.0 - punch) * STALL_TORQUE_NM)
+        stall_Nm, free_rad_s = MODELS[joint.model].stall_torque_Nm, MODELS[joint.model].no_load_speed_rad_s
+        softness = compliance_slope(joint.compliance.slope) * TICK_RAD / ((1.0 - punch) * stall_Nm)
         # A servo carries what is further out than its own joint.
         gravity = [GRAVITY_M_S2 * softness * kg if k >= i else 0.0 for k, kg in enumerate(carried)]
-        rows.append((*gravity, FRICTION_NM * softness, STALL_TORQUE_NM / NO_LOAD_SPEED_RAD_S * softness, 0.0))
+        rows.append((*gravity, FRICTION_NM * softness, stall_Nm / free_rad_s * softness, 0.0))
     return LagModel(arm.arm_id, arm.calibration_hash, tuple(rows))
 
 

@@ -7,8 +7,8 @@ Rules.
 3. A joint's coefficients, fitted to all but the newest motions, have to predict these better than those in use do.
    Then the fit to all of them takes their place, each joint by itself.
 4. A motion that leaves far more than the model is known to leave tells of a change: a heavier tool, more friction,
-   another arm. It is told. After a second one what was learnt before is forgotten; the model stays until rule 3 finds a
-   better one.
+   another arm. It is told, and changes no model. After a second one what was learnt before is forgotten, and the model
+   stays until rule 3 finds a better one; was the next motion as foreseen, the strange one is forgotten.
 """
 
 import math
@@ -127,9 +127,13 @@ def learn(arm: ArmConfig, chain: SerialChain, experience: Experience, present: L
     """
     change = changed(arm, present, latest)
     strange = experience.strange + 1 if change else 0
-    known = experience.motions[-1:] if strange == STRANGE else experience.motions
+    known = experience.motions
+    if strange == STRANGE:
+        known = known[-1:]
+    elif experience.strange == 1 and not change:
+        known = known[:-1]
     motions = (*known, latest)[-KEPT:]
-    found = better(arm, chain, motions, present)
+    found = None if strange == 1 else better(arm, chain, motions, present)
     return Lesson(Experience(motions, strange if found is None else 0), found, change)
 
 

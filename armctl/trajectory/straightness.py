@@ -52,6 +52,12 @@ def max_error(points: FloatArray, A: FloatArray, B: FloatArray) -> FloatArray:
     return np.asarray(distance_to_line(points, A, B).max(axis=-1))
 
 
+def errors_mm(points: FloatArray, A: FloatArray, B: FloatArray) -> tuple[float, float]:
+    """Mean (eq. 20) and largest distance of a path, shape (m, 3) [m], from the line AB [mm]; errors as `mean_error`."""
+    distance_m = distance_to_line(points, A, B)
+    return float(distance_m.mean()) * 1e3, float(distance_m.max()) * 1e3
+
+
 def best_line(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The path's own chord: the line from which its points are least far, root mean square.
 
@@ -69,8 +75,7 @@ def best_line(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def own_chord_mm(points: FloatArray) -> tuple[float, float]:
     """Mean and largest distance of a path, shape (m, 3) [m], from its `best_line` [mm]."""
-    distance = distance_to_line(points, *best_line(points)) * 1e3
-    return float(distance.mean()), float(distance.max())
+    return errors_mm(points, *best_line(points))
 
 
 def _checked(points: FloatArray, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:

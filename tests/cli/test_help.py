@@ -2,7 +2,17 @@ import pytest
 from pydantic import BaseModel
 
 from armctl.cli.help import TOPICS, key_comments
-from armctl.config import ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig
+from armctl.config import (
+    ArmConfig,
+    ChainRow,
+    ChainTable,
+    Compliance,
+    Config,
+    GripperConfig,
+    JointConfig,
+    LogConfig,
+    OwnGripper,
+)
 from tests.cli.conftest import Answer, Typed
 
 
@@ -17,6 +27,9 @@ def test_every_topic_is_explained(topic: str, typed: Typed, answer: Answer) -> N
     assert len(typed("help", topic).out) > 300
 
 
-@pytest.mark.parametrize("model", [ArmConfig, Compliance, Config, GripperConfig, JointConfig, LogConfig])
+MODELS = (ArmConfig, ChainRow, ChainTable, Compliance, Config, GripperConfig, JointConfig, LogConfig, OwnGripper)
+
+
+@pytest.mark.parametrize("model", MODELS)
 def test_every_key_says_what_it_is_for(model: type[BaseModel]) -> None:
     assert set(key_comments(model)) >= set(model.model_fields)

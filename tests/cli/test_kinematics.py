@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from armctl.files import find_arm_file
 from armctl.kinematics import robots
 from tests.cli.conftest import Answer, Typed
 from tests.words import missing
@@ -79,3 +80,49 @@ def test_workspace_and_trajectory_answer_and_draw(tmp_path: Path, answer: Answer
     np.testing.assert_allclose(np.degrees(found["position_rad"][-1]), [60, 45, -60, 60], atol=1e-9)
     np.testing.assert_allclose(found["velocity_rad_s"][-1], 0.0, atol=1e-12)
     assert "Tool acceleration" in page.read_text(encoding="utf-8")
+
+
+def test_arms_lists_what_a_name_finds(answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = tmp_path / "armctl" / "calibration"
+    own.mkdir(parents=True)
+    (own / "mine.yaml").write_text("# Mine, of spare parts. It is small.\narm_id: mine\nrobot: hal\njoints: []\n")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    found = {row["name"]: row for row in answer("arms")["arms"]}
+    pincher = found["phantomx-pincher"]
+    assert (pincher["joints"], pincher["servos"], pincher["gripper"], pincher["source"]) == (4, 5, "gripper", "shipped")
+    assert found["mine"]["title"].startswith("cannot be read: joints")
+    assert found["mine"]["source"] == str(own)
+
+
+@pytest.mark.parametrize("arm", ["ax12-line", "crane-plus-v2", "phantomx-pincher"])
+def test_a_shipped_arm_is_judged_good_and_drawn(arm: str, answer: Answer) -> None:
+    found = answer("arm", "check", arm)
+    assert (found["ok"], found["problems"]) == (True, [])
+    assert found["picture"].count("x") == 1
+
+
+def test_every_problem_of_a_file_is_told_by_its_key(answer: Answer, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("arm_id: bad\nrobot: {convention: craig, dh: [{a_m: 105}]}\njoints: [{name: a, servo_id: 300}]\n")
+    found = answer("arm", "check", bad, status=1)
+    keys = {problem["key"] for problem in found["problems"]}
+    assert keys >= {"robot.convention", "robot.dh.0.a_m", "joints.0.servo_id", "joints.0.limits_deg"}
+    assert (found["ok"], found["picture"]) == (False, "")
+
+
+def test_an_arm_that_lies_in_the_floor_is_told(answer: Answer, tmp_path: Path) -> None:
+    arm = tmp_path / "low.yaml"
+    arm.write_text(find_arm_file("phantomx-pincher").read_text().replace("rest_deg: -60", "rest_deg: 120"))
+    [problem, *_] = answer("arm", "check", arm, status=1)["problems"]
+    assert problem["key"] == "joints.rest_deg"
+    assert "mm in the floor" in problem["text"]
+
+
+def test_kinematics_take_the_file_of_an_arm_for_a_robot(answer: Answer) -> None:
+    up = answer("fk", "--robot", "phantomx-pincher", "--q", "0,0,0,0")
+    by_file = answer("fk", "--robot", find_arm_file("phantomx-pincher"), "--q", "0,0,0,0")
+    assert up == by_file
+    assert up["position_m"] == pytest.approx([0.0, 0.0, 0.3845])
+    found = answer("ik", "--robot", "crane-plus-v2", "--xyz", "0.15,0.05,0.1")
+    assert found["reachable"]
+    assert found["solutions"][0]["within_limits"]

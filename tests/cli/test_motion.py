@@ -1,4 +1,4 @@
-"""`armctl reach` and `armctl transfer` as they are typed; the daemon is a stand-in, the cycle runs in virtual time."""
+"""`reach`, `transfer` and `run --refine` as typed; the daemon is a stand-in, the cycle runs in virtual time."""
 
 from pathlib import Path
 from typing import Any
@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 from armctl import client
+from armctl.trajectory.plan import plan_to_text
 from tests.cli.conftest import Answer, StandIn, Typed
+from tests.trajectory.test_plan import make_plan
 
 ANSWER = {"recording": "run-reach-1", "position_error_mm": 1.5, "position_m": [0.2, 0.05, 0.06], "gripped": True}
 REACH = ("reach", "--xyz", "0.2,0.05,0.06")
@@ -55,3 +57,36 @@ def test_a_virtual_transfer_leaves_a_log_a_page_and_a_table(tmp_path: Path, type
     assert log.stat().st_size > 10_000
     assert page.stat().st_size > 100_000
     typed(*command, status=1)  # nothing is overwritten
+
+
+class Refining(StandIn):
+    """Tells a refinement run by run."""
+
+    def __init__(self, socket: str | None) -> None:
+        assert socket is None
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        assert (method, params["refine"]) == ("run", 2)
+        errors = {"mean_error_mm": 1.234, "max_error_mm": 3.456}
+        rounds = [{"round": number, **errors, "kept": number == 0} for number in range(2)]
+        params["on_progress"]({"runs": 1, "of": 3, "round": rounds[0]})
+        done = {
+            **errors,
+            "recording": "run-1",
+            "duration_s": 5.0,
+            "ended": None,
+            "rounds": rounds,
+            "plan": "/best.json",
+        }
+        return {**done, "predicted_mean_error_mm": 0.1, "predicted_max_error_mm": 0.2}
+
+
+def test_a_refinement_is_told_in_words_that_need_no_manual(
+    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client, "Client", Refining)
+    (tmp_path / "plan.json").write_text(plan_to_text(make_plan()), encoding="utf-8")
+    said = typed("run", str(tmp_path / "plan.json"), "--refine", "2")
+    assert "after 1 of at most 3 runs, the plan as it was: 1.23 mm mean and 3.46 mm at most off the line" in said.err
+    assert "correction 1: 1.23 mm mean and 3.46 mm at most off the line, not better by more than noise" in said.out
+    assert "run it with: armctl run /best.json" in said.out

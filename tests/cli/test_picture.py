@@ -18,7 +18,7 @@ def _snapshot(**changes: Any) -> dict[str, Any]:
     }  # fmt: skip
     silent = dict.fromkeys(joint) | {"name": "shoulder", "servo_id": 2, "limits_rad": (-1.5, 1.5)}
     return {
-        "arm_id": "arm", "tick": 7, "period_s": 0.1, "state": "holding", "fault": None, "faults": [],
+        "arm_id": "arm", "tick": 7, "period_s": 0.1, "state": "holding", "fault": None, "faults": [], "notice": None,
         "joints": [joint, silent],
         "tool": {"position_m": [0.18, 0.0, 0.1], "rpy_rad": [0.0, 0.0, 0.0], "speed_m_s": 0.3},
         "tool_speed_limit_m_s": 0.25, "progress": None, "rate": None, "recording": None,

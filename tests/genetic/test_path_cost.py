@@ -23,7 +23,7 @@ def made(rng: Generator, R: int, m: int, spread: float) -> tuple[PathCost, Float
     distance = rng.uniform(0.0, 0.01, (R, m))
     progress = np.linspace(0.0, 1.0, m) + 0.3 / m * rng.standard_normal((R, m))
     time_s = np.cumsum(rng.uniform(0.3, 0.6, m))
-    candidates = Candidates(np.linspace(0.0, 1.0, m), q, np.zeros((R, m, 3)))
+    candidates = Candidates(np.linspace(0.0, 1.0, m), q, np.zeros((R, m, 3)), np.zeros((R, 2), dtype=np.intp))
     return path_cost(candidates, distance, time_s, SPEED, ACCELERATION, progress), q, progress, time_s
 
 
@@ -63,7 +63,7 @@ def test_a_path_that_keeps_the_limits_beats_every_path_that_does_not(rng: Genera
 def test_joints_beyond_the_limits_given_do_not_count() -> None:
     q = np.zeros((1, 5, 3))
     q[0, :, 2] = [0.0, 9.0, 0.0, 9.0, 0.0]
-    candidates = Candidates(np.linspace(0, 1, 5), q, np.zeros((1, 5, 3)))
+    candidates = Candidates(np.linspace(0, 1, 5), q, np.zeros((1, 5, 3)), np.zeros((1, 2), dtype=np.intp))
     costs = path_cost(candidates, np.zeros((1, 5)), np.arange(5.0), SPEED, ACCELERATION, np.linspace(0, 1, 5)[None])
     assert not costs.breaks.any()
 

@@ -14,11 +14,12 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import reduce
 from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen
 from typing import Any
 from unittest.mock import patch
 
@@ -26,6 +27,7 @@ import click
 import yaml
 
 from armctl.cli import cli, main
+from armctl.lab.study import limits
 from tests.guard.kept import FOLDER, digest, save
 from tests.guard.logs import build
 from tests.scenarios.bench import SHORT_DEMO, environment
@@ -38,7 +40,10 @@ SHORT = "--from 0.18,-0.03,0.10 --to 0.18,0.03,0.10"
 COMMANDS: dict[str, list[str]] = yaml.safe_load(
     (FOLDER / "commands.yaml").read_text(encoding="utf-8").replace("LINE", LINE).replace("SHORT", SHORT)
 )
-MASKED = ("seconds", "realtime_ratio", "evaluations_per_s", "version", "host", "message", "reasons", "text", "script")
+MASKED = (
+    *("seconds", "realtime_ratio", "evaluations_per_s", "version", "commit", "sources", "host"),
+    *("message", "reasons", "text", "script"),
+)
 DIGITS = 5
 # A search that goes on from what LAPACK gave.
 FEWER_DIGITS = {"reproduce 002 --quick": 2}
@@ -82,7 +87,8 @@ def asked(line: str) -> tuple[int, Any]:
 
 def answers() -> dict[str, Any]:
     """The digests of all answers without an arm, by command."""
-    with own_folder() as folder:
+    # All effects, one after the other, take long and do the same.
+    with own_folder() as folder, patch.object(limits, "EFFECTS", {"sag": limits.EFFECTS["sag"]}):
         logs = build(folder / "made")
         for name, kind in {
             "log": "running-0",
@@ -99,10 +105,16 @@ def answers() -> dict[str, Any]:
         }
 
 
+def places(folder: Path) -> list[tuple[str, str]]:
+    """Where things are on this machine, and what stands for that; the longer paths first."""
+    found = {str(folder): "FOLDER", sys.prefix: "PREFIX", str(FOLDER.parents[1]): "ROOT"}
+    return sorted(found.items(), key=lambda place: -len(place[0]))
+
+
 def of_answer(status: int, answer: Any, folder: Path, digits: int) -> dict[str, Any]:
     """Digests of an answer, key by key."""
     found = {
-        key: digest(DUST.sub("0", text.replace(str(folder), "FOLDER").replace(sys.prefix, "PREFIX")))
+        key: digest(DUST.sub("0", reduce(lambda said, name: said.replace(*name), places(folder), text)))
         for key, value in (answer or {}).items()
         if (text := json.dumps(plain(key, value, digits), sort_keys=True))
     }
@@ -139,7 +151,7 @@ def skeleton(value: Any, key: str = "") -> Any:
 def started(line: str) -> Iterator[Callable[[], Any]]:
     """A command beside this process; call what it yields for the next line that it prints."""
     command = [sys.executable, "-m", "armctl", *shlex.split(line), "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with Popen(command, stdout=PIPE, stderr=DEVNULL, text=True, start_new_session=True) as process:
         printed = process.stdout
         assert printed is not None
         try:

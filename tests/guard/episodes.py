@@ -10,7 +10,7 @@ import logging
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import is_dataclass, replace
 from typing import Any
 from unittest.mock import patch
 
@@ -49,13 +49,15 @@ class Digests:
         """Take the record of a tick, but for the keyframe, which is the step's own memory."""
         for part in (record.inputs, record.outputs):
             # Not `to_json`: commands with a NaN are asked for too, and no log can hold them.
-            self.hear("records", json.dumps(asdict(part), default=_plain, sort_keys=True).encode())
+            self.hear("records", json.dumps(part, default=_plain, sort_keys=True).encode())
 
     def __str__(self) -> str:
         return " ".join(f"{name} {found.hexdigest()}" for name, found in self._hashes.items())
 
 
-def _plain(value: Any) -> str:
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {name: getattr(value, name) for name in value.__dataclass_fields__}
     assert isinstance(value, bytes), f"{type(value).__name__} has no JSON form"
     return value.hex()
 

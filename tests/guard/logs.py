@@ -1,7 +1,7 @@
 """Logs of every kind, made of one episode's records on its virtual clock, and digests of what another reader finds.
 
 `python -m tests.guard.logs` writes `logs.json` anew. Do that only in a commit that says why the digests change.
-The version of armctl and the name of the machine are masked. All else is fixed, and keyframes are listed apart.
+What the program, its packages and the machine are is masked (`VOLATILE`). All else is fixed; keyframes stand apart.
 """
 
 import hashlib
@@ -39,7 +39,7 @@ WALL_NS = 1_750_000_000 * NS_PER_S
 LIMITS = LogConfig(free_bytes=0, rotate_s=12.0, snapshot_s=3.0)
 KEYFRAMES = "/armctl/state"
 # Of the facts about a log: which armctl wrote it, and on which machine.
-VOLATILE = ("version", "host")
+VOLATILE = ("version", "host", "commit", "sources", "python", "numpy", "dynamixel_sdk", "clock", "rtc")
 
 
 def recorded(folder: Path, ticks: Sequence[TickRecord], about: LogContext) -> None:
@@ -115,7 +115,7 @@ def fifth_chunk(path: Path) -> int:
 
 
 def masked(attachment: bytes) -> bytes:
-    return re.sub(rb'("version"|"host"):"[^"]*"', rb"\1", attachment)
+    return re.sub(rb'"(%b)":"[^"]*"' % "|".join(VOLATILE).encode(), rb"\1", attachment)
 
 
 def parts(path: Path) -> Iterator[tuple[str, bytes]]:

@@ -1,7 +1,9 @@
 """Where a daemon listens, and what it tells the service manager that started it."""
 
 import os
+import signal
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -67,3 +69,31 @@ async def test_the_daemon_tells_ready_watchdog_and_stopping(tmp_path: Path, monk
         pass
     assert set(told) == {"WATCHDOG=1", "READY=1", "STOPPING=1"}
     assert told.index("READY=1") < told.index("STOPPING=1")
+
+
+def test_a_port_that_is_missing_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = tmp_path / "port"
+    told: list[str] = []
+    monkeypatch.setattr(service_manager, "notify", told.append)
+    naps = iter(range(3))
+
+    def nap(_: float) -> None:
+        if next(naps) == 2:
+            port.touch()
+
+    monkeypatch.setattr(time, "sleep", nap)
+    service_manager.wait_for_port(str(port))
+    waits = f"READY=1\nSTATUS=waits for {port}: plug the adapter in"
+    assert told == [waits, "WATCHDOG=1", "WATCHDOG=1", "STATUS="]
+    service_manager.wait_for_port(str(port))
+    assert len(told) == 4  # it is there: nothing to tell
+
+
+def test_a_closed_terminal_ends_a_server_unless_it_is_to_outlive_one() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        assert signal.SIGHUP in service_manager.endings()
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        assert service_manager.endings() == (signal.SIGTERM, signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -12,7 +12,7 @@ import pytest
 from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT
 from armctl.genetic.request import OptimizeRequest
-from armctl.host.jobs import OptimizeJob, Progress, optimize_task, run_job
+from armctl.host.jobs import INDIVIDUAL_BYTES, JOB_BYTES, OptimizeJob, Progress, optimize_task, run_job
 from armctl.trajectory.plan import plan_from_text
 from tests.genetic import hand
 from tests.host.doubles import refused, write_take
@@ -36,6 +36,8 @@ def task(what: str, progress: Progress) -> dict[str, Any]:
             raise ZeroDivisionError("a defect")
         case "die":
             os.kill(os.getpid(), signal.SIGKILL)
+        case "swallow":
+            return {"filled": len(bytearray(2 * JOB_BYTES))}
         case "hang":
             signal.pause()
     raise AssertionError(what)
@@ -57,6 +59,7 @@ async def test_a_job_runs_elsewhere_and_its_progress_is_rare() -> None:
         ("misconfigure", ConfigError, {"file": "plan", "key": "via", "remedy": "take fewer"}),
         ("break", RequestRefused, {"code": "JOB_FAILED"}),
         ("die", RequestRefused, {"code": "JOB_FAILED"}),
+        ("swallow", RequestRefused, {"code": "TOO_LARGE"}),
     ],
 )
 async def test_a_job_s_error_is_raised_with_its_fields(
@@ -129,6 +132,15 @@ async def test_an_optimisation_repeats_itself_elsewhere(tmp_path: Path) -> None:
         there = await run_job(optimize_task, asked, lambda *_: None)
     del here["ga"]["evaluations_per_s"], there["ga"]["evaluations_per_s"]
     assert here == there
+
+
+def test_an_optimisation_that_cannot_fit_is_refused_before_it_reads_anything(tmp_path: Path) -> None:
+    most = JOB_BYTES // INDIVIDUAL_BYTES
+    asked = job(tmp_path)
+    settings = replace(asked.request.settings, population=most + 1)
+    asked = replace(asked, paths=(), request=asked.request.model_copy(update={"settings": settings}))
+    with refused("TOO_LARGE", str(most)):
+        optimize_task(asked, lambda *_: None)
 
 
 def test_recordings_of_another_arm_are_refused_each_by_name(tmp_path: Path) -> None:

@@ -50,6 +50,13 @@ def test_a_request_without_id_is_not_answered() -> None:
     assert not decode(b'{"jsonrpc":"2.0","method":"stop"}').answered
 
 
+def test_a_request_may_name_the_person_for_whom_it_is() -> None:
+    assert decode(request(person="ada")).person == "ada"
+    assert decode(request()).person == ""
+    for wrong in ("ada\nlovelace", "a b", 1, None, ["ada"]):
+        assert "person" in refusal(request(person=wrong)).problem
+
+
 @pytest.mark.parametrize(
     ("params", "problem"),
     [

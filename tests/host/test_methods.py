@@ -13,10 +13,11 @@ from armctl.config import validate
 from armctl.errors import ConfigError, LogError
 from armctl.genetic.algorithm import DEFAULT
 from armctl.host.jobs import OptimizeJob, Progress
-from armctl.host.server import Connection
+from armctl.host.server import PERSON, Connection
 from armctl.recording.recordings import Recording, describe, load
 from tests.genetic import hand
 from tests.host.doubles import methods_over, refused, write_take
+from tests.trajectory.test_plan import make_plan
 
 
 class Asker:
@@ -63,7 +64,8 @@ def bench(taken: Path) -> Bench:
 def test_looking_changes_nothing_and_everything_else_is_for_commanders(tmp_path: Path) -> None:
     table = Bench(tmp_path).table
     observing = {name for name, method in table.items() if method.observes}
-    assert observing == {"status", "log", "subscribe", "recordings_list", "recordings_show"}
+    files = {"recordings_list", "recordings_show", "recordings_track", "plans_list", "plans_show"}
+    assert observing == {"status", "log", "subscribe", *files}
     assert {name for name, method in table.items() if method.always} == {"stop", "hold", "pause"}
 
 
@@ -147,6 +149,38 @@ async def test_recordings_are_listed_shown_renamed_and_deleted(bench: Bench) -> 
     assert renamed == {"name": "z", "path": str(bench.folder / "z.mcap")}
     await bench.ask(bench.anna, "recordings_delete", name="b")
     assert [path.name for path in bench.folder.glob("*.mcap")] == ["z.mcap"]
+
+
+async def test_a_recording_s_path_is_told_for_drawing(bench: Bench) -> None:
+    track = await bench.ask(bench.anna, "recordings_track", name="a")
+    loaded = load(bench.folder / "a.mcap")
+    assert track["time_s"] == loaded.time_s.tolist()
+    assert np.shape(track["tool_m"]) == (loaded.samples, 3)
+    assert np.shape(track["positions_rad"]) == loaded.positions_rad.shape
+
+
+async def test_plans_are_kept_listed_shown_and_deleted_by_the_daemon(bench: Bench) -> None:
+    plan = make_plan().model_dump(mode="json")
+    assert await bench.ask(bench.anna, "plans_save", name="p", plan=plan) == {"name": "p"}
+    with refused("EXISTS"):
+        await bench.ask(bench.anna, "plans_save", name="p", plan=plan)
+    assert [one["name"] for one in (await bench.ask(bench.anna, "plans_list"))["plans"]] == ["p"]
+    shown = await bench.ask(bench.anna, "plans_show", name="p")
+    assert shown["plan"] == plan
+    assert np.shape(shown["tool_m"]) == (201, 3)
+    await bench.ask(bench.anna, "plans_delete", name="p")
+    with refused("NO_PLAN"):
+        await bench.ask(bench.anna, "plans_show", name="p")
+
+
+async def test_the_log_names_the_person_for_whom_a_client_asks(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes: list[dict[str, Any]] = []
+    monkeypatch.setattr(bench.methods._host, "note", notes.append)
+    PERSON.set("ada")
+    await bench.ask(bench.anna, "recordings_delete", name="a")
+    assert notes == [
+        {"request": "recordings_delete", "who": "anna", "person": "ada", "params": {"name": "a"}, "outcome": "ok"}
+    ]
 
 
 def test_a_recording_that_never_moved_has_no_error_to_show(tmp_path: Path) -> None:

@@ -11,11 +11,16 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, LogError
+from armctl.files import load_arm
 from armctl.host import host as host_module
-from armctl.host.motions import move, run
+from armctl.host.motions import move, move_trajectory, run
+from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import Hold, Mode, Run
-from armctl.trajectory.target import MoveRequest
+from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.target import MoveRequest, postures_at
 from tests.control.ideal_arm import PERIOD_S
 from tests.host.bench import Bench
 from tests.host.doubles import NamedClient, refused
@@ -286,3 +291,48 @@ async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -
     bench.ticks(7)
     assert len(bench.arm.goals) == goals, "the arm stops, as where heartbeats cease"
     assert bench.arm.mode() is Mode.HOLDING
+
+
+def way(request: MoveRequest, q_now: list[float]) -> list[float]:
+    """Where a move of the paper's arm ends."""
+    arm = load_arm("ax12-line")
+    made = move_trajectory(request, q_now, arm, robots.of(arm), PERIOD_S)
+    return list(made.positions_rad[-1])
+
+
+REST_RAD = [joint.rest_rad for joint in load_arm("ax12-line").joints]
+
+
+def test_a_point_whose_nearest_posture_must_not_be_gone_to_is_reached_in_another() -> None:
+    """Of 40 points over the table, from the rest pose; before, every one whose nearest posture touches was refused."""
+    arm, rng = load_arm("ax12-line"), np.random.default_rng(2)
+    robot, others = robots.of(arm), 0
+    for point in rng.uniform((0.05, -0.2, 0.03), (0.25, 0.2, 0.3), (40, 3)):
+        postures = postures_at(pose_from_xyz_rpy(*point), REST_RAD, arm, robot, turned=False)
+        allowed = []
+        for goal in postures:
+            motion = approach_trajectory(REST_RAD, goal, arm, robot, PERIOD_S, "move")
+            if not preflight_motion(np.array(motion.positions_rad), PERIOD_S, arm, robot, start_rad=REST_RAD):
+                allowed.append(goal)
+        request = MoveRequest(point_m=tuple(point.tolist()))
+        if not allowed:
+            with refused("PREFLIGHT"):
+                way(request, REST_RAD)
+            continue
+        assert way(request, REST_RAD) == pytest.approx(allowed[0])
+        others += allowed[0] != postures[0]
+    assert others > 0
+
+
+def test_another_posture_can_be_asked_for_and_one_too_many_lists_them() -> None:
+    here = np.radians((0.0, 87.0, -65.0, -64.0, -33.0, 20.0)).tolist()
+    first, second = (way(MoveRequest(point_m=(0.18, 0.0, 0.15), posture=k), here) for k in (1, 2))
+    assert first == way(MoveRequest(point_m=(0.18, 0.0, 0.15)), here)
+    away = [float(np.abs(np.subtract(end, here)).max()) for end in (first, second)]
+    assert away[0] < away[1]
+    with refused("POSTURE") as caught:
+        way(MoveRequest(point_m=(0.18, 0.0, 0.15), posture=13), here)
+    told = caught.value.reasons
+    assert told[0] == "of posture 13 there is none; these can be gone to"
+    assert told[1].startswith("posture 1: ")
+    assert len(told) > 2

@@ -1,6 +1,7 @@
 """Runs that correct a plan, on an arm that serves people."""
 
 import asyncio
+import json
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,16 @@ async def test_a_refinement_says_what_a_run_says_and_every_round_and_keeps_the_p
     assert [params["of"] for _, params in bench.anna.told] == [3] * len(bench.anna.told)
     assert bench.anna.told[0][1]["round"] == result["rounds"][0]
     assert bench.anna.told[-1][1] == {"runs": len(made), "of": 3, "round": result["rounds"][-1]}
+
+
+async def test_every_recording_of_a_run_holds_the_plan_it_was_a_run_of(bench: Bench, tmp_path: Path) -> None:
+    plan = line_plan(bench)
+    await bench.served(run(bench.host, bench.anna, plan))
+    result = await bench.served(refine(bench.host, bench.anna, plan, 1, tmp_path))
+    notes = [note for note in map(json.loads, bench.recorder.notes) if note.get("event") == "PLAN"]
+    assert len(notes) == 1 + sum(len(row["recordings"]) for row in result["rounds"])
+    assert all(note["corrected"] for note in notes)
+    assert [Plan.model_validate(note["plan"]) for note in notes[:2]] == [plan, plan]
 
 
 async def test_the_arm_is_the_refiner_s_until_its_last_run(bench: Bench, tmp_path: Path) -> None:

@@ -29,7 +29,8 @@ REPORT = LineReport(
     mean_mm=np.array([8.0, 7.0]),
     runs=[
         *(run(via, path(0.001), path(-0.0123), path(-0.0456)) for via in (0, 2)),
-        *(replace(run(via, path(0.001), path(-0.0011), path(-0.0022)), corrected=True) for via in (0, 2)),
+        *(replace(run(via, path(0.001), path(-0.0011), path(-0.0022)), goals="corrected") for via in (0, 2)),
+        replace(run(2, path(0.001), path(-0.0007), path(-0.0008)), goals="refined"),
     ],
 )
 
@@ -44,19 +45,33 @@ def test_the_page_tells_what_the_paths_show(tmp_path: Path) -> None:
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)
     assert (html.count("12.3 / 12.3"), html.count("45.6 / 45.6")) == (2, 2)
     assert not missing(html, "take &lt;1&gt;", "2.00 % above")
-    assert html.count('<figure role="img"') == 3 + 1 + 1 + 4
+    assert html.count('<figure role="img"') == 3 + 1 + 1 + 5
 
 
-def test_plain_and_corrected_paths_stand_in_one_picture_in_the_colour_of_their_number_of_points(
+def test_plain_corrected_and_refined_paths_stand_in_one_picture_in_the_colour_of_their_number_of_points(
     tmp_path: Path,
 ) -> None:
     write(REPORT, tmp_path / "line.html")
     html = (tmp_path / "line.html").read_text()
-    for how, dash in (("plain", "dot"), ("corrected", "solid")):
+    colours = dict(zip((0, 2), COLOURS, strict=False))
+    for how, dash, some in (("plain", "dot", (0, 2)), ("corrected", "dash", (0, 2)), ("refined", "solid", (2,))):
         assert f"<td>{how}</td>" in html
-        for via, colour in zip((0, 2), COLOURS, strict=False):
+        for via in some:
+            colour = colours[via]
             stroke = rf'"line":{{"color":"{colour}","dash":"{dash}","width":[0-9.]+}}'
             assert len(re.findall(rf'{stroke}[^}}]*"name":"{via} via, {how}, true"', html)) == 3
+
+
+def test_the_genetic_algorithm_is_drawn_as_far_as_it_improves_from_the_best_take_down_to_the_exact_optimum(
+    tmp_path: Path,
+) -> None:
+    best_mm = np.array([8.0, 7.0, 7.0, 6.0, *[5.0] * 196])
+    html = page(replace(REPORT, best_mm=best_mm, mean_mm=best_mm + 1.0, exact_mean_mm=5.0), tmp_path)
+    assert '"range":[0,10]' in html
+    assert not missing(html, "best take", "exact optimum")
+    best_mm[30:] = 4.0
+    html = page(replace(REPORT, best_mm=best_mm, mean_mm=best_mm + 1.0, exact_mean_mm=4.0), tmp_path)
+    assert '"range":[0,45]' in html
 
 
 def test_without_an_outside_measurement_the_truth_is_left_open(tmp_path: Path) -> None:

@@ -122,6 +122,21 @@ def test_a_change_is_told_forgets_the_past_and_is_learnt(first: int, last: int, 
     assert unforeseen_tick(in_use(after), other, rng) < 0.6
 
 
+def test_one_strange_motion_leaves_nothing_behind() -> None:
+    rng = np.random.default_rng(4)
+    truth = an_arm(rng, 0.2)
+    before = taught(truth, rng, 12)
+    known, present = before[-1].experience, in_use(before)
+    pushed = replace(truth, rows=tuple(tuple(3.0 * g for g in row) for row in truth.rows))
+    odd, ordinary = (sums_of(CHAIN, a_motion(arm, rng), None, PERIOD_S)[0] for arm in (pushed, truth))
+    strange = learn(ARM, CHAIN, known, present, odd)
+    assert strange.change
+    assert strange.model is None
+    after, without = (learn(ARM, CHAIN, begun, present, ordinary) for begun in (strange.experience, known))
+    assert (after.change, after.model) == ("", without.model)
+    assert after.experience.motions == without.experience.motions
+
+
 def test_a_joint_whose_friction_may_push_either_way_tells_nothing() -> None:
     rng = np.random.default_rng(6)
     seen = a_motion(an_arm(rng), rng)

@@ -20,12 +20,13 @@ from armctl.lab.study import pareto
 from armctl.lab.study.case import Case, Found, Row
 from armctl.lab.study.workers import Workers
 from armctl.report import experiment as page
-from armctl.report.line import ExperimentReport, errors_mm
+from armctl.report.line import ExperimentReport
 from armctl.trajectory.course import Line, sent_rad, ticks_of
 from armctl.trajectory.interpolate import columns_at, time_law
 from armctl.trajectory.line_path import onto
 from armctl.trajectory.plan import plan_positions
 from armctl.trajectory.refinement import Round
+from armctl.trajectory.straightness import errors_mm
 
 # What of the simulated arm's specification switches one effect off.
 EFFECTS: dict[str, dict[str, Any]] = {
