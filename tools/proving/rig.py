@@ -24,6 +24,8 @@ from armctl.sim.control import SimulatorClient, control_path
 ARM = "ax12-line"
 POLL_S = 0.05
 LOOK_S = 0.01
+# Nobody waits longer for a process whose daemon is gone.
+OUTLIVES_S = 20.0
 LONGEST_NS = 2 * NS_PER_S
 
 
@@ -102,8 +104,12 @@ def installed(folder: Path) -> Iterator[None]:
 
     A checkout may be told to keep none (PYTHONDONTWRITEBYTECODE); then half of each start is the compiler's.
 
+    It ends when they all have: a job whose daemon was killed goes on until it next looks.
+
     Args:
         folder: Where the bytecode is kept.
+    Raises:
+        ArmctlError: one of them goes on.
     """
     before = {name: os.environ.pop(name, None) for name in ("PYTHONDONTWRITEBYTECODE", "PYTHONPYCACHEPREFIX")}
     os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
@@ -112,6 +118,23 @@ def installed(folder: Path) -> Iterator[None]:
     finally:
         del os.environ["PYTHONPYCACHEPREFIX"]
         os.environ.update({name: value for name, value in before.items() if value is not None})
+        _wait_for_those_with(os.fsencode(folder))
+
+
+def _wait_for_those_with(value: bytes) -> None:
+    """Return once no process has it in its environment."""
+    deadline_s = time.monotonic() + OUTLIVES_S
+    while True:
+        going_on = []
+        for path in Path("/proc").glob("[0-9]*/environ"):
+            with contextlib.suppress(OSError):  # it has just ended, or is somebody else's
+                if value in path.read_bytes():
+                    going_on.append(path.parent.name)
+        if not going_on:
+            return
+        if time.monotonic() > deadline_s:
+            raise ArmctlError(f"processes {', '.join(going_on)} go on after everything was ended")
+        time.sleep(POLL_S)
 
 
 class OtherWork:
