@@ -32,6 +32,30 @@ def test_6_a_silence_that_ends_while_the_program_is_late_is_a_short_one(late_s: 
     assert bench.broken & {"6", "rows"} == (broken | {"rows"} if broken else broken)
 
 
+@pytest.mark.parametrize(("mode", "broken"), [(Mode.STARTING, set()), (Mode.HOLDING, {"6"})])
+def test_6_a_program_that_starts_waits_for_a_silent_servo(holding: Bench, mode: Mode, broken: set[str]) -> None:
+    holding.tick(mode)
+    holding.plan("mute", 0.97, 3)
+    holding.ticks(11, mode)
+    holding.ticks(2, Mode.HOLDING)
+    holding.ask("run")
+    holding.tick(Mode.MOVING)
+    advancing(holding)
+    assert holding.broken & {"6"} == broken
+
+
+@pytest.mark.parametrize(("unheard", "broken"), [(6, set()), (0, {"rows"})])
+def test_a_sag_that_is_over_soon_after_it_could_be_seen_has_not_lasted(
+    holding: Bench, unheard: int, broken: set[str]
+) -> None:
+    at_s = holding.now_s
+    sag = Fault(kind="brown_out", servo_id=1, begin_s=at_s, duration_s=1.2, value=6.86, probability=0.0)
+    holding.judge.plan(sag)
+    holding.ticks(unheard, Mode.HOLDING, heard=False)
+    holding.ticks(15, Mode.HOLDING)
+    assert holding.broken & {"rows"} == broken
+
+
 @pytest.mark.parametrize(
     ("silent", "kind", "broken"), [(1, "mute", set()), (2, "mute", {"rows"}), (None, "dead_bus", set())]
 )
@@ -231,6 +255,19 @@ def test_7_a_jog_that_comes_with_clear_is_no_way_to_rest_once_the_fault_is_gone(
     holding.ask("clear", "jog")
     holding.goal(holding.servos[0].goal - 5)
     holding.tick(mode, code)
+    assert holding.broken == broken
+
+
+@pytest.mark.parametrize(("way", "broken"), [(5, set()), (-5, {"7"})])
+def test_7_the_way_to_rest_goes_on_where_a_clear_and_a_jog_are_refused(
+    holding: Bench, way: int, broken: set[str]
+) -> None:
+    holding.servos[0].goal = 400  # the base rests at 512
+    holding.at(400.0)
+    holding.ticks(35, Mode.FAULTED, "HOT")
+    holding.move(5, mode=Mode.FAULTED, code="HOT")
+    holding.ask("clear", "jog")
+    holding.move(way, mode=Mode.FAULTED, code="HOT")
     assert holding.broken == broken
 
 

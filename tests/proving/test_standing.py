@@ -175,6 +175,19 @@ def test_a_joint_that_was_led_off_far_holds_where_it_is(moving: Bench) -> None:
     assert "yields" not in moving.red
 
 
+@pytest.mark.parametrize(("held", "broken"), [(MIDDLE + 6, set()), (MIDDLE + 100, {"2"})])
+def test_2_a_goal_that_was_lost_brings_nothing_back_that_goes_there_anyway(
+    moving: Bench, held: int, broken: set[str]
+) -> None:
+    moving.goal(MIDDLE + 5)
+    moving.goal(MIDDLE + 5)
+    moving.servos[0].goal = held
+    moving.at(MIDDLE + 100.0)
+    moving.hear()
+    moving.goal(MIDDLE + 5)
+    assert moving.broken == broken
+
+
 @pytest.mark.parametrize(("ok", "torque", "broken"), [
     (True, True, {"limp"}), (True, False, set()), (False, True, set())])  # fmt: skip
 def test_release_says_what_is(ok: bool, torque: bool, broken: set[str]) -> None:

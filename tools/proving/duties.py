@@ -243,6 +243,10 @@ class Duties:
         for one in self._expected:
             if one.by_s == math.inf and any(self.heard_s[i] > one.begin_s + HEARD_S for i in one.servos):
                 one.by_s = now_s + one.within_s
+        # A sag that is over too soon after it could be seen has not lasted.
+        self._expected = [
+            one for one in self._expected if one.by_s == math.inf or one.by_s < one.until_s + self._period_s
+        ]
         due = [one for one in self._expected if one.by_s < now_s and self._could_tell(now_s, one)]
         self._expected = [one for one in self._expected if one not in due]
         return [(one.what, one.by_name) for one in due]
@@ -331,8 +335,9 @@ class Duties:
         until_s = math.inf
         if fault.kind in SILENCES and certain and lasts_s > SILENCE_S:
             stop_within_s = SILENCE_S
-            if lasts_s > LATCH_S + REPORT_SLACK_S:
-                report_within_s = None if known.mode in (STARTING, OFF) else LATCH_S
+            # A program that starts waits until every servo has answered.
+            if lasts_s > LATCH_S + REPORT_SLACK_S and known.mode != STARTING:
+                report_within_s = None if known.mode == OFF else LATCH_S
             else:
                 until_s = end_s
         elif fault.kind == "unplug":
@@ -366,6 +371,7 @@ class Duties:
                 expected = Expected(begin_s + within_s, what, CODES[fault.kind], by_name, begin_s, within_s)
                 if fault.kind not in SILENCES and fault.kind != "unplug":
                     expected.by_s, expected.servos = math.inf, servos_struck
+                    expected.until_s = end_s if fault.probability == 0.0 else math.inf
                 self._expected.append(expected)
 
     def overruled(self, now_s: float, i: int) -> None:

@@ -1,6 +1,7 @@
 """What the judge sees and what it expects: packets, servos and motors at an instant, duties, faults to be reported,
 and what came of an episode."""
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field
 
@@ -90,6 +91,8 @@ class Expected:
     begin_s: float = 0.0
     within_s: float = 0.0
     servos: tuple[int, ...] = ()
+    # When its cause is over; infinite: it stays.
+    until_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from proving.duties import REPORT_SLACK_S, Duties
 from proving.evidence import Servo, Violation
-from proving.reading import OFF, POWERED, TICK_DEG, Arm
+from proving.reading import POWERED, STARTING, TICK_DEG, Arm
 from proving.rules import RED
 
 # Two standard deviations of one reading: a program that has one reading knows a shaft no better.
@@ -43,7 +43,7 @@ class ShaftJudge:
         self._seen: set[tuple[str, int]] = set()
         self._duties = Duties(arm, period_s)
         # What is reported: the mode, and the code of a fault.
-        self._mode, self._code = OFF, ""
+        self._mode, self._code = STARTING, ""
         # The servos a tick ago.
         self._before: list[Servo] = []
         # When and where [tick] each servo took torque, for the half second of watching.

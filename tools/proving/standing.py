@@ -223,6 +223,10 @@ class StandingJudge(ShaftJudge):
             told_s = max(0.0, now_s - self._announced_s)
             self._violate("rest", now_s, i, f"{text}, {told_s:.1f} s after it was told (bound {ANNOUNCED_S:g})")
 
+    def _may_go_to_rest(self, now_s: float) -> bool:
+        """Whether the way to rest was announced in time, and may be under way."""
+        return self._arm.rests and now_s - self._announced_s >= ANNOUNCED_S - SLACK_S
+
     def _standing_causes(self, now_s: float) -> Iterator[str]:
         """Why torque must not come on: what would send the arm to rest."""
         low_V, high_V = self._arm.voltage_V

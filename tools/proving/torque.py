@@ -147,9 +147,9 @@ class TorqueJudge(StandingJudge):
         return servo.goal if held is None or abs(goal - servo.goal) < abs(goal - held) else held
 
     def _brings_back(self, now_s: float, i: int, goal: int, was: Servo) -> None:
-        """A goal is sent again."""
+        """A goal is sent again. One that hardly differs from what the servo holds leads a joint nowhere new."""
         low, high = self._limits[i]
-        away = abs(goal - min(max(self._told[i], low), high))
+        away = min(abs(goal - min(max(self._told[i], low), high)), abs(goal - was.goal))
         if was.torque and was.goal != goal and away > LED_TICKS:
             self._violate("2", now_s, i, f"brought back {away * TICK_DEG:.1f} deg to goal {goal} (bound 12)")
 
@@ -162,11 +162,12 @@ class TorqueJudge(StandingJudge):
     def _led_to_rest(self, now_s: float, i: int, known: int, goal: int) -> None:
         """A goal goes on while a fault is told that may send the arm to rest."""
         text = f"goal {known} -> {goal}"
-        if self._clears_and_moves:
+        goes_back = self._off_rest(i, goal) > self._off_rest(i, known) + self._bend_ticks
+        if self._clears_and_moves and (goes_back or not self._may_go_to_rest(now_s)):
             self._unless_cleared.append(("7", now_s, i, f"{text}, as was asked for, {self._code} being latched"))
             return
         self._advances_to_rest(now_s, i, text)
-        if self._off_rest(i, goal) > self._off_rest(i, known) + self._bend_ticks:
+        if goes_back:
             self._violate("7", now_s, i, f"{text}, away from rest, {self._code} being latched")
 
     def _told_off(self, now_s: float, i: int, before: Sequence[Servo]) -> None:
