@@ -48,12 +48,18 @@ GRIP_RATIO = 0.5
 
 
 def look_for_push(s: Tick) -> None:
-    """Relieve what was to be looked at once it stands, and learn what it bears where that was in vain."""
+    """Relieve what was to be looked at once it stands, and learn what it bears where that was in vain.
+
+    One that is not heard keeps what was seen of it: on a bad line no joint is heard for long at a stretch.
+    """
     looks, s.state.looks, now_ns = s.state.looks, (), s.inputs.now_ns
     if s.state.borne_ratio:
         _put_down(s)
     for look in looks:
         i = look.joint
+        if not s.inputs.sample.servos[i].fresh:
+            s.state.looks += (look,)
+            continue
         there = stands(s, i) and s.status(i).goal == s.state.goal[i]
         if not there or now_ns - (look.since_ns or now_ns) < STAND_NS:
             s.state.looks += (replace(look, since_ns=there and (look.since_ns or now_ns)),)

@@ -65,6 +65,16 @@ def test_a_stop_against_something_does_not_go_on_pushing(joint: int) -> None:
     assert rig.mode() is Mode.HOLDING
 
 
+def test_a_joint_that_is_heard_every_other_time_does_not_go_on_pushing_after_a_stop() -> None:
+    rig = blocked()
+    rig.ticks(1, Hold(6))
+    for _ in range(6):
+        rig.fault("mute", 1, duration_s=0.15)
+        rig.ticks(2)
+    assert rig.outputs()[0] < NEAR_ZERO
+    assert rig.mode() is Mode.HOLDING
+
+
 def test_a_relief_is_sent_until_it_is_read_back() -> None:
     rig = blocked()
     rig.ticks(1, Hold(6))
