@@ -15,7 +15,7 @@ from armctl.errors import ArmctlError
 
 # What the help lists under which heading, in the order in which a newcomer meets it.
 PURPOSES: dict[str, tuple[str, ...]] = {
-    "First steps": ("demo", "sim", "daemon", "help", "completion"),
+    "First steps": ("demo", "try", "sim", "daemon", "help", "completion"),
     "Running the arm": (
         *("status", "watch", "stop", "hold", "pause", "resume", "rate", "torque", "move", "jog", "reach", "transfer"),
         *("run", "play", "path", "park", "release", "clear"),
@@ -29,6 +29,7 @@ PURPOSES: dict[str, tuple[str, ...]] = {
 # Module of this package -> the commands in it, each as `NAME_command`; every other command has a module of its name.
 _SHARED = {
     "arm": ("arms", "clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
+    "demo": ("try",),
     "help": ("completion",),
     "jobs": ("optimize", "play", "recordings", "run"),
     "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),

@@ -1,7 +1,8 @@
-"""`armctl demo`."""
+"""Everything without an arm, by one command: `armctl demo` and `armctl try`."""
 
 import os
 import signal
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import click
 
-from armctl.cli.output import FOLDER, Output, command
+from armctl.cli.output import FOLDER, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 
 
@@ -33,6 +34,41 @@ def demo_command(output: Output, out: Path, seed: int) -> int:
         result = demo.run(out.absolute(), seed, output.progress)
     output.answer(result, lambda: show(output, result))
     return 0 if result["replay"]["mismatches"] == 0 else 1
+
+
+@command("try", SOCKET)
+@click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to simulate.")
+@click.option("--port", type=click.IntRange(1, 65535), default=8080, help="TCP port of the dashboard.")
+@click.option("--no-browser", is_flag=True, help="Open no browser.")
+def try_command(output: Output, arm: str, port: int, no_browser: bool) -> int:
+    """An arm to play with, without one: simulated servos, the daemon and the dashboard, until Ctrl-C.
+
+    Prints `ready ADDRESS` and opens it in the browser. There, begin to teach; any key that you press here has a
+    simulated hand guide the limp arm along a line. Straighten what was taught, and run it. In another terminal every
+    command works on this arm: `armctl status`, `armctl move`, `armctl stop`. What is recorded stays in ./armctl-try.
+
+    Example: armctl try --arm crane-plus-v2
+    """
+    import webbrowser
+
+    from armctl.cli.keys import keys
+    from armctl.cli.processes import default_link
+    from armctl.files import socket_path
+    from armctl.lab.trial import trial
+
+    socket, link, folder = socket_path(output.socket), default_link().absolute(), Path("armctl-try").absolute()
+    with _ending_all(), trial(folder, arm, socket, link, port, output.progress) as running:
+        output.ready("url", running.address)
+        if not no_browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            webbrowser.open(running.address)
+        line = " to ".join(",".join(f"{x:.3f}" for x in end) for end in running.line or ()) or "none is in reach"
+        output.say(f"Begin to teach on the page, then press a key here: a hand guides the arm.\nIts line: {line}")
+        try:
+            with keys(sys.stdin) as pressed:
+                running.serve(lambda: pressed.wait(0.0), output.say)
+        except KeyboardInterrupt:
+            output.say("ended; what was recorded is in armctl-try")
+    return 0
 
 
 @contextmanager

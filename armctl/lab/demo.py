@@ -100,7 +100,7 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
     Raises:
         ArmctlError: some part failed; the messages of the programs are in `out`/daemon.log and simulator.log.
     """
-    _make_room(out)
+    make_room(out)
     arm = load_arm(ARM)
     with ExitStack() as cleanup:
         sockets = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="armctl-")))
@@ -321,7 +321,14 @@ def _row(ran: _Ran) -> dict[str, Any]:
 
 @contextmanager
 def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Start an armctl program and wait until it says `ready`; it is ended on leaving.
+    """As `started`, without what it said."""
+    with started(log, *arguments) as (process, _):
+        yield process
+
+
+@contextmanager
+def started(log: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Start an armctl program and wait until it says `ready`, and what is; it is ended on leaving.
 
     It has a session of its own. Linux delays the bytes of a terminal if busy processes share the session: by up to
     0.24 s with four of them, and by 0.03 s where they have another session.
@@ -338,11 +345,12 @@ def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     ):
         assert process.stdout is not None
         try:
-            if not process.stdout.readline().startswith("ready "):
+            ready, _, what = process.stdout.readline().strip().partition(" ")
+            if ready != "ready":
                 process.wait(START_TIMEOUT_S)
                 told = log.read_text(encoding="utf-8").strip().splitlines()
                 raise ArmctlError(f"armctl {arguments[0]} did not start: {told[-1] if told else 'no word'}")
-            yield process
+            yield process, what
         finally:
             process.terminate()
             try:
@@ -351,8 +359,8 @@ def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
                 process.kill()
 
 
-def _make_room(out: Path) -> None:
-    """Make `out` an empty folder: what an earlier demonstration left is moved into a folder of its own."""
+def make_room(out: Path) -> None:
+    """Make `out` an empty folder: what was left there before is moved into a folder of its own."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         old = [path for path in out.iterdir() if not path.name.startswith("earlier-")]
@@ -362,4 +370,4 @@ def _make_room(out: Path) -> None:
             for path in old:
                 path.rename(aside / path.name)
     except OSError as error:
-        raise ArmctlError(f"{out}: cannot write there: {error.strerror}; choose another folder with --out") from None
+        raise ArmctlError(f"{out}: cannot write there: {error.strerror}; choose another folder") from None
