@@ -348,7 +348,8 @@ def started(log: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str],
             ready, _, what = process.stdout.readline().strip().partition(" ")
             if ready != "ready":
                 process.wait(START_TIMEOUT_S)
-                told = log.read_text(encoding="utf-8").strip().splitlines()
+                lines = log.read_text(encoding="utf-8").splitlines()
+                told = [line.removeprefix("armctl: ") for line in lines if line and not line.startswith("  next: ")]
                 raise ArmctlError(f"armctl {arguments[0]} did not start: {told[-1] if told else 'no word'}")
             yield process, what
         finally:

@@ -1,6 +1,7 @@
 """`armctl try` in a terminal: the page is served, a key has the hand guide the arm, Ctrl-C ends everything."""
 
 import os
+import socket
 import sys
 import urllib.request
 from itertools import islice
@@ -9,8 +10,10 @@ from pathlib import Path
 import pytest
 
 from armctl.client import Client
+from armctl.errors import ArmctlError
 from armctl.files import load_arm
-from armctl.lab.trial import _line
+from armctl.lab.stage import silent
+from armctl.lab.trial import _line, trial
 from tests.scenarios.bench import alive
 from tests.terminal import CTRL_C, free_port, terminal
 
@@ -51,6 +54,20 @@ def test_an_arm_to_try_is_guided_by_a_key_and_ended_by_ctrl_c(tmp_path: Path, mo
     assert not [pid for pid in started if alive(int(pid))]
     assert (tmp_path / "armctl-try/recordings/line-1.mcap").stat().st_size > 0
     assert not os.path.lexists(tmp_path / "armctl-servos")
+
+
+def test_what_does_not_start_says_why_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        servos = tmp_path / "servos"
+        with (
+            pytest.raises(ArmctlError, match=f"armctl web did not start: .*{port}"),
+            trial(tmp_path / "try", "ax12-line", tmp_path / "daemon.sock", servos, port, silent),
+        ):
+            pass
+    assert not os.path.lexists(servos)
 
 
 @pytest.mark.parametrize("arm", ["ax12-line", "crane-plus-v2", "phantomx-pincher"])
