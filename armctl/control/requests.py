@@ -11,7 +11,7 @@ from armctl import messages
 from armctl.config import ArmConfig
 from armctl.control import jog
 from armctl.control.detect import PAUSE_AGE_S
-from armctl.control.faults import Cause
+from armctl.control.faults import SETTLING, Cause
 from armctl.control.machine import TO_REST, Motion, Phase, Trigger
 from armctl.control.motion import set_off
 from armctl.control.sequences import soften
@@ -129,6 +129,8 @@ def _slow_down(s: Tick, code: str, why: str) -> None:
 def _hold(s: Tick, request_id: int) -> str | None:
     state = s.state
     _slow_down(s, "STOPPED", "it was stopped")
+    # Also where the way to rest is not under way just now, because it waits for a servo that does not answer.
+    state.stays |= any(fault.code in SETTLING for fault in state.faults)
     if state.motion is not None or state.jog is not None:
         state.hold_request_ids = (*state.hold_request_ids, request_id)
         return None

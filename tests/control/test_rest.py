@@ -206,6 +206,19 @@ def test_the_way_to_rest_is_called_off(asked: str) -> None:
     assert (arm.mode(), arm.code(), arm.outputs and arm.outputs.rest_in_s) == (Mode.FAULTED, "HOT", None)
 
 
+@pytest.mark.parametrize("stopped", [True, False])
+def test_a_stop_calls_the_way_to_rest_off_although_the_arm_waits_for_a_servo(stopped: bool) -> None:
+    arm = away()
+    arm.put(2, ax12a.PRESENT_TEMPERATURE, 66)
+    arm.run_ticks(30)
+    arm.silent = {0}
+    arm.run_ticks(6)
+    arm.run_ticks(1, *[Hold(6)] * stopped)
+    arm.silent = set()
+    assert bool(arm.goals_in(80)) is not stopped
+    assert {fault.code for fault in arm.state.faults} == {"HOT", "SERVO_SILENT"}
+
+
 def test_heat_that_comes_back_sends_the_arm_to_rest_after_all() -> None:
     arm = away()
     for temperature_degC, ticks in ((66, 30), (60, 60), (66, 150)):
