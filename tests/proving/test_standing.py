@@ -233,6 +233,18 @@ def test_a_motor_that_works_too_hard_is_told_of_beside_whatever_else(
     assert holding.red & {"faults", "rows"} == broken
 
 
+@pytest.mark.parametrize(("also", "broken"), [("OVERLOAD", set()), ("", {"faults"})])
+def test_a_motor_that_works_too_hard_is_told_of_as_soon_as_it_is_heard_again(
+    holding: Bench, also: str, broken: set[str]
+) -> None:
+    holding.feel(0.9, gravity=0.9)
+    holding.ticks(25, Mode.FAULTED, "BUS_NOISE")
+    holding.ticks(2, Mode.FAULTED, "BUS_NOISE", heard=False)
+    for _ in range(2):
+        holding.tick(Mode.FAULTED, "BUS_NOISE", also=also)
+    assert holding.red & {"faults"} == broken
+
+
 @pytest.mark.parametrize(("ticks", "broken"), [(20, set()), (30, {"faults"})])
 def test_a_program_that_has_just_begun_sees_what_a_motor_works_once_it_has_asked_who_is_there(
     holding: Bench, ticks: int, broken: set[str]

@@ -86,6 +86,8 @@ class StandingJudge(ShaftJudge):
         self._away_s = [-math.inf] * n
         self._strains: Sequence[Strain] = ()
         self._load_s = [math.inf] * n
+        # When each servo was last heard, as of a tick ago.
+        self._heard_before_s = [-math.inf] * n
         # Which servo each fault names.
         self._named: Mapping[str, int | None] = {}
         # Since when a program is there that has heard every servo.
@@ -317,8 +319,9 @@ class StandingJudge(ShaftJudge):
             self._violate("relief" if blocked else "stall", now_s, i, text)
 
     def _watch_load(self, now_s: float, i: int) -> None:
-        # A program that was late has seen it once.
-        lasts_s = now_s - max(self._load_s[i], self._late_s)
+        # A program that was late has seen it once; what is heard in this very tick, nobody has told yet.
+        lasts_s = self._heard_before_s[i] - max(self._load_s[i], self._late_s)
+        self._heard_before_s[i] = self._duties.heard_s[i]
         if lasts_s > OVERLOADED_S and "OVERLOAD" not in self._codes and (self._codes or self._mode in POWERED):
             beside = f" beside {'+'.join(self._codes)}" if self._codes else ""
             text = f"works above 80 % for {now_s - self._load_s[i]:.1f} s, and nobody tells it{beside}"
