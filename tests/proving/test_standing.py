@@ -255,6 +255,16 @@ def test_a_program_that_has_just_begun_sees_what_a_motor_works_once_it_has_asked
     assert holding.red & {"faults"} == broken
 
 
+@pytest.mark.parametrize(("late_s", "broken"), [(1.3, set()), (0.0, {"rest"})])
+def test_a_supply_that_was_low_until_just_now_has_lasted(holding: Bench, late_s: float, broken: set[str]) -> None:
+    holding.feel(volts=7.0)
+    holding.tick(Mode.HOLDING)
+    holding.now_s += late_s
+    holding.feel()
+    holding.tick(Mode.FAULTED, "VOLTAGE")
+    assert holding.broken & {"rest"} == broken
+
+
 @pytest.mark.parametrize(("also", "broken"), [("BLOCKED", set()), ("", {"rest"})])
 def test_a_supply_is_told_at_once_with_what_it_holds_up_alone(holding: Bench, also: str, broken: set[str]) -> None:
     holding.feel(volts=7.0)

@@ -253,6 +253,8 @@ class StandingJudge(ShaftJudge):
                 self._since_s[code], self._last_s[code] = min(self._since_s[code], now_s), now_s
                 self._lasted_s[code] = now_s - self._since_s[code]
             else:
+                if self._since_s[code] < math.inf:  # it may have lasted until just now: looks may be far apart
+                    self._lasted_s[code] = now_s - self._since_s[code]
                 self._since_s[code] = math.inf
         for i, (servo, strain) in enumerate(zip(servos, strains, strict=False)):
             self._watch_push(now_s, i, servo, strain)
