@@ -82,6 +82,11 @@ class Bench:
     def at(self, ticks: float, index: int = 0) -> None:
         self.servos[index].shaft_tick, self.servos[index].sensed_tick = ticks, round(ticks)
 
+    def stand_off_rest(self) -> None:
+        """Joint 0 holds far from its rest, which is at 512."""
+        self.servos[0].goal = 400
+        self.at(400.0)
+
     def feel(
         self, output: float = 0.0, *, gravity: float = 0.0, volts: float = 12.0, celsius: float = 30.0,
         carrying: float | None = None,

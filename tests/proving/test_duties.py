@@ -209,8 +209,7 @@ def test_6_a_motion_asked_for_together_with_a_clear_ends_an_older_hold(
 
 
 def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else(holding: Bench) -> None:
-    holding.servos[0].goal = 400  # the base rests at 512
-    holding.at(400.0)
+    holding.stand_off_rest()
     holding.tick(Mode.FAULTED, "HOT")
     assert advancing(holding, mode=Mode.FAULTED, code="HOT") is None
     holding.move(-5, mode=Mode.FAULTED, code="HOT")
@@ -221,8 +220,7 @@ def test_7_heat_may_send_the_arm_to_rest_and_nowhere_else(holding: Bench) -> Non
 def test_7_on_the_way_to_rest_goals_go_back_by_what_a_correction_adds_and_not_by_more(
     holding: Bench, step: int, seen: bool
 ) -> None:
-    holding.servos[0].goal = 400  # the base rests at 512
-    holding.at(400.0)
+    holding.stand_off_rest()
     holding.tick(Mode.FAULTED, "HOT")
     assert advancing(holding, mode=Mode.FAULTED, code="HOT") is None
     holding.at(holding.servos[0].goal - 20.0)  # it hangs down
@@ -262,8 +260,7 @@ def test_7_a_jog_that_comes_with_clear_is_no_way_to_rest_once_the_fault_is_gone(
 def test_7_the_way_to_rest_goes_on_where_a_clear_and_a_jog_are_refused(
     holding: Bench, way: int, broken: set[str]
 ) -> None:
-    holding.servos[0].goal = 400  # the base rests at 512
-    holding.at(400.0)
+    holding.stand_off_rest()
     holding.ticks(35, Mode.FAULTED, "HOT")
     holding.move(5, mode=Mode.FAULTED, code="HOT")
     holding.ask("clear", "jog")
@@ -276,8 +273,7 @@ def test_7_the_way_to_rest_goes_on_where_a_clear_and_a_jog_are_refused(
 def test_7_heat_that_outlasts_a_silence_may_send_the_arm_to_rest_once_that_is_announced(
     holding: Bench, stopped_by: str, announced: bool
 ) -> None:
-    holding.servos[0].goal = 400  # the base rests at 512
-    holding.at(400.0)
+    holding.stand_off_rest()
     holding.tick(Mode.FAULTED, "HOT")
     holding.now_s += 0.5
     for k in range(38):
