@@ -40,6 +40,8 @@ def detect_faults(s: Tick) -> None:
         return
     connected = s.state.connected
     if not connected and s.state.mode in (Mode.STARTING, Mode.FAULTED):
+        if s.state.mode is Mode.FAULTED:
+            _detect_strain(s)  # they are heard, and whoever they are, this is before a servo's own trip
         return
     # A servo that has never been heard is a matter of what is found when connecting.
     silent = [i for i, joint in enumerate(s.joints) if (connected or joint.known) and joint.age_s > SILENT_AGE_S]

@@ -67,6 +67,16 @@ def test_unplugging_latches_at_once_and_clears_only_after_replugging() -> None:
     assert arm.events.count("PORT_BACK") == 1
 
 
+def test_a_strain_is_told_while_servos_behind_a_new_port_are_still_asked_who_they_are() -> None:
+    arm = holding()
+    arm.port_open = False
+    arm.run_tick()
+    arm.port_open = True
+    arm.put(3, ax12a.PRESENT_LOAD, 1023)
+    arm.run_ticks(22)
+    assert [fault.code for fault in arm.state.faults] == ["PORT_GONE", "OVERLOAD"]
+
+
 @pytest.mark.parametrize(
     ("register", "value", "code"),
     [
