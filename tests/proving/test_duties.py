@@ -117,6 +117,22 @@ def test_6_a_joint_may_be_moved_by_a_limp_one_that_falls(moving: Bench, falls: b
     assert moving.broken == broken
 
 
+@pytest.mark.parametrize(("places", "broken"), [((0, 4), set()), ((0, 4, 8, 4), {"6"})])
+def test_6_a_joint_may_swing_about_its_place_and_not_go_on(
+    moving: Bench, places: tuple[int, ...], broken: set[str]
+) -> None:
+    moving.goal(MIDDLE - 20)
+    for k in range(40):
+        if k == 10:
+            moving.ask("hold")
+        moving.at(MIDDLE + places[k % len(places)])
+        moving.tick(Mode.MOVING if k < 12 else Mode.HOLDING)
+    assert moving.broken == broken
+    moving.at(MIDDLE - 8)
+    moving.tick(Mode.HOLDING)
+    assert moving.broken == {"6"}, "somewhere else is no swing"
+
+
 def test_6_a_short_silence_obliges_only_while_it_lasts(moving: Bench) -> None:
     moving.plan("mute", 0.45, 3)
     moving.ticks(5, Mode.MOVING)

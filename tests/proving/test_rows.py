@@ -83,6 +83,17 @@ def test_a_fault_that_nobody_reports_or_under_another_code(moving: Bench, kind: 
     assert moving.broken == (set() if told == "well" else {"rows", "faults"})
 
 
+@pytest.mark.parametrize(("heated", "broken"), [(True, set()), (False, {"rows"})])
+def test_heat_of_a_fault_that_is_over_may_be_told_behind_another_one(
+    moving: Bench, heated: bool, broken: set[str]
+) -> None:
+    moving.plan("hot" if heated else "late", 0.3, 3, value=70.0 if heated else 5.0)
+    moving.ticks(20, Mode.MOVING)
+    moving.plan("brown_out", 0.04, 2, value=7.12)
+    moving.tick(Mode.FAULTED, "HOT")
+    assert moving.broken == broken
+
+
 @pytest.mark.parametrize(("told", "broken"), [(True, set()), (False, {"6", "rows", "faults"})])
 @pytest.mark.parametrize("duration_s", [0.01, 0.15, 1.0])
 def test_every_unplug_however_short_stops_the_arm_and_is_reported(

@@ -148,12 +148,14 @@ class Duties:
         """The arm is limp on request, and no fault is reported."""
         self._duties = [duty for duty in self._duties if not duty.by_release]
 
-    def reported(self, code: str) -> list[str]:
+    def reported(self, now_s: float, code: str) -> list[str]:
         """A fault is latched: whichever it is, it was noticed; what was to be reported under another code, if alone."""
         kinds = [fault.kind for _, _, fault in self._faults]
         alone = kinds[0] if len(kinds) == 1 and not self._garbled else "no fault"
         latched = [one for one in self._expected if not one.by_name]
         self._expected = [one for one in self._expected if one.by_name]
+        if code == "HOT" and self.lately(now_s, {"hot"}):
+            return []
         return [one.what for one in latched if one.what.startswith(alone) and one.codes and code not in one.codes]
 
     def told(self, codes: Set[str]) -> None:

@@ -53,8 +53,8 @@ ARM = "ax12-line"
 NEAR_S = 2.0
 # A control process that could not open the port is started again so much later.
 RESTART_S = 1.0
-# Before a fault is cleared its servos are identified; silent ones take so long at most.
-IDENTIFIED_S = 3.0
+# Before a fault is cleared its servos are identified, which takes so long on a line that holds replies up.
+IDENTIFIED_S = 5.0
 NEVER_NS = 2**63
 
 

@@ -186,7 +186,7 @@ class Judge(TorqueJudge):
                 self._watch_tripped(now_s)
             if code == "PORT_GONE":
                 self._duties.port_gone(now_s)
-            wrongly = self._duties.reported(code)
+            wrongly = self._duties.reported(now_s, code)
             for what in () if code == self._again[0] and now_s - self._again[1] < AGAIN_TOLD_S else wrongly:
                 self._violate("rows", now_s, -1, f"{what} is reported as {code}")
             if code not in RESTING:
@@ -359,6 +359,7 @@ class Judge(TorqueJudge):
             text = f"{what}, and nobody reports it" + (f" beside {self._code}" if by_name else "")
             self._violate("faults" if by_name else "rows", now_s, -1, text)
         self._watch_standing(now_s, servos, strains)
+        self._lately.append([servo.shaft_tick for servo in self._before or servos])
         before, self._before = self._before, [copied(servo) for servo in servos]
         for i, servo in enumerate(servos):
             ours = (self._sent[i], self._sent_before[i], before[i].goal if before else servo.goal)

@@ -4,6 +4,7 @@ The part of the judge that looks at true positions once a tick; `invariants.py` 
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 from proving.duties import REPORT_SLACK_S, Duties
@@ -26,6 +27,8 @@ CORRECTION_DEG_S = 4.0
 CORRECTION_DEG = 7.0
 # How long a joint swings whose goal was given up.
 SETTLE_S = 0.6
+# One whose motor lies within its play swings about the same place for good: it is back within a second.
+BACK_TICKS, BACK_S = 1.0, 1.0
 
 
 class ShaftJudge:
@@ -46,6 +49,8 @@ class ShaftJudge:
         self._mode, self._code = STARTING, ""
         # The servos a tick ago.
         self._before: list[Servo] = []
+        # Where each shaft was lately [tick].
+        self._lately: deque[list[float]] = deque(maxlen=round(BACK_S / period_s))
         # When and where [tick] each servo took torque, for the half second of watching.
         self._enabled: dict[int, tuple[float, float]] = {}
         # When the goal of each servo last changed.
@@ -111,7 +116,10 @@ class ShaftJudge:
             if now_s - self._goal_s[i] < SETTLE_S and invariant != "lead":
                 continue  # a goal that goes on is another rule's; one given up for the shaft lets it swing
             arrives = lossy and moved * (servo.goal - servo.shaft_tick + moved) > 0.0
-            if servo.torque and abs(moved) > STILL_TICKS and not _sags(servo, moved) and not arrives:
+            lately = [shafts[i] for shafts in self._lately]
+            swings = any(abs(place - servo.shaft_tick) < BACK_TICKS for place in lately)
+            swings &= max(lately, default=0.0) - min(lately, default=0.0) < 2.0 * STILL_TICKS
+            if servo.torque and abs(moved) > STILL_TICKS and not (_sags(servo, moved) or arrives or swings):
                 self._violate(invariant, now_s, i, f"still moving, {abs(moved) * TICK_DEG:.1f} deg in a tick: {why}")
 
     def _is_weak(self, i: int, servo: Servo) -> bool:
