@@ -53,8 +53,8 @@ ARM = "ax12-line"
 NEAR_S = 2.0
 # A control process that could not open the port is started again so much later.
 RESTART_S = 1.0
-# Before a fault is cleared its servos are identified, which takes so long on a line that holds replies up.
-IDENTIFIED_S = 5.0
+# Before a fault is cleared its servos are identified; silent ones take so long at most.
+IDENTIFIED_S = 3.0
 NEVER_NS = 2**63
 
 
@@ -162,7 +162,7 @@ class Episode:
         self._gone: HostGone | None = None
         self._noisy: set[str] = set()
         # When a `clear` was first asked for, of the fault that is told.
-        self._clear_ns = NEVER_NS
+        self._clear_ns = self._fault_ns = NEVER_NS
         self._code, self._mode = "", ""
         self._log = log
         # The step's memory, run again on the records alone.
@@ -336,10 +336,14 @@ class Episode:
             self.judge.misread(now_s, index, text)
         # A control process that begins has cleared nothing.
         latest_ns = [self.watch.identified_ns.get(servo_id, -NS_PER_S * 9) for servo_id in self._arm.servo_ids]
-        anew = min(self._clock.now_ns() - IDENTIFIED_S * NS_PER_S, self._clear_ns) <= min(latest_ns)
+        since_ns = min(self._clock.now_ns() - IDENTIFIED_S * NS_PER_S, self._clear_ns)
+        if any(isinstance(command, Connected) for command in record.inputs.commands):
+            since_ns = min(since_ns, self._fault_ns)  # on a slow line what ends now may have begun with the fault
+        anew = since_ns <= min(latest_ns)
         if code_before and not code and record.inputs.tick and not anew:
             self.judge.found(now_s, "7", f"{code_before} was cleared, and the servos were not identified anew")
         self._clear_ns = self._clear_ns if code else NEVER_NS
+        self._fault_ns = outputs.fault.since_ns if outputs.fault else NEVER_NS
         self.watch.replies.clear()
         self.clerk.see(now_s, record)
         self._repeat(record)
