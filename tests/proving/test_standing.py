@@ -245,6 +245,18 @@ def test_a_motor_that_works_too_hard_is_told_of_as_soon_as_it_is_heard_again(
     assert holding.red & {"faults"} == broken
 
 
+@pytest.mark.parametrize(("ticks", "broken"), [(1, set()), (2, {"rows"})])
+def test_a_motor_that_works_too_hard_is_told_of_again_as_soon_as_that_is_cleared(
+    holding: Bench, ticks: int, broken: set[str]
+) -> None:
+    holding.feel(0.9, gravity=0.9)
+    holding.ticks(40, Mode.FAULTED, "OVERLOAD")
+    holding.ask("clear")
+    holding.ticks(ticks, Mode.HOLDING)
+    holding.tick(Mode.FAULTED, "OVERLOAD")
+    assert holding.red & {"faults", "rows"} == broken
+
+
 @pytest.mark.parametrize(("ticks", "broken"), [(20, set()), (30, {"faults"})])
 def test_a_program_that_has_just_begun_sees_what_a_motor_works_once_it_has_asked_who_is_there(
     holding: Bench, ticks: int, broken: set[str]

@@ -108,8 +108,6 @@ class Judge(TorqueJudge):
         self._asked_before: set[str] = set()
         # What is right if this tick's report tells of a fault that sends the arm to rest at once.
         self._unless_settling: list[tuple[str, float, int, str]] = []
-        # Which fault was cleared last, and when: told again at once it is that one still.
-        self._again = "", -math.inf
         # Whether another program is taking over, and nobody has asked it for anything yet.
         self._adopting = False
 

@@ -65,6 +65,8 @@ class StandingJudge(ShaftJudge):
         # All faults that are told; since when the worst of them is.
         self._codes: Set[str] = frozenset()
         self._fault_s = -math.inf
+        # Which fault was cleared last, and when: told again at once it is that one still.
+        self._again = "", -math.inf
         # Since when one is told that may send the arm to rest.
         self._announced_s = math.inf
         # Since when each servo pushes against something; when any last worked more than gravity asks for.
@@ -324,7 +326,9 @@ class StandingJudge(ShaftJudge):
         # A program that was late has seen it once; what is heard in this very tick, nobody has told yet.
         lasts_s = self._heard_before_s[i] - max(self._load_s[i], self._late_s)
         self._heard_before_s[i] = self._duties.heard_s[i]
-        if lasts_s > OVERLOADED_S and "OVERLOAD" not in self._codes and (self._codes or self._mode in POWERED):
+        # What is cleared while it lasts is told again in the next tick.
+        untold = "OVERLOAD" not in self._codes and now_s - self._again[1] > 1.5 * self._period_s
+        if lasts_s > OVERLOADED_S and untold and (self._codes or self._mode in POWERED):
             beside = f" beside {'+'.join(self._codes)}" if self._codes else ""
             text = f"works above 80 % for {now_s - self._load_s[i]:.1f} s, and nobody tells it{beside}"
             self._violate("faults" if beside else "rows", now_s, i, text)
