@@ -12,7 +12,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from fastapi import APIRouter, FastAPI, Request, Response, WebSocket, WebSocketDisconnect
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
@@ -22,9 +21,8 @@ from armctl import __version__
 from armctl.config import ArmConfig, Config, Frozen
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
 from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
-from armctl.host.methods import Confirmed, Named, Nothing
-from armctl.kinematics import robots
-from armctl.kinematics.chain import link_frames
+from armctl.host.methods import Confirmed, JogBeat, Named, Nothing
+from armctl.trajectory.target import MoveRequest
 from armctl.web.connections import Connections
 from armctl.web.files import Files
 from armctl.web.guard import PERSON, Guard
@@ -45,6 +43,10 @@ HandedOn = tuple[tuple[str, type[Frozen], str], ...]
 COMMANDS: HandedOn = (
     ("/torque-on", Nothing, "Carefully energise the arm where it is."),
     ("/park", Nothing, "Slowly to the rest pose, then limp."),
+    ("/move", MoveRequest, "Go to joint positions, a point or a pose, after the pre-flight; answers at rest."),
+    ("/jog", JogBeat, "Lead the joints or the tool until the next heartbeat, which is due with the answer."),
+    ("/pause", Nothing, "Slow the motion down to a stop, on its path."),
+    ("/resume", Nothing, "Go on with a paused motion."),
     ("/clear", Nothing, "Acknowledge the latched fault, or a notice; refused while a fault's cause persists."),
     ("/release", Confirmed, "Switch torque off: the arm drops unless it is supported, which `confirm` says."),
 )
@@ -77,17 +79,7 @@ def create_app(
         people: The file of people's tokens.
         names: See `Guard`.
     """
-    chain = robots.get(arm.robot, arm.lengths_m).chain
-
-    def enrich(snapshot: dict[str, Any]) -> dict[str, Any]:
-        """With the joints of the arm in space, for the picture."""
-        positions = [joint["position_rad"] for joint in snapshot["joints"]]
-        if any(position is None for position in positions):
-            return {**snapshot, "links_m": []}
-        frames = link_frames(chain, np.array(positions)[: chain.n])
-        return {**snapshot, "links_m": [[0.0, 0.0, 0.0], *frames[1:, :3, 3].round(5).tolist()]}
-
-    daemon = Connections(socket, enrich, PERSON.get)
+    daemon = Connections(socket, PERSON.get)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:

@@ -26,22 +26,19 @@ LEAVE_S = 3.0
 # Messages a slow page may lag behind; then it loses the oldest.
 MAX_WAITING = 4
 
-Enrich = Callable[[dict[str, Any]], dict[str, Any]]
-
 
 class Connections:
     """The daemon as the dashboard sees it."""
 
-    def __init__(self, socket: Path, enrich: Enrich, person: Callable[[], str] = str) -> None:
+    def __init__(self, socket: Path, person: Callable[[], str] = str) -> None:
         """
         Args:
             socket: The daemon's socket.
-            enrich: Adds to a snapshot what pages draw.
             person: Who makes the request that is being served; the log names them.
         """
         self.socket = socket
         self.snapshot: dict[str, Any] | None = None
-        self._enrich, self._person = enrich, person
+        self._person = person
         self._pages: set[asyncio.Queue[str]] = set()
         self._watcher: AsyncClient | None = None
         self._commander: AsyncClient | None = None
@@ -112,7 +109,7 @@ class Connections:
             await asyncio.sleep(RETRY_S)
 
     def _see(self, snapshot: dict[str, Any] | None) -> None:
-        self.snapshot = self._enrich(snapshot) if self._pages and snapshot is not None else snapshot
+        self.snapshot = snapshot
         if self._pages:
             self._tell({"kind": "snapshot", "snapshot": self.snapshot})
 

@@ -1,6 +1,7 @@
 """Recordings and plans, which the daemon keeps, and logs, which are read here; thinned out for drawing."""
 
 import json
+import math
 from pathlib import Path as FilePath
 from typing import Annotated, Any
 
@@ -15,7 +16,7 @@ from armctl.files import data_dir
 from armctl.host.jobs import RecordedRequest
 from armctl.host.methods import HowToRun
 from armctl.kinematics import robots
-from armctl.kinematics.chain import link_frames
+from armctl.kinematics.chain import joint_axes, tool_position
 from armctl.recording import reader
 from armctl.recording.recordings import drawn
 from armctl.web.connections import Connections
@@ -59,12 +60,22 @@ class Files:
         return router
 
     def arm_(self) -> dict[str, Any]:
-        """The arm's joints and their limits."""
-        arm = self._arm
+        """The arm: its joints with their limits, and where their axes and the tool are at positions 0."""
+        arm, chain, gripper = self._arm, self._chain, self._arm.gripper
+        axes, tool = joint_axes(chain, np.zeros((1, chain.n)))
         return {
             "arm_id": arm.arm_id,
             "robot": arm.robot_name,
             "joints": [{"name": joint.name, "limits_rad": joint.limits_rad} for joint in arm.joints],
+            "axes": [{"place_m": P[:, 0].tolist(), "direction": Z[:, 0].tolist()} for Z, P in axes],
+            "tool_m": tool[:, 0].tolist(),
+            "floor_m": arm.floor_m,
+            "gripper": gripper
+            and {
+                "index": arm.joint_names.index(gripper.joint),
+                "open_rad": math.radians(gripper.open_deg),
+                "closed_rad": math.radians(gripper.closed_deg),
+            },
             "temperature_limit_degC": arm.temperature_limit_degC,
             "voltage_V": arm.voltage_V,
             "version": __version__,
@@ -123,19 +134,18 @@ class Files:
         return {"logs": [{"name": name, "bytes": about.st_size} for about, name in found]}
 
     def log(self, name: NamePath, from_s: Seconds = 0.0, to_s: Seconds | None = None) -> dict[str, Any]:
-        """Joint angles, links and the tool of one log over a span of time, thinned out for drawing."""
+        """Joint angles and the tool of one log over a span of time, thinned out for drawing."""
         track = reader.ticks(_log_path(self._logs, name))
         inside = np.flatnonzero((track.time_s >= from_s) & (track.time_s <= (np.inf if to_s is None else to_s)))
         kept = inside[drawn(len(inside))]
-        links = link_frames(self._chain, track.position_rad[kept][:, : self._chain.n])[:, 1:, :3, 3].round(5)
+        tool_m = tool_position(self._chain, track.position_rad[kept][:, : self._chain.n])
         return {
             "name": name,
             "names": list(track.names),
             "duration_s": float(track.time_s[-1]),
             "time_s": track.time_s[kept].round(4).tolist(),
             "position_rad": track.position_rad[kept].round(5).tolist(),
-            "links_m": np.concatenate([np.zeros((len(kept), 1, 3)), links], axis=1).tolist(),
-            "tool_m": links[:, -1].tolist(),
+            "tool_m": tool_m.round(5).tolist(),
         }
 
     def log_file(self, name: NamePath) -> Response:

@@ -7,17 +7,14 @@ import hashlib
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-import plotly
 from fastapi import APIRouter, Request, Response
 
 STATIC = Path(__file__).parent / "static"
+TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 # Where each file is served, and as what.
 PAGES = {
     "/": (STATIC / "index.html", "text/html"),
-    "/app.js": (STATIC / "app.js", "text/javascript"),
-    "/style.css": (STATIC / "style.css", "text/css"),
-    "/icon.svg": (STATIC / "icon.svg", "image/svg+xml"),
-    "/plotly.js": (Path(plotly.__file__).parent / "package_data" / "plotly.min.js", "text/javascript"),
+    **{f"/{file.name}": (file, TYPES[file.suffix]) for file in sorted(STATIC.iterdir()) if file.suffix in TYPES},
 }
 
 

@@ -2,27 +2,32 @@
 
 import gzip
 import json
+import math
 import os
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.config import Config
 from armctl.files import load_arm
+from armctl.kinematics import robots
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
 from armctl.web.app import create_app
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
 from tests.web.asking import TOKEN, asked, streamed
 
-PAGES = ("/", "/app.js", "/style.css", "/icon.svg", "/plotly.js")
+PAGES = ("/", "/app.js", "/scene.js", "/three.js", "/style.css", "/icon.svg")
 
 
-def served(folder: Path) -> Guard:
+def served(folder: Path, arm: str = "ax12-line") -> Guard:
     """The application over what is kept in a folder."""
     config = Config(data_dir=str(folder))
-    return create_app(load_arm("ax12-line"), config, socket=folder / "nobody.sock", token=TOKEN, port=8080)[1]
+    return create_app(load_arm(arm), config, socket=folder / "nobody.sock", token=TOKEN, port=8080)[1]
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +61,27 @@ def test_pages_come_packed_to_who_can_unpack(guard: Guard) -> None:
     assert packed.headers["content-encoding"] == "gzip"
     assert packed.content == plain.content  # httpx has unpacked it
     assert len(gzip.compress(plain.content)) < len(plain.content) / 2
+
+
+def turned(direction: FloatArray, angle_rad: float) -> FloatArray:
+    """A rotation about a unit vector (Rodrigues)."""
+    x, y, z = direction
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle_rad) * K + (1.0 - math.cos(angle_rad)) * K @ K)
+
+
+@pytest.mark.parametrize("name", ["ax12-line", "crane-plus-v2", "lanzhou-4dof", "phantomx-pincher", "xiang-6dof"])
+def test_a_page_can_place_the_arm_from_the_axes_it_is_given(tmp_path: Path, name: str) -> None:
+    told = get(served(tmp_path, name), "/api/arm").json()
+    arm, axes = load_arm(name), told["axes"]
+    chain = robots.get(arm.robot, arm.lengths_m).chain
+    assert len(axes) == chain.n
+    for q in np.random.default_rng(3).uniform(-3.0, 3.0, (20, len(axes))):
+        place: FloatArray = np.array(told["tool_m"])
+        for axis, angle_rad in reversed(list(zip(axes, q, strict=True))):
+            origin = np.array(axis["place_m"])
+            place = origin + turned(np.array(axis["direction"]), angle_rad) @ (place - origin)
+        np.testing.assert_allclose(place, tool_position(chain, q), atol=1e-12)
 
 
 def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:

@@ -59,7 +59,7 @@ class Stub:
 async def stubbed(path: Path) -> AsyncIterator[tuple[Stub, Connections]]:
     stub = Stub(path)
     server = await asyncio.start_unix_server(stub.serve, path)
-    daemon = Connections(path, lambda snapshot: {**snapshot, "links_m": []})
+    daemon = Connections(path)
     async with daemon.running():
         await stub.until(lambda: (0, "subscribe") in stub.asked)
         yield stub, daemon
@@ -71,13 +71,13 @@ async def shown(messages: asyncio.Queue[str]) -> dict[str, Any]:
     return found
 
 
-async def test_every_page_sees_every_snapshot_enriched(tmp_path: Path) -> None:
+async def test_every_page_sees_every_snapshot(tmp_path: Path) -> None:
     async with stubbed(tmp_path / "daemon.sock") as (stub, daemon), daemon.page() as first, daemon.page() as second:
         for messages in (first, second):
             assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
         stub.tell(0, "snapshot", state="holding")
         for messages in (first, second):
-            assert await shown(messages) == {"kind": "snapshot", "snapshot": {"state": "holding", "links_m": []}}
+            assert await shown(messages) == {"kind": "snapshot", "snapshot": {"state": "holding"}}
 
 
 async def test_a_slow_page_loses_the_oldest_and_holds_up_nobody(tmp_path: Path) -> None:
@@ -146,7 +146,7 @@ async def test_progress_of_an_optimisation_reaches_the_pages(tmp_path: Path) -> 
 
 
 async def test_without_a_daemon_commands_and_stop_say_so_and_pages_see_nothing(tmp_path: Path) -> None:
-    daemon = Connections(tmp_path / "nobody.sock", lambda snapshot: snapshot)
+    daemon = Connections(tmp_path / "nobody.sock")
     async with daemon.running(), daemon.page() as messages:
         assert await shown(messages) == {"kind": "snapshot", "snapshot": None}
         for work in (daemon.call("status"), daemon.stop()):

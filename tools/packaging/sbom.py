@@ -1,15 +1,18 @@
 """What a release is made of, as a CycloneDX 1.5 document: `python tools/packaging/sbom.py VERSION [COMMIT]` prints it.
 
-Read from lock.txt beside this file: every package with its version and the SHA-256 of each of its files.
+Read from lock.txt beside this file: every package with its version and the SHA-256 of each of its files. The libraries that
+are bundled for the dashboard are read from page/.
 """
 
 import json
 import re
 import sys
+from base64 import b64decode
 from pathlib import Path
 from typing import Any
 
 LOCK = Path(__file__).with_name("lock.txt")
+PAGE = Path(__file__).parent / "page"
 PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)")
 HASH = re.compile(r"--hash=sha256:([0-9a-f]{64})")
 
@@ -25,6 +28,23 @@ def locked(text: str) -> dict[str, tuple[str, list[str]]]:
         if digest := HASH.search(line):
             found[name][1].append(digest[1])
     return found
+
+
+def bundled() -> list[dict[str, Any]]:
+    """What the dashboard's own files have in them."""
+    wanted = json.loads((PAGE / "package.json").read_text(encoding="utf-8"))["dependencies"]
+    lock = json.loads((PAGE / "package-lock.json").read_text(encoding="utf-8"))["packages"]
+    return [
+        {
+            "type": "library",
+            "name": name,
+            "version": release,
+            "purl": f"pkg:npm/{name}@{release}",
+            "bom-ref": f"pkg:npm/{name}@{release}",
+            "hashes": [{"alg": "SHA-512", "content": b64decode(lock[f"node_modules/{name}"]["integrity"][7:]).hex()}],
+        }
+        for name, release in sorted(wanted.items())
+    ]
 
 
 def bill(version: str, commit: str, text: str) -> dict[str, Any]:
@@ -56,8 +76,9 @@ def bill(version: str, commit: str, text: str) -> dict[str, Any]:
                 "hashes": [{"alg": "SHA-256", "content": digest} for digest in digests],
             }
             for name, (release, digests) in parts.items()
-        ],
-        "dependencies": [{"ref": itself, "dependsOn": sorted(refs.values())}],
+        ]
+        + (page := bundled()),
+        "dependencies": [{"ref": itself, "dependsOn": sorted([*refs.values(), *(part["bom-ref"] for part in page)])}],
     }
 
 

@@ -1,10 +1,16 @@
 // The dashboard. Everything that comes from the daemon goes into text nodes and never into markup, so it cannot run as code.
 
+import { chart, COLOURS, namesOf, repaint as repaintCharts } from "/charts.js";
+import { Drive } from "/drive.js";
+import { drawLive, remember } from "/live.js";
+import { ArmView } from "/scene.js";
+
 const token = takeToken();
 const $ = (id) => document.getElementById(id);
 const degrees = (rad) => rad * 180 / Math.PI;
 const millimetres = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} mm`;
-let arm = null, snapshot = null, teaching = false, taking = null, running = false, takes = [], plotly = null;
+let arm = null, snapshot = null, teaching = false, taking = null, running = false, takes = [];
+let drive = null, view3d = null, logView = null, pathView = null;
 const trail = [];
 const TRAIL = 150;
 
@@ -120,12 +126,15 @@ function show(latest) {
   controls();
   if (!latest) return;
   latest.joints.forEach(showJoint);
+  if (drive) drive.show(state, latest.joints);
   const place = latest.tool && latest.tool.position_m;
   $("tool").textContent = place ? place.map((value) => Math.round(1000 * value) || 0).join(", ") + " mm" : "–";
   $("tick").textContent = latest.tick;
   $("bus").textContent = `${(latest.cycle.bus_us_p50 / 1000).toFixed(1)} ms`;
   $("log").textContent = latest.log && latest.log.problem ? latest.log.problem : "recording";
   $("log").className = latest.log && latest.log.problem ? "alarm" : "";
+  $("commander-part").hidden = !latest.commander;
+  $("commander").textContent = latest.commander ?? "";
   $("run-progress").value = latest.progress ?? 0;
   if (place) {
     trail.push(place);
@@ -135,36 +144,42 @@ function show(latest) {
     if (line) $("line-error").textContent = millimetres(distance(place, ...line));
     if (taking && line) $("teach-figures").textContent = `recording ${taking}: ${millimetres(distance(place, ...line))} off the line`;
   }
-  drawArm();
+  drawArm(true);
+  remember(latest);
+  if (!$("view-live").hidden && !document.hidden) drawLive();
 }
 
-function showFaults([fault, ...others]) {
-  $("fault").hidden = !fault;
-  if (!fault) return;
-  $("fault-others").hidden = !others.length;
-  $("fault-others").textContent = "Also: " + others.map((other) => `${other.code}, ${other.text}` +
-    (other.follows ? ` (follows from ${other.follows})` : "")).join("; ");
-  $("fault-code").textContent = fault.code;
-  $("fault-servo").textContent = (fault.servo_id === null ? "" : `servo ${fault.servo_id}, `) + `for ${fault.since_s.toFixed(0)} s`;
-  $("fault-text").textContent = fault.text ?? "";
-  $("fault-arm").textContent = fault.arm;
-  $("fault-next").textContent = fault.next;
+// What a card says to type, and which button here does the same.
+const BUTTONS = { clear: "Clear the fault", release: "Release", "torque on": "Torque on", park: "Park", stop: "STOP" };
+const pressed = (text) => text.replace(/(?:type )?`armctl (clear|release|torque on|park|stop)`/g, (_, name) => `press \u201c${BUTTONS[name]}\u201d`);
+let cards = "";
+
+// A card for every fault, the worst first.
+function showFaults(faults) {
+  $("fault").hidden = !faults.length;
+  const told = faults.map(({ code, servo_id, text, arm: doing, next, follows }) => [
+    `${code}${servo_id === null ? "" : `, servo ${servo_id}`}`, text ?? "", follows ? `It follows from ${follows}.` : "", `The arm: ${doing}`, `Next: ${pressed(next)}`,
+  ]);
+  if (cards === (cards = JSON.stringify(told))) return;  // said aloud once
+  $("faults").replaceChildren(...told.map(([title, ...lines]) => {
+    const card = document.createElement("article"), heading = document.createElement("h2");
+    heading.textContent = title;
+    card.append(heading, ...lines.filter(Boolean).map((line) => Object.assign(document.createElement("p"), { textContent: line })));
+    return card;
+  }));
 }
 
 function showJoint(joint, index) {
   const row = $("joints").tBodies[0].rows[index];
   if (!row || !arm) return;
-  const [low, high] = arm.joints[index].limits_rad;
-  const at = joint.position_rad;
-  const known = at !== null;
+  const known = joint.position_rad !== null;
   const cells = row.cells;
-  cells[1].firstChild.textContent = known ? `${degrees(at).toFixed(1)}°` : "–";
-  cells[1].lastChild.firstChild.style.left = `${known ? Math.min(100, Math.max(0, 100 * (at - low) / (high - low))) : 50}%`;
-  put(cells[2], known ? `${(100 * Math.abs(joint.load_ratio)).toFixed(0)} %` : "–", Math.abs(joint.load_ratio) > 0.8);
-  put(cells[3], known ? `${joint.temperature_degC.toFixed(0)} °C` : "–", joint.temperature_degC >= arm.temperature_limit_degC);
-  put(cells[4], known ? `${joint.voltage_V.toFixed(1)} V` : "–", known && (joint.voltage_V < arm.voltage_V[0] || joint.voltage_V > arm.voltage_V[1]));
+  put(cells[1], known ? `${degrees(joint.position_rad).toFixed(1)}°` : "–", false);
+  put(cells[3], known ? `${(100 * Math.abs(joint.load_ratio)).toFixed(0)} %` : "–", Math.abs(joint.load_ratio) > 0.8);
+  put(cells[4], known ? `${joint.temperature_degC.toFixed(0)} °C` : "–", joint.temperature_degC >= arm.temperature_limit_degC);
+  put(cells[5], known ? `${joint.voltage_V.toFixed(1)} V` : "–", known && (joint.voltage_V < arm.voltage_V[0] || joint.voltage_V > arm.voltage_V[1]));
   const stale = joint.age_s > 0.5;
-  put(cells[5], stale ? "silent" : joint.torque_enabled ? "on" : "off", stale);
+  put(cells[6], stale ? "silent" : joint.torque_enabled ? "on" : "off", stale);
 }
 
 function put(cell, text, alarm) {
@@ -180,12 +195,8 @@ function makeJointRows() {
     name.scope = "row";
     name.textContent = joint.name;
     row.append(name);
-    const angle = row.insertCell();
-    const range = document.createElement("span");
-    range.className = "range";
-    range.title = `${degrees(joint.limits_rad[0]).toFixed(0)}° to ${degrees(joint.limits_rad[1]).toFixed(0)}°`;
-    range.append(document.createElement("i"));
-    angle.append("–", range);
+    row.insertCell().textContent = "–";
+    row.insertCell().append(drive.slider(joint));
     for (let i = 0; i < 4; i++) row.insertCell().textContent = "–";
   }
 }
@@ -195,6 +206,8 @@ function controls() {
   const command = (name) => document.querySelector(`[data-command="${name}"]`);
   command("torque-on").disabled = state !== "off";
   command("park").disabled = state !== "holding";
+  command("pause").disabled = state !== "moving" || !(snapshot.rate > 0);
+  command("resume").disabled = state !== "moving" || snapshot.rate > 0;
   $("release").disabled = state === "unreachable";
   teaching = state === "teaching";
   // A gap in what is heard of the arm does not end a take.
@@ -237,92 +250,33 @@ function progressAlong(place, A, B) {
 
 // ------------------------------------------------------------------------------------------------- pictures
 
-const ink = () => getComputedStyle(document.body).getPropertyValue("--ink").trim();
-const colour = (name) => getComputedStyle(document.body).getPropertyValue(name).trim();
-const COLOURS = ["#2f8fe0", "#e0862f", "#37a86b", "#b45fd1", "#d1495b", "#6b8e9e", "#c2a83e", "#4cb8c4"];
-const SETTINGS = { displaylogo: false, responsive: true, displayModeBar: false };
+const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
-function layout(extra = {}) {
-  const grid = colour("--edge");
-  const axis = { gridcolor: grid, zerolinecolor: grid, linecolor: grid };
-  return {
-    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: ink(), family: "system-ui, sans-serif" },
-    margin: { l: 55, r: 10, t: 10, b: 45 }, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, ...extra,
-    xaxis: { ...axis, ...extra.xaxis }, yaxis: { ...axis, ...extra.yaxis },
-  };
-}
-
-const WHOLE_ARM = { x: [-0.42, 0.42], y: [-0.42, 0.42], z: [-0.05, 0.5] };
-
-// A view in space, true to scale; a narrow screen looks from farther away.
-function sceneLayout(ranges = WHOLE_ARM, height = -0.1) {
-  const far = innerWidth < 700 ? 1.15 : 0.88;
-  const axis = (name) => ({ title: { text: name, font: { size: 13 } }, range: ranges[name], gridcolor: colour("--edge"), color: ink(),
-    showbackground: false, nticks: 6, tickfont: { size: 10 } });
-  const extent = (name) => (ranges[name][1] - ranges[name][0]) / (ranges.x[1] - ranges.x[0]);
-  return layout({
-    margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision: "kept",
-    scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "manual",
-      aspectratio: { x: extent("x"), y: extent("y"), z: extent("z") },
-      camera: { eye: { x: 1.15 * far, y: -1.3 * far, z: 0.6 * far }, center: { x: 0, y: 0, z: height } } },
-  });
-}
-
-// A cube around the paths.
-function around(paths) {
-  const points = paths.flat();
-  const bounds = ["x", "y", "z"].map((name, i) => [name, Math.min(...points.map((p) => p[i])), Math.max(...points.map((p) => p[i]))]);
-  const half = 0.55 * Math.max(0.02, ...bounds.map(([, low, high]) => high - low));
-  return Object.fromEntries(bounds.map(([name, low, high]) => [name, [(low + high) / 2 - half, (low + high) / 2 + half]]));
-}
-
-// Charts that are already drawn take the page's new colours.
+// What is drawn already takes the page's new colours.
 function repaint() {
-  const look = layout();
-  const flat = { "font.color": ink() };
-  for (const axis of ["xaxis", "yaxis"]) for (const key of ["gridcolor", "zerolinecolor", "linecolor"]) flat[`${axis}.${key}`] = look[axis][key];
-  for (const chart of document.querySelectorAll(".js-plotly-plot")) {
-    const change = { ...flat };
-    if (chart.layout.scene) for (const axis of "xyz") Object.assign(change, { [`scene.${axis}axis.gridcolor`]: look.xaxis.gridcolor, [`scene.${axis}axis.color`]: ink() });
-    window.Plotly.relayout(chart, change);
+  repaintCharts();
+  for (const made of [view3d, logView, pathView]) if (made) made.paint();
+}
+
+function drawArm(glide = false) {
+  if (!view3d || $("view-arm").hidden || document.hidden || !snapshot) return;
+  const q = snapshot.joints.map((joint) => joint.position_rad);
+  if (q.includes(null)) return;
+  view3d.pose(q, glide && !calm.matches);
+  view3d.curve("line", wantedLine() || [], "--red", true);
+  view3d.curve("trail", trail, "--ok");
+}
+
+// A view in an element, of the arm where one is given; or why there is none.
+function armView(id, arm) {
+  try {
+    const made = new ArmView($(id));
+    if (arm) made.setArm(arm);
+    return made;
+  } catch (error) {
+    $(id).textContent = `This browser draws nothing in 3D (${error.message}); turn WebGL on to see the arm.`;
+    return null;
   }
-  drawing = false;
-  drawArm();
-}
-
-function curve(points, options) {
-  return { type: "scatter3d", x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]), hoverinfo: "skip", ...options };
-}
-
-function armTraces(links, line, path) {
-  return [
-    curve(links, { mode: "lines+markers", line: { width: 12, color: colour("--blue") }, marker: { size: 5, color: ink() } }),
-    curve(line || [], { mode: "lines", line: { width: 4, color: colour("--red"), dash: "dash" } }),
-    curve(path, { mode: "lines", line: { width: 4, color: colour("--ok") } }),
-  ];
-}
-
-async function needPlotly() {
-  if (!plotly) {
-    plotly = new Promise((resolve, reject) => {
-      const script = document.createElement("script");
-      script.src = "/plotly.js";
-      script.onload = () => resolve(window.Plotly);
-      script.onerror = () => reject(new Refused("the plotting library did not load"));
-      document.head.append(script);
-    });
-  }
-  return plotly;
-}
-
-let drawing = false;
-async function drawArm() {
-  if (drawing || $("view-arm").hidden || document.hidden || !snapshot || !snapshot.links_m || !snapshot.links_m.length) return;
-  drawing = true;
-  const Plotly = await needPlotly();
-  await new Promise(requestAnimationFrame);
-  await Plotly.react("scene", armTraces(snapshot.links_m, wantedLine(), trail), sceneLayout(), SETTINGS);
-  setTimeout(() => { drawing = false; }, 150);
 }
 
 // ------------------------------------------------------------------------------------------------- the guide
@@ -392,13 +346,10 @@ function converge({ generation, best, mean }) {
   return drawGenerations();
 }
 
-async function drawGenerations() {
+function drawGenerations() {
   $("convergence").hidden = false;
-  const Plotly = await needPlotly();
-  Plotly.react("convergence", [
-    { x: [...generations.x], y: [...generations.best], name: "best", mode: "lines", line: { color: COLOURS[0] } },
-    { x: [...generations.x], y: [...generations.mean], name: "average", mode: "lines", line: { color: COLOURS[1] } },
-  ], layout({ xaxis: { title: { text: "generation" } }, yaxis: { title: { text: "mean error, mm" }, type: "log", nticks: 6 } }), SETTINGS);
+  const { x, best, mean } = generations;
+  chart("convergence", { x: "generation", y: "mean error, mm", log: true }).draw([{ name: "best", x, y: best }, { name: "average", x, y: mean }]);
 }
 
 async function optimise(form) {
@@ -419,7 +370,7 @@ async function optimise(form) {
   generations.best = result.history.best_cost_mm;  // all generations: progress messages contained only some of them
   generations.mean = result.history.mean_cost_mm;
   generations.x = generations.best.map((_, i) => i);
-  await drawGenerations();
+  drawGenerations();
   $("optimise-figures").textContent = `genetic algorithm ${millimetres(result.ga.mean_error_mm)}, exact optimum ` +
     `${millimetres(result.exact.mean_error_mm)}; predicted distance from the line with ${plan.via} points: ` +
     `${millimetres(plan.predicted_mean_error_mm)} on average, ${millimetres(plan.predicted_max_error_mm)} at most`;
@@ -487,13 +438,12 @@ function proper(recording) {
   return recording.tool_m.filter((_, i) => recording.time_s[i] >= begin && recording.time_s[i] <= end);
 }
 
-async function drawDeviation(id, paths, A, B) {
-  const Plotly = await needPlotly();
-  const traces = paths.map(([name, path], i) => ({
-    x: path.map((place) => 100 * progressAlong(place, A, B)), y: path.map((place) => distance(place, A, B)),
-    name, mode: "lines", line: { color: COLOURS[i % COLOURS.length] },
-  }));
-  Plotly.react(id, traces, layout({ xaxis: { title: { text: "along the line, %" } }, yaxis: { title: { text: "off the line, mm" }, rangemode: "tozero" } }), SETTINGS);
+function drawDeviation(id, paths, A, B) {
+  const curves = paths.map(([name, path]) => {
+    const places = path.map((place) => [100 * progressAlong(place, A, B), distance(place, A, B)]).sort(([a], [b]) => a - b);
+    return { name, x: places.map(([x]) => x), y: places.map(([, y]) => y) };
+  });
+  chart(id, { x: "along the line, %", y: "off the line, mm", low: 0 }).draw(curves);
 }
 
 // ------------------------------------------------------------------------------------------------- comparison
@@ -555,13 +505,10 @@ async function drawCompare() {
   $("compare-plots").hidden = paths.length === 0;
   if (!paths.length) return;
   const line = wantedLine();
-  const Plotly = await needPlotly();
-  if (line) await drawDeviation("deviation", paths, ...line);
-  const traces = paths.map(([name, path], i) => curve(path, { name, mode: "lines", line: { width: 5, color: COLOURS[i % COLOURS.length] } }));
-  if (line) traces.push(curve(line, { mode: "lines", name: "line", line: { width: 3, color: colour("--red"), dash: "dash" } }));
-  const look = sceneLayout(around([...paths.map(([, path]) => path), line || []]), 0);
-  look.showlegend = true;
-  await Plotly.react("paths", traces, look, SETTINGS);
+  if (line) drawDeviation("deviation", paths, ...line);
+  $("paths-names").replaceChildren(...namesOf(paths.map(([name]) => name)));
+  pathView ??= armView("paths", null);
+  if (pathView) pathView.paths([...paths.map(([, path], i) => [path, COLOURS[i % COLOURS.length], false]), [line || [], "--red", true]]);
 }
 
 // ------------------------------------------------------------------------------------------------- logs
@@ -577,26 +524,27 @@ async function loadLogs() {
 async function showLog(name) {
   const log = await request(`/logs/${encodeURIComponent(name)}`);
   openLog = log;
-  const Plotly = await needPlotly();
-  const traces = log.names.map((joint, i) => ({
-    x: log.time_s, y: log.position_rad.map((row) => degrees(row[i])), name: joint, mode: "lines", line: { color: COLOURS[i % COLOURS.length] },
-  }));
-  await Plotly.react("log-plot", traces, layout({ xaxis: { title: { text: "time, s" } }, yaxis: { title: { text: "angle, °" } } }), SETTINGS);
+  chart("log-plot", { x: "time, s", y: "angle, °" }).draw(log.names.map((name, i) => ({
+    name, x: log.time_s, y: log.position_rad.map((row) => degrees(row[i])),
+  })));
   const scrub = $("scrub");
   scrub.max = String(Math.max(0, log.time_s.length - 1));
   scrub.disabled = log.time_s.length === 0;
   scrub.value = scrub.max;
-  await scrubTo(Number(scrub.value));
+  scrubTo(Number(scrub.value));
   $("log-download").hidden = false;
 }
 
-async function scrubTo(index) {
+function scrubTo(index) {
   if (!openLog || !openLog.time_s.length) return;
   const time = openLog.time_s[index];
   $("scrub-time").textContent = `${time.toFixed(1)} s`;
-  const Plotly = await needPlotly();
-  await Plotly.react("log-scene", armTraces(openLog.links_m[index], null, openLog.tool_m.slice(Math.max(0, index - 100), index + 1)), sceneLayout(), SETTINGS);
-  await Plotly.relayout("log-plot", { shapes: [{ type: "line", x0: time, x1: time, yref: "paper", y0: 0, y1: 1, line: { color: colour("--red"), width: 2 } }] });
+  logView ??= armView("log-scene", arm);
+  if (logView) {
+    logView.pose(openLog.position_rad[index]);
+    logView.curve("trail", openLog.tool_m.slice(Math.max(0, index - 100), index + 1), "--ok");
+  }
+  chart("log-plot").mark(time);
 }
 
 async function download() {
@@ -611,7 +559,7 @@ async function download() {
 
 // ------------------------------------------------------------------------------------------------- wiring
 
-const ENTER = { arm: drawArm, guide: async () => { await loadTakes(); await loadPlanChoice(); }, compare: loadCompare, logs: loadLogs };
+const ENTER = { arm: () => drawArm(), live: drawLive, guide: async () => { await loadTakes(); await loadPlanChoice(); }, compare: loadCompare, logs: loadLogs };
 
 function view(name) {
   for (const section of document.querySelectorAll("main > section")) section.hidden = section.id !== `view-${name}`;
@@ -665,6 +613,7 @@ function wire() {
   $("log-download").addEventListener("click", (event) => act(event.target, download));
   $("scrub").addEventListener("input", (event) => scrubTo(Number(event.target.value)));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+  $("look").addEventListener("click", () => view3d && view3d.look());
 }
 
 wire();
@@ -672,5 +621,7 @@ connect();
 act(null, async () => {
   arm = await request("/arm");
   $("arm-id").textContent = arm.arm_id;
+  view3d = armView("scene", arm);
+  drive = new Drive(post, (q) => view3d && view3d.aim(q));
   makeJointRows();
 });

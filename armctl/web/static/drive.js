@@ -1,0 +1,132 @@
+// Driving the arm from the page: a slider for each joint, a place for the tool, and buttons that lead it while they are
+// held down. A page that is gone, hidden or cut off says nothing more, and the daemon then stops the arm by itself.
+
+const $ = (id) => document.getElementById(id);
+const degrees = (rad) => rad * 180 / Math.PI;
+const AXES = { forward: [1, 0, 0], back: [-1, 0, 0], left: [0, 1, 0], right: [0, -1, 0], up: [0, 0, 1], down: [0, 0, -1] };
+const STANDING = ["holding", "off"];
+
+export class Drive {
+  // `post` asks the server, `aim` shows where the joints [rad] are to be, or null.
+  constructor(post, aim) {
+    [this.post, this.aim] = [post, aim];
+    this.joints = [];
+    this.targets = new Map();  // of the joints that a slider was moved of, by index
+    this.state = "unreachable";
+    this.held = null;
+    $("go").addEventListener("click", () => this.go({ joints_rad: this.wanted() }));
+    $("go-reset").addEventListener("click", () => this.reset());
+    $("tool-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const place = $("tool-place"), point = place.value.split(",").map((part) => Number(part.trim() || NaN));
+      const fits = point.length === 3 && point.every(Number.isFinite);
+      place.setAttribute("aria-invalid", String(!fits));
+      if (fits) this.go({ point_m: point.map((value) => value / 1000) });
+      else this.tell(`"${place.value}" is no place: write three numbers in mm with commas between them, such as 180, 0, 100`);
+    });
+    for (const button of document.querySelectorAll("[data-jog]")) this.wire(button, AXES[button.dataset.jog]);
+    addEventListener("blur", () => this.letGo());
+    document.addEventListener("visibilitychange", () => this.letGo());
+  }
+
+  // A slider for a joint, to be put into its row.
+  slider({ name, limits_rad: [low, high] }) {
+    const index = this.joints.length, slider = document.createElement("input");
+    Object.assign(slider, { type: "range", min: degrees(low).toFixed(1), max: degrees(high).toFixed(1), step: "0.1", disabled: true });
+    slider.setAttribute("aria-label", `where ${name} is to be, degrees`);
+    slider.addEventListener("input", () => {
+      this.targets.set(index, Number(slider.value) * Math.PI / 180);
+      this.changed();
+    });
+    this.joints.push({ slider, low, high, at: null });
+    return slider;
+  }
+
+  wanted() {
+    return this.joints.map(({ at }, i) => this.targets.get(i) ?? at);
+  }
+
+  changed() {
+    const any = this.targets.size > 0;
+    $("go").disabled = !any || this.state !== "holding";
+    $("go-reset").disabled = !any;
+    const all = this.joints.every(({ at }) => at !== null);
+    this.aim(any && all ? this.wanted() : null);
+  }
+
+  reset() {
+    this.targets.clear();
+    this.tell("");
+    this.joints.forEach(({ slider, at }) => { if (at !== null) slider.value = degrees(at); });
+    this.changed();
+  }
+
+  // What the arm is now.
+  show(state, joints) {
+    this.state = state;
+    joints.forEach(({ position_rad: at }, i) => {
+      const joint = this.joints[i];
+      if (!joint) return;
+      joint.at = at;
+      joint.slider.disabled = !STANDING.includes(state);
+      if (at !== null && !this.targets.has(i)) joint.slider.value = degrees(at).toFixed(1);
+    });
+    $("tool-go").disabled = state !== "holding";
+    for (const button of document.querySelectorAll("[data-jog]")) button.disabled = !["holding", "jogging"].includes(state);
+    $("drive-hint").hidden = state !== "off";
+    this.changed();
+  }
+
+  tell(text) {
+    $("move-problem").textContent = text;
+    $("move-problem").hidden = !text;
+  }
+
+  async go(where) {
+    this.tell("");
+    try {
+      await this.post("/move", where);
+      this.reset();
+    } catch (error) {
+      this.tell(error.message);
+    }
+  }
+
+  wire(button, axis) {
+    const end = () => { if (this.held === button) this.letGo(); };
+    button.addEventListener("pointerdown", (event) => {
+      button.setPointerCapture(event.pointerId);
+      this.lead(button, axis);
+    });
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(name, end);
+    button.addEventListener("contextmenu", (event) => event.preventDefault());
+    button.addEventListener("keydown", (event) => {
+      if ((event.key !== " " && event.key !== "Enter") || event.repeat) return;
+      event.preventDefault();
+      this.lead(button, axis);
+    });
+    button.addEventListener("keyup", end);
+  }
+
+  letGo() {
+    if (this.held) delete this.held.dataset.held;
+    this.held = null;
+  }
+
+  // Say how fast for as long as the button is held; each answer comes when the next word is due.
+  async lead(button, axis) {
+    this.letGo();
+    this.tell("");
+    this.held = button;
+    button.dataset.held = "";
+    const speed_m_s = Number($("jog-speed").value) / 1000;
+    try {
+      for (let begin = true; this.held === button; begin = false) {
+        await this.post("/jog", { tool_m_s: axis.map((part) => part * speed_m_s), begin });
+      }
+    } catch (error) {
+      this.tell(error.message);
+      if (this.held === button) this.letGo();
+    }
+  }
+}

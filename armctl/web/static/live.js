@@ -1,0 +1,31 @@
+// The last minute of what the servos told, as curves.
+
+import { chart } from "/charts.js";
+
+const MINUTE_S = 60;
+const degrees = (rad) => rad * 180 / Math.PI;
+// What is drawn where: what it is called, how much of it is shown at least, and where it stands.
+const TOLD = {
+  "live-angle": ["angle, °", 10, (joint) => degrees(joint.position_rad)],
+  "live-load": ["load, %", 20, (joint) => 100 * joint.load_ratio],
+  "live-heat": ["temperature, °C", 8, (joint) => joint.temperature_degC],
+  "live-supply": ["supply, V", 2, (joint) => joint.voltage_V],
+};
+const seen = [];
+
+// Remember a snapshot, which came now.
+export function remember({ joints }) {
+  const now_s = performance.now() / 1000;
+  seen.push([now_s, joints]);
+  while (now_s - seen[0][0] > MINUTE_S) seen.shift();
+}
+
+export function drawLive() {
+  if (!seen.length) return;
+  const [now_s, joints] = seen.at(-1), x = seen.map(([time_s]) => time_s - now_s);
+  for (const [id, [y, span, of]] of Object.entries(TOLD)) {
+    chart(id, { x: "seconds", y, span }).draw(joints.map(({ name }, i) => ({
+      name, x, y: seen.map(([, then]) => then[i].position_rad === null ? null : of(then[i])),
+    })));
+  }
+}

@@ -1,0 +1,244 @@
+// The arm in space: bodies on its joints, the posture that is asked for as a ghost, floor, lines and paths. Lengths are
+// in metres, z is up. A picture is drawn only when something in it has changed.
+
+import * as three from "/three.js";
+
+const SERVO = [0.05, 0.032, 0.038];  // an AX-12A: along the link, across, along its axis
+const LINK_RADIUS = 0.009;
+const FINGER = 0.045;
+const CLOSE = 1e-3;
+// A new posture is reached by the time the next one is expected.
+const GLIDE_MS = 100;
+// The arm that the bodies above are the right size for, stretched.
+const USUAL_REACH = 0.45;
+
+const vector = (point) => new three.Vector3(...point);
+// A colour, or that of the page by its name.
+const css = (colour) => colour.startsWith("--") ? getComputedStyle(document.body).getPropertyValue(colour).trim() : colour;
+
+// Turns a cylinder's or capsule's axis (y) to a direction.
+const along = (direction) => new three.Quaternion().setFromUnitVectors(new three.Vector3(0, 1, 0), direction.clone().normalize());
+
+// Something across an axis, nearest to what is wanted.
+function across(axis, wanted) {
+  for (const some of [wanted, new three.Vector3(1, 0, 0), new three.Vector3(0, 1, 0)]) {
+    const part = some.clone().addScaledVector(axis, -some.dot(axis));
+    if (part.length() > 0.3 * some.length() && part.length() > CLOSE) return part.normalize();
+  }
+  return null;
+}
+
+// An arm of bodies. `description`: `axes`, a `place_m` and a `direction` for each joint at position 0, in the base
+// frame; `tool_m` there; `gripper`, or null: which joint it is, and where it is open and closed.
+class Bodies {
+  constructor({ axes, tool_m, gripper, floor_m }, materials) {
+    const places = axes.map(({ place_m }) => vector(place_m)), directions = axes.map(({ direction }) => vector(direction).normalize());
+    const tool = vector(tool_m), stretched = [...places, tool].reduce((sum, place, i, all) => sum + (i ? place.distanceTo(all[i - 1]) : 0), 0);
+    const size = Math.max(0.7, stretched / USUAL_REACH);
+    this.root = new three.Group();
+    this.directions = directions;
+    this.turning = [];
+    let parent = this.root, origin = new three.Vector3();
+    this.column(new three.Vector3(0, 0, floor_m), places[0], 2.2 * LINK_RADIUS * size, materials.servo);
+    places.forEach((place, i) => {
+      const before = i ? places[i - 1] : new three.Vector3(0, 0, floor_m), after = places[i + 1] || tool;
+      this.servo(parent, place.clone().sub(origin), directions[i], place.clone().sub(before), size, materials.servo);
+      const joint = new three.Group();
+      joint.position.copy(place).sub(origin);
+      parent.add(joint);
+      this.turning.push(joint);
+      this.link(joint, after.clone().sub(place), i === places.length - 1 ? FINGER : 0, size, materials.link);
+      [parent, origin] = [joint, place];
+    });
+    this.hand(parent, tool.clone().sub(origin), directions.at(-1), gripper, size, materials);
+  }
+
+  add(parent, geometry, material, position, turned) {
+    const mesh = new three.Mesh(geometry, material);
+    mesh.position.copy(position);
+    if (turned) mesh.quaternion.copy(turned);
+    parent.add(mesh);
+    return mesh;
+  }
+
+  column(from, to, radius, material) {
+    const way = to.clone().sub(from);
+    if (way.length() < CLOSE) return;
+    this.add(this.root, new three.CylinderGeometry(radius, 1.6 * radius, way.length(), 32), material, from.clone().addScaledVector(way, 0.5), along(way));
+  }
+
+  servo(parent, at, axis, from, size, material) {
+    const length = across(axis, from);
+    const turned = new three.Quaternion().setFromRotationMatrix(new three.Matrix4().makeBasis(length, axis.clone().cross(length), axis));
+    this.add(parent, new three.BoxGeometry(...SERVO.map((side) => side * size)), material, at.clone().addScaledVector(length, -0.012 * size), turned);
+  }
+
+  link(joint, way, short, size, material) {
+    const length = way.length() - short * size;
+    if (length < CLOSE) return;
+    const geometry = new three.CapsuleGeometry(LINK_RADIUS * size, length, 6, 16);
+    this.add(joint, geometry, material, way.clone().setLength(length / 2), along(way));
+  }
+
+  // Two fingers whose tips hold the tool's point between them.
+  hand(parent, tip, axis, gripper, size, { link, servo }) {
+    const forward = tip.length() > CLOSE ? tip.clone().normalize() : across(axis, new three.Vector3(1, 0, 0));
+    const aside = across(forward, axis) || across(forward, new three.Vector3(0, 0, 1));
+    const turned = new three.Quaternion().setFromRotationMatrix(new three.Matrix4().makeBasis(aside, forward, aside.clone().cross(forward)));
+    const length = FINGER * size, width = 0.006 * size;
+    this.add(parent, new three.BoxGeometry(0.05 * size, 0.008 * size, 0.022 * size), servo, tip.clone().addScaledVector(forward, -length), turned);
+    this.fingers = [-1, 1].map((side) => {
+      const mesh = this.add(parent, new three.BoxGeometry(width, length, 0.018 * size), link, tip.clone().addScaledVector(forward, -length / 2), turned);
+      return { mesh, at: mesh.position.clone(), aside: aside.clone().multiplyScalar(side), least: width / 2 + 0.001 };
+    });
+    [this.gripper, this.reach] = [gripper, 0.018 * size];
+    this.grip(0.5);
+  }
+
+  grip(open) {
+    for (const { mesh, at, aside, least } of this.fingers) mesh.position.copy(at).addScaledVector(aside, least + this.reach * Math.min(Math.max(open, 0), 1));
+  }
+
+  // Joint positions [rad]; those beyond the chain may follow.
+  pose(q) {
+    this.turning.forEach((joint, i) => joint.quaternion.setFromAxisAngle(this.directions[i], q[i]));
+    if (this.gripper) this.grip((q[this.gripper.index] - this.gripper.closed_rad) / (this.gripper.open_rad - this.gripper.closed_rad));
+  }
+}
+
+export class ArmView {
+  // Draws into an element, which has a size of its own.
+  constructor(element) {
+    this.element = element;
+    this.renderer = new three.WebGLRenderer({ antialias: true, alpha: true });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 1.5));
+    element.replaceChildren(this.renderer.domElement);
+    this.scene = new three.Scene();
+    this.camera = new three.PerspectiveCamera(35, 1, 0.01, 20);
+    this.camera.up.set(0, 0, 1);
+    this.controls = new three.OrbitControls(this.camera, this.renderer.domElement);
+    this.controls.maxPolarAngle = 0.55 * Math.PI;
+    this.controls.addEventListener("change", () => this.redraw());
+    this.sun = new three.DirectionalLight(0xffffff, 1.6);
+    this.sun.position.set(0.6, -1, 2);
+    this.scene.add(new three.HemisphereLight(0xffffff, 0x8899aa, 1.9), this.sun);
+    this.materials = {
+      servo: new three.MeshLambertMaterial(), link: new three.MeshLambertMaterial(),
+      ghost: new three.MeshLambertMaterial({ transparent: true, opacity: 0.28, depthWrite: false }),
+    };
+    this.curves = new Map();
+    this.shown = this.wanted = null;
+    this.paint();
+    new ResizeObserver(() => this.resize()).observe(element);
+  }
+
+  // The arm to draw; see `Bodies`.
+  setArm(arm) {
+    const reach = [...arm.axes.map(({ place_m }) => vector(place_m)), vector(arm.tool_m)];
+    this.reach = reach.reduce((sum, place, i) => sum + (i ? place.distanceTo(reach[i - 1]) : 0), 0);
+    this.floor_m = arm.floor_m;
+    this.bodies = new Bodies(arm, this.materials);
+    this.ghost = new Bodies(arm, { servo: this.materials.ghost, link: this.materials.ghost });
+    this.ghost.root.visible = false;
+    this.scene.add(this.bodies.root, this.ghost.root);
+    this.paint();
+    this.look();
+  }
+
+  // From the front and aside, the whole arm in sight.
+  look() {
+    const far = 2.25 * this.reach * (this.element.clientWidth < 500 ? 1.15 : 1);
+    this.camera.position.set(0.62 * far, -0.72 * far, 0.5 * far);
+    this.controls.target.set(0.08 * this.reach, 0, 0.3 * this.reach);
+    this.controls.update();
+    this.redraw();
+  }
+
+  // The colours of the page.
+  paint() {
+    this.materials.servo.color.set(css("--servo"));
+    this.materials.link.color.set(css("--link"));
+    this.materials.ghost.color.set(css("--blue"));
+    for (const { line, colour } of this.curves.values()) line.material.color.set(css(colour));
+    if (this.grid) this.scene.remove(this.grid);
+    if (this.reach) {
+      const size = 2 * Math.ceil(10 * this.reach + 0.5) / 10;
+      this.grid = new three.GridHelper(size, Math.round(20 * size), css("--rule"), css("--edge"));
+      this.grid.rotation.x = Math.PI / 2;
+      this.grid.position.z = this.floor_m;
+      this.scene.add(this.grid);
+    }
+    this.redraw();
+  }
+
+  // Where the joints are [rad]; `glide`: on the way there from what is shown.
+  pose(q, glide = false) {
+    const now = performance.now();
+    if (glide && this.shown) [this.from, this.wanted, this.begun] = [this.shown, q, now];
+    else [this.from, this.shown, this.wanted, this.begun] = [q, q, q, now - GLIDE_MS];
+    this.redraw();
+  }
+
+  // Where the joints are to be [rad]; null: as they are.
+  aim(q) {
+    if (q) this.ghost.pose(q);
+    this.ghost.root.visible = q !== null;
+    this.redraw();
+  }
+
+  // A path of points [m] by a name, in a colour of the page; none where there are fewer than two.
+  curve(name, points, colour, dashed = false) {
+    let known = this.curves.get(name);
+    if (!known) {
+      const material = dashed ? new three.LineDashedMaterial({ dashSize: 0.008, gapSize: 0.005 }) : new three.LineBasicMaterial();
+      known = { line: new three.Line(new three.BufferGeometry(), material), colour };
+      material.color.set(css(colour));
+      known.line.frustumCulled = false;
+      this.scene.add(known.line);
+      this.curves.set(name, known);
+    }
+    known.line.visible = points.length > 1;
+    known.line.geometry.dispose();
+    known.line.geometry = new three.BufferGeometry().setFromPoints(points.map(vector));
+    if (dashed) known.line.computeLineDistances();
+    this.redraw();
+  }
+
+  // Paths [points, colour, dashed] alone, near enough to be told apart.
+  paths(some) {
+    for (const { line } of this.curves.values()) line.visible = false;
+    some.forEach(([points, colour, dashed], i) => this.curve(`${colour} ${i}`, points, colour, dashed));
+    const ends = new three.Box3().setFromPoints(some.flatMap(([points]) => points.map(vector)));
+    const radius = Math.max(0.02, ends.getSize(new three.Vector3()).length() / 2);
+    ends.getCenter(this.controls.target);
+    this.camera.position.copy(this.controls.target).add(new three.Vector3(1, -1.2, 0.9).multiplyScalar(2.2 * radius));
+    this.controls.update();
+    this.redraw();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    if (!width || !height) return;
+    this.renderer.setSize(width, height);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.redraw();
+  }
+
+  redraw() {
+    if (!this.waiting) this.waiting = requestAnimationFrame(() => this.draw());
+  }
+
+  draw() {
+    this.waiting = 0;
+    if (!this.element.clientWidth) return;
+    if (this.bodies && this.wanted) {
+      const share = Math.min(1, (performance.now() - this.begun) / GLIDE_MS);
+      this.shown = this.wanted.map((q, i) => this.from[i] + share * (q - this.from[i]));
+      this.bodies.pose(this.shown);
+      if (share < 1) this.redraw();
+    }
+    this.renderer.render(this.scene, this.camera);
+    this.element.dataset.frames = Number(this.element.dataset.frames || 0) + 1;
+  }
+}

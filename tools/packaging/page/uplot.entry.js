@@ -1,0 +1,3 @@
+// uPlot and its style sheet, which becomes a file of its own.
+import "uplot/dist/uPlot.min.css";
+export { default } from "uplot";
