@@ -1,7 +1,7 @@
 """What a release is made of, as a CycloneDX 1.5 document: `python tools/packaging/sbom.py VERSION [COMMIT]` prints it.
 
-Read from lock.txt beside this file: every package with its version and the SHA-256 of each of its files. The libraries that
-are bundled for the dashboard are read from page/.
+Read from lock.txt beside this file, each package with its version and the SHA-256 of its files, and from page/, what is
+bundled for the dashboard.
 """
 
 import json
