@@ -1,6 +1,6 @@
 """What the dashboard costs while somebody looks at it, and how soon its page is there.
 
-A page is what a browser fetches (index, script and style), and then the live view's WebSocket until the arm's state has
+A page is what a browser fetches (scripts and styles too), and then the live view's WebSocket until the arm's state has
 come. The live view is watched like a browser does: every message is taken, compression is agreed on. The control
 process is weighed with and without a page that looks.
 """
@@ -32,7 +32,8 @@ LIVE_CPU_BOUND = 0.05
 PAGE_BOUND_S = 1.0
 # More of a core than this the control process does not use because somebody looks: what two runs differ by anyway.
 TICK_CPU_BOUND = 0.005
-FILES = ("/", "/app.js", "/style.css")
+SCRIPTS = ("app", "charts", "drive", "live", "scene", "three", "uplot")
+FILES = ("/", "/style.css", "/uplot.css", *(f"/{name}.js" for name in SCRIPTS))
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 
 
