@@ -11,8 +11,11 @@ const degrees = (rad) => rad * 180 / Math.PI;
 const millimetres = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} mm`;
 let arm = null, snapshot = null, teaching = false, taking = null, running = false, takes = [];
 let drive = null, view3d = null, logView = null, pathView = null;
+let covered = [1, 0];  // of the line, in the take under way
 const trail = [];
 const TRAIL = 150;
+const MOST_DRAWN = 12;
+const tracks = new Map();  // tool paths of recordings, by name
 
 function takeToken() {
   const found = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -142,7 +145,7 @@ function show(latest) {
     const line = wantedLine();
     $("line-error-part").hidden = !line;
     if (line) $("line-error").textContent = millimetres(distance(place, ...line));
-    if (taking && line) $("teach-figures").textContent = `recording ${taking}: ${millimetres(distance(place, ...line))} off the line`;
+    if (taking && line) showTeaching(place, latest.tool.speed_m_s, line);
   }
   drawArm(true);
   remember(latest);
@@ -153,6 +156,15 @@ function show(latest) {
 const BUTTONS = { clear: "Clear the fault", release: "Release", "torque on": "Torque on", park: "Park", stop: "STOP" };
 const pressed = (text) => text.replace(/(?:type )?`armctl (clear|release|torque on|park|stop)`/g, (_, name) => `press \u201c${BUTTONS[name]}\u201d`);
 let cards = "";
+
+// Where the hand is on its way, and how much of the line it has led the tool along.
+function showTeaching(place, speed_m_s, [A, B]) {
+  const share = Math.min(1, Math.max(0, progressAlong(place, A, B)));
+  covered = [Math.min(covered[0], share), Math.max(covered[1], share)];
+  const speed = speed_m_s === null ? "" : `, ${Math.round(1000 * speed_m_s)} mm/s`;
+  $("teach-figures").textContent = `recording ${taking}: ${millimetres(distance(place, A, B))} off the line, ` +
+    `${millimetres(1000 * Math.hypot(...minus(place, A)))} from its start${speed}, ${Math.round(100 * (covered[1] - covered[0]))} % of it covered`;
+}
 
 // A card for every fault, the worst first.
 function showFaults(faults) {
@@ -259,7 +271,7 @@ function repaint() {
 }
 
 function drawArm(glide = false) {
-  if (!view3d || $("view-arm").hidden || document.hidden || !snapshot) return;
+  if (!view3d || ($("view-arm").hidden && $("view-guide").hidden) || document.hidden || !snapshot) return;
   const q = snapshot.joints.map((joint) => joint.position_rad);
   if (q.includes(null)) return;
   view3d.pose(q, glide && !calm.matches);
@@ -288,8 +300,12 @@ function showTakes() {
     const label = document.createElement("label");
     box.type = "checkbox";
     box.checked = take.chosen;
-    box.addEventListener("change", () => { take.chosen = box.checked; });
-    const figures = take.mean === null ? "" : `: ${take.duration.toFixed(1)} s, ${millimetres(take.mean)} mean, ${millimetres(take.max)} at most`;
+    box.addEventListener("change", () => {
+      take.chosen = box.checked;
+      act(null, drawGuide);
+    });
+    const line = wantedLine(), off = tracks.has(take.name) && line ? offLine(tracks.get(take.name), line) : null;
+    const figures = `: ${take.duration.toFixed(1)} s` + (off ? `, ${millimetres(off[0])} off the line on average, ${millimetres(off[1])} at most` : "");
     label.append(box, take.name + figures);
     item.append(label);
     return item;
@@ -300,12 +316,45 @@ async function loadTakes() {
   const { recordings } = await request("/recordings");
   const chosen = new Set(takes.filter((take) => take.chosen).map((take) => take.name));
   const known = new Set(takes.map((take) => take.name));
-  const line = wantedLine();
   takes = recordings.filter((one) => !one.name.startsWith("run-")).map((one) => ({
-    name: one.name, duration: one.duration_s, mean: one.mean_error_mm, max: one.max_error_mm,
-    chosen: known.size ? chosen.has(one.name) || !known.has(one.name) : true, line,
+    name: one.name, duration: one.duration_s, chosen: known.size ? chosen.has(one.name) || !known.has(one.name) : true,
   }));
   showTakes();
+  await drawGuide();
+}
+
+// The part of a tool path that leads from A to B.
+function fromTo(track, A, B) {
+  const nearest = (end, some) => some.reduce((best, place, i) => Math.hypot(...minus(place, end)) <= Math.hypot(...minus(some[best], end)) ? i : best, 0);
+  const way = track.slice(nearest(A, track));
+  return way.slice(0, nearest(B, way) + 1);
+}
+
+// How far a take is off the line [mm], on average and at most.
+function offLine(track, [A, B]) {
+  const off = fromTo(track, A, B).map((place) => distance(place, A, B));
+  return [off.reduce((sum, one) => sum + one, 0) / off.length, Math.max(...off)];
+}
+
+// The chosen takes in space, beside the plan and its last run.
+async function drawGuide() {
+  if (!view3d || $("view-guide").hidden) return;
+  const chosen = takes.filter((take) => take.chosen).slice(0, MOST_DRAWN).map((take) => take.name);
+  await Promise.all(chosen.filter((name) => !tracks.has(name)).map(async (name) => {
+    tracks.set(name, (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m);
+  }));
+  view3d.keep(["line", "trail", "plan", "run"]);
+  chosen.forEach((name, i) => view3d.curve(`take ${name}`, tracks.get(name), COLOURS[i % COLOURS.length]));
+  $("guide-names").replaceChildren(...namesOf(chosen));
+  showTakes();
+}
+
+// A plan's path with its intermediate points, and, where there is one, its run's.
+function drawPlan({ plan, tool_m }, run = []) {
+  if (!view3d) return;
+  view3d.curve("plan", tool_m, "--blue");
+  view3d.balls(plan.waypoints_rad.slice(1, -1).map((q) => view3d.toolAt(q)), "--blue");
+  view3d.curve("run", run, "--ok");
 }
 
 function freeName(stem) {
@@ -323,7 +372,7 @@ async function toggleTake() {
   } else {
     const name = freeName($("take-name").value || "take");
     await post("/take/begin", { name });
-    taking = name;
+    [taking, covered] = [name, [1, 0]];
   }
 }
 
@@ -375,6 +424,7 @@ async function optimise(form) {
     `${millimetres(result.exact.mean_error_mm)}; predicted distance from the line with ${plan.via} points: ` +
     `${millimetres(plan.predicted_mean_error_mm)} on average, ${millimetres(plan.predicted_max_error_mm)} at most`;
   await loadPlanChoice(plan.name);
+  drawPlan(await request(`/plans/${encodeURIComponent(plan.name)}`));
 }
 
 async function loadPlanChoice(wanted) {
@@ -401,13 +451,13 @@ async function run(refine = 0) {
 
 async function runPlan(refine) {
   const name = $("plan-choice").value;
-  if (snapshot.state === "off") {
-    $("run-figures").textContent = "torque is coming on";
-    await post("/torque-on");
-  }
-  $("run-figures").textContent = `${name} is running`;
   let result;
   try {
+    if (snapshot.state === "off") {
+      $("run-figures").textContent = "torque is coming on";
+      await post("/torque-on");
+    }
+    $("run-figures").textContent = `${name} is running`;
     result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine });
   } catch (error) {
     $("run-figures").textContent = "the run failed";
@@ -418,6 +468,7 @@ async function runPlan(refine) {
     `servos ${millimetres(result.predicted_mean_error_mm)} and ${millimetres(result.predicted_max_error_mm)})`;
   const recorded = async (one) => proper(await request(`/recordings/${encodeURIComponent(one)}`));
   const [plan, measured] = await Promise.all([request(`/plans/${encodeURIComponent(name)}`), recorded(result.recording)]);
+  drawPlan(plan, measured);
   const paths = [["predicted", plan.tool_m], ["measured", measured]];
   if (result.rounds) {
     const [first] = result.rounds, count = result.rounds.reduce((sum, round) => sum + round.recordings.length, 0);
@@ -440,7 +491,7 @@ function proper(recording) {
 
 function drawDeviation(id, paths, A, B) {
   const curves = paths.map(([name, path]) => {
-    const places = path.map((place) => [100 * progressAlong(place, A, B), distance(place, A, B)]).sort(([a], [b]) => a - b);
+    const places = fromTo(path, A, B).map((place) => [100 * progressAlong(place, A, B), distance(place, A, B)]).sort(([a], [b]) => a - b);
     return { name, x: places.map(([x]) => x), y: places.map(([, y]) => y) };
   });
   chart(id, { x: "along the line, %", y: "off the line, mm", low: 0 }).draw(curves);
@@ -559,7 +610,22 @@ async function download() {
 
 // ------------------------------------------------------------------------------------------------- wiring
 
-const ENTER = { arm: () => drawArm(), live: drawLive, guide: async () => { await loadTakes(); await loadPlanChoice(); }, compare: loadCompare, logs: loadLogs };
+// The arm is drawn where it is looked at.
+function showArmIn(slot) {
+  $(slot).prepend($("scene"));
+  if (view3d) view3d.keep(["line", "trail"]);
+  drawArm();
+}
+
+const ENTER = {
+  arm: () => showArmIn("arm-slot"), live: drawLive,
+  guide: async () => {
+    showArmIn("guide-slot");
+    await loadTakes();
+    await loadPlanChoice();
+  },
+  compare: loadCompare, logs: loadLogs,
+};
 
 function view(name) {
   for (const section of document.querySelectorAll("main > section")) section.hidden = section.id !== `view-${name}`;

@@ -51,6 +51,9 @@ class Bodies {
       [parent, origin] = [joint, place];
     });
     this.hand(parent, tool.clone().sub(origin), directions.at(-1), gripper, size, materials);
+    this.tip = new three.Object3D();
+    this.tip.position.copy(tool).sub(origin);
+    parent.add(this.tip);
   }
 
   add(parent, geometry, material, position, turned) {
@@ -127,6 +130,8 @@ export class ArmView {
       ghost: new three.MeshLambertMaterial({ transparent: true, opacity: 0.28, depthWrite: false }),
     };
     this.curves = new Map();
+    [this.dots, this.ball, this.dotted] = [new three.Group(), new three.SphereGeometry(0.004, 16, 12), new three.MeshBasicMaterial()];
+    this.scene.add(this.dots);
     this.shown = this.wanted = null;
     this.paint();
     new ResizeObserver(() => this.resize()).observe(element);
@@ -139,6 +144,7 @@ export class ArmView {
     this.floor_m = arm.floor_m;
     this.bodies = new Bodies(arm, this.materials);
     this.ghost = new Bodies(arm, { servo: this.materials.ghost, link: this.materials.ghost });
+    this.probe = new Bodies(arm, this.materials);
     this.ghost.root.visible = false;
     this.scene.add(this.bodies.root, this.ghost.root);
     this.paint();
@@ -160,6 +166,7 @@ export class ArmView {
     this.materials.link.color.set(css("--link"));
     this.materials.ghost.color.set(css("--blue"));
     for (const { line, colour } of this.curves.values()) line.material.color.set(css(colour));
+    if (this.dotColour) this.dotted.color.set(css(this.dotColour));
     if (this.grid) this.scene.remove(this.grid);
     if (this.reach) {
       const size = 2 * Math.ceil(10 * this.reach + 0.5) / 10;
@@ -183,6 +190,32 @@ export class ArmView {
   aim(q) {
     if (q) this.ghost.pose(q);
     this.ghost.root.visible = q !== null;
+    this.redraw();
+  }
+
+  // Where the tool would be [m], with the joints there [rad].
+  toolAt(q) {
+    this.probe.pose(q);
+    this.probe.root.updateMatrixWorld(true);
+    return this.probe.tip.getWorldPosition(new three.Vector3()).toArray();
+  }
+
+  // Points [m] of which each is a ball, in a colour of the page.
+  balls(points, colour) {
+    this.dots.clear();
+    for (const point of points) {
+      const ball = new three.Mesh(this.ball, this.dotted);
+      ball.position.set(...point);
+      this.dots.add(ball);
+    }
+    this.dotColour = colour;
+    this.dotted.color.set(css(colour));
+    this.redraw();
+  }
+
+  // Curves by other names are no longer shown.
+  keep(names) {
+    for (const [name, { line }] of this.curves) line.visible &&= names.includes(name);
     this.redraw();
   }
 
