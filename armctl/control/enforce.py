@@ -27,7 +27,6 @@ LIMP_NS = 500_000_000
 YIELD_NS = 1_000_000_000
 # After so long without a goal from elsewhere the next one is another story.
 CALM_NS = 1_000_000_000
-LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
 # How fast it is brought back from less: as slowly as to rest.
 BACK_UNITS = ax12a.moving_speed_units(math.radians(20.0))
 # A goal this near to the shaft asks for no way.
@@ -106,7 +105,7 @@ def hold_goals(s: Tick) -> None:
         state.yielded = True
         s.latch_servo("OVERRULED", foreign[0], "another program goes on writing goals; the arm is left to it")
         return
-    led_off = [i for i in owed if abs(s.status(i).position - state.goal[i]) > LED_OFF_TICKS]
+    led_off = [i for i in owed if s.is_led_off(i)]
     well = s.fresh and "BUS_NOISE" not in s.found
     unsure = set(led_off).difference(state.led_off if well else ())
     for i in set(led_off).difference(unsure):

@@ -34,6 +34,7 @@ ROUNDING_TICKS = 1.0
 SENT_S, SENT_LEAST = 1.0, 8
 # Largest change between two samples of an arm that counts as still (noise is one tick).
 STILL_TICKS = 3
+LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
 # Share of a period: a tick that comes no sooner after the last one is in time.
 IN_TIME = 0.9
 # Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal.
@@ -309,18 +310,13 @@ class Tick:
         state, now_ns = self.state, self.inputs.now_ns
         if state.goal and goal != state.goal:
             state.sent, state.heard_since = (state.goal, *state.sent), (0, *state.heard_since)
-            pairs = list(zip(goal, state.goal, strict=True))
-            state.push_since_ns = tuple(
-                [
-                    since_ns if new == old else 0
-                    for since_ns, (new, old) in zip(state.push_since_ns or (0,) * len(goal), pairs, strict=True)
-                ]
-            )
+            since_ns = zip(state.push_since_ns or (0,) * len(goal), goal, state.goal, strict=True)
+            state.push_since_ns = tuple([since if new == old else 0 for since, new, old in since_ns])
         state.goal, state.goal_ns = goal, now_ns
 
     def confirm_goals(self) -> None:
         """A servo that shows its goal shows no earlier one again, nor one for long after it was replaced, unless
-        somebody else writes it.
+        somebody else writes it, or the latest is withheld because the servo was led off.
         """
         state = self.state
         shown = [
@@ -332,8 +328,13 @@ class Tick:
             for goal, heard in zip(state.sent, state.heard_since, strict=True)
             if heard < self.ticks_in(SENT_S, SENT_LEAST)
         ]
-        left = [(goal, heard + self.fresh) for goal, heard in left if goal != state.goal]
+        told = self.fresh and not any(self.is_led_off(i) for i, done in enumerate(shown) if not done)
+        left = [(goal, heard + told) for goal, heard in left if goal != state.goal]
         state.sent, state.heard_since = tuple([goal for goal, _ in left]), tuple([heard for _, heard in left])
+
+    def is_led_off(self, index: int) -> bool:
+        """Whether a servo is so far from the goal decided for it that it is not brought back."""
+        return abs(self.status(index).position - self.state.goal[index]) > LED_OFF_TICKS
 
     def is_from_here(self, index: int) -> bool:
         """Whether a servo that has been heard shows one of the goals sent to it since it last showed the latest."""

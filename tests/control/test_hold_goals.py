@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.control import faults
-from armctl.control.enforce import LED_OFF_TICKS
+from armctl.control.tick import LED_OFF_TICKS
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, Packet
 from armctl.messages import Clear, Hold, Mode, Release, Run
@@ -247,3 +247,22 @@ def test_torque_that_appears_on_a_limp_arm_is_not_led_to_where_the_arm_once_was(
     rig.ticks(5)
     assert rig.code() == "NOT_LIMP"
     assert not any(record.outputs.goal or record.outputs.writes for record in rig.records)
+
+
+def test_a_goal_that_is_withheld_on_a_noisy_line_makes_the_earlier_one_nobody_elses() -> None:
+    arm = holding()
+    goal = arm.get(0, ax12a.GOAL)
+    arm.deaf = {0}
+    arm.put(0, ax12a.PRESENT_POSITION, goal - 150)
+    arm.put(0, ax12a.PRESENT_LOAD, 780)
+    arm.run_ticks(5)
+    assert arm.code() == "BLOCKED"
+    assert arm.state.goal[0] == goal - 150, "where it stood, as far as anybody saw"
+    arm.put(0, ax12a.PRESENT_POSITION, goal)
+    arm.put(0, ax12a.PRESENT_LOAD, 0)
+    arm.noisy = {1, 2, 3, 4, 5}
+    arm.run_ticks(14)
+    arm.noisy, arm.deaf = set(), set()
+    arm.run_ticks(30)
+    assert arm.get(0, ax12a.GOAL) == goal
+    assert not {fault.code for fault in arm.state.faults} & {"OTHER_WRITER", "OVERRULED"}
