@@ -9,6 +9,9 @@ const FINGER = 0.045;
 const CLOSE = 1e-3;
 // A new posture is reached by the time the next one is expected.
 const GLIDE_MS = 100;
+// A browser that draws slower than this is not asked to glide for a while: a click comes first.
+const SLOW_MS = 50;
+const REST_MS = 5000;
 // The arm that the bodies above are the right size for, stretched.
 const USUAL_REACH = 0.45;
 
@@ -133,6 +136,8 @@ export class ArmView {
     [this.dots, this.ball, this.dotted] = [new three.Group(), new three.SphereGeometry(0.004, 16, 12), new three.MeshBasicMaterial()];
     this.scene.add(this.dots);
     this.shown = this.wanted = null;
+    // Until when nothing glides; the mean time between two pictures of a glide, and when the last of one was drawn.
+    [this.rested, this.gap_ms, this.drawn] = [0, 0, 0];
     this.paint();
     new ResizeObserver(() => this.resize()).observe(element);
   }
@@ -181,7 +186,7 @@ export class ArmView {
   // Where the joints are [rad]; `glide`: on the way there from what is shown.
   pose(q, glide = false) {
     const now = performance.now();
-    if (glide && this.shown) [this.from, this.wanted, this.begun] = [this.shown, q, now];
+    if (glide && this.shown && now > this.rested) [this.from, this.wanted, this.begun] = [this.shown, q, now];
     else [this.from, this.shown, this.wanted, this.begun] = [q, q, q, now - GLIDE_MS];
     this.redraw();
   }
@@ -262,6 +267,15 @@ export class ArmView {
     if (!this.waiting) this.waiting = requestAnimationFrame(() => this.draw());
   }
 
+  // Go on with a glide, if the browser can.
+  pace(gliding) {
+    const now = performance.now();
+    if (this.drawn) this.gap_ms += 0.3 * (now - this.drawn - this.gap_ms);
+    this.drawn = gliding ? now : 0;
+    if (this.gap_ms > SLOW_MS) [this.rested, this.gap_ms] = [now + REST_MS, 0];
+    if (gliding) this.redraw();
+  }
+
   draw() {
     this.waiting = 0;
     if (!this.element.clientWidth) return;
@@ -269,7 +283,7 @@ export class ArmView {
       const share = Math.min(1, (performance.now() - this.begun) / GLIDE_MS);
       this.shown = this.wanted.map((q, i) => this.from[i] + share * (q - this.from[i]));
       this.bodies.pose(this.shown);
-      if (share < 1) this.redraw();
+      this.pace(share < 1);
     }
     this.renderer.render(this.scene, this.camera);
     this.element.dataset.frames = Number(this.element.dataset.frames || 0) + 1;
