@@ -45,12 +45,11 @@ class ServoReading:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One reading of every servo."""
+    """One reading of every servo; it took `bus_us`."""
 
     # The instant the reading began; the time of every message of this tick.
     time_ns: int
     servos: tuple[ServoReading, ...]
-    # Duration of the whole reading [us].
     bus_us: int = 0
     retries: int = 0
     port_open: bool = True
@@ -167,7 +166,6 @@ class SetRate(Answered):
 class Jog(Answered):
     """One heartbeat of a jog: the one velocity that is wanted until the next heartbeat, without which the arm stops."""
 
-    # One velocity for each joint.
     joints_rad_s: tuple[float, ...] = ()
     # Velocity of the tool point in the base frame, (x, y, z).
     tool_m_s: tuple[float, ...] = ()
@@ -398,3 +396,5 @@ class TickRecord:
     keyframe: str = ""
     # Tick records lost before this one because the host did not take them.
     dropped: int = 0
+    # What went over the wire since the record before: when, whether it was sent, and the bytes.
+    wire: tuple[tuple[int, bool, bytes], ...] = ()

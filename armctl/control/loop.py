@@ -91,6 +91,7 @@ class ControlLoop:
             goal_sent=goal_sent,
             keyframe=keyframe,
             dropped=self._dropped,
+            wire=self._bus.port.take_wire(),
         )
         self._tick += 1
         self._deadline_ns += self._period_ns

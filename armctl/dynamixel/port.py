@@ -19,9 +19,12 @@ What a port promises:
    it can tell that this is the reason; after it, what is late is lost.
 9. A port that has vanished raises `PortGone` at every use but `closePort`, until it is opened again. So does a port
    that was never opened. The text says what to do.
+10. `take_wire` tells the bytes that were sent, and those that were read, whoever threw them away then, with the time by
+   which they had been read. What a driver threw away unread nobody knows.
 """
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Sequence
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol1PacketHandler
@@ -40,6 +43,8 @@ QUIET_MS = 0.5
 HEARD_MAX = 256
 DRAIN_BYTES = 64
 DRAIN_ROUNDS = 8
+# Most pieces kept for `take_wire`, of a packet each; a tick has about 15.
+WIRE_PIECES = 512
 # Largest error byte that the SDK takes for one of a status packet.
 ERROR_MAX = 0x7F
 
@@ -82,6 +87,9 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
         self._request_size = 0
         # When the last reply to `ask` had been read [ns].
         self.arrived_ns = 0
+        # For `take_wire`, and what was read since the last piece of it.
+        self._wire: deque[tuple[int, bool, bytes]] = deque(maxlen=WIRE_PIECES)
+        self._read = b""
         self.setBaudRate(baud)
 
     # ------------------------------------------------------------------------------------ for the transport
@@ -157,6 +165,7 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
             self._fill(length)
         data, self._received = self._received[:length], self._received[length:]
         self.heard += len(data)
+        self._read += data
         return data
 
     def peek(self, length: int) -> bytes:
@@ -170,11 +179,16 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
     def writePort(self, packet: Sequence[int]) -> int:
         """Send a packet; the number of bytes taken, fewer if the line is stuck."""
         self._request_size = len(packet)
-        return self._send(bytes(packet))
+        now_ns = self._begin_ns or self._now_ns()
+        taken = self._send(data := bytes(packet))
+        self._stamp_read(now_ns)
+        self._wire.append((now_ns, True, data[:taken]))
+        return taken
 
     def clearPort(self) -> None:
         """Throw away what was received and not read (rule 6)."""
         if self._received or not (self._clean and self.heard == self._due > 0):
+            self._read += self._received
             self._received = b""
             self._discard()
             self._clean, self._begin_ns = True, 0  # a driver may have taken its time over it
@@ -223,6 +237,7 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
             reply, result = self._search(request[2]) if reply else (b"", COMM_RX_TIMEOUT)
         # The wait for the next reply of the round begins here.
         self.arrived_ns = self._begin_ns = self._now_ns()
+        self._stamp_read(self.arrived_ns)
         return reply, result
 
     def _search(self, servo_id: int) -> tuple[bytes, int]:
@@ -231,6 +246,20 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
             packet, result = _sdk.rxPacket(self)
             if result != COMM_SUCCESS or packet[2] == servo_id:
                 return bytes(packet), result
+
+    def take_wire(self) -> tuple[tuple[int, bool, bytes], ...]:
+        """What went over the wire since the last call: when [ns], whether it was sent, and the bytes (rule 10)."""
+        if self._read:
+            self._stamp_read(self._now_ns())
+        wire = tuple(self._wire)
+        self._wire.clear()
+        return wire
+
+    def _stamp_read(self, now_ns: int) -> None:
+        """Make what was read since the last piece a piece of the wire that was read by now."""
+        if self._read:
+            self._wire.append((now_ns, False, self._read))
+            self._read = b""
 
     def allow_latency(self, latency_ms: float) -> None:
         """From now on wait so much longer for a reply, because the adapter may keep it back."""

@@ -92,6 +92,7 @@ TCP_POSE = _topic("/tcp_pose", "geometry_msgs/PoseStamped")
 SERVOS = _topic("/armctl/servos", "armctl_msgs/ServoArray")
 WRITES = _topic("/armctl/writes", "armctl_msgs/WriteArray")
 CYCLE = _topic("/armctl/cycle", "armctl_msgs/Cycle")
+WIRE = _topic("/armctl/wire", "armctl_msgs/Wire")
 COMMAND = _topic("/armctl/command", "std_msgs/String")
 STATE = _topic("/armctl/state", "std_msgs/String")
 JOINT_TRAJECTORY = _topic("/joint_trajectory", "trajectory_msgs/JointTrajectory")
@@ -188,6 +189,13 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
     messages += _records(record, "reply", outputs.replies)
     messages += [(ROSOUT, log_line(event, epoch_ns, CONTROL)) for event in outputs.events]
     return messages
+
+
+def wire_message(pieces: Iterable[tuple[int, bool, bytes]], epoch_ns: int) -> Message:
+    """What went over the wire: when [ns, monotonic], whether it was sent, and the bytes."""
+    keys = ("time_ns", "sent", "data")
+    parts = [dict(zip(keys, piece, strict=True)) for piece in pieces]
+    return WIRE, {"header": _header(epoch_ns, BASE), "pieces": parts}
 
 
 def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:

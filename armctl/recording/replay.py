@@ -10,7 +10,8 @@ Rules.
    `skipped`; a stretch of time of which nothing was judged, or in which something may have been, is one of the `gaps`.
 5. Each file of a merged one keeps its own clock anchor: a tick uses the anchor that gives its log time.
 6. What the world answered to the outputs (times, confirmed writes) is taken over from the log: no step can compute it.
-7. A topic that the file lacks or declares otherwise, being of another build, is not compared, and the result says so.
+7. What the wire carried around a fault is for people: the servos' registers, which came of it, are what is judged.
+8. A topic that the file lacks or declares otherwise, being of another build, is not compared, and the result says so.
 """
 
 import json

@@ -7,7 +7,8 @@ Rules.
 2. A file that fails is abandoned and the others go on. A log is tried again every `RETRY_NS`; at once where its file or
    folder was taken away. While the folder cannot be written the open files go on.
 3. Every file can be replayed alone: the newest ticks back to a keyframe (`History`) are handed to each one.
-4. Around a fault a snapshot is kept beside the log; a bound of its own deletes the oldest (quota.py).
+4. Around a fault a snapshot is kept beside the log; a bound of its own deletes the oldest (quota.py). It alone has what
+   went over the wire from `WIRE_BEFORE_NS` before a fault to `WIRE_AFTER_NS` after it.
 
 Everything here runs in the recorder's thread (recorder.py), but for what its docstring says is for others.
 """
@@ -35,6 +36,9 @@ MAX_SNAPSHOT = 10
 # Ticks kept beyond those of the last `keep_s`; several times what stands between two keyframes.
 MAX_RECORDS = 2000
 CLOCK_STEP_NS = NS_PER_S // 2
+WIRE_BEFORE_NS, WIRE_AFTER_NS = 2 * NS_PER_S, NS_PER_S
+# Most pieces of the wire kept; of 2 s at 100 Hz and 10 servos they are 4000.
+MAX_WIRE = 8000
 LOG, TAKE, SNAPSHOT = "log", "take", "snapshot"
 Ticks = tuple[TickRecord, ...]
 # Compacts the finished logs of a folder, some time.
@@ -106,6 +110,9 @@ class Files:
         self._open: dict[str, LogWriter] = {}
         self._history = History(context.config.log.snapshot_s, context.period_s)
         self._last: TickRecord | None = None
+        # What went over the wire lately and is in no file.
+        self._wire: deque[tuple[int, bool, bytes]] = deque(maxlen=MAX_WIRE)
+        self._wire_end_ns = 0
         self._previous = ""
         self._snapshot_end_ns = self._retry_ns = 0
         self._clock_offset_ns: int | None = None
@@ -143,6 +150,8 @@ class Files:
         for command in record.inputs.commands:
             if isinstance(command, Connected) and command.firmware:
                 self._context = replace(self._context, firmware=command.firmware)
+        self._wire += record.wire
+        record = replace(record, wire=())
         self._rotate(record)
         self._ensure_log()
         self._write(lambda writer: writer.write_tick(record))
@@ -153,10 +162,14 @@ class Files:
         new = [fault.code for fault in record.outputs.faults if (fault.code, fault.since_ns) not in before]
         if new:
             self._keep_snapshot(new[0], time_ns)
-            return True
-        if SNAPSHOT in self._open and time_ns >= self._snapshot_end_ns:
+        elif SNAPSHOT in self._open and time_ns >= self._snapshot_end_ns:
             self.close(SNAPSHOT)
-        return False
+        while self._wire and self._wire[0][0] < time_ns - WIRE_BEFORE_NS:
+            self._wire.popleft()
+        if time_ns < self._wire_end_ns and self._wire:
+            self._write(lambda writer: writer.write_wire(self._wire, time_ns), SNAPSHOT)
+            self._wire.clear()
+        return bool(new)
 
     def flush(self) -> None:
         """Return when everything written is on the disk."""
@@ -234,7 +247,7 @@ class Files:
     def _keep_snapshot(self, code: str, time_ns: int) -> None:
         """Keep the ticks before and after a fault; one that follows soon only makes it longer."""
         span_ns = round(self._context.config.log.snapshot_s * NS_PER_S)
-        self._snapshot_end_ns = time_ns + span_ns
+        self._snapshot_end_ns, self._wire_end_ns = time_ns + span_ns, time_ns + WIRE_AFTER_NS
         if (snapshot := self._open.get(SNAPSHOT)) is not None:
             self._snapshot_end_ns = min(self._snapshot_end_ns, snapshot.begin_ns + MAX_SNAPSHOT * span_ns)
             return
@@ -261,9 +274,9 @@ class Files:
 
     # ------------------------------------------------------------------------------------------ failures
 
-    def _write(self, action: Callable[[LogWriter], None]) -> None:
-        """Do something to every open file; one that fails is abandoned, the others go on."""
-        for kind in (LOG, TAKE, SNAPSHOT):
+    def _write(self, action: Callable[[LogWriter], None], *kinds: str) -> None:
+        """Do something to every open file, or those of these kinds; one that fails is abandoned, the others go on."""
+        for kind in kinds or (LOG, TAKE, SNAPSHOT):
             if kind in self._open:
                 self.written = True
                 try:

@@ -12,7 +12,7 @@ Rules.
 import json
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,6 +140,12 @@ class LogWriter:
             self._write(record, [encoder.cycle(record, anchor)])
             if record.keyframe:
                 self._add(channels.string_message(channels.STATE, record.keyframe), anchor.epoch_ns(time_ns))
+
+    def write_wire(self, pieces: Iterable[tuple[int, bool, bytes]], time_ns: int) -> None:
+        """What went over the wire up to a tick (see `channels.wire_message`), behind it."""
+        epoch_ns = self.anchor.epoch_ns(time_ns)
+        with writing(self.part):
+            self._add(channels.wire_message(pieces, epoch_ns), epoch_ns)
 
     def write_note(self, topic: str, text: str, time_ns: int) -> None:
         """Text (JSON) on a std_msgs/String topic, at a monotonic time.

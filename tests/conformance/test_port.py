@@ -9,7 +9,7 @@ import pytest
 
 from armctl.clock import MonotonicClock, VirtualClock
 from armctl.dynamixel.packet import Instruction, encode_instruction, encode_status
-from armctl.dynamixel.port import HEARD_MAX, ServoPort
+from armctl.dynamixel.port import HEARD_MAX, WIRE_PIECES, ServoPort
 from armctl.dynamixel.serial_port import SerialPort
 from armctl.errors import PortBusy, PortGone, PortMissing
 from armctl.files import load_arm
@@ -233,3 +233,41 @@ def test_every_use_of_an_unplugged_port_is_port_gone_until_it_is_opened_again(li
     assert line.port.openPort()
     line.ask(PING, size=len(PONG))
     assert line.port.readPort(6) == PONG
+
+
+# ------------------------------------------------------------------------------------------- rule 10: the wire
+
+
+def test_the_wire_is_told_once_as_it_was_sent_and_read(line: Line) -> None:
+    line.port.clearPort()
+    line.port.take_wire()
+    begin_ns = line.port.clock.now_ns()
+    line.port.ask(PING, len(PONG))
+    line.port.begin_round()
+    line.port.ask(LONG_READ, LONG_REPLY_SIZE)
+    wire = line.port.take_wire()
+    times_ns, sent, data = zip(*wire, strict=True)
+    assert list(times_ns) == sorted(times_ns)
+    assert begin_ns <= times_ns[0] <= times_ns[-1] <= line.port.clock.now_ns()
+    assert b"".join(one for one, out in zip(data, sent, strict=True) if out) == PING + LONG_READ
+    answered = b"".join(one for one, out in zip(data, sent, strict=True) if not out)
+    assert answered[: len(PONG)] == PONG
+    assert len(answered) == len(PONG) + LONG_REPLY_SIZE
+    assert line.port.take_wire() == ()
+
+
+def test_what_was_read_and_thrown_away_is_told_too(line: Line) -> None:
+    line.ask(PING, size=len(PONG))
+    line.port.setPacketTimeoutMillis(PATIENCE_MS)
+    assert line.port.peek(len(PONG)) == PONG
+    line.port.take_wire()
+    line.port.clearPort()
+    assert [(sent, data) for _, sent, data in line.port.take_wire()] == [(False, PONG)]
+
+
+def test_the_wire_that_nobody_takes_keeps_its_newest_pieces(line: Line) -> None:
+    for _ in range(WIRE_PIECES // 2 + 5):
+        line.port.ask(PING, len(PONG))
+    wire = line.port.take_wire()
+    assert len(wire) == WIRE_PIECES
+    assert wire[-1][2] == PONG

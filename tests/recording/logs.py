@@ -33,18 +33,22 @@ def write(
     context: LogContext = CONTEXT,
     keyframe: str = "",
     inputs_only: Sequence[TickRecord] = (),
+    wire_ticks: int = 0,
     **options: Any,
 ) -> Path:
     """A file of these records, flushed every so many ticks; the part that is left where it is not finished.
 
     Args:
         notes: What is noted after a tick, by its number.
+        wire_ticks: Every so many ticks what went over the wire; 0: never.
     """
     arguments: dict[str, Any] = {"anchor": ANCHOR, "disk": DISK} | options
     writer = LogWriter(path, context, **arguments)
     writer.begin(keyframe, inputs_only)
     for record in records:
         writer.write_tick(record)
+        if wire_ticks and record.inputs.tick % wire_ticks == 0:
+            writer.write_wire(record.wire, record.inputs.sample.time_ns)
         for text in notes.get(record.inputs.tick, ()):
             writer.write_note("/armctl/command", text, record.inputs.now_ns)
         if record.inputs.tick % flush_ticks == flush_ticks - 1:

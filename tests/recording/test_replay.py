@@ -11,7 +11,7 @@ from armctl.control.step import step
 from armctl.errors import LogError
 from armctl.messages import Hold, Inputs, Outputs, Release, Teach, TeachEnd
 from armctl.recording import reader, recordings, replay
-from armctl.recording.channels import Anchor
+from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.edit import merge, trim
 from armctl.recording.log_file import LogFile
@@ -53,6 +53,24 @@ def test_anchors_that_cannot_be_read_are_an_error_of_the_log(tmp_path: Path) -> 
     with LogFile(write(tmp_path / "a.mcap", RECORDS)) as log:
         log.metadata[replay.MERGED] = {"anchors": "1/2/3 x"}
         cannot(log_setup, log)
+
+
+def test_what_a_replay_passes_over_has_a_name_and_everything_else_is_judged() -> None:
+    """A topic that is new is to be compared, to be an input, or to be entered here."""
+    passed_over = {"/armctl/wire", "/robot_description", "/tf_static"}
+    assert {*replay._COMPARED, "/armctl/servos", "/armctl/state"} == TOPICS.keys() - passed_over
+
+
+def test_the_wire_is_passed_over_and_hides_nothing(tmp_path: Path) -> None:
+    plain, wired = write(tmp_path / "a.mcap", RECORDS), write(tmp_path / "b.mcap", RECORDS, wire_ticks=1)
+    ours, theirs = check(plain), check(wired)
+    assert (theirs.judged, theirs.skipped, theirs.gaps, theirs.mismatches) == (100, 0, (), 0)
+    assert theirs.messages == ours.messages
+    altered = [with_sample(r, retries=7) if r.inputs.tick == 50 else r for r in RECORDS]
+    assert (
+        check(write(tmp_path / "c.mcap", altered, wire_ticks=1)).mismatches
+        == check(write(tmp_path / "d.mcap", altered)).mismatches
+    )
 
 
 def test_replay_gives_the_logged_bytes(log: Path) -> None:

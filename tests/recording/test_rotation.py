@@ -3,6 +3,7 @@
 import errno
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,10 +14,11 @@ from armctl.clock import NS_PER_S
 from armctl.recording.disk import Disk
 from armctl.recording.reader import info, read
 from armctl.recording.replay import check
+from armctl.recording.rotation import MAX_WIRE
 from tests.recording.altered import faulty
 from tests.recording.factory import make_records
 from tests.recording.logs import recorder_lines, replayed, ticks
-from tests.recording.rig import Rig, failing
+from tests.recording.rig import WALL_NS, Rig, failing
 
 RECORDS = make_records(100, keyframe_ticks=40)
 
@@ -57,6 +59,50 @@ def test_the_seconds_around_a_fault_are_kept_in_a_file_of_its_own(tmp_path: Path
         assert whole[message.topic, message.sequence] == message.value
     # The control step knows nothing of a fault that was made up here; up to it the snapshot replays.
     assert check(snapshot).ticks == 41
+
+
+def wire_of(path: Path) -> list[tuple[int, bool, bytes]]:
+    """Every piece of the wire in a file."""
+    pieces = [piece for message in read(path, ["/armctl/wire"]) for piece in message.value["pieces"]]
+    return [(piece["time_ns"], piece["sent"], piece["data"]) for piece in pieces]
+
+
+def test_the_wire_around_a_fault_is_in_its_snapshot_alone(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, snapshot_s=5.0)
+    records = faulty(make_records(150, keyframe_ticks=30), 80, 90)
+    rig.put(records)
+    snapshot, log = sorted(rig.close(), reverse=True)
+    fault_ns = records[80].inputs.sample.time_ns
+    passed = [piece for record in records for piece in record.wire]
+    around = [p for p in passed if fault_ns - 2 * NS_PER_S <= p[0] < records[90].inputs.sample.time_ns]
+    assert wire_of(snapshot) == around
+    # Six servos are asked and answer in each of 30 ticks.
+    assert len(around) == 30 * 12
+    assert wire_of(log) == []
+    begins = [record.inputs.sample.time_ns for record in records]
+    for message, ours in zip(read(snapshot, ["/armctl/wire"]), begins[80:90], strict=True):
+        assert message.log_time_ns == WALL_NS + ours
+
+
+def test_a_second_fault_adds_the_wire_that_is_not_in_the_snapshot_yet_and_nothing_twice(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, snapshot_s=10.0)
+    records = faulty(faulty(make_records(200, keyframe_ticks=30), 80, 90), 130, 140, "HOT")
+    rig.put(records)
+    (snapshot, *_) = sorted(rig.close(), reverse=True)
+    pieces = wire_of(snapshot)
+    assert len(set(pieces)) == len(pieces)
+    times_ns = [time_ns for time_ns, _, _ in pieces]
+    assert times_ns == sorted(times_ns)
+    first_ns, second_ns = (records[tick].inputs.sample.time_ns for tick in (80, 130))
+    quiet = [time_ns for time_ns in times_ns if first_ns + NS_PER_S <= time_ns < second_ns - 2 * NS_PER_S]
+    assert quiet == []
+    assert len([time_ns for time_ns in times_ns if time_ns >= second_ns - 2 * NS_PER_S]) == 30 * 12
+
+
+def test_the_wire_that_waits_for_a_fault_takes_a_bounded_memory(rig: Rig) -> None:
+    rig.put([replace(r, wire=((r.inputs.sample.time_ns, False, bytes(256)),) * 512) for r in RECORDS[:40]])
+    assert len(rig.recorder._files._wire) == MAX_WIRE
+    assert not any(record.wire for record in rig.recorder._files._history._records)
 
 
 def test_faults_that_follow_each_other_make_one_snapshot_and_it_has_a_longest_length(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from armctl.clock import NS_PER_S
 from armctl.recording import reader
-from armctl.recording.channels import CYCLE, JOINT_STATES, SERVOS
+from armctl.recording.channels import CYCLE, JOINT_STATES, SERVOS, WIRE
 from armctl.recording.columns import Texts
 from armctl.recording.compact import compact
 from armctl.recording.log_file import LogFile
@@ -34,7 +34,7 @@ MINUTE = make_records(600)
 def hour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A compacted log of an hour at 10 Hz: a minute of the control step, repeated at later times."""
     path = tmp_path_factory.mktemp("hour") / "armctl-20250615T150645Z.mcap"
-    assert compact(write(path, repeated(MINUTE, TICKS), flush_ticks=9))
+    assert compact(write(path, repeated(MINUTE, TICKS), flush_ticks=9, wire_ticks=50))
     return path
 
 
@@ -58,7 +58,7 @@ def test_mcap_reads_every_message_with_checksums_and_finds_what_armctl_finds(hou
 
 def test_rosbags_reads_every_message_and_the_same_values(hour: Path, held: reader.LogInfo) -> None:
     counts: Counter[str] = Counter()
-    positions, registers = [], []
+    positions, registers, wire = [], [], list[tuple[int, bool, bytes]]()
     with AnyReader([hour]) as bag:
         for connection, _, data in bag.messages():
             counts[connection.topic] += 1
@@ -67,7 +67,10 @@ def test_rosbags_reads_every_message_and_the_same_values(hour: Path, held: reade
                 positions.append(message.position.tolist())
             elif connection.topic == SERVOS:
                 registers.append([servo.registers.tolist() for servo in message.servos])
+            elif connection.topic == WIRE:
+                wire += [(piece.time_ns, piece.sent, piece.data.tobytes()) for piece in message.pieces]
     assert counts == held.topics
+    assert wire == [piece for tick in range(0, TICKS, 50) for piece in MINUTE[tick % 600].wire]
     tables = reader.read_columns(hour, (JOINT_STATES, SERVOS))
     [states], [servos] = tables[JOINT_STATES], tables[SERVOS]
     assert states.numbers("position").tolist() == positions
