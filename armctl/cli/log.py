@@ -220,12 +220,16 @@ def trim(output: Output, log: Path, begin_s: float, end_s: float | None, out: Pa
 def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
     """Write consecutive LOGS of one daemon as one file; the order in which they are named does not matter.
 
+    The daemon may have been started anew between two of them: the gap is told, and marked in the file.
+
     Example: armctl log merge armctl-20250615T12*.mcap --out noon.mcap
     """
     from armctl.recording import edit
 
     with output.progress("merging", 1.0) as show:
         result = edit.merge(logs, out, show)
+    for gap in result.gaps:
+        output.warn("nothing was recorded from {from_s:.3f} s to {to_s:.3f} s".format(**gap))
     _edited(output, result)
 
 

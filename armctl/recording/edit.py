@@ -21,12 +21,13 @@ from armctl.clock import NS_PER_S
 from armctl.control.machine import State
 from armctl.errors import LogError, RequestRefused
 from armctl.json_text import to_json
+from armctl.messages import Event
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PART, new_file
 from armctl.recording.log_file import LogFile, LogMessage
-from armctl.recording.replay import MERGED, LogSetup, Rerun, log_setup
+from armctl.recording.replay import MERGED, RECOVERED, LogSetup, Rerun, log_setup
 from armctl.recording.rewrite import Rewrite
 
 TRIMMED = "trimmed"
@@ -49,6 +50,13 @@ class EditResult:
     damaged: int = 0
     # Of a trimmed file, whether a replay begins with its first tick and not at a later keyframe.
     begins_with_state: bool | None = None
+
+
+@dataclass(frozen=True)
+class MergeResult(EditResult):
+    """Of several files one. `gaps`: between which times [s since the first tick] two of them have nothing."""
+
+    gaps: tuple[dict[str, float], ...] = ()
 
 
 Progress = Callable[[float], None]
@@ -102,8 +110,11 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
     return EditResult(out, copy.messages, copy.duration_s, log.damaged, has_state)
 
 
-def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) -> EditResult:
+def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) -> MergeResult:
     """Write consecutive files of one daemon as one, in the order of their time.
+
+    Where a tick is missing between two of them, because the daemon was started anew or the machine lost power, the new
+    file has a line with the code GAP on /rosout, and the result has a gap.
 
     The first one's attachments are kept. Of a later one's beginning only what goes on from the file before is: its
     latched topics and the inputs of ticks that the file before holds are there already.
@@ -124,14 +135,14 @@ def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) ->
         anchors = dict.fromkeys(anchor for setup in setups for anchor in (setup.anchor, *setup.later_anchors))
         later = " ".join(f"{a.wall_ns}/{a.monotonic_ns}" for a in anchors if a != setups[0].anchor)
         names = " ".join(path.name for path in ordered)
-        with _rewriting(out, first, MERGED, {"from": names, "anchors": later}) as copy:
+        with _rewriting(out, first, MERGED, {"from": names, "anchors": later}, RECOVERED) as copy:
             merger = _Merger(copy, progress, len(ordered))
             merger.take(first, None)
             for before, path in pairwise(ordered):
                 with LogFile(path) as log:
                     copy.follow(log)
                     merger.take(log, before)
-    return EditResult(out, copy.messages, copy.duration_s)
+    return MergeResult(out, copy.messages, copy.duration_s, gaps=tuple(merger.gaps))
 
 
 def _checked(first: LogFile, path: Path) -> LogSetup:
@@ -159,7 +170,9 @@ class _Merger:
     def __init__(self, copy: Rewrite, progress: Progress | None, files: int) -> None:
         self._copy, self._progress, self._files, self._done = copy, progress, files, 0
         self._tick: int | None = None
-        self._tick_ns = 0
+        self._tick_ns = self._zero_ns = 0
+        self._anchors: set[tuple[str, ...]] = set()
+        self.gaps: list[dict[str, float]] = []
 
     def take(self, log: LogFile, before: Path | None) -> None:
         """All of a file; `before` is the one it must follow.
@@ -179,6 +192,7 @@ class _Merger:
                 tick = []
         self._copy.add(tick)
         self._done += 1
+        self._anchors.add(_anchor(log))
         if not log.complete:
             raise LogError(f"{log.path}: is damaged or has no end; mend it first: armctl log recover {log.path}")
 
@@ -194,9 +208,11 @@ class _Merger:
             if cycle["inputs_only"] and not goes_on:
                 return False
             self._follows(log, before, message, goes_on)
+            if not goes_on:
+                self._mark(message)
             tick = [message for message in tick if message.topic != channels.STATE]
         self._copy.add(tick)
-        self._tick, self._tick_ns = number, time_ns
+        self._tick, self._tick_ns, self._zero_ns = number, time_ns, self._zero_ns or time_ns
         return begun or not cycle["inputs_only"]
 
     def _follows(self, log: LogFile, before: Path, message: LogMessage, goes_on: bool) -> None:
@@ -205,9 +221,22 @@ class _Merger:
             found = f"begins {overlap_s:.1f} s before {before} ends"
             raise LogError(f"{log.path}: {found}; files that overlap are not merged")
         previous = log.facts.get("previous", "")
-        if not goes_on and previous != before.name.removesuffix(PART):
-            found = f"does not follow {before}, but {previous or 'nothing: a daemon was started with it'}"
+        started = not previous and _anchor(log) not in self._anchors
+        if not (goes_on or started or previous == before.name.removesuffix(PART)):
+            found = f"does not follow {before}, but {previous or 'a part of it that is missing'}"
             raise LogError(f"{log.path}: {found}; only consecutive files are merged")
+
+    def _mark(self, message: LogMessage) -> None:
+        """Say that ticks are missing before a message."""
+        from_s, to_s = ((time_ns - self._zero_ns) / NS_PER_S for time_ns in (self._tick_ns, message.log_time_ns))
+        self.gaps.append({"from_s": from_s, "to_s": to_s})
+        event = Event("warning", "GAP", f"nothing was recorded for {to_s - from_s:.3f} s before this")
+        self._copy.say(channels.ROSOUT, channels.log_line(event, message.log_time_ns, channels.RECORDING), message)
+
+
+def _anchor(log: LogFile) -> tuple[str, ...]:
+    """What tells files of one rotation from those of another."""
+    return tuple(log.facts.get(key, "") for key in ("anchor_wall_ns", "anchor_monotonic_ns"))
 
 
 class _Before:
@@ -248,11 +277,11 @@ class _Before:
 
 
 @contextmanager
-def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str]) -> Iterator[Rewrite]:
+def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str], of_the_end: str = "") -> Iterator[Rewrite]:
     """A new file that begins with the head of `log`; it ends with what else the last log has shown by then."""
     with new_file(out) as stream:
         writer = ChunkWriter(stream)
-        rewrite = Rewrite(log, writer, name, facts)
+        rewrite = Rewrite(log, writer, name, facts, of_the_end)
         yield rewrite
         rewrite.keep()
         writer.finish()

@@ -18,6 +18,7 @@ from armctl.recording import edit, reader, replay
 from armctl.recording.channels import Anchor
 from armctl.recording.edit import merge, trim
 from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.recover import recover
 from armctl.recording.writer import LogContext
 from tests.host.doubles import refused
 from tests.recording.altered import with_outputs
@@ -172,6 +173,7 @@ def test_files_around_a_rotation_become_the_log_they_would_have_been(tmp_path: P
     times_ns = [message.log_time_ns for message in merged]
     assert times_ns == sorted(times_ns)
     assert replayed(tmp_path / "c.mcap") == (90, 0)
+    assert result.gaps == ()
     assert result.messages == len(merged) == reader.info(tmp_path / "c.mcap").messages
     a, b = (own(path) for path in paths)
     assert merged[: len(messages(paths[0]))] == messages(paths[0])
@@ -197,11 +199,38 @@ def test_a_merged_file_can_be_trimmed_and_merged_again(tmp_path: Path) -> None:
 def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one(tmp_path: Path) -> None:
     first = write(tmp_path / "a.mcap", RECORDS[:40])
     follows: dict[str, Any] = {"keyframe": RECORDS[50].keyframe, "previous": "a.mcap", "inputs_only": RECORDS[51:55]}
-    merge([first, write(tmp_path / "b.mcap", RECORDS[55:], **follows)], tmp_path / "c.mcap")
+    result = merge([first, write(tmp_path / "b.mcap", RECORDS[55:], **follows)], tmp_path / "c.mcap")
     ticks = [m.value["tick"] for m in reader.read(tmp_path / "c.mcap", ["/armctl/cycle"])]
     assert ticks == [*range(40), *range(55, 90)]
+    assert len(result.gaps) == 1
     # up to the gap, and from the keyframe of tick 75 on
     assert replayed(tmp_path / "c.mcap") == (40 + 14, 0)
+
+
+def test_files_around_a_crash_are_merged_and_the_gap_is_marked_and_told(tmp_path: Path) -> None:
+    crashed = recover(write(tmp_path / "a.mcap", RECORDS[:43], finish=False)).path
+    restarted, far = (Anchor(ANCHOR.wall_ns + s * NS_PER_S, ANCHOR.monotonic_ns) for s in (60, 90))
+    later = write(tmp_path / "b.mcap", RECORDS, anchor=restarted)
+    result = merge([later, crashed], tmp_path / "c.mcap")
+    [gap] = result.gaps
+    times_s = [(m.log_time_ns - edit.first_ns(crashed)) / NS_PER_S for m in messages(tmp_path / "c.mcap")]
+    assert gap == {"from_s": pytest.approx(times_s[len(messages(crashed)) - 1]), "to_s": pytest.approx(60.0)}
+    [(line, time_s)] = [(m, s) for m, s in zip(reader.read(tmp_path / "c.mcap"), times_s, strict=True) if is_gap(m)]
+    assert (line.value["msg"], time_s) == (
+        f"GAP: nothing was recorded for {60.0 - gap['from_s']:.3f} s before this",
+        60,
+    )
+    checked = replay.check(tmp_path / "c.mcap")
+    assert (checked.judged, checked.mismatches, checked.skipped) == (43 + 90, 0, 0)
+    assert list(checked.gaps) == [gap]
+    # Of a last file that was cut nobody knows what is missing behind it; that stays known.
+    latest = recover(write(tmp_path / "d.mcap", RECORDS[:20], anchor=far, finish=False)).path
+    assert len(merge([later, latest, crashed], tmp_path / "e.mcap").gaps) == 2
+    assert replay.check(tmp_path / "e.mcap").gaps[-1]["to_s"] is None
+
+
+def is_gap(message: reader.DecodedMessage) -> bool:
+    return message.topic == "/rosout" and message.value["function"] == "GAP"
 
 
 @pytest.mark.parametrize(
