@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl import __version__
 from armctl.cli.output import FILE, Output, command, kept_option
 from armctl.errors import ArmctlError
 
@@ -83,6 +82,8 @@ def replay_command(output: Output, log: Path, check: bool, allow_gaps: bool, rep
 
 def _checked(output: Output, log: Path) -> ReplayResult:
     from armctl.recording import replay
+    from armctl.recording.log_file import LogFile
+    from armctl.recording.provenance import other_program
 
     with output.progress("re-running", 1.0) as show:
         result = replay.check(log, progress=show)
@@ -91,7 +92,8 @@ def _checked(output: Output, log: Path) -> ReplayResult:
         verdict = "nothing to replay: the log holds no complete tick after a keyframe"
     elif result.mismatches:
         verdict = f"{result.mismatches} mismatches, first: {result.first_mismatch}"
-        verdict += _other_program(result)
+        with LogFile(log) as file:
+            verdict += other_program(file.facts)
     if not output.json:
         output.say(
             f"{result.ticks} ticks, {result.messages} messages re-run in {result.seconds:.2f} s "
@@ -106,21 +108,6 @@ def _checked(output: Output, log: Path) -> ReplayResult:
             names = ", ".join(result.not_compared)
             output.say(f"not compared, since the log's armctl wrote them otherwise or not at all: {names}")
     return result
-
-
-def _other_program(result: ReplayResult) -> str:
-    """Which armctl made a log and how to run that one, where it is not this one."""
-    from armctl.recording.provenance import program
-
-    ours = program()
-    if result.version != __version__:
-        made = f"armctl {result.version}, this is {__version__}"
-    elif result.sources not in ("", ours["sources"]):
-        made = f"other sources of armctl {__version__} (commit {result.commit or 'unknown'})"
-    else:
-        return ""
-    how = f"git checkout {result.commit}" if result.commit else f"pip install armctl=={result.version}"
-    return f"; it was made by {made}: check it with that one, in an environment of its own: {how}"
 
 
 def _loaded(output: Output, log: Path) -> Timeline:

@@ -5,11 +5,13 @@ import hashlib
 import os
 import platform
 import subprocess
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
 from armctl import __version__
+from armctl.clock import NS_PER_S
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # What the kernel answers where nobody sets its clock (adjtimex(2): TIME_ERROR).
@@ -45,6 +47,26 @@ def commit(root: Path) -> str:
         return subprocess.run(asked, capture_output=True, text=True, check=False, timeout=GIT_S).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
+
+
+def other_program(facts: Mapping[str, str]) -> str:
+    """Which armctl made a log and how to run that one, as the end of a sentence; empty if it is this one.
+
+    Args:
+        facts: What the log says of itself.
+    """
+    ours, made_by, at = program(), facts.get("version", "unknown"), facts.get("commit", "")
+    if made_by != ours["version"]:
+        made = f"armctl {made_by}, this is {ours['version']}"
+    elif facts.get("sources") != ours["sources"]:
+        made = f"other sources of armctl {made_by} (commit {at or 'unknown'})"
+    else:
+        return ""
+    how = f"git checkout {at}" if at else f"pip install armctl=={made_by}"
+    if not at and made_by == ours["version"]:  # the log is older than that logs say their commit
+        begun_s = int(facts.get("anchor_wall_ns", 0)) // NS_PER_S
+        how = f"git checkout $(git rev-list -1 --before=@{begun_s} HEAD), the commit of the day of the log"
+    return f"; it was made by {made}: check it with that one, in an environment of its own: {how}"
 
 
 def clock() -> dict[str, str]:

@@ -36,6 +36,7 @@ from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
 from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.provenance import other_program
 from armctl.recording.schemas import schema_text
 from armctl.recording.writer import DIAGNOSTICS_PERIOD_NS
 
@@ -335,7 +336,8 @@ class Rerun:
         try:
             return parse(*arguments)
         except (ValueError, RecursionError) as error:
-            raise LogError(f"{self._log.path}: a record cannot be understood: {error}") from None
+            why = str(error).splitlines()[0] + other_program(self._log.facts)
+            raise LogError(f"{self._log.path}: a record cannot be understood: {why}") from None
 
     def _compare(self, topic: str, logged: list[bytes], computed: list[bytes]) -> None:
         self.messages += max(len(logged), len(computed))

@@ -65,16 +65,16 @@ def test_a_log_that_does_not_repeat_fails_the_check(wrong: Path, answer: Answer)
 def test_a_log_of_another_version_that_differs_says_so(
     wrong: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(logs, "__version__", "99.0")
+    ours = provenance.program()
+    monkeypatch.setattr(provenance, "program", lambda: ours | {"version": "99.0"})
     said = typed("replay", wrong, "--check", status=1)
     told = " ".join(said.out.split())
     assert f"made by armctl {__version__}, this is 99.0" in told
-    commit = provenance.program()["commit"]
+    commit = ours["commit"]
     assert told.endswith(f"git checkout {commit}" if commit else f"pip install armctl=={__version__}")
     monkeypatch.undo()
     assert "made by" not in typed("replay", wrong, "--check", status=1).out
-    other = provenance.program() | {"sources": "0123456789abcdef"}
-    monkeypatch.setattr(provenance, "program", lambda: other)
+    monkeypatch.setattr(provenance, "program", lambda: ours | {"sources": "0123456789abcdef"})
     told = " ".join(typed("replay", wrong, "--check", status=1).out.split())
     assert f"made by other sources of armctl {__version__}" in told
 
