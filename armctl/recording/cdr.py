@@ -7,27 +7,32 @@ Rules.
 4. A message is a dict with exactly the declared keys: a missing or misspelled one is an error, never a zero.
 
 A type is compiled once into a list of steps. Neighbouring primitives become one precompiled `struct` for each of the
-eight positions its first byte can have.
+eight positions its first byte can have. Messages of one `Shape` are read at one go, without the steps.
 """
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
 from typing import Any, NamedTuple
 
 from armctl.errors import LogError
 from armctl.recording.schemas import MESSAGES, PRIMITIVES, Field, fields, parse_schema, short_name
+from armctl.recording.shapes import HEADER as HEADER
+from armctl.recording.shapes import Shape, packer, pieces
+from armctl.recording.shapes import Value as Value
 
-HEADER = b"\x00\x01\x00\x00"
 # Bounds for schemas that came with a file from elsewhere.
 MAX_DEPTH = 16
 MAX_NESTED = 1000
 MAX_FIELDS = 10_000
-_SIMPLE = {*PRIMITIVES, "string"}
+_ALIKE = dict.fromkeys(PRIMITIVES, "numbers") | {"string": "texts"}
+# Bounds on the shapes that are kept of a type: sizes of messages, shapes of each, and pieces of a shape.
+MAX_SIZES, MAX_SHAPES, MAX_PIECES = 64, 4, 256
+# A shape has more than this many bytes for each one of its texts.
+MAX_TEXT = 1.5
 
-Value = dict[str, Any]
 # What puts a value behind the bytes so far, and what gets one from its place on: the value, and where it ends.
 _Put = Callable[[bytearray, Any], None]
 _Get = Callable[[bytes, int], tuple[Any, int]]
@@ -51,6 +56,9 @@ class Codec:
 
     name: str
     _type: _Type
+    _messages: Mapping[str, str] = field(repr=False, compare=False)
+    # Shapes that were met, by the size of their messages; None: one that is not worth it.
+    _shapes: dict[int, list[Shape | None]] = field(default_factory=dict, repr=False, compare=False)
 
     def encode(self, value: Value) -> bytes:
         """CDR bytes of a message.
@@ -71,19 +79,32 @@ class Codec:
         Raises:
             LogError: the bytes are no such message.
         """
+        shapes = self._shapes.get(len(data), ())
+        for shape in shapes:
+            if shape is not None and (known := shape.decode(data)) is not None:
+                return known
         if data[:4] != HEADER:
             raise LogError(f"{self.name}: not little-endian CDR (header {bytes(data[:4]).hex()})")
         try:
             message: Value = self._type.get(data, len(HEADER))[0]
-            return message
         except (struct.error, UnicodeDecodeError, IndexError) as error:
             raise LogError(f"{self.name}: damaged message of {len(data)} bytes ({error})") from None
+        if len(shapes) < MAX_SHAPES and len(self._shapes) < MAX_SIZES:
+            self._shapes.setdefault(len(data), []).append(self._shape(message, len(data)))
+        return message
+
+    def _shape(self, message: Value, size: int) -> Shape | None:
+        """The shape of a message; None where it is too long, or mostly text, which seldom comes again."""
+        found = pieces(self.name, message, self._messages)
+        texts = sum(len(content) for code, content in found if not code)
+        fits = len(found) <= MAX_PIECES and packer(found).size == size > texts * MAX_TEXT
+        return Shape(self.name, message, self._messages) if fits else None
 
 
 @lru_cache(256)
 def codec(name: str) -> Codec:
     """The codec of one of armctl's own types, by short or full name."""
-    return Codec(short_name(name), _compile(short_name(name), MESSAGES, 0, {}))
+    return Codec(short_name(name), _compile(short_name(name), MESSAGES, 0, {}), MESSAGES)
 
 
 @lru_cache(256)
@@ -93,7 +114,8 @@ def schema_codec(name: str, text: str) -> Codec:
     Raises:
         LogError: the schema cannot be read.
     """
-    return Codec(short_name(name), _compile(short_name(name), parse_schema(name, text), 0, {}))
+    messages = parse_schema(name, text)
+    return Codec(short_name(name), _compile(short_name(name), messages, 0, {}), messages)
 
 
 def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str, _Type]) -> _Type:
@@ -104,7 +126,7 @@ def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str
         raise too_much
     members = fields(name, messages)
     keys = frozenset(item.name for item in members)
-    inside = {item: _compile(item.type, messages, depth + 1, known) for item in members if item.type not in _SIMPLE}
+    inside = {item: _compile(item.type, messages, depth + 1, known) for item in members if item.type not in _ALIKE}
     single = {item.name: part for item, part in inside.items() if not item.is_array}
     nested = sum(1 + part.nested for part in single.values())
     count = len(members) + sum(part.fields for part in single.values())
@@ -113,11 +135,12 @@ def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str
     if count > MAX_FIELDS:
         raise LogError(f"message type {name}: over {MAX_FIELDS} fields")
     steps: list[tuple[_Encode, _Decode]] = []
-    for are_numbers, group in groupby(members, lambda item: item.type in PRIMITIVES and not item.is_array):
-        if are_numbers:
-            steps.append(_run(list(group)))
+    for alike, group in groupby(members, lambda item: "" if item.is_array else _ALIKE.get(item.type, "")):
+        items = list(group)
+        if alike:
+            steps.append(_run(items) if alike == "numbers" else _texts(items))
         else:
-            steps += [_field(item.name, *_value_of(item, inside.get(item))) for item in group]
+            steps += [_field(item.name, *_value_of(item, inside.get(item))) for item in items]
 
     def put(out: bytearray, value: Value) -> None:
         if value.keys() != keys:
@@ -177,6 +200,22 @@ def _run(items: list[Field]) -> tuple[_Encode, _Decode]:
     return encode, decode
 
 
+def _texts(items: list[Field]) -> tuple[_Encode, _Decode]:
+    """The step of neighbouring texts."""
+    keys = [item.name for item in items]
+
+    def encode(out: bytearray, message: Value) -> None:
+        for key in keys:
+            _put_string(out, message[key])
+
+    def decode(data: bytes, at: int, message: Value) -> int:
+        for key in keys:
+            message[key], at = _get_string(data, at)
+        return at
+
+    return encode, decode
+
+
 def _field(key: str, put: _Put, get: _Get) -> tuple[_Encode, _Decode]:
     """The step of a field that is no plain number."""
 
@@ -213,11 +252,11 @@ _known_string = lru_cache(1024)(_string_bytes)
 
 
 def _get_string(data: bytes, at: int) -> tuple[str, int]:
-    length, at = _get_count(data, at)
-    end = at + length
+    at += (-at & 3) + 4
+    end = at + int.from_bytes(data[at - 4 : at], "little")
     if end > len(data):
-        raise IndexError(f"a string of {length} bytes ends beyond the message")
-    return str(data[at : max(at, end - 1)], "utf-8"), end
+        raise IndexError(f"a string of {end - at} bytes ends beyond the message")
+    return data[at : end - 1].decode(), end
 
 
 def _put_blob(out: bytearray, value: Any) -> None:

@@ -372,7 +372,7 @@ class LogFile:
             else:
                 first_ns, last_ns = first_ns or time_ns, time_ns
                 if topics is None or name in topics:
-                    yield LogMessage(name, time_ns, sequence, chunk[at + head : end])
+                    yield tuple.__new__(LogMessage, (name, time_ns, sequence, chunk[at + head : end]))
             at = end
         if last_ns:
             if damaged > self._bridged and self._end_ns:

@@ -9,7 +9,7 @@ Rules.
 """
 
 import struct
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Sequence
 from itertools import count
 from operator import itemgetter
 from typing import Any
@@ -19,13 +19,13 @@ from armctl.config import ArmConfig
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import TickRecord
 from armctl.recording import channels
-from armctl.recording.cdr import HEADER, Value
+from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor, Message, Row
-from armctl.recording.schemas import PRIMITIVES, fields, short_name
+from armctl.recording.schemas import short_name
+from armctl.recording.shapes import packer, pieces
 
 MAX_TEMPLATES = 64
-_TIME = "builtin_interfaces/Time"
-_STAMP = {"sec": 0, "nanosec": 1}  # where they are in the list of numbers
+_STAMP = {"stamp.sec": 0, "stamp.nanosec": 1}  # where they are in the list of numbers
 Encoded = tuple[str, bytes]
 
 
@@ -38,25 +38,14 @@ class Template:
     """
 
     def __init__(self, name: str, example: Value) -> None:
-        # Format and place of each number; an empty format and the bytes of what lies between two numbers.
-        pieces: list[tuple[str, Any]] = [("", HEADER)]
-        at, self._numbers = 0, len(_STAMP)
-        for alignment, size, code, content in _items(name, example):
-            constant = bytes(-at % alignment)
-            at += len(constant) + size
-            if isinstance(content, bytes):
-                constant += content
-            if constant:
-                before = b"" if pieces[-1][0] else pieces.pop()[1]
-                pieces.append(("", before + constant))
-            if not isinstance(content, bytes):
-                pieces.append((code, self._numbers if content is None else content))
-                self._numbers += content is None
-        pieces.append(("", b""))  # so that there are always two pieces or more, and itemgetter gives a tuple
-        self._constants: list[Any] = [content for code, content in pieces if not code]
-        self._pack = struct.Struct("<" + "".join(code or f"{len(content)}s" for code, content in pieces)).pack
-        places = count(self._numbers)  # constants come behind the numbers
-        self._pick = itemgetter(*[content if code else next(places) for code, content in pieces])
+        found = pieces(name, example)
+        numbers = count(len(_STAMP))
+        fields = [_STAMP[content] if content in _STAMP else next(numbers) for code, content in found if code]
+        self._numbers = next(numbers)
+        self._constants: list[Any] = [content for code, content in found if not code]
+        self._pack = packer(found).pack
+        places, of_fields = count(self._numbers), iter(fields)  # constants come behind the numbers
+        self._pick = itemgetter(*[next(of_fields if code else places) for code, _ in found])
 
     def encode(self, numbers: list[Any]) -> bytes:
         """CDR bytes.
@@ -73,30 +62,6 @@ class Template:
             return self._pack(*self._pick(numbers + self._constants))
         except struct.error as error:
             raise ValueError(str(error)) from None
-
-
-def _items(name: str, value: Value) -> Iterator[tuple[int, int, str, bytes | int | None]]:
-    """Alignment, size, struct format and content of everything in a message.
-
-    The content is the bytes of what never changes, the place of a part of a stamp, or None for any other number.
-    """
-    for item in fields(name):
-        content = value[item.name]
-        if item.is_array:
-            yield 4, 4, "", struct.pack("<I", len(content))
-        if item.is_array and item.type in ("byte", "uint8"):
-            yield 1, len(content), f"{len(content)}s", None
-            continue
-        for element in content if item.is_array else [content]:
-            if item.type == "string":
-                text = element.encode() + b"\0"
-                yield 4, 4 + len(text), "", struct.pack("<I", len(text)) + text
-            elif item.type in PRIMITIVES:
-                code = PRIMITIVES[item.type]
-                size = struct.calcsize(code)
-                yield size, size, code, _STAMP[item.name] if name == _TIME else None
-            else:
-                yield from _items(item.type, element)
 
 
 class TickEncoder:
