@@ -5,7 +5,8 @@ Rules.
 2. Every table begins with `time_epoch_s` and `time_s`, seconds since the log's first tick.
 3. Values are the log's own, unrounded (Excel keeps 15 digits of them); what is not known is empty. Lists without
    names are JSON text, bytes are hexadecimal.
-4. One row at a time: memory does not grow with the log. An Excel sheet ends at the most rows Excel reads and the
+4. One row at a time: memory does not grow with the log, but for Parquet's table of ticks, which is made column by
+   column in a tenth of the time. An Excel sheet ends at the most rows Excel reads and the
    next one goes on.
 5. A file gets its name when it is complete, and replaces nothing.
 """
@@ -44,6 +45,9 @@ ANGLES = "angles"
 _QUANTITIES = (
     "position_rad", "goal_rad", "velocity_rad_s", "load_ratio", "voltage_V", "temperature_degC", "torque_enabled",
 )  # fmt: skip
+
+
+_TOOL = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,8 @@ def export(
     def tables(wanted: Sequence[str]) -> Iterator[_Table]:
         for name in wanted:
             done.append(_Table(path, name, show))
-            done[-1].look()
+            if not (kind == "parquet" and name == TICKS and done[-1].take_columns()):
+                done[-1].look()
             yield done[-1]
 
     write = {"csv": _write_csv, "xlsx": _write_excel, "parquet": _write_parquet}[kind]
@@ -116,6 +121,39 @@ class _Table:
         self.columns: dict[str, type] = {}
         self.facts: dict[str, str] = {}
         self._path, self._show = path, show
+        # All cells by column, where they come at once.
+        self._cells: dict[str, Any] = {}
+
+    def take_columns(self) -> bool:
+        """Take all cells of the table of ticks at once; False where they have to be looked for one by one."""
+        with LogFile(self._path) as log:
+            if (found := (frames := Frames(log)).columns()) is None:
+                return False
+            self.facts, self.complete = {"source": self._path.name, **log.facts}, log.complete
+        times, self.count = found["time_ns"].tolist(), len(found["tick"])
+        self._cells = {
+            "time_epoch_s": [time_ns / NS_PER_S for time_ns in times],
+            "time_s": [(time_ns - times[0]) / NS_PER_S for time_ns in times],
+            **{key: found[key] for key in ("tick", "state", "fault")},
+        }
+        for index, name in enumerate(frames.arm.joint_names):
+            self._cells |= {f"{name}.{quantity}": found[quantity][:, index] for quantity in _QUANTITIES}
+        self._cells |= {f"tool.{axis}": column for axis, column in zip(_TOOL, found["tool"].T, strict=True)}
+        self.columns = {
+            name: type(cells[0].item() if hasattr(cells, "dtype") else cells[0]) for name, cells in self._cells.items()
+        }
+        self._show(1.0)
+        return True
+
+    def batches(self) -> Iterator[Sequence[Any]]:
+        """The cells column by column, of so many rows at a time."""
+        if self._cells:
+            for begin in range(0, self.count, BATCH_ROWS):
+                yield [cells[begin : begin + BATCH_ROWS] for cells in self._cells.values()]
+            return
+        rows = self.rows()
+        while batch := list(islice(rows, BATCH_ROWS)):
+            yield list(zip(*batch, strict=True))
 
     def look(self) -> None:
         """Find the columns.
@@ -201,7 +239,7 @@ def _tick_row(frame: Frame, names: Sequence[str]) -> Row:
     for index, name in enumerate(names):
         for quantity in _QUANTITIES:
             row[f"{name}.{quantity}"] = _known(getattr(frame, quantity)[index])
-    for axis, value in zip(("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"), frame.tool, strict=True):
+    for axis, value in zip(_TOOL, frame.tool, strict=True):
         row[f"tool.{axis}"] = _known(value)
     return row
 
@@ -303,11 +341,13 @@ def _write_parquet(stream: BinaryIO, tables: Iterator[_Table]) -> None:
     types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
     for table in tables:
         schema = pyarrow.schema([(name, types[kind]) for name, kind in table.columns.items()], metadata=table.facts)
-        rows = table.rows()
         with parquet.ParquetWriter(stream, schema, compression="zstd") as file:
-            while batch := list(islice(rows, BATCH_ROWS)):
-                columns = zip(table.columns.values(), zip(*batch, strict=True), strict=True)
-                arrays = [pyarrow.array(_of_type(kind, cells), types[kind]) for kind, cells in columns]
+            for batch in table.batches():
+                columns = zip(table.columns.values(), batch, strict=True)
+                arrays = [
+                    pyarrow.array(_of_type(kind, cells), types[kind], from_pandas=hasattr(cells, "dtype"))  # NaN: empty
+                    for kind, cells in columns
+                ]
                 file.write_batch(pyarrow.record_batch(arrays, schema=schema))
 
 

@@ -26,14 +26,18 @@ from armctl.errors import LogError
 from armctl.kinematics.transform import FloatArray
 from armctl.recording import channels
 from armctl.recording.cdr import Value
+from armctl.recording.columns import Payloads, Table
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.replay import log_setup
 
 BLOCK_FRAMES = 500
-_TORQUE, _VOLTAGE, _TEMPERATURE = (
+_TORQUE, _GOAL, _VOLTAGE, _TEMPERATURE = (
     register.address - ax12a.STATUS_BEGIN
-    for register in (ax12a.TORQUE_ENABLE, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
+    for register in (ax12a.TORQUE_ENABLE, ax12a.GOAL, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
 )
+# What every frame is made of, and what it tells of the joints.
+_SAMPLED = (channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE)
+_OF_JOINTS = (*channels.QUANTITIES.values(), "goal_rad", "voltage_V", "temperature_degC", "torque_enabled")
 _TOPICS = (
     channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE, channels.DIAGNOSTICS, channels.ROSOUT,
     channels.COMMAND, channels.WRITES, channels.CYCLE,
@@ -110,6 +114,71 @@ class Frames:
                 raise self._log.misfit(message, error) from None
             if frame is not None:
                 yield frame
+
+    def columns(self) -> dict[str, Any] | None:
+        """All frames at once: by the name of a frame's field an array with a row a frame, in a tenth of the time.
+
+        None where the log is damaged, or is not as armctl writes it; then its ticks tell one by one, in another pass.
+        """
+        found = self._log.payloads((*_SAMPLED, channels.CYCLE, channels.DIAGNOSTICS))
+        try:
+            return self._columns(found) if self._log.complete else None
+        except (LookupError, TypeError, ValueError, AttributeError, LogError):
+            return None
+
+    def _columns(self, found: dict[str, Payloads]) -> dict[str, Any] | None:
+        own: list[Any] = []
+        for table in self._log.tables(channels.CYCLE, found[channels.CYCLE]):
+            kept = table.numbers("inputs_only") == 0
+            own.append((table.log_time_ns[kept], table.numbers("tick")[kept]))
+        time_ns, tick = (np.concatenate(parts).astype(np.int64) for parts in zip(*own, strict=True))
+        order = np.argsort(time_ns)
+        time_ns, tick = time_ns[order], tick[order]
+        values = {key: np.full((len(tick), len(self.arm.joints)), math.nan) for key in _OF_JOINTS}
+        values["tool"] = np.full((len(tick), len(_UNKNOWN_TOOL)), math.nan)
+        for topic in _SAMPLED:
+            told = 0
+            for table in self._log.tables(topic, found.get(topic, Payloads())):
+                rows = np.searchsorted(time_ns, table.log_time_ns.astype(np.int64)).clip(max=len(tick) - 1)
+                kept = (time_ns[rows] == table.log_time_ns) & (tick[rows] & 0xFFFFFFFF == table.sequence)
+                told += int(kept.sum())
+                self._enter(topic, table, rows[kept], kept, values)
+            if told != len(tick) and topic != channels.TCP_POSE:
+                return None
+        diagnosed_ns, told_then = np.array(found[channels.DIAGNOSTICS].log_time_ns, np.int64), [("", "")]
+        for data in found[channels.DIAGNOSTICS].data:
+            self._diagnosed(self._log.codec(channels.DIAGNOSTICS).decode(data))
+            told_then.append((self._state, self._fault))
+        if (np.diff(time_ns) <= 0).any() or (np.diff(diagnosed_ns) < 0).any():
+            return None
+        newest = np.searchsorted(diagnosed_ns, time_ns, side="right").tolist()
+        state, fault = zip(*[told_then[index] for index in newest], strict=True)
+        torque = values.pop("torque_enabled") > 0
+        return {"time_ns": time_ns, "tick": tick, "state": state, "fault": fault, "torque_enabled": torque, **values}
+
+    def _enter(self, topic: str, table: Table, rows: Any, kept: Any, values: dict[str, Any]) -> None:
+        """Put what messages of one shape say of their frames where it belongs; some are of no frame."""
+        columns: dict[str, Any] = table.columns
+        if topic == channels.TCP_POSE:
+            parts = [f"position.{axis}" for axis in "xyz"] + [f"orientation.{axis}" for axis in "xyzw"]
+            values["tool"][rows] = np.stack([columns[f"pose.{part}"][kept] for part in parts], axis=1)
+        elif topic == channels.JOINT_STATES:
+            names = [set(column.tolist()) for path, column in columns.items() if path.startswith("name[")]
+            for index, (name,) in enumerate(names):  # or there is more than one at its place
+                for key, quantity in channels.QUANTITIES.items():
+                    values[quantity][rows, self.arm.joint_names.index(name)] = columns[key][kept, index]
+        elif f"servos[{len(self.arm.joints)}].id" in columns:
+            raise ValueError("another number of servos")
+        else:
+            for index, joint in enumerate(self.arm.joints):
+                block: Any = columns[f"servos[{index}].registers"][kept].astype(np.int64)
+                values["torque_enabled"][rows, index] = 0.0
+                if block.shape[1]:
+                    torque, goal = block[:, _TORQUE] > 0, block[:, _GOAL] + 256 * block[:, _GOAL + 1]
+                    values["torque_enabled"][rows, index] = torque
+                    values["goal_rad"][rows, index] = np.where(torque, joint.position_rad(goal), math.nan)
+                    values["voltage_V"][rows, index] = block[:, _VOLTAGE] / 10.0
+                    values["temperature_degC"][rows, index] = block[:, _TEMPERATURE]
 
     def _take(self, message: LogMessage, value: Value) -> Frame | None:
         """One message; the frame, if a tick ends with it."""

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,13 @@ from rosbags.highlevel import AnyReader
 
 from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError
+from armctl.messages import TickRecord
 from armctl.recording import export as exporting
 from armctl.recording.channels import TOPICS
 from armctl.recording.export import Format, export
-from tests.recording.altered import without_first_joint
+from armctl.recording.log_file import LogFile
+from armctl.recording.timeline import Frames
+from tests.recording.altered import faulty, with_sample, without_first_joint
 from tests.recording.factory import ANCHOR, ARM, make_records
 from tests.recording.logs import write
 from tests.recording.refusals import cannot
@@ -192,6 +196,44 @@ def test_parquet_has_types_and_says_where_it_is_from(log: Path, tmp_path: Path) 
     assert (types["tick"], types["state"], types["base.torque_enabled"]) == ("int64", "string", "bool")
     told = {"arm_id": ARM.arm_id, "calibration_hash": ARM.calibration_hash, "source": "a.mcap"}
     assert {key: schema.metadata[key.encode()].decode() for key in told} == told
+
+
+def silent(record: TickRecord) -> TickRecord:
+    """The tick while the first servo has never answered."""
+    first, *others = record.inputs.sample.servos
+    record = with_sample(record, servos=(replace(first, registers=b"", stamp_ns=0, fresh=False), *others))
+    return without_first_joint(record)
+
+
+@pytest.mark.parametrize(
+    ("records", "by_columns"),
+    [
+        (RECORDS, True),
+        (faulty(RECORDS, 12, 20), True),
+        ([*map(silent, RECORDS[:7]), *RECORDS[7:]], True),
+        (RECORDS[5:], True),
+        ([*RECORDS[:9], RECORDS[8], *RECORDS[9:]], False),
+    ],
+    ids=["whole", "with a fault", "first servo silent", "not from the first tick", "a tick twice"],
+)
+def test_columns_at_once_are_those_row_by_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: list[TickRecord], by_columns: bool
+) -> None:
+    log = write(tmp_path / "a.mcap", records, inputs_only=RECORDS[2:5] if records[0] is RECORDS[5] else ())
+    with LogFile(log) as opened:
+        assert (Frames(opened).columns() is not None) == by_columns
+    result = export(log, tmp_path / "columns.parquet", "parquet")
+    monkeypatch.setattr(exporting._Table, "take_columns", lambda table: False)
+    assert export(log, tmp_path / "rows.parquet", "parquet").rows == result.rows
+    tables = [pyarrow.parquet.read_table(tmp_path / f"{name}.parquet") for name in ("columns", "rows")]
+    assert tables[0].schema.equals(tables[1].schema, check_metadata=True)
+    assert tables[0].equals(tables[1])
+
+
+def test_a_cut_log_goes_row_by_row_into_parquet_too(tmp_path: Path) -> None:
+    cut = write(tmp_path / "a.mcap", RECORDS[:30], finish=False)
+    result = export(cut, tmp_path / "t.parquet", "parquet")
+    assert (result.rows, result.complete) == ({"ticks": 30}, False)
 
 
 def test_what_is_not_known_is_empty(tmp_path: Path, kind: Format) -> None:
