@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from armctl.cli.output import FOLDER, SOCKET, Output, command
+from armctl.cli.output import FOLDER, PLAYED, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 
 
@@ -19,25 +19,28 @@ from armctl.cli.tables import show_rows
     "--out", type=FOLDER, default=Path("armctl-demo"), help="Folder for logs, recordings, plans and the report."
 )
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a demonstration.")
-def demo_command(output: Output, out: Path, seed: int) -> int:
+@PLAYED
+def demo_command(output: Output, out: Path, seed: int, arm: str) -> int:
     """The whole job on simulated servos, in three to four minutes.
 
     A simulated hand teaches five candidates, the genetic algorithm straightens them, the daemon runs the result through
     0, 1 and 2 intermediate points: plain, then corrected by what these runs showed of the arm, then refined by a
     further run. Every log is replayed bit for bit, and a report is written.
 
-    Example: armctl demo --out demo
+    Another arm goes along the first line that it reaches.
+
+    Example: armctl demo --arm crane-plus-v2 --out demo
     """
     from armctl.lab import demo
 
     with _ending_all():
-        result = demo.run(out.absolute(), seed, output.progress)
+        result = demo.run(out.absolute(), seed, output.progress, arm)
     output.answer(result, lambda: show(output, result))
     return 0 if result["replay"]["mismatches"] == 0 else 1
 
 
 @command("try", SOCKET)
-@click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to simulate.")
+@PLAYED
 @click.option("--port", type=click.IntRange(1, 65535), default=8080, help="TCP port of the dashboard.")
 @click.option("--no-browser", is_flag=True, help="Open no browser.")
 def try_command(output: Output, arm: str, port: int, no_browser: bool) -> int:

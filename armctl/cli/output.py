@@ -274,6 +274,7 @@ SERVED = click.Option(
 )
 CONFIG = kept_option("config_file", "--config", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")
 ARM = kept_option("arm_name", "--arm", metavar="NAME|FILE", help="Which calibration file describes the arm.")
+PLAYED = click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to simulate.")
 LINK = kept_option("link", "--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")
 BAUD = kept_option("baud", "--baud", type=int, help="Rate of the bus, bit/s.  [default: the configuration's]")
 PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")

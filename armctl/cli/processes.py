@@ -20,6 +20,7 @@ from armctl.cli.output import (
     GEOMETRY,
     JSON,
     LINK,
+    PLAYED,
     POINT,
     PORT,
     SOCKET,
@@ -77,7 +78,7 @@ def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
 
 
 @command("sim")
-@click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to simulate.")
+@PLAYED
 @click.option("--link", type=click.Path(path_type=Path), help="Stable name of the port.")
 @click.option("--seed", default=0, help="Draws masses, friction, play, offsets and noise.")
 @click.option("--return-delay-us", type=click.IntRange(0, 508), help="Return delay of every servo.")

@@ -13,8 +13,8 @@ daemon's ticks, so the same seed gives the same recordings and with them the sam
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -29,7 +29,7 @@ from armctl.clock import NS_PER_S
 from armctl.commissioning import sag_file
 from armctl.commissioning.arm_file import whole_text
 from armctl.config import ArmConfig, Config
-from armctl.errors import ArmctlError, RequestRefused
+from armctl.errors import ArmctlError, ConfigError, RequestRefused, UnreachableTarget
 from armctl.files import load_arm, read_text
 from armctl.genetic.algorithm import DEFAULT
 from armctl.kinematics import robots
@@ -39,17 +39,18 @@ from armctl.lab.line_experiment import TAKES
 from armctl.lab.line_results import line_run
 from armctl.lab.rig import DaemonRig, measured_run
 from armctl.lab.stage import Progress, Stage
-from armctl.lab.table_ii import FROM_M, TO_M, VIA
+from armctl.lab.table_ii import VIA
 from armctl.recording import recordings, replay
 from armctl.report import line
 from armctl.report.line import Goals
+from armctl.sim.arm import SimulatedArm
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.refinement import Measured
 from armctl.trajectory.straightness import errors_mm, own_chord_mm
 
-ARM = "ax12-line"
-ENDS = np.array(FROM_M), np.array(TO_M)
+# Lines that the hand may take [m], the first one in reach: how far ahead, how far to each side, how high.
+LINES = ((0.18, 0.125, 0.10), (0.18, 0.125, 0.25), (0.14, 0.08, 0.15), (0.14, 0.08, 0.25), (0.10, 0.05, 0.12))
 DURATION_S = 5.0
 START_TIMEOUT_S = 20.0
 STOP_TIMEOUT_S = 5.0
@@ -58,6 +59,7 @@ GOALS: tuple[Goals, ...] = get_args(Goals)
 REFINE = 1
 # So often torque is asked for again.
 ASKED_AGAIN = 5
+Ends = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 @dataclass
@@ -68,6 +70,8 @@ class _Session:
     watcher: Iterator[dict[str, Any]]
     simulator: SimulatorClient
     stage: Stage
+    # Of the line [m].
+    ends_m: Ends
 
     def wait_ticks(self, end: int, show: Progress = lambda _done, _note: None, note: str = "", begin: int = 0) -> None:
         """Let the daemon's ticks from `begin` up to `end` pass.
@@ -92,26 +96,32 @@ class _Ran:
     measured: Measured
 
 
-def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
+def run(out: Path, seed: int, stage: Stage, arm_name: str = "ax12-line") -> dict[str, Any]:
     """Run the demonstration into `out`; an earlier one there is moved aside, not overwritten.
 
+    Args:
+        arm_name: Name or file of the arm to simulate.
     Returns:
         The JSON of `armctl demo`.
     Raises:
         ArmctlError: some part failed; the messages of the programs are in `out`/daemon.log and simulator.log.
+        ConfigError: there is no such arm, or no line of `LINES` is in its reach.
     """
+    arm = load_arm(arm_name)
+    if (ends_m := line_in_reach(arm, range(seed * 1000, seed * 1000 + TAKES))) is None:
+        remedy = "`armctl try` takes it, and `armctl hand` any line"
+        raise ConfigError(arm_name, "", "none of the demonstration's lines is in this arm's reach", remedy)
     make_room(out)
-    arm = load_arm(ARM)
     with ExitStack() as cleanup:
         sockets = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="armctl-")))
         port, socket = sockets / "servos", sockets / "daemon.sock"
-        config, own_arm = out / "armctl.yaml", out / f"{ARM}.yaml"
+        config, own_arm = out / "armctl.yaml", out / f"{arm.arm_id}.yaml"
         # An arm's file of its own, so that what is learnt here stays here.
-        own_arm.write_text(whole_text(ARM), encoding="utf-8")
+        own_arm.write_text(whole_text(arm_name), encoding="utf-8")
         told = {"arm": str(own_arm), "port": str(port), "data_dir": str(out)}
         config.write_text(yaml.safe_dump(told), encoding="utf-8")
         with stage("starting", 2) as show:
-            simulator = ("sim", "--link", str(port), "--seed", str(seed), "--lockstep")
+            simulator = ("sim", "--arm", str(own_arm), "--link", str(port), "--seed", str(seed), "--lockstep")
             cleanup.enter_context(program(out / "simulator.log", *simulator))
             show(1, "simulated servos")
             daemon = ("daemon", "--config", str(config), "--socket", str(socket))
@@ -122,6 +132,7 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
             watcher=cleanup.enter_context(Client(socket)).subscribe(),
             simulator=cleanup.enter_context(SimulatorClient(control_path(port))),
             stage=stage,
+            ends_m=ends_m,
         )
         names = _teach(session, seed)
         optimised = _optimise(session, names, seed)
@@ -132,7 +143,7 @@ def run(out: Path, seed: int, stage: Stage) -> dict[str, Any]:
         _learn(DaemonRig(session.client, arm), Config(arm=str(own_arm)), runs, stage)
         runs += [run for plan in plans for run in _run(session, out, plan, corrected=True)]
     runs.sort(key=lambda ran: GOALS.index(ran.goals))
-    return _finish(out, arm, stage, names, optimised, runs)
+    return _finish(session, out, arm, names, optimised, runs)
 
 
 def _teach(session: _Session, seed: int) -> list[str]:
@@ -143,7 +154,7 @@ def _teach(session: _Session, seed: int) -> list[str]:
     session.wait_ticks(2)
     names = [f"candidate-{take}" for take in range(1, TAKES + 1)]
     for take, name in enumerate(names):
-        guided = session.simulator.guide(FROM_M, TO_M, seed=seed * 1000 + take)
+        guided = session.simulator.guide(*session.ends_m, seed=seed * 1000 + take)
         at_A, at_B = round((guided.begin_s - 0.3) / period_s), round((guided.end_s + 0.8) / period_s)
         with session.stage(f"teaching {take + 1} of {TAKES}", at_B + 5) as show:
             session.wait_ticks(at_A, show, "to the start")
@@ -177,8 +188,8 @@ def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
             "optimize",
             on_progress=lambda p: show(p["generation"] + 1, f"{p['best']:.3f} mm"),
             recordings=names,
-            from_m=FROM_M,
-            to_m=TO_M,
+            from_m=session.ends_m[0],
+            to_m=session.ends_m[1],
             via=VIA,
             duration_s=DURATION_S,
             seed=seed,
@@ -247,14 +258,15 @@ def _recording(out: Path, name: str) -> recordings.Recording:
 
 
 def _finish(
+    session: _Session,
     out: Path,
     arm: ArmConfig,
-    stage: Stage,
     names: list[str],
     optimised: dict[str, Any],
     runs: list[_Ran],
 ) -> dict[str, Any]:
     """Replay every log, write the report, and say it all."""
+    stage = session.stage
     logs = sorted((out / "logs").glob("*.mcap")) + sorted((out / "recordings").glob("*.mcap"))
     replayed = {"ticks": 0, "messages": 0, "mismatches": 0, "seconds": 0.0}
     with stage("replaying every log", len(logs)) as show:
@@ -263,10 +275,10 @@ def _finish(
             for key in replayed:
                 replayed[key] += getattr(result, key)
             show(count + 1, f"{count + 1} of {len(logs)}")
-    chain = robots.get(arm.robot, arm.lengths_m).chain
+    chain = robots.of(arm).chain
     takes = [_recording(out, name).positions_rad for name in names]
     report = line.LineReport(
-        ends=ENDS,
+        ends=(np.array(session.ends_m[0]), np.array(session.ends_m[1])),
         joint_names=arm.joint_names,
         candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
         candidate_errors_mm=[
@@ -306,7 +318,7 @@ def _finish(
 def _row(ran: _Ran) -> dict[str, Any]:
     plan, tool_m = ran.plan, ran.measured.true_tool_m
     assert tool_m is not None
-    mean_mm, max_mm = errors_mm(tool_m, *ENDS)
+    mean_mm, max_mm = errors_mm(tool_m, np.array(plan.from_m), np.array(plan.to_m))
     return {
         "via": plan.via,
         "corrected": ran.goals != "plain",
@@ -317,6 +329,18 @@ def _row(ran: _Ran) -> dict[str, Any]:
         "own_chord": dict(zip(("mean_error_mm", "max_error_mm"), own_chord_mm(tool_m), strict=True)),
         "recording": ran.answer["recording"],
     }
+
+
+def line_in_reach(arm: ArmConfig, seeds: Iterable[int] = (0,)) -> Ends | None:
+    """The first of `LINES` along which the hand can lead the arm, in each of these takes; None: it can along none."""
+    hand = SimulatedArm(arm).hand
+    for ahead, aside, high in LINES:
+        A, B = (ahead, -aside, high), (ahead, aside, high)
+        with suppress(UnreachableTarget):
+            for seed in seeds:
+                hand.guide(np.array(A), np.array(B), seed=seed)
+            return A, B
+    return None
 
 
 @contextmanager

@@ -4,35 +4,29 @@ All are programs of their own, as they would be with a real arm. What is recorde
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from armctl.client import Client
 from armctl.commissioning.arm_file import whole_text
-from armctl.config import ArmConfig
-from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.errors import RequestRefused
 from armctl.files import load_arm
-from armctl.lab.demo import make_room, started
+from armctl.lab.demo import Ends, line_in_reach, make_room, started
 from armctl.lab.stage import Stage
-from armctl.sim.arm import SimulatedArm
 from armctl.sim.control import SimulatorClient, control_path
 
-# Lines that the hand may take [m], the first one in reach: how far ahead, how far to each side, how high.
-LINES = ((0.18, 0.125, 0.10), (0.18, 0.125, 0.25), (0.14, 0.08, 0.15), (0.14, 0.08, 0.25), (0.10, 0.05, 0.12))
 # States in which the arm bears its own weight.
 HOLDS = ("holding", "moving", "jogging")
-Line = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 class Trial:
     """What runs."""
 
     def __init__(
-        self, address: str, snapshots: Iterator[dict[str, Any]], servos: SimulatorClient, line: Line | None
+        self, address: str, snapshots: Iterator[dict[str, Any]], servos: SimulatorClient, line: Ends | None
     ) -> None:
         # Of the dashboard, with the token that opens it.
         self.address = address
@@ -102,13 +96,4 @@ def trial(folder: Path, arm: str, socket: Path, link: Path, port: int, stage: St
             show(3, "dashboard")
         snapshots = cleanup.enter_context(Client(socket)).subscribe()
         hand = cleanup.enter_context(SimulatorClient(control_path(link)))
-        yield Trial(address, snapshots, hand, _line(played))
-
-
-def _line(arm: ArmConfig) -> Line | None:
-    for ahead, aside, high in LINES:
-        A, B = (ahead, -aside, high), (ahead, aside, high)
-        with suppress(UnreachableTarget):
-            SimulatedArm(arm).hand.guide(np.array(A), np.array(B), seed=0)
-            return A, B
-    return None
+        yield Trial(address, snapshots, hand, line_in_reach(played))

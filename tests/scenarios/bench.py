@@ -42,8 +42,7 @@ SHORT_DEMO: dict[str, Any] = {
     "TAKES": 1,
     "VIA": (1,),
     "DURATION_S": 2.0,
-    "FROM_M": (0.18, -0.05, 0.1),
-    "TO_M": (0.18, 0.05, 0.1),
+    "LINES": ((0.18, 0.05, 0.1),),
 }
 
 Snapshot = dict[str, Any]

@@ -13,10 +13,11 @@ import pytest
 
 from armctl.commissioning import sag_file
 from armctl.config import Config
-from armctl.errors import RequestRefused
+from armctl.errors import ConfigError, RequestRefused
 from armctl.files import load_arm
 from armctl.lab import demo
 from armctl.lab.stage import silent
+from armctl.trajectory.plan import plan_from_text
 from tests.scenarios.bench import SHORT_DEMO, alive
 
 pytestmark = pytest.mark.pty
@@ -57,6 +58,30 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path
     for path in (*result["logs"], result["plan"], refined["plan"], result["report"]):
         assert Path(path).stat().st_size > 0
     assert not list(out.rglob("*.part"))
+
+
+@pytest.mark.parametrize(("arm", "high_m"), [("crane-plus-v2", 0.1), ("phantomx-pincher", 0.25)])
+def test_another_arm_is_demonstrated_along_the_first_line_in_its_reach(arm: str, high_m: float, tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    with patch.multiple(demo, **{**SHORT_DEMO, "LINES": ((0.18, 0.05, 0.1), (0.18, 0.05, 0.25))}):
+        result = demo.run(out, 1, silent, arm)
+
+    plan = plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), result["plan"])
+    assert (plan.arm_id, plan.from_m, plan.to_m) == (arm, (0.18, -0.05, high_m), (0.18, 0.05, high_m))
+    plain, corrected = (row["truth"]["mean_error_mm"] for row in result["rows"])
+    assert corrected < 0.4 * plain
+    assert result["replay"]["mismatches"] == 0
+    assert (out / f"{arm}.yaml").is_file()
+
+
+def test_an_arm_without_a_line_in_its_reach_starts_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    with (
+        patch.object(demo, "LINES", ((0.6, 0.1, 0.1),)),
+        pytest.raises(ConfigError, match="crane-plus-v2: none of the demonstration's lines is in this arm's reach"),
+    ):
+        demo.run(out, 1, silent, "crane-plus-v2")
+    assert not out.exists()
 
 
 def test_a_demonstration_whose_terminal_closes_ends_its_programs(tmp_path: Path) -> None:

@@ -11,9 +11,10 @@ import pytest
 
 from armctl.client import Client
 from armctl.errors import ArmctlError
-from armctl.files import load_arm
+from armctl.files import load_arm, shipped_dirs
+from armctl.lab.demo import line_in_reach
 from armctl.lab.stage import silent
-from armctl.lab.trial import _line, trial
+from armctl.lab.trial import trial
 from tests.scenarios.bench import alive
 from tests.terminal import CTRL_C, free_port, terminal
 
@@ -70,6 +71,6 @@ def test_what_does_not_start_says_why_and_leaves_nothing_behind(tmp_path: Path) 
     assert not os.path.lexists(servos)
 
 
-@pytest.mark.parametrize("arm", ["ax12-line", "crane-plus-v2", "phantomx-pincher"])
+@pytest.mark.parametrize("arm", [path.stem for path in shipped_dirs()[1].glob("*.yaml")])
 def test_every_shipped_arm_can_be_guided(arm: str) -> None:
-    assert _line(load_arm(arm)) is not None
+    assert line_in_reach(load_arm(arm)) is not None
