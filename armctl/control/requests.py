@@ -19,10 +19,9 @@ from armctl.control.tick import STILL_TICKS, Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.messages import Command, Event, JointTrajectory, LagModel, Mode, most_points
+from armctl.trajectory.preflight import EDGE_TICKS
 
 START_TOLERANCE_RAD = math.radians(2.0)
-# How far outside its limits a joint may be found and still be energised, at the limit.
-EDGE_TICKS = 2
 MINIMUM_RATE = 0.1
 # A servo that grips harder for good gets hotter than it may.
 MAX_GRIP_RATIO = 0.5

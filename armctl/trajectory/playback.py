@@ -7,7 +7,9 @@ Rules.
    joints go the taught way.
 3. Every joint of the chain has to be in it. Joints that move no tool point, such as a gripper, move as far as they are
    in it, and stay where they are otherwise.
-4. What is too fast for the arm is refused with the rate that would do; nothing is slowed down or clipped by itself.
+4. What is too fast for the arm is refused with the rate that would do; nothing is slowed down by itself. A limp joint
+   that lay against its limit was read a tick or two beyond it: it is played at the limit. What was taught farther
+   outside is refused.
 """
 
 import csv
@@ -22,6 +24,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from armctl.config import ArmConfig, Frozen, Name, validate
+from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import ConfigError, RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
@@ -30,7 +33,7 @@ from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.bounds import Joints
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.plan import CHECK_PERIOD_S, led_in
-from armctl.trajectory.preflight import ROUNDING, peak_rates, peak_tool_speed, preflight_motion
+from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, peak_rates, peak_tool_speed, preflight_motion
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.smoothing import local_cubics
 
@@ -244,4 +247,6 @@ def playback(motion: TaughtMotion, rate: float, arm: ArmConfig, robot: Robot) ->
     smooth, _, _ = local_cubics(even_s, samples, rows_s, HALF_WIDTH_S)
     positions = np.full((len(rows_s), len(arm.joints)), np.nan)
     positions[:, [arm.joint_names.index(name) for name in motion.joints]] = smooth
-    return Playback(arm, robot, rate, rows_s, positions)
+    inside = np.clip(positions, *np.array([joint.limits_rad for joint in arm.joints]).T)
+    at_limit = np.abs(positions - inside) < (EDGE_TICKS + 0.5) * TICK_RAD
+    return Playback(arm, robot, rate, rows_s, np.where(at_limit, inside, positions))

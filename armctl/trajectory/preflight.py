@@ -23,6 +23,8 @@ from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clea
 from armctl.trajectory.interpolate import columns_at
 
 START_TOLERANCE_RAD = math.radians(2.0)
+# How far outside its limits a joint that was moved by hand may be found; it counts as at the limit.
+EDGE_TICKS = 2
 ACCELERATION_WINDOW_S = 0.1
 # Rounding may make a motion that holds a limit exactly seem this much faster, at most.
 ROUNDING = 1.001

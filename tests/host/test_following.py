@@ -3,7 +3,7 @@
 import asyncio
 import math
 import re
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -136,10 +136,12 @@ async def test_a_client_that_leaves_while_its_path_is_followed_stops_the_arm() -
 # --------------------------------------------------------------------------------------------------- play
 
 
-async def by_hand(bench: SimulatedBench, seed: int) -> tuple[TaughtMotion, FloatArray]:
-    """A take along the line by the simulator's hand, and where the tool truly was at its samples [m], shape (m, 3)."""
+async def by_hand(
+    bench: SimulatedBench, seed: int, ends_m: Sequence[Sequence[float]] = (tuple(hand.A), tuple(hand.B))
+) -> tuple[TaughtMotion, FloatArray]:
+    """A take along a line by the simulator's hand, and where the tool truly was at its samples [m], shape (m, 3)."""
     await bench.served(teaching.begin(bench.host, bench.anna))
-    guided = bench.simulated.hand.guide(hand.A, hand.B, seed=seed)
+    guided = bench.simulated.hand.guide(*map(np.array, ends_m), seed=seed)
     rows: list[tuple[int, tuple[float, ...], FloatArray]] = []
 
     def see(record: TickRecord) -> None:

@@ -186,3 +186,16 @@ def test_a_motion_of_five_minutes_reaches_the_control_step_in_few_enough_points(
     motion = TaughtMotion(joints=NAMES, time_s=tuple(time_s.tolist()), positions_rad=tuple(map(tuple, rows.tolist())))
     way = played(motion=motion).trajectory(rows[0].tolist(), 0.1)
     assert len(thinned(way).positions_rad) <= most_points(len(NAMES)) < len(way.positions_rad)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_what_was_taught_two_ticks_outside_a_limit_is_played_at_the_limit_and_no_more(side: int) -> None:
+    limit_rad, outwards = ARM.joints[5].limits_rad[side], (-1.0, 1.0)[side]
+    for beyond, plays in ((2, True), (4, False)):
+        q = swinging(TIME_S)
+        q[:, 5] = limit_rad + outwards * beyond * TICK_RAD
+        motion = played(motion=taught(q))
+        assert (motion.positions_rad[:, 5] == limit_rad).all() == plays
+        if plays:
+            start = [*swinging(np.zeros(1))[0, :5].tolist(), limit_rad]
+            assert motion.trajectory(start, 0.1).positions_rad[-1][5] == limit_rad
