@@ -35,10 +35,12 @@ from armctl.report.line import ExperimentReport
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.geometry import GEOMETRIES
 from armctl.sim.spec import RANDOM_SPEC
+from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.line_path import line_paths, onto
 from armctl.trajectory.placement import Objective
+from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.refinement import Round, best_of
 from armctl.trajectory.straightness import mean_error
 
@@ -94,16 +96,25 @@ class Asked(Wanted):
 def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
     """The experiment on a simulated arm. The seed draws the arm; its zero ticks are as after `calibrate`.
 
-    The sag model is identified and the candidates are guided on the spot.
+    The sag model is identified and the candidates are guided on the spot. From where the hand leaves the arm, low or
+    at its joints' limits, there may be no way back to rest, nor to another line: it is carried to rest.
     """
     spec = replace(RANDOM_SPEC, geometry=GEOMETRIES[asked.geometry])
-    rig = VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=spec), period_s)
+
+    def at_rest() -> VirtualRig:
+        return VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=spec), period_s)
+
+    rig = at_rest()
     line = _line(rig, asked, config)
     drawn_ways(rig, line, asked.seed)  # a line that cannot be followed is refused before anything moves
     takes = named_takes(config, arm, asked.recordings)
     if not takes:
         with suppress(UnreachableTarget):  # the hand cannot lead the arm along all of the line
             takes = guided_takes(rig, line, asked.seed, stage)
+        rest_rad = [joint.rest_rad for joint in arm.joints]
+        back = approach_trajectory(rig.goals_rad, rest_rad, arm, rig.robot, period_s, "to rest")
+        if preflight_motion(np.array(back.positions_rad), period_s, arm, rig.robot):
+            rig = at_rest()
     found = _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
     return {**found, "geometry": asked.geometry}
 

@@ -67,6 +67,7 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
     """
     chain = rig.robot.chain
     seen: list[lag.Summary] = []
+    why = ""
     for _ in range(MOST_TRIES):
         if len(seen) == LINES:
             break
@@ -76,19 +77,22 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
             way = ways[int(rng.integers(len(ways)))]
             course = next(courses(rig, Line(A, B, DURATION_S), None, way[None]))
             plan = plan_of(rig, course, 0)
-            if too_heavy(rig, None, plan):
+            if heavy := too_heavy(rig, None, plan):
+                why = heavy
                 continue
             measured = rig.run(plan, corrected=False)
         except RequestRefused as refusal:
             if refusal.code not in ("PREFLIGHT", "LIMIT", "LINE"):
                 raise
+            why = str(refusal)
             continue
         lags = lag_of(rig, plan, measured)
         q = course.goals_rad - smoothed(lags, rig.period_s)
         seen.append(lag.summary(lags, lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s)))
         show(len(seen))
     if len(seen) < LINES:
-        raise RequestRefused("CALIBRATE", f"only {len(seen)} of {LINES} calibration lines could be run")
+        reasons = f"only {len(seen)} of {LINES} calibration lines could be run", f"the last that could not: {why}"
+        raise RequestRefused("CALIBRATE", reasons)
     return lag.fitted(rig.arm, chain, seen)
 
 
