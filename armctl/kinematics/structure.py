@@ -66,7 +66,7 @@ class Placed:
 
 
 def closed_form(chain: SerialChain) -> ClosedForm | None:
-    """The closed form that a chain has; None: it is solved by numbers."""
+    """The closed form that a chain has, as it is where the chain is its own table; None: it is solved by numbers."""
     if chain.n < 4:
         return None
     on = _Axes(chain)
@@ -78,7 +78,8 @@ def closed_form(chain: SerialChain) -> ClosedForm | None:
         q = np.random.default_rng(0).uniform(-math.pi, math.pi, (8, chain.n))
         if np.abs(B @ forward_kinematics(table, signs * q + zeros) @ C - forward_kinematics(chain, q)).max() < SAME:
             C[:3, 3] = 0.0
-            return Placed(form, B, C, signs, zeros)
+            own = max(np.abs(B - np.eye(4)).max(), np.abs(C - np.eye(4)).max(), np.abs(zeros).max(), 1.0 - signs.min())
+            return form if own < 1e-15 else Placed(form, B, C, signs, zeros)
     return None
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.robots.lanzhou_4dof import FIG_5_DEG, QZ_DEG
+from armctl.kinematics.robots.papers import FIG_5_DEG, QZ_DEG
 from armctl.kinematics.transform import FloatArray
 from armctl.papers.paper_000 import HEIGHT_CM, RADIUS_CM, population_formula
 from armctl.papers.transcription import Transcription

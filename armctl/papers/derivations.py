@@ -14,8 +14,7 @@ import numpy as np
 
 from armctl.config import parse_yaml
 from armctl.kinematics import robots
-from armctl.kinematics.robots.lanzhou_4dof import RANGES_DEG
-from armctl.kinematics.robots.transfer_6dof import INITIAL_DEG
+from armctl.kinematics.robots.papers import INITIAL_DEG, LANZHOU_RANGES_DEG
 from armctl.papers.notation import product_to_sum, read, symbol, sympy
 
 Cells = Sequence[Sequence[Any]]
@@ -135,7 +134,7 @@ def _lanzhou() -> dict[str, Cells]:
     theta, alpha, a, d = (symbol(name) for name in ("theta_i", "alpha_before", "a_before", "d_i"))
     mm = {name: round(1000 * length) for name, length in robots.get("lanzhou-4dof").lengths_m.items()}
     table = ((0, 0, mm["d1"]), (-90, mm["a2"], mm["d2"]), (0, mm["a3"], 0), (0, mm["a4"], 0), (0, mm["a5"], 0))
-    ranges = [*(f"{low:g}~{high:g}" for low, high in RANGES_DEG), "0"]
+    ranges = [*(f"{low:g}~{high:g}" for low, high in LANZHOU_RANGES_DEG), "0"]
     return {
         "Table 1": [[n + 1, THETA[n], *row, within] for n, (row, within) in enumerate(zip(table, ranges, strict=True))],
         "(1)": (about_x(alpha, a) * about_z(theta, d)).tolist(),

@@ -14,8 +14,7 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, link_frames, tool_position
-from armctl.kinematics.robots.lanzhou_4dof import RANGES_DEG
-from armctl.kinematics.robots.transfer_6dof import INITIAL_DEG
+from armctl.kinematics.robots.papers import INITIAL_DEG, LANZHOU_RANGES_DEG
 from armctl.kinematics.transform import FloatArray
 from armctl.papers.derivations import NAMES
 
@@ -103,7 +102,7 @@ def _line(rng: np.random.Generator) -> Measured:
 
 
 def _lanzhou(rng: np.random.Generator) -> Measured:
-    q = np.radians(rng.uniform(*np.array(RANGES_DEG).T))
+    q = np.radians(rng.uniform(*np.array(LANZHOU_RANGES_DEG).T))
     # Print knows the sum of these within half a turn.
     q[1:] *= min(1.0, 3.0 / abs(q[1:].sum()))
     lengths = _drawn(rng, "d1", "a2", "d2", "a3", "a4", "a5")

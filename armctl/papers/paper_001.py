@@ -13,7 +13,7 @@ from armctl.kinematics.genetic import improved, plain
 from armctl.kinematics.genetic.problem import Evolution, Problem, poses_problem
 from armctl.kinematics.genetic.solve import POSITION_WEIGHT
 from armctl.kinematics.inverse import pose_errors, refine_poses
-from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
+from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, finite, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
 from armctl.lab.stage import Progress, Stage

@@ -14,8 +14,8 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian
 from armctl.kinematics.differential import dexterity
+from armctl.kinematics.robots.papers import INITIAL_DEG
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.robots.transfer_6dof import INITIAL_DEG
 from armctl.kinematics.solution import pose_target, solve
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error
 from armctl.lab.stage import Stage

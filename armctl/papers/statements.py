@@ -10,8 +10,7 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, tool_position
-from armctl.kinematics.robots.lanzhou_4dof import FIG_5_DEG, QZ_DEG, RANGES_DEG
-from armctl.kinematics.robots.transfer_6dof import INITIAL_DEG
+from armctl.kinematics.robots.papers import FIG_5_DEG, INITIAL_DEG, LANZHOU_RANGES_DEG, QZ_DEG
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import table_ii
 from armctl.papers import paper_000, paper_004
@@ -112,7 +111,7 @@ def _standard_link() -> tuple[float, float]:
 
 def _out_of_range(*q_deg: float) -> float:
     """The largest amount by which a joint lies outside Table 1 of 003 [deg]."""
-    return max(max(low - q, q - high, 0.0) for q, (low, high) in zip(q_deg, RANGES_DEG, strict=True))
+    return max(max(low - q, q - high, 0.0) for q, (low, high) in zip(q_deg, LANZHOU_RANGES_DEG, strict=True))
 
 
 def beyond_reach(target_m: FloatArray | Sequence[float]) -> float:

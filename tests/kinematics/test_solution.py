@@ -13,7 +13,7 @@ from armctl.errors import ConfigError, UnreachableTarget
 from armctl.kinematics import inverse, robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.inverse import pose_errors, refine_poses, solve_poses, solve_position, within_a_turn
-from armctl.kinematics.robots import puma560
+from armctl.kinematics.robots import papers
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import point_target, pose_target, solve, weighted_travel, within_limits
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
@@ -99,7 +99,7 @@ def test_a_thousand_puma_poses_are_solved_numerically_to_1e_6() -> None:
 
 
 def test_the_puma_of_table_2_has_eight_solutions() -> None:
-    target = pose_target(pose_from_xyz_rpy(*puma560.WANTED_XYZ_RPY))
+    target = pose_target(pose_from_xyz_rpy(*papers.WANTED_XYZ_RPY))
     answer = solve(robots.get("puma560"), target, polish=False)
     assert len(answer.solutions) == 8
     assert all(one.position_error_m < 1e-12 and one.orientation_error_rad < 1e-12 for one in answer.solutions)

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
+from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
 from armctl.papers import derivations
 from armctl.papers import entries as module
 from armctl.papers.entries import entries, of_paper

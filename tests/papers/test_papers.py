@@ -7,7 +7,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.genetic import improved
 from armctl.kinematics.genetic.problem import Evolution, Problem
-from armctl.kinematics.robots.puma560 import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY
+from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
 from armctl.lab.stage import silent
 from armctl.papers import paper_001, paper_002, paper_003, paper_004

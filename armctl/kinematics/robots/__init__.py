@@ -1,15 +1,12 @@
-"""Robots by name, one file a robot: its table, its source, what is wrong in print. And robots of arms' own tables."""
+"""Robots by name, those of the papers, and robots of arms' own tables."""
 
 from armctl.config import ArmConfig, ChainTable
 from armctl.errors import ConfigError
-from armctl.kinematics.robots import ax12_line, lanzhou_4dof, puma560, transfer_6dof, xiang_6dof
+from armctl.kinematics.robots.papers import AX12_LINE, LANZHOU, PUMA, TRANSFER, XIANG
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.robots.table import robot_of
 
-_ROBOTS = {
-    robot.name: robot
-    for robot in (xiang_6dof.ROBOT, puma560.ROBOT, ax12_line.ROBOT, lanzhou_4dof.ROBOT, transfer_6dof.ROBOT)
-}
+_ROBOTS = {robot.name: robot for robot in (XIANG, PUMA, AX12_LINE, LANZHOU, TRANSFER)}
 
 
 def names() -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.kinematics.robots import lanzhou_4dof, transfer_6dof, xiang_6dof
+from armctl.kinematics.robots import papers
 from armctl.kinematics.transform import finite
 from tests.kinematics.conftest import assert_at
 
@@ -31,9 +31,9 @@ def test_the_five_robots_and_their_conventions() -> None:
     ("name", "q_deg", "position_m"),
     [
         # Section 4.1, Fig. 5; print: x 219, z 139 mm, y not given.
-        ("lanzhou-4dof", lanzhou_4dof.FIG_5_DEG, (0.219, 0.042, 0.097)),
+        ("lanzhou-4dof", papers.FIG_5_DEG, (0.219, 0.042, 0.097)),
         # Section 2.1, initial position; print: (660, 0, 640) mm.
-        ("transfer-6dof", transfer_6dof.INITIAL_DEG, (0.0, -0.160, 0.450)),
+        ("transfer-6dof", papers.INITIAL_DEG, (0.0, -0.160, 0.450)),
         # Stretched forward it reaches 0.38 m from the shoulder.
         ("ax12-line", (0.0,) * 5, (0.38, 0.0, 0.10)),
     ],
@@ -64,12 +64,12 @@ def test_the_wrist_of_transfer_is_spherical() -> None:
     elsewhere = q.copy()
     elsewhere[:, 3:] += 1.0
     np.testing.assert_allclose(tool_position(chain, q), tool_position(chain, elsewhere), atol=1e-15)
-    assert transfer_6dof.ROBOT.lengths_m == {"a1": 0.100, "a2": 0.450, "d4": 0.160, "d6": 0.100}
+    assert papers.TRANSFER.lengths_m == {"a1": 0.100, "a2": 0.450, "d4": 0.160, "d6": 0.100}
 
 
 def test_model_eq_18_of_xiang_holds_for_all_three_coordinates() -> None:
     """Angles of eq. (18) count from the vertical; the hand's joint has a quarter turn in Fig. 9."""
-    robot = xiang_6dof.ROBOT
+    robot = papers.XIANG
     l1, l2, l3, l4 = (robot.lengths_m[name] for name in ("d1", "a2", "a3", "d5"))
     for q1, t2, t3, t4 in np.random.default_rng(2).uniform(-math.pi, math.pi, (50, 4)):
         q = np.array([q1, math.pi / 2.0 - t2, -t3, -t4 - math.pi / 2.0, 0.7])
