@@ -102,6 +102,7 @@ def fk_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) ->
 @command("ik")
 @robot_option
 @click.option("--xyz", type=POINT, help="A point for the tool, metres.")
+@click.option("--direction", type=POINT, metavar="x,y,z", help="With --xyz: where the tool points; 0,0,-1 is down.")
 @click.option("--pose", type=NUMBERS, help="x,y,z,roll,pitch,yaw; R = Rz(yaw) Ry(pitch) Rx(roll).")
 @click.option("--T", "matrix", type=NUMBERS, help="A pose as 16 numbers, row by row.")
 @click.option("--method", type=IK_METHODS, default="closed")
@@ -123,7 +124,12 @@ def ik_command(
     from armctl.kinematics import solution
     from armctl.kinematics.genetic import solve as genetic
 
+    direction = asked.pop("direction")
     target = _target(asked.pop("xyz"), asked.pop("pose"), asked.pop("matrix"), deg)
+    if direction is not None:
+        if target.turned or method.startswith("ga"):
+            raise click.UsageError("--direction goes with --xyz, and with --method closed or numeric")
+        target = solution.direction_target(target.position_m, direction)
     present = None if near is None else _configuration(robot, "--near", near, deg)
     solve = genetic.solve if method.startswith("ga") else solution.solve
     found = solve(robot, target, method=method, present=present, **asked)

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from armctl.errors import UnreachableTarget
-from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian, tool_position
+from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian, link_frames, tool_position
 from armctl.kinematics.transform import FloatArray, rotation_error
 
 # A joint whose range is at least this wide has no ends.
@@ -84,10 +84,45 @@ def unreachable(target: FloatArray, near_m: float, more: str = "") -> Unreachabl
     return UnreachableTarget(f"target ({x:.4f}, {y:.4f}, {z:.4f}) m: the tool comes no nearer than {distance}", near_m)
 
 
-def pose_errors(chain: SerialChain, q: FloatArray, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance [m] and turn [rad] between the tool at q, shape (..., n), and poses T, shape (..., 4, 4)."""
+def pointing(chain: SerialChain) -> FloatArray:
+    """Where the tool points in its own frame: from the last joint to the tool point, unit vector, shape (3,).
+
+    Along z, the last joint's axis, where the tool point stands on it at that joint's frame.
+    """
+    frames = link_frames(chain, np.zeros(chain.n))
+    out = frames[-1, :3, :3].T @ (frames[-1, :3, 3] - frames[chain.n - 1 + chain.first_axis, :3, 3])
+    length = float(np.linalg.norm(out))
+    return np.asarray(out / length) if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+
+
+def turn_left(chain: SerialChain, R: FloatArray, T: FloatArray, direction: FloatArray | None) -> FloatArray:
+    """The turn [rad] in the base frame that the tool at rotations R still has to make, shape (..., 3).
+
+    To the rotations of T, shape (..., 4, 4), or only so far that it points in a direction, unit vector.
+    """
+    if direction is None:
+        return rotation_error(R, T[..., :3, :3])
+    points = R @ pointing(chain)
+    axis, cosine = np.cross(points, direction), points @ direction
+    sine = np.linalg.norm(axis, axis=-1)
+    # Opposite to it there is no shortest way: any turn about what lies across will do.
+    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    opposite = (sine < 1e-9) & (cosine < 0.0)
+    axis = np.where(opposite[..., None], across, axis)
+    length = np.maximum(np.linalg.norm(axis, axis=-1), 1e-300)
+    return np.asarray(axis * (np.arctan2(sine, cosine) / length)[..., None])
+
+
+def pose_errors(
+    chain: SerialChain, q: FloatArray, T: FloatArray, direction: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Distance [m] and turn [rad] between the tool at q, shape (..., n), and poses T, shape (..., 4, 4).
+
+    Args:
+        direction: The turn is that to point in it, unit vector in the base frame; None: that to the poses' rotation.
+    """
     reached = forward_kinematics(chain, q)
-    turn = rotation_error(reached[..., :3, :3], T[..., :3, :3])
+    turn = turn_left(chain, reached[..., :3, :3], T, direction)
     return np.linalg.norm(reached[..., :3, 3] - T[..., :3, 3], axis=-1), np.linalg.norm(turn, axis=-1)
 
 
@@ -98,6 +133,7 @@ def refine_poses(
     limits: FloatArray,
     *,
     turned: bool = True,
+    direction: FloatArray | None = None,
     iterations: int = 60,
 ) -> FloatArray:
     """Joint configurations near the starts that bring the tool as near to the poses as they go.
@@ -107,6 +143,7 @@ def refine_poses(
         q_start: Where each search begins [rad], shape (m, n).
         limits: Lowest and highest position [rad], shape (n, 2); a joint with a whole turn is not clamped.
         turned: Whether the rotation counts; without it the position alone does.
+        direction: Of the rotation only where the tool points counts, and this is where, unit vector in the base frame.
     Returns:
         q, shape (m, n): never worse than the (clamped) start.
     """
@@ -115,14 +152,14 @@ def refine_poses(
     low, high = np.where(turning, -np.inf, limits[:, 0]), np.where(turning, np.inf, limits[:, 1])
     q = np.clip(np.asarray(q_start, dtype=np.float64), low, high)
     weights = np.array([scale] * 3 + [1.0 if turned else 0.0] * 3)
-    error = _weighted_error(chain, q, T, weights)
+    error = _weighted_error(chain, q, T, weights, direction)
     cost = (error**2).sum(axis=-1)
     damping = np.full(len(q), 1e-6)
     for _ in range(iterations):
         active = np.flatnonzero((cost > REFINED**2) & (damping < 1e5))
         if not len(active):
             break
-        J = jacobian(chain, q[active]) * weights[:, None]
+        J = masked_jacobian(chain, q[active], direction) * weights[:, None]
         JT = np.swapaxes(J, -1, -2)
         gradient = (JT @ error[active][..., None])[..., 0]
         # A joint pressed against its limit cannot help: its row and column leave the step.
@@ -132,7 +169,7 @@ def refine_poses(
         gram[held[:, :, None] | held[:, None, :]] = 0.0
         gram[:, np.arange(chain.n), np.arange(chain.n)] += damping[active][:, None] + held
         candidate = np.clip(q[active] + np.linalg.solve(gram, gradient[..., None])[..., 0], low, high)
-        candidate_error = _weighted_error(chain, candidate, T[active], weights)
+        candidate_error = _weighted_error(chain, candidate, T[active], weights, direction)
         candidate_cost = (candidate_error**2).sum(axis=-1)
         better = candidate_cost < cost[active]
         chosen = active[better]
@@ -149,6 +186,7 @@ def solve_poses(
     *,
     q_start: FloatArray | None = None,
     turned: bool = True,
+    direction: FloatArray | None = None,
 ) -> FloatArray:
     """Joint configurations for poses of any chain: the first start as given, then random ones within the limits.
 
@@ -156,7 +194,7 @@ def solve_poses(
         T: Wanted tool poses, shape (m, 4, 4).
         limits: Lowest and highest position [rad], shape (n, 2).
         q_start: First starts [rad], shape (m, n); random if not given.
-        turned: Whether the rotation counts; without it the position alone does.
+        turned, direction: As `refine_poses`.
     Returns:
         q, shape (m, n): the best found; `pose_errors` tells how good it is.
     """
@@ -168,8 +206,8 @@ def solve_poses(
             starts = np.asarray(q_start, dtype=np.float64)
         else:
             starts = rng.uniform(limits[:, 0], limits[:, 1], (len(open_poses), chain.n))
-        q = refine_poses(chain, T[open_poses], starts, limits, turned=turned)
-        position, turn = pose_errors(chain, q, T[open_poses])
+        q = refine_poses(chain, T[open_poses], starts, limits, turned=turned, direction=direction)
+        position, turn = pose_errors(chain, q, T[open_poses], direction)
         turn = turn * turned
         cost = np.hypot(position, turn)
         better = cost < best_cost[open_poses]
@@ -190,7 +228,17 @@ def within_a_turn(q: FloatArray, limits: FloatArray) -> FloatArray:
     return np.asarray(near)
 
 
-def _weighted_error(chain: SerialChain, q: FloatArray, T: FloatArray, weights: FloatArray) -> FloatArray:
+def masked_jacobian(chain: SerialChain, q: FloatArray, direction: FloatArray | None) -> FloatArray:
+    """The Jacobian, shape (..., 6, n), without turns about the direction in which the tool is to point."""
+    J = jacobian(chain, q)
+    if direction is not None:
+        J[..., 3:, :] -= direction[:, None] * (direction @ J[..., 3:, :])[..., None, :]
+    return J
+
+
+def _weighted_error(
+    chain: SerialChain, q: FloatArray, T: FloatArray, weights: FloatArray, direction: FloatArray | None
+) -> FloatArray:
     reached = forward_kinematics(chain, q)
     gap = T[:, :3, 3] - reached[:, :3, 3]
-    return np.concatenate((gap, rotation_error(reached[:, :3, :3], T[:, :3, :3])), axis=1) * weights
+    return np.concatenate((gap, turn_left(chain, reached[:, :3, :3], T, direction)), axis=1) * weights

@@ -1,12 +1,13 @@
 """Inverse kinematics as a question with an answer: a target, every solution, and which to take.
 
-A target is a pose or a point. A solution reaches it to `REACHED`; where none exists the answer holds the
-configurations nearest to it and the exact least distance. Joint ranges do not make a target unreachable: each
-solution says whether it is within them. Solutions are sorted: within the ranges first, then the least weighted travel
-from the present configuration (Bao, Liu & Zhao eq. 10).
+A target is a pose, a point, or a point and where the tool points there. A solution reaches it to `REACHED`; where none
+exists the answer holds the configurations nearest to it and the least distance, exact where there is a formula. Joint
+ranges do not make a target unreachable: each solution says whether it is within them. Solutions are sorted: within the
+ranges first, then the least weighted travel from the present configuration (Bao, Liu & Zhao eq. 10).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,14 @@ from numpy.typing import NDArray
 
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import jacobian, tool_position
-from armctl.kinematics.inverse import TURN_RAD, pose_errors, refine_poses, solve_poses, within_a_turn
+from armctl.kinematics.inverse import (
+    TURN_RAD,
+    masked_jacobian,
+    pose_errors,
+    refine_poses,
+    solve_poses,
+    within_a_turn,
+)
 from armctl.kinematics.robots.robot import ClosedForm, Robot
 from armctl.kinematics.transform import FloatArray, finite
 
@@ -34,12 +42,14 @@ ROTATION_SLACK = 1e-4
 
 @dataclass(frozen=True)
 class Target:
-    """Where the tool shall be: a pose, or a point."""
+    """Where the tool shall be: a pose, a point, or a point and where the tool points there."""
 
-    # Shape (4, 4); of a point the rotation is left out.
+    # Shape (4, 4); of a point, with or without a direction, the rotation is left out.
     T: FloatArray
     # Whether the rotation counts.
     turned: bool
+    # Of the rotation only where the tool points counts, and this is where: unit vector in the base frame, shape (3,).
+    direction: FloatArray | None = None
 
     @property
     def position_m(self) -> FloatArray:
@@ -82,6 +92,19 @@ def point_target(xyz: tuple[float, float, float] | FloatArray) -> Target:
     T = np.eye(4)
     T[:3, 3] = point
     return Target(T, turned=False)
+
+
+def direction_target(xyz: tuple[float, float, float] | FloatArray, direction: Sequence[float] | FloatArray) -> Target:
+    """A target for the tool point [m], and the direction in which the tool points there, of any length.
+
+    Raises:
+        ConfigError: not three finite numbers each, or the direction is none.
+    """
+    along = np.asarray(direction, dtype=np.float64)
+    if along.shape != (3,) or not np.isfinite(along).all() or float(np.linalg.norm(along)) < 1e-9:
+        text = f"{along.tolist()} is no direction"
+        raise ConfigError("target", "direction", text, "give x,y,z in the base frame, such as 0,0,-1 for down")
+    return replace(point_target(xyz), turned=True, direction=along / np.linalg.norm(along))
 
 
 def pose_target(T: FloatArray) -> Target:
@@ -160,7 +183,7 @@ def solve(
     if limits.shape != (robot.chain.n, 2) or present.shape != (robot.chain.n,):
         shapes = f"present {present.shape}, limits {limits.shape}"
         raise ConfigError(robot.name, "q", shapes, f"the chain has {robot.chain.n} joints")
-    if method == "closed" and robot.closed_form is not None:
+    if method == "closed" and robot.closed_form is not None and target.direction is None:
         q, least = _closed(robot.closed_form, robot, target, present, limits)
     else:
         q, least = _numeric(robot, target, present, limits, seed)
@@ -261,8 +284,7 @@ def _from_many(
     beyond = np.maximum(limits[:, 0] - starts, starts - limits[:, 1]).max(axis=1, initial=0.0)
     drawn = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (STARTS, len(limits)))
     starts = np.vstack([present, starts[np.argsort(beyond, kind="stable")[:STARTS]], drawn])
-    T = np.broadcast_to(target.T, (len(starts), 4, 4))
-    q = refine_poses(robot.chain, T, starts, limits, turned=target.turned)
+    q = _refined(robot, target, starts, limits)
     return np.asarray(q[_errors(robot, target, q)[2] & within_limits(q, limits)])
 
 
@@ -283,29 +305,30 @@ def _numeric(
 ) -> tuple[FloatArray, float]:
     """Configurations within limits from many starts, else one without them, else the nearest."""
     rng = np.random.default_rng(seed)
-    if robot.closed_form is None:
+    form = robot.closed_form if target.direction is None else None
+    if form is None:
         q = _from_many(robot, target, present[None], present, limits, seed)
         if len(q):
             return _nearer(robot, target, q, present, limits), 0.0
     for ranges in (limits, _whole_turns(robot)):
-        q = solve_poses(robot.chain, target.T[None], ranges, rng, q_start=present[None], turned=target.turned)
+        T, turned, direction = target.T[None], target.turned, target.direction
+        q = solve_poses(robot.chain, T, ranges, rng, q_start=present[None], turned=turned, direction=direction)
         position_m, _, reached = _errors(robot, target, q)
         if reached[0]:
             return q, 0.0
-    return (q, float(position_m[0])) if robot.closed_form is None else _nearest(robot.closed_form, target)
+    return (q, float(position_m[0])) if form is None else _nearest(form, target)
 
 
 def _nearer(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
     """Configurations within limits, each moved towards the present one as far as the target leaves it free."""
-    T = np.broadcast_to(target.T, (len(q), 4, 4))
     rows = 6 if target.turned else 3
-    if robot.chain.n <= rows:
+    if robot.chain.n <= rows - (target.direction is not None):
         return q
     for _ in range(NEARER_STEPS):
-        J = jacobian(robot.chain, q)[:, :rows]
+        J = masked_jacobian(robot.chain, q, target.direction)[:, :rows]
         away = present - q
         along = away - (np.linalg.pinv(J, rcond=SINGULAR) @ (J @ away[..., None]))[..., 0]
-        moved = refine_poses(robot.chain, T, np.clip(q + along, *limits.T), limits, turned=target.turned)
+        moved = _refined(robot, target, np.clip(q + along, *limits.T), limits)
         better = _errors(robot, target, moved)[2] & (
             weighted_travel(moved, present, limits) < weighted_travel(q, present, limits) - SAME_RAD
         )
@@ -318,11 +341,17 @@ def _nearer(robot: Robot, target: Target, q: FloatArray, present: FloatArray, li
 def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Distance [m], turn [rad] and whether the target counts as reached, for configurations of shape (k, n)."""
     if target.turned:
-        position_m, turn_rad = pose_errors(robot.chain, q, np.broadcast_to(target.T, (len(q), 4, 4)))
+        position_m, turn_rad = pose_errors(robot.chain, q, np.broadcast_to(target.T, (len(q), 4, 4)), target.direction)
     else:
         position_m = np.linalg.norm(tool_position(robot.chain, q) - target.position_m, axis=-1)
         turn_rad = np.zeros(len(q))
     return position_m, turn_rad, (position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)
+
+
+def _refined(robot: Robot, target: Target, q: FloatArray, limits: FloatArray) -> FloatArray:
+    """The configurations, shape (k, n), brought as near to the target as they go within limits."""
+    T = np.broadcast_to(target.T, (len(q), 4, 4))
+    return refine_poses(robot.chain, T, q, limits, turned=target.turned, direction=target.direction)
 
 
 def _whole_turns(robot: Robot) -> FloatArray:
@@ -332,8 +361,7 @@ def _whole_turns(robot: Robot) -> FloatArray:
 
 def _polished(robot: Robot, target: Target, q: FloatArray) -> FloatArray:
     """The configurations brought onto the target, each near where it was; as they are where that does not succeed."""
-    T = np.broadcast_to(target.T, (len(q), 4, 4))
-    refined = refine_poses(robot.chain, T, q, _whole_turns(robot), turned=target.turned)
+    refined = _refined(robot, target, q, _whole_turns(robot))
     reached = _errors(robot, target, refined)[2]
     near = q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi
     return np.where(reached[:, None], near, q)

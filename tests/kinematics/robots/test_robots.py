@@ -11,6 +11,7 @@ from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots import papers
+from armctl.kinematics.solution import point_target, solve
 from armctl.kinematics.transform import finite
 from tests.kinematics.conftest import assert_at
 
@@ -87,6 +88,14 @@ def test_lengths_change_and_the_closed_form_with_them(name: str, length: str) ->
     assert_at(robot.chain, finite(robot.closed_form.poses(T[None])), T)
     with pytest.raises(ConfigError, match="is no length"):
         robots.get(name, {length: math.nan})
+
+
+@pytest.mark.parametrize("a2", [-0.1, 0.0])
+def test_a_link_of_no_or_of_negative_length_is_solved_all_the_same(a2: float) -> None:
+    robot = robots.get("ax12-line", {"a2": a2})
+    place = tool_position(robot.chain, np.array((0.3, 0.9, -1.0, 0.4, 0.2)))
+    best = solve(robot, point_target(place)).solutions[0]
+    np.testing.assert_allclose(tool_position(robot.chain, np.array(best.q_rad)), place, atol=1e-6)
 
 
 @given(st.lists(st.floats(-math.pi, math.pi), min_size=5, max_size=5))
