@@ -144,7 +144,7 @@ class Host:
         lease.lost = True
         if lease.what in ("jog", "jogging"):
             self.leases.current = None  # its heartbeats have ceased
-        elif lease.what in ("run", "path", "play", "move", "park", "reach", "transfer"):
+        elif lease.what in ("run", "path", "play", "move", "park", "reach", "transfer", "program"):
             text = f"the client left during its {lease.what}: hold"
             self.note({"event": "LEASE_LOST", "who": client.name, "text": text})
             self._in_background(self.stop())
@@ -212,9 +212,9 @@ class Host:
     async def pause(self) -> dict[str, Any]:
         """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is.
 
-        Between two runs of a refinement the next one waits.
+        Between two runs of a refinement, or two steps of a program, the next one waits.
         """
-        if (lease := self.leases.current) is not None and lease.what == "run" and self._watch is None:
+        if (lease := self.leases.current) is not None and lease.what in ("run", "program") and self._watch is None:
             lease.paused = True
         else:
             await self.exchange.request(Pause)
@@ -244,7 +244,7 @@ class Host:
         """
         with self.leases.commanding(client, "jog") as lease:
             if begin:
-                q_now = self._commanded_joints("jog")
+                q_now = self.commanded_joints("jog")
             elif self.latest is None or self.latest.outputs.mode is not Mode.JOGGING:
                 raise IllegalTransition("the jog has ended; begin another one")
             else:
@@ -278,35 +278,28 @@ class Host:
         self, lease: Lease, legs: Sequence[Leg], note: dict[str, Any] | None = None
     ) -> tuple[str, list[Done]]:
         """`execute` for a client that commands already."""
-        what = lease.what
-        trajectory = await self._made(legs[0], what)
+        trajectory = await self._made(legs[0], lease.what)
         await self._use_model()
-        name = run_name(trajectory.label)
-        await self.takes.begin(name)
         done: list[Done] = []
-        try:
-            if note is not None:
-                self.note(note)
-            for leg in legs:
-                if done:
-                    trajectory = await self._made(leg, what)
-                while lease.waits:
-                    await self.tick()
-                when = "ended" if done else "began"
-                if lease.lost:
-                    raise RequestRefused("LEASE_LOST", f"the client left before its {what} {when}")
-                if lease.stopped:
-                    raise RequestRefused("STOPPED", f"the {what} was stopped before it {when}")
-                self._watch = watch = Watch()
-                self.exchange.forget_hold()  # a stop from now on is a new one
-                reply = await self._run_to_its_end(trajectory)
-                done.append(Done(trajectory, watch, reply))
-                end_ns = watch.time_ns[-1] + TAIL_NS
-                while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
-                    await self.tick()
-        finally:
-            self._watch = None
-            await self.takes.end()
+        async with self.takes.around(run_name(trajectory.label)) as name:
+            try:
+                if note is not None:
+                    self.note(note)
+                for leg in legs:
+                    if done:
+                        trajectory = await self._made(leg, lease.what)
+                    while lease.waits:
+                        await self.tick()
+                    lease.refuse_if_over()
+                    lease.begun, self._watch = True, (watch := Watch())
+                    self.exchange.forget_hold()  # a stop from now on is a new one
+                    reply = await self._run_to_its_end(trajectory)
+                    done.append(Done(trajectory, watch, reply))
+                    end_ns = watch.time_ns[-1] + TAIL_NS
+                    while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
+                        await self.tick()
+            finally:
+                self._watch = None
         if notice := await asyncio.to_thread(self._learn, done):
             self.notice = notice
             self.note({"event": "MODEL", "text": notice})
@@ -314,7 +307,7 @@ class Host:
         return name, done
 
     async def _made(self, leg: Leg, what: str) -> JointTrajectory:
-        q_now = self._commanded_joints(what)
+        q_now = self.commanded_joints(what)
         return await asyncio.to_thread(lambda: thinned(leg(q_now)))
 
     async def own_model(self) -> LagModel | None:
@@ -350,7 +343,7 @@ class Host:
         finally:
             request.cancel()
 
-    def _commanded_joints(self, what: str) -> tuple[float, ...]:
+    def commanded_joints(self, what: str) -> tuple[float, ...]:
         """Where the joints of a holding arm are wanted now [rad]."""
         latest = self.latest
         if self.exchange.pid is None or latest is None:
@@ -360,6 +353,11 @@ class Host:
         return latest.outputs.wanted_rad
 
     # --------------------------------------------------------------------------------------------- status
+
+    @property
+    def latest_ns(self) -> int:
+        """When the latest tick was; 0 before the first."""
+        return 0 if self.latest is None else self.latest.inputs.now_ns
 
     def state(self) -> dict[str, Any]:
         """What the arm does now: the answer to most requests."""

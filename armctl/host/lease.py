@@ -37,10 +37,24 @@ class Lease:
     stopped: bool = False
     # Whether what is to move next waits for a `resume`.
     paused: bool = False
+    # Whether the arm has set off for it.
+    begun: bool = False
 
     @property
     def waits(self) -> bool:
         return self.paused and not (self.stopped or self.lost)
+
+    def refuse_if_over(self) -> None:
+        """Refuse to go on for nobody, or after a stop.
+
+        Raises:
+            RequestRefused: code LEASE_LOST or STOPPED.
+        """
+        when = "ended" if self.begun else "began"
+        if self.lost:
+            raise RequestRefused("LEASE_LOST", f"the client left before its {self.what} {when}")
+        if self.stopped:
+            raise RequestRefused("STOPPED", f"the {self.what} was stopped before it {when}")
 
 
 class Leases:

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from armctl.config import Frozen, Name
 from armctl.errors import ArmctlError, RequestRefused
-from armctl.host import plans, teaching
+from armctl.host import plans, programs, teaching
 from armctl.host.exchange import COMMANDS
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
@@ -29,6 +29,7 @@ from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan, plan_positions, plan_to_text
 from armctl.trajectory.playback import PlayRequest
+from armctl.trajectory.program import NamedProgram, ProgramRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
@@ -108,7 +109,7 @@ class JogBeat(Frozen):
 # Heartbeats of a jog are logged as commands of the control step; an optimisation moves nothing.
 UNNOTED = ("jog", "optimize")
 # What is learnt from.
-MOTIONS = {"run", "move", "reach", "transfer", "play", "path"}
+MOTIONS = {"run", "move", "reach", "transfer", "play", "path", "program_run"}
 
 
 def _observed(look: Callable[[], dict[str, Any]]) -> Method:
@@ -139,6 +140,7 @@ class Methods:
         self._host = host
         self._recordings_dir = recordings_dir
         self._plans_dir = recordings_dir.parent / "plans"
+        self._site = programs.Site(host.arm, host.robot, host.period_s, recordings_dir)
         self._run_optimisation = run_optimisation
         self._job_ids = itertools.count(1)
         self._job: tuple[Connection, asyncio.Future[dict[str, Any]]] | None = None
@@ -164,6 +166,8 @@ class Methods:
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
+            "program_check": Method(NamedProgram, _in_thread(partial(programs.checked, host, self._site))),
+            "program_run": Method(ProgramRequest, lambda client, p: programs.run(host, client, self._site, p)),
             "pause": Method(Nothing, lambda _, __: host.pause(), always=True),
             "resume": Method(Nothing, lambda client, _: host.resume(client)),
             "rate": Method(Rate, lambda client, p: host.rate(client, p.rate)),

@@ -9,7 +9,7 @@ from armctl.clock import NS_PER_S
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.host.host import Host
 from armctl.host.lease import Client
-from armctl.host.watch import Leg
+from armctl.host.watch import Done, Leg
 from armctl.kinematics.chain import tool_position
 from armctl.messages import JointTrajectory
 from armctl.trajectory import grasp
@@ -50,11 +50,9 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
         return result
     index, gripper = grasp.gripper_of(host.arm, host.robot)
     now = host.status()["joints"][index]
-    held = abs(now["load_ratio"]) >= HELD_SHARE * gripper.load_ratio
-    met = any(leg.reply.code == "GRIPPED" for leg in done)
     return {
         **result,
-        "gripped": (met and held) if request.gripper == "grip" else False,
+        "gripped": gripped(host, done) if request.gripper == "grip" else False,
         "gripper": {
             "joint": gripper.joint,
             "position_rad": now["position_rad"],
@@ -63,6 +61,19 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
         },
         "lifted_m": place[-1].tolist(),
     }
+
+
+def gripped(host: Host, done: Sequence[Done]) -> bool:
+    """Whether the gripper met something when it closed, and holds it."""
+    return any(leg.reply.code == "GRIPPED" for leg in done) and holds(host)
+
+
+def holds(host: Host) -> bool:
+    """Whether the gripper's load says that it holds something; an arm without a gripper holds nothing."""
+    if host.arm.gripper is None or host.latest is None:
+        return False
+    index, gripper = grasp.gripper_of(host.arm, host.robot)
+    return abs(host.latest.outputs.joints[index].load_ratio) >= HELD_SHARE * gripper.load_ratio
 
 
 def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:

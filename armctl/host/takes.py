@@ -1,6 +1,8 @@
 """The take of the moment, and the recorder that writes it."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Protocol
 
@@ -43,3 +45,15 @@ class Takes:
                 return await asyncio.to_thread(self._recorder.end_take)
             finally:
                 self.name = None
+
+    @asynccontextmanager
+    async def around(self, name: str) -> AsyncIterator[str]:
+        """A take around a motion, or of several motions the one that is around them all; its name."""
+        if self.name is not None:
+            yield self.name
+            return
+        await self.begin(name)
+        try:
+            yield name
+        finally:
+            await self.end()

@@ -14,7 +14,7 @@ from armctl.host.motions import run
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import Mode, TickRecord
 from armctl.trajectory.plan import Plan
-from tests.control.ideal_arm import PERIOD_S
+from tests.control.ideal_arm import PERIOD_S, IdealArm
 from tests.host.doubles import IdealControl, MemoryRecorder, NamedClient, refused, small_plan
 
 
@@ -62,9 +62,9 @@ class HostBench:
 class Bench(HostBench):
     """A host over ideal servos."""
 
-    def __init__(self, **calibration: Any) -> None:
+    def __init__(self, ideal: IdealArm | None = None, **calibration: Any) -> None:
         self.clock = VirtualClock()
-        self.control = IdealControl(self.clock)
+        self.control = IdealControl(self.clock, ideal)
         self.arm = self.control.arm
         super().__init__(self.arm.arm.model_copy(update=calibration), self.arm.robot, self.clock)
         self.attach()

@@ -1,0 +1,339 @@
+"""Programs that the daemon runs: checked as a whole, done step by step, resumed where they stand.
+
+Rules.
+1. A program is one request, one lease and one recording, whose notes name every step and turn as it begins and ends.
+   Anybody may stop or pause it, in a step or between two.
+2. Before anything moves, every motion is made from where the steps before it end, of both branches of an `if_gripped`.
+   Each is made and checked again when it is due, from where the arm then is.
+3. Where a program stands is on the disk before a step begins and once it has ended. So whatever ends it, no step is
+   left out; the one that was under way is done again, from its begin.
+4. It goes on there unless that is no longer what was begun: another program, another arm, or what was gripped is lost.
+5. A `move` leaves the gripper as it is; `grip` moves it, and `play` where it was taught.
+"""
+
+import asyncio
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from armctl.clock import NS_PER_S
+from armctl.config import ArmConfig, Frozen, validate
+from armctl.errors import ArmctlError, ConfigError, RequestRefused
+from armctl.host.host import Host
+from armctl.host.jsonrpc import error_data
+from armctl.host.lease import Client, Lease
+from armctl.host.motions import move_trajectory
+from armctl.host.reach import gripped, holds
+from armctl.host.watch import Leg, run_name
+from armctl.kinematics.robots.robot import Robot
+from armctl.recording import recordings
+from armctl.recording.disk import DISK, new_file, writing
+from armctl.trajectory import grasp
+from armctl.trajectory.path_motion import path_motion
+from armctl.trajectory.playback import playback
+from armctl.trajectory.program import (
+    Instruction,
+    NamedProgram,
+    Program,
+    ProgramRequest,
+    Step,
+    place_of,
+    written_out,
+)
+from armctl.trajectory.target import MoveRequest
+
+# From so many different poses at most may a step begin, by the branches before it.
+MOST_POSES = 8
+UNCHECKED = "not checked, because a step before it cannot be done"
+
+Joints = tuple[float, ...]
+Row = dict[str, Any]
+
+
+class Standing(Frozen):
+    """Where a program stands that has not ended."""
+
+    # Of the program and the arm it was begun with.
+    digest: str
+    # Of its instructions, the one that is due, and its name.
+    index: int
+    at: str
+    gripped: bool
+
+
+@dataclass(frozen=True)
+class Site:
+    """The arm that programs are for, and the folder of its recordings, beside which it is kept where programs stand."""
+
+    arm: ArmConfig
+    robot: Robot
+    period_s: float
+    recordings_dir: Path
+
+    def legs(self, step: Step) -> list[Leg]:
+        """The motions of a step.
+
+        Raises:
+            ArmctlError: there is no such recording, it cannot be played, or the arm has no gripper.
+        """
+        where = self.arm, self.robot, self.period_s
+        if (move := step.move) is not None:
+            return [lambda q_now: move_trajectory(self._gripper_stays(move, q_now), q_now, *where)]
+        if (path := step.path) is not None:
+            return [lambda q_now: path_motion(path, q_now, *where).trajectory]
+        if (play := step.play) is not None:
+            if (motion := play.motion) is None:
+                motion = recordings.taught(recordings.load(recordings.find(self.recordings_dir, play.name or "")))
+            played = playback(motion, play.rate, self.arm, self.robot)
+            return [lambda q_now: played.trajectory(q_now, self.period_s)] * play.repeat
+        if step.grip or step.if_gripped:
+            grasp.gripper_of(self.arm, self.robot)
+        return [lambda q_now: grasp.gripping(q_now, *where, closing=step.grip == "close")] if step.grip else []
+
+    def _gripper_stays(self, move: MoveRequest, q_now: Sequence[float]) -> MoveRequest:
+        if move.joints_rad is None or self.arm.gripper is None or len(move.joints_rad) != len(q_now):
+            return move
+        index, _ = grasp.gripper_of(self.arm, self.robot)
+        joints_rad = (*move.joints_rad[:index], q_now[index], *move.joints_rad[index + 1 :])
+        return move.model_copy(update={"joints_rad": joints_rad})
+
+    def check(self, program: Program, q_now: Joints, begin: int = 0) -> Iterator[Row]:
+        """Every step that can be reached, as `name`, `ok` and `text`; a turn has a row of its own where it differs.
+
+        Args:
+            q_now: Where the joints are before it [rad], shape (joints,).
+            begin: Which instruction comes first.
+        """
+        instructions = written_out(program)
+        poses: list[dict[Joints, Joints]] = [{} for _ in range(len(instructions) + 1)]
+        found: dict[tuple[int, Joints], tuple[Joints, float] | ArmctlError] = {}
+        told: set[tuple[str, bool]] = set()
+
+        def lead(index: int, q: Joints) -> None:
+            poses[index][tuple(round(angle, 6) for angle in q)] = q
+
+        lead(begin, q_now)
+        for index, one in enumerate(instructions[begin:], begin):
+            here, wrong, took_s = poses[index], [] if poses[index] else [UNCHECKED], 0.0
+            if one.step is None:
+                for q in here.values():
+                    lead(one.other, q)
+                continue
+            if len(here) > MOST_POSES:
+                here, wrong = {}, [f"more than {MOST_POSES} poses lead here; let a move to joint positions come before"]
+            for key, q in here.items():
+                if (end := found.get((id(one.step), key))) is None:
+                    end = found[id(one.step), key] = self._end(one.step, q)
+                if isinstance(end, ArmctlError):
+                    wrong += [reason for reason in error_data(end)["reasons"] if reason not in wrong]
+                    continue
+                took_s = max(took_s, end[1])
+                for following in {index + 1, one.other if one.step.if_gripped else index + 1}:
+                    lead(following, end[0])
+            if (one.name, not wrong) not in told:
+                told.add((one.name, not wrong))
+                text = "; ".join(wrong) or one.step.words + (f", {took_s:.1f} s" if took_s else "")
+                yield {"name": one.at if wrong else one.name, "ok": not wrong, "text": text}
+
+    def _end(self, step: Step, q: Joints) -> tuple[Joints, float] | ArmctlError:
+        """Where a step ends that begins there, and how long it takes [s]; or why it cannot be done."""
+        took_s = 0.0
+        try:
+            # A motion that is repeated begins where it ended before.
+            for leg in self.legs(step)[:2]:
+                trajectory = leg(q)
+                q, took_s = trajectory.positions_rad[-1], took_s + trajectory.duration_s
+        except ArmctlError as error:
+            return error
+        return q, took_s
+
+    # ------------------------------------------------------------------------------------ where it stands
+
+    def file(self, program: NamedProgram) -> Path:
+        """Where it is kept how far a program has come that has not ended."""
+        return self.recordings_dir.parent / "programs" / f"{program.name}.json"
+
+    def _digest(self, program: Program) -> str:
+        what = program.model_dump_json(include={"steps"}) + self.arm.arm_id + self.arm.calibration_hash
+        return hashlib.sha256(what.encode()).hexdigest()
+
+    def keep(self, program: NamedProgram, index: int, *, gripped: bool) -> None:
+        """Keep which instruction is due, on the disk when this returns; nothing, once none is.
+
+        Raises:
+            LogError: it cannot be written.
+        """
+        path, instructions = self.file(program), written_out(program)
+        if index == len(instructions):
+            with writing(path):
+                DISK.remove(path)
+                DISK.sync_folder(path.parent)
+            return
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        standing = Standing(digest=self._digest(program), index=index, at=instructions[index].at, gripped=gripped)
+        with new_file(path, replacing=True) as stream:
+            stream.write(standing.model_dump_json().encode())
+
+    def begin(self, program: NamedProgram, from_step: str | None, *, holding: bool) -> tuple[int, bool]:
+        """Which instruction comes first, and whether something is gripped by then.
+
+        Args:
+            holding: Whether the gripper holds something now.
+        Raises:
+            RequestRefused: code NO_STEP; or NOT_RESUMED, why it cannot go on where it stands.
+        """
+        instructions, path = written_out(program), self.file(program)
+        if from_step is not None:
+            return place_of(instructions, from_step), holding
+        if not path.exists():
+            return 0, holding
+        remedy = f"`--from {instructions[0].at}` begins anew"
+        try:
+            standing = validate(Standing, json.loads(path.read_text(encoding="utf-8")), str(path))
+        except (OSError, ValueError, ConfigError) as error:
+            raise RequestRefused("NOT_RESUMED", f"{path}: where it stands cannot be read ({error}); {remedy}") from None
+        stands = f"program {program.name} stands at step {standing.at}"
+        if standing.digest != self._digest(program):
+            raise RequestRefused("NOT_RESUMED", f"{stands}, and it or the arm's file has changed since; {remedy}")
+        due = instructions[standing.index].step
+        if standing.gripped and not holding and due is not None and due.grip is None:
+            why = f"{stands} with something gripped, and the gripper does not hold it any more"
+            raise RequestRefused("NOT_RESUMED", f"{why}; `--from {standing.at}` goes on all the same, {remedy}")
+        return standing.index, standing.gripped and holding
+
+
+def pose_now(host: Host) -> Joints:
+    """Where a program that is only checked would begin [rad]: where the arm is; its rest pose, if that is not known."""
+    outputs = host.latest.outputs if host.latest is not None else None
+    if outputs is None or not all(joint.known for joint in outputs.joints):
+        return tuple(joint.rest_rad for joint in host.arm.joints)
+    return outputs.wanted_rad or tuple(joint.position_rad for joint in outputs.joints)
+
+
+def checked(host: Host, site: Site, program: NamedProgram) -> dict[str, Any]:
+    """Every step of a program from where the arm is, as `name`, `ok` and `text`, and where a run would go on."""
+    return {"steps": list(site.check(program, pose_now(host))), "resumed_at": stands_at(site, program)}
+
+
+def stands_at(site: Site, program: NamedProgram) -> str | None:
+    """Name of the step at which a run would go on; None: it would begin anew, or not at all."""
+    try:
+        index, _ = site.begin(program, None, holding=True)
+    except RequestRefused:
+        return None
+    return written_out(program)[index].at if site.file(program).exists() else None
+
+
+async def run(host: Host, client: Client, site: Site, request: ProgramRequest) -> dict[str, Any]:
+    """Run a program from where it stands, or from the step that is named, to its end.
+
+    Returns:
+        The steps that were done as `name`, `ok` and `text`; `resumed_at`, the step it began with if that was not the
+        first; `ended`, what ended it before its time, or None, and `stands_at`, the step at which it then stands.
+    Raises:
+        RequestRefused: NO_STEP, NOT_RESUMED, PREFLIGHT (every step that cannot be done), BUSY, the arm does not hold.
+        LogError: the recording cannot be made.
+    """
+    with host.leases.commanding(client, "program") as lease:
+        return await _Job(host, lease, site, request).done()
+
+
+class _Job:
+    def __init__(self, host: Host, lease: Lease, site: Site, request: ProgramRequest) -> None:
+        self.host, self.lease, self.site, self.request = host, lease, site, request
+        self.instructions = written_out(request)
+        self.rows: list[Row] = []
+        self.gripped = False
+
+    async def done(self) -> dict[str, Any]:
+        """Everything; the answer."""
+        host, program = self.host, self.request
+        q_now = host.commanded_joints("program")
+        index, self.gripped = self.site.begin(program, program.from_step, holding=holds(host))
+        await self._check(q_now, index)
+        resumed_at, ended = self.instructions[index].at if index else None, None
+        async with host.takes.around(run_name(f"program-{program.name}")) as recording:
+            about = {"event": "PROGRAM", "name": program.name, "resumed_at": resumed_at}
+            host.note({**about, **program.model_dump(mode="json", include={"steps"}, exclude_none=True)})
+            try:
+                await self._keep(index)
+                while index < len(self.instructions):
+                    index = await self._step(index, self.instructions[index])
+            except ArmctlError as error:
+                ended = {"code": error_data(error)["code"], "text": str(error)}
+            host.note({"event": "PROGRAM_END", "name": program.name, "ended": ended})
+        stands = None if ended is None else self.instructions[index].at
+        return {
+            "recording": recording,
+            "steps": self.rows,
+            "resumed_at": resumed_at,
+            "ended": ended,
+            "stands_at": stands,
+        }
+
+    async def _check(self, q_now: Joints, index: int) -> None:
+        rows = self.site.check(self.request, q_now, index)
+        wrong = []
+        while (row := await asyncio.to_thread(next, rows, None)) is not None:
+            self.lease.refuse_if_over()
+            if not row["ok"] and row["text"] != UNCHECKED:
+                wrong.append(f"step {row['name']}: {row['text']}")
+        if wrong:
+            raise RequestRefused("PREFLIGHT", wrong)
+
+    async def _keep(self, index: int) -> None:
+        await asyncio.to_thread(self.site.keep, self.request, index, gripped=self.gripped)
+
+    async def _step(self, index: int, one: Instruction) -> int:
+        """Do what is due; the index of what is due then, which is kept."""
+        if one.step is None:
+            return one.other
+        about = {"event": "PROGRAM_STEP", "program": self.request.name, "step": one.at}
+        self.host.note({**about, "text": one.step.words})
+        told = {"step": one.at, "number": index + 1, "of": len(self.instructions), "text": one.step.words}
+        self.lease.client.notify("progress", told)
+        row = {"name": one.at, "ok": True, "text": one.step.words}
+        self.rows.append(row)
+        try:
+            row["text"] = await self._do(one.step)
+            index = one.other if one.step.if_gripped and not self.gripped else index + 1
+            while index < len(self.instructions) and self.instructions[index].step is None:
+                index = self.instructions[index].other
+            await self._keep(index)
+        except ArmctlError as error:
+            row |= {"ok": False, "text": str(error)}
+            raise
+        finally:
+            self.host.note({**about, "ok": row["ok"], "text": row["text"]})
+        self.lease.client.notify("progress", {"done": row})
+        return index
+
+    async def _do(self, step: Step) -> str:
+        """What became of a step, for people."""
+        if step.wait_s is not None:
+            await self._wait(step.wait_s)
+        if step.if_gripped:
+            self.gripped = self.gripped and holds(self.host)
+            return f"gripped: {'yes' if self.gripped else 'nothing'}"
+        if not (legs := await asyncio.to_thread(self.site.legs, step)):
+            return step.words
+        _, done = await self.host.carry_out(self.lease, legs)
+        took_s = sum(leg.trajectory.duration_s for leg in done)
+        if step.grip:
+            self.gripped = step.grip == "close" and gripped(self.host, done)
+        found = f", gripped: {'yes' if self.gripped else 'nothing'}" if step.grip == "close" else ""
+        return f"{step.words}, {took_s:.1f} s{found}"
+
+    async def _wait(self, seconds: float) -> None:
+        """Hold for so long; while it is paused no time passes."""
+        left_ns = round(seconds * NS_PER_S)
+        while left_ns > 0:
+            self.lease.refuse_if_over()
+            self.host.commanded_joints("program")
+            since_ns = self.host.latest_ns
+            await self.host.tick()
+            left_ns -= 0 if self.lease.paused else self.host.latest_ns - since_ns
