@@ -18,7 +18,7 @@ PURPOSES: dict[str, tuple[str, ...]] = {
     "First steps": ("demo", "try", "sim", "daemon", "help", "completion"),
     "Running the arm": (
         *("status", "watch", "stop", "hold", "pause", "resume", "rate", "torque", "move", "jog", "reach", "transfer"),
-        *("run", "play", "path", "park", "release", "clear"),
+        *("run", "play", "path", "program", "park", "release", "clear"),
     ),
     "Teaching and straightening": ("teach", "recordings", "optimize", "experiment"),
     "Setting an arm up": ("arms", "arm", "scan", "doctor", "servo", "calibrate", "install", "uninstall", "web", "live"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -78,13 +78,13 @@ def teach_command(
                     place = "start" if start is None else "start at " + ", ".join(f"{x:.3f}" for x in start)
                     output.say(f"{take}: carry the tool to the {place} and rest it there (or press Enter)")
                     start = tool.settle(start)
-                    made.append(_record(output, commander, tool, take, start, line))
+                    made.append(record_take(output, commander, tool, take, start, line))
         finally:
             commander.call("teach_end")
     output.result({"recordings": made})
 
 
-def _record(
+def record_take(
     output: Output, commander: Client, tool: Tool, take: str, start: Point, line: dict[str, Any]
 ) -> dict[str, Any]:
     """Record one take from its start on; what the daemon says of it, with its via points."""
@@ -105,10 +105,17 @@ class Tool:
 
     Args:
         key: What was pressed since it was last asked, one character; empty: nothing.
+        states: The states in which it is followed; None: all.
     """
 
-    def __init__(self, output: Output, watcher: Client, key: Callable[[], str]) -> None:
-        self._output, self._key = output, key
+    def __init__(
+        self,
+        output: Output,
+        watcher: Client,
+        key: Callable[[], str],
+        states: Collection[str] | None = ("teaching", "stalled"),
+    ) -> None:
+        self._output, self._key, self._states = output, key, states
         self._snapshots = watcher.subscribe()
         self._recent: deque[Point] = deque(maxlen=100)
         self._warned = False
@@ -123,6 +130,16 @@ class Tool:
             near = start is None or math.dist(place, start) <= AT_START_M
             if key in ENTER or (moved and near and self._rests(SETTLE_S, period_s)):
                 return place
+
+    def key_or_rest(self, *, resting: bool) -> str:
+        """Wait for a key; which one. Nothing, once the tool has moved and rests, if `resting`."""
+        moved = False
+        self._recent.clear()
+        while True:
+            place, period_s, key = self._next()
+            moved = moved or math.dist(place, self._recent[0]) > MOVED_M
+            if key or (resting and moved and self._rests(SETTLE_S, period_s)):
+                return key
 
     def guided(self, start: Point, mark: Callable[[], None]) -> Point:
         """Wait until the tool has gone along and rests again, or for Enter; returns where it is.
@@ -151,7 +168,7 @@ class Tool:
     def _next(self) -> tuple[Point, float, str]:
         """The tool's place after the next tick, the tick's length, and the key that was pressed."""
         snapshot = next(self._snapshots)
-        if snapshot["state"] not in ("teaching", "stalled"):
+        if self._states is not None and snapshot["state"] not in self._states:
             fault = snapshot["fault"]
             why = f"{fault['code']}: {fault['text']}" if fault else f"the arm is {snapshot['state']}"
             raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")

@@ -166,7 +166,7 @@ class Methods:
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
-            "program_check": Method(NamedProgram, _in_thread(partial(programs.checked, host, self._site))),
+            "program_check": Method(NamedProgram, _in_thread(self._program_check)),
             "program_run": Method(ProgramRequest, lambda client, p: programs.run(host, client, self._site, p)),
             "pause": Method(Nothing, lambda _, __: host.pause(), always=True),
             "resume": Method(Nothing, lambda client, _: host.resume(client)),
@@ -265,6 +265,9 @@ class Methods:
     async def _optimized(self, paths: tuple[Path, ...], p: RecordedRequest, progress: Progress) -> dict[str, Any]:
         model = await self._host.own_model()
         return await self._run_optimisation(OptimizeJob(self._host.arm, paths, p, model), progress)
+
+    def _program_check(self, p: NamedProgram) -> dict[str, Any]:
+        return programs.checked(self._site, p, programs.pose_now(self._host))
 
     def _path(self, name: str) -> Path:
         return recordings.find(self._recordings_dir, name)

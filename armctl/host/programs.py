@@ -214,9 +214,9 @@ def pose_now(host: Host) -> Joints:
     return outputs.wanted_rad or tuple(joint.position_rad for joint in outputs.joints)
 
 
-def checked(host: Host, site: Site, program: NamedProgram) -> dict[str, Any]:
-    """Every step of a program from where the arm is, as `name`, `ok` and `text`, and where a run would go on."""
-    return {"steps": list(site.check(program, pose_now(host))), "resumed_at": stands_at(site, program)}
+def checked(site: Site, program: NamedProgram, q_now: Joints) -> dict[str, Any]:
+    """Every step of a program from a pose [rad] as `name`, `ok` and `text`, and the step where a run would go on."""
+    return {"steps": list(site.check(program, q_now)), "resumed_at": stands_at(site, program)}
 
 
 def stands_at(site: Site, program: NamedProgram) -> str | None:
@@ -255,7 +255,9 @@ class _Job:
         q_now = host.commanded_joints("program")
         index, self.gripped = self.site.begin(program, program.from_step, holding=holds(host))
         await self._check(q_now, index)
-        resumed_at, ended = self.instructions[index].at if index else None, None
+        ended, resumed_at = None, self.instructions[index].at if index else None
+        if resumed_at is not None:
+            self.lease.client.notify("progress", {"resumed_at": resumed_at})
         async with host.takes.around(run_name(f"program-{program.name}")) as recording:
             about = {"event": "PROGRAM", "name": program.name, "resumed_at": resumed_at}
             host.note({**about, **program.model_dump(mode="json", include={"steps"}, exclude_none=True)})

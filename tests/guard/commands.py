@@ -27,6 +27,7 @@ import click
 import yaml
 
 from armctl.cli import cli, main
+from armctl.cli.help import DOCS
 from armctl.lab.study import limits
 from tests.guard.kept import FOLDER, digest, save
 from tests.guard.logs import build
@@ -100,6 +101,7 @@ def answers() -> dict[str, Any]:
         with open("broken.mcap", "r+b") as stream:
             stream.truncate(stream.seek(0, io.SEEK_END) // 2)
         shutil.copy(FOLDER / "readings.yaml", folder)
+        shutil.copy(DOCS / "examples" / "wave.yaml", folder / "program.yaml")
         return {
             line: of_answer(*asked(line), folder, FEWER_DIGITS.get(line, DIGITS)) for line in COMMANDS["without an arm"]
         }

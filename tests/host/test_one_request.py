@@ -13,6 +13,7 @@ from armctl import client
 from armctl.cli import main
 from armctl.cli.jobs import optimize_command, play_command
 from armctl.cli.motion import move_command, path_command, reach_command, transfer_command
+from armctl.cli.program import program_run
 from armctl.config import Frozen, validate
 from armctl.genetic.algorithm import PROFILES
 from armctl.genetic.request import OptimizeRequest
@@ -23,6 +24,7 @@ from armctl.host.server import Connection
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.playback import PlayRequest, TaughtMotion
+from armctl.trajectory.program import ProgramRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
@@ -38,6 +40,7 @@ from tests.host.doubles import methods_over
         ("move", move_command, MoveRequest, set()),
         ("play", play_command, PlayRequest, {"motion"}),  # NAME|FILE
         ("path", path_command, PathRequest, {"points_m", "kinds"}),  # FILE
+        ("program_run", program_run, ProgramRequest, {"name", "steps"}),  # FILE
     ],
 )
 def test_an_option_a_parameter_and_a_field_have_the_same_name(

@@ -49,6 +49,10 @@ def there(bench: Bench) -> list[dict[str, Any]]:
     return [turn(bench, 0.1), {"wait_s": 1.0}, {"repeat": {"times": 2, "steps": [turn(bench, 0.2), turn(bench, 0.3)]}}]
 
 
+def check(bench: Bench, folder: Path, steps: list[dict[str, Any]]) -> dict[str, Any]:
+    return programs.checked(site(bench, folder), asked(steps), programs.pose_now(bench.host))
+
+
 ALL = ["1", "2", "3.1@1", "3.2@1", "3.1@2", "3.2@2"]
 
 
@@ -105,7 +109,7 @@ async def test_after_a_stop_it_goes_on_with_the_step_that_was_under_way(bench: B
     assert result["ended"]["code"] == "STOPPED"
     assert result["stands_at"] == at
     assert result["steps"][-1] == {"name": at, "ok": False, "text": result["ended"]["text"]}
-    assert programs.checked(bench.host, site(bench, tmp_path), asked(steps))["resumed_at"] == (at if ran > 1 else "1")
+    assert check(bench, tmp_path, steps)["resumed_at"] == (at if ran > 1 else "1")
     again = await bench.served(begun(bench, tmp_path, steps))
     assert again["resumed_at"] == (at if ran > 1 else None)
     assert [row["name"] for row in again["steps"]] == ALL[ALL.index(at) :]
@@ -145,7 +149,7 @@ async def test_what_has_changed_since_is_not_resumed_unless_it_is_said_from_wher
     assert str(refusal) == (
         "program tidy-up stands at step 3.2@2, and it or the arm's file has changed since; `--from 1` begins anew"
     )
-    assert programs.checked(bench.host, site(bench, tmp_path), asked(changed))["resumed_at"] is None
+    assert check(bench, tmp_path, changed)["resumed_at"] is None
     assert runs(bench) == 5
     result = await bench.served(begun(bench, tmp_path, changed, from_step="1"))
     assert (result["resumed_at"], len(result["steps"])) == (None, 7)
@@ -178,7 +182,7 @@ async def test_nothing_moves_unless_every_step_can_be_done_from_where_the_one_be
 
 
 async def test_a_check_tells_every_step_once_and_of_a_turn_that_differs_the_turn(bench: Bench, tmp_path: Path) -> None:
-    found = programs.checked(bench.host, site(bench, tmp_path), asked(there(bench)))
+    found = check(bench, tmp_path, there(bench))
     assert [(row["name"], row["ok"]) for row in found["steps"]] == [
         ("1", True),
         ("2", True),
@@ -191,9 +195,7 @@ async def test_a_check_tells_every_step_once_and_of_a_turn_that_differs_the_turn
     # Fast from near, too fast from afar: only from the second turn on.
     near, afar = turn(bench, 0.05), turn(bench, 1.0)
     near["move"]["duration_s"] = 0.3
-    found = programs.checked(
-        bench.host, site(bench, tmp_path), asked([{"repeat": {"times": 3, "steps": [near, afar]}}])
-    )
+    found = check(bench, tmp_path, [{"repeat": {"times": 3, "steps": [near, afar]}}])
     assert [(row["name"], row["ok"]) for row in found["steps"]] == [
         ("1.1", True),
         ("1.2", True),

@@ -1,0 +1,224 @@
+"""`armctl program`: steps that are recorded, checked as a whole, and run by the daemon."""
+
+from __future__ import annotations
+
+import json
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from armctl.cli.keys import TerminalKeys, attended, keys
+from armctl.cli.output import CONFIG, FILE, SOCKET, Output, command
+from armctl.cli.teach import ENTER, Tool, record_take
+from armctl.errors import ConfigError, LogError, NoDaemon
+
+if TYPE_CHECKING:
+    from armctl.client import Client
+    from armctl.trajectory.program import NamedProgram
+
+# Key -> the step that it adds as it is.
+PLAIN: dict[str, dict[str, Any]] = {"g": {"grip": "close"}, "o": {"grip": "open"}, "w": {"wait_s": 1.0}}
+HELP = "Enter: a move to here; g: grip; o: open; w: wait a second; t: a take; u: undo; q: done"
+# Of angles in a file: a thousandth of a servo's tick.
+DECIMALS = 5
+# Of a line to the daemon, what is no program.
+AROUND_BYTES = 256
+
+
+@click.group("program")
+def program_command() -> None:
+    """A program: steps that the arm does one after another.
+
+    Example: armctl program run wave.yaml
+    """
+
+
+def _read(file: Path) -> NamedProgram:
+    """The program in a file, by whose name it is known.
+
+    Raises:
+        ConfigError: it is none, or too long to be sent.
+    """
+    from armctl.config import validate
+    from armctl.files import read_text
+    from armctl.host.jsonrpc import MAX_LINE_BYTES
+    from armctl.trajectory.program import NamedProgram, program_from_text
+
+    steps = program_from_text(read_text(file, "program"), str(file)).steps
+    program = validate(NamedProgram, {"name": file.stem, "steps": steps}, str(file))
+    size, most = len(json.dumps(_sent(program), separators=(",", ":"))), MAX_LINE_BYTES - AROUND_BYTES
+    if size > most:
+        raise ConfigError(
+            str(file), "steps", f"{size} bytes as they are sent, at most {most}", "make two programs of it"
+        )
+    return program
+
+
+def _sent(program: NamedProgram) -> dict[str, Any]:
+    return program.model_dump(mode="json", exclude_none=True)
+
+
+def _in_words(found: dict[str, Any]) -> str:
+    """Every step in a line, and where a run would go on."""
+    lines = [f"{'ok' if row['ok'] else 'NO':<3} {row['name']:<12} {row['text']}" for row in found["steps"]]
+    return "\n".join(lines + [f"a run goes on at step {found['resumed_at']}"] * (found["resumed_at"] is not None))
+
+
+@command("check", SOCKET, CONFIG, group=program_command)
+@click.argument("file", type=FILE)
+def program_check(output: Output, file: Path) -> int:
+    """Check the program in FILE as a whole: every motion from where the step before it ends, and both branches.
+
+    It begins where the daemon's arm is; without a daemon, at the rest pose of the configured arm. Nothing moves. Exit
+    status 1 if a step cannot be done.
+
+    Example: armctl program check wave.yaml
+    """
+    program = _read(file)
+    try:
+        with output.client() as client:
+            found = client.call("program_check", **_sent(program))
+    except NoDaemon:
+        found = _check_here(output, program)
+    output.answer(found, _in_words(found))
+    return 0 if all(row["ok"] for row in found["steps"]) else 1
+
+
+def _check_here(output: Output, program: NamedProgram) -> dict[str, Any]:
+    from armctl.files import data_dir
+    from armctl.host.programs import Site, checked
+    from armctl.kinematics import robots
+
+    arm, config = output.arm, output.config
+    site = Site(arm, robots.get(arm.robot, arm.lengths_m), config.period_s, data_dir(config) / "recordings")
+    output.say(f"no daemon: from the rest pose of {arm.arm_id}")
+    return checked(site, program, tuple(joint.rest_rad for joint in arm.joints))
+
+
+@command("run", SOCKET, group=program_command)
+@click.argument("file", type=FILE)
+@click.option("--from", "from_step", metavar="STEP", help="Begin with this step.  [default: where it stands]")
+def program_run(output: Output, file: Path, from_step: str | None) -> int:
+    """Run the program in FILE, step by step, as one recording; Ctrl-C stops the arm.
+
+    All of it is checked before anything moves. What was stopped goes on with the step that was under way, also after a
+    fault or a power cut, or says why not; `--from 1` begins anew. STEP is a name or a number such as 4.2, and 4.2@3 in
+    the third turn of a repeat. Exit status 1 if it did not come to its end.
+
+    Example: armctl program run wave.yaml --from 1
+    """
+    program = _read(file)
+    kept = f"; `armctl program run {file}` goes on with the step that was under way"
+    with output.motion("running", kept=kept) as client:
+        ask = partial(client.call, "program_run", on_progress=partial(_tell, output), **_sent(program))
+        result = ask() if from_step is None else ask(from_step=from_step)
+    if (ended := result["ended"]) is None:
+        output.answer(result, f"{result['recording']}: {len(result['steps'])} steps done")
+        return 0
+    why = f"ended at step {result['stands_at']}: {ended['code']}: {ended['text']}"
+    output.answer(result, f"{why}\ngo on there with: armctl program run {file}")
+    return 1
+
+
+def _tell(output: Output, told: dict[str, Any]) -> None:
+    """What the daemon tells of a program under way."""
+    if "warning" in told:
+        output.warned(told)
+    elif "resumed_at" in told:
+        output.warn(f"it begins with step {told['resumed_at']}; `--from 1` begins anew")
+    elif "done" in told:
+        output.warn(f"step {told['done']['name']}: {told['done']['text']}")
+
+
+@command("record", SOCKET, group=program_command)
+@click.argument("file", type=FILE)
+@click.option("--places", type=click.IntRange(1, 1000), help="End after so many steps.  [default: when you say so]")
+def program_record(output: Output, file: Path, places: int | None) -> None:
+    """Make a program, place by place, while you guide the limp arm, or while it holds and you jog it elsewhere.
+
+    Enter takes the present pose as a move. g and o have the gripper close and open, w waits a second, t records a take
+    (the arm has to be limp) and plays it, u takes the last step back, and q ends. FILE is written after every step.
+    Where nobody can press a key (no terminal, or in the background), a place is taken wherever the tool rests for half
+    a second. This command never makes the arm limp: `armctl release` does.
+
+    Example: armctl program record tidy-up.yaml
+    """
+    if file.exists():
+        raise LogError(f"{file} exists; choose another name, or delete it")
+    with output.client() as client, output.client() as watcher, keys(sys.stdin) as pressed:
+        output.after_interrupt = f"the arm stays as it is, and every step so far is in {file}"
+        recorder = Recorder(output, client, file, pressed)
+        tool = Tool(output, watcher, partial(pressed.wait, 0.0), states=None)
+        output.say(HELP if attended(sys.stdin) else "nobody can press a key: rest the tool at each place")
+        key = ""
+        while key != "q" and len(recorder.steps) != places:
+            key = tool.key_or_rest(resting=not attended(sys.stdin))
+            recorder.press(key)
+        found: dict[str, Any] = {"steps": [], "resumed_at": None}
+        if recorder.steps:
+            found = client.call("program_check", **_sent(_read(file)))
+    output.answer({"path": str(file), **found}, f"{_in_words(found)}\nrun it with: armctl program run {file}")
+
+
+class Recorder:
+    """A program that is made key by key, and is in its file after each."""
+
+    def __init__(self, output: Output, client: Client, file: Path, pressed: TerminalKeys) -> None:
+        self.steps: list[dict[str, Any]] = []
+        self._output, self._client, self._file, self._pressed = output, client, file, pressed
+
+    def press(self, key: str) -> None:
+        """Do what a key is for; none, or Enter, takes the place."""
+        if not key or key in ENTER:
+            angles = [joint["position_rad"] for joint in self._client.call("status")["joints"]]
+            if None in angles:
+                self._output.say("not every servo has answered yet; see `armctl status`")
+            else:
+                self._add({"move": {"joints_rad": [round(angle, DECIMALS) for angle in angles]}})
+        elif key in PLAIN:
+            self._add(PLAIN[key])
+        elif key == "t":
+            self._take()
+        elif key == "u" and self.steps:
+            self._output.say(f"step {len(self.steps)} taken back")
+            self.steps.pop()
+            self._write()
+        elif key != "q":
+            self._output.say(HELP)
+
+    def _add(self, step: dict[str, Any]) -> None:
+        self.steps.append(step)
+        self._write()
+        [(kind, what)] = step.items()
+        self._output.say(f"step {len(self.steps)}: {kind} {'to here' if kind == 'move' else what}")
+
+    def _take(self) -> None:
+        """Record a take of the limp arm, and play it."""
+        snapshot = self._client.call("status")
+        if snapshot["state"] != "off":
+            self._output.say(
+                f"a take needs a limp arm, and it is {snapshot['state']}; `armctl release`, then press t again"
+            )
+            return
+        taken = {recording["name"] for recording in self._client.call("recordings_list")["recordings"]}
+        name = next(name for number in range(1, 10_000) if (name := f"{self._file.stem}-{number}") not in taken)
+        self._client.call("teach_begin", confirm=True)  # it is limp
+        try:
+            with self._output.client() as watcher:
+                tool = Tool(self._output, watcher, partial(self._pressed.wait, 0.0))
+                record_take(self._output, self._client, tool, name, tuple(snapshot["tool"]["position_m"]), {})
+        finally:
+            self._client.call("teach_end")
+        self._add({"play": {"name": name}})
+
+    def _write(self) -> None:
+        import yaml
+
+        from armctl.recording.disk import new_file
+
+        text = yaml.safe_dump({"steps": self.steps}, sort_keys=False, default_flow_style=None, width=1000)
+        with new_file(self._file, replacing=True) as stream:
+            stream.write(text.encode())
