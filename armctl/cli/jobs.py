@@ -139,6 +139,7 @@ def optimize_command(
     from armctl.config import validate
     from armctl.genetic.algorithm import PROFILES
     from armctl.genetic.request import OptimizeRequest
+    from armctl.recording.disk import put
 
     out = out or Path(f"plan-via{via}.json")
     if out.exists():
@@ -160,10 +161,7 @@ def optimize_command(
         except NoDaemon:
             result = _optimize_here(output, recordings, request, lambda g, best, _mean: show(g + 1, f"{best:.3f} mm"))
     (plan,) = result["plans"]
-    try:
-        out.write_text(plan["text"], encoding="utf-8")
-    except OSError as error:
-        raise LogError(f"{out}: cannot write the plan: {error.strerror}") from None
+    put(out, plan["text"])
     plan = {"path": str(out)} | {key: value for key, value in plan.items() if key != "text"}
     answer = {key: result[key] for key in ("baseline", "best_take_mm", "ga", "exact", "gap_ratio", "free")} | {
         "plan": plan

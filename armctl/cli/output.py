@@ -119,8 +119,8 @@ class Output:
         self.messages.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def warned(self, told: dict[str, Any]) -> None:
-        """What the daemon warns of while it carries a request out."""
-        self.warn(f"{told['warning']}: {told['text']}")
+        """What the daemon tells while it carries a request out: a warning, or a step of a program."""
+        self.warn(f"{told.get('warning') or 'step ' + told['step']}: {told['text']}")
 
     def failure(self, error: ArmctlError) -> None:
         """Tell an expected failure."""

@@ -17,7 +17,6 @@ from armctl.errors import ConfigError, LogError, NoDaemon
 
 if TYPE_CHECKING:
     from armctl.client import Client
-    from armctl.trajectory.program import NamedProgram
 
 # Key -> the step that it adds as it is.
 PLAIN: dict[str, dict[str, Any]] = {"g": {"grip": "close"}, "o": {"grip": "open"}, "w": {"wait_s": 1.0}}
@@ -36,29 +35,21 @@ def program_command() -> None:
     """
 
 
-def _read(file: Path) -> NamedProgram:
-    """The program in a file, by whose name it is known.
+def _read(file: Path) -> dict[str, Any]:
+    """The program in a file, by whose name it is known, as the daemon is sent it.
 
     Raises:
         ConfigError: it is none, or too long to be sent.
     """
-    from armctl.config import validate
     from armctl.files import read_text
     from armctl.host.jsonrpc import MAX_LINE_BYTES
-    from armctl.trajectory.program import NamedProgram, program_from_text
+    from armctl.trajectory.program import program_from_text
 
-    steps = program_from_text(read_text(file, "program"), str(file)).steps
-    program = validate(NamedProgram, {"name": file.stem, "steps": steps}, str(file))
-    size, most = len(json.dumps(_sent(program), separators=(",", ":"))), MAX_LINE_BYTES - AROUND_BYTES
-    if size > most:
-        raise ConfigError(
-            str(file), "steps", f"{size} bytes as they are sent, at most {most}", "make two programs of it"
-        )
+    program = program_from_text(read_text(file, "program"), str(file), file.stem).model_dump(exclude_none=True)
+    if (size := len(json.dumps(program, separators=(",", ":"))) + AROUND_BYTES) > MAX_LINE_BYTES:
+        problem = f"{size} bytes as they are sent, at most {MAX_LINE_BYTES}"
+        raise ConfigError(str(file), "steps", problem, "make two programs of it")
     return program
-
-
-def _sent(program: NamedProgram) -> dict[str, Any]:
-    return program.model_dump(mode="json", exclude_none=True)
 
 
 def _in_words(found: dict[str, Any]) -> str:
@@ -80,22 +71,23 @@ def program_check(output: Output, file: Path) -> int:
     program = _read(file)
     try:
         with output.client() as client:
-            found = client.call("program_check", **_sent(program))
+            found = client.call("program_check", **program)
     except NoDaemon:
         found = _check_here(output, program)
     output.answer(found, _in_words(found))
     return 0 if all(row["ok"] for row in found["steps"]) else 1
 
 
-def _check_here(output: Output, program: NamedProgram) -> dict[str, Any]:
+def _check_here(output: Output, program: dict[str, Any]) -> dict[str, Any]:
     from armctl.files import data_dir
     from armctl.host.programs import Site, checked
     from armctl.kinematics import robots
+    from armctl.trajectory.program import Program
 
     arm, config = output.arm, output.config
     site = Site(arm, robots.get(arm.robot, arm.lengths_m), config.period_s, data_dir(config) / "recordings")
     output.say(f"no daemon: from the rest pose of {arm.arm_id}")
-    return checked(site, program, tuple(joint.rest_rad for joint in arm.joints))
+    return checked(site, Program(**program), tuple(joint.rest_rad for joint in arm.joints))
 
 
 @command("run", SOCKET, group=program_command)
@@ -110,27 +102,15 @@ def program_run(output: Output, file: Path, from_step: str | None) -> int:
 
     Example: armctl program run wave.yaml --from 1
     """
+    again = f"`armctl program run {file}` goes on with that step"
     program = _read(file)
-    kept = f"; `armctl program run {file}` goes on with the step that was under way"
-    with output.motion("running", kept=kept) as client:
-        ask = partial(client.call, "program_run", on_progress=partial(_tell, output), **_sent(program))
-        result = ask() if from_step is None else ask(from_step=from_step)
-    if (ended := result["ended"]) is None:
-        output.answer(result, f"{result['recording']}: {len(result['steps'])} steps done")
-        return 0
-    why = f"ended at step {result['stands_at']}: {ended['code']}: {ended['text']}"
-    output.answer(result, f"{why}\ngo on there with: armctl program run {file}")
-    return 1
-
-
-def _tell(output: Output, told: dict[str, Any]) -> None:
-    """What the daemon tells of a program under way."""
-    if "warning" in told:
-        output.warned(told)
-    elif "resumed_at" in told:
-        output.warn(f"it begins with step {told['resumed_at']}; `--from 1` begins anew")
-    elif "done" in told:
-        output.warn(f"step {told['done']['name']}: {told['done']['text']}")
+    with output.motion("running", kept=f"; {again}") as client:
+        result = client.call("program_run", from_step=from_step, **program)
+    words, ended = f"{result['recording']}: {len(result['steps'])} steps done", result["ended"]
+    if ended:
+        words = f"ended at step {result['stands_at']}: {ended['code']}: {ended['text']}; {again}"
+    output.answer(result, words)
+    return 1 if ended else 0
 
 
 @command("record", SOCKET, group=program_command)
@@ -148,19 +128,25 @@ def program_record(output: Output, file: Path, places: int | None) -> None:
     """
     if file.exists():
         raise LogError(f"{file} exists; choose another name, or delete it")
-    with output.client() as client, output.client() as watcher, keys(sys.stdin) as pressed:
+    with output.client() as client, keys(sys.stdin) as pressed:
         output.after_interrupt = f"the arm stays as it is, and every step so far is in {file}"
         recorder = Recorder(output, client, file, pressed)
-        tool = Tool(output, watcher, partial(pressed.wait, 0.0), states=None)
         output.say(HELP if attended(sys.stdin) else "nobody can press a key: rest the tool at each place")
         key = ""
         while key != "q" and len(recorder.steps) != places:
-            key = tool.key_or_rest(resting=not attended(sys.stdin))
-            recorder.press(key)
-        found: dict[str, Any] = {"steps": [], "resumed_at": None}
-        if recorder.steps:
-            found = client.call("program_check", **_sent(_read(file)))
+            if key := pressed.wait(1.0) if attended(sys.stdin) else settled(output):
+                recorder.press(key)
+        found = client.call("program_check", **_read(file)) if recorder.steps else {"steps": [], "resumed_at": None}
     output.answer({"path": str(file), **found}, f"{_in_words(found)}\nrun it with: armctl program run {file}")
+
+
+def settled(output: Output) -> str:
+    """Wait until the tool has moved and rests, where nobody can press a key; the key for that."""
+    with output.client() as watcher:
+        tool = Tool(output, watcher, str)
+        tool.states = None
+        tool.settle(None)
+    return "\n"
 
 
 class Recorder:
@@ -171,38 +157,36 @@ class Recorder:
         self._output, self._client, self._file, self._pressed = output, client, file, pressed
 
     def press(self, key: str) -> None:
-        """Do what a key is for; none, or Enter, takes the place."""
-        if not key or key in ENTER:
-            angles = [joint["position_rad"] for joint in self._client.call("status")["joints"]]
-            if None in angles:
-                self._output.say("not every servo has answered yet; see `armctl status`")
-            else:
-                self._add({"move": {"joints_rad": [round(angle, DECIMALS) for angle in angles]}})
-        elif key in PLAIN:
-            self._add(PLAIN[key])
-        elif key == "t":
-            self._take()
-        elif key == "u" and self.steps:
-            self._output.say(f"step {len(self.steps)} taken back")
-            self.steps.pop()
-            self._write()
-        elif key != "q":
-            self._output.say(HELP)
+        """Do what a key is for."""
+        step = self._place() if key in ENTER else self._take() if key == "t" else PLAIN.get(key)
+        if step:
+            self.steps.append(step)
+        elif key == "u":
+            del self.steps[-1:]
+        else:
+            if key not in {"q", "t", *ENTER}:
+                self._output.say(HELP)
+            return
+        import yaml
 
-    def _add(self, step: dict[str, Any]) -> None:
-        self.steps.append(step)
-        self._write()
-        [(kind, what)] = step.items()
-        self._output.say(f"step {len(self.steps)}: {kind} {'to here' if kind == 'move' else what}")
+        from armctl.recording.disk import put
 
-    def _take(self) -> None:
-        """Record a take of the limp arm, and play it."""
+        put(self._file, yaml.safe_dump({"steps": self.steps}, sort_keys=False, default_flow_style=None, width=1000))
+        self._output.say(f"{len(self.steps)} steps" + (f"; the last: {next(iter(step))}" if step else ""))
+
+    def _place(self) -> dict[str, Any] | None:
+        angles = [joint["position_rad"] for joint in self._client.call("status")["joints"]]
+        if None in angles:
+            self._output.say("not every servo has answered yet; see `armctl status`")
+            return None
+        return {"move": {"joints_rad": [round(angle, DECIMALS) for angle in angles]}}
+
+    def _take(self) -> dict[str, Any] | None:
+        """Record a take of the limp arm; the step that plays it."""
         snapshot = self._client.call("status")
         if snapshot["state"] != "off":
-            self._output.say(
-                f"a take needs a limp arm, and it is {snapshot['state']}; `armctl release`, then press t again"
-            )
-            return
+            self._output.say(f"a take needs a limp arm, and it is {snapshot['state']}; `armctl release`, then t again")
+            return None
         taken = {recording["name"] for recording in self._client.call("recordings_list")["recordings"]}
         name = next(name for number in range(1, 10_000) if (name := f"{self._file.stem}-{number}") not in taken)
         self._client.call("teach_begin", confirm=True)  # it is limp
@@ -212,13 +196,4 @@ class Recorder:
                 record_take(self._output, self._client, tool, name, tuple(snapshot["tool"]["position_m"]), {})
         finally:
             self._client.call("teach_end")
-        self._add({"play": {"name": name}})
-
-    def _write(self) -> None:
-        import yaml
-
-        from armctl.recording.disk import new_file
-
-        text = yaml.safe_dump({"steps": self.steps}, sort_keys=False, default_flow_style=None, width=1000)
-        with new_file(self._file, replacing=True) as stream:
-            stream.write(text.encode())
+        return {"play": {"name": name}}

@@ -105,17 +105,13 @@ class Tool:
 
     Args:
         key: What was pressed since it was last asked, one character; empty: nothing.
-        states: The states in which it is followed; None: all.
     """
 
-    def __init__(
-        self,
-        output: Output,
-        watcher: Client,
-        key: Callable[[], str],
-        states: Collection[str] | None = ("teaching", "stalled"),
-    ) -> None:
-        self._output, self._key, self._states = output, key, states
+    # In which it is followed; None: in all.
+    states: Collection[str] | None = ("teaching", "stalled")
+
+    def __init__(self, output: Output, watcher: Client, key: Callable[[], str]) -> None:
+        self._output, self._key = output, key
         self._snapshots = watcher.subscribe()
         self._recent: deque[Point] = deque(maxlen=100)
         self._warned = False
@@ -130,16 +126,6 @@ class Tool:
             near = start is None or math.dist(place, start) <= AT_START_M
             if key in ENTER or (moved and near and self._rests(SETTLE_S, period_s)):
                 return place
-
-    def key_or_rest(self, *, resting: bool) -> str:
-        """Wait for a key; which one. Nothing, once the tool has moved and rests, if `resting`."""
-        moved = False
-        self._recent.clear()
-        while True:
-            place, period_s, key = self._next()
-            moved = moved or math.dist(place, self._recent[0]) > MOVED_M
-            if key or (resting and moved and self._rests(SETTLE_S, period_s)):
-                return key
 
     def guided(self, start: Point, mark: Callable[[], None]) -> Point:
         """Wait until the tool has gone along and rests again, or for Enter; returns where it is.
@@ -168,7 +154,7 @@ class Tool:
     def _next(self) -> tuple[Point, float, str]:
         """The tool's place after the next tick, the tick's length, and the key that was pressed."""
         snapshot = next(self._snapshots)
-        if self._states is not None and snapshot["state"] not in self._states:
+        if self.states is not None and snapshot["state"] not in self.states:
             fault = snapshot["fault"]
             why = f"{fault['code']}: {fault['text']}" if fault else f"the arm is {snapshot['state']}"
             raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")

@@ -354,11 +354,6 @@ class Host:
 
     # --------------------------------------------------------------------------------------------- status
 
-    @property
-    def latest_ns(self) -> int:
-        """When the latest tick was; 0 before the first."""
-        return 0 if self.latest is None else self.latest.inputs.now_ns
-
     def state(self) -> dict[str, Any]:
         """What the arm does now: the answer to most requests."""
         if self.latest is None or self.exchange.pid is None:

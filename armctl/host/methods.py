@@ -29,7 +29,7 @@ from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan, plan_positions, plan_to_text
 from armctl.trajectory.playback import PlayRequest
-from armctl.trajectory.program import NamedProgram, ProgramRequest
+from armctl.trajectory.program import Program, ProgramRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
@@ -166,7 +166,7 @@ class Methods:
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
-            "program_check": Method(NamedProgram, _in_thread(self._program_check)),
+            "program_check": Method(Program, _in_thread(self._program_check)),
             "program_run": Method(ProgramRequest, lambda client, p: programs.run(host, client, self._site, p)),
             "pause": Method(Nothing, lambda _, __: host.pause(), always=True),
             "resume": Method(Nothing, lambda client, _: host.resume(client)),
@@ -266,7 +266,7 @@ class Methods:
         model = await self._host.own_model()
         return await self._run_optimisation(OptimizeJob(self._host.arm, paths, p, model), progress)
 
-    def _program_check(self, p: NamedProgram) -> dict[str, Any]:
+    def _program_check(self, p: Program) -> dict[str, Any]:
         return programs.checked(self._site, p, programs.pose_now(self._host))
 
     def _path(self, name: str) -> Path:

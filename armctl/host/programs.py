@@ -13,15 +13,17 @@ Rules.
 
 import asyncio
 import hashlib
-import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from armctl.clock import NS_PER_S
-from armctl.config import ArmConfig, Frozen, validate
+from pydantic import Field
+
+from armctl.config import ArmConfig, Frozen, parse_yaml, validate
 from armctl.errors import ArmctlError, ConfigError, RequestRefused
+from armctl.files import read_text
 from armctl.host.host import Host
 from armctl.host.jsonrpc import error_data
 from armctl.host.lease import Client, Lease
@@ -30,19 +32,11 @@ from armctl.host.reach import gripped, holds
 from armctl.host.watch import Leg, run_name
 from armctl.kinematics.robots.robot import Robot
 from armctl.recording import recordings
-from armctl.recording.disk import DISK, new_file, writing
+from armctl.recording.disk import put
 from armctl.trajectory import grasp
 from armctl.trajectory.path_motion import path_motion
 from armctl.trajectory.playback import playback
-from armctl.trajectory.program import (
-    Instruction,
-    NamedProgram,
-    Program,
-    ProgramRequest,
-    Step,
-    place_of,
-    written_out,
-)
+from armctl.trajectory.program import Instruction, Program, ProgramRequest, Step, place_of, written_out
 from armctl.trajectory.target import MoveRequest
 
 # From so many different poses at most may a step begin, by the branches before it.
@@ -59,7 +53,7 @@ class Standing(Frozen):
     # Of the program and the arm it was begun with.
     digest: str
     # Of its instructions, the one that is due, and its name.
-    index: int
+    index: int = Field(ge=0)
     at: str
     gripped: bool
 
@@ -109,7 +103,7 @@ class Site:
         """
         instructions = written_out(program)
         poses: list[dict[Joints, Joints]] = [{} for _ in range(len(instructions) + 1)]
-        found: dict[tuple[int, Joints], tuple[Joints, float] | ArmctlError] = {}
+        found: dict[tuple[int, Joints], tuple[Joints, float]] = {}
         told: set[tuple[str, bool]] = set()
 
         def lead(index: int, q: Joints) -> None:
@@ -125,11 +119,12 @@ class Site:
             if len(here) > MOST_POSES:
                 here, wrong = {}, [f"more than {MOST_POSES} poses lead here; let a move to joint positions come before"]
             for key, q in here.items():
-                if (end := found.get((id(one.step), key))) is None:
-                    end = found[id(one.step), key] = self._end(one.step, q)
-                if isinstance(end, ArmctlError):
-                    wrong += [reason for reason in error_data(end)["reasons"] if reason not in wrong]
+                try:
+                    end = found.get((id(one.step), key)) or self._end(one.step, q)
+                except ArmctlError as error:
+                    wrong += [reason for reason in error_data(error)["reasons"] if reason not in wrong]
                     continue
+                found[id(one.step), key] = end
                 took_s = max(took_s, end[1])
                 for following in {index + 1, one.other if one.step.if_gripped else index + 1}:
                     lead(following, end[0])
@@ -138,21 +133,17 @@ class Site:
                 text = "; ".join(wrong) or one.step.words + (f", {took_s:.1f} s" if took_s else "")
                 yield {"name": one.at if wrong else one.name, "ok": not wrong, "text": text}
 
-    def _end(self, step: Step, q: Joints) -> tuple[Joints, float] | ArmctlError:
-        """Where a step ends that begins there, and how long it takes [s]; or why it cannot be done."""
+    def _end(self, step: Step, q: Joints) -> tuple[Joints, float]:
+        """Where a step ends that begins there, and how long it takes [s]; raises why it cannot."""
         took_s = 0.0
-        try:
-            # A motion that is repeated begins where it ended before.
-            for leg in self.legs(step)[:2]:
-                trajectory = leg(q)
-                q, took_s = trajectory.positions_rad[-1], took_s + trajectory.duration_s
-        except ArmctlError as error:
-            return error
+        for leg in self.legs(step)[:2]:  # what is repeated begins where it ended before
+            trajectory = leg(q)
+            q, took_s = trajectory.positions_rad[-1], took_s + trajectory.duration_s
         return q, took_s
 
     # ------------------------------------------------------------------------------------ where it stands
 
-    def file(self, program: NamedProgram) -> Path:
+    def file(self, program: Program) -> Path:
         """Where it is kept how far a program has come that has not ended."""
         return self.recordings_dir.parent / "programs" / f"{program.name}.json"
 
@@ -160,25 +151,17 @@ class Site:
         what = program.model_dump_json(include={"steps"}) + self.arm.arm_id + self.arm.calibration_hash
         return hashlib.sha256(what.encode()).hexdigest()
 
-    def keep(self, program: NamedProgram, index: int, *, gripped: bool) -> None:
-        """Keep which instruction is due, on the disk when this returns; nothing, once none is.
+    def keep(self, program: Program, index: int, *, gripped: bool) -> None:
+        """Keep which instruction is due, on the disk when this returns: the first again, once all are done.
 
         Raises:
             LogError: it cannot be written.
         """
-        path, instructions = self.file(program), written_out(program)
-        if index == len(instructions):
-            with writing(path):
-                DISK.remove(path)
-                DISK.sync_folder(path.parent)
-            return
-        with writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+        index %= len(instructions := written_out(program))
         standing = Standing(digest=self._digest(program), index=index, at=instructions[index].at, gripped=gripped)
-        with new_file(path, replacing=True) as stream:
-            stream.write(standing.model_dump_json().encode())
+        put(self.file(program), standing.model_dump_json())
 
-    def begin(self, program: NamedProgram, from_step: str | None, *, holding: bool) -> tuple[int, bool]:
+    def begin(self, program: Program, from_step: str | None, *, holding: bool) -> tuple[int, bool]:
         """Which instruction comes first, and whether something is gripped by then.
 
         Args:
@@ -193,11 +176,13 @@ class Site:
             return 0, holding
         remedy = f"`--from {instructions[0].at}` begins anew"
         try:
-            standing = validate(Standing, json.loads(path.read_text(encoding="utf-8")), str(path))
-        except (OSError, ValueError, ConfigError) as error:
-            raise RequestRefused("NOT_RESUMED", f"{path}: where it stands cannot be read ({error}); {remedy}") from None
+            standing = validate(Standing, parse_yaml(read_text(path, "standing"), str(path)), str(path))
+        except ConfigError as error:
+            raise RequestRefused("NOT_RESUMED", f"where it stands cannot be read: {error}; {remedy}") from None
+        if standing.index == 0:
+            return 0, holding
         stands = f"program {program.name} stands at step {standing.at}"
-        if standing.digest != self._digest(program):
+        if standing.digest != self._digest(program) or standing.index >= len(instructions):
             raise RequestRefused("NOT_RESUMED", f"{stands}, and it or the arm's file has changed since; {remedy}")
         due = instructions[standing.index].step
         if standing.gripped and not holding and due is not None and due.grip is None:
@@ -214,18 +199,18 @@ def pose_now(host: Host) -> Joints:
     return outputs.wanted_rad or tuple(joint.position_rad for joint in outputs.joints)
 
 
-def checked(site: Site, program: NamedProgram, q_now: Joints) -> dict[str, Any]:
+def checked(site: Site, program: Program, q_now: Joints) -> dict[str, Any]:
     """Every step of a program from a pose [rad] as `name`, `ok` and `text`, and the step where a run would go on."""
     return {"steps": list(site.check(program, q_now)), "resumed_at": stands_at(site, program)}
 
 
-def stands_at(site: Site, program: NamedProgram) -> str | None:
+def stands_at(site: Site, program: Program) -> str | None:
     """Name of the step at which a run would go on; None: it would begin anew, or not at all."""
     try:
         index, _ = site.begin(program, None, holding=True)
     except RequestRefused:
         return None
-    return written_out(program)[index].at if site.file(program).exists() else None
+    return written_out(program)[index].at if index else None
 
 
 async def run(host: Host, client: Client, site: Site, request: ProgramRequest) -> dict[str, Any]:
@@ -254,51 +239,38 @@ class _Job:
         host, program = self.host, self.request
         q_now = host.commanded_joints("program")
         index, self.gripped = self.site.begin(program, program.from_step, holding=holds(host))
-        await self._check(q_now, index)
+        rows = await asyncio.to_thread(list, self.site.check(program, q_now, index))
+        wrong = [f"step {row['name']}: {row['text']}" for row in rows if not row["ok"] and row["text"] != UNCHECKED]
+        if wrong:
+            raise RequestRefused("PREFLIGHT", wrong)
         ended, resumed_at = None, self.instructions[index].at if index else None
-        if resumed_at is not None:
-            self.lease.client.notify("progress", {"resumed_at": resumed_at})
+        if index:
+            begins = f"the program begins here; `--from {self.instructions[0].at}` begins anew"
+            self.lease.client.notify("progress", {"step": resumed_at, "text": begins})
         async with host.takes.around(run_name(f"program-{program.name}")) as recording:
-            about = {"event": "PROGRAM", "name": program.name, "resumed_at": resumed_at}
-            host.note({**about, **program.model_dump(mode="json", include={"steps"}, exclude_none=True)})
+            about = program.model_dump(mode="json", exclude_none=True)
+            host.note({"event": "PROGRAM", **about, "resumed_at": resumed_at})
             try:
                 await self._keep(index)
                 while index < len(self.instructions):
                     index = await self._step(index, self.instructions[index])
             except ArmctlError as error:
                 ended = {"code": error_data(error)["code"], "text": str(error)}
-            host.note({"event": "PROGRAM_END", "name": program.name, "ended": ended})
-        stands = None if ended is None else self.instructions[index].at
-        return {
-            "recording": recording,
-            "steps": self.rows,
-            "resumed_at": resumed_at,
-            "ended": ended,
-            "stands_at": stands,
-        }
-
-    async def _check(self, q_now: Joints, index: int) -> None:
-        rows = self.site.check(self.request, q_now, index)
-        wrong = []
-        while (row := await asyncio.to_thread(next, rows, None)) is not None:
-            self.lease.refuse_if_over()
-            if not row["ok"] and row["text"] != UNCHECKED:
-                wrong.append(f"step {row['name']}: {row['text']}")
-        if wrong:
-            raise RequestRefused("PREFLIGHT", wrong)
+            stands = None if ended is None else self.instructions[index].at
+            result = {"resumed_at": resumed_at, "ended": ended, "stands_at": stands}
+            host.note({"event": "PROGRAM_END", "name": program.name, **result})
+        return {"recording": recording, "steps": self.rows, **result}
 
     async def _keep(self, index: int) -> None:
         await asyncio.to_thread(self.site.keep, self.request, index, gripped=self.gripped)
 
     async def _step(self, index: int, one: Instruction) -> int:
         """Do what is due; the index of what is due then, which is kept."""
-        if one.step is None:
-            return one.other
-        about = {"event": "PROGRAM_STEP", "program": self.request.name, "step": one.at}
-        self.host.note({**about, "text": one.step.words})
-        told = {"step": one.at, "number": index + 1, "of": len(self.instructions), "text": one.step.words}
-        self.lease.client.notify("progress", told)
+        assert one.step is not None  # what only leads on is never due
         row = {"name": one.at, "ok": True, "text": one.step.words}
+        told = {"step": one.at, "number": index + 1, "of": len(self.instructions), "text": one.step.words}
+        self.host.note({"event": "PROGRAM_STEP", "program": self.request.name, **told})
+        self.lease.client.notify("progress", told)
         self.rows.append(row)
         try:
             row["text"] = await self._do(one.step)
@@ -310,14 +282,18 @@ class _Job:
             row |= {"ok": False, "text": str(error)}
             raise
         finally:
-            self.host.note({**about, "ok": row["ok"], "text": row["text"]})
-        self.lease.client.notify("progress", {"done": row})
+            self.host.note({"event": "PROGRAM_STEP_END", "program": self.request.name, **row})
+        self.lease.client.notify("progress", {"step": one.at, "text": row["text"], "done": True})
         return index
 
     async def _do(self, step: Step) -> str:
         """What became of a step, for people."""
-        if step.wait_s is not None:
-            await self._wait(step.wait_s)
+        left = math.ceil((step.wait_s or 0.0) / self.site.period_s)
+        while left > 0:
+            self.lease.refuse_if_over()
+            self.host.commanded_joints("program")
+            await self.host.tick()
+            left -= not self.lease.paused  # while it is paused no time passes
         if step.if_gripped:
             self.gripped = self.gripped and holds(self.host)
             return f"gripped: {'yes' if self.gripped else 'nothing'}"
@@ -329,13 +305,3 @@ class _Job:
             self.gripped = step.grip == "close" and gripped(self.host, done)
         found = f", gripped: {'yes' if self.gripped else 'nothing'}" if step.grip == "close" else ""
         return f"{step.words}, {took_s:.1f} s{found}"
-
-    async def _wait(self, seconds: float) -> None:
-        """Hold for so long; while it is paused no time passes."""
-        left_ns = round(seconds * NS_PER_S)
-        while left_ns > 0:
-            self.lease.refuse_if_over()
-            self.host.commanded_joints("program")
-            since_ns = self.host.latest_ns
-            await self.host.tick()
-            left_ns -= 0 if self.lease.paused else self.host.latest_ns - since_ns

@@ -9,7 +9,6 @@ Rules.
 """
 
 import asyncio
-import os
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +22,7 @@ from armctl.host.host import Host
 from armctl.host.lease import Client, Lease
 from armctl.host.motions import line_result, plan_note, run_leg
 from armctl.host.watch import Watch
+from armctl.recording.disk import put
 from armctl.trajectory.course import course_of
 from armctl.trajectory.plan import Plan, plan_to_text
 from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, following, seen_mm
@@ -127,15 +127,8 @@ class _Job:
 
     def _keep(self, plan: Plan) -> None:
         """Write the best plan, in place of the one before it."""
-        if plan is self.kept:
-            return
-        part = self.path.with_suffix(".part")
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_text(plan_to_text(plan), encoding="utf-8")
-            os.replace(part, self.path)
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot write the plan: {error.strerror}") from None
+        if plan is not self.kept:
+            put(self.path, plan_to_text(plan))
         self.kept = plan
 
 

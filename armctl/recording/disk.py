@@ -142,6 +142,18 @@ def publish(part: Path, path: Path, disk: Disk = DISK) -> None:
         raise LogError(f"{path}: appeared meanwhile; nothing is overwritten, the data are in {part.name}") from None
 
 
+def put(path: Path, text: str) -> None:
+    """Have a file hold a text, in the place of what it held; it is on the disk when this returns.
+
+    Raises:
+        LogError: it cannot be written.
+    """
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with new_file(path, replacing=True) as stream:
+        stream.write(text.encode())
+
+
 @contextmanager
 def new_file(
     path: Path, disk: Disk = DISK, *, suffix: str = ".unfinished", replacing: bool = False

@@ -10,7 +10,6 @@ Rules.
 """
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
@@ -25,8 +24,6 @@ from armctl.trajectory.tool_path import PathRequest
 # Of a program that is written out.
 MOST_STEPS = 1000
 LONGEST_WAIT_S = 3600.0
-# As deep as steps stand in one another, a line of the daemon's socket holds them.
-MOST_DEEP = 3
 # Where a step stands in a file, as its errors tell it.
 _INNER = r"(?:repeat\.)?(?:if_gripped\.)?(steps|then|otherwise)\.(\d+)(?:\.|(?=:)|$)"
 
@@ -67,10 +64,8 @@ class Step(Frozen):
     @property
     def words(self) -> str:
         """What it is, for people."""
-        if self.wait_s is not None:
-            return f"wait {self.wait_s:g} s"
-        name = (self.play and self.play.name) or self.grip
-        return " ".join(filter(None, (self.kinds[0].replace("_", " "), name)))
+        what = f"{self.wait_s:g} s" if self.wait_s else self.grip or ""
+        return f"{self.kinds[0].removesuffix('_s').replace('_', ' ')} {what}".rstrip()
 
     @property
     def inner(self) -> tuple["Step", ...]:
@@ -84,10 +79,6 @@ class Step(Frozen):
         inside = sum(step.count for step in self.inner)
         return self.repeat.times * inside if self.repeat else inside + 1
 
-    @property
-    def depth(self) -> int:
-        return 1 + max((step.depth for step in self.inner), default=-1)
-
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if len(self.kinds) != 1:
@@ -99,39 +90,25 @@ KINDS = tuple(name for name in Step.model_fields if name != "name")
 
 
 class Program(Frozen):
-    """What the arm is to do, step by step."""
+    """What the arm is to do, step by step; by its name it is found again."""
 
+    name: Name
     steps: Steps
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:
         if not 1 <= (count := sum(step.count for step in self.steps)) <= MOST_STEPS:
             raise ValueError(f"steps: {count} with every repeat, 1 to {MOST_STEPS} can be done; repeat less often")
-        if (depth := max(step.depth for step in self.steps)) > MOST_DEEP:
-            raise ValueError(f"steps: {depth} repeats or branches in one another, at most {MOST_DEEP}")
-        names = [step.name for step in every(self.steps) if step.name]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"steps: name {twice[0]!r} stands twice; a step is found by its name")
+        names = [one.at for one in written_out(self) if one.at]
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise ValueError(f"steps: name {min(twice)!r} stands twice; a step is found by its name")
         return self
 
 
-class NamedProgram(Program):
-    """A program, and what it is called: by that it is found again."""
-
-    name: Name
-
-
-class ProgramRequest(NamedProgram):
+class ProgramRequest(Program):
     """A program to run, from where it stands or from a step that is named."""
 
     from_step: str | None = Field(None, max_length=80)
-
-
-def every(steps: tuple[Step, ...]) -> Iterator[Step]:
-    """Steps, and all that stand in them."""
-    for step in steps:
-        yield step
-        yield from every(step.inner)
 
 
 @dataclass(frozen=True)
@@ -187,29 +164,26 @@ def place_of(instructions: tuple[Instruction, ...], name: str) -> int:
     raise RequestRefused("NO_STEP", f"there is no step {name[:80]!r}; steps: {', '.join(known)}")
 
 
-def program_from_text(text: str, file: str) -> Program:
-    """The program in a YAML text.
+def program_from_text(text: str, file: str, name: str) -> Program:
+    """The program in a YAML text, known by that name if it gives none.
 
     Raises:
         ConfigError: it is none; names the step by its number, the key, the value and its bound.
     """
     try:
-        return validate(Program, parse_yaml(text, file), file)
+        return validate(Program, {"name": name} | parse_yaml(text, file), file)
     except ConfigError as error:
         remedy = "`armctl help programs` has every key"
-        raise ConfigError(file, _numbered(error.key), _numbered(error.problem), remedy) from None
+        raise ConfigError(file, _numbered(error.key).rstrip(": "), _numbered(error.problem), remedy) from None
 
 
 def _numbered(text: str) -> str:
     """Steps by the numbers that people know them by: `steps.2.repeat.steps.0.grip` is `step 3.1: grip`."""
 
-    def number(line: str) -> str:
-        key = line.lstrip()
-        if not (found := re.match(f"(?:{_INNER})+", key)):
-            return line
-        inside = re.findall(_INNER, found[0])
-        name = ".".join(f"{kind.removeprefix('steps')}.{int(index) + 1}".lstrip(".") for kind, index in inside)
-        rest = key[found.end() :].lstrip(": ")
-        return line[: len(line) - len(key)] + f"step {name}" + (f": {rest}" if rest else "")
+    def number(found: re.Match[str]) -> str:
+        inside = re.findall(_INNER, found[2])
+        return (
+            f"{found[1]}step " + ".".join(f"{kind}.{int(at) + 1}".replace("steps.", "") for kind, at in inside) + ": "
+        )
 
-    return "\n".join(map(number, text.split("\n")))
+    return re.sub(rf"(?m)^( *)((?:{_INNER})+)(?:: )?", number, text)

@@ -29,10 +29,10 @@ class Daemon(StandIn):
     answer: dict[str, Any] = DONE
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        tell = params.pop("on_progress")
+        assert self.on_progress is not None
         Daemon.asked = {"method": method, **json.loads(json.dumps(params))}
-        for told in ({"resumed_at": "2.1@1"}, {"step": "2.1@1"}, {"done": ROWS[1]}, {"warning": "SLOWED", "text": "!"}):
-            tell(told)
+        for told in ({"step": "2.1@1", "text": "path, 2.0 s"}, {"warning": "SLOWED", "text": "!"}):
+            self.on_progress(told)
         return Daemon.answer
 
 
@@ -45,13 +45,14 @@ def daemon(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_program_is_sent_as_its_file_says_and_told_step_by_step(typed: Typed, answer: Answer) -> None:
     assert answer("program", "run", EXAMPLES / "wave.yaml") == DONE
     sent = Daemon.asked
-    assert (sent["method"], sent["name"], "from_step" in sent) == ("program_run", "wave", False)
+    assert (sent["method"], sent["name"], sent["from_step"]) == ("program_run", "wave", None)
     text = json.dumps({"steps": sent["steps"]})
-    assert program_from_text(text, "sent") == program_from_text((EXAMPLES / "wave.yaml").read_text(), "wave")
+    assert program_from_text(text, "sent", "wave") == program_from_text(
+        (EXAMPLES / "wave.yaml").read_text(), "f", "wave"
+    )
     said = typed("program", "run", EXAMPLES / "wave.yaml", "--from", "hook@2")
     assert Daemon.asked["from_step"] == "hook@2"
-    told = ["it begins with step 2.1@1; `--from 1` begins anew", "step 2.1@1: path, 2.0 s", "SLOWED: !"]
-    assert said.err.splitlines() == told
+    assert said.err.splitlines() == ["step 2.1@1: path, 2.0 s", "SLOWED: !"]
     assert "run-program-wave-1: 2 steps done" in said.out
 
 
@@ -106,7 +107,7 @@ def test_what_does_not_fit_into_one_line_of_the_socket_is_refused_before_it_is_s
     file = tmp_path / "long.yaml"
     points, kinds = ",".join(["[0.1,0.0,0.1],[0.1,0.1,0.1]"] * 425), ",".join(["line"] * 850)
     file.write_text("steps:\n" + f"- path: {{points_m: [{points}], kinds: [{kinds}]}}\n" * 4)
-    assert "at most 65280; make two programs of it" in typed("program", "run", file, status=2).err.replace("\n", " ")
+    assert "at most 65536; make two programs of it" in typed("program", "run", file, status=2).err.replace("\n", " ")
 
 
 # ------------------------------------------------------------------------------------------------------- record
@@ -158,7 +159,7 @@ def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
 
 
 def written(tmp_path: Path) -> list[dict[str, Any]]:
-    program = program_from_text((tmp_path / "tidy.yaml").read_text(), "tidy.yaml")
+    program = program_from_text((tmp_path / "tidy.yaml").read_text(), "tidy.yaml", "tidy")
     return [step.model_dump(mode="json", exclude_none=True) for step in program.steps]
 
 
@@ -170,7 +171,7 @@ def test_keys_make_a_program_that_is_in_its_file_after_each(recording: Recording
         recorder.press(key)
         assert written(tmp_path) == steps[:count]
     arm.angle = 0.5
-    for key in ("u", "\r", ""):
+    for key in ("u", "\r", "\n"):
         recorder.press(key)
     there = {"move": {"joints_rad": [0.5, 0.12346]}}
     assert written(tmp_path) == [*steps[:3], there, there]
@@ -202,7 +203,7 @@ def test_a_take_of_the_limp_arm_becomes_a_step_that_plays_it(recording: Recordin
 def test_a_take_never_makes_an_arm_limp(recording: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     recorder, arm = recording("holding")
     recorder.press("t")
-    assert "a take needs a limp arm, and it is holding; `armctl release`, then press t again" in capsys.readouterr().out
+    assert "a take needs a limp arm, and it is holding; `armctl release`, then t again" in capsys.readouterr().out
     assert (recorder.steps, "teach_begin" in arm.calls) == ([], False)
 
 

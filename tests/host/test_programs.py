@@ -23,7 +23,7 @@ NAME = "tidy-up"
 
 def asked(steps: str | list[dict[str, Any]], from_step: str | None = None) -> ProgramRequest:
     text = steps if isinstance(steps, str) else yaml.safe_dump({"steps": steps})
-    return ProgramRequest(name=NAME, from_step=from_step, steps=program_from_text(text, "p.yaml").steps)
+    return ProgramRequest(name=NAME, from_step=from_step, steps=program_from_text(text, "p.yaml", NAME).steps)
 
 
 def site(bench: HostBench, folder: Path) -> Site:
@@ -75,19 +75,19 @@ async def test_a_program_is_done_step_by_step_as_one_recording_that_names_every_
     assert [(row["name"], row["ok"]) for row in result["steps"]] == [(name, True) for name in ALL]
     assert (result["resumed_at"], result["ended"], result["stands_at"]) == (None, None, None)
     assert list(bench.recorder.takes) == [result["recording"]]
-    steps = notes(bench, "PROGRAM_STEP")
-    assert [note["step"] for note in steps] == [name for name in ALL for _ in range(2)]
-    assert {note["program"] for note in steps} == {NAME}
-    assert [note["ok"] for note in steps[1::2]] == [True] * 6
+    begins, ends = notes(bench, "PROGRAM_STEP"), notes(bench, "PROGRAM_STEP_END")
+    assert [note["step"] for note in begins] == [note["name"] for note in ends] == ALL
+    assert {note["program"] for note in begins + ends} == {NAME}
+    assert all(note["ok"] for note in ends)
     [begin], [end] = notes(bench, "PROGRAM"), notes(bench, "PROGRAM_END")
     assert (begin["name"], len(begin["steps"]), end["ended"]) == (NAME, 3, None)
-    assert [told["step"] for _, told in bench.anna.told if "step" in told] == ALL
-    assert [told["done"] for _, told in bench.anna.told if "done" in told] == result["steps"]
+    assert [told["step"] for _, told in bench.anna.told] == [name for name in ALL for _ in range(2)]
+    assert [told["text"] for _, told in bench.anna.told if "done" in told] == [row["text"] for row in result["steps"]]
     assert runs(bench) == 5
     assert bench.arm.positions_rad()[0] == pytest.approx(
         there(bench)[2]["repeat"]["steps"][1]["move"]["joints_rad"][0] - 0.3, abs=0.01
     )
-    assert kept(tmp_path) == []
+    assert check(bench, tmp_path, there(bench))["resumed_at"] is None
     assert bench.host.leases.current is None
 
 
@@ -109,7 +109,7 @@ async def test_after_a_stop_it_goes_on_with_the_step_that_was_under_way(bench: B
     assert result["ended"]["code"] == "STOPPED"
     assert result["stands_at"] == at
     assert result["steps"][-1] == {"name": at, "ok": False, "text": result["ended"]["text"]}
-    assert check(bench, tmp_path, steps)["resumed_at"] == (at if ran > 1 else "1")
+    assert check(bench, tmp_path, steps)["resumed_at"] == (at if ran > 1 else None)
     again = await bench.served(begun(bench, tmp_path, steps))
     assert again["resumed_at"] == (at if ran > 1 else None)
     assert [row["name"] for row in again["steps"]] == ALL[ALL.index(at) :]
@@ -159,7 +159,7 @@ async def test_what_is_kept_and_cannot_be_read_says_so(bench: Bench, tmp_path: P
     await stopped(bench, tmp_path, steps := there(bench))
     (tmp_path / "programs" / f"{NAME}.json").write_text('{"index": 99}')
     refusal = await bench.refused(begun(bench, tmp_path, steps), "NOT_RESUMED")
-    assert "tidy-up.json: where it stands cannot be read" in str(refusal)
+    assert "where it stands cannot be read: " in str(refusal)
     assert "`--from 1` begins anew" in str(refusal)
 
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from armctl.config import validate
 from armctl.errors import ConfigError
-from armctl.trajectory.program import MOST_DEEP, MOST_STEPS, Program, place_of, program_from_text, written_out
+from armctl.host import jsonrpc
+from armctl.trajectory.program import MOST_STEPS, Program, ProgramRequest, place_of, program_from_text, written_out
 from tests.host.doubles import refused
 
 NESTED = """
@@ -26,7 +27,7 @@ steps:
 
 
 def test_every_time_that_something_is_done_has_a_name_of_its_own() -> None:
-    found = written_out(program_from_text(NESTED, "p.yaml"))
+    found = written_out(program_from_text(NESTED, "p.yaml", "p"))
     once = ["2.1@{}", "2.2@{}", "2.2.then.1@{}", "", "2.2.otherwise.1@{}", "2.2.otherwise.2@{}"]
     turns = [name.format(turn) for turn in (1, 2) for name in once]
     assert [one.at for one in found] == ["above", *turns, "twice.1@1", "twice.1@2"]
@@ -36,13 +37,13 @@ def test_every_time_that_something_is_done_has_a_name_of_its_own() -> None:
     ("name", "index"), [("above", 0), ("2.1", 1), ("2", 1), ("2.2.then.1@2", 9), ("twice", 13), ("twice.1@2", 14)]
 )
 def test_a_step_is_found_by_its_name_its_turn_or_one_that_it_holds(name: str, index: int) -> None:
-    assert place_of(written_out(program_from_text(NESTED, "p.yaml")), name) == index
+    assert place_of(written_out(program_from_text(NESTED, "p.yaml", "p")), name) == index
 
 
 @pytest.mark.parametrize("name", ["3", "", "2.1@3", "abov", "@1"])
 def test_a_step_that_there_is_not_is_refused_with_those_there_are(name: str) -> None:
     with refused("NO_STEP", r"steps: above, 2\.1, 2\.2, 2\.2\.then\.1"):
-        place_of(written_out(program_from_text(NESTED, "p.yaml")), name)
+        place_of(written_out(program_from_text(NESTED, "p.yaml", "p")), name)
 
 
 LEAVES: st.SearchStrategy[dict[str, Any]] = st.sampled_from(
@@ -75,11 +76,11 @@ def done(steps: list[dict[str, Any]], gripped: bool) -> list[dict[str, Any]]:
     return found
 
 
-@given(st.lists(nested(MOST_DEEP), min_size=1, max_size=4).filter(lambda steps: bool(done(steps, True))), st.booleans())
+@given(st.lists(nested(3), min_size=1, max_size=4).filter(lambda steps: bool(done(steps, True))), st.booleans())
 def test_what_is_written_out_is_what_is_to_be_done_and_only_leads_onwards(
     steps: list[dict[str, Any]], gripped: bool
 ) -> None:
-    out = written_out(validate(Program, {"steps": steps}, "p"))
+    out = written_out(validate(Program, {"name": "p", "steps": steps}, "p"))
     names = [one.at for one in out if one.at]
     assert len(set(names)) == len(names)
     index, found = 0, []
@@ -114,7 +115,7 @@ def test_what_is_written_out_is_what_is_to_be_done_and_only_leads_onwards(
 )
 def test_a_mistake_is_named_with_file_step_key_value_and_bound(steps: str, said: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        program_from_text(f"steps: {steps}", "p.yaml")
+        program_from_text(f"steps: {steps}", "p.yaml", "p")
     assert said in str(caught.value)
     assert str(caught.value).endswith("; `armctl help programs` has every key")
 
@@ -126,11 +127,14 @@ def deep(times: int, leaf: dict[str, Any]) -> dict[str, Any]:
 PATH = {"path": {"points_m": [[0.1, 0.0, 0.1], [0.2, 0.0, 0.1]]}}
 
 
-def test_steps_stand_in_one_another_as_deep_as_both_texts_can_tell_and_no_deeper() -> None:
-    data = {"steps": [deep(MOST_DEEP, PATH)]}
-    assert program_from_text(yaml.safe_dump(data), "p.yaml") == validate(Program, json.loads(json.dumps(data)), "p")
-    with pytest.raises(ConfigError, match=f"{MOST_DEEP + 1} repeats or branches in one another, at most {MOST_DEEP}"):
-        validate(Program, {"steps": [deep(MOST_DEEP + 1, {"wait_s": 1.0})]}, "p")
+def test_steps_stand_in_one_another_three_deep_in_a_file_and_on_the_socket() -> None:
+    data = {"name": "p", "steps": [deep(3, PATH)]}
+    line = {"jsonrpc": "2.0", "id": 1, "method": "program_run", "params": {**data, "from_step": "1"}}
+    sent = jsonrpc.decode(json.dumps(line).encode()).params
+    assert program_from_text(yaml.safe_dump(data), "p.yaml", "other") == validate(Program, data, "p")
+    assert validate(ProgramRequest, sent, "p").steps == validate(Program, data, "p").steps
+    with pytest.raises(ConfigError, match="nested more than 16 deep"):
+        program_from_text(yaml.safe_dump({"steps": [deep(4, PATH)]}), "p.yaml", "p")
 
 
 def test_a_program_is_counted_without_being_written_out() -> None:
@@ -138,6 +142,9 @@ def test_a_program_is_counted_without_being_written_out() -> None:
     with pytest.raises(ConfigError, match="1000000000 with every repeat"):
         validate(
             Program,
-            {"steps": [{"repeat": {"times": 1000, "steps": [{"repeat": {"times": 1000, "steps": [inner]}}]}}]},
+            {
+                "name": "p",
+                "steps": [{"repeat": {"times": 1000, "steps": [{"repeat": {"times": 1000, "steps": [inner]}}]}}],
+            },
             "p",
         )
