@@ -13,6 +13,9 @@ from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
 POSE = Numbers(6, "six numbers x,y,z,roll,pitch,yaw")
+POSTURE = click.option(
+    "--posture", type=click.IntRange(1, 13), metavar="N", help="The Nth nearest posture; one too many lists them."
+)
 
 
 @command("move", SOCKET)
@@ -23,9 +26,7 @@ POSE = Numbers(6, "six numbers x,y,z,roll,pitch,yaw")
 @click.option("--pose", type=POSE, metavar="x,y,z,r,p,y", help="Tool point, and roll, pitch, yaw in radians.")
 @click.option("--deg", is_flag=True, help="Angles are in degrees.")
 @click.option("--duration", "duration_s", type=Seconds(0.1), help="Seconds.  [default: at most 20 deg/s]")
-@click.option(
-    "--posture", type=click.IntRange(1, 13), metavar="N", help="The Nth nearest posture; one too many lists them."
-)
+@POSTURE
 def move_command(output: Output, deg: bool, **asked: Any) -> None:
     """Go somewhere and hold there: all joints start and arrive at once, slowly unless a duration is given.
 
@@ -133,6 +134,7 @@ def path_command(output: Output, file: Path, **how: Any) -> None:
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, help="Of a genetic algorithm.")
 @click.option("--off", "off_m", type=click.FloatRange(0.005, 0.3), default=0.05, help="Length of the approach, metres.")
 @click.option("--along", type=click.Choice(("above", "tool")), default="above", help="Direction of the approach.")
+@POSTURE
 def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     """Bring the tool to a point along a short straight line, correcting for sag; grip what is there, or let it go.
 
@@ -149,7 +151,7 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     gripper = "grip" if grip else "let_go" if let_go else "stay"
     request = validate(ReachRequest, {**way, "gripper": gripper}, "reach")
     with output.motion("reaching") as client:
-        result = client.call("reach", **request.model_dump())
+        result = client.call("reach", **request.model_dump(exclude_none=True))
     words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
     output.answer(
         result,

@@ -22,7 +22,7 @@ from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.playback import Playback, PlayRequest, TaughtMotion, playback
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.reference import ReferencePath, error_mm
-from armctl.trajectory.target import MoveRequest, postures_at
+from armctl.trajectory.target import MoveRequest, postures_at, way_by
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
@@ -144,22 +144,15 @@ def move_trajectory(
         raise RequestRefused("UNREACHABLE", str(error)) from None
     if len(goals[0]) != len(arm.joints):
         raise RequestRefused("LIMIT", f"{len(goals[0])} joint positions for {len(arm.joints)} joints")
-    allowed: list[JointTrajectory] = []
-    refused: list[RequestRefused] = []
-    for goal in goals:
+
+    def way(goal: Sequence[float]) -> JointTrajectory:
         trajectory = approach_trajectory(q_now, goal, arm, robot, period_s, "move", request.duration_s)
         positions = np.array(trajectory.positions_rad)
         if reasons := preflight_motion(positions, period_s, arm, robot, start_rad=q_now):
-            refused.append(RequestRefused("PREFLIGHT" if within_limits(goal, arm) else "LIMIT", reasons))
-            continue
-        allowed.append(trajectory)
-        if len(allowed) == (request.posture or 1):
-            return trajectory
-    if not allowed:
-        raise refused[0]
-    ends = [np.degrees(one.positions_rad[-1]).round(1).tolist() for one in allowed]
-    told = [f"posture {i}: {', '.join(f'{angle:g}' for angle in end)} deg" for i, end in enumerate(ends, start=1)]
-    raise RequestRefused("POSTURE", [f"of posture {request.posture} there is none; these can be gone to", *told])
+            raise RequestRefused("PREFLIGHT" if within_limits(goal, arm) else "LIMIT", reasons)
+        return trajectory
+
+    return way_by(goals, way, request.posture)
 
 
 def within_limits(q: Sequence[float], arm: ArmConfig) -> bool:

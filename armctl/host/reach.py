@@ -25,13 +25,13 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
     """Approach, straight to the point, and there stay, or grip or let go and back off; recorded and measured.
 
     Raises:
-        RequestRefused: UNREACHABLE with the nearest distance, NO_GRIPPER, pre-flight (every reason), BUSY, stopped or
-            failed on the way.
+        RequestRefused: UNREACHABLE with the nearest distance, NO_GRIPPER, pre-flight (every reason), POSTURE (those
+            there are), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
     planned: list[Grasp] = []
     legs = _legs(host, request, planned)
-    name, done = await host.execute(client, "reach", legs, {"event": "REACH", **request.model_dump()})
+    name, done = await host.execute(client, "reach", legs, {"event": "REACH", **request.model_dump(exclude_none=True)})
     n = host.robot.chain.n
     q = np.array([leg.watch.positions_rad[-1][:n] for leg in done])
     place = tool_position(host.robot.chain, q)

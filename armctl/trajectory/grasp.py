@@ -19,9 +19,9 @@ from pydantic import Field
 from armctl.config import ArmConfig, Frozen, GripperConfig
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics import solution
-from armctl.kinematics.chain import forward_kinematics, link_frames
+from armctl.kinematics.chain import forward_kinematics
 from armctl.kinematics.genetic import solve as genetic
-from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
+from armctl.kinematics.inverse import pointing, pose_errors, refine_poses, unreachable
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
@@ -29,7 +29,7 @@ from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.bounds import Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import peak_rates, preflight_motion
-from armctl.trajectory.target import postures_at
+from armctl.trajectory.target import MOST_POSTURES, SAME_RAD, postures_at, way_by
 
 Method = Literal["closed", "numeric", "ga", "ga-improved"]
 Along = Literal["above", "tool"]
@@ -61,6 +61,8 @@ class ReachRequest(Frozen):
     off_m: float = Field(0.05, ge=0.005, le=0.3)
     # Whether that line comes down from above or along the tool's axis.
     along: Along = "above"
+    # Which posture at the point, of those whose whole way may be gone, the best first; None: the first.
+    posture: int | None = Field(None, ge=1, le=MOST_POSTURES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,22 +82,20 @@ def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
     Raises:
         UnreachableTarget: no pose within the limits reaches the point; carries the nearest distance.
         RequestRefused: the point can be reached, but the way there must not be gone: code PREFLIGHT, every reason
-            against the best solution.
+            against the best solution. Code POSTURE: not so many postures may be gone to; each of them.
     """
     point = np.asarray(request.point_m, dtype=np.float64)
     if point[2] < arm.floor_m:
         raise RequestRefused("PREFLIGHT", f"the point is {point[2]:.3f} m high, below the floor at {arm.floor_m:.3f} m")
-    refused: list[RequestRefused] = []
-    for q in _solutions(point, q_now, arm, robot, request.ik, request.seed):
-        try:
-            grasp = Grasp(point, _straight(q, point, arm, robot, request.off_m, request.along))
-            way = approach(grasp, q_now, arm, robot, period_s)
-            straight(grasp.path_rad, way.positions_rad[-1], arm, robot, period_s)
-        except RequestRefused as reason:
-            refused.append(reason)
-        else:
-            return grasp
-    raise refused[0]
+
+    def way(q: Sequence[float]) -> Grasp:
+        grasp = Grasp(point, _straight(np.asarray(q), point, arm, robot, request.off_m, request.along))
+        there = approach(grasp, q_now, arm, robot, period_s)
+        straight(grasp.path_rad, there.positions_rad[-1], arm, robot, period_s)
+        return grasp
+
+    postures = _solutions(point, q_now, arm, robot, request.ik, request.seed)
+    return way_by((q.tolist() for q in postures), way, request.posture)
 
 
 def approach(
@@ -210,15 +210,17 @@ def _solutions(
         if not found:
             raise
         return
-    yield from (np.array(q[:n]) for q in others)
+    for q in (np.array(one[:n]) for one in others):
+        if all(np.abs(q - one).max() >= SAME_RAD for one in found):
+            yield q
 
 
 def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, off_m: float, along: Along) -> FloatArray:
     """Joint positions [rad] on the straight line that ends at q, shape (PLACES, n)."""
     chain = robot.chain
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
-    back = np.array([0.0, 0.0, 1.0]) if along == "above" else -_tool_axis(q, robot)
     T = np.repeat(forward_kinematics(chain, q)[None], PLACES, axis=0)
+    back = np.array([0.0, 0.0, 1.0]) if along == "above" else -T[0, :3, :3] @ pointing(chain)
     T[:, :3, 3] = point + np.linspace(0.0, off_m, PLACES)[:, None] * back
     reached_m = 0.0
     for turned in (True, False):
@@ -235,15 +237,6 @@ def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, of
         f"within the joint limits the tool can back off from the point by {1000.0 * reached_m:.0f} mm, not by "
         f"{1000.0 * off_m:.0f}; shorten the straight way, or come another way",
     )
-
-
-def _tool_axis(q: FloatArray, robot: Robot) -> FloatArray:
-    """Where the tool points: from the last joint that does not stand at the tool point to it; unit vector."""
-    points = link_frames(robot.chain, q)[:, :3, 3]
-    arms = points[-1] - points
-    length = np.linalg.norm(arms, axis=1)
-    last = int(np.flatnonzero(length > 1e-9)[-1])
-    return np.asarray(arms[last] / length[last])
 
 
 def _trajectory(positions_rad: FloatArray, period_s: float, label: str) -> JointTrajectory:

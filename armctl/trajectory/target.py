@@ -5,13 +5,14 @@ the solutions are sorted by how far their farthest joint travels.
 """
 
 import math
-from collections.abc import Sequence
-from typing import Self
+from collections.abc import Callable, Iterable, Sequence
+from typing import Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from armctl.config import ArmConfig, Frozen
+from armctl.errors import RequestRefused
 from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import within_limits
@@ -24,6 +25,10 @@ POSITION_TOLERANCE_M = 1e-6
 ORIENTATION_TOLERANCE_RAD = 1e-5
 # Postures that are one.
 SAME_RAD = 0.02
+# As many postures as a request may choose among.
+MOST_POSTURES = STARTS + 1
+
+Way = TypeVar("Way")
 
 
 class MoveRequest(Frozen):
@@ -35,7 +40,7 @@ class MoveRequest(Frozen):
     # How long the motion takes; None: as long as it needs at a slow speed.
     duration_s: float | None = Field(None, gt=0.0, le=LONGEST_S)
     # Which posture of those that may be gone to, the nearest first; None: the nearest.
-    posture: int | None = Field(None, ge=1, le=STARTS + 1)
+    posture: int | None = Field(None, ge=1, le=MOST_POSTURES)
 
     @model_validator(mode="after")
     def _one_target(self) -> Self:
@@ -76,3 +81,31 @@ def postures_at(
     found = found[np.abs(found - here).max(axis=1).argsort(kind="stable")]
     distinct = [q for i, q in enumerate(found) if not (np.abs(found[:i] - q).max(axis=1) < SAME_RAD).any()]
     return [[*q.tolist(), *q_now[chain.n :]] for q in distinct]
+
+
+def way_by(postures: Iterable[Sequence[float]], way: Callable[[Sequence[float]], Way], wanted: int | None) -> Way:
+    """The way by the first of the postures that may be gone, or by the one that was asked for.
+
+    Args:
+        postures: Joint positions [rad], the best first.
+        way: Makes the way to one, or refuses it.
+        wanted: Which of those that may be gone, from 1; None: the first.
+    Raises:
+        RequestRefused: the first refusal where none may be gone; POSTURE, each of them, where there are not so many.
+    """
+    allowed: list[Sequence[float]] = []
+    refused: list[RequestRefused] = []
+    for posture in postures:
+        try:
+            found = way(posture)
+        except RequestRefused as refusal:
+            refused.append(refusal)
+            continue
+        allowed.append(posture)
+        if len(allowed) == (wanted or 1):
+            return found
+    if not allowed:
+        raise refused[0]
+    ends = [np.degrees(one).round(1).tolist() for one in allowed]
+    told = [f"posture {i}: {', '.join(f'{angle:g}' for angle in end)} deg" for i, end in enumerate(ends, start=1)]
+    raise RequestRefused("POSTURE", [f"of posture {wanted} there is none; these can be gone to", *told])

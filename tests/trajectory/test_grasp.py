@@ -74,6 +74,16 @@ def test_along_the_tool_s_axis_it_comes_from_where_the_tool_points_away_from() -
     assert T[0, :3, 3] == pytest.approx(T[-1, :3, 3] - 0.03 * T[-1, :3, 2], abs=1e-6)  # the hand is link 5, along z
 
 
+def test_another_posture_at_the_point_can_be_asked_for_and_one_too_many_lists_them() -> None:
+    first, second = (path_to(posture=k) for k in (1, 2))
+    np.testing.assert_array_equal(first, path_to())
+    assert np.abs(first[-1] - second[-1]).max() > math.radians(1.0)
+    np.testing.assert_allclose(tool_position(ROBOT.chain, second[-1]), POINT, atol=1e-6)
+    with refused("POSTURE", "of posture 13 there is none; these can be gone to; posture 1: ") as caught:
+        path_to(posture=13)
+    assert len(caught.value.reasons) > 2
+
+
 @pytest.mark.parametrize("method", get_args(Method))
 def test_every_method_reaches_the_same_point(method: Method) -> None:
     assert tool_position(ROBOT.chain, path_to(ik=method, seed=3)[-1]) == pytest.approx(POINT, abs=1e-6)
