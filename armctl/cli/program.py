@@ -23,8 +23,6 @@ PLAIN: dict[str, dict[str, Any]] = {"g": {"grip": "close"}, "o": {"grip": "open"
 HELP = "Enter: a move to here; g: grip; o: open; w: wait a second; t: a take; u: undo; q: done"
 # Of angles in a file: a thousandth of a servo's tick.
 DECIMALS = 5
-# Of a line to the daemon, what is no program.
-AROUND_BYTES = 256
 
 
 @click.group("program")
@@ -46,9 +44,8 @@ def _read(file: Path) -> dict[str, Any]:
     from armctl.trajectory.program import program_from_text
 
     program = program_from_text(read_text(file, "program"), str(file), file.stem).model_dump(exclude_none=True)
-    if (size := len(json.dumps(program, separators=(",", ":"))) + AROUND_BYTES) > MAX_LINE_BYTES:
-        problem = f"{size} bytes as they are sent, at most {MAX_LINE_BYTES}"
-        raise ConfigError(str(file), "steps", problem, "make two programs of it")
+    if (size := len(json.dumps(program, separators=(",", ":"))) + 256) > MAX_LINE_BYTES:
+        raise ConfigError(str(file), "steps", f"{size} bytes, at most {MAX_LINE_BYTES}", "make two programs of it")
     return program
 
 

@@ -140,7 +140,6 @@ class Methods:
         self._host = host
         self._recordings_dir = recordings_dir
         self._plans_dir = recordings_dir.parent / "plans"
-        self._site = programs.Site(host.arm, host.robot, host.period_s, recordings_dir)
         self._run_optimisation = run_optimisation
         self._job_ids = itertools.count(1)
         self._job: tuple[Connection, asyncio.Future[dict[str, Any]]] | None = None
@@ -148,6 +147,7 @@ class Methods:
     def table(self) -> dict[str, Method]:
         """Every method by name."""
         host, folder = self._host, self._recordings_dir
+        site = programs.Site(host.arm, host.robot, host.period_s, folder)
         methods = {
             "status": _observed(host.status),
             "log": _observed(host.log),
@@ -166,8 +166,8 @@ class Methods:
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
-            "program_check": Method(Program, _in_thread(self._program_check)),
-            "program_run": Method(ProgramRequest, lambda client, p: programs.run(host, client, self._site, p)),
+            "program_check": Method(Program, _in_thread(lambda p: programs.checked(site, p, programs.pose_now(host)))),
+            "program_run": Method(ProgramRequest, lambda client, p: programs.run(host, client, site, p)),
             "pause": Method(Nothing, lambda _, __: host.pause(), always=True),
             "resume": Method(Nothing, lambda client, _: host.resume(client)),
             "rate": Method(Rate, lambda client, p: host.rate(client, p.rate)),
@@ -265,9 +265,6 @@ class Methods:
     async def _optimized(self, paths: tuple[Path, ...], p: RecordedRequest, progress: Progress) -> dict[str, Any]:
         model = await self._host.own_model()
         return await self._run_optimisation(OptimizeJob(self._host.arm, paths, p, model), progress)
-
-    def _program_check(self, p: Program) -> dict[str, Any]:
-        return programs.checked(self._site, p, programs.pose_now(self._host))
 
     def _path(self, name: str) -> Path:
         return recordings.find(self._recordings_dir, name)

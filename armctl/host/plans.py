@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from armctl.config import NAME_PATTERN
-from armctl.errors import ConfigError, LogError, RequestRefused
+from armctl.errors import ConfigError, RequestRefused
+from armctl.recording.disk import put
 from armctl.trajectory.plan import Plan, plan_from_text
 
 
@@ -17,14 +18,9 @@ def save(folder: Path, name: str, text: str) -> None:
         LogError: the folder cannot be written.
     """
     path = _path(folder, name)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise RequestRefused("EXISTS", f"a plan {name} exists; choose another name, or delete it") from None
-    except OSError as error:
-        raise LogError(f"{path}: cannot write the plan: {error.strerror}") from None
+    if path.exists():
+        raise RequestRefused("EXISTS", f"a plan {name} exists; choose another name, or delete it")
+    put(path, text, replacing=False)
 
 
 def load(folder: Path, name: str) -> Plan:

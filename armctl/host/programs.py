@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
-
 from armctl.config import ArmConfig, Frozen, parse_yaml, validate
 from armctl.errors import ArmctlError, ConfigError, RequestRefused
 from armctl.files import read_text
@@ -41,10 +39,10 @@ from armctl.trajectory.target import MoveRequest
 
 # From so many different poses at most may a step begin, by the branches before it.
 MOST_POSES = 8
+ANEW = "`--from 1` begins anew"
 UNCHECKED = "not checked, because a step before it cannot be done"
 
 Joints = tuple[float, ...]
-Row = dict[str, Any]
 
 
 class Standing(Frozen):
@@ -53,7 +51,7 @@ class Standing(Frozen):
     # Of the program and the arm it was begun with.
     digest: str
     # Of its instructions, the one that is due, and its name.
-    index: int = Field(ge=0)
+    index: int
     at: str
     gripped: bool
 
@@ -94,7 +92,7 @@ class Site:
         joints_rad = (*move.joints_rad[:index], q_now[index], *move.joints_rad[index + 1 :])
         return move.model_copy(update={"joints_rad": joints_rad})
 
-    def check(self, program: Program, q_now: Joints, begin: int = 0) -> Iterator[Row]:
+    def check(self, program: Program, q_now: Joints, begin: int = 0) -> Iterator[dict[str, Any]]:
         """Every step that can be reached, as `name`, `ok` and `text`; a turn has a row of its own where it differs.
 
         Args:
@@ -174,20 +172,19 @@ class Site:
             return place_of(instructions, from_step), holding
         if not path.exists():
             return 0, holding
-        remedy = f"`--from {instructions[0].at}` begins anew"
         try:
             standing = validate(Standing, parse_yaml(read_text(path, "standing"), str(path)), str(path))
         except ConfigError as error:
-            raise RequestRefused("NOT_RESUMED", f"where it stands cannot be read: {error}; {remedy}") from None
+            raise RequestRefused("NOT_RESUMED", f"where it stands cannot be read: {error}; {ANEW}") from None
         if standing.index == 0:
             return 0, holding
         stands = f"program {program.name} stands at step {standing.at}"
-        if standing.digest != self._digest(program) or standing.index >= len(instructions):
-            raise RequestRefused("NOT_RESUMED", f"{stands}, and it or the arm's file has changed since; {remedy}")
+        if standing.digest != self._digest(program) or not 0 < standing.index < len(instructions):
+            raise RequestRefused("NOT_RESUMED", f"{stands}, and it or the arm's file has changed since; {ANEW}")
         due = instructions[standing.index].step
         if standing.gripped and not holding and due is not None and due.grip is None:
             why = f"{stands} with something gripped, and the gripper does not hold it any more"
-            raise RequestRefused("NOT_RESUMED", f"{why}; `--from {standing.at}` goes on all the same, {remedy}")
+            raise RequestRefused("NOT_RESUMED", f"{why}; `--from {standing.at}` goes on all the same, {ANEW}")
         return standing.index, standing.gripped and holding
 
 
@@ -231,38 +228,31 @@ class _Job:
     def __init__(self, host: Host, lease: Lease, site: Site, request: ProgramRequest) -> None:
         self.host, self.lease, self.site, self.request = host, lease, site, request
         self.instructions = written_out(request)
-        self.rows: list[Row] = []
-        self.gripped = False
+        self.rows, self.gripped = list[dict[str, Any]](), False
 
     async def done(self) -> dict[str, Any]:
         """Everything; the answer."""
         host, program = self.host, self.request
-        q_now = host.commanded_joints("program")
         index, self.gripped = self.site.begin(program, program.from_step, holding=holds(host))
-        rows = await asyncio.to_thread(list, self.site.check(program, q_now, index))
+        rows = await asyncio.to_thread(list, self.site.check(program, host.commanded_joints("program"), index))
         wrong = [f"step {row['name']}: {row['text']}" for row in rows if not row["ok"] and row["text"] != UNCHECKED]
         if wrong:
             raise RequestRefused("PREFLIGHT", wrong)
         ended, resumed_at = None, self.instructions[index].at if index else None
         if index:
-            begins = f"the program begins here; `--from {self.instructions[0].at}` begins anew"
-            self.lease.client.notify("progress", {"step": resumed_at, "text": begins})
+            self.lease.client.notify("progress", {"step": resumed_at, "text": f"the program begins here; {ANEW}"})
         async with host.takes.around(run_name(f"program-{program.name}")) as recording:
-            about = program.model_dump(mode="json", exclude_none=True)
-            host.note({"event": "PROGRAM", **about, "resumed_at": resumed_at})
+            host.note({"event": "PROGRAM", **program.model_dump(mode="json", exclude_none=True)})
             try:
-                await self._keep(index)
+                await asyncio.to_thread(self.site.keep, program, index, gripped=self.gripped)
                 while index < len(self.instructions):
                     index = await self._step(index, self.instructions[index])
             except ArmctlError as error:
                 ended = {"code": error_data(error)["code"], "text": str(error)}
-            stands = None if ended is None else self.instructions[index].at
-            result = {"resumed_at": resumed_at, "ended": ended, "stands_at": stands}
+            stands_at = ended and self.instructions[index].at
+            result = {"resumed_at": resumed_at, "ended": ended, "stands_at": stands_at}
             host.note({"event": "PROGRAM_END", "name": program.name, **result})
         return {"recording": recording, "steps": self.rows, **result}
-
-    async def _keep(self, index: int) -> None:
-        await asyncio.to_thread(self.site.keep, self.request, index, gripped=self.gripped)
 
     async def _step(self, index: int, one: Instruction) -> int:
         """Do what is due; the index of what is due then, which is kept."""
@@ -277,7 +267,7 @@ class _Job:
             index = one.other if one.step.if_gripped and not self.gripped else index + 1
             while index < len(self.instructions) and self.instructions[index].step is None:
                 index = self.instructions[index].other
-            await self._keep(index)
+            await asyncio.to_thread(self.site.keep, self.request, index, gripped=self.gripped)
         except ArmctlError as error:
             row |= {"ok": False, "text": str(error)}
             raise
@@ -300,8 +290,7 @@ class _Job:
         if not (legs := await asyncio.to_thread(self.site.legs, step)):
             return step.words
         _, done = await self.host.carry_out(self.lease, legs)
-        took_s = sum(leg.trajectory.duration_s for leg in done)
         if step.grip:
             self.gripped = step.grip == "close" and gripped(self.host, done)
         found = f", gripped: {'yes' if self.gripped else 'nothing'}" if step.grip == "close" else ""
-        return f"{step.words}, {took_s:.1f} s{found}"
+        return f"{step.words}, {sum(leg.trajectory.duration_s for leg in done):.1f} s{found}"

@@ -142,15 +142,17 @@ def publish(part: Path, path: Path, disk: Disk = DISK) -> None:
         raise LogError(f"{path}: appeared meanwhile; nothing is overwritten, the data are in {part.name}") from None
 
 
-def put(path: Path, text: str) -> None:
-    """Have a file hold a text, in the place of what it held; it is on the disk when this returns.
+def put(path: Path, text: str, *, replacing: bool = True) -> None:
+    """Have a file hold a text, and its folder be there; it is on the disk when this returns.
 
+    Args:
+        replacing: Whether it takes the place of the file that has the name.
     Raises:
-        LogError: it cannot be written.
+        LogError: the name is taken, or it cannot be written.
     """
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with new_file(path, replacing=True) as stream:
+    with new_file(path, replacing=replacing) as stream:
         stream.write(text.encode())
 
 

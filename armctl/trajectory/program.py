@@ -23,7 +23,6 @@ from armctl.trajectory.tool_path import PathRequest
 
 # Of a program that is written out.
 MOST_STEPS = 1000
-LONGEST_WAIT_S = 3600.0
 # Where a step stands in a file, as its errors tell it.
 _INNER = r"(?:repeat\.)?(?:if_gripped\.)?(steps|then|otherwise)\.(\d+)(?:\.|(?=:)|$)"
 
@@ -52,7 +51,7 @@ class Step(Frozen):
     play: PlayRequest | None = None
     path: PathRequest | None = None
     grip: Literal["close", "open"] | None = None
-    wait_s: float | None = Field(None, ge=0.1, le=LONGEST_WAIT_S)
+    wait_s: float | None = Field(None, ge=0.1, le=3600.0)
     repeat: Repeat | None = None
     if_gripped: IfGripped | None = None
 
@@ -154,11 +153,13 @@ def written_out(program: Program) -> tuple[Instruction, ...]:
 def place_of(instructions: tuple[Instruction, ...], name: str) -> int:
     """Index of the first instruction of that name: a step's, with its turns or without, or that of one it holds.
 
+    The first one of all is always 1.
+
     Raises:
         RequestRefused: code NO_STEP, there is none; lists them.
     """
     for index, one in enumerate(instructions):
-        if one.at and (name in (one.at, one.name) or one.name.startswith(f"{name}.")):
+        if one.at and (name in (one.at, one.name, None if index else "1") or one.name.startswith(f"{name}.")):
             return index
     known = dict.fromkeys(one.name for one in instructions if one.at)
     raise RequestRefused("NO_STEP", f"there is no step {name[:80]!r}; steps: {', '.join(known)}")

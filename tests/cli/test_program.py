@@ -207,6 +207,28 @@ def test_a_take_never_makes_an_arm_limp(recording: Recording, capsys: pytest.Cap
     assert (recorder.steps, "teach_begin" in arm.calls) == ([], False)
 
 
+def test_where_nobody_can_press_a_key_a_place_is_taken_where_the_tool_rests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: Answer
+) -> None:
+    class Carried(Arm):
+        """Carried 5 cm in half a second, and resting there for a second."""
+
+        def subscribe(self) -> Iterator[dict[str, Any]]:
+            same = {"tool_speed_limit_m_s": 1.0, "period_s": 0.1, "state": "holding"}
+            for tick in range(15):
+                yield {**same, "tool": {"position_m": [0.1, 0.01 * min(tick, 5), 0.1], "speed_m_s": 0.0}}
+
+        def call(self, method: str, **params: Any) -> dict[str, Any]:
+            if method == "program_check":
+                return {"steps": ROWS, "resumed_at": None}
+            return super().call(method, **params)
+
+    monkeypatch.setattr(client, "Client", Carried)
+    file = tmp_path / "tidy.yaml"
+    assert answer("program", "record", file, "--places", "2") == {"path": str(file), "steps": ROWS, "resumed_at": None}
+    assert written(tmp_path) == [{"move": {"joints_rad": [0.0, 0.12346]}}] * 2
+
+
 def test_a_recording_that_exists_is_not_written_over(tmp_path: Path, typed: Typed) -> None:
     file = tmp_path / "tidy.yaml"
     file.write_text("steps: []")

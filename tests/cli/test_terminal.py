@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 from armctl.client import Client
 from armctl.lab.demo import program
@@ -134,6 +135,20 @@ def test_ctrl_c_in_json_is_one_object(daemon: Path) -> None:
         assert json.loads(line)["error"]["message"] == "interrupted: torque stays on"
     with Client(daemon) as client:
         assert client.call("status")["state"] == "holding"
+
+
+def test_a_program_is_recorded_key_by_key_and_is_in_its_file(daemon: Path, tmp_path: Path) -> None:
+    file = tmp_path / "tidy.yaml"
+    with armctl("program", "record", str(file)) as recording:
+        since = recording.until("q: done")
+        for keys, said in ((b"\r", "1 steps; the last: move"), (b"w", "2 steps"), (b"gu", "3 steps; the last: grip")):
+            recording.press(keys)
+            since = recording.until(said, since)
+        recording.until("2 steps", since)
+        recording.press(b"q")
+        assert recording.status() == 0
+        assert "Traceback" not in recording.said
+    assert [list(step) for step in yaml.safe_load(file.read_text())["steps"]] == [["move"], ["wait_s"]]
 
 
 # ------------------------------------------------------------------------------------------------- job control

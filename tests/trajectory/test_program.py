@@ -34,7 +34,8 @@ def test_every_time_that_something_is_done_has_a_name_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "index"), [("above", 0), ("2.1", 1), ("2", 1), ("2.2.then.1@2", 9), ("twice", 13), ("twice.1@2", 14)]
+    ("name", "index"),
+    [("above", 0), ("1", 0), ("2.1", 1), ("2", 1), ("2.2.then.1@2", 9), ("twice", 13), ("twice.1@2", 14)],
 )
 def test_a_step_is_found_by_its_name_its_turn_or_one_that_it_holds(name: str, index: int) -> None:
     assert place_of(written_out(program_from_text(NESTED, "p.yaml", "p")), name) == index
