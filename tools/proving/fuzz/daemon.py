@@ -45,6 +45,7 @@ LASTING = frozenset(
         "run",
         "path",
         "play",
+        "program_run",
         "move",
         "reach",
         "transfer",

@@ -63,6 +63,8 @@ def requests_to(arm: ArmConfig) -> list[tuple[str, dict[str, Any]]]:
         seed=0,
     ).model_dump(mode="json")
     optimize = {"recordings": list(TAKES), **line, "via": [0, 2], "duration_s": 5.0, "seed": 1}
+    turns = {"times": 2, "steps": [{"wait_s": 0.2}, {"move": {"point_m": [0.18, 0.0, 0.15]}}]}
+    program = {"name": "tidy", "steps": [{"name": "up", "move": {"joints_rad": rest}}, {"repeat": turns}]}
     return [
         *((method, {}) for method in ("status", "log", "subscribe", "stop", "hold", "pause", "resume")),
         *((method, {}) for method in ("torque_on", "torque_on", "park", "clear", "teach_end")),
@@ -72,6 +74,8 @@ def requests_to(arm: ArmConfig) -> list[tuple[str, dict[str, Any]]]:
         ("run", {"plan": plan}),
         ("path", {"points_m": [[0.18, -0.02, 0.12], [0.18, 0.02, 0.12]], "tolerance_mm": 2.0}),
         ("play", {"name": "take", "rate": 0.5}),
+        ("program_check", program),
+        ("program_run", program | {"from_step": "up"}),
         ("move", {"joints_rad": rest, "duration_s": 1.0}),
         ("move", {"point_m": [0.18, 0.0, 0.15]}),
         ("move", {"pose": [0.18, 0.0, 0.15, 0.0, 1.5, 0.0]}),
