@@ -81,9 +81,7 @@ def replay_command(output: Output, log: Path, check: bool, allow_gaps: bool, rep
 
 
 def _checked(output: Output, log: Path) -> ReplayResult:
-    from armctl.recording import replay
-    from armctl.recording.log_file import LogFile
-    from armctl.recording.provenance import other_program
+    from armctl.recording import log_file, provenance, replay
 
     with output.progress("re-running", 1.0) as show:
         result = replay.check(log, progress=show)
@@ -92,8 +90,8 @@ def _checked(output: Output, log: Path) -> ReplayResult:
         verdict = "nothing to replay: the log holds no complete tick after a keyframe"
     elif result.mismatches:
         verdict = f"{result.mismatches} mismatches, first: {result.first_mismatch}"
-        with LogFile(log) as file:
-            verdict += other_program(file.facts)
+        with log_file.LogFile(log) as file:
+            verdict += provenance.other_program(file.facts)
     if not output.json:
         output.say(
             f"{result.ticks} ticks, {result.messages} messages re-run in {result.seconds:.2f} s "

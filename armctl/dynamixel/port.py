@@ -249,8 +249,7 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
 
     def take_wire(self) -> tuple[tuple[int, bool, bytes], ...]:
         """What went over the wire since the last call: when [ns], whether it was sent, and the bytes (rule 10)."""
-        if self._read:
-            self._stamp_read(self._now_ns())
+        self._stamp_read(self._now_ns())
         wire = tuple(self._wire)
         self._wire.clear()
         return wire

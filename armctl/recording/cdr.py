@@ -27,11 +27,10 @@ from armctl.recording.shapes import Value as Value
 MAX_DEPTH = 16
 MAX_NESTED = 1000
 MAX_FIELDS = 10_000
-_ALIKE = dict.fromkeys(PRIMITIVES, "numbers") | {"string": "texts"}
-# Bounds on the shapes that are kept of a type: sizes of messages, shapes of each, and pieces of a shape.
-MAX_SIZES, MAX_SHAPES, MAX_PIECES = 64, 4, 256
-# A shape has more than this many bytes for each one of its texts.
-MAX_TEXT = 1.5
+_SIMPLE = {*PRIMITIVES, "string"}
+# Bounds on the shapes that are kept of a type: sizes of messages, shapes of each, and pieces of a shape, which has more
+# than so many bytes for each one of its texts.
+MAX_SIZES, MAX_SHAPES, MAX_PIECES, MAX_TEXT = 64, 4, 256, 1.5
 
 # What puts a value behind the bytes so far, and what gets one from its place on: the value, and where it ends.
 _Put = Callable[[bytearray, Any], None]
@@ -126,7 +125,7 @@ def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str
         raise too_much
     members = fields(name, messages)
     keys = frozenset(item.name for item in members)
-    inside = {item: _compile(item.type, messages, depth + 1, known) for item in members if item.type not in _ALIKE}
+    inside = {item: _compile(item.type, messages, depth + 1, known) for item in members if item.type not in _SIMPLE}
     single = {item.name: part for item, part in inside.items() if not item.is_array}
     nested = sum(1 + part.nested for part in single.values())
     count = len(members) + sum(part.fields for part in single.values())
@@ -135,12 +134,11 @@ def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str
     if count > MAX_FIELDS:
         raise LogError(f"message type {name}: over {MAX_FIELDS} fields")
     steps: list[tuple[_Encode, _Decode]] = []
-    for alike, group in groupby(members, lambda item: "" if item.is_array else _ALIKE.get(item.type, "")):
-        items = list(group)
-        if alike:
-            steps.append(_run(items) if alike == "numbers" else _texts(items))
+    for are_numbers, group in groupby(members, lambda item: item.type in PRIMITIVES and not item.is_array):
+        if are_numbers:
+            steps.append(_run(list(group)))
         else:
-            steps += [_field(item.name, *_value_of(item, inside.get(item))) for item in items]
+            steps += [_field(item.name, *_value_of(item, inside.get(item))) for item in group]
 
     def put(out: bytearray, value: Value) -> None:
         if value.keys() != keys:
@@ -196,22 +194,6 @@ def _run(items: list[Field]) -> tuple[_Encode, _Decode]:
         packer = packers[at & 7]
         message.update(zip(keys, packer.unpack_from(data, at), strict=True))
         return at + packer.size
-
-    return encode, decode
-
-
-def _texts(items: list[Field]) -> tuple[_Encode, _Decode]:
-    """The step of neighbouring texts."""
-    keys = [item.name for item in items]
-
-    def encode(out: bytearray, message: Value) -> None:
-        for key in keys:
-            _put_string(out, message[key])
-
-    def decode(data: bytes, at: int, message: Value) -> int:
-        for key in keys:
-            message[key], at = _get_string(data, at)
-        return at
 
     return encode, decode
 

@@ -194,8 +194,7 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
 def wire_message(pieces: Iterable[tuple[int, bool, bytes]], epoch_ns: int) -> Message:
     """What went over the wire: when [ns, monotonic], whether it was sent, and the bytes."""
     keys = ("time_ns", "sent", "data")
-    parts = [dict(zip(keys, piece, strict=True)) for piece in pieces]
-    return WIRE, {"header": _header(epoch_ns, BASE), "pieces": parts}
+    return WIRE, {"header": _header(epoch_ns, BASE), "pieces": [dict(zip(keys, one, strict=True)) for one in pieces]}
 
 
 def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:

@@ -47,7 +47,9 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
         with new_file(path, disk, suffix=_UNFINISHED, replacing=True) as stream:
             writer = ChunkWriter(stream, level=LEVEL, chunk_bytes=CHUNK_BYTES)
             writer.add_metadata(COMPACTED, {"from_bytes": str(path.stat().st_size)})
-            Rewrite(log, writer).add(log.messages())
+            rewrite = Rewrite(log, writer)
+            rewrite.add(log.messages())
+            rewrite.keep()
             writer.finish()
             stream.flush()
             if not log.complete or _digest(path.with_name(path.name + _UNFINISHED)) != _digest(path):

@@ -27,7 +27,7 @@ from armctl.recording.cdr import Value
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PART, new_file
 from armctl.recording.log_file import LogFile, LogMessage
-from armctl.recording.replay import MERGED, RECOVERED, LogSetup, Rerun, log_setup
+from armctl.recording.replay import MERGED, LogSetup, Rerun, log_setup
 from armctl.recording.rewrite import Rewrite
 
 TRIMMED = "trimmed"
@@ -135,7 +135,7 @@ def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) ->
         anchors = dict.fromkeys(anchor for setup in setups for anchor in (setup.anchor, *setup.later_anchors))
         later = " ".join(f"{a.wall_ns}/{a.monotonic_ns}" for a in anchors if a != setups[0].anchor)
         names = " ".join(path.name for path in ordered)
-        with _rewriting(out, first, MERGED, {"from": names, "anchors": later}, RECOVERED) as copy:
+        with _rewriting(out, first, MERGED, {"from": names, "anchors": later}) as copy:
             merger = _Merger(copy, progress, len(ordered))
             merger.take(first, None)
             for before, path in pairwise(ordered):
@@ -171,7 +171,7 @@ class _Merger:
         self._copy, self._progress, self._files, self._done = copy, progress, files, 0
         self._tick: int | None = None
         self._tick_ns = self._zero_ns = 0
-        self._anchors: set[tuple[str, ...]] = set()
+        self._anchors: set[str | None] = set()
         self.gaps: list[dict[str, float]] = []
 
     def take(self, log: LogFile, before: Path | None) -> None:
@@ -192,7 +192,7 @@ class _Merger:
                 tick = []
         self._copy.add(tick)
         self._done += 1
-        self._anchors.add(_anchor(log))
+        self._anchors.add(log.facts.get("anchor_wall_ns"))
         if not log.complete:
             raise LogError(f"{log.path}: is damaged or has no end; mend it first: armctl log recover {log.path}")
 
@@ -221,7 +221,7 @@ class _Merger:
             found = f"begins {overlap_s:.1f} s before {before} ends"
             raise LogError(f"{log.path}: {found}; files that overlap are not merged")
         previous = log.facts.get("previous", "")
-        started = not previous and _anchor(log) not in self._anchors
+        started = not previous and log.facts.get("anchor_wall_ns") not in self._anchors
         if not (goes_on or started or previous == before.name.removesuffix(PART)):
             found = f"does not follow {before}, but {previous or 'a part of it that is missing'}"
             raise LogError(f"{log.path}: {found}; only consecutive files are merged")
@@ -232,11 +232,6 @@ class _Merger:
         self.gaps.append({"from_s": from_s, "to_s": to_s})
         event = Event("warning", "GAP", f"nothing was recorded for {to_s - from_s:.3f} s before this")
         self._copy.say(channels.ROSOUT, channels.log_line(event, message.log_time_ns, channels.RECORDING), message)
-
-
-def _anchor(log: LogFile) -> tuple[str, ...]:
-    """What tells files of one rotation from those of another."""
-    return tuple(log.facts.get(key, "") for key in ("anchor_wall_ns", "anchor_monotonic_ns"))
 
 
 class _Before:
@@ -277,11 +272,11 @@ class _Before:
 
 
 @contextmanager
-def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str], of_the_end: str = "") -> Iterator[Rewrite]:
+def _rewriting(out: Path, log: LogFile, name: str, facts: dict[str, str]) -> Iterator[Rewrite]:
     """A new file that begins with the head of `log`; it ends with what else the last log has shown by then."""
     with new_file(out) as stream:
         writer = ChunkWriter(stream)
-        rewrite = Rewrite(log, writer, name, facts, of_the_end)
+        rewrite = Rewrite(log, writer, name, facts)
         yield rewrite
         rewrite.keep()
         writer.finish()

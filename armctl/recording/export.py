@@ -23,6 +23,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Self
 
+import numpy as np
+
 from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError, LogError
 from armctl.recording import channels
@@ -130,30 +132,18 @@ class _Table:
             if (found := (frames := Frames(log)).columns()) is None:
                 return False
             self.facts, self.complete = {"source": self._path.name, **log.facts}, log.complete
-        times, self.count = found["time_ns"].tolist(), len(found["tick"])
-        self._cells = {
-            "time_epoch_s": [time_ns / NS_PER_S for time_ns in times],
-            "time_s": [(time_ns - times[0]) / NS_PER_S for time_ns in times],
-            **{key: found[key] for key in ("tick", "state", "fault")},
-        }
+        times = [_times(time_ns, int(found["time_ns"][0])) for time_ns in found["time_ns"].tolist()]
+        self._cells = {name: [row[name] for row in times] for name in times[0]}
+        self._cells |= {key: found[key] for key in ("tick", "state", "fault")}
         for index, name in enumerate(frames.arm.joint_names):
             self._cells |= {f"{name}.{quantity}": found[quantity][:, index] for quantity in _QUANTITIES}
         self._cells |= {f"tool.{axis}": column for axis, column in zip(_TOOL, found["tool"].T, strict=True)}
-        self.columns = {
-            name: type(cells[0].item() if hasattr(cells, "dtype") else cells[0]) for name, cells in self._cells.items()
-        }
-        self._show(1.0)
+        for name, cells in self._cells.items():
+            if isinstance(cells, np.ndarray):
+                self._cells[name] = np.where(cells == cells, cells, np.array(None)).tolist()  # NaN: not known
+        first = {name: next((cell for cell in cells if cell is not None), 0.0) for name, cells in self._cells.items()}
+        self.columns = {name: _common(None, cell) or float for name, cell in first.items()}
         return True
-
-    def batches(self) -> Iterator[Sequence[Any]]:
-        """The cells column by column, of so many rows at a time."""
-        if self._cells:
-            for begin in range(0, self.count, BATCH_ROWS):
-                yield [cells[begin : begin + BATCH_ROWS] for cells in self._cells.values()]
-            return
-        rows = self.rows()
-        while batch := list(islice(rows, BATCH_ROWS)):
-            yield list(zip(*batch, strict=True))
 
     def look(self) -> None:
         """Find the columns.
@@ -167,11 +157,12 @@ class _Table:
                 found[name] = _common(found.get(name), cell)
         self.columns = {name: kind or float for name, kind in found.items()}
 
-    def rows(self) -> Iterator[list[Cell]]:
+    def rows(self) -> Iterator[Sequence[Cell]]:
         """The cells of every row, one for each column."""
-        for row in self._read(0.5):
+        cells = zip(*self._cells.values(), strict=True)
+        for row in cells if self._cells else ([row.get(name) for name in self.columns] for row in self._read(0.5)):
             self.count += 1
-            yield [row.get(name) for name in self.columns]
+            yield row
 
     def _read(self, begun: float) -> Iterator[Row]:
         """The log's rows; `begun`: fraction done before the first one."""
@@ -341,13 +332,11 @@ def _write_parquet(stream: BinaryIO, tables: Iterator[_Table]) -> None:
     types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
     for table in tables:
         schema = pyarrow.schema([(name, types[kind]) for name, kind in table.columns.items()], metadata=table.facts)
+        rows = table.rows()
         with parquet.ParquetWriter(stream, schema, compression="zstd") as file:
-            for batch in table.batches():
-                columns = zip(table.columns.values(), batch, strict=True)
-                arrays = [
-                    pyarrow.array(_of_type(kind, cells), types[kind], from_pandas=hasattr(cells, "dtype"))  # NaN: empty
-                    for kind, cells in columns
-                ]
+            while batch := list(islice(rows, BATCH_ROWS)):
+                columns = zip(table.columns.values(), zip(*batch, strict=True), strict=True)
+                arrays = [pyarrow.array(_of_type(kind, cells), types[kind]) for kind, cells in columns]
                 file.write_batch(pyarrow.record_batch(arrays, schema=schema))
 
 

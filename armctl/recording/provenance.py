@@ -56,16 +56,14 @@ def other_program(facts: Mapping[str, str]) -> str:
         facts: What the log says of itself.
     """
     ours, made_by, at = program(), facts.get("version", "unknown"), facts.get("commit", "")
-    if made_by != ours["version"]:
-        made = f"armctl {made_by}, this is {ours['version']}"
-    elif facts.get("sources") != ours["sources"]:
-        made = f"other sources of armctl {made_by} (commit {at or 'unknown'})"
-    else:
+    if (made_by, facts.get("sources")) == (ours["version"], ours["sources"]):
         return ""
+    other = f"other sources of armctl {made_by} (commit {at or 'unknown'})"
+    made = other if made_by == ours["version"] else f"armctl {made_by}, this is {ours['version']}"
     how = f"git checkout {at}" if at else f"pip install armctl=={made_by}"
     if not at and made_by == ours["version"]:  # the log is older than that logs say their commit
-        begun_s = int(facts.get("anchor_wall_ns", 0)) // NS_PER_S
-        how = f"git checkout $(git rev-list -1 --before=@{begun_s} HEAD), the commit of the day of the log"
+        begun = f"@{int(facts.get('anchor_wall_ns', 0)) // NS_PER_S}"
+        how = f"git checkout $(git rev-list -1 --before={begun} HEAD), the commit of the day of the log"
     return f"; it was made by {made}: check it with that one, in an environment of its own: {how}"
 
 

@@ -8,7 +8,7 @@ Every failure is a LogError.
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -67,11 +67,8 @@ def read(path: Path, topics: Collection[str] | None = None) -> Iterator[DecodedM
         LogError: the file is no log, or a message does not fit its schema.
     """
     with LogFile(path) as log:
-        decoders: dict[str, Callable[[bytes], Value]] = {}
-        for topic, time_ns, sequence, data in log.messages(topics):
-            if (decode := decoders.get(topic)) is None:
-                decode = decoders[topic] = log.codec(topic).decode
-            yield tuple.__new__(DecodedMessage, (topic, time_ns, sequence, decode(data)))  # half the time of a call
+        for message in log.messages(topics):
+            yield tuple.__new__(DecodedMessage, (*message[:3], log.decode(message)))  # half the time of a call
 
 
 def read_columns(path: Path, topics: Iterable[str] | None = None) -> dict[str, tuple[Table, ...]]:

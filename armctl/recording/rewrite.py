@@ -6,6 +6,7 @@ from armctl.clock import NS_PER_S
 from armctl.recording.cdr import Value
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.replay import RECOVERED
 
 
 class Rewrite:
@@ -13,33 +14,25 @@ class Rewrite:
 
     Args:
         name, facts: A metadata record that says what was done; the log's own of that name is not taken over.
-        of_the_end: Name of a metadata record that is true of a log's end: only the last log's is taken over.
     """
 
-    def __init__(
-        self,
-        log: LogFile,
-        writer: ChunkWriter,
-        name: str = "",
-        facts: dict[str, str] | None = None,
-        of_the_end: str = "",
-    ) -> None:
+    def __init__(self, log: LogFile, writer: ChunkWriter, name: str = "", facts: dict[str, str] | None = None) -> None:
         # Number of messages written so far.
         self.messages = 0
         self._begin_ns, self._end_ns = 2**64, 0
         self._log, self._writer = log, writer
         self._channels: dict[str, int] = {}
         self._schemas: dict[int, int] = {}
-        self._kept, self._of_the_end = {name, of_the_end}, of_the_end
+        self._kept = {name, RECOVERED}
         self._register()
         self.keep()
+        self._kept.discard(RECOVERED)  # true of a log's end: of several logs the last one's stands, at the end
         if facts is not None:
             writer.add_metadata(name, facts)
 
     def follow(self, log: LogFile) -> None:
         """Go on with the messages of another log."""
         self._log, self._schemas = log, {}
-        self._kept.discard(self._of_the_end)
 
     def add(self, messages: Iterable[LogMessage]) -> int:
         """Messages of the log, as they are; how many the new file holds."""

@@ -112,9 +112,8 @@ class Files:
         self._last: TickRecord | None = None
         # What went over the wire lately and is in no file.
         self._wire: deque[tuple[int, bool, bytes]] = deque(maxlen=MAX_WIRE)
-        self._wire_end_ns = 0
         self._previous = ""
-        self._snapshot_end_ns = self._retry_ns = 0
+        self._snapshot_end_ns = self._wire_end_ns = self._retry_ns = 0
         self._clock_offset_ns: int | None = None
         self._retention = quota.Retention(folder, context.config.log, clock.now_ns, disk)
         # Whether no file can be begun or finished.

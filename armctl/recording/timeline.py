@@ -37,7 +37,7 @@ _TORQUE, _GOAL, _VOLTAGE, _TEMPERATURE = (
 )
 # What every frame is made of, and what it tells of the joints.
 _SAMPLED = (channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE)
-_OF_JOINTS = (*channels.QUANTITIES.values(), "goal_rad", "voltage_V", "temperature_degC", "torque_enabled")
+_OF_JOINTS = (*channels.QUANTITIES.values(), "goal_rad", "voltage_V", "temperature_degC")
 _TOPICS = (
     channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE, channels.DIAGNOSTICS, channels.ROSOUT,
     channels.COMMAND, channels.WRITES, channels.CYCLE,
@@ -127,15 +127,13 @@ class Frames:
             return None
 
     def _columns(self, found: dict[str, Payloads]) -> dict[str, Any] | None:
-        own: list[Any] = []
-        for table in self._log.tables(channels.CYCLE, found[channels.CYCLE]):
-            kept = table.numbers("inputs_only") == 0
-            own.append((table.log_time_ns[kept], table.numbers("tick")[kept]))
-        time_ns, tick = (np.concatenate(parts).astype(np.int64) for parts in zip(*own, strict=True))
-        order = np.argsort(time_ns)
-        time_ns, tick = time_ns[order], tick[order]
-        values = {key: np.full((len(tick), len(self.arm.joints)), math.nan) for key in _OF_JOINTS}
+        cycles = [(t, t.numbers("inputs_only") == 0) for t in self._log.tables(channels.CYCLE, found[channels.CYCLE])]
+        time_ns = np.concatenate([t.log_time_ns[own] for t, own in cycles]).astype(np.int64)
+        tick = np.concatenate([t.numbers("tick")[own] for t, own in cycles]).astype(np.int64)[np.argsort(time_ns)]
+        time_ns.sort()
+        values: dict[str, Any] = {key: np.full((len(tick), len(self.arm.joints)), math.nan) for key in _OF_JOINTS}
         values["tool"] = np.full((len(tick), len(_UNKNOWN_TOOL)), math.nan)
+        values["torque_enabled"] = np.zeros((len(tick), len(self.arm.joints)), np.bool_)
         for topic in _SAMPLED:
             told = 0
             for table in self._log.tables(topic, found.get(topic, Payloads())):
@@ -151,10 +149,8 @@ class Frames:
             told_then.append((self._state, self._fault))
         if (np.diff(time_ns) <= 0).any() or (np.diff(diagnosed_ns) < 0).any():
             return None
-        newest = np.searchsorted(diagnosed_ns, time_ns, side="right").tolist()
-        state, fault = zip(*[told_then[index] for index in newest], strict=True)
-        torque = values.pop("torque_enabled") > 0
-        return {"time_ns": time_ns, "tick": tick, "state": state, "fault": fault, "torque_enabled": torque, **values}
+        state, fault = zip(*[told_then[at] for at in np.searchsorted(diagnosed_ns, time_ns, side="right")], strict=True)
+        return {"time_ns": time_ns, "tick": tick, "state": state, "fault": fault, **values}
 
     def _enter(self, topic: str, table: Table, rows: Any, kept: Any, values: dict[str, Any]) -> None:
         """Put what messages of one shape say of their frames where it belongs; some are of no frame."""
@@ -172,7 +168,6 @@ class Frames:
         else:
             for index, joint in enumerate(self.arm.joints):
                 block: Any = columns[f"servos[{index}].registers"][kept].astype(np.int64)
-                values["torque_enabled"][rows, index] = 0.0
                 if block.shape[1]:
                     torque, goal = block[:, _TORQUE] > 0, block[:, _GOAL] + 256 * block[:, _GOAL + 1]
                     values["torque_enabled"][rows, index] = torque

@@ -14,6 +14,8 @@ from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
 from armctl.recording.disk import PartInUse, owned
 from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.recover import recover
+from armctl.recording.replay import check
 from proving.damage import chunk_places
 from proving.log_rig import repeated
 from tests.recording.factory import make_records
@@ -101,6 +103,13 @@ def test_the_process_compacts_the_logs_of_a_folder_and_nothing_else(log: Path) -
     subprocess.run([sys.executable, "-m", "armctl.recording.compact", log.parent], check=True, timeout=100)
     assert log.stat().st_size < size
     assert others == {path: path.read_bytes() for path in others}
+
+
+def test_a_log_that_was_cut_is_known_to_have_been_when_it_is_compacted(tmp_path: Path) -> None:
+    for name, flush_ticks in (("small", 1000), ("large", 5)):
+        part = write(tmp_path / f"{name}.mcap", RECORDS, finish=False, flush_ticks=flush_ticks)
+        assert compact(log := recover(part).path)
+        assert check(log).gaps[-1]["to_s"] is None
 
 
 def test_one_compaction_runs_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
