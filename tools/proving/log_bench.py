@@ -35,6 +35,7 @@ from armctl.recording.channels import JOINT_STATES, TOPICS, Anchor
 from armctl.recording.chunks import PROFILE, ChunkWriter
 from armctl.recording.columns import Texts
 from armctl.recording.compact import compact
+from armctl.recording.export import export
 from armctl.recording.reader import info, read, read_columns
 from armctl.recording.recover import recover
 from armctl.recording.schemas import fields, schema_text, short_name
@@ -63,6 +64,7 @@ _TICK = (
 HOUR_MB_BOUND = 12.0
 DECODE_BOUND_PER_S = 500e3
 RECOVER_BOUND_S = 3.0
+PARQUET_BOUND_S = 1.5
 REFUSE_BOUND_MS = 100.0
 
 
@@ -85,6 +87,7 @@ def bench(seed: int, *, ticks: int = HOUR_TICKS, written: int = WRITTEN_TICKS, r
         checks.append(check("an hour of an arm that holds, compacted [MB]", size_MB, HOUR_MB_BOUND))
         _decode(flushed, compacted, rounds, rows, checks)
         _topic(compacted, rounds, rows, checks)
+        _parquet(compacted, root, rows, checks)
         _recovery(flushed, root, rows, checks)
         _refusals(root, rows, checks)
     return {"rows": rows, "checks": checks, "seed": seed}
@@ -254,7 +257,7 @@ def _decode(flushed: Path, compacted: Path, rounds: int, rows: list[Row], checks
         "armctl": _rate(lambda: ours(compacted, True), rounds),
         "armctl, texts left alone": _rate(lambda: ours(compacted, False), rounds),
         "armctl, of a log flushed every second": _rate(lambda: ours(flushed, True), rounds),
-        "armctl, message by message": _rate(lambda: sum(1 for _ in read(compacted)), 1),
+        "armctl, message by message": _rate(lambda: sum(1 for _ in read(compacted)), min(2, rounds)),
         "rosbags": _rate(lambda: _decode_rosbags(compacted), min(2, rounds)),
         "mcap-ros2-support": _rate(lambda: _decode_ros2(compacted), 1),
     }
@@ -265,6 +268,8 @@ def _decode(flushed: Path, compacted: Path, rounds: int, rows: list[Row], checks
     checks.append(check("decode all [messages/s]", rates["armctl"], DECODE_BOUND_PER_S, least=True))
     checks.append(check("decode all, times real time", real_time, 9000.0, least=True))
     checks.append(check("decode all, times rosbags", rates["armctl"] / rates["rosbags"], 9.0, least=True))
+    one_by_one = rates["armctl, message by message"] / rates["rosbags"]
+    checks.append(check("decode message by message, times rosbags", one_by_one, 3.0, least=True))
 
 
 def _decode_rosbags(path: Path) -> int:
@@ -304,6 +309,13 @@ def _topic(path: Path, rounds: int, rows: list[Row], checks: list[Row]) -> None:
     rows.append(row("one topic to numpy", "armctl", ours_s, "s", 1.0))
     rows.append(row("one topic to numpy", "mcap-ros2-support", ros2_s, "s", ros2_s / ours_s))
     checks.append(check("one topic to numpy, times mcap-ros2-support", ros2_s / ours_s, 10.0, least=True))
+
+
+def _parquet(path: Path, root: Path, rows: list[Row], checks: list[Row]) -> None:
+    """The table of ticks."""
+    took_s = _best_s(lambda: export(path, root / "ticks.parquet", "parquet"), 1)
+    rows.append(row("an hour to Parquet", "armctl", took_s, "s", 1.0))
+    checks.append(check("an hour to Parquet [s]", took_s, PARQUET_BOUND_S))
 
 
 def _recovery(flushed: Path, root: Path, rows: list[Row], checks: list[Row]) -> None:
