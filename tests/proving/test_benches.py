@@ -60,7 +60,7 @@ def test_web_bench_watches_like_a_page_and_weighs_web_and_control() -> None:
     assert values["live view", "messages"] > 1.0
     assert values["live view", "armctl web"] > 0.0
     assert values["nobody looks", "control"] > 0.0
-    assert 1.0 < values["first page", "index, script, style, packed"] < 100.0
+    assert 1.0 < values["first page", "scripts and styles too, packed"] < web_bench.PAGE_BOUND_KB
     assert len(result["checks"]) >= 4
 
 
