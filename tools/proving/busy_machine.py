@@ -54,7 +54,7 @@ def watch(seed: int, hours: float = HOURS, tell: Callable[[str], None] = lambda 
     """
     violations: list[str] = []
     seconds, motions = hours * 3600.0, 0
-    with _slow_disk() as syncs, rig(seed=seed) as running, busy(HOGS, seconds + PATIENCE_S):
+    with _slow_disk() as syncs, busy(HOGS, seconds + PATIENCE_S), rig(seed=seed) as running:
         running.stop_watching()
         hold(running.client, PATIENCE_S)
         control = running.client.call("status")["pids"]["control"]

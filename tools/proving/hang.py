@@ -25,7 +25,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
@@ -85,19 +85,14 @@ def prove(
     order = [(victim, STATES[number % len(STATES)]) for number in range(runs) for victim in VICTIMS]
     done: list[Run] = []
     while len(done) < len(order):
-        with rig(seed=seed) as running, _dashboard(running) as web:
-            while len(done) < len(order):
-                run = Run(*order[len(done)])
-                begin_ns = time.monotonic_ns()
-                try:
-                    _hang_once(running, web, run, rng)
-                except (ArmctlError, AssertionError, OSError) as error:
-                    run.violations.append(f"{type(error).__name__}: {error}")
-                run.kept_back_s = running.kernel.worst_s(begin_ns, time.monotonic_ns())
-                done.append(run)
-                tell(f"{len(done)}/{len(order)} {run.victim} {run.state}: {_told(run)}")
-                if run.violations:
-                    break  # a fresh rig
+        before = len(done)
+        try:
+            with rig(seed=seed) as running, _dashboard(running) as web:
+                _hang_on(running, web, order, done, rng, tell)
+        except ArmctlError as error:
+            if len(done) == before:
+                raise
+            done[-1].violations.append(f"the programs did not end: {error}")
     watched = watch(seed, hours, tell) if hours else {"violations": []}
     return {
         "runs": len(done),
@@ -118,6 +113,29 @@ def prove(
         ],
         "seed": seed,
     }
+
+
+def _hang_on(
+    running: Rig,
+    web: int,
+    order: Sequence[tuple[Victim, str]],
+    done: list[Run],
+    rng: np.random.Generator,
+    tell: Callable[[str], None],
+) -> None:
+    """One hang after another, up to one that shows a violation: behind it a fresh rig is wanted."""
+    while len(done) < len(order):
+        run = Run(*order[len(done)])
+        begin_ns = time.monotonic_ns()
+        try:
+            _hang_once(running, web, run, rng)
+        except (ArmctlError, AssertionError, OSError) as error:
+            run.violations.append(f"{type(error).__name__}: {error}")
+        run.kept_back_s = running.kernel.worst_s(begin_ns, time.monotonic_ns())
+        done.append(run)
+        tell(f"{len(done)}/{len(order)} {run.victim} {run.state}: {_told(run)}")
+        if run.violations:
+            return
 
 
 def _told(run: Run) -> str:

@@ -38,8 +38,8 @@ LAST_GOAL_S = 0.2
 REST_S = 0.5
 CLEAR_S = 3.0
 COOL_DEGC = 40.0
-# Sag aside: 20 % of stall torque bends a servo by 1.9 deg, and the arm leaves its rest when the base swings.
-MOVED_RAD = math.radians(3.0)
+# Sag aside, and its correction: 20 % of stall torque bends a servo by 1.9 deg, and a swing of the base leaves it so.
+MOVED_RAD = math.radians(4.0)
 # Motion within 0.1 s that still counts as rest.
 STILL_RAD = math.radians(0.4)
 MOVING_IDS = (1, 6)
@@ -301,7 +301,7 @@ def _judge_motion(
     ids = [joint.servo_id for joint in running.arm.joints]
     kept = [i for i, servo_id in enumerate(ids) if servo_id not in scenario.free]
     asked = [i for i in kept if scenario.state == "moving" and ids[i] in MOVING_IDS]
-    settling = scenario.settles and scenario.state == "moving"
+    settling = scenario.settles
     for i in kept:
         moved = float(np.ptp(truth.joints_rad[:, i]))
         if i not in asked and not settling and moved > MOVED_RAD:

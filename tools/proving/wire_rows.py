@@ -57,6 +57,8 @@ class Scenario:
         return f"{self.state}: {self.kind}{where}{often}{times}{much}"
 
 
+# Heat latches once it has lasted. The way to rest is announced 3 s ahead, and takes some.
+HEAT_S, TO_REST_S = 2.0, 12.0
 # A servo or bus without an answer latches after this long; goals stop at 0.2 s.
 SILENT = 0.5
 NOISE = 10.0
@@ -123,7 +125,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("holding", "second_writer", ("OTHER_WRITER",), TICK_S + TICK_S, 6, value=30, free=(6,)),
     # A 16 ms timer fires in time for the odd reply: then some servo was heard, and the bus is not all silent.
     Scenario("holding", "latency", (*ALL_SILENT, "SERVO_SILENT"), SILENT, value=16.0),
-    Scenario("holding", "hot", ("HOT",), TICK_S, 5, value=67.0, settles=True),
+    Scenario("holding", "hot", ("HOT",), HEAT_S + TICK_S, 5, value=67.0, settles=True, watch_s=TO_REST_S),
     Scenario("moving", "lost", ("SERVO_SILENT",), SILENT, 3),
     Scenario("moving", "lost", ("SERVO_SILENT",), SILENT, 1),
     Scenario("moving", "lost", ALL_SILENT, SILENT),
@@ -147,7 +149,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("moving", "frozen_sensor", ("BLOCKED",), 2.0, 1, free=(1,)),
     Scenario("moving", "second_writer", ("OTHER_WRITER",), TICK_S + TICK_S, 6, value=60, free=(6,)),
     Scenario("moving", "latency", (*ALL_SILENT, "SERVO_SILENT"), SILENT, value=16.0),
-    Scenario("moving", "hot", ("HOT",), TICK_S, 5, value=67.0, settles=True, watch_s=6.0),
+    Scenario("moving", "hot", ("HOT",), HEAT_S + TICK_S, 5, value=67.0, settles=True, watch_s=TO_REST_S),
     Scenario("moving", "control process stalls", (), 1.0, act=_stall_control),
     Scenario("moving", "control process killed", (), 2.0, act=_kill_control),
     Scenario("holding", "control process killed", (), 2.0, act=_kill_control),
