@@ -536,6 +536,7 @@ function rows(kind, items, figures) {
     button.addEventListener("click", async () => {
       if (!await confirmed(`Delete ${one.name}?`, "Delete")) return;
       await act(button, () => request(`/${kind}/${encodeURIComponent(one.name)}`, { method: "DELETE" }));
+      tracks.delete(one.name);  // another take may have that name next
       await act(null, loadCompare);
     });
     row.insertCell().append(button);
@@ -667,6 +668,7 @@ function wire() {
   $("line-form").addEventListener("input", () => {
     const line = wantedLine();
     $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "write three numbers for each point, separated by commas";
+    showTakes();
   });
   $("plan-choice").addEventListener("change", controls);
   $("run").addEventListener("click", (event) => act(event.target, () => run()));
