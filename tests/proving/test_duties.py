@@ -245,9 +245,10 @@ def test_7_on_the_way_to_rest_goals_go_back_by_what_a_correction_adds_and_not_by
     assert ("7" in holding.broken) == seen
 
 
+@pytest.mark.parametrize("there", [500.0, 514.0])
 @pytest.mark.parametrize(("steps", "seen"), [(4, False), (6, True)])
-def test_7_a_joint_that_hangs_below_its_rest_is_led_there_by_goals_beyond_it_as_far_as_a_correction_may_be(
-    holding: Bench, steps: int, seen: bool
+def test_7_a_joint_that_comes_from_below_its_rest_is_led_there_by_goals_beyond_it_as_far_as_a_correction_may_be(
+    holding: Bench, steps: int, seen: bool, there: float
 ) -> None:
     holding.servos[0].goal = 412  # the base rests at 512
     holding.at(412.0)
@@ -257,6 +258,7 @@ def test_7_a_joint_that_hangs_below_its_rest_is_led_there_by_goals_beyond_it_as_
     holding.tick(Mode.FAULTED, "HOT")
     for _ in range(steps):
         holding.move(5, follow=False, mode=Mode.FAULTED, code="HOT")
+        holding.at(there)
     assert ("7" in holding.broken) == seen
 
 

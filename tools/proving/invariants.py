@@ -152,6 +152,8 @@ class Judge(TorqueJudge):
         if self._duties.lately(now_s, {"echo"}, 0.0) and not self._duties.may_be_forged(now_s):
             return  # the host hears itself, unless what it said was cut
         self._heard_s[index], self._told[index] = now_s, position
+        if not self._settling():
+            self._came[index] = position
         if goal is None:
             self._going.discard(index)
         looks = self._in_charge and self._mode in POWERED and not self._code

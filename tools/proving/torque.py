@@ -41,6 +41,8 @@ class TorqueJudge(StandingJudge):
         self._limits = [(joint.low, joint.high) for joint in arm.joints]
         # Where each servo said it was.
         self._told = [0] * n
+        # Where each was before anything sent the arm to rest.
+        self._came = [0] * n
         # Whose EEPROM forbids torque.
         self._unfit: set[int] = set()
         # When the last tick was over.
@@ -156,7 +158,7 @@ class TorqueJudge(StandingJudge):
     def _off_rest(self, i: int, goal: int) -> float:
         """How far a goal is off rest [ticks]; beyond it as its joint comes, what a correction may be does not count."""
         rest = self._rest[i]
-        beyond = (goal - rest) * (rest - self._told[i]) > 0.0
+        beyond = any((goal - rest) * (rest - place) > 0.0 for place in (self._told[i], self._came[i]))
         return max(0.0, abs(goal - rest) - beyond * CORRECTION_DEG / TICK_DEG)
 
     def _led_to_rest(self, now_s: float, i: int, known: int, goal: int) -> None:
