@@ -14,13 +14,16 @@ Rules.
 4. Nothing here knows where the tool really is, unless somebody measured it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from armctl.config import ArmConfig
+from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
+from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
@@ -144,6 +147,25 @@ def course_of(on: Driven, plan: Plan) -> Course:
     knots, none = np.array(plan.waypoint_progress), np.zeros((ticks, n))
     kind, stream = plan.interpolation, len(knots) == ticks
     return Course(line, kind, stream, waypoints[:, :n], knots, none, np.zeros((ticks, 3)), waypoints[:, n:])
+
+
+def bent(on: Driven, plan: Plan, point: int, to_m: Sequence[float]) -> Plan:
+    """The plan with one via point elsewhere, by the posture nearest to its own.
+
+    Args:
+        point: Which via point, from 1 to `plan.via`.
+        to_m: Where the tool is to be there [m], shape (3,).
+    Raises:
+        RequestRefused: the plan has no such via point.
+        UnreachableTarget: the tool cannot be there within the joint limits.
+    """
+    if point > plan.via:
+        raise RequestRefused("POINT", f"the plan has no intermediate point {point}; it has {plan.via}")
+    course, chain = course_of(on, plan), on.robot.chain
+    limits: FloatArray = np.array([joint.limits_rad for joint in on.arm.joints[: chain.n]])
+    waypoints = course.waypoints.copy()
+    waypoints[point] = solve_position(chain, np.array(to_m), waypoints[point], limits)
+    return plan_of(on, replace(course, waypoints=waypoints), plan.seed)
 
 
 def sent_rad(arm: ArmConfig, goals_rad: FloatArray) -> FloatArray:

@@ -1,26 +1,36 @@
-"""Recordings and plans, which the daemon keeps, and logs, which are read here; thinned out for drawing."""
+"""Recordings and plans, which the daemon keeps, logs, which are read here, and the simulator's hand."""
 
+import asyncio
+import itertools
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Path, Query, Response
 from fastapi.responses import FileResponse
+from pydantic import Field
 
 from armctl import __version__
-from armctl.config import NAME_PATTERN, ArmConfig, Config, Name
+from armctl.config import NAME_PATTERN, ArmConfig, Config, Frozen, Name
 from armctl.errors import LogError, RequestRefused
 from armctl.files import data_dir
 from armctl.host.jobs import RecordedRequest
-from armctl.host.methods import HowToRun
+from armctl.host.methods import HowToRun, Nothing
 from armctl.kinematics import robots
 from armctl.kinematics.chain import joint_axes, tool_position
-from armctl.recording import reader
+from armctl.recording import reader, search
+from armctl.recording.index import Index
 from armctl.recording.recordings import drawn
+from armctl.sim.control import SimulatorClient, control_path
+from armctl.trajectory.course import bent
+from armctl.trajectory.plan import Plan, Point
 from armctl.web.connections import Connections
 
+# Of what is found in the logs, so many are shown, the newest.
+MOST_FOUND = 200
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
 Seconds = Annotated[float, Query(ge=0.0, allow_inf_nan=False)]
 
@@ -31,13 +41,29 @@ class OptimizeBody(RecordedRequest):
     name: Name
 
 
+class BendBody(Frozen):
+    """Which intermediate point of a plan, the first is 1, is to be where [m]."""
+
+    point: int = Field(ge=1)
+    to_m: Point
+
+
+class HandBody(Frozen):
+    """A line [m] for the simulator's hand; each seed wobbles in its own way."""
+
+    from_m: Point
+    to_m: Point
+    seed: int = Field(default=0, ge=0)
+
+
 class Files:
     """The routes of one arm's files."""
 
     def __init__(self, daemon: Connections, arm: ArmConfig, config: Config) -> None:
-        self._daemon, self._arm = daemon, arm
-        self._chain = robots.get(arm.robot, arm.lengths_m).chain
+        self._daemon = daemon
+        self.arm, self.robot, self.period_s = arm, robots.get(arm.robot, arm.lengths_m), config.period_s
         self._logs = data_dir(config) / "logs"
+        self._simulator = control_path(FilePath(config.port or "no port"))
 
     def routes(self) -> APIRouter:
         """Every route. What does not await is run in a thread by the framework: files are read there."""
@@ -52,7 +78,11 @@ class Files:
             ("GET", "/plans/{name}", self.plan),
             ("DELETE", "/plans/{name}", self.delete_plan),
             ("POST", "/plans/{name}/run", self.run),
+            ("POST", "/plans/{name}/bend", self.bend),
+            ("POST", "/hand", self.hand),
+            ("POST", "/hand/let-go", self.let_go),
             ("GET", "/logs", self.list_logs),
+            ("GET", "/logs/find", self.find),
             ("GET", "/logs/{name}", self.log),
             ("GET", "/logs/{name}/file", self.log_file),
         ):
@@ -61,7 +91,7 @@ class Files:
 
     def arm_(self) -> dict[str, Any]:
         """The arm: its joints with their limits, and where their axes and the tool are at positions 0."""
-        arm, chain, gripper = self._arm, self._chain, self._arm.gripper
+        arm, chain, gripper = self.arm, self.robot.chain, self.arm.gripper
         axes, tool = joint_axes(chain, np.zeros((1, chain.n)))
         return {
             "arm_id": arm.arm_id,
@@ -78,6 +108,7 @@ class Files:
             },
             "temperature_limit_degC": arm.temperature_limit_degC,
             "voltage_V": arm.voltage_V,
+            "simulated": self._simulator.exists(),
             "version": __version__,
         }
 
@@ -125,7 +156,38 @@ class Files:
         """Pre-flight, approach, run and record a plan, and correct it by further runs; answers when that has ended."""
         return await self._daemon.call("run", plan=(await self.plan(name))["plan"], **body.model_dump())
 
+    async def bend(self, name: NamePath, body: BendBody) -> dict[str, Any]:
+        """A plan with one intermediate point elsewhere, in the posture nearest to its own; kept as NAME-bentN."""
+        plan = Plan.model_validate((await self.plan(name))["plan"])
+        changed = await asyncio.to_thread(bent, self, plan, body.point, body.to_m)
+        kept = {one["name"] for one in (await self.list_plans())["plans"]}
+        stem = name.rpartition("-bent")[0] or name
+        free = next(some for i in itertools.count(1) if (some := f"{stem}-bent{i}") not in kept)
+        await self._daemon.call("plans_save", name=free, plan=changed.model_dump(mode="json"))
+        return await self.plan(free)
+
+    # ----------------------------------------------------------------------------------------- the simulator's hand
+
+    def hand(self, body: HandBody) -> dict[str, Any]:
+        """Let the simulator's hand carry the limp arm to a line and lead it along; answers how long that takes."""
+        with SimulatorClient(self._simulator) as simulator:
+            return asdict(simulator.guide(body.from_m, body.to_m, seed=body.seed))
+
+    def let_go(self, _: Nothing) -> dict[str, Any]:
+        """Take the simulator's hand off the arm."""
+        with SimulatorClient(self._simulator) as simulator:
+            simulator.let_go()
+        return {"holding": False}
+
     # ------------------------------------------------------------------------------------------------------- logs
+
+    def find(self, expression: Annotated[str, Query(max_length=200)]) -> dict[str, Any]:
+        """Events, or minutes of servos, of all logs, as `armctl log find` has them; the newest first."""
+        with Index(self._logs) as index:
+            index.update()
+            found = search.find(index, expression)
+        newest = [{**row, "log": FilePath(row["log"]).name} for row in reversed(found[-MOST_FOUND:])]
+        return {"found": newest, "left_off": len(found) - len(newest)}
 
     def list_logs(self) -> dict[str, Any]:
         """The daemon's logs, the newest first."""
@@ -138,7 +200,7 @@ class Files:
         track = reader.ticks(_log_path(self._logs, name))
         inside = np.flatnonzero((track.time_s >= from_s) & (track.time_s <= (np.inf if to_s is None else to_s)))
         kept = inside[drawn(len(inside))]
-        tool_m = tool_position(self._chain, track.position_rad[kept][:, : self._chain.n])
+        tool_m = tool_position(self.robot.chain, track.position_rad[kept][:, : self.robot.chain.n])
         return {
             "name": name,
             "names": list(track.names),

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.errors import RequestRefused
+from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.kinematics.chain import tool_position
 from armctl.messages import LagModel
 from armctl.trajectory import refinement
-from armctl.trajectory.course import Course, Line, course_of, placed, plan_of, progress_of_ticks
+from armctl.trajectory.course import Course, Line, bent, course_of, placed, plan_of, progress_of_ticks
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan, plan_positions
@@ -231,6 +232,23 @@ def test_a_plan_is_the_plan_of_its_course(via: int | None) -> None:
     again = plan_of(Scripted(0.0), course, plan.seed)
     assert again.waypoints_rad == plan.waypoints_rad
     assert again.waypoint_progress == plan.waypoint_progress
+
+
+def test_a_via_point_is_led_where_the_tool_is_to_be_and_the_rest_stays() -> None:
+    on = Scripted(0.0)
+    plan, chain = first(on, 2).plan, on.robot.chain
+    was = np.array(plan.waypoints_rad)
+    wanted = tool_position(chain, was[2, : chain.n]) + np.array([0.004, -0.003, 0.012])
+    led = bent(on, plan, 2, wanted)
+    now = np.array(led.waypoints_rad)
+    np.testing.assert_allclose(tool_position(chain, now[2, : chain.n]), wanted, atol=1e-9)
+    assert abs(now[2] - was[2]).max() < 0.2, "by the posture nearest to its own"
+    np.testing.assert_array_equal(now[[0, 1, 3]], was[[0, 1, 3]])
+    assert led.predicted_mean_error_mm > plan.predicted_mean_error_mm
+    with refused("POINT"):
+        bent(on, plan, 3, wanted)
+    with pytest.raises(UnreachableTarget):
+        bent(on, plan, 1, [0.9, 0.0, 0.1])
 
 
 def test_a_correction_that_leads_astray_ends_it_and_what_there_is_stays() -> None:

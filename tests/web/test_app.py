@@ -4,6 +4,7 @@ import gzip
 import json
 import math
 import os
+import shutil
 from pathlib import Path
 
 import httpx
@@ -21,6 +22,7 @@ from armctl.web.app import create_app
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
 from tests.web.asking import TOKEN, asked, streamed
 
+RELEASED = Path(__file__).parent.parent / "recording" / "released"
 PAGES = ("/", "/app.js", "/scene.js", "/three.js", "/style.css", "/icon.svg")
 
 
@@ -101,6 +103,8 @@ def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:
         ("/api/plans/a%0A", 422, "INVALID"),
         ("/api/recordings/", 404, "NOT_FOUND"),
         ("/api/logs/bad.mcap?from_s=nan", 422, "INVALID"),
+        ("/api/logs/find?expression=servo:x", 409, "QUERY"),
+        ("/api/logs/find", 422, "INVALID"),
         ("/api/stop", 405, "WRONG_METHOD"),
         ("/nothing", 404, "NOT_FOUND"),
     ],
@@ -127,6 +131,27 @@ def test_the_newest_log_comes_first_whatever_its_name(tmp_path: Path) -> None:
 def test_a_field_that_does_not_fit_is_named_with_its_bound(guard: Guard) -> None:
     error = get(guard, "/api/logs/bad.mcap?from_s=-1").json()["error"]
     assert error["reasons"] == ["query.from_s: Input should be greater than or equal to 0"]
+
+
+def test_what_happened_is_found_in_the_logs_the_newest_first(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    shutil.copy(next(RELEASED.glob("*.mcap")), tmp_path / "logs" / "old.mcap")
+    answer = get(served(tmp_path), "/api/logs/find?expression=log:old.mcap").json()
+    times = [event["time"] for event in answer["found"]]
+    assert times == sorted(times, reverse=True)
+    assert {event["log"] for event in answer["found"]} == {"old.mcap"}
+    assert answer["left_off"] == 0
+
+
+@pytest.mark.parametrize(
+    ("path", "body"), [("/api/hand", {"from_m": [0.2, 0.1, 0.1], "to_m": [0.2, -0.1, 0.1]}), ("/api/hand/let-go", {})]
+)
+def test_an_arm_that_is_not_simulated_has_no_hand(guard: Guard, path: str, body: dict[str, object]) -> None:
+    assert get(guard, "/api/arm").json()["simulated"] is False
+    headers = {TOKEN_HEADER: TOKEN, "Content-Type": "application/json"}
+    answer = asked(guard, "POST", path, headers, content=json.dumps(body))
+    assert answer.status_code == 409
+    assert "no simulator listens here" in answer.json()["error"]["message"]
 
 
 @pytest.mark.parametrize("refine", [-1, 21, 1.5, "x"])

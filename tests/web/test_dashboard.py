@@ -100,13 +100,14 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     page.click("nav [data-view=guide]")
     page.click("#teach-begin")
     state(page, "teaching")
-    for take in range(2):
-        # Begun before the hand sets off for A: however slow the page is, nothing of the line is missed.
-        page.click("#take")
-        expect(page.locator("#take")).to_have_text("End the take")
-        stand.ticks(stand.simulator.guide(FROM_M, TO_M, seed=take).end_s + 0.5)
-        page.click("#take")
-        expect(page.locator("#takes li")).to_have_count(take + 1)
+    # Begun before the hand sets off for A: however slow the page is, nothing of the line is missed.
+    page.click("#take")
+    expect(page.locator("#take")).to_have_text("End the take")
+    stand.ticks(stand.simulator.guide(FROM_M, TO_M, seed=0).end_s + 0.5)
+    page.click("#take")
+    expect(page.locator("#takes li")).to_have_count(1)
+    page.click("#take-by-hand")
+    expect(page.locator("#takes li")).to_have_count(2)
     page.click("#teach-end")
     state(page, "off")
     page.fill("#optimise-form [name=via]", "1")
@@ -117,7 +118,6 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     acknowledge(stand)  # the optimisation, too, keeps a small machine busy
     page.click("#run")
     state(page, "moving")
-    stand.simulator.let_go()
     expect(page.locator("#run-figures")).to_contain_text("off the line on average")
     expect(page.locator("#run-plot .names li")).to_have_count(2)
     state(page, "holding")
@@ -131,6 +131,45 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     expect(page.locator("#log-plot .names li")).to_have_count(6)
     page.locator("#scrub").fill("0")
     expect(page.locator("#scrub-time")).to_have_text("0.0 s")
+    page.locator("#log-events li", has_text="PLAN_BEGIN").last.get_by_role("button").click()
+    expect(page.locator("#scrub-time")).not_to_have_text("0.0 s")
+    page.select_option("#log-beside", index=1)
+    page.fill("#log-words", "code:PLAN_END")
+    page.click("#log-form [type=submit]")
+    expect(page.locator("#log-found li")).not_to_have_count(0)
+    page.locator("#log-found li").first.get_by_role("button").click()
+    expect(page.locator("#log-found-hint")).to_contain_text("found")
+    page.fill("#log-words", "servo:x")
+    page.click("#log-form [type=submit]")
+    expect(page.locator("#message")).to_contain_text("QUERY")
+
+
+BALL = """async () => {
+  const { page: { view: { dots, camera, renderer } } } = await import("/page.js");
+  const { x, y } = dots.children[0].position.clone().project(camera);
+  const canvas = renderer.domElement.getBoundingClientRect();
+  return [(x + 1) / 2 * canvas.width + canvas.left, (1 - y) / 2 * canvas.height + canvas.top];
+}"""
+
+
+def test_an_intermediate_point_is_led_elsewhere_by_dragging_it_or_by_its_place(page: Page) -> None:
+    page.click("nav [data-view=guide]")
+    page.select_option("#plan-choice", "line-via1")
+    expect(page.locator("#bend-place")).not_to_have_value("")
+    before = page.locator("#bend-place").input_value()
+    page.locator("#scene").scroll_into_view_if_needed()
+    x, y = page.evaluate(BALL)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 10, y - 12, steps=4)
+    page.mouse.up()
+    expect(page.locator("#plan-choice")).to_have_value("line-via1-bent1")
+    expect(page.locator("#bend-place")).not_to_have_value(before)
+    page.fill("#bend-place", "900, 0, 100")
+    page.click("#bend-form [type=submit]")
+    expect(page.locator("#message")).to_contain_text("UNREACHABLE")
+    expect(page.locator("#bend-place")).not_to_have_value("900, 0, 100")
+    page.select_option("#plan-choice", "line-via1")
 
 
 def test_a_plan_is_refined_told_run_by_run_stopped_between_two_and_nothing_is_lost(page: Page, stand: Stand) -> None:
@@ -230,6 +269,17 @@ def test_why_the_tool_cannot_go_somewhere_stands_beside_the_button(page: Page, p
     page.click("#tool-go")
     expect(page.locator("#move-problem")).to_contain_text(reason)
     expect(page.locator("#message")).to_be_hidden()
+
+
+def test_a_click_in_the_picture_writes_the_place_under_it(page: Page) -> None:
+    energised(page)
+    page.fill("#tool-place", "180, 0, 120")
+    page.click("#tool-pick")
+    page.click("#scene", position={"x": 250, "y": 250})
+    expect(page.locator("#tool-place")).to_have_value(re.compile(r"^-?\d+, -?\d+, 120$"))
+    expect(page.locator("#tool-place")).not_to_have_value("180, 0, 120")
+    page.click("#tool-pick")
+    expect(page.locator("#pick-hint")).to_be_hidden()
 
 
 @pytest.mark.parametrize("ending", ["the button is let go", "the page is gone"])

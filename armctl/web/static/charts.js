@@ -1,5 +1,6 @@
 // Curves over a common axis, in the page's colours. Names stand beside the chart, in the order of their curves.
 
+import { distance, fromTo, progressAlong } from "/geometry.js";
 import uPlot from "/uplot.js";
 
 // Told apart by people who see few colours too, on light and dark (after Okabe and Ito).
@@ -18,7 +19,7 @@ export class Chart {
   // Draws into an element, which has a size of its own. `x` and `y` are what the axes say; the one of y begins at `low`,
   // where that is given, and shows no less than `span`.
   constructor(element, { x, y, log = false, low = null, span = 1e-3 }) {
-    Object.assign(this, { element, x, y, log, low, span, marked: null, series: [], plot: null });
+    Object.assign(this, { element, x, y, log, low, span, marked: null, notches: [], series: [], plot: null });
     this.names = document.createElement("ul");
     this.names.className = "names";
     this.canvas = document.createElement("div");
@@ -63,26 +64,35 @@ export class Chart {
       scales: { x: { time: false }, y: scale },
       axes: [{ ...axis(this.x), size: 34 }, { ...axis(this.y), size: 52 }],
       series: [{}, ...this.series.map(({ name }, i) => ({ label: name, stroke: COLOURS[i % COLOURS.length], width: 2, spanGaps: true, points: { show: false } }))],
-      hooks: { draw: [(plot) => this.line(plot)] },
+      hooks: { draw: [(plot) => this.lines(plot)] },
     }, data, this.canvas);
   }
 
-  line({ ctx, bbox, valToPos }) {
-    if (this.marked === null) return;
-    const at = valToPos(this.marked, "x", true);
+  lines({ ctx, bbox, valToPos }) {
+    const places = this.notches.map((x) => [x, "--soft", 1]);
+    if (this.marked !== null) places.push([this.marked, "--red", 2]);
     ctx.save();
-    ctx.strokeStyle = css("--red");
-    ctx.lineWidth = 2 * devicePixelRatio;
-    ctx.beginPath();
-    ctx.moveTo(at, bbox.top);
-    ctx.lineTo(at, bbox.top + bbox.height);
-    ctx.stroke();
+    for (const [x, colour, width] of places) {
+      const at = valToPos(x, "x", true);
+      ctx.strokeStyle = css(colour);
+      ctx.lineWidth = width * devicePixelRatio;
+      ctx.beginPath();
+      ctx.moveTo(at, bbox.top);
+      ctx.lineTo(at, bbox.top + bbox.height);
+      ctx.stroke();
+    }
     ctx.restore();
   }
 
   // A line across the chart, at a place along x.
   mark(x) {
     this.marked = x;
+    if (this.plot) this.plot.redraw(false);
+  }
+
+  // Thin lines across it, at places along x.
+  notch(places) {
+    this.notches = places;
     if (this.plot) this.plot.redraw(false);
   }
 
@@ -102,3 +112,12 @@ export function chart(id, how) {
 }
 
 export const repaint = () => charts.forEach((one) => one.paint());
+
+// How far tool paths [name, places] are off the line from A to B, along it.
+export function drawDeviation(id, paths, A, B) {
+  const curves = paths.map(([name, path]) => {
+    const places = fromTo(path, A, B).map((place) => [100 * progressAlong(place, A, B), distance(place, A, B)]).sort(([a], [b]) => a - b);
+    return { name, x: places.map(([x]) => x), y: places.map(([, y]) => y) };
+  });
+  chart(id, { x: "along the line, %", y: "off the line, mm", low: 0 }).draw(curves);
+}

@@ -1,15 +1,17 @@
-// Driving the arm from the page: a slider for each joint, a place for the tool, and buttons that lead it while they are
-// held down. A page that is gone, hidden or cut off says nothing more, and the daemon then stops the arm by itself.
+// Driving the arm from the page: a slider for each joint, a place for the tool, which a click in the picture writes, and
+// buttons that lead it while they are held down. A page that is gone, hidden or cut off says nothing more, and the daemon
+// then stops the arm by itself.
 
-const $ = (id) => document.getElementById(id);
-const degrees = (rad) => rad * 180 / Math.PI;
+import { point } from "/geometry.js";
+import { $, degrees } from "/page.js";
+
 const AXES = { forward: [1, 0, 0], back: [-1, 0, 0], left: [0, 1, 0], right: [0, -1, 0], up: [0, 0, 1], down: [0, 0, -1] };
 const STANDING = ["holding", "off"];
 
 export class Drive {
-  // `post` asks the server, `aim` shows where the joints [rad] are to be, or null.
-  constructor(post, aim) {
-    [this.post, this.aim] = [post, aim];
+  // `post` asks the server, `view` shows the arm, or is null.
+  constructor(post, view) {
+    [this.post, this.view] = [post, view];
     this.joints = [];
     this.targets = new Map();  // of the joints that a slider was moved of, by index
     this.state = "unreachable";
@@ -18,15 +20,40 @@ export class Drive {
     $("go-reset").addEventListener("click", () => this.reset());
     $("tool-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      const place = $("tool-place"), point = place.value.split(",").map((part) => Number(part.trim() || NaN));
-      const fits = point.length === 3 && point.every(Number.isFinite);
-      place.setAttribute("aria-invalid", String(!fits));
-      if (fits) this.go({ point_m: point.map((value) => value / 1000) });
+      const place = $("tool-place"), to = this.place();
+      place.setAttribute("aria-invalid", String(!to));
+      if (to) this.go({ point_m: to });
       else this.tell(`"${place.value}" is no place: write three numbers in mm with commas between them, such as 180, 0, 100`);
     });
+    $("tool-place").addEventListener("input", () => this.aimAt());
+    $("tool-pick").hidden = !this.view;
+    $("tool-pick").addEventListener("click", () => this.pointing($("tool-pick").getAttribute("aria-pressed") !== "true"));
     for (const button of document.querySelectorAll("[data-jog]")) this.wire(button, AXES[button.dataset.jog]);
     addEventListener("blur", () => this.letGo());
     document.addEventListener("visibilitychange", () => this.letGo());
+  }
+
+  // Where the tool is to go [m], as it is written; null: nothing that can be read.
+  place() {
+    return point($("tool-place").value)?.map((value) => value / 1000) ?? null;
+  }
+
+  aimAt() {
+    this.view?.aimAt($("tool-pick").getAttribute("aria-pressed") === "true" ? this.place() : null);
+  }
+
+  // Whether a click in the picture writes the place under it, at the height that is written.
+  pointing(on) {
+    if (!this.view) return;
+    $("tool-pick").setAttribute("aria-pressed", String(on));
+    $("pick-hint").hidden = !on;
+    this.view.picked = on ? (under) => {
+      const height_m = this.place()?.[2] ?? 0.1, place = under([0, 0, height_m], [0, 0, 1]);
+      if (!place) return;
+      $("tool-place").value = place.map((value) => Math.round(1000 * value)).join(", ");
+      this.aimAt();
+    } : null;
+    this.aimAt();
   }
 
   // A slider for a joint, to be put into its row.
@@ -51,7 +78,7 @@ export class Drive {
     $("go").disabled = !any || this.state !== "holding";
     $("go-reset").disabled = !any;
     const all = this.joints.every(({ at }) => at !== null);
-    this.aim(any && all ? this.wanted() : null);
+    this.view?.aim(any && all ? this.wanted() : null);
   }
 
   reset() {

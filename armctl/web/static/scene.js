@@ -7,6 +7,8 @@ const SERVO = [0.05, 0.032, 0.038];  // an AX-12A: along the link, across, along
 const LINK_RADIUS = 0.009;
 const FINGER = 0.045;
 const CLOSE = 1e-3;
+// A ball is grasped within this distance; a pointer that went no farther than that has clicked [pixels].
+const [GRASP_PX, CLICK_PX] = [16, 5];
 // A new posture is reached by the time the next one is expected.
 const GLIDE_MS = 100;
 // A browser that draws slower than this is not asked to glide for a while: a click comes first.
@@ -125,6 +127,9 @@ export class ArmView {
     this.controls = new three.OrbitControls(this.camera, this.renderer.domElement);
     this.controls.maxPolarAngle = 0.55 * Math.PI;
     this.controls.addEventListener("change", () => this.redraw());
+    // Told where a place of the picture is that was clicked, or that one of the balls was led there.
+    [this.picked, this.led, this.dragged] = [null, null, null];
+    this.hear(this.renderer.domElement);
     this.sun = new three.DirectionalLight(0xffffff, 1.6);
     this.sun.position.set(0.6, -1, 2);
     this.scene.add(new three.HemisphereLight(0xffffff, 0x8899aa, 1.9), this.sun);
@@ -134,7 +139,9 @@ export class ArmView {
     };
     this.curves = new Map();
     [this.dots, this.ball, this.dotted] = [new three.Group(), new three.SphereGeometry(0.004, 16, 12), new three.MeshBasicMaterial()];
-    this.scene.add(this.dots);
+    this.target = new three.Mesh(new three.SphereGeometry(0.006, 16, 12), new three.MeshBasicMaterial());
+    this.target.visible = false;
+    this.scene.add(this.dots, this.target);
     this.shown = this.wanted = null;
     // Until when nothing glides; the mean time between two pictures of a glide, and when the last of one was drawn.
     [this.rested, this.gap_ms, this.drawn] = [0, 0, 0];
@@ -170,6 +177,7 @@ export class ArmView {
     this.materials.servo.color.set(css("--servo"));
     this.materials.link.color.set(css("--link"));
     this.materials.ghost.color.set(css("--blue"));
+    this.target.material.color.set(css("--red"));
     for (const { line, colour } of this.curves.values()) line.material.color.set(css(colour));
     if (this.dotColour) this.dotted.color.set(css(this.dotColour));
     if (this.grid) this.scene.remove(this.grid);
@@ -216,6 +224,64 @@ export class ArmView {
     this.dotColour = colour;
     this.dotted.color.set(css(colour));
     this.redraw();
+  }
+
+  // A place [m] that is aimed at; null: none.
+  aimAt(place) {
+    this.target.visible = place !== null;
+    if (place) this.target.position.set(...place);
+    this.redraw();
+  }
+
+  // Where the ray through a place of the picture meets a plane; null: nowhere before the eye, or far too slantingly.
+  under({ clientX, clientY }, through, normal) {
+    const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect(), eye = this.camera.position;
+    const seen = new three.Vector3(2 * (clientX - left) / width - 1, 1 - 2 * (clientY - top) / height, 0.5).unproject(this.camera).sub(eye).normalize();
+    const far = through.clone().sub(eye).dot(normal) / seen.dot(normal);
+    return Math.abs(seen.dot(normal)) > 0.02 && far > 0 ? eye.clone().addScaledVector(seen, far) : null;
+  }
+
+  // The ball under a finger; -1: none.
+  ballAt({ clientX, clientY }) {
+    const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
+    return this.dots.children.findIndex(({ position }) => {
+      const { x, y } = position.clone().project(this.camera);
+      return Math.hypot((x + 1) / 2 * width + left - clientX, (1 - y) / 2 * height + top - clientY) < GRASP_PX;
+    });
+  }
+
+  // A ball follows whoever drags it, in a plane across the eye's direction; a click that drags nothing picks a place.
+  hear(canvas) {
+    let began = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      began = event;
+      const index = this.led ? this.ballAt(event) : -1;
+      if (index < 0) return;
+      this.dragged = { index, ball: this.dots.children[index], normal: this.camera.getWorldDirection(new three.Vector3()) };
+      this.controls.enabled = false;
+      canvas.setPointerCapture(event.pointerId);
+    }, { capture: true });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!this.dragged) {
+        canvas.style.cursor = this.picked ? "crosshair" : this.led && this.ballAt(event) >= 0 ? "grab" : "";
+        return;
+      }
+      const place = this.under(event, this.dragged.ball.position, this.dragged.normal);
+      if (place) this.dragged.ball.position.copy(place);
+      this.redraw();
+    });
+    canvas.addEventListener("pointercancel", () => this.drop());
+    canvas.addEventListener("pointerup", (event) => {
+      const still = began && Math.hypot(event.clientX - began.clientX, event.clientY - began.clientY) < CLICK_PX, dragged = this.drop();
+      if (dragged && !still) this.led(dragged.index, dragged.ball.position.toArray());
+      else if (still && this.picked) this.picked((through, normal) => this.under(event, vector(through), vector(normal))?.toArray() ?? null);
+    });
+  }
+
+  drop() {
+    const dragged = this.dragged;
+    [this.dragged, this.controls.enabled] = [null, true];
+    return dragged;
   }
 
   // Curves by other names are no longer shown.

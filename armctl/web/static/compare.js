@@ -1,0 +1,71 @@
+// Recordings and plans beside one another.
+
+import { COLOURS, drawDeviation, namesOf } from "/charts.js";
+import { proper, wantedLine } from "/geometry.js";
+import { tracks } from "/guide.js";
+import { $, act, armView, confirmed, millimetres, request } from "/page.js";
+
+let pathView = null;
+const shown = { recordings: new Set(), plans: new Set() };
+
+export async function loadCompare() {
+  const [{ recordings }, { plans }] = await Promise.all([request("/recordings"), request("/plans")]);
+  rows("recordings", recordings, (one) => [`${one.duration_s.toFixed(1)} s`, millimetres(one.mean_error_mm), millimetres(one.max_error_mm)]);
+  rows("plans", plans, (one) => [one.via, millimetres(one.predicted_mean_error_mm), millimetres(one.predicted_max_error_mm)]);
+  await drawCompare();
+}
+
+function rows(kind, items, figures) {
+  const body = $(kind).tBodies[0];
+  body.replaceChildren();
+  for (const name of shown[kind]) if (!items.some((one) => one.name === name)) shown[kind].delete(name);
+  for (const one of items) {
+    const row = body.insertRow();
+    const box = document.createElement("input");
+    box.type = "checkbox";
+    box.checked = shown[kind].has(one.name);
+    box.setAttribute("aria-label", `show ${one.name}`);
+    box.addEventListener("change", () => act(null, async () => {
+      shown[kind][box.checked ? "add" : "delete"](one.name);
+      await drawCompare();
+    }));
+    const label = document.createElement("label");
+    label.append(box, one.name);
+    const name = document.createElement("th");
+    name.scope = "row";
+    name.append(label);
+    row.append(name);
+    figures(one).forEach((text) => { row.insertCell().textContent = text; });
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = "Delete";
+    button.setAttribute("aria-label", `delete ${one.name}`);
+    button.addEventListener("click", async () => {
+      if (!await confirmed(`Delete ${one.name}?`, "Delete")) return;
+      await act(button, () => request(`/${kind}/${encodeURIComponent(one.name)}`, { method: "DELETE" }));
+      tracks.delete(one.name);  // another take may have that name next
+      await act(null, loadCompare);
+    });
+    row.insertCell().append(button);
+  }
+  if (!items.length) {
+    const cell = body.insertRow().insertCell();
+    cell.colSpan = 5;
+    cell.textContent = "none yet";
+  }
+}
+
+async function drawCompare() {
+  const paths = await Promise.all([
+    ...[...shown.recordings].map(async (name) => [name, proper(await request(`/recordings/${encodeURIComponent(name)}`))]),
+    ...[...shown.plans].map(async (name) => [name, (await request(`/plans/${encodeURIComponent(name)}`)).tool_m]),
+  ]);
+  $("compare-hint").hidden = paths.length > 0;
+  $("compare-plots").hidden = paths.length === 0;
+  if (!paths.length) return;
+  const line = wantedLine();
+  if (line) drawDeviation("deviation", paths, ...line);
+  $("paths-names").replaceChildren(...namesOf(paths.map(([name]) => name)));
+  pathView ??= armView("paths", null);
+  if (pathView) pathView.paths([...paths.map(([, path], i) => [path, COLOURS[i % COLOURS.length], false]), [line || [], "--red", true]]);
+}

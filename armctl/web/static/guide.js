@@ -1,0 +1,287 @@
+// Teach a line by hand, straighten what was taught, run it: the steps of the guide.
+
+import { chart, COLOURS, drawDeviation, namesOf } from "/charts.js";
+import { distance, minus, offLine, point, progressAlong, proper, wantedLine } from "/geometry.js";
+import { $, act, after, confirmed, fill, millimetres, page, post, Refused, request, tell, torqueOn } from "/page.js";
+
+const MOST_DRAWN = 12;
+// The take that is recorded, and whether a plan runs.
+export const guide = { taking: null, running: false };
+// Tool paths of recordings, by name.
+export const tracks = new Map();
+let takes = [], drawn = null;
+let covered = [1, 0];  // of the line, in the take under way
+
+export function showTakes() {
+  $("takes").replaceChildren(...takes.map((take) => {
+    const item = document.createElement("li");
+    const box = document.createElement("input");
+    const label = document.createElement("label");
+    box.type = "checkbox";
+    box.checked = take.chosen;
+    box.addEventListener("change", () => {
+      take.chosen = box.checked;
+      act(null, drawGuide);
+    });
+    const line = wantedLine(), off = tracks.has(take.name) && line ? offLine(tracks.get(take.name), line) : null;
+    const figures = `: ${take.duration.toFixed(1)} s` + (off ? `, ${millimetres(off[0])} off the line on average, ${millimetres(off[1])} at most` : "");
+    label.append(box, take.name + figures);
+    item.append(label);
+    return item;
+  }));
+}
+
+async function loadTakes() {
+  const { recordings } = await request("/recordings");
+  const chosen = new Set(takes.filter((take) => take.chosen).map((take) => take.name));
+  const known = new Set(takes.map((take) => take.name));
+  takes = recordings.filter((one) => !one.name.startsWith("run-")).map((one) => ({
+    name: one.name, duration: one.duration_s, chosen: known.size ? chosen.has(one.name) || !known.has(one.name) : true,
+  }));
+  showTakes();
+  await drawGuide();
+}
+
+// The chosen takes in space, beside the plan and its last run.
+async function drawGuide() {
+  if (!page.view || $("view-guide").hidden) return;
+  const chosen = takes.filter((take) => take.chosen).slice(0, MOST_DRAWN).map((take) => take.name);
+  await Promise.all(chosen.filter((name) => !tracks.has(name)).map(async (name) => {
+    tracks.set(name, (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m);
+  }));
+  page.view.keep(["line", "trail", "plan", "run"]);
+  chosen.forEach((name, i) => page.view.curve(`take ${name}`, tracks.get(name), COLOURS[i % COLOURS.length]));
+  $("guide-names").replaceChildren(...namesOf(chosen));
+  showTakes();
+}
+
+// A plan's path with its intermediate points, which can be led elsewhere, and, where there is one, its run's.
+function drawPlan(shown, run = []) {
+  drawn = shown;
+  const { plan, tool_m } = shown;
+  $("bend-form").hidden = !plan.via;
+  fill($("bend-point"), Array.from({ length: plan.via }, (_, i) => [String(i + 1), String(i + 1)]));
+  if (!page.view) return;
+  page.view.curve("plan", tool_m, "--blue");
+  page.view.balls(plan.waypoints_rad.slice(1, -1).map((q) => page.view.toolAt(q)), "--blue");
+  page.view.curve("run", run, "--ok");
+  showPoint();
+}
+
+const inMillimetres = (place) => place.map((value) => Math.round(10000 * value) / 10).join(", ");
+
+// Where the chosen intermediate point is.
+function showPoint() {
+  const chosen = drawn && page.view && drawn.plan.waypoints_rad[Number($("bend-point").value)];
+  if (chosen) $("bend-place").value = inMillimetres(page.view.toolAt(chosen));
+}
+
+// The plan that is drawn, with one of its points elsewhere; it is another plan.
+async function bend() {
+  const place = $("bend-place"), to = point(place.value);
+  place.setAttribute("aria-invalid", String(!to));
+  if (!to) throw new Refused(`"${place.value}" is no place: write three numbers in mm with commas between them, such as 180, 0, 100`);
+  try {
+    const bent = await post(`/plans/${encodeURIComponent(drawn.name)}/bend`, { point: Number($("bend-point").value), to_m: to.map((value) => value / 1000) });
+    const { name, plan } = bent;
+    $("optimise-figures").textContent = `${name}: predicted distance from the line ${millimetres(plan.predicted_mean_error_mm)} on average, ` +
+      `${millimetres(plan.predicted_max_error_mm)} at most`;
+    await loadPlanChoice(name);
+    drawPlan(bent);
+  } catch (error) {
+    drawPlan(drawn);  // the point is where it was
+    throw error;
+  }
+}
+
+async function drawChosen() {
+  const name = $("plan-choice").value;
+  if (name) drawPlan(await request(`/plans/${encodeURIComponent(name)}`));
+}
+
+function freeName(stem) {
+  const taken = new Set(takes.map((take) => take.name));
+  for (let i = 1; ; i++) if (!taken.has(`${stem}-${i}`)) return `${stem}-${i}`;
+}
+
+async function toggleTake() {
+  if (guide.taking) {
+    const name = guide.taking;
+    await post("/take/end");
+    guide.taking = null;
+    $("teach-figures").textContent = `${name} is saved`;
+    await loadTakes();
+  } else {
+    const name = freeName($("take-name").value || "take");
+    await post("/take/begin", { name });
+    [guide.taking, covered] = [name, [1, 0]];
+  }
+}
+
+// One take by the simulator's hand: it carries the arm to the start, and leads it along the line.
+async function takeByHand() {
+  const line = wantedLine();
+  if (!line) throw new Refused("the line needs two different points; each point has three numbers");
+  if (!guide.taking) await toggleTake();
+  try {
+    const { duration_s } = await post("/hand", { from_m: line[0], to_m: line[1], seed: takes.length });
+    await new Promise((resolve) => setTimeout(resolve, 1000 * duration_s));
+  } finally {
+    if (guide.taking) await toggleTake();
+  }
+}
+
+const generations = { x: [], best: [], mean: [] };
+
+export function progressed(message) {
+  if (message.warning) tell(`${message.warning}: ${message.text}`);
+  else if (message.round) $("run-figures").textContent = `after ${message.runs} of at most ${message.of} runs, ${roundText(message.round)}`;
+  else converge(message);
+}
+
+const roundText = (round) => `round ${round.round}: ${millimetres(round.mean_error_mm)} off the line on average, ` +
+  `${millimetres(round.max_error_mm)} at most, ${round.kept ? "kept" : "not kept"}`;
+
+function converge({ generation, best, mean }) {
+  generations.x.push(generation);
+  generations.best.push(best);
+  generations.mean.push(mean);
+  $("optimise-figures").textContent = `generation ${generation}: ${best.toFixed(2)} mm`;
+  return drawGenerations();
+}
+
+function drawGenerations() {
+  $("convergence").hidden = false;
+  const { x, best, mean } = generations;
+  chart("convergence", { x: "generation", y: "mean error, mm", log: true }).draw([{ name: "best", x, y: best }, { name: "average", x, y: mean }]);
+}
+
+async function optimise(form) {
+  const line = wantedLine();
+  if (!line) throw new Refused("the line needs two different points; each point has three numbers");
+  const chosen = takes.filter((take) => take.chosen).map((take) => take.name);
+  if (!chosen.length) throw new Refused("choose at least one take above");
+  Object.values(generations).forEach((list) => { list.length = 0; });
+  const { plans } = await request("/plans");
+  const taken = new Set(plans.map((plan) => plan.name));
+  const via = Number(form.elements.via.value);
+  let stem = $("take-name").value || "line";
+  for (let i = 2; taken.has(`${stem}-via${via}`); i++) stem = `${$("take-name").value || "line"}-${i}`;
+  const result = await post("/optimize", {
+    name: stem, recordings: chosen, from_m: line[0], to_m: line[1], via: [via], duration_s: Number(form.elements.duration_s.value), seed: 0,
+  });
+  const [plan] = result.plans;
+  generations.best = result.history.best_cost_mm;  // all generations: progress messages contained only some of them
+  generations.mean = result.history.mean_cost_mm;
+  generations.x = generations.best.map((_, i) => i);
+  drawGenerations();
+  $("optimise-figures").textContent = `genetic algorithm ${millimetres(result.ga.mean_error_mm)}, exact optimum ` +
+    `${millimetres(result.exact.mean_error_mm)}; predicted distance from the line with ${plan.via} points: ` +
+    `${millimetres(plan.predicted_mean_error_mm)} on average, ${millimetres(plan.predicted_max_error_mm)} at most`;
+  await loadPlanChoice(plan.name);
+  drawPlan(await request(`/plans/${encodeURIComponent(plan.name)}`));
+}
+
+async function loadPlanChoice(wanted) {
+  const { plans } = await request("/plans");
+  const known = plans.map((plan) => [plan.name, `${plan.name} (${millimetres(plan.predicted_mean_error_mm)} predicted)`]);
+  fill($("plan-choice"), known.length ? known : [["", "none yet: optimise first"]], wanted);
+  after.act();
+}
+
+async function run(refine = 0) {
+  guide.running = true;
+  try {
+    await runPlan(refine);
+  } finally {
+    guide.running = false;
+  }
+}
+
+async function runPlan(refine) {
+  const name = $("plan-choice").value;
+  let result;
+  try {
+    if (page.snapshot.state === "off") {
+      $("run-figures").textContent = "torque is coming on";
+      await torqueOn();
+    }
+    $("run-figures").textContent = `${name} is running`;
+    result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine });
+  } catch (error) {
+    $("run-figures").textContent = "the run failed";
+    throw error;
+  }
+  $("run-figures").textContent = `${result.recording}: ${millimetres(result.mean_error_mm)} off the line on average, ` +
+    `${millimetres(result.max_error_mm)} at most, in ${result.duration_s.toFixed(1)} s (by the encoders; predicted on perfect ` +
+    `servos ${millimetres(result.predicted_mean_error_mm)} and ${millimetres(result.predicted_max_error_mm)})`;
+  const recorded = async (one) => proper(await request(`/recordings/${encodeURIComponent(one)}`));
+  const [plan, measured] = await Promise.all([request(`/plans/${encodeURIComponent(name)}`), recorded(result.recording)]);
+  drawPlan(plan, measured);
+  const paths = [["predicted", plan.tool_m], ["measured", measured]];
+  if (result.rounds) {
+    const [first] = result.rounds, count = result.rounds.reduce((sum, round) => sum + round.recordings.length, 0);
+    $("run-figures").textContent = `${result.ended ? `ended before its time: ${result.ended.code}: ${result.ended.text}. ` : ""}` +
+      `The best of ${count} runs: ${$("run-figures").textContent}; the first one: ${millimetres(first.mean_error_mm)} and ${millimetres(first.max_error_mm)}`;
+    paths[0] = ["first run", await recorded(first.recordings[0])];
+    await loadPlanChoice(result.plan.split("/").pop().replace(/\.json$/, ""));
+  }
+  $("run-plot").hidden = false;
+  const A = plan.plan.from_m, B = plan.plan.to_m;
+  drawDeviation("run-plot", paths, A, B);
+}
+
+// Where the hand is on its way, and how much of the line it has led the tool along.
+export function showTeaching(place, speed_m_s, [A, B]) {
+  const share = Math.min(1, Math.max(0, progressAlong(place, A, B)));
+  covered = [Math.min(covered[0], share), Math.max(covered[1], share)];
+  const speed = speed_m_s === null ? "" : `, ${Math.round(1000 * speed_m_s)} mm/s`;
+  $("teach-figures").textContent = `recording ${guide.taking}: ${millimetres(distance(place, A, B))} off the line, ` +
+    `${millimetres(1000 * Math.hypot(...minus(place, A)))} from its start${speed}, ${Math.round(100 * (covered[1] - covered[0]))} % of it covered`;
+}
+
+export async function enterGuide() {
+  await loadTakes();
+  await loadPlanChoice();
+  await drawChosen();
+}
+
+export function wireGuide() {
+  $("teach-begin").addEventListener("click", async (event) => {
+    const needed = page.snapshot && page.snapshot.joints.some((joint) => joint.torque_enabled);
+    if (needed && !await confirmed("The arm goes limp and drops. Support it by hand first.", "It is supported")) return;
+    await act(event.target, () => post("/teach/begin", { confirm: true }));
+  });
+  $("take").addEventListener("click", (event) => act(event.target, toggleTake));
+  $("take-by-hand").addEventListener("click", (event) => act(event.target, takeByHand));
+  $("teach-end").addEventListener("click", (event) => act(event.target, () => post("/teach/end")));
+  $("optimise-form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    act(event.submitter, () => optimise(event.target));
+  });
+  $("line-form").addEventListener("submit", (event) => event.preventDefault());
+  $("line-form").addEventListener("input", () => {
+    const line = wantedLine();
+    $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "write three numbers for each point, separated by commas";
+    showTakes();
+  });
+  $("plan-choice").addEventListener("change", () => act(null, drawChosen));
+  $("bend-point").addEventListener("change", showPoint);
+  $("bend-form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    act(event.submitter, bend);
+  });
+  $("run").addEventListener("click", (event) => act(event.target, () => run()));
+  $("refine").addEventListener("click", (event) => act(event.target, () => {
+    const most = $("refine-most");
+    if (!most.checkValidity()) throw new Refused("the further runs are a whole number from 1 to 20");
+    return run(Number(most.value));
+  }));
+}
+
+// A point that was led elsewhere in the picture.
+export function pointLed(index, place) {
+  $("bend-point").value = String(index + 1);
+  $("bend-place").value = inMillimetres(place);
+  act(null, bend);
+}

@@ -1,0 +1,109 @@
+// What every view of the page shares: its elements, the server behind it, and what is known of the arm.
+
+import { ArmView } from "/scene.js";
+
+export const $ = (id) => document.getElementById(id);
+export const degrees = (rad) => rad * 180 / Math.PI;
+export const millimetres = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} mm`;
+// The arm as the server describes it, its last snapshot, and the view that shows it.
+export const page = { arm: null, snapshot: null, view: null };
+// Every view that was made.
+export const views = [];
+// What is to be looked at again after each request.
+export const after = { act: () => {} };
+export const token = takeToken();
+
+function takeToken() {
+  const found = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (found) {
+    sessionStorage.setItem("armctl-token", found);
+    history.replaceState(null, "", location.pathname);
+  }
+  return found || sessionStorage.getItem("armctl-token") || "";
+}
+
+// Asks for a token where the address had none, or it opens nothing any more.
+export function logIn() {
+  $("login").hidden = false;
+  $("login").onsubmit = (event) => {
+    event.preventDefault();
+    sessionStorage.setItem("armctl-token", $("login-token").value.trim());
+    location.reload();
+  };
+}
+
+export class Refused extends Error {}
+
+export async function request(path, { method = "GET", body } = {}) {
+  const headers = { "X-Armctl-Token": token };
+  if (body !== undefined) headers["Content-Type"] = "application/json";
+  let response;
+  try {
+    response = await fetch(`/api${path}`, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
+  } catch {
+    throw new Refused("the dashboard's server does not answer; is `armctl web` running?");
+  }
+  const answer = await response.json().catch(() => null);
+  if (response.ok) return answer;
+  const error = answer && answer.error;
+  throw new Refused(error ? `${error.code}: ${error.reasons.join("; ")}` : `the server answered ${response.status}`);
+}
+
+export const post = (path, body = {}) => request(path, { method: "POST", body });
+
+export function tell(text) {
+  $("message").textContent = text;
+  $("message").hidden = !text;
+}
+
+// Does what a button asks for. The button is disabled until it is done. A refusal is shown.
+export async function act(button, work) {
+  tell("");
+  if (button) button.disabled = true;
+  try {
+    return await work();
+  } catch (error) {
+    if (!(error instanceof Refused)) throw error;
+    tell(error.message);
+    return null;
+  } finally {
+    if (button) button.disabled = false;
+    after.act();
+  }
+}
+
+export function confirmed(text, yes) {
+  $("confirm-text").textContent = text;
+  $("confirm-yes").textContent = yes;
+  const dialog = $("confirm");
+  if (dialog.open) dialog.close("no");
+  dialog.returnValue = "no";
+  dialog.show();  // not modal: STOP must work while a question is open
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+}
+
+// A view in an element, of the arm where one is given; or why there is none.
+export function armView(id, arm) {
+  try {
+    const made = new ArmView($(id));
+    if (arm) made.setArm(arm);
+    views.push(made);
+    return made;
+  } catch (error) {
+    $(id).textContent = `This browser draws nothing in 3D (${error.message}); turn WebGL on to see the arm.`;
+    return null;
+  }
+}
+
+// The choices of a list [value, text]; the one of before stays chosen, if it is still there.
+export function fill(select, rows, wanted) {
+  const before = wanted ?? select.value;
+  select.replaceChildren(...rows.map(([value, text]) => new Option(text, value)));
+  if (rows.some(([value]) => value === before)) select.value = before;
+}
+
+// The arm holds itself from now on, and the simulator's hand is no longer needed.
+export async function torqueOn() {
+  await post("/torque-on");
+  if (page.arm.simulated) await post("/hand/let-go");
+}
