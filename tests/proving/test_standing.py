@@ -99,6 +99,24 @@ def test_what_was_left_with_a_part_of_its_strength_cannot_stand(holding: Bench, 
     assert holding.broken == broken
 
 
+@pytest.mark.parametrize(("limit", "program", "broken"), [
+    (307, "on a bad line", set()), (307, "on a good line", {"2"}), (1023, "on a bad line", {"2"}),
+    (307, "dead", set()), (1023, "dead", {"limp"}),
+])  # fmt: skip
+def test_what_was_left_with_a_part_of_its_strength_may_sag_until_the_next_program_can_take_it_over(
+    holding: Bench, limit: int, program: str, broken: set[str]
+) -> None:
+    if program == "on a bad line":
+        holding.plan("corrupted", 5.0, servo_id=None)
+    elif program == "dead":
+        holding.judge.died(holding.now_s, holding.servos)
+    holding.servos[0].limit = limit
+    for below in (0.0, 20.0, 35.0, 50.0):
+        holding.at(MIDDLE - below)
+        holding.tick(None if program == "dead" else Mode.STARTING, heard=program != "dead")
+    assert holding.red & {"2", "limp"} == broken
+
+
 @pytest.mark.parametrize(("lasts", "volts", "celsius", "code", "broken"), [
     (0.2, 8.0, 30.0, "VOLTAGE", {"rest"}), (0.8, 8.0, 30.0, "VOLTAGE", set()),
     (1.0, 12.0, 67.0, "HOT", {"rest"}), (2.2, 12.0, 67.0, "HOT", set()), (0.2, 12.0, 71.0, "HOT", set()),

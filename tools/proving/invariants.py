@@ -41,7 +41,7 @@ from collections import deque
 from collections.abc import Sequence, Set
 
 from armctl.sim.faults import Fault
-from proving.duties import STOP_S
+from proving.duties import GARBLES, STOP_S
 from proving.evidence import Known, Sent, Servo, Strain
 from proving.reading import (
     ADVANCING,
@@ -57,6 +57,7 @@ from proving.reading import (
     PARKING,
     POWERED,
     RESTING,
+    STARTING,
     TICK_DEG,
     TORQUE_ENABLE,
     Arm,
@@ -372,8 +373,10 @@ class Judge(TorqueJudge):
                 self._far_s[i] = math.inf
                 continue
             away = abs(servo.goal - servo.shaft_tick)
-            # It is told of, and cannot hold.
-            weak = self._is_weak(i, servo) and bool(self._codes)
+            # It is told of, or there is no program that has taken it over, which a bad line delays: it cannot hold.
+            begins = self._adopting or self._mode == STARTING
+            waits = not self._in_charge or (begins and self._duties.lately(now_s, GARBLES))
+            weak = self._is_weak(i, servo) and (bool(self._codes) or waits)
             if away > LEAD_TICKS and not weak and not self._duties.excused(now_s, i):
                 # One that kept its torque while the others lost theirs cannot hold the arm.
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
