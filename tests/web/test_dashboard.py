@@ -267,7 +267,7 @@ def test_why_the_tool_cannot_go_somewhere_stands_beside_the_button(page: Page, p
     energised(page)
     page.fill("#tool-place", place)
     page.click("#tool-go")
-    expect(page.locator("#move-problem")).to_contain_text(reason)
+    expect(page.locator("#tool-problem")).to_contain_text(reason)
     expect(page.locator("#message")).to_be_hidden()
 
 
@@ -291,7 +291,7 @@ def test_the_tool_is_led_for_as_long_as_somebody_holds_the_button(page: Page, st
     state(page, "jogging")
     stand.ticks(1.0)
     # A machine that is too slow to say how fast, in time for the next tick, has ended it by now, and says so.
-    slow = page.locator("#move-problem").is_visible()
+    slow = page.locator("#tool-problem").is_visible()
     if ending == "the page is gone":
         page.close()
     else:

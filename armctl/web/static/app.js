@@ -84,6 +84,7 @@ let cards = "";
 
 // A card for every fault, the worst first.
 function showFaults(faults) {
+  if (faults.length && $("fault").hidden) scrollTo(0, 0);  // where its card stands
   $("fault").hidden = !faults.length;
   const told = faults.map(({ code, servo_id, text, arm: doing, next, follows }) => [
     `${code}${servo_id === null ? "" : `, servo ${servo_id}`}`, text ?? "", follows ? `It follows from ${follows}.` : "", `The arm: ${doing}`, `Next: ${pressed(next)}`,
@@ -196,6 +197,8 @@ function view(name) {
     else button.removeAttribute("aria-current");
   }
   drive?.pointing(false);
+  drive?.tell("");
+  scrollTo(0, 0);
   act(null, ENTER[name]);
 }
 

@@ -69,7 +69,7 @@ export class Chart {
   }
 
   lines({ ctx, bbox, valToPos }) {
-    const places = this.notches.map((x) => [x, "--soft", 1]);
+    const places = this.notches.map((x) => [x, "--rule", 1]);
     if (this.marked !== null) places.push([this.marked, "--red", 2]);
     ctx.save();
     for (const [x, colour, width] of places) {

@@ -1,9 +1,9 @@
 // Recordings and plans beside one another.
 
 import { COLOURS, drawDeviation, namesOf } from "/charts.js";
-import { proper, wantedLine } from "/geometry.js";
+import { onTheWay, proper, wantedLine } from "/geometry.js";
 import { tracks } from "/guide.js";
-import { $, act, armView, confirmed, millimetres, request } from "/page.js";
+import { $, act, armView, confirmed, millimetres, request, spoken } from "/page.js";
 
 let pathView = null;
 const shown = { recordings: new Set(), plans: new Set() };
@@ -30,7 +30,7 @@ function rows(kind, items, figures) {
       await drawCompare();
     }));
     const label = document.createElement("label");
-    label.append(box, one.name);
+    label.append(box, spoken(one.name));
     const name = document.createElement("th");
     name.scope = "row";
     name.append(label);
@@ -57,8 +57,8 @@ function rows(kind, items, figures) {
 
 async function drawCompare() {
   const paths = await Promise.all([
-    ...[...shown.recordings].map(async (name) => [name, proper(await request(`/recordings/${encodeURIComponent(name)}`))]),
-    ...[...shown.plans].map(async (name) => [name, (await request(`/plans/${encodeURIComponent(name)}`)).tool_m]),
+    ...[...shown.recordings].map(async (name) => [spoken(name), proper(await request(`/recordings/${encodeURIComponent(name)}`))]),
+    ...[...shown.plans].map(async (name) => [spoken(name), (await request(`/plans/${encodeURIComponent(name)}`)).tool_m]),
   ]);
   $("compare-hint").hidden = paths.length > 0;
   $("compare-plots").hidden = paths.length === 0;
@@ -67,5 +67,5 @@ async function drawCompare() {
   if (line) drawDeviation("deviation", paths, ...line);
   $("paths-names").replaceChildren(...namesOf(paths.map(([name]) => name)));
   pathView ??= armView("paths", null);
-  if (pathView) pathView.paths([...paths.map(([, path], i) => [path, COLOURS[i % COLOURS.length], false]), [line || [], "--red", true]]);
+  if (pathView) pathView.paths([...paths.map(([, path], i) => [onTheWay(path, line), COLOURS[i % COLOURS.length], false]), [line || [], "--red", true]]);
 }

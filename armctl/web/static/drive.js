@@ -22,8 +22,8 @@ export class Drive {
       event.preventDefault();
       const place = $("tool-place"), to = this.place();
       place.setAttribute("aria-invalid", String(!to));
-      if (to) this.go({ point_m: to });
-      else this.tell(`"${place.value}" is no place: write three numbers in mm with commas between them, such as 180, 0, 100`);
+      if (to) this.go({ point_m: to }, "tool-problem");
+      else this.tell(`"${place.value}" is no place: write three numbers in mm with commas between them, such as 180, 0, 100`, "tool-problem");
     });
     $("tool-place").addEventListener("input", () => this.aimAt());
     $("tool-pick").hidden = !this.view;
@@ -104,18 +104,21 @@ export class Drive {
     this.changed();
   }
 
-  tell(text) {
-    $("move-problem").textContent = text;
-    $("move-problem").hidden = !text;
+  // What is wrong stands beside what asked for it.
+  tell(text, place = "move-problem") {
+    for (const id of ["move-problem", "tool-problem"]) {
+      $(id).textContent = id === place ? text : "";
+      $(id).hidden = id !== place || !text;
+    }
   }
 
-  async go(where) {
+  async go(where, place) {
     this.tell("");
     try {
       await this.post("/move", where);
       this.reset();
     } catch (error) {
-      this.tell(error.message);
+      this.tell(error.message, place);
     }
   }
 
@@ -152,7 +155,7 @@ export class Drive {
         await this.post("/jog", { tool_m_s: axis.map((part) => part * speed_m_s), begin });
       }
     } catch (error) {
-      this.tell(error.message);
+      this.tell(error.message, "tool-problem");
       if (this.held === button) this.letGo();
     }
   }

@@ -34,6 +34,12 @@ export function fromTo(track, A, B) {
   return way.slice(0, nearest(B, way) + 1);
 }
 
+// What of a tool path is worth drawing beside a line: the way there is not.
+export function onTheWay(track, line) {
+  const way = line ? fromTo(track, ...line) : track;
+  return way.length > 1 ? way : track;
+}
+
 // How far a take is off the line [mm], on average and at most.
 export function offLine(track, [A, B]) {
   const off = fromTo(track, A, B).map((place) => distance(place, A, B));

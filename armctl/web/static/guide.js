@@ -1,8 +1,8 @@
 // Teach a line by hand, straighten what was taught, run it: the steps of the guide.
 
 import { chart, COLOURS, drawDeviation, namesOf } from "/charts.js";
-import { distance, minus, offLine, point, progressAlong, proper, wantedLine } from "/geometry.js";
-import { $, act, after, confirmed, fill, millimetres, page, post, Refused, request, tell, torqueOn } from "/page.js";
+import { distance, minus, offLine, onTheWay, point, progressAlong, proper, wantedLine } from "/geometry.js";
+import { $, act, after, confirmed, fill, millimetres, page, post, Refused, request, spoken, tell, torqueOn } from "/page.js";
 
 const MOST_DRAWN = 12;
 // The take that is recorded, and whether a plan runs.
@@ -50,7 +50,7 @@ async function drawGuide() {
     tracks.set(name, (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m);
   }));
   page.view.keep(["line", "trail", "plan", "run"]);
-  chosen.forEach((name, i) => page.view.curve(`take ${name}`, tracks.get(name), COLOURS[i % COLOURS.length]));
+  chosen.forEach((name, i) => page.view.curve(`take ${name}`, onTheWay(tracks.get(name), wantedLine()), COLOURS[i % COLOURS.length]));
   $("guide-names").replaceChildren(...namesOf(chosen));
   showTakes();
 }
@@ -184,7 +184,7 @@ async function optimise(form) {
 
 async function loadPlanChoice(wanted) {
   const { plans } = await request("/plans");
-  const known = plans.map((plan) => [plan.name, `${plan.name} (${millimetres(plan.predicted_mean_error_mm)} predicted)`]);
+  const known = plans.map((plan) => [plan.name, `${spoken(plan.name)} (${millimetres(plan.predicted_mean_error_mm)} predicted)`]);
   fill($("plan-choice"), known.length ? known : [["", "none yet: optimise first"]], wanted);
   after.act();
 }
@@ -206,13 +206,13 @@ async function runPlan(refine) {
       $("run-figures").textContent = "torque is coming on";
       await torqueOn();
     }
-    $("run-figures").textContent = `${name} is running`;
+    $("run-figures").textContent = `${spoken(name)} is running`;
     result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine });
   } catch (error) {
     $("run-figures").textContent = "the run failed";
     throw error;
   }
-  $("run-figures").textContent = `${result.recording}: ${millimetres(result.mean_error_mm)} off the line on average, ` +
+  $("run-figures").textContent = `${spoken(result.recording)}: ${millimetres(result.mean_error_mm)} off the line on average, ` +
     `${millimetres(result.max_error_mm)} at most, in ${result.duration_s.toFixed(1)} s (by the encoders; predicted on perfect ` +
     `servos ${millimetres(result.predicted_mean_error_mm)} and ${millimetres(result.predicted_max_error_mm)})`;
   const recorded = async (one) => proper(await request(`/recordings/${encodeURIComponent(one)}`));

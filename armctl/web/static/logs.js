@@ -70,7 +70,7 @@ function listEvents(list, some, go, textOf = (event) => `${event.time_s.toFixed(
     button.type = "button";
     button.textContent = textOf(event);
     button.addEventListener("click", () => go(event));
-    item.append(button, ` ${event.code}: ${event.text}`);
+    item.append(button, ` ${event.text.startsWith(event.code) ? event.text : `${event.code}: ${event.text}`}`);
     return item;
   }));
   if (!some.length) list.replaceChildren(Object.assign(document.createElement("li"), { textContent: "nothing" }));

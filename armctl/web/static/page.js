@@ -4,6 +4,8 @@ import { ArmView } from "/scene.js";
 
 export const $ = (id) => document.getElementById(id);
 export const degrees = (rad) => rad * 180 / Math.PI;
+// A name for people: the instant that a program put into it, as a time of day.
+export const spoken = (name) => name.replace(/-\d{4}(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)\.\d+Z$/, ", $1-$2 $3:$4:$5");
 export const millimetres = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} mm`;
 // The arm as the server describes it, its last snapshot, and the view that shows it.
 export const page = { arm: null, snapshot: null, view: null };
