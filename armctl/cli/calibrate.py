@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @click.option("--save-readings", type=FILE, help="Keep the readings in a new file.")
 @click.option("--sag", is_flag=True, help="Learn how the arm sags: the daemon moves it along lines, with torque on.")
 @click.option("--zero-at", type=click.Choice(["rest", "zero"]), help="Find only the zeros: hold the arm in this pose.")
-@click.option("--out", type=FILE, help="The new calibration file.  [default: beside the old one, with the date]")
+@click.option("--out", type=FILE, help="A new file to write instead of the arm's own.")
 def calibrate_command(
     output: Output,
     points: Path | None,
@@ -48,17 +48,17 @@ def calibrate_command(
 
     Fix a sheet with known points to the table, its x axis ahead of the base, and touch every point in different
     postures: elbow high and low, tool steep and flat. A value that the points do not show
-    is left alone, and named. Torque stays off and nothing is written to the servos; the result is a new file beside the
-    old one.
+    is left alone, and named. Torque stays off and nothing is written to the servos. The result is the arm's file from
+    then on; the one before stays in its history, NAME.history/1.yaml and so on beside it. An arm that comes with armctl
+    gets a file of your own.
 
     --sag does something else: a running daemon moves the arm along eight lines. What gravity and friction do to each
     joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
 
     Example: armctl calibrate --points sheet.csv
     """
-    from armctl.commissioning import calibration
+    from armctl.commissioning import arm_file, calibration
     from armctl.commissioning.eeprom import write_new
-    from armctl.files import find_arm_file
 
     if sum(choice is not None for choice in (points, readings, zero_at, sag or None)) != 1:
         raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero and --sag")
@@ -66,10 +66,9 @@ def calibrate_command(
         _calibrate_sag(output)
         return
     before = output.arm
-    old = find_arm_file(output.arm_name or output.config.arm)
-    path = out or _dated(old, date.today())
-    if path.exists():
-        raise RequestRefused("FILE_EXISTS", f"{path}: exists and is not overwritten; choose another --out")
+    name = output.arm_name or output.config.arm
+    if out is not None and out.exists():
+        raise RequestRefused("FILE_EXISTS", f"{out}: exists and is not overwritten; choose another --out")
     fit: Fit | None = None
     if zero_at is not None:
         with opened(output, before.servo_ids) as bus:
@@ -90,8 +89,13 @@ def calibrate_command(
         fit = calibration.fit(before, session.touches)
         after = fit.arm
         remark = f"{len(session.touches)} touches, {fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
-    remarks = [f"Calibrated {date.today().isoformat()} from {old.name}: {remark}."]
-    write_new(path, calibration.calibration_text(after, remarks))
+    text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
+    path = out or arm_file.active_path(name)
+    kept: Path | None = None
+    if out is None:
+        kept = arm_file.renew(path, text)
+    else:
+        write_new(out, text)
     result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
     if fit is not None:
         result |= asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
@@ -102,16 +106,8 @@ def calibrate_command(
         show_fit(output, fit)
     changes = [(change["key"], str(change["before"]), str(change["after"])) for change in result["changes"]]
     show_table(output.console, "Changed", ("key", "before", "after"), changes, words=("key",))
-    output.say(f"written: {path}\nuse it: armctl daemon --arm {path}")
-
-
-def _dated(path: Path, today: date) -> Path:
-    """A free name beside a calibration file that tells the day."""
-    stem = path.stem
-    if len(stem) > 11 and stem[-11] == "-" and stem[-10:].replace("-", "").isdecimal():
-        stem = stem[:-11]
-    names = (f"{stem}-{today.isoformat()}{suffix}.yaml" for suffix in ("", *(f"-{n}" for n in range(2, 100))))
-    return next((path.with_name(name) for name in names if not path.with_name(name).exists()), path)
+    was = f" (before: {kept})" if kept else ""
+    output.say(f"written: {path}{was}\nuse it: armctl daemon --arm {name if out is None else out}")
 
 
 def _touch_all(

@@ -1,4 +1,4 @@
-"""An arm's file, judged without hardware, and drawn; and every arm at hand."""
+"""An arm's file: judged without hardware, and drawn; renewed, with its history; and every arm at hand."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,9 +9,10 @@ import numpy as np
 
 from armctl.commissioning.calibration import calibration_text
 from armctl.config import ArmConfig
-from armctl.errors import ConfigError
+from armctl.errors import ConfigError, LogError
 from armctl.files import calibration_dirs, find_arm_file, load_arm, read_text, shipped_dirs
 from armctl.kinematics import robots
+from armctl.recording.disk import put
 from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points
 
 # Characters of a drawing, and what stands for links and joints.
@@ -94,6 +95,40 @@ def whole_text(arm: str) -> str:
     if isinstance(found.robot, str) or not found.robot.urdf:
         return read_text(find_arm_file(arm), "calibration")
     return calibration_text(found, [f"The links are those of {found.robot.urdf}."])
+
+
+def active_path(arm: str) -> Path:
+    """The file that the arm is loaded from, given by name or path, once it is renewed.
+
+    For an arm that comes with armctl it is one's own of that name: nobody writes into a package.
+
+    Raises:
+        ConfigError: there is no such arm.
+    """
+    path = find_arm_file(arm)
+    return calibration_dirs()[0] / path.name if path.resolve().parent in shipped_dirs() else path
+
+
+def renew(path: Path, text: str) -> Path | None:
+    """Have an arm's file hold a text, on the disk when this returns; the file before stays in its history.
+
+    Returns:
+        Where that one lies, `NAME.history/NUMBER.yaml` beside the file, the oldest 1; None: there was none.
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    kept: Path | None = None
+    try:
+        if path.exists():
+            folder = path.with_suffix(".history")
+            numbers = [int(old.stem) for old in folder.glob("*.yaml") if old.stem.isdecimal()]
+            kept = folder / f"{max(numbers, default=0) + 1}.yaml"
+            put(kept, read_text(path, "calibration"), replacing=False)
+        put(path, text)
+    except LogError as error:
+        where, _, why = str(error).partition(": ")
+        raise ConfigError(where, "", why, "who owns that folder has to do it, or choose another place") from None
+    return kept
 
 
 def arms_at_hand() -> list[dict[str, Any]]:

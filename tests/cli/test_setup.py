@@ -5,7 +5,6 @@ import shutil
 import sys
 import zipfile
 from collections.abc import Callable, Sequence
-from datetime import date
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -177,24 +176,46 @@ def calibrated(arm_file: Path, touches: Sequence[Touch]) -> tuple[object, ...]:
     return "calibrate", "--readings", readings, "--arm"
 
 
-def test_calibrate_from_readings_writes_a_new_file_beside_the_old(arm_file: Path, answer: Answer, typed: Typed) -> None:
+def test_calibrate_renews_the_arms_own_file_and_keeps_the_ones_before(
+    arm_file: Path, answer: Answer, typed: Typed
+) -> None:
     rng = np.random.default_rng(0)
     true = planted(load_arm("ax12-line"), rng, tick=20.0, length_m=0.003)
     old = arm_file.read_text()
     command = calibrated(arm_file, touch_points(Bench(spec=EXACT, simulated=true), 16, rng))
     result = answer(*command, arm_file)
-    today = date.today().isoformat()
-    assert result["path"] == str(arm_file.with_name(f"my-arm-{today}.yaml"))
-    assert arm_file.read_text() == old
-    found_arm = load_arm(result["path"])
+    assert result["path"] == str(arm_file)
+    found_arm = load_arm(str(arm_file))
     assert zeros(found_arm)[:5] == pytest.approx(zeros(true)[:5], abs=1.0)
     assert found_arm.lengths_m == pytest.approx(true.lengths_m, abs=0.0005)
     assert {change["key"] for change in result["changes"]} >= {"base.zero_tick", "lengths_m.d1"}
     assert len(result["residuals_mm"]) == 16
     assert result["rms_mm"] < 1.0
-    again = typed(*command, result["path"]).out
-    assert not missing(again, f"my-arm-{today}-2.yaml", "roll.zero_tick", "does not move the tool")
-    assert "not overwritten" in typed(*command, arm_file, "--out", result["path"], status=1).err
+    second, history = arm_file.read_text(), arm_file.with_name("my-arm.history")
+    again = typed(*command, arm_file).out
+    assert not missing(again, f"(before: {history / '2.yaml'})", "roll.zero_tick", "does not move the tool")
+    assert [(history / name).read_text() for name in ("1.yaml", "2.yaml")] == [old, second]
+    assert "not overwritten" in typed(*command, arm_file, "--out", arm_file, status=1).err
+
+
+def test_where_the_arms_folder_cannot_be_written_the_file_stays(arm_file: Path, typed: Typed) -> None:
+    old = arm_file.read_text()
+    arm_file.with_name("my-arm.history").write_text("in the way")
+    command = calibrated(arm_file, touch_points(Bench(spec=EXACT), 16, np.random.default_rng(0)))
+    assert "my-arm.history/1.yaml: cannot be written" in typed(*command, arm_file, status=2).err
+    assert arm_file.read_text() == old
+
+
+def test_an_arm_that_comes_with_armctl_is_calibrated_into_a_file_of_ones_own(
+    arm_file: Path, answer: Answer, typed: Typed
+) -> None:
+    shipped = find_arm_file("ax12-line")
+    before = shipped.read_text()
+    command = calibrated(arm_file, touch_points(Bench(spec=EXACT), 16, np.random.default_rng(0)))
+    written = answer(*command, "ax12-line")["path"]
+    assert Path(written) == find_arm_file("ax12-line") != shipped
+    assert shipped.read_text() == before
+    assert "daemon --arm ax12-line" in typed(*command, "ax12-line").out
 
 
 def test_calibrate_says_when_the_postures_were_too_much_alike(arm_file: Path, typed: Typed) -> None:
