@@ -15,7 +15,7 @@ from armctl.errors import ArmctlError
 
 # What the help lists under which heading, in the order in which a newcomer meets it.
 PURPOSES: dict[str, tuple[str, ...]] = {
-    "First steps": ("demo", "try", "sim", "daemon", "help", "completion"),
+    "First steps": ("demo", "try", "setup", "sim", "daemon", "help", "completion"),
     "Running the arm": (
         *("status", "watch", "stop", "hold", "pause", "resume", "rate", "torque", "move", "jog", "reach", "transfer"),
         *("run", "play", "path", "program", "park", "release", "clear"),

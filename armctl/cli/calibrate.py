@@ -5,7 +5,6 @@ The points are touched with a limp arm, without the daemon; `--sag` asks a runni
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import date
@@ -14,16 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.keys import attended
 from armctl.cli.output import ARM, BAUD, CONFIG, FILE, PORT, SOCKET, Output, command, millimetres
-from armctl.cli.setup import opened
+from armctl.cli.setup import AtTerminal, opened
 from armctl.cli.tables import show_table
-from armctl.errors import ConfigError, RequestRefused
+from armctl.errors import RequestRefused
 
 if TYPE_CHECKING:
     from armctl.commissioning.calibration import Fit, Readings
     from armctl.config import ArmConfig
     from armctl.dynamixel.bus import ServoBus
+
+ASKED = ("armctl calibrate", "or give --readings FILE")
 
 
 @command("calibrate", ARM, PORT, BAUD, CONFIG, SOCKET)
@@ -72,8 +72,8 @@ def calibrate_command(
     fit: Fit | None = None
     if zero_at is not None:
         with opened(output, before.servo_ids) as bus:
-            _wait_for_enter(output, f"hold the limp arm still in its {zero_at} pose, then press Enter")
-            ticks = calibration.read_ticks(bus, before, bus.port.clock)
+            AtTerminal(output, *ASKED).ask("", f"hold the limp arm still in its {zero_at} pose")
+            ticks = calibration.read_ticks(bus, before.joints, bus.port.clock)
         pose = [joint.rest_rad if zero_at == "rest" else 0.0 for joint in before.joints]
         after = calibration.zeroed(before, ticks, pose)
         remark = f"zero ticks read in the {zero_at} pose"
@@ -91,11 +91,9 @@ def calibrate_command(
         remark = f"{len(session.touches)} touches, {fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
     path = out or arm_file.active_path(name)
-    kept: Path | None = None
-    if out is None:
-        kept = arm_file.renew(path, text)
-    else:
+    if out is not None:
         write_new(out, text)
+    kept = arm_file.renew(path, text) if out is None else None
     result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
     if fit is not None:
         result |= asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
@@ -116,29 +114,18 @@ def _touch_all(
     """Lead the person through every point; a reading that fails is taken again."""
     from armctl.commissioning.calibration import Readings, Touch, read_ticks
 
-    taken: list[Touch] = []
+    person, taken = AtTerminal(output, *ASKED), list[Touch]()
     for number, point in enumerate(points, start=1):
         for posture in range(1, touches + 1):
             while True:
-                _wait_for_enter(
-                    output,
-                    f"point {number} of {len(points)} ({millimetres(point)}), posture {posture} of {touches}: "
-                    "hold the tip on it, then press Enter",
-                )
+                where = f"point {number} of {len(points)} ({millimetres(point)}), posture {posture} of {touches}"
+                person.ask("", f"{where}: hold the tip on it")
                 try:
-                    taken.append(Touch(point_m=point, ticks=read_ticks(bus, arm, bus.port.clock)))
+                    taken.append(Touch(point_m=point, ticks=read_ticks(bus, arm.joints, bus.port.clock)))
                     break
                 except RequestRefused as refusal:
                     output.say(f"not taken: {refusal}")
     return Readings(arm_id=arm.arm_id, touches=tuple(taken))
-
-
-def _wait_for_enter(output: Output, text: str) -> None:
-    if output.json or not attended(sys.stdin):
-        raise ConfigError("armctl calibrate", "", "needs a terminal and no --json", "or give --readings FILE")
-    output.say(text)
-    if not sys.stdin.readline():
-        raise click.Abort
 
 
 def _calibrate_sag(output: Output) -> None:

@@ -1,6 +1,7 @@
-"""`armctl scan`, `doctor`, `report`, `install`, `uninstall`; the bus of every command that opens the serial port.
+"""`armctl setup`, `scan`, `doctor`, `report`, `install`, `uninstall`; the bus of every command that opens the port.
 
-The daemon must not run while a command of this module has the port, and none of them moves a servo.
+The daemon must not run while a command of this module has the port. `setup` moves servos, a little and when it may; the
+others move none.
 """
 
 from __future__ import annotations
@@ -20,13 +21,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from armctl.cli.keys import attended
 from armctl.cli.output import ARM, BAUD, CONFIG, FILE, FOLDER, PORT, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ArmctlError, ConfigError, NoDaemon, RequestRefused
-from armctl.files import served_socket
+from armctl.files import calibration_dirs, find_arm_file, served_socket
 
 if TYPE_CHECKING:
     from armctl.commissioning.doctor import Check
+    from armctl.commissioning.finding import Person
     from armctl.commissioning.installation import Act
     from armctl.commissioning.scan import FoundServo
     from armctl.dynamixel.bus import ServoBus
@@ -62,6 +65,74 @@ def opened(output: Output, servo_ids: Sequence[int] = ()) -> Iterator[ServoBus]:
     bus.open()
     with contextlib.closing(bus):
         yield bus
+
+
+# ---------------------------------------------------------------------------------------------------------- setup
+
+
+@command("setup", PORT, BAUD, CONFIG)
+@click.argument("arm_file", required=False)
+@click.option("--answers", type=FILE, help="Answers prepared for every question (YAML); nobody is asked.")
+def setup_command(output: Output, arm_file: str | None, answers: Path | None) -> None:
+    """Set your own arm up, step by step: servos, joints, directions, limits, poses, a first small motion.
+
+    ARM_FILE is an arm of the same shape: a name of `armctl arms`, or your own file, which is renewed. It says how the
+    links are. All else is found out, with you beside the arm: you turn the limp joints by hand, and say what you saw.
+    What was found is kept after every step. Type q or Ctrl-C to break off, and the same command to go on there.
+
+    Example: armctl setup ax12-line --port /dev/ttyUSB0
+    """
+    from armctl.commissioning.arm_file import active_path, arms_at_hand
+    from armctl.commissioning.finding import Prepared
+    from armctl.commissioning.wizard import Wizard, progress, progress_path
+    from armctl.files import load_arm
+
+    person: Person = Prepared(answers) if answers else AtTerminal(output, "armctl setup", "or give --answers FILE")
+    kind = arm_file or person.ask("kind", "which arm is yours like?", [arm["name"] for arm in arms_at_hand()])
+    arm, path = load_arm(kind), active_path(kind)
+    name = arm.arm_id
+    if path.resolve() != find_arm_file(kind).resolve():  # it comes with armctl; yours gets a name of its own
+        name = person.ask("name", "what shall yours be called? A word, such as my-arm")
+        path = path.parent / f"{name}.yaml"
+    found = progress(kind, name, path)
+    ports = sorted(str(port) for pattern in ("serial/by-id/*", "tty[UA]*[BM]*") for port in Path("/dev").glob(pattern))
+    output.port = output.port or output.config.port or person.ask("port", "which port has the adapter?", ports)
+    output.after_interrupt = f"what was found is kept in {progress_path(path)}; type the same command to go on there"
+    steps = {}
+    for step in Wizard(arm, path, found, partial(opened, output), person, output.config.period_s).run():
+        steps[step["name"]] = step
+        output.say("{name}: {text}".format(**step))
+    given = f"--arm {name if path.parent == calibration_dirs()[0] else path} --port {output.port}"
+    following = ["doctor " + given, "calibrate --points sheet.csv " + given, "daemon " + given, "calibrate --sag"]
+    output.answer({"arm": str(path), "steps": [*steps.values()]}, "\n  armctl ".join(["next:", *following]))
+
+
+class AtTerminal:
+    """The person at this terminal; q and the end of the input break off."""
+
+    def __init__(self, output: Output, asks: str, instead: str) -> None:
+        """
+        Args:
+            asks: The command that asks.
+            instead: What to do where there is nobody.
+        """
+        if output.json or not attended(sys.stdin):
+            raise ConfigError(asks, "", "needs a terminal and no --json", instead)
+        self._output = output
+
+    def ask(self, key: str, text: str, choices: Sequence[str] = ()) -> str:
+        wanted = f" ({', '.join(choices)})" if choices else "" if key == "name" else ", then press Enter"
+        while True:
+            self._output.say(f"\n{text}{wanted}")
+            word = (sys.stdin.readline() or "q").strip()
+            if word == "q":
+                raise click.Abort
+            fitting = [choice for choice in choices if word in (choice, choice[0])] if choices else [word]
+            if len(fitting) == 1:
+                return fitting[0]
+
+    def again(self, refusal: RequestRefused) -> bool:
+        return self.ask("again", f"{refusal}\ntry again, or break off?", ("again", "q")) == "again"
 
 
 # ----------------------------------------------------------------------------------------------------------- scan
@@ -201,7 +272,6 @@ def install_command(output: Output, dry_run: bool, root: Path, yes: bool, **want
 
     Example: sudo armctl install --port /dev/ttyUSB0
     """
-    from armctl.cli.keys import attended
     from armctl.commissioning.installation import SYSTEM, File, Run, installation, missing_commands
 
     wanted["user"] = os.environ.get("SUDO_USER", "") if wanted["user"] is None else wanted["user"]

@@ -118,17 +118,25 @@ def renew(path: Path, text: str) -> Path | None:
         ConfigError: it cannot be written.
     """
     kept: Path | None = None
+    if path.exists() and (old := read_text(path, "calibration")) != text:
+        folder = path.with_suffix(".history")
+        numbers = [int(one.stem) for one in folder.glob("*.yaml") if one.stem.isdecimal()]
+        kept = folder / f"{max(numbers, default=0) + 1}.yaml"
+        write(kept, old)
+    write(path, text)
+    return kept
+
+
+def write(path: Path, text: str) -> None:
+    """Have a file hold a text, as a whole and on the disk when this returns.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
     try:
-        if path.exists():
-            folder = path.with_suffix(".history")
-            numbers = [int(old.stem) for old in folder.glob("*.yaml") if old.stem.isdecimal()]
-            kept = folder / f"{max(numbers, default=0) + 1}.yaml"
-            put(kept, read_text(path, "calibration"), replacing=False)
         put(path, text)
     except LogError as error:
-        where, _, why = str(error).partition(": ")
-        raise ConfigError(where, "", why, "who owns that folder has to do it, or choose another place") from None
-    return kept
+        raise ConfigError(str(path), "", str(error).removeprefix(f"{path}: "), "see who owns its folder") from None
 
 
 def arms_at_hand() -> list[dict[str, Any]]:

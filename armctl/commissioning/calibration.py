@@ -36,6 +36,7 @@ from armctl.clock import Clock
 from armctl.config import ArmConfig, Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.fitness import ServoJoint
 from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from armctl.files import read_text
@@ -162,14 +163,14 @@ def readings_text(readings: Readings) -> str:
     return yaml.safe_dump(readings.model_dump(mode="json"), sort_keys=False, default_flow_style=None)
 
 
-def read_ticks(bus: ServoBus, arm: ArmConfig, clock: Clock) -> tuple[float, ...]:
+def read_ticks(bus: ServoBus, joints: Sequence[ServoJoint], clock: Clock) -> tuple[float, ...]:
     """Mean position of every servo of a limp arm that is held still; takes 0.6 s, 3 s behind a slow adapter.
 
     Raises:
         RequestRefused: a servo is silent or has its torque on, or the arm moved.
         PortGone: the port vanished.
     """
-    ticks = np.empty((READINGS, len(arm.joints)))
+    ticks = np.empty((READINGS, len(joints)))
     bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     due_ns = clock.now_ns()
     for row in ticks:
@@ -178,7 +179,7 @@ def read_ticks(bus: ServoBus, arm: ArmConfig, clock: Clock) -> tuple[float, ...]
         sample = bus.read_sample()
         if not sample.port_open:
             raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
-        for i, (joint, reading) in enumerate(zip(arm.joints, sample.servos, strict=True)):
+        for i, (joint, reading) in enumerate(zip(joints, sample.servos, strict=True)):
             servo = f"servo {joint.servo_id} ({joint.name})"
             if not reading.fresh:
                 raise RequestRefused("SERVO_SILENT", f"{servo}: {reading.problem}; `armctl doctor` tells more")
@@ -188,7 +189,7 @@ def read_ticks(bus: ServoBus, arm: ArmConfig, clock: Clock) -> tuple[float, ...]
             row[i] = ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers)
     spread = np.ptp(ticks, axis=0)
     if spread.max() > MAX_SPREAD_TICK:
-        moved = arm.joints[int(spread.argmax())].name
+        moved = joints[int(spread.argmax())].name
         raise RequestRefused("MOVED", f"{moved} moved by {spread.max():.0f} ticks; hold the tool still on the point")
     return tuple(ticks.mean(axis=0).round(3).tolist())
 

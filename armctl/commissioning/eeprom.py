@@ -91,7 +91,7 @@ def read_eeprom(bus: ServoBus, servo_id: int) -> ServoEeprom:
         RequestRefused: it does not answer well.
         PortGone: the port vanished.
     """
-    table = _read(bus, servo_id, 0, ax12a.EEPROM_END)
+    table = read_table(bus, servo_id, 0, ax12a.EEPROM_END)
     return ServoEeprom.model_construct(  # unchecked: what a servo holds is a fact, even out of range
         servo_id=servo_id,
         registers={register.name: ax12a.register_value(register, table, 0) for register in EEPROM_REGISTERS},
@@ -177,7 +177,7 @@ def write_register(bus: ServoBus, servo_id: int, register: Register, value: int)
     mute = register is ax12a.RETURN_LEVEL and bus.read(servo_id, ax12a.MODEL) is None and _answers(bus, servo_id)
     if not mute:
         require_writable(bus, servo_id)
-    _write(bus, servo_id, register, value)
+    write_confirmed(bus, servo_id, register, value)
 
 
 def restore(bus: ServoBus, snapshot: Snapshot, servo_ids: Sequence[int] = ()) -> list[Difference]:
@@ -217,7 +217,7 @@ def restore(bus: ServoBus, snapshot: Snapshot, servo_ids: Sequence[int] = ()) ->
     subset = Snapshot(servos=tuple(held[servo_id] for servo_id in chosen))
     changed = [difference for difference in differences(bus, subset) if BY_NAME[difference.register] in SETTABLE]
     for difference in changed:
-        _write(bus, difference.servo_id, BY_NAME[difference.register], difference.wanted)
+        write_confirmed(bus, difference.servo_id, BY_NAME[difference.register], difference.wanted)
     return changed
 
 
@@ -232,11 +232,11 @@ def mend(bus: ServoBus, joints: Sequence[ServoJoint]) -> list[Difference]:
     """
     for joint in joints:
         require_writable(bus, joint.servo_id)
-    tables = [_read(bus, joint.servo_id, 0, ax12a.EEPROM_END) for joint in joints]
+    tables = [read_table(bus, joint.servo_id, 0, ax12a.EEPROM_END) for joint in joints]
     changed: list[Difference] = []
     for joint, table in zip(joints, tables, strict=True):
         for it in unfit_registers(joint, table):
-            _write(bus, joint.servo_id, it.register, it.value)
+            write_confirmed(bus, joint.servo_id, it.register, it.value)
             changed.append(Difference(joint.servo_id, it.register.name, it.value, it.found))
     return changed
 
@@ -308,7 +308,7 @@ def require_writable(bus: ServoBus, servo_id: int) -> None:
     if bus.answers_twice(servo_id):
         text = "two servos answer to this id; connect them one at a time and give each its own"
         raise RequestRefused("DUPLICATE_ID", f"servo {servo_id}: {text}")
-    status = _read(bus, servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+    status = read_table(bus, servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
     if ax12a.register_value(ax12a.TORQUE_ENABLE, status):
         text = "torque is on, and then its EEPROM is read-only; support the arm and let it go limp: `armctl release`"
         raise RequestRefused("TORQUE_ON", f"servo {servo_id}: {text}")
@@ -317,7 +317,13 @@ def require_writable(bus: ServoBus, servo_id: int) -> None:
         raise RequestRefused("LOCKED", f"servo {servo_id}: {text}")
 
 
-def _write(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+def write_confirmed(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+    """Write a register and read it back; nothing is asked before.
+
+    Raises:
+        RequestRefused: it did not take the value.
+        PortGone: the port vanished.
+    """
     bus.write(Write(servo_id, register.address, register.size, value))
     if (found := bus.read(servo_id, register)) != value:
         raise _not_taken(bus, f"servo {servo_id}: {register.name} was to be {value} and reads {found}")
@@ -334,7 +340,13 @@ def _answers(bus: ServoBus, servo_id: int) -> bool:
     return bool(scan(bus, (bus.port.baudrate,), (servo_id,)))
 
 
-def _read(bus: ServoBus, servo_id: int, begin: int, size: int) -> bytes:
+def read_table(bus: ServoBus, servo_id: int, begin: int, size: int) -> bytes:
+    """Bytes of a servo's control table.
+
+    Raises:
+        RequestRefused: it does not answer well.
+        PortGone: the port vanished.
+    """
     bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     reply = bus.read_block(servo_id, begin, size)
     if reply.problem == PORT_GONE:

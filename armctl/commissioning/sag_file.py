@@ -6,13 +6,13 @@ both in the data folder: nobody writes into a package.
 
 import json
 import logging
-import os
 from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from armctl.commissioning.arm_file import write
 from armctl.config import ArmConfig, Config, Frozen, Name, validate
 from armctl.errors import ConfigError
 from armctl.files import data_dir, find_arm_file, read_text, shipped_dirs
@@ -110,19 +110,8 @@ def save(config: Config, model: LagModel, *, version: int = 0, made: str = "") -
         version=version,
         made=made,
     )
-    _write(path, json.dumps(told.model_dump(mode="json"), indent=1) + "\n")
+    write(path, json.dumps(told.model_dump(mode="json"), indent=1) + "\n")
     return path
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file as a whole: what a crash interrupts leaves the one before it."""
-    part = path.with_suffix(".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise ConfigError(str(path), "", f"cannot write the sag model: {error.strerror}") from None
 
 
 # ------------------------------------------------------------------------------------------------- history
@@ -211,7 +200,7 @@ def save_history(config: Config, history: History) -> None:
     Raises:
         ConfigError: it cannot be written there.
     """
-    _write(history_path(config), json.dumps(history.model_dump(mode="json")) + "\n")
+    write(history_path(config), json.dumps(history.model_dump(mode="json")) + "\n")
 
 
 def history_path(config: Config) -> Path:

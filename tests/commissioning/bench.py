@@ -95,7 +95,7 @@ def touch_points(bench: Bench, count: int, rng: np.random.Generator, *, touch_er
         hand.carry(posture)
         bench.clock.advance_ns(3 * NS_PER_S)
         bench.bus.read_sample()
-        ticks = read_ticks(bench.bus, bench.config, bench.clock)
+        ticks = read_ticks(bench.bus, bench.config.joints, bench.clock)
         true_m = bench.arm.true_tool_position() + touch_error_m * rng.standard_normal(3)
         touches.append(Touch(point_m=tuple(true_m.tolist()), ticks=ticks))
     return touches

@@ -176,7 +176,7 @@ def test_zeroing_in_a_known_pose_takes_the_ticks_as_they_are() -> None:
 @pytest.mark.parametrize("latency_ms", [0.0, 16.0])
 def test_a_still_arm_is_read_to_a_fraction_of_a_tick(latency_ms: float) -> None:
     bench = Bench(latency_ms=latency_ms)
-    ticks = read_ticks(bench.bus, bench.config, bench.clock)
+    ticks = read_ticks(bench.bus, bench.config.joints, bench.clock)
     assert ticks == pytest.approx([servo.position_tick for servo in bench.servos], abs=0.4)
 
 
@@ -185,7 +185,7 @@ def test_readings_of_an_arm_that_is_powered_silent_moving_or_gone_are_refused() 
 
     def refused(match: str, error: type[Exception] = RequestRefused) -> None:
         with pytest.raises(error, match=match):
-            read_ticks(bench.bus, bench.config, bench.clock)
+            read_ticks(bench.bus, bench.config.joints, bench.clock)
 
     bench.servos[1].set(ax12a.TORQUE_ENABLE, 1)
     refused(r"servo 2 \(shoulder\): torque is on")

@@ -96,7 +96,7 @@ def test_twins_that_read_alike_are_told_after_the_fact(monkeypatch: pytest.Monke
     bench = deaf(monkeypatch, lambda bench: bench.servos[2].set(ax12a.ID, 9))
     bench.servos[3].set(ax12a.ID, 3)
     monkeypatch.setattr(bench.bus, "answers_twice", lambda servo_id: False)
-    monkeypatch.setattr(eeprom, "_read", lambda *_: bytes(26))
+    monkeypatch.setattr(eeprom, "read_table", lambda *_: bytes(26))
     with pytest.raises(RequestRefused, match="there were two of them"):
         eeprom.set_id(bench.bus, 3, 9)
 
