@@ -39,6 +39,7 @@ PROOFS: dict[str, Work] = {
     "straightness": _work("straightness", "prove", tells=True),
     "lines": _work("lines", "prove", tells=True),
     "place": _work("place", "prove", tells=True),
+    "setup": _work("setting_up", "prove", tells=True),
     "packets": _work("packets", "prove"),
     "wire": _work("wire", "prove", tells=True),
     "units": _work("units", "prove", tells=True),
@@ -54,6 +55,7 @@ OPTIONS = {
     "lines": {"arms", "classes", "workers"},
     "place": {"arms", "targets", "workers"},
     "replay": {"workers"},
+    "setup": {"arms", "workers"},
 }
 BENCHES: dict[str, Work] = {
     name: _work(f"{name}_bench", "bench")
@@ -85,8 +87,10 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine.")
 @click.option("--runs", type=click.IntRange(0), help="hang: of each process.")
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
-@click.option("--workers", type=click.IntRange(1), help="soak, mutants, lines, place, replay: processes.  [default: 2]")
-@click.option("--arms", type=click.IntRange(1), help="lines, place: how many.  [default: 20]")
+@click.option(
+    "--workers", type=click.IntRange(1), help="soak, mutants, lines, place, replay, setup: processes.  [default: 2]"
+)
+@click.option("--arms", type=click.IntRange(1), help="lines, place, setup: how many.  [default: 20; setup: 30]")
 @click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")
 @click.option("--classes", callback=_named, help="lines: which classes, with commas between them.  [default: all]")
 @as_json
