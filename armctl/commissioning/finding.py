@@ -119,8 +119,7 @@ def _bring_home(opened: Opened, person: Person, stray: FoundServo, found: Sequen
 
 
 def _free(found: Sequence[FoundServo]) -> int:
-    taken = {one.servo_id for one in found}
-    return next(servo_id for servo_id in range(1, ax12a.ID.maximum) if servo_id not in taken)
+    return min(set(range(1, ax12a.ID.maximum)).difference(one.servo_id for one in found))
 
 
 def _driven(one: FoundServo) -> Servo:

@@ -78,9 +78,8 @@ def wiggle(bus: ServoBus, wall: Wall) -> None:
         write_confirmed(bus, servo_id, ax12a.TORQUE_ENABLE, 0)
     write_confirmed(bus, servo_id, ax12a.TORQUE_LIMIT, ax12a.MAX_TORQUE.default)
     if farthest < start + WIGGLE_TICK - NEAR_TICK:
-        text = f"turned by {farthest - start} of {WIGGLE_TICK} ticks with half of its torque"
-        remedy = "something is in its way, or too much weighs on it: fold or hold the arm so that it turns freely"
-        raise RequestRefused("NOT_TURNED", f"servo {servo_id} ({wall.name}) {text}; {remedy}")
+        text = f"turned by {farthest - start} of {WIGGLE_TICK} ticks; fold or hold the arm so that it turns freely"
+        raise RequestRefused("NOT_TURNED", f"servo {servo_id} ({wall.name}) {text}")
 
 
 def _reach(bus: ServoBus, wall: Wall, goal: int) -> int:
@@ -108,12 +107,12 @@ def sense(robot: Robot, q: FloatArray, joint: int) -> str:
         return "turn counter-clockwise, for one who looks at its tip"
     place, turn = np.split(jacobian(robot.chain, q[: robot.chain.n])[:, joint], 2)
     ways = ("forward", "left", "up"), ("backward", "right", "down")
-    views = "from the front", "from the left", "from above"
     if np.abs(place).max() >= LEAST_M:
         axis = int(np.abs(place).argmax())
         return f"go {ways[int(place[axis] < 0.0)][axis]}"
     axis = int(np.abs(turn).argmax())
-    return f"turn {'clockwise' if turn[axis] < 0.0 else 'counter-clockwise'}, seen {views[axis]}"
+    way, view = "counter-" * bool(turn[axis] > 0.0) + "clockwise", ("the front", "the left", "above")[axis]
+    return f"turn {way}, seen from {view}"
 
 
 # --------------------------------------------------------------------------------------- all joints at once
@@ -125,9 +124,10 @@ def first_motion(bus: ServoBus, arm: ArmConfig, period_s: float) -> None:
     Raises:
         RequestRefused: pre-flight, a fault, or the arm does not do it in time; it then holds where it is.
     """
-    robot = robots.of(arm)
-    loop = ControlLoop(bus, bus.port.clock, arm, robot, period_s)
-    _carry_out(loop, TorqueOn(1), period_s)
+    loop = ControlLoop(bus, bus.port.clock, arm, robot := robots.of(arm), period_s)
+    # Three ticks see whether it stands still. It may hold already, where a motion was broken off.
+    if [loop.tick(()).outputs.mode for _ in range(3)][-1] is not Mode.HOLDING:
+        _carry_out(loop, TorqueOn(1), period_s)
     here = [joint.position_rad(tick) for joint, tick in zip(arm.joints, loop.state.goal, strict=True)]
     to_middle = [sum(joint.limits_rad) / 2.0 for joint in arm.joints] - np.array(here)
     away = (here + np.clip(to_middle, -FIRST_RAD, FIRST_RAD)).tolist()
@@ -143,10 +143,10 @@ def _carry_out(loop: ControlLoop, command: Command, period_s: float) -> None:
     """Tick until a command is answered and its motion over."""
     answered = None
     for tick in range(int(PATIENCE_S / period_s)):
-        record = loop.tick((command,) if tick == 2 else ())  # two ticks look whether the arm stands still
+        record = loop.tick(() if tick else (command,))
         answered = next(iter(record.outputs.replies), answered)
         if fault := record.outputs.fault:
-            raise RequestRefused(fault.code, fault.text)
+            raise RequestRefused(fault.code, f"{fault.text}; the arm stands where it is, and holds if it has torque")
         if answered is not None and not answered.ok:
             raise RequestRefused(answered.code, answered.message)
         if answered is not None and record.outputs.mode in (Mode.HOLDING, Mode.OFF):

@@ -50,9 +50,6 @@ class Found(Frozen):
         return Wall(self.servo.servo_id, name, self.servo.model, limits_tick)
 
 
-Ticks = tuple[float, ...]
-
-
 class Progress(Frozen):
     """What has been found of an arm."""
 
@@ -63,8 +60,8 @@ class Progress(Frozen):
     joints: dict[str, Found] = Field(default_factory=dict)
     directions: dict[str, Literal[1, -1]] = Field(default_factory=dict)
     # What every servo of the arm reads in its rest pose, and in the pose that gives its zeros.
-    rest_tick: Ticks = Field((), strict=False)
-    zero_tick: Ticks = Field((), strict=False)
+    rest_tick: tuple[float, ...] = Field((), strict=False)
+    zero_tick: tuple[float, ...] = Field((), strict=False)
 
 
 def progress_path(arm_file: Path) -> Path:
@@ -160,7 +157,10 @@ class Wizard:
             except RequestRefused as refusal:
                 if refusal.code != "SERVO_SILENT":
                     raise
-                raise RequestRefused("UNREAD", f"{name} at {end}: {refusal}; is its cable tight, {BLIND}") from None
+                text = (
+                    f"{name} at {end}: {str(refusal).split(';')[0]}; check the cables, and if they are tight, {BLIND}"
+                )
+                raise RequestRefused("UNREAD", text) from None
         ways = np.abs(np.diff(readings, axis=0)[0])
         first, *more = np.argsort(-ways).tolist()
         servo, others = self.found.servos[first], {one.servo.servo_id: key for key, one in self.found.joints.items()}
@@ -218,7 +218,7 @@ class Wizard:
         self._keep(zero_tick=self.found.zero_tick or self._at("zero", text, np.array(pose_rad)))
         return "read"
 
-    def _at(self, key: str, text: str, pose_rad: np.ndarray, inside: float = 0.0) -> Ticks:
+    def _at(self, key: str, text: str, pose_rad: np.ndarray, inside: float = 0.0) -> tuple[float, ...]:
         """What the servos read where a hand holds the arm.
 
         Args:
@@ -238,7 +238,7 @@ class Wizard:
                 raise RequestRefused("NOT_THERE", f"{text}; show them again, and if they are right, {BLIND}")
         return ticks
 
-    def _read(self, joints: Sequence[Wall]) -> Ticks:
+    def _read(self, joints: Sequence[Wall]) -> tuple[float, ...]:
         with self._opened([joint.servo_id for joint in joints]) as bus:
             return read_ticks(bus, joints, bus.port.clock)
 
@@ -263,8 +263,7 @@ class Wizard:
             rest_deg = round(math.degrees(new.position_rad(rest)), 2)
             low, high = min(math.ceil(low * 100.0) / 100.0, rest_deg), max(math.floor(high * 100.0) / 100.0, rest_deg)
             if gripper is not None:
-                closed_deg = round(math.degrees(new.position_rad(one.ends_tick[1])), 2)
-                told["gripper"] |= {"closed_deg": closed_deg}
+                told["gripper"]["closed_deg"] = closed_deg = round(math.degrees(new.position_rad(one.ends_tick[1])), 2)
                 low, high = sorted((gripper.open_deg, closed_deg))
             rest_deg = min(max(rest_deg, low), high)
             item |= one.servo.model_dump() | {"direction": way, "zero_tick": zero_tick}
@@ -279,7 +278,7 @@ class Wizard:
         return f"{self.path} is written, and the servos have its limits" + (f"; before: {kept}" if kept else "")
 
     def _motion(self) -> str:
-        text = "the arm gets torque, moves every joint by 5 deg, slowly, and goes back to its rest pose. Is it free?"
+        text = "the arm gets torque, moves every joint by 5 deg, slowly, and goes to rest; Ctrl-C stops it. Is it free?"
         moves = self._person.ask("motion", f"lay the arm down in its rest pose. Then {text}", YES) == "yes"
         if moves:
             arm = self.arm()

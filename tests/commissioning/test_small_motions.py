@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from armctl.clock import NS_PER_S
 from armctl.commissioning.small_motions import ROOM_TICK, TORQUES, WIGGLE_TICK, Wall, first_motion, sense, wiggle
 from armctl.dynamixel import ax12a
 from armctl.errors import PortGone
@@ -103,3 +104,8 @@ def test_the_first_motion_ends_limp_at_rest_and_a_fault_ends_it_at_once(bench: B
     other.arm.faults.begin(Fault(kind="mute", servo_id=3, begin_s=3.0), other.arm.time_s)
     with refused("SERVO_SILENT", "no reply"):
         first_motion(other.bus, other.config, 0.1)
+    other.arm.faults.end(1)
+    other.clock.advance_ns(NS_PER_S)
+    assert not limp(other), "it holds where it is"
+    first_motion(other.bus, other.config, 0.1)  # goes on from there
+    assert limp(other)

@@ -1,6 +1,8 @@
 """The whole set-up of simulated arms: broken off anywhere, typed, and what a person may do wrong."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from tests.cli.conftest import answer as answer
 from tests.cli.conftest import own_folders as own_folders
 from tests.cli.conftest import typed as typed
 from tests.host.doubles import refused
+from tests.terminal import terminal
 
 KIND = "lanzhou-4dof"
 
@@ -158,3 +161,73 @@ def test_typed_with_prepared_answers_it_makes_the_file_that_the_name_loads(
     assert wrong(arm, load_arm("mine")) == []
     said = typed("setup", "mine", "--answers", answers, "--port", "x").out
     assert "armctl calibrate --points sheet.csv --arm mine --port x" in said
+
+
+# ------------------------------------------------------------------------------------------ at a real terminal
+
+LIKE = """
+arm_id: small
+robot: {convention: standard, dh: [{d_m: 0.06, alpha_deg: 90}, {a_m: 0.1}]}
+floor_m: -0.2
+joints:
+  - {name: pan, servo_id: 1, limits_deg: [-100, 100]}
+  - {name: lift, servo_id: 2, limits_deg: [-80, 90], rest_deg: -60}
+"""
+# As it truly is: each has the other's id, and the servo of the lift is mounted the other way round.
+TRULY = LIKE.replace("pan, servo_id: 1", "pan, servo_id: 2").replace(
+    "lift, servo_id: 2", "lift, servo_id: 1, direction: -1, zero_tick: 540"
+)
+# What is asked, what the hand then does, and what is typed: until the person breaks off, and from there on.
+BEFORE = [
+    ("turn pan to one end", "lead -102.5 0", ""),
+    ("turn pan to the other end", "lead 102.5 0", ""),
+    ("turn lift to one end", "lead 0 0", "q"),
+]
+AFTER = [
+    ("turn lift to one end", "lead 0 -82.5", ""),
+    ("turn lift to the other end", "lead 0 92.5", ""),
+    ("hold every joint about in the middle", "lead 0 5", ""),
+    ("pan turns by 9 deg and back", "free 0", "yes"),
+    ("did the tool go left", "lead 0 5", "yes"),
+    ("lift turns by 9 deg and back", "free 1", "y"),
+    ("did the tool go up", "lead 0 5", "no"),
+    ("lay the arm down", "lead 0 -60", ""),
+    ("pan 0 deg, lift 0 deg", "lead 0 0", ""),
+    ("Then the arm gets torque", "release", "yes"),
+]
+
+
+@pytest.mark.pty
+@pytest.mark.usefixtures("own_folders")
+def test_at_a_terminal_a_person_is_led_through_it_and_may_leave_and_come_back(tmp_path: Path) -> None:
+    truly, like, link = (tmp_path / name for name in ("truly.yaml", "like.yaml", "port"))
+    truly.write_text(TRULY)
+    like.write_text(LIKE)
+    command = (sys.executable, "-m", "armctl", "setup", str(like), "--port", str(link))
+    held = (sys.executable, "-m", "tests.commissioning.held_arm", str(link), str(truly))
+    with subprocess.Popen(held, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as world:
+        assert world.stdin is not None
+        assert world.stdout is not None
+        try:
+            assert world.stdout.readline().strip() == str(link)
+            for script, status in ((BEFORE, 130), (AFTER, 0)):
+                with terminal(*command) as person:
+                    at = 0
+                    for words, order, typed_in in script:
+                        at = person.until(words, at)
+                        print(order, file=world.stdin, flush=True)
+                        assert world.stdout.readline() == "there\n"
+                        person.press(f"{typed_in}\n".encode())
+                    assert person.status() == status, person.said
+                    said = person.said
+        finally:
+            world.terminate()
+    assert "joints: pan: servo 2, lift: servo 1" in said
+    assert "motion: every joint moved, and the arm is back at rest" in said
+    assert "armctl daemon --arm" in said
+    found, true = load_arm(str(like)), load_arm(str(truly))
+    for joint, its in zip(found.joints, true.joints, strict=True):
+        assert (joint.servo_id, joint.direction) == (its.servo_id, its.direction)
+        assert joint.zero_tick == pytest.approx(its.zero_tick, abs=6.0)
+        assert joint.limits_deg == pytest.approx(its.limits_deg, abs=3.0)
+    assert (like.with_suffix(".history") / "1.yaml").read_text() == LIKE
