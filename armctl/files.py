@@ -171,6 +171,14 @@ def data_dir(config: Config) -> Path:
     return Path(config.data_dir) if config.data_dir else _own_data_dir()
 
 
+def logs_dir(path: str | None = None) -> Path:
+    """Folder of the daemon's logs, by the configuration that `config_file` finds.
+
+    Where there is none, none is read: that takes as long as asking thousands of logs.
+    """
+    return (data_dir(load_config(path)) if config_file(path) else _own_data_dir()) / "logs"
+
+
 def _own_data_dir() -> Path:
     return _user_dir("XDG_DATA_HOME", ".local/share") / "armctl"
 

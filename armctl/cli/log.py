@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
+from os.path import basename
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,11 +37,13 @@ def log_command() -> None:
 @contextmanager
 def _index(output: Output, folder: Path | None) -> Iterator[Index]:
     """The index of a folder, brought up to date; None: the folder of the daemon."""
-    from armctl.files import data_dir
+    from armctl.files import logs_dir
     from armctl.recording.index import Index
 
-    with Index(folder or data_dir(output.config) / "logs") as index, output.progress("reading new logs", 1.0) as show:
-        index.update(show)
+    with Index(folder or logs_dir(output.config_file)) as index:
+        new = index.new()
+        with output.progress("reading new logs", 1.0) if new else nullcontext() as show:
+            index.read(new, show)
         yield index
 
 
@@ -55,7 +58,7 @@ def log_list(output: Output, log_dir: Path | None) -> None:
 
     with _index(output, log_dir) as index:
         logs = search.listing(index)
-    shown = [row | {"name": Path(row["path"]).name, "told": " ".join([*row["faults"], *row["notes"]])} for row in logs]
+    shown = (row | {"name": basename(row["path"]), "told": " ".join([*row["faults"], *row["notes"]])} for row in logs)
     output.answer({"logs": logs}, lambda: show_rows(output.console, "logs", "", shown))
 
 
@@ -74,7 +77,7 @@ def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) 
 
     with _index(output, log_dir) as index:
         events = search.find(index, " ".join(expression))
-    shown = [row | {"name": Path(row["log"]).name} for row in events]
+    shown = (row | {"name": basename(row["log"])} for row in events)
     output.answer({"events": events}, lambda: show_rows(output.console, "events", "", shown))
 
 
@@ -101,9 +104,9 @@ def log_diff(output: Output, a: Path, b: Path) -> None:
 
     Example: armctl log diff line-1.mcap line-2.mcap
     """
-    from armctl.recording import search
+    from armctl.recording import entry
 
-    rows = search.diff(a, b)
+    rows = entry.diff(a, b)
     shown = [{key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()} for row in rows]
     output.answer({"rows": rows}, lambda: show_rows(output.console, "diff", "", shown))
 
@@ -116,7 +119,7 @@ def log_note(output: Output, log: Path, text: str) -> None:
 
     Example: armctl log note armctl-20250615T120000Z-000012.mcap "new gripper"
     """
-    from armctl.recording.index import add_note
+    from armctl.recording.notes import add_note
 
     add_note(log, text)
     output.answer({"log": str(log), "text": text}, f"noted: {log.name}: {text}")

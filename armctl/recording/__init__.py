@@ -4,5 +4,5 @@ From a tick to the file: recorder (queue and thread), rotation (which file, and 
 channels (what the messages of a tick are), templates and cdr (their bytes), chunks (the container), disk (the files).
 Back again: log_file (one pass, damage skipped), columns (numpy), reader (all of that by path), timeline (frames).
 With whole files: recordings (takes), recover, compact, edit (trim, merge), export, replay, quota.
-With folders of them: index, search.
+With folders of them: index (what it keeps of one: entry), search, notes.
 """

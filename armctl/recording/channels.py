@@ -9,7 +9,6 @@ Rules.
 4. What is not known is left out: a joint whose servo never answered is not in `/joint_states`.
 """
 
-import json
 import struct
 import time
 import zlib
@@ -31,6 +30,7 @@ from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
 from armctl.messages import Command, Event, Fault, JointState, JointTrajectory, Reply, Run, ServoReading, TickRecord
 from armctl.recording.cdr import Codec, Value, codec
+from armctl.recording.notes import parse_note
 from armctl.recording.schemas import full_name
 
 # A tick that begins later than this is an overrun.
@@ -287,15 +287,6 @@ def _records(record: TickRecord, kind: str, parts: Iterable[Command | Reply]) ->
     """What `parse_record` reads: commands or replies of a tick on /armctl/command."""
     tick = record.inputs.tick
     return [string_message(COMMAND, f'{{"tick":{tick},"{kind}":{to_json(part)}}}') for part in parts]
-
-
-def parse_note(text: str) -> dict[str, Any]:
-    """The JSON object in a line on /armctl/command; empty where it is none."""
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return data if isinstance(data, dict) else {}
 
 
 def parse_record(text: str) -> tuple[int, str, Any] | None:

@@ -23,9 +23,10 @@ from armctl.errors import LogError
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.recording.channels import COMMAND, CONTROL, JOINT_STATES, ROSOUT, parse_note
+from armctl.recording.channels import COMMAND, CONTROL, JOINT_STATES, ROSOUT
 from armctl.recording.disk import PART, owned, publish, writing
 from armctl.recording.log_file import LogFile
+from armctl.recording.notes import parse_note
 from armctl.recording.reader import joint_track, read
 from armctl.recording.recover import recover
 from armctl.trajectory.dead_time import moving_part

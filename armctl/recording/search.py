@@ -1,19 +1,17 @@
 """What people ask of a folder of logs, answered from its index (index.py)."""
 
 import json
+import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from armctl.errors import LogError, RequestRefused
-from armctl.recording.index import FAULT_LEVEL, FIGURES, Index, describe
+from armctl.errors import RequestRefused
+from armctl.recording.index import Index
+from armctl.recording.notes import FIGURES, LEVELS
 
 Row = dict[str, Any]
-LEVELS = {"info": 20, "warning": 30, "error": FAULT_LEVEL}
 # What may stand before a comparison, and its column of a minute.
 READINGS = {"temperature": "temperature_degC", "load": "load_ratio", "voltage": "voltage_V", "error": "error_deg"}
 # What may stand before a colon, and its condition.
@@ -24,6 +22,7 @@ _TERMS = {
 _COMPARED = re.compile(rf"({'|'.join(READINGS)})([<>])(-?\d+(?:\.\d+)?)")
 # What becomes of each figure of a minute in a longer time.
 _OF_A_PERIOD = ("max", "max", "avg", "min", "avg")
+_AS_KEPT = ("duration_s", "arm_id", "version", "problem")
 PERIODS_S = {"day": 86_400, "week": 604_800, "month": 2_629_746}
 
 
@@ -31,14 +30,18 @@ def listing(index: Index) -> list[Row]:
     """Every log, the oldest first; `faults`: codes of those that came up in it."""
     return [
         {
-            "path": str(index.folder / row["name"]),
-            "start": None if row["start_s"] is None else iso(row["start_s"]),
-            **{key: row[key] for key in ("duration_s", "arm_id", "version", "problem")},
-            **{key: None if row[key] is None else bool(row[key]) for key in ("simulated", "complete")},
-            **{key: json.loads(row[key]) for key in ("faults", "notes")},
-            "size_bytes": row["size"],
+            "path": os.path.join(index.folder, name),
+            "start": None if start_s is None else iso(start_s),
+            **dict(zip(_AS_KEPT, told, strict=True)),
+            "simulated": None if virtual is None else bool(virtual),
+            "complete": bool(complete),
+            "faults": json.loads(faults) if faults else [],
+            "notes": json.loads(notes) if notes else [],
+            "size_bytes": size,
         }
-        for row in index.ask("SELECT * FROM listed")
+        for name, size, start_s, virtual, complete, faults, notes, *told in index.rows(
+            f"SELECT name, size, start_s, simulated, complete, faults, notes, {', '.join(_AS_KEPT)} FROM listed"
+        )
     ]
 
 
@@ -117,38 +120,10 @@ def stats(index: Index, period: str) -> list[Row]:
 
 
 def _slope(points: Sequence[tuple[int, float | None]]) -> float | None:
+    import numpy as np
+
     known = np.array([point for point in points if point[1] is not None], dtype=float)
     return float(np.polyfit(known[:, 0] - known[0, 0], known[:, 1], 1)[0]) if len(known) >= 3 else None
-
-
-def diff(a: Path, b: Path) -> list[Row]:
-    """Two logs side by side, quantity by quantity.
-
-    Raises:
-        LogError: one cannot be read.
-    """
-    ours, theirs = _quantities(a), _quantities(b)
-    rows = []
-    for name in dict.fromkeys([*ours, *theirs]):
-        values: list[Any] = [ours.get(name), theirs.get(name)]
-        figures = all(isinstance(value, int | float) for value in values)
-        rows.append({"quantity": name, "a": values[0], "b": values[1]})
-        rows[-1]["difference"] = values[1] - values[0] if figures else None
-    return rows
-
-
-def _quantities(path: Path) -> Row:
-    entry = describe(path)
-    if entry.problem:
-        raise LogError(entry.problem)
-    found: Row = {key: getattr(entry, key) for key in ("arm_id", "version", "duration_s")}
-    found |= {f"events, {level}": sum(event[1] == number for event in entry.events) for level, number in LEVELS.items()}
-    worst: tuple[Callable[[Any], Any], ...] = (np.max, np.max, np.mean, np.min, np.nanmean)
-    for joint in dict.fromkeys(row[2] for row in entry.minutes):
-        minutes = np.array([row[3:] for row in entry.minutes if row[2] == joint])
-        for name, of, values in zip(FIGURES, worst, minutes.T, strict=True):
-            found[f"{joint}.{name}"] = None if np.isnan(values).all() else float(of(values))
-    return found
 
 
 def iso(time_s: float) -> str:

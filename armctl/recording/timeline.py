@@ -28,6 +28,7 @@ from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.columns import Payloads, Table
 from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.notes import parse_note
 from armctl.recording.replay import log_setup
 
 BLOCK_FRAMES = 500
@@ -275,7 +276,7 @@ def _written(writes: Sequence[Value]) -> str:
 
 def _request(text: str) -> tuple[str, str] | None:
     """(code, text) of what a client asked for, as the host notes it; None for other notes."""
-    note = channels.parse_note(text)
+    note = parse_note(text)
     if "request" not in note:
         return None
     reasons = "; ".join(map(str, note.get("reasons", ())))

@@ -1,11 +1,14 @@
 """What people do with log files, at the command line."""
 
 import io
+import json
 import math
 import os
 import pty
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +39,22 @@ DOCS = Path(logs.__file__).parent.parent / "docs" / "logs.md"
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS)
+
+
+# ------------------------------------------------------------------------------------------------- a folder of them
+
+
+@pytest.mark.parametrize("words", [("list",), ("find", "code:PLAN_BEGIN")])
+def test_a_folder_that_is_known_is_asked_without_what_reads_logs(
+    log: Path, words: Sequence[str], answer: Answer, tmp_path: Path
+) -> None:
+    (tmp_path / log.name).write_bytes(log.read_bytes())
+    told = answer("log", *words, "--log-dir", tmp_path)
+    asked = "import json, sys; from armctl.cli import main; main(sys.argv[1:]); print(json.dumps([*sys.modules]))"
+    command = [sys.executable, "-c", asked, "log", *words, "--log-dir", str(tmp_path), "--json"]
+    found, modules = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert json.loads(found) == told
+    assert not {"numpy", "pydantic", "mcap", "yaml", "rich", "multiprocessing"} & set(json.loads(modules))
 
 
 # ----------------------------------------------------------------------------------------------------- replay

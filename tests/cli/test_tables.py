@@ -152,3 +152,12 @@ def test_any_table_fits_and_keeps_its_figures_and_words(rows: list[tuple[str, ..
     text = assert_whole(lambda out: show_table(out.console, "", ("a", "b", "c", "d"), rows, words=("b", "d")))
     for _, sentence, _, _ in rows:
         assert all(word in text for word in sentence.split())
+
+
+def test_a_cell_that_does_not_fit_goes_on_below_itself() -> None:
+    rows = [("one", "12.5", "two words"), ("x", "1", "a\nb"), ("y" * 9, "2", "")]
+    text = printed(lambda out: show_table(out.console, "", ("n", "s", "said"), rows, words=("n", "said")), 18)
+    assert text.splitlines() == [
+        *("n          s said", "─" * 18, "one     12.5 two", "             words"),
+        *("x          1 a b", "yyyyyyy    2", "yy"),
+    ]

@@ -14,7 +14,9 @@ import pytest
 from armctl.errors import LogError, RequestRefused
 from armctl.messages import Event
 from armctl.recording import search
-from armctl.recording.index import INDEX, NOTES, Index, add_note
+from armctl.recording.entry import diff
+from armctl.recording.index import INDEX, Index
+from armctl.recording.notes import NOTES, add_note
 from armctl.recording.timeline import load
 from armctl.recording.writer import LogContext
 from tests.recording.altered import later, with_outputs
@@ -48,7 +50,7 @@ def folder(made: Path, tmp_path: Path) -> Path:
 
 def updated(folder: Path) -> Index:
     index = Index(folder)
-    index.update()
+    index.read(index.new())
     return index
 
 
@@ -72,13 +74,20 @@ def test_every_log_is_listed_with_what_it_says_of_itself_and_what_came_up(folder
     assert "is no MCAP file" in logs["none.mcap"]["problem"]
 
 
+def reread(index: Index) -> int:
+    """How many logs were read."""
+    new = index.new()
+    index.read(new)
+    return len(new)
+
+
 def test_a_log_is_read_once_and_again_when_it_has_changed(folder: Path) -> None:
     with Index(folder) as index:
-        assert [index.update(), index.update()] == [7, 0]
+        assert [reread(index), reread(index)] == [7, 0]
         write(folder / "armctl-6.mcap", RECORDS[:20])
         (folder / "armctl-4.mcap").unlink()
         os.utime(folder / "armctl-3.mcap", ns=(1, 1))
-        assert [index.update(), index.update()] == [2, 0]
+        assert [reread(index), reread(index)] == [2, 0]
         names = [Path(row["path"]).name for row in search.listing(index)]
         assert ("armctl-4.mcap" in names, "armctl-6.mcap" in names) == (False, True)
         events = index.ask("SELECT count(*) AS n FROM events WHERE log NOT IN (SELECT id FROM logs)")
@@ -207,13 +216,13 @@ def test_notes_are_shown_and_found_and_outlive_the_index(folder: Path) -> None:
 
 
 def test_two_logs_are_compared_by_every_figure(folder: Path) -> None:
-    rows = {row["quantity"]: row for row in search.diff(folder / "armctl-1.mcap", folder / "armctl-2.mcap")}
+    rows = {row["quantity"]: row for row in diff(folder / "armctl-1.mcap", folder / "armctl-2.mcap")}
     assert rows["events, error"] == {"quantity": "events, error", "a": 0, "b": 1, "difference": 1}
     assert rows["arm_id"]["difference"] is None
     joint = CONTEXT.arm.joint_names[0]
     assert rows[f"{joint}.temperature_degC"]["difference"] == 0.0
     json.dumps(list(rows.values()), allow_nan=False)
-    cannot(search.diff, folder / "armctl-1.mcap", folder / "none.mcap", why="is no MCAP file")
+    cannot(diff, folder / "armctl-1.mcap", folder / "none.mcap", why="is no MCAP file")
 
 
 def test_a_folder_that_cannot_be_written_is_indexed_elsewhere(

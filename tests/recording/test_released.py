@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from armctl.recording import reader, timeline
-from armctl.recording.index import describe
+from armctl.recording.entry import describe
 from armctl.recording.replay import check
 from tests.recording.refusals import cannot
 

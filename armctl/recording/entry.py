@@ -1,0 +1,167 @@
+"""What is kept of one log in an index of many (index.py), and two logs side by side.
+
+Rules.
+1. Servos are kept by the minute: the highest temperature and load, the lowest voltage, the mean distance from the goal
+   while there is torque.
+2. A log that cannot be read is kept with what is wrong with it, and disturbs no other.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.clock import NS_PER_S
+from armctl.dynamixel import ax12a
+from armctl.errors import LogError
+from armctl.recording import channels
+from armctl.recording.columns import Payloads, Table
+from armctl.recording.log_file import LogFile
+from armctl.recording.notes import FIGURES, LEVELS, NOTE_LEVEL, parse_note
+
+MINUTE_NS = 60 * NS_PER_S
+# Fewer logs are read in this process: others take half a second to start.
+FEW = 12
+WORKERS = 2
+_SERVO = re.compile(r" \(servo (\d+)\): ")
+
+
+@dataclass
+class Entry:
+    """What the index keeps of one log; times are epoch times."""
+
+    name: str
+    size: int
+    mtime_ns: int
+    start_s: float | None = None
+    duration_s: float | None = None
+    arm_id: str | None = None
+    version: str | None = None
+    # None: the log does not say.
+    simulated: bool | None = None
+    complete: bool = False
+    # Why it could not be read.
+    problem: str = ""
+    # (time_s, level, code, servo_id, text)
+    events: list[tuple[float, int, str, int | None, str]] = field(default_factory=list)
+    # (time_s, servo_id, joint, *FIGURES)
+    minutes: list[tuple[Any, ...]] = field(default_factory=list)
+
+
+def describe(path: Path) -> Entry:
+    """Read one log."""
+    entry = Entry(path.name, 0, 0)
+    try:
+        status = path.stat()
+        entry.size, entry.mtime_ns = status.st_size, status.st_mtime_ns
+        with LogFile(path) as log:
+            entry.arm_id, entry.version = (log.facts.get(key) for key in ("arm_id", "version"))
+            if "simulated" in log.facts:
+                entry.simulated = log.facts["simulated"] == "true"
+            found = log.payloads((channels.SERVOS, channels.ROSOUT, channels.COMMAND))
+            entry.complete = log.complete
+            if channels.SERVOS in found and (times := found[channels.SERVOS].log_time_ns):
+                entry.start_s, entry.duration_s = times[0] / NS_PER_S, (times[-1] - times[0]) / NS_PER_S
+                for table in log.tables(channels.SERVOS, found[channels.SERVOS]):
+                    entry.minutes += _minutes(table)
+            for topic in (channels.ROSOUT, channels.COMMAND):
+                told = found.get(topic, Payloads())
+                for time_ns, data in zip(told.log_time_ns, told.data, strict=True):
+                    if topic == channels.ROSOUT or b'"event"' in data:
+                        entry.events += _event(time_ns / NS_PER_S, topic, log.codec(topic).decode(data))
+    except (LogError, OSError) as error:
+        entry.problem = str(error)
+    except (LookupError, TypeError, ValueError, ArithmeticError) as error:  # a file from elsewhere may hold anything
+        entry.problem = f"{path}: is not as armctl writes it: {error!r}"
+    return entry
+
+
+def _event(time_s: float, topic: str, value: dict[str, Any]) -> Iterator[tuple[float, int, str, int | None, str]]:
+    if topic == channels.ROSOUT:
+        servo = _SERVO.search(value["msg"])
+        yield time_s, value["level"], value["function"], int(servo[1]) if servo else None, value["msg"]
+    elif isinstance(code := (note := parse_note(value["data"])).get("event"), str):
+        yield time_s, NOTE_LEVEL, code, None, str(note.get("text") or note.get("name") or "")
+
+
+def _minutes(table: Table) -> Iterator[tuple[Any, ...]]:
+    """Every servo by the minute, of messages of one shape."""
+    time_ns = table.log_time_ns.astype(np.int64)
+    for index in range(sum(path.endswith("].registers") for path in table.columns)):
+        registers, name = table.columns[f"servos[{index}].registers"], table.columns[f"servos[{index}].name"]
+        if not isinstance(registers, np.ndarray) or registers.ndim != 2 or registers.shape[1] < ax12a.STATUS_SIZE:
+            continue  # it never answered
+        kept = table.numbers(f"servos[{index}].fresh") > 0
+        blocks, times = registers[kept].astype(np.int32), time_ns[kept]
+        if not len(times):
+            continue
+        torque = blocks[:, ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN] > 0
+        load = (_word(blocks, ax12a.PRESENT_LOAD) & 1023) / 1023.0
+        off_tick = np.abs(_word(blocks, ax12a.PRESENT_POSITION) - _word(blocks, ax12a.GOAL))
+        error_deg = off_tick * math.degrees(ax12a.TICK_RAD)
+        begins = np.flatnonzero(np.diff(times // MINUTE_NS, prepend=-1))
+        counts = np.diff(begins, append=len(times))
+        under_torque = np.add.reduceat(torque.astype(float), begins)
+        columns = (
+            times[begins] / NS_PER_S,
+            np.maximum.reduceat(blocks[:, ax12a.PRESENT_TEMPERATURE.address - ax12a.STATUS_BEGIN], begins),
+            np.maximum.reduceat(load, begins),
+            np.add.reduceat(load, begins) / counts,
+            np.minimum.reduceat(blocks[:, ax12a.PRESENT_VOLTAGE.address - ax12a.STATUS_BEGIN], begins) / 10.0,
+            # Of no tick with torque: no figure.
+            np.add.reduceat(error_deg * torque, begins) / np.where(under_torque, under_torque, np.nan),
+        )
+        servo_id, joint = int(table.numbers(f"servos[{index}].id")[0]), name[0]
+        for time_s, *figures in zip(*(column.tolist() for column in columns), strict=True):
+            yield time_s, servo_id, joint, *figures
+
+
+def _word(blocks: NDArray[np.int32], register: ax12a.Register) -> NDArray[np.int32]:
+    low = register.address - ax12a.STATUS_BEGIN
+    return blocks[:, low] + 256 * blocks[:, low + 1]
+
+
+def entries(paths: list[Path]) -> Iterable[Entry]:
+    if len(paths) <= FEW:
+        yield from map(describe, paths)
+        return
+    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(describe, path) for path in paths]):
+            yield future.result()
+
+
+def diff(a: Path, b: Path) -> list[dict[str, Any]]:
+    """Two logs side by side, quantity by quantity.
+
+    Raises:
+        LogError: one cannot be read.
+    """
+    ours, theirs = _quantities(a), _quantities(b)
+    rows = []
+    for name in dict.fromkeys([*ours, *theirs]):
+        values: list[Any] = [ours.get(name), theirs.get(name)]
+        figures = all(isinstance(value, int | float) for value in values)
+        rows.append({"quantity": name, "a": values[0], "b": values[1]})
+        rows[-1]["difference"] = values[1] - values[0] if figures else None
+    return rows
+
+
+def _quantities(path: Path) -> dict[str, Any]:
+    entry = describe(path)
+    if entry.problem:
+        raise LogError(entry.problem)
+    found: dict[str, Any] = {key: getattr(entry, key) for key in ("arm_id", "version", "duration_s")}
+    found |= {f"events, {level}": sum(event[1] == number for event in entry.events) for level, number in LEVELS.items()}
+    worst: tuple[Callable[[Any], Any], ...] = (np.max, np.max, np.mean, np.min, np.nanmean)
+    for joint in dict.fromkeys(row[2] for row in entry.minutes):
+        minutes = np.array([row[3:] for row in entry.minutes if row[2] == joint])
+        for name, of, values in zip(FIGURES, worst, minutes.T, strict=True):
+            found[f"{joint}.{name}"] = None if np.isnan(values).all() else float(of(values))
+    return found

@@ -1,0 +1,54 @@
+"""Notes: people's about logs, in one file beside these, and those in the logs; a line of JSON each.
+
+Little is imported here: what is asked of an index is answered before anything that reads logs is loaded.
+"""
+
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from armctl.errors import LogError
+
+NOTES = "notes.jsonl"
+NOTE = "NOTE"
+LEVELS = {"info": 20, "warning": 30, "error": 40}
+FAULT_LEVEL, NOTE_LEVEL = LEVELS["error"], LEVELS["info"]
+# Of a minute of a servo, in the order of its columns (index.sql).
+FIGURES = ("temperature_degC", "load_ratio", "load_mean_ratio", "voltage_V", "error_deg")
+
+
+def parse_note(text: str) -> dict[str, Any]:
+    """The JSON object in a line on /armctl/command; empty where it is none."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
+def add_note(log: Path, text: str) -> None:
+    """Keep a note about a log, beside it.
+
+    Raises:
+        LogError: there is no such log, or the note cannot be written.
+    """
+    if not log.is_file():
+        raise LogError(f"{log}: there is no such log")
+    line = json.dumps({"log": log.name, "text": text}) + "\n"
+    try:
+        with (log.parent / NOTES).open("a", encoding="utf-8") as file:
+            file.write(line)  # in one write, so that two who note at once do not mix
+    except OSError as error:
+        raise LogError(f"{log.parent / NOTES}: cannot be written: {error.strerror}") from None
+
+
+def notes(folder: Path) -> list[tuple[str, str]]:
+    """Name of a log and text of every note in a folder; lines that are none are passed over."""
+    found = []
+    with suppress(OSError):
+        for line in (folder / NOTES).read_text(encoding="utf-8", errors="replace").splitlines():
+            note = parse_note(line)
+            if isinstance(note.get("log"), str) and isinstance(note.get("text"), str):
+                found.append((note["log"], note["text"]))
+    return found
