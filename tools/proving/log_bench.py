@@ -77,12 +77,12 @@ def bench(seed: int, *, ticks: int = HOUR_TICKS, written: int = WRITTEN_TICKS, r
         root = Path(folder)
         _write(records[:written], root, rounds, rows, checks)
         flushed = root / "flushed.mcap"
-        _log(flushed, records, ticks)
+        write_log(flushed, records, ticks)
         compacted = root / "compacted.mcap"
         size_MB = _size("an hour of a moving arm", flushed, compacted, rows)
         checks.append(check("an hour of a moving arm, compacted [MB]", size_MB, HOUR_MB_BOUND))
         still = root / "still.mcap"
-        _log(still, simulated_records(seed, min(SIMULATED_TICKS, ticks), moving=False), ticks)
+        write_log(still, simulated_records(seed, min(SIMULATED_TICKS, ticks), moving=False), ticks)
         size_MB = _size("an hour of an arm that holds", still, root / "still-compacted.mcap", rows)
         checks.append(check("an hour of an arm that holds, compacted [MB]", size_MB, HOUR_MB_BOUND))
         _decode(flushed, compacted, rounds, rows, checks)
@@ -93,7 +93,7 @@ def bench(seed: int, *, ticks: int = HOUR_TICKS, written: int = WRITTEN_TICKS, r
     return {"rows": rows, "checks": checks, "seed": seed}
 
 
-def _log(path: Path, records: list[TickRecord], ticks: int) -> None:
+def write_log(path: Path, records: list[TickRecord], ticks: int) -> None:
     """A log as the daemon writes it, a chunk for every flush."""
     writer = LogWriter(path, log_context(), anchor=Anchor.now())
     for record in repeated(records, ticks):
