@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import asdict
 from os.path import basename
 from pathlib import Path
@@ -41,9 +41,9 @@ def _index(output: Output, folder: Path | None) -> Iterator[Index]:
     from armctl.recording.index import Index
 
     with Index(folder or logs_dir(output.config_file)) as index:
-        new = index.new()
-        with output.progress("reading new logs", 1.0) if new else nullcontext() as show:
-            index.read(new, show)
+        index.catch_up()
+        if index.unread:
+            output.warn(f"{index.unread} older logs are still being read, and missing here; ask again in a minute")
         yield index
 
 
@@ -59,7 +59,7 @@ def log_list(output: Output, log_dir: Path | None) -> None:
     with _index(output, log_dir) as index:
         logs = search.listing(index)
     shown = (row | {"name": basename(row["path"]), "told": " ".join([*row["faults"], *row["notes"]])} for row in logs)
-    output.answer({"logs": logs}, lambda: show_rows(output.console, "logs", "", shown))
+    output.answer({"logs": logs, "unread": index.unread}, lambda: show_rows(output.console, "logs", "", shown))
 
 
 @command("find", CONFIG, group=log_command)
@@ -78,7 +78,7 @@ def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) 
     with _index(output, log_dir) as index:
         events = search.find(index, " ".join(expression))
     shown = (row | {"name": basename(row["log"])} for row in events)
-    output.answer({"events": events}, lambda: show_rows(output.console, "events", "", shown))
+    output.answer({"events": events, "unread": index.unread}, lambda: show_rows(output.console, "events", "", shown))
 
 
 @command("stats", CONFIG, group=log_command)
@@ -93,7 +93,7 @@ def log_stats(output: Output, period: str, log_dir: Path | None) -> None:
 
     with _index(output, log_dir) as index:
         rows = search.stats(index, period)
-    output.answer({"rows": rows}, lambda: show_rows(output.console, "stats", "", rows))
+    output.answer({"rows": rows, "unread": index.unread}, lambda: show_rows(output.console, "stats", "", rows))
 
 
 @command("diff", group=log_command)

@@ -3,7 +3,8 @@
 Rules.
 1. A log is replaced only by a file that was read back and holds the same messages in the same order, bit for bit;
    on the disk before it takes the name. What is damaged, being written or compacted already is left alone.
-2. It runs in a process of its own that takes what time nobody else wants, and that recovers first what a crash left:
+2. It runs in a process of its own that takes what time nobody else wants, recovers first what a crash left, and brings
+   the index of the folder up to date last (index.py):
    `python -m armctl.recording.compact FOLDER...`.
 """
 
@@ -19,6 +20,7 @@ from pathlib import Path
 from armctl.errors import LogError
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, Disk, new_file, owned
+from armctl.recording.index import bring_up_to_date
 from armctl.recording.log_file import LogFile
 from armctl.recording.quota import stored_logs
 from armctl.recording.recover import recover_folder
@@ -105,8 +107,10 @@ def main(folders: Sequence[str]) -> None:
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     for folder in map(Path, folders):
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, LogError):
             compact_folder(folder)
+            if stored_logs(folder):  # a folder of takes needs no index
+                bring_up_to_date(folder)
 
 
 if __name__ == "__main__":

@@ -4,16 +4,23 @@ Rules.
 1. It is a sqlite3 file beside the logs, or in the user's cache where the folder cannot be written. It holds nothing
    that is not in the logs or in `NOTES`: one that is lost, damaged or of another armctl is made anew.
 2. A log is read once, and again when its size or its time has changed. What is gone is forgotten.
-3. One that is up to date is asked without loading what reads logs (entry.py): that takes longer than the answer.
+3. Of new logs the newest `FEW` are read before an answer. What else there is (all of it, where the index was lost) is
+   read by a process of its own, one a folder, and `unread` says how many logs an answer lacks. The daemon starts one
+   when it starts and when it begins another log (compact.py), a command when it has to.
+4. One that is up to date is asked without loading what reads logs (entry.py): that takes longer than the answer.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
+from subprocess import DEVNULL, Popen
 from typing import TYPE_CHECKING, Any, Self
 
 from armctl.errors import LogError
@@ -25,12 +32,12 @@ if TYPE_CHECKING:
 INDEX = ".index.sqlite3"
 # Changes with the tables (index.sql); an index of another number is made anew.
 VERSION = 2
+FEW = 12
 _TABLES = Path(__file__).with_suffix(".sql")
-Progress = Callable[[float], None]
 
 
 class Index:
-    """The index of a folder; `read` what is `new` before asking.
+    """The index of a folder; `catch_up` before asking.
 
     Raises:
         LogError: there is no such folder.
@@ -38,6 +45,8 @@ class Index:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        # Logs that are there and not in the index, as far as `catch_up` left some.
+        self.unread = 0
         if not folder.is_dir():
             raise LogError(f"{folder}: is no folder with logs; name one with --log-dir")
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "armctl"
@@ -74,41 +83,46 @@ class Index:
         return [dict(zip(names, row, strict=True)) for row in cursor]
 
     def new(self) -> list[str]:
-        """Forget what is gone or has changed; names of the logs that have to be read."""
+        """Forget what is gone or has changed; names of the logs that have to be read, the newest first."""
         there = dict(_files(self.folder))
         known = {name: status for name, *status in self.rows("SELECT name, size, mtime_ns FROM logs")}
         if there == known:
             return []
-        self._forget(name for name, status in known.items() if there.get(name) != status)
-        return sorted(name for name, status in there.items() if known.get(name) != status)
+        with self._db:
+            self._forget(name for name, status in known.items() if there.get(name) != status)
+        new = [name for name, status in there.items() if known.get(name) != status]
+        return sorted(new, key=lambda name: (there[name][1], name), reverse=True)
 
-    def read(self, names: Sequence[str], progress: Progress | None = None) -> None:
-        """Take logs into the index, and all notes.
-
-        Args:
-            progress: Called with the fraction done.
-        """
+    def read(self, names: Sequence[str]) -> None:
+        """Take logs into the index, and all notes."""
         if names:
             from armctl.recording.entry import entries
 
-            for count, entry in enumerate(entries([self.folder / name for name in names]), 1):
+            for entry in entries([self.folder / name for name in names]):
                 self._add(entry)
-                if progress is not None:
-                    progress(count / len(names))
         self._add_notes()
+
+    def catch_up(self) -> None:
+        """Read what an answer waits for, and have the rest read."""
+        new = self.new()
+        self.read(new[:FEW])
+        self.unread = len(new[FEW:])
+        if self.unread:
+            command = [sys.executable, "-m", "armctl.recording.index", str(self.folder)]
+            Popen(command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True)
 
     def _forget(self, names: Iterable[str]) -> None:
         gone = [(name,) for name in names]
-        with self._db:
-            for table in ("events", "minutes"):
-                self._db.executemany(f"DELETE FROM {table} WHERE log = (SELECT id FROM logs WHERE name = ?)", gone)
-            self._db.executemany("DELETE FROM logs WHERE name = ?", gone)
+        for table in ("events", "minutes"):
+            self._db.executemany(f"DELETE FROM {table} WHERE log = (SELECT id FROM logs WHERE name = ?)", gone)
+        self._db.executemany("DELETE FROM logs WHERE name = ?", gone)
 
     def _add(self, entry: Entry) -> None:
         about = [getattr(entry, key) for key in _KEPT]
         with self._db:
+            self._forget([entry.name])  # another process may have read it meanwhile
             places = ", ".join("?" * len(_KEPT))
-            added = self._db.execute(f"INSERT OR REPLACE INTO logs({', '.join(_KEPT)}) VALUES({places})", about)
+            added = self._db.execute(f"INSERT INTO logs({', '.join(_KEPT)}) VALUES({places})", about)
             number = added.lastrowid
             events, minutes = ([(number, *row) for row in rows] for rows in (entry.events, entry.minutes))
             self._db.executemany(f"INSERT INTO events VALUES({', '.join('?' * 6)})", events)
@@ -147,3 +161,22 @@ def _opened(path: Path) -> sqlite3.Connection:
         db.executescript(_TABLES.read_text() + f"PRAGMA user_version = {VERSION};")
     db.execute("PRAGMA synchronous = OFF")  # what a power cut spoils is made anew
     return db
+
+
+def bring_up_to_date(folder: Path) -> None:
+    """Read all that is new in a folder, unless another process is at it.
+
+    Raises:
+        LogError: there is no such folder, or no index of it can be kept.
+    """
+    with Index(folder) as index:
+        lock = os.open(folder, os.O_RDONLY)
+        with suppress(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            index.read(index.new())
+        os.close(lock)
+
+
+if __name__ == "__main__":
+    os.nice(10)
+    bring_up_to_date(Path(sys.argv[1]))

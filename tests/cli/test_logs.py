@@ -22,7 +22,7 @@ from armctl.cli.keys import keys
 from armctl.cli.output import Output
 from armctl.clock import VirtualClock
 from armctl.messages import Event
-from armctl.recording import provenance, reader, timeline
+from armctl.recording import index, provenance, reader, timeline
 from armctl.recording.player import Player
 from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import CONTEXT, make_records
@@ -55,6 +55,21 @@ def test_a_folder_that_is_known_is_asked_without_what_reads_logs(
     found, modules = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
     assert json.loads(found) == told
     assert not {"numpy", "pydantic", "mcap", "yaml", "rich", "multiprocessing"} & set(json.loads(modules))
+
+
+def test_an_answer_says_how_many_logs_it_lacks(
+    log: Path, answer: Answer, typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in "abc":
+        (tmp_path / f"{name}.mcap").write_bytes(log.read_bytes())
+    monkeypatch.setattr(index, "FEW", 1)
+    monkeypatch.setattr(index, "Popen", lambda *_, **__: None)
+    where = "--log-dir", tmp_path
+    assert "2 older logs are still being read" in typed("log", "list", *where).err
+    assert answer("log", "find", "code:PLAN_BEGIN", *where)["unread"] == 1
+    assert answer("log", "stats", *where)["unread"] == 0
+    told = answer("log", "list", *where)
+    assert (len(told["logs"]), told["unread"]) == (3, 0)
 
 
 # ----------------------------------------------------------------------------------------------------- replay

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from armctl.recording.chunks import MAX_CHUNK_BYTES
 from armctl.recording.compact import CHUNK_BYTES, COMPACTED, Compaction, compact, compact_folder
 from armctl.recording.disk import PartInUse, owned
+from armctl.recording.index import Index
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.recover import recover
 from armctl.recording.replay import check
@@ -103,6 +104,8 @@ def test_the_process_compacts_the_logs_of_a_folder_and_nothing_else(log: Path) -
     subprocess.run([sys.executable, "-m", "armctl.recording.compact", log.parent], check=True, timeout=100)
     assert log.stat().st_size < size
     assert others == {path: path.read_bytes() for path in others}
+    with Index(log.parent) as index:
+        assert index.new() == [], "the index is up to date"
 
 
 def test_a_log_that_was_cut_is_known_to_have_been_when_it_is_compacted(tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
 """The index of a folder of logs: true to them, made anew whenever it is not, and quick to ask."""
 
+import fcntl
 import json
 import os
 import shutil
 import sqlite3
+import subprocess
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +15,10 @@ import pytest
 
 from armctl.errors import LogError, RequestRefused
 from armctl.messages import Event
+from armctl.recording import index as index_module
 from armctl.recording import search
 from armctl.recording.entry import diff
-from armctl.recording.index import INDEX, Index
+from armctl.recording.index import INDEX, Index, bring_up_to_date
 from armctl.recording.notes import NOTES, add_note
 from armctl.recording.timeline import load
 from armctl.recording.writer import LogContext
@@ -114,6 +117,57 @@ def test_an_index_that_is_lost_or_damaged_is_made_anew(folder: Path, spoil: str)
             updated(folder).__exit__(None, None, None)
     with updated(folder) as index:
         assert (search.listing(index), search.find(index, "code:STATE")) == before
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """Commands that were to run in the background, and do not."""
+    found: list[list[str]] = []
+    monkeypatch.setattr(index_module, "FEW", 3)
+    monkeypatch.setattr(index_module, "Popen", lambda command, **_: found.append(command))
+    return found
+
+
+def test_what_an_answer_does_not_wait_for_is_read_in_the_background_and_told(
+    folder: Path, started: list[list[str]]
+) -> None:
+    for age, path in enumerate(sorted(folder.iterdir(), reverse=True)):
+        os.utime(path, ns=(10**9 - age, 10**9 - age))
+    newest = sorted(path.name for path in folder.iterdir())[-3:]
+    with Index(folder) as index:
+        index.catch_up()
+        assert (index.unread, sorted(row["name"] for row in index.ask("SELECT name FROM logs"))) == (4, newest)
+    (command,) = started
+    root = Path(index_module.__file__).parents[2]
+    subprocess.run(command, check=True, cwd=root, timeout=300)
+    with Index(folder) as index, updated(Path(shutil.copytree(folder, folder.with_name("b")))) as other:
+        index.catch_up()
+        assert (index.unread, len(started)) == (0, 1)
+        ours, theirs = ([row | {"path": ""} for row in search.listing(one)] for one in (index, other))
+        assert ours == theirs
+        assert asked(index, "level:info") == asked(other, "level:info")
+
+
+def test_one_process_at_a_time_reads_a_folder(folder: Path, started: list[list[str]]) -> None:
+    lock = os.open(folder, os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    bring_up_to_date(folder)
+    with Index(folder) as index:
+        index.catch_up()
+        assert index.unread == 4
+    os.close(lock)
+    bring_up_to_date(folder)
+    with Index(folder) as index:
+        index.catch_up()
+        assert index.unread == 0
+    assert len(started) == 1
+
+
+def test_two_who_read_a_log_at_once_keep_it_once(folder: Path) -> None:
+    with Index(folder) as one, updated(folder) as other:
+        one.read(["armctl-2.mcap"])
+        assert len(asked(other, "code:TRIPPED")) == 1
+        assert other.ask("SELECT count(*) AS n FROM events WHERE log NOT IN (SELECT id FROM logs)") == [{"n": 0}]
 
 
 def test_events_are_found_by_code_servo_level_arm_log_time_and_text(folder: Path) -> None:
