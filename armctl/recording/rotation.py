@@ -36,6 +36,9 @@ MAX_SNAPSHOT = 10
 # Ticks kept beyond those of the last `keep_s`; several times what stands between two keyframes.
 MAX_RECORDS = 2000
 CLOCK_STEP_NS = NS_PER_S // 2
+# The seconds of a ROS 2 stamp have 31 bits. A clock that is set to 2038 or later counts from 1970 again: times that are
+# wrong are better than no log.
+STAMPS_NS = 2**31 * NS_PER_S
 WIRE_BEFORE_NS, WIRE_AFTER_NS = 2 * NS_PER_S, NS_PER_S
 # Most pieces of the wire kept; of 2 s at 100 Hz and 10 servos they are 4000.
 MAX_WIRE = 8000
@@ -106,7 +109,8 @@ class Files:
         # Whether something was written since the last flush.
         self.written = False
         self._context, self._folder, self._disk = context, folder, disk
-        self._clock, self._wall_ns, self._compactor = clock, wall_ns, compactor
+        self._clock, self._compactor = clock, compactor
+        self._wall_ns = lambda: wall_ns() % STAMPS_NS
         self._open: dict[str, LogWriter] = {}
         self._history = History(context.config.log.snapshot_s, context.period_s)
         self._last: TickRecord | None = None

@@ -190,6 +190,17 @@ def test_a_step_of_the_wall_clock_begins_another_log_whose_times_are_the_new_one
     assert rig.compacted == [rig.logs]
 
 
+@pytest.mark.parametrize("wall_s", [2**31 + 86_400, -3600])
+def test_a_clock_that_no_stamp_holds_does_not_end_the_log(rig: Rig, wall_s: int) -> None:
+    rig.put(RECORDS[:30])
+    rig.wall_offset_ns = wall_s * NS_PER_S - rig.clock.now_ns()
+    rig.put(RECORDS[30:])
+    assert rig.recorder.problem == ""
+    logs = sorted(rig.close(), key=lambda path: path.name[-11:])
+    assert [tick for path in logs for tick in ticks(path)] == list(range(100))
+    assert check(logs[-1]).mismatches == 0
+
+
 def test_a_log_that_was_taken_away_is_noticed_within_a_second_and_another_begins(rig: Rig) -> None:
     rig.put(RECORDS[:30])
     shutil.rmtree(rig.logs)
