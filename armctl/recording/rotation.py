@@ -110,7 +110,7 @@ class Files:
         self.written = False
         self._context, self._folder, self._disk = context, folder, disk
         self._clock, self._compactor = clock, compactor
-        self._wall_ns = lambda: wall_ns() % STAMPS_NS
+        self._wall_ns: Callable[[], int] = lambda: wall_ns() % STAMPS_NS
         self._open: dict[str, LogWriter] = {}
         self._history = History(context.config.log.snapshot_s, context.period_s)
         self._last: TickRecord | None = None
