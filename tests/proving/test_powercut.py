@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from armctl.recording import quota, reader
 from armctl.recording import recorder as recorder_module
 from armctl.recording.disk import Disk
-from proving import powercut
+from armctl.recording.rotation import Files
+from proving import powercut, retention
 from proving.cut_disk import CutDisk, Operation, leave
 
 
@@ -36,6 +38,48 @@ def test_a_seed_repeats_its_story_and_its_cuts() -> None:
     assert story.truth == again.truth
     assert {one.kind for one in story.operations} >= {"create", "write", "sync", "sync_folder", "link", "replace"}
     assert len(story.takes) == 2
+
+
+def told(stories: int) -> retention.Tally:
+    """What these many stories of clocks and folders find together, with a 2000th of the summary's bytes each."""
+    tally = retention.Tally()
+    for number in range(stories):
+        one = retention.tell(1, number, 2000)
+        tally.add_findings(one)
+        tally.deleted += one.deleted
+    return tally
+
+
+def test_10_stories_of_clocks_and_folders_delete_no_new_log_before_an_old_one_and_complete_is_true() -> None:
+    tally = told(10)
+    assert tally.examples == []
+    assert tally.violations == 0
+    assert tally.deleted > 20
+
+
+def test_the_proof_notices_logs_that_are_ordered_by_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quota, "_order", lambda log: log.begin_s)
+    assert "which is older" in told(5).examples[0]
+
+
+def test_the_proof_notices_logs_that_go_without_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quota, "surplus", lambda logs, *_: logs[:-2])
+    assert any("nothing had to" in text for text in told(2).examples)
+
+
+def test_the_proof_notices_a_folder_that_vanishes_unseen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retention, "TROUBLES", ("vanish",))
+    assert told(4).violations == 0
+    monkeypatch.setattr(Files, "_watch_files", lambda _: None)
+    assert any("the newest log ends with" in text for text in told(4).examples)
+
+
+def test_the_proof_notices_logs_that_are_called_complete_and_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reader, "_stock_reads", lambda *_: True)
+    retention.spoil(random.Random(1), tmp_path, tally := retention.Tally(), 0, 50)
+    assert any("complete: True" in text for text in tally.examples)
 
 
 @pytest.fixture

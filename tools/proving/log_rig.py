@@ -1,14 +1,20 @@
-"""Tick records to write logs of: the control loop on simulated servos in virtual time, an arm that moves."""
+"""What proofs of logs have in common: records of a simulated arm that moves, a folder in memory, a recorder in step."""
 
+import contextlib
+import logging
 import math
+import tempfile
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import Config, LogConfig
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.messages import Command, JointTrajectory, Mode, Run, ServoReading, TickRecord, TorqueOn
+from armctl.recording.recorder import Recorder
 from armctl.recording.writer import LogContext
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
@@ -78,3 +84,32 @@ def _swing(virtual: VirtualArm) -> JointTrajectory:
         tuple(q + phase * amplitude for q, amplitude in zip(begin_rad, towards_rad, strict=True)) for phase in phases
     )
     return JointTrajectory(PERIOD_S, positions)
+
+
+@contextlib.contextmanager
+def quietly() -> Iterator[None]:
+    """Without a word in the log on what the disk does wrong here: it does it on purpose."""
+    logger = logging.getLogger("armctl")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+def settle(recorder: Recorder) -> None:
+    """Return when its thread has done everything queued before."""
+    done = threading.Event()
+    recorder._put(done.set)
+    while not done.wait(0.5):
+        if not recorder._thread.is_alive():
+            raise RuntimeError("the recorder's thread is gone")
+
+
+@contextlib.contextmanager
+def memory_folder() -> Iterator[Path]:
+    """A folder that is gone afterwards."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(prefix="armctl-", dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)

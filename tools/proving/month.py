@@ -1,8 +1,8 @@
 """A month of logs to measure an index of them with: `python -m proving.month FOLDER`.
 
 A month is 266 hours of work and 2.5 GB: the log of an hour in which the arm moves and of one in which it holds, by
-turns, each rewritten at later times; every 24th has a servo that trips. Making it takes minutes of two processors: it is
-measured once in a while, and no part of a bench.
+turns, each rewritten at later times; every 24th has a servo that trips. Making it takes minutes of two processors: it
+is measured once in a while, and no part of a bench.
 """
 
 import sys

@@ -14,15 +14,14 @@ raises, the user is told, and the log goes on when the disk does.
 
 The third part: one log cut at every byte of its last 64 KiB and at random places, and with random bits flipped
 (damage.py).
+
+The fourth part: logs under a clock that is set and a folder that fills, vanishes or cannot be written (retention.py).
 """
 
 import contextlib
-import logging
 import os
 import random
-import tempfile
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -40,9 +39,9 @@ from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.recorder import Recorder
 from armctl.recording.recover import recover_folder
 from armctl.recording.rotation import RETRY_NS
-from proving import damage
+from proving import damage, retention
 from proving.cut_disk import ERRORS, CutDisk, Operation, failing_once, leave
-from proving.log_rig import log_context, simulated_records
+from proving.log_rig import log_context, memory_folder, quietly, settle, simulated_records
 
 CUTS = 10_000
 LAST_BYTES = 2**16
@@ -64,18 +63,6 @@ CHANGING = ("create", "write", "sync", "sync_folder", "link", "replace", "remove
 # Whose messages are the same whichever files they go to.
 TICK_TOPICS = (JOINT_STATES, JOINT_COMMANDS, TF, TCP_POSE, SERVOS)
 Truth = frozenset[LogMessage]
-
-
-@contextlib.contextmanager
-def _quietly() -> Iterator[None]:
-    """Without a word in the log on what the disk does wrong here: it does it on purpose."""
-    logger = logging.getLogger("armctl")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 @dataclass
@@ -106,16 +93,19 @@ class Tally(damage.Tally):
 
 def prove(seed: int, cuts: int = CUTS) -> dict[str, Any]:
     """The proof, spread over the machine's cores."""
+    shards = -(-cuts * retention.STORIES // CUTS)
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
         cutting = [pool.submit(cut, seed, at, min(SHARD, cuts - at * SHARD)) for at in range(-(-cuts // SHARD))]
         failing = [pool.submit(fail, seed, first, 8) for first in range(8)]
         byte_cutting = [pool.submit(cut_bytes, seed, begin) for begin in range(0, LAST_BYTES, BYTE_CUTS_SHARD)]
         damaging = pool.submit(damage_randomly, seed, RANDOM_DAMAGES)
+        telling = [pool.submit(retention.tell, seed, at, shards) for at in range(shards)]
         tally = Tally()
         for job in (*cutting, *failing):
             tally.add(job.result())
+        kept = [job.result() for job in telling]
         byte_cuts, damages = [job.result() for job in byte_cutting], damaging.result()
-    for other in (*byte_cuts, *damages):
+    for other in (*byte_cuts, *damages, *kept):
         tally.add_findings(other)
     return {
         "runs": tally.runs,
@@ -128,6 +118,9 @@ def prove(seed: int, cuts: int = CUTS) -> dict[str, Any]:
         "byte_cuts": sum(one.runs for one in byte_cuts),
         "random_cuts": damages[0].runs,
         "bit_flips": damages[1].runs,
+        "clock_stories": sum(one.runs for one in kept),
+        "logs_deleted": sum(one.deleted for one in kept),
+        "summary_bytes": sum(one.summary_bytes for one in kept),
         "examples": tally.examples,
         "seed": seed,
     }
@@ -135,16 +128,16 @@ def prove(seed: int, cuts: int = CUTS) -> dict[str, Any]:
 
 def cut_bytes(seed: int, begin: int) -> damage.Tally:
     """The log cut at every byte of a part of its last 64 KiB."""
-    with _folder() as root:
+    with memory_folder() as root:
         data = _damaged(seed, root)
         first = len(data) - LAST_BYTES + begin
         return damage.Damage(data, root).cut(range(first, first + BYTE_CUTS_SHARD))
 
 
-@_quietly()
+@quietly()
 def damage_randomly(seed: int, count: int) -> tuple[damage.Tally, damage.Tally]:
     """The log cut at random places, and with random bits flipped, and recovered."""
-    with _folder() as root:
+    with memory_folder() as root:
         data, rng = _damaged(seed, root), random.Random(seed)
         log = damage.Damage(data, root)
         places = [rng.randrange(len(data)) for _ in range(count)]
@@ -155,13 +148,13 @@ def _damaged(seed: int, root: Path) -> bytes:
     return damage.part_bytes(simulated_records(seed, DAMAGED_TICKS), root)
 
 
-@_quietly()
+@quietly()
 def cut(seed: int, shard: int, runs: int, *, after_kinds: Sequence[str] = CHANGING) -> Tally:
     """So many power cuts of the story of a seed, each after an operation of one of these kinds."""
     tally, rng, story = Tally(), random.Random(f"{seed} {shard}"), told_story(seed)
     places = [number for number, one in enumerate(story.operations, start=1) if one.kind in after_kinds]
     for _ in range(runs):
-        with _folder() as root:
+        with memory_folder() as root:
             after = rng.choice(places)
             done = story.operations[:after]
             # As late as can be: the next operation was about to be done.
@@ -174,7 +167,7 @@ def cut(seed: int, shard: int, runs: int, *, after_kinds: Sequence[str] = CHANGI
     return tally
 
 
-@_quietly()
+@quietly()
 def fail(seed: int, first: int, stride: int) -> Tally:
     """The story with every `stride`-th operation of the disk failing, from the `first` on, in every way."""
     tally, whole = Tally(), told_story(seed)
@@ -182,7 +175,7 @@ def fail(seed: int, first: int, stride: int) -> Tally:
     for at in range(first + 1, operations + 1, stride):
         for number in ERRORS:
             for count in FAILING_OPERATIONS:
-                with _folder() as root:
+                with memory_folder() as root:
                     story = _tell(seed, root, failing_once(at, number, count))
                     tally.faults += 1
                     tally.faults_told += story.told
@@ -193,7 +186,7 @@ def fail(seed: int, first: int, stride: int) -> Tally:
 @cache
 def told_story(seed: int) -> Story:
     """The story on a disk that does what it is asked."""
-    with _folder() as root:
+    with memory_folder() as root:
         return _tell(seed, root, None)
 
 
@@ -220,7 +213,7 @@ def _tell(seed: int, root: Path, failing: Any) -> Story:
         try:
             disk.note("put", number=record.inputs.tick)
             recorder.put(record)
-            _settle(recorder)
+            settle(recorder)
             _take(recorder, record.inputs.tick, root, story, disk)
         except Exception as error:  # whatever it is, it would have hit control
             story.raised.append(f"tick {record.inputs.tick}: {error!r}")
@@ -242,14 +235,6 @@ def _take(recorder: Recorder, tick: int, root: Path, story: Story, disk: CutDisk
             elif tick == end and recorder.take_path is not None and (path := recorder.end_take()) is not None:
                 disk.note("finished", new=str(path.relative_to(root)))
                 story.takes[str(path.relative_to(root))] = _read(path)
-
-
-def _settle(recorder: Recorder) -> None:
-    done = threading.Event()
-    recorder._put(done.set)
-    while not done.wait(0.5):
-        if not recorder._thread.is_alive():
-            raise RuntimeError("the recorder's thread is gone")
 
 
 @cache
@@ -374,10 +359,3 @@ def _ticks(root: Path) -> set[int]:
                 if not cycle["inputs_only"]:
                     found.add(cycle["tick"])
     return found
-
-
-@contextlib.contextmanager
-def _folder() -> Iterator[Path]:
-    memory = Path("/dev/shm")
-    with tempfile.TemporaryDirectory(prefix="armctl-", dir=memory if memory.is_dir() else None) as folder:
-        yield Path(folder)
