@@ -1,4 +1,5 @@
-"""The ROS 2 message types of a log, each declared once, in `msg/PACKAGE/TYPE.msg`.
+"""The ROS 2 message types of a log, each declared once, in `msg/PACKAGE/TYPE.msg`; armctl's own in the ROS 2 package
+that users build of `docs/armctl_msgs/`.
 
 A declaration has one `type name` a line, constants as `type NAME=value`. From it derive both the schema text
 stored in the log (`ros2msg`: the body, then every type it needs) and the codec that writes and reads the bytes
@@ -24,8 +25,9 @@ def _body(path: Path) -> str:
     return "\n".join(line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#"))
 
 
+_OWN = Path(__file__).parents[1] / "docs" / "armctl_msgs" / "msg"
 # Body of every message type by its short name, `package/Type`.
-MESSAGES = {
+MESSAGES = {f"armctl_msgs/{path.stem}": _body(path) for path in sorted(_OWN.glob("*.msg"))} | {
     f"{path.parent.name}/{path.stem}": _body(path) for path in sorted(Path(__file__).with_name("msg").glob("*/*.msg"))
 }
 
