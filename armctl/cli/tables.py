@@ -8,7 +8,7 @@ Rules.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain, zip_longest
 from pathlib import Path
 from textwrap import wrap
@@ -34,10 +34,11 @@ def show_table(
         rows: A cell a column; markup in it is plain text.
         words: Headings of the columns whose cells are words, set from the left; in the others stand figures.
     """
-    cells = [[column, *(row[i] for row in rows)] for i, column in enumerate(columns)]
+    cells = [[column, *(row[i].replace("\n", " ") for row in rows)] for i, column in enumerate(columns)]
     worded = [column in words for column in columns]
     gap, widths = layout(cells, worded, console.width)
-    heading, *lines = (_lines(row, widths, worded, " " * gap) for row in zip(*cells, strict=True))
+    sides = [str.ljust if word else str.rjust for word in worded]
+    heading, *lines = (_lines(row, widths, sides, " " * gap) for row in zip(*cells, strict=True))
     if title:
         console.print(title, style="italic", markup=False, highlight=False)
     console.out("\n".join(heading), style="bold", highlight=False)
@@ -46,19 +47,12 @@ def show_table(
     console.file.write("\n".join([rule, *chain.from_iterable(lines), ""]))
 
 
-def _lines(row: Sequence[str], widths: Sequence[int], worded: Sequence[bool], gap: str) -> list[str]:
+def _lines(row: Sequence[str], widths: Sequence[int], sides: Sequence[Callable[..., str]], gap: str) -> list[str]:
     """One row; a cell that does not fit goes on below itself."""
-    parts = [
-        [cell] if len(cell) <= width and "\n" not in cell else wrap(cell, width, break_on_hyphens=False)
-        for cell, width in zip(row, widths, strict=True)
-    ]
-    return [
-        gap.join(
-            part.ljust(width) if left else part.rjust(width)
-            for part, width, left in zip(line, widths, worded, strict=True)
-        ).rstrip()
-        for line in zip_longest(*parts, fillvalue="")
-    ]
+    fitted = zip(row, widths, strict=True)
+    parts = ([cell] if len(cell) <= width else wrap(cell, width, break_on_hyphens=False) for cell, width in fitted)
+    lines = (zip(sides, line, widths, strict=True) for line in zip_longest(*parts, fillvalue=""))
+    return [gap.join(side(part, width) for side, part, width in line).rstrip() for line in lines]
 
 
 def show_rows(console: Console, table: str, title: str, rows: Iterable[Row]) -> None:

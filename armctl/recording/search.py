@@ -22,26 +22,18 @@ _TERMS = {
 _COMPARED = re.compile(rf"({'|'.join(READINGS)})([<>])(-?\d+(?:\.\d+)?)")
 # What becomes of each figure of a minute in a longer time.
 _OF_A_PERIOD = ("max", "max", "avg", "min", "avg")
-_AS_KEPT = ("duration_s", "arm_id", "version", "problem")
 PERIODS_S = {"day": 86_400, "week": 604_800, "month": 2_629_746}
 
 
 def listing(index: Index) -> list[Row]:
     """Every log, the oldest first; `faults`: codes of those that came up in it."""
+    columns = "name, size, start_s, simulated, complete, faults, notes, duration_s, arm_id, version, problem"
     return [
-        {
-            "path": os.path.join(index.folder, name),
-            "start": None if start_s is None else iso(start_s),
-            **dict(zip(_AS_KEPT, told, strict=True)),
-            "simulated": None if virtual is None else bool(virtual),
-            "complete": bool(complete),
-            "faults": json.loads(faults) if faults else [],
-            "notes": json.loads(notes) if notes else [],
-            "size_bytes": size,
-        }
-        for name, size, start_s, virtual, complete, faults, notes, *told in index.rows(
-            f"SELECT name, size, start_s, simulated, complete, faults, notes, {', '.join(_AS_KEPT)} FROM listed"
-        )
+        {"path": os.path.join(index.folder, name), "start": None if start_s is None else iso(start_s)}
+        | {"duration_s": told[0], "arm_id": told[1], "version": told[2], "problem": told[3], "size_bytes": size}
+        | {"simulated": None if virtual is None else bool(virtual), "complete": bool(complete)}
+        | {"faults": json.loads(faults) if faults else [], "notes": json.loads(notes) if notes else []}
+        for name, size, start_s, virtual, complete, faults, notes, *told in index.rows(f"SELECT {columns} FROM listed")
     ]
 
 
