@@ -9,8 +9,10 @@
         ...axis("xaxis"), ...axis("yaxis")};
       if (chart.layout.scene) for (const letter of "xyz") Object.assign(change, axis(`scene.${letter}axis`,
         {[`scene.${letter}axis.backgroundcolor`]: of("--paper")}));
+      // The legend stands 60 px below the curves, whatever their height: under the name of the axis.
       if (innerWidth < 700) Object.assign(change, {"legend.orientation": "h", "legend.x": 0, "legend.xanchor": "left",
-        "legend.y": -0.3, "legend.yanchor": "top", "margin.l": 50, "margin.r": 12, "title.font.size": 14});
+        "legend.y": -60 / Math.max(80, (chart.layout.height || 450) - 100), "legend.yanchor": "top", "margin.l": 50,
+        "margin.r": 12, "title.font.size": 14});
       Plotly.relayout(chart, change);
     }
   };
