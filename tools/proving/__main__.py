@@ -40,6 +40,7 @@ PROOFS: dict[str, Work] = {
     "lines": _work("lines", "prove", tells=True),
     "place": _work("place", "prove", tells=True),
     "setup": _work("setting_up", "prove", tells=True),
+    "arms": _work("whole_job", "prove", tells=True),
     "packets": _work("packets", "prove"),
     "wire": _work("wire", "prove", tells=True),
     "units": _work("units", "prove", tells=True),
@@ -52,6 +53,7 @@ OPTIONS = {
     "soak": {"hours", "workers", "episode"},
     "mutants": {"workers"},
     "hang": {"runs", "hours"},
+    "arms": {"arms", "workers"},
     "lines": {"arms", "classes", "workers"},
     "place": {"arms", "targets", "workers"},
     "replay": {"workers"},
@@ -88,9 +90,9 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--runs", type=click.IntRange(0), help="hang: of each process.")
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
 @click.option(
-    "--workers", type=click.IntRange(1), help="soak, mutants, lines, place, replay, setup: processes.  [default: 2]"
+    "--workers", type=click.IntRange(1), help="soak, mutants, arms, lines, place, replay, setup: processes.  [default: 2]"
 )
-@click.option("--arms", type=click.IntRange(1), help="lines, place, setup: how many.  [default: 20; setup: 30]")
+@click.option("--arms", type=click.IntRange(1), help="How many; lines, place: 20, setup: 30, arms: 10 unless told.")
 @click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")
 @click.option("--classes", callback=_named, help="lines: which classes, with commas between them.  [default: all]")
 @as_json
