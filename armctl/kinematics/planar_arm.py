@@ -31,13 +31,12 @@ PITCHES = np.radians(np.arange(-180.0, 180.0, 5.0))
 
 @dataclass(frozen=True)
 class PlanarArm:
-    """Lengths [m]; `up` is +1 where a positive pitch lifts the arm, -1 where it lowers it."""
+    """Lengths [m]; a positive pitch lifts the arm."""
 
     links_m: tuple[float, ...]
     height: float = 0.0
     a1: float = 0.0
     shoulder: float = 0.0
-    up: float = 1.0
     roll: bool = False
 
     def __post_init__(self) -> None:
@@ -50,7 +49,7 @@ class PlanarArm:
     @property
     def tool_reach(self) -> PlaneReach:
         """Where the tool point can go."""
-        return PlaneReach(self.links_m, self.a1, self.up * self.shoulder, self.height)
+        return PlaneReach(self.links_m, self.a1, self.shoulder, self.height)
 
     def poses(self, T: FloatArray, bend: float = 0.0) -> FloatArray:
         """Every joint configuration of every pose; with a free last joint, those that bend it by about `bend` [rad].
@@ -69,8 +68,8 @@ class PlanarArm:
                 c1, s1 = self._waist_of_axis(p, T[:, :3, 2])
             else:
                 normal = np.hypot(T[:, 0, 2], T[:, 1, 2])
-                c1 = np.where(normal > 0.0, -self.up * T[:, 1, 2] / normal, 1.0)[:, None]
-                s1 = np.where(normal > 0.0, self.up * T[:, 0, 2] / normal, 0.0)[:, None]
+                c1 = np.where(normal > 0.0, -T[:, 1, 2] / normal, 1.0)[:, None]
+                s1 = np.where(normal > 0.0, T[:, 0, 2] / normal, 0.0)[:, None]
             return self._facing(p, T[:, :3, :3], c1, s1, bend, clamp=False)
 
     def _facing(
@@ -79,15 +78,15 @@ class PlanarArm:
         """Configurations, shape (m, branches, n), at points p with the waist given and the direction as in R."""
         axis = R[:, :, 2 if self.roll else 0]
         u = c1 * p[:, :1] + s1 * p[:, 1:2] - self.a1
-        v = self.up * (p[:, 2:] - self.height) + 0.0 * u
-        pitch = np.arctan2(self.up * axis[:, 2:], c1 * axis[:, :1] + s1 * axis[:, 1:2])
+        v = p[:, 2:] - self.height + 0.0 * u
+        pitch = np.arctan2(axis[:, 2:], c1 * axis[:, :1] + s1 * axis[:, 1:2])
         q = self._in_plane(u, v, pitch, bend, clamp=clamp)
         if self.roll:
             # n = cos(roll) X4 + sin(roll) Y4: X4 in the plane a quarter turn behind the hand, Y4 across the plane.
             reached = q[..., 0, :].sum(axis=-1)
             X = R[:, :, :1]
-            along = np.cos(reached) * (c1 * X[:, 0] + s1 * X[:, 1]) + self.up * np.sin(reached) * X[:, 2]
-            across = -self.up * (s1 * X[:, 0] - c1 * X[:, 1])
+            along = np.cos(reached) * (c1 * X[:, 0] + s1 * X[:, 1]) + np.sin(reached) * X[:, 2]
+            across = c1 * X[:, 1] - s1 * X[:, 0]
             roll = np.arctan2(across, along)[:, :, None, None]
             q = np.concatenate((q, np.broadcast_to(roll, (*q.shape[:3], 1))), axis=-1)
         return self._with_waist(c1, s1, q)
@@ -111,7 +110,7 @@ class PlanarArm:
         with np.errstate(invalid="ignore", divide="ignore"):
             c1, s1 = self._waist_of_point(p)
             u = c1 * p[:, :1] + s1 * p[:, 1:2] - self.a1
-            v = self.up * (p[:, 2:] - self.height) + 0.0 * u
+            v = p[:, 2:] - self.height + 0.0 * u
             family = []
             for bend in bends.tolist():
                 q = self._in_plane(u, v, pitch + 0.0 * u, bend, clamp=True)
@@ -141,8 +140,7 @@ class PlanarArm:
     def _waist_of_point(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Cosine and sine of the waist, shape (m, 2): the plane holds the point, before and behind the axis."""
         x, y = p[:, :1], p[:, 1:2]
-        offset = self.up * self.shoulder
-        square = x * x + y * y
+        offset, square = self.shoulder, x * x + y * y
         rest = square - offset * offset
         rest = np.where((rest < 0.0) & (rest >= -ROUNDING * (square + offset * offset)), 0.0, rest)
         radial = np.concatenate((np.sqrt(rest), -np.sqrt(rest)), axis=1)

@@ -1,7 +1,7 @@
 """Closed-form inverse kinematics of six joints with a spherical wrist: eight solutions.
 
 Waist, two parallel pitch joints and three axes that meet in the wrist's centre W, in the signs of the PUMA 560
-(alpha 90, 0, -90, 90, -90, 0); an arm with all alphas of the other sign is its mirror image (z for -z, d for -d).
+(alpha 90, 0, -90, 90, -90, 0).
 
 1. W = p - d6 a. The waist turns it into the arm's plane, `shoulder` beside the axis:
    W_x s1 - W_y c1 = shoulder, W_x c1 + W_y s1 = +-sqrt(W_x^2 + W_y^2 - shoulder^2).
@@ -31,7 +31,7 @@ _STRAIGHT = 1e-12
 
 @dataclass(frozen=True)
 class SphericalWrist:
-    """Lengths [m] of the arm; `mirrored` says that its alphas are -90, 0, 90, -90, 90, 0."""
+    """Lengths [m] of the arm."""
 
     a1: float
     a2: float
@@ -39,7 +39,6 @@ class SphericalWrist:
     shoulder: float
     d4: float
     d6: float
-    mirrored: bool = False
 
     def __post_init__(self) -> None:
         if not (self.a2 > 0.0 and math.hypot(self.a3, self.d4) > 0.0):
@@ -47,17 +46,15 @@ class SphericalWrist:
             raise ConfigError("lengths", found, "an arm without links", "a2 and hypot(a3, d4) must be above 0 m")
 
     @cached_property
-    def _signed(self) -> tuple[float, float, float, float]:
-        """L, cosine and sine of the forearm's bend, d6, of the arm or of its mirror image."""
-        sign = -1.0 if self.mirrored else 1.0
+    def _forearm(self) -> tuple[float, float, float]:
+        """L, and cosine and sine of its bend."""
         L = math.hypot(self.a3, self.d4)
-        return L, self.a3 / L, sign * self.d4 / L, sign * self.d6
+        return L, self.a3 / L, self.d4 / L
 
     @property
     def wrist_reach(self) -> PlaneReach:
         """Where the wrist's centre can go."""
-        offset = -self.shoulder if self.mirrored else self.shoulder
-        return PlaneReach((self.a2, self._signed[0]), self.a1, offset, 0.0)
+        return PlaneReach((self.a2, self._forearm[0]), self.a1, self.shoulder, 0.0)
 
     def poses(self, T: FloatArray) -> FloatArray:
         """Every joint configuration of every pose.
@@ -75,10 +72,8 @@ class SphericalWrist:
 
     def _block(self, T: FloatArray, q: FloatArray) -> None:
         (nx, ny, nz), (ox, oy, oz), (ax, ay, az), (px, py, pz) = (np.ascontiguousarray(T[:, :3, i].T) for i in range(4))
-        if self.mirrored:
-            nz, oz, ax, ay, pz = -nz, -oz, -ax, -ay, -pz
-        L, cos_bend, sin_bend, d6 = self._signed
-        a2, offset = self.a2, -self.shoulder if self.mirrored else self.shoulder
+        L, cos_bend, sin_bend = self._forearm
+        a2, offset, d6 = self.a2, self.shoulder, self.d6
         wx, wy, v = px - d6 * ax, py - d6 * ay, pz - d6 * az
         square = wx * wx + wy * wy
         root = np.sqrt(_no_rounding(square - offset * offset, ROUNDING * (square + offset * offset)))
@@ -123,10 +118,8 @@ class SphericalWrist:
             T: Tool pose in the base frame, at least its first three rows.
         """
         (nx, ox, ax, px), (ny, oy, ay, py), (nz, oz, az, pz) = T[:3]
-        if self.mirrored:
-            nz, oz, ax, ay, pz = -nz, -oz, -ax, -ay, -pz
-        L, cos_bend, sin_bend, d6 = self._signed
-        a2, offset = self.a2, -self.shoulder if self.mirrored else self.shoulder
+        L, cos_bend, sin_bend = self._forearm
+        a2, offset, d6 = self.a2, self.shoulder, self.d6
         sqrt, atan2 = math.sqrt, math.atan2
         wx, wy, v = px - d6 * ax, py - d6 * ay, pz - d6 * az
         square = wx * wx + wy * wy

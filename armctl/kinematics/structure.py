@@ -21,7 +21,7 @@ from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, join
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.robots.robot import ClosedForm
 from armctl.kinematics.spherical_wrist import SphericalWrist
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, inverted
 
 # Up to which a chain is what its structure says [m and rad]; `solve` brings what is left onto the target.
 SAME = 1e-8
@@ -58,7 +58,7 @@ class Placed:
         return self._ours(q), distance
 
     def _theirs(self, T: FloatArray) -> FloatArray:
-        return np.asarray(_inverse(self.B) @ T @ _inverse(self.C))
+        return np.asarray(inverted(self.B) @ T @ inverted(self.C))
 
     def _ours(self, q: FloatArray) -> FloatArray:
         q = self.signs * (q - self.zeros_rad)
@@ -72,7 +72,7 @@ def closed_form(chain: SerialChain) -> ClosedForm | None:
     on = _Axes(chain)
     for form, table, signs, zeros in _candidates(on):
         B = on.B
-        C = _inverse(B @ forward_kinematics(table, zeros)) @ forward_kinematics(chain, np.zeros(chain.n))
+        C = inverted(B @ forward_kinematics(table, zeros)) @ forward_kinematics(chain, np.zeros(chain.n))
         if np.abs(C[:3, 3]).max() > SAME:
             continue  # the tool is not where the form's tool is
         q = np.random.default_rng(0).uniform(-math.pi, math.pi, (8, chain.n))
@@ -171,10 +171,3 @@ def _spherical(on: _Axes) -> tuple[ClosedForm, SerialChain, FloatArray, FloatArr
     theta5 = math.atan2(float(np.cross(e4, e6) @ e5), float(e4 @ e6))
     signs = np.array([1.0, *-on.z[1:3, 1], 1.0, 1.0, 1.0]).round()
     return form, SerialChain(rows), signs, np.array([0.0, theta2, theta3, theta4, theta5, 0.0])
-
-
-def _inverse(T: FloatArray) -> FloatArray:
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse

@@ -102,6 +102,14 @@ def pose_from_xyz_rpy(
     return T
 
 
+def inverted(T: FloatArray) -> FloatArray:
+    """The inverse of a homogeneous transform, shape (4, 4)."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse
+
+
 def rotation_vector(R: FloatArray) -> FloatArray:
     """Axis times angle [rad] of rotations, shape (..., 3, 3) -> (..., 3).
 

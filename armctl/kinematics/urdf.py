@@ -20,7 +20,7 @@ from armctl.config import ArmConfig
 from armctl.dynamixel.servos import MODELS
 from armctl.kinematics.chain import DHRow, SerialChain, link_frames
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.transform import FloatArray, cos_sin, rpy_from_matrix
+from armctl.kinematics.transform import FloatArray, cos_sin, inverted, rpy_from_matrix
 
 BASE = "base_link"
 TOOL = "tool"
@@ -52,7 +52,7 @@ def fixed_frames(arm: ArmConfig, robot: Robot) -> tuple[tuple[str, str, FloatArr
     chain = robot.chain
     links = moving_links(arm)
     frames: list[tuple[str, str, FloatArray]] = [
-        (link, _horn(link), _inverse(_row_parts(chain, row)[1])) for link, row in zip(links, chain.rows, strict=False)
+        (link, _horn(link), inverted(_row_parts(chain, row)[1])) for link, row in zip(links, chain.rows, strict=False)
     ]
     return (*frames, (links[chain.n - 1], TOOL, _tool_offset(chain)))
 
@@ -101,13 +101,6 @@ def _row_parts(chain: SerialChain, row: DHRow) -> tuple[FloatArray, FloatArray]:
 def _tool_offset(chain: SerialChain) -> FloatArray:
     whole = SerialChain((DHRow(),), "modified", chain.tool_m, chain.tool)
     return np.asarray(link_frames(whole, np.zeros(1))[-1])
-
-
-def _inverse(T: FloatArray) -> FloatArray:
-    inverse = np.eye(4)
-    inverse[:3, :3] = T[:3, :3].T
-    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return inverse
 
 
 def _turned_about_x(T: FloatArray, angle: float) -> FloatArray:

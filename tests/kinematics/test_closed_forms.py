@@ -16,12 +16,12 @@ from tests.kinematics.conftest import assert_at, seeds, some_q, turned
 
 QUARTER = math.pi / 2.0
 link, offset, length = st.floats(0.05, 0.4), st.floats(-0.1, 0.1), st.floats(-0.2, 0.2)
-links, signs = st.lists(link, min_size=3, max_size=4).map(tuple), st.sampled_from([1.0, -1.0])
-ends_in_x = st.builds(PlanarArm, links, height=offset, a1=offset, shoulder=offset, up=signs)
+links = st.lists(link, min_size=3, max_size=4).map(tuple)
+ends_in_x = st.builds(PlanarArm, links, height=offset, a1=offset, shoulder=offset)
 rolling = st.builds(PlanarArm, st.tuples(link, link, link), height=offset, a1=st.just(0.0), roll=st.just(True))
 planar = st.one_of(ends_in_x, rolling)
-wrists = st.builds(  # a1, a2, a3, shoulder, d4, d6, mirrored
-    SphericalWrist, length, st.floats(0.2, 0.6), length, length, st.floats(0.2, 0.5), length, st.booleans()
+wrists = st.builds(  # a1, a2, a3, shoulder, d4, d6
+    SphericalWrist, length, st.floats(0.2, 0.6), length, length, st.floats(0.2, 0.5), length
 )
 forms = st.one_of(ends_in_x, rolling, wrists)
 
@@ -29,14 +29,13 @@ forms = st.one_of(ends_in_x, rolling, wrists)
 def chain_of(form: PlanarArm | SphericalWrist) -> SerialChain:
     if isinstance(form, PlanarArm):
         first, *others = form.links_m
-        rows = [DHRow(a=form.a1, alpha=form.up * QUARTER, d=form.height), DHRow(a=first, d=form.shoulder)]
+        rows = [DHRow(a=form.a1, alpha=QUARTER, d=form.height), DHRow(a=first, d=form.shoulder)]
         rows += [DHRow(a=length) for length in others]
         if form.roll:
             rows[-1:] = [DHRow(alpha=-QUARTER), DHRow(d=others[-1])]
         return SerialChain(tuple(rows))
-    turn = -QUARTER if form.mirrored else QUARTER
     a, d = (form.a1, form.a2, form.a3, 0.0, 0.0, 0.0), (0.0, form.shoulder, 0.0, form.d4, 0.0, form.d6)
-    alpha = (turn, 0.0, -turn, turn, -turn, 0.0)
+    alpha = (QUARTER, 0.0, -QUARTER, QUARTER, -QUARTER, 0.0)
     return SerialChain(tuple(map(DHRow, a, alpha, d)))
 
 
@@ -109,7 +108,7 @@ def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: 
 def test_at_singular_poses_the_tool_is_exact_all_the_same(arm: SphericalWrist, kind: int, seed: int) -> None:
     chain = chain_of(arm)
     q = some_q(chain, seed)
-    stretched = -math.atan2(arm.d4 * (-1.0 if arm.mirrored else 1.0), arm.a3)
+    stretched = -math.atan2(arm.d4, arm.a3)
     joint, q_rad = ((4, 0.0), (2, stretched), (4, 1e-11))[kind]  # the wrist straight, the elbow, the wrist nearly
     q[joint] = q_rad
     T = forward_kinematics(chain, q)
@@ -136,7 +135,7 @@ def test_out_of_reach_there_is_no_solution_but_a_nearest_pose() -> None:
 
 @pytest.mark.parametrize("d6", [0.1, -0.1])
 def test_positions_hold_the_point_in_many_directions(d6: float) -> None:
-    arm = SphericalWrist(0.1, 0.4, 0.02, 0.05, 0.3, d6, mirrored=True)
+    arm = SphericalWrist(0.1, 0.4, 0.02, 0.05, 0.3, d6)
     points = np.array([[0.3, 0.2, 0.25], [0.4, -0.1, 0.1]])
     q = arm.positions(points)
     assert q.shape[:2] == (2, 8)
