@@ -17,7 +17,8 @@ from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from armctl.kinematics.robots.robot import Robot
-    from armctl.kinematics.solution import Answer, Solution, Target
+    from armctl.kinematics.solution import Answer, Solution
+    from armctl.kinematics.target import Target
     from armctl.kinematics.transform import FloatArray
 
 
@@ -123,18 +124,24 @@ def ik_command(
     """
     from armctl.kinematics import solution
     from armctl.kinematics.genetic import solve as genetic
+    from armctl.kinematics.target import direction_target
 
     direction = asked.pop("direction")
     target = _target(asked.pop("xyz"), asked.pop("pose"), asked.pop("matrix"), deg)
     if direction is not None:
         if target.turned or method.startswith("ga"):
             raise click.UsageError("--direction goes with --xyz, and with --method closed or numeric")
-        target = solution.direction_target(target.position_m, direction)
+        target = direction_target(target.position_m, direction)
     present = None if near is None else _configuration(robot, "--near", near, deg)
     solve = genetic.solve if method.startswith("ga") else solution.solve
     found = solve(robot, target, method=method, present=present, **asked)
     solutions = found.solutions if every else found.solutions[:1]
-    answer = asdict(found) | {"solutions": [asdict(solution) for solution in solutions]}
+    keys = ("q_rad", "position_error_m", "orientation_error_rad", "within_limits")
+    answer = {
+        "reachable": found.reachable,
+        "least_position_error_m": found.least_position_error_m,
+        "solutions": [{key: getattr(one, key) for key in keys} for one in solutions],
+    }
     output.answer(answer, lambda: show_solutions(output, found, solutions, deg))
 
 
@@ -267,7 +274,7 @@ def _target(
 ) -> Target:
     import numpy as np
 
-    from armctl.kinematics.solution import point_target, pose_target
+    from armctl.kinematics.target import point_target, pose_target
     from armctl.kinematics.transform import pose_from_xyz_rpy
 
     if sum(given is not None for given in (xyz, pose, matrix)) != 1:

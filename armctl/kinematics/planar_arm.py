@@ -14,6 +14,7 @@ ends are again a triangle's. A hand that turns about its own axis (`roll`) point
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,8 @@ from armctl.kinematics.transform import FloatArray, finite
 # Bends [rad] of the last joint that are tried where it is free: with the pitch free too, and with the pitch given.
 BENDS = np.radians(np.arange(-120.0, 121.0, 15.0))
 FINE_BENDS = np.radians(np.arange(-150.0, 151.0, 5.0))
+# Nearer than this to a singular pose it is not for `pose`, nor farther from one that the arm can take.
+EDGE, SAME = 1e-4, 1e-9
 # Pitches [rad] that are tried where the tool's direction is free.
 PITCHES = np.radians(np.arange(-180.0, 180.0, 5.0))
 
@@ -90,6 +93,45 @@ class PlanarArm:
             roll = np.arctan2(across, along)[:, :, None, None]
             q = np.concatenate((q, np.broadcast_to(roll, (*q.shape[:3], 1))), axis=-1)
         return self._with_waist(c1, s1, q)
+
+    def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+        """Every joint configuration [rad] of one pose, in plain floats, in the order of `poses`.
+
+        None at all with four links, where the pose is singular or nearly, and where the arm cannot take it.
+
+        Args:
+            T: Tool pose in the base frame, at least its first three rows.
+        """
+        (nx, _, zx, px), (ny, _, zy, py), (nz, _, zz, pz) = T[:3]
+        far, level = math.hypot(px, py) / sum(self.links_m), math.hypot(zx, zy)
+        if len(self.links_m) == 4 or (max(level, far) if self.roll else level) < EDGE:
+            return []
+        x, y, z = (zx, zy, zz) if self.roll else (nx, ny, nz)
+        if not self.roll:
+            c1, s1, out = -zy / level, zx / level, zz
+        elif level > far:
+            c1, s1, out = zx / level, zy / level, 0.0
+        else:
+            c1, s1, out = px / math.hypot(px, py), py / math.hypot(px, py), 0.0
+        if max(abs(s1 * px - c1 * py - self.shoulder), abs(out), abs(s1 * x - c1 * y)) > SAME:
+            return []
+        a, b, last = self.links_m
+        found: list[tuple[float, ...]] = []
+        for c, s in ((c1, s1), (-c1, -s1)) if self.roll else ((c1, s1),):
+            ahead, along = math.hypot(c * x + s * y, z), c * nx + s * ny
+            pitch = math.atan2(z, c * x + s * y)
+            u = c * px + s * py - self.a1 - last * (c * x + s * y) / ahead
+            v = pz - self.height - last * z / ahead
+            C = (u * u + v * v - a * a - b * b) / (2.0 * a * b)
+            if abs(rest := (1.0 - C) * (1.0 + C)) < EDGE * EDGE:
+                return []
+            for S in (math.sqrt(rest), -math.sqrt(rest)) if rest > 0.0 else ():
+                upper = math.atan2(v * (a + b * C) - u * b * S, u * (a + b * C) + v * b * S)
+                elbow, reached = math.atan2(S, C), pitch - math.pi / 2.0 if self.roll else pitch
+                last_rad = math.remainder(reached - upper - elbow, 2.0 * math.pi)
+                turn = math.atan2(c * ny - s * nx, math.cos(reached) * along + math.sin(reached) * nz)
+                found.append((math.atan2(s, c), upper, elbow, last_rad, *((turn,) if self.roll else ())))
+        return found
 
     def pose_families(self, T: FloatArray) -> FloatArray:
         """Joint configurations [rad] of one pose, shape (branches, k, n): with four links, over k bends."""

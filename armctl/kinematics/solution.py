@@ -6,8 +6,10 @@ ranges do not make a target unreachable: each solution says whether it is within
 ranges first, then the least weighted travel from the present configuration (Bao, Liu & Zhao eq. 10).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -24,6 +26,7 @@ from armctl.kinematics.inverse import (
     within_a_turn,
 )
 from armctl.kinematics.robots.robot import ClosedForm, Robot
+from armctl.kinematics.target import Target
 from armctl.kinematics.transform import FloatArray, finite
 
 # Errors up to which a pose or a point counts as reached.
@@ -32,28 +35,12 @@ REACHED_RAD = 1e-6
 LIMIT_SLACK_RAD = 1e-9
 # Configurations that are one.
 SAME_RAD = 1e-6
+# An arm that has to travel more than this to a pose that is not singular is not there.
+NEAR_RAD = 1e-2
 # Below this share of the largest singular value the joints can move while the tool stays.
 SINGULAR = 1e-6
 # How many starts a search has where no formula helps, and how often what it found is moved nearer.
 STARTS, NEARER_STEPS = 64, 12
-# How far R R^T may be from 1, element by element: the rounding of numbers somebody typed.
-ROTATION_SLACK = 1e-4
-
-
-@dataclass(frozen=True)
-class Target:
-    """Where the tool shall be: a pose, a point, or a point and where the tool points there."""
-
-    # Shape (4, 4); of a point, with or without a direction, the rotation is left out.
-    T: FloatArray
-    # Whether the rotation counts.
-    turned: bool
-    # Of the rotation only where the tool points counts, and this is where: unit vector in the base frame, shape (3,).
-    direction: FloatArray | None = None
-
-    @property
-    def position_m(self) -> FloatArray:
-        return self.T[:3, 3]
 
 
 @dataclass(frozen=True)
@@ -61,10 +48,22 @@ class Solution:
     """One configuration and what it misses."""
 
     q_rad: tuple[float, ...]
-    position_error_m: float
-    # It is 0 where the target is a point.
-    orientation_error_rad: float
     within_limits: bool
+    # Tells the errors [m, rad] of the configuration, which take longer than a closed form does.
+    judge: Callable[[tuple[float, ...]], tuple[float, float]] = field(repr=False, compare=False)
+
+    @property
+    def position_error_m(self) -> float:
+        return self._errors[0]
+
+    @property
+    def orientation_error_rad(self) -> float:
+        """It is 0 where the target is a point."""
+        return self._errors[1]
+
+    @cached_property
+    def _errors(self) -> tuple[float, float]:
+        return self.judge(self.q_rad)
 
 
 @dataclass(frozen=True)
@@ -78,58 +77,6 @@ class Answer:
     least_position_error_m: float
     # Best first; the nearest configurations where the target is out of reach.
     solutions: tuple[Solution, ...]
-
-
-def point_target(xyz: tuple[float, float, float] | FloatArray) -> Target:
-    """A target for the tool point [m].
-
-    Raises:
-        ConfigError: not three finite numbers.
-    """
-    point = np.asarray(xyz, dtype=np.float64)
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise ConfigError("target", "xyz", f"{point.tolist()} is not three finite numbers", "give x,y,z in metres")
-    T = np.eye(4)
-    T[:3, 3] = point
-    return Target(T, turned=False)
-
-
-def direction_target(xyz: tuple[float, float, float] | FloatArray, direction: Sequence[float] | FloatArray) -> Target:
-    """A target for the tool point [m], and the direction in which the tool points there, of any length.
-
-    Raises:
-        ConfigError: not three finite numbers each, or the direction is none.
-    """
-    along = np.asarray(direction, dtype=np.float64)
-    if along.shape != (3,) or not np.isfinite(along).all() or float(np.linalg.norm(along)) < 1e-9:
-        text = f"{along.tolist()} is no direction"
-        raise ConfigError("target", "direction", text, "give x,y,z in the base frame, such as 0,0,-1 for down")
-    return replace(point_target(xyz), turned=True, direction=along / np.linalg.norm(along))
-
-
-def pose_target(T: FloatArray) -> Target:
-    """A target for the tool's pose; the rotation is freed of the rounding of typed numbers.
-
-    Raises:
-        ConfigError: not 4x4, not finite, not a homogeneous transform, or its rotation is none.
-    """
-    T = np.asarray(T, dtype=np.float64)
-    if T.shape != (4, 4):
-        raise ConfigError("target", "T", f"shape {T.shape}", "give 4x4, row by row")
-    if not np.isfinite(T).all():
-        raise ConfigError("target", "T", "holds a number that is not finite")
-    if not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9):
-        raise ConfigError("target", "T", f"last row {T[3].tolist()}", "it must be 0 0 0 1")
-    R = T[:3, :3]
-    off = float(np.abs(R @ R.T - np.eye(3)).max())
-    if off > ROTATION_SLACK:
-        raise ConfigError("target", "T", f"not a rotation: R R^T is off 1 by {off:.3g}", f"at most {ROTATION_SLACK:g}")
-    if np.linalg.det(R) < 0.0:
-        raise ConfigError("target", "T", "not a rotation but a reflection", "the columns must be right-handed")
-    U, _, V = np.linalg.svd(R)
-    clean = T.copy()
-    clean[:3, :3] = U @ V
-    return Target(clean, turned=True)
 
 
 def weighted_travel(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
@@ -183,18 +130,20 @@ def solve(
     if limits.shape != (robot.chain.n, 2) or present.shape != (robot.chain.n,):
         shapes = f"present {present.shape}, limits {limits.shape}"
         raise ConfigError(robot.name, "q", shapes, f"the chain has {robot.chain.n} joints")
-    if method == "closed" and robot.closed_form is not None and target.direction is None:
-        q, least = _closed(robot.closed_form, robot, target, present, limits)
+    closed = method == "closed" and robot.closed_form is not None and target.direction is None
+    if closed and target.turned and (alone := _alone(robot, target, present, limits)) is not None:
+        return alone
+    if closed:
+        q, least = _closed(robot, target, present, limits)
     else:
         q, least = _numeric(robot, target, present, limits, seed)
     found = answer(robot, target, q, present, limits, least=least, polish=polish)
     if not (stands and within_limits(present, limits)):
         return found
-    position_m, turn_rad, reached = _errors(robot, target, present[None])
-    if not reached[0]:
+    if not _errors(robot, target, present[None])[2][0]:
         return found
     # The arm is there: it stays.
-    here = Solution(tuple(present.tolist()), float(position_m[0]), float(turn_rad[0]), True)
+    here = Solution(tuple(present.tolist()), True, _judge(robot, target))
     others = [one for one in found.solutions if np.abs(present - one.q_rad).max() > SAME_RAD]
     return Answer(True, 0.0, (here, *(others if found.reachable else ())))
 
@@ -222,13 +171,49 @@ def answer(
     for i in order:
         if not any(np.abs(q[i] - other.q_rad).max() < 1e-9 for other in solutions):
             within = bool(within_limits(q[i], limits))
-            solutions.append(Solution(tuple(q[i].tolist()), float(position_m[i]), float(turn_rad[i]), within))
+            solutions.append(Solution(tuple(q[i].tolist()), within, _judge(robot, target)))
     return Answer(bool(reached.any()), least, tuple(solutions))
 
 
-def _closed(
-    form: ClosedForm, robot: Robot, target: Target, present: FloatArray, limits: FloatArray
-) -> tuple[FloatArray, float]:
+def _alone(robot: Robot, target: Target, present: FloatArray, limits: FloatArray) -> Answer | None:
+    """Every solution of a pose by its closed form in plain floats.
+
+    None where the pose is singular or a family, none is within limits, or the arm may be there already.
+    """
+    assert robot.closed_form is not None
+    ranges, turn = [(*ends, here) for ends, here in zip(limits.tolist(), present.tolist(), strict=True)], 2.0 * math.pi
+    found = []
+    for angles in robot.closed_form.pose(target.T.tolist()):
+        q, inside, travel, weight = [], True, 0.0, 1.0
+        for at, (low, high, here) in zip(angles, ranges, strict=True):
+            for near in (at, at + turn, at - turn):
+                if low - LIMIT_SLACK_RAD <= near <= high + LIMIT_SLACK_RAD:
+                    break
+            else:
+                near, inside = at, False
+            way = abs(near - here)
+            travel += weight * (abs(math.remainder(way, turn)) if high - low >= TURN_RAD else way)  # (eq. 10)
+            weight = 0.5
+            q.append(near)
+        found.append((not inside, travel, tuple(q)))
+    found.sort()
+    if not found or found[0][0] or found[0][1] < NEAR_RAD:
+        return None
+    judge = _judge(robot, target)
+    return Answer(True, 0.0, tuple(Solution(q, not outside, judge) for outside, _, q in found))
+
+
+def _judge(robot: Robot, target: Target) -> Callable[[tuple[float, ...]], tuple[float, float]]:
+    def judge(q: tuple[float, ...]) -> tuple[float, float]:
+        position_m, turn_rad, _ = _errors(robot, target, np.array([q]))
+        return float(position_m[0]), float(turn_rad[0])
+
+    return judge
+
+
+def _closed(robot: Robot, target: Target, present: FloatArray, limits: FloatArray) -> tuple[FloatArray, float]:
+    form = robot.closed_form
+    assert form is not None
     families = form.pose_families(target.T) if target.turned else form.positions(target.position_m[None])[0]
     if families.shape[1] == 1:
         q = finite(families)

@@ -27,6 +27,8 @@ from armctl.kinematics.transform import FloatArray, finite
 BRANCHES = 8
 # Below this |sin theta5| the directions of axes 4 and 6 cannot be told apart.
 _STRAIGHT = 1e-12
+# Nearer than this to a singular pose it is not for `pose`.
+EDGE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,8 @@ class SphericalWrist:
     def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
         """Every joint configuration [rad] of one pose, in plain floats: at most eight, in the order of `poses`.
 
+        None at all where the pose is singular, or nearly: there branches meet, or are families.
+
         Args:
             T: Tool pose in the base frame, at least its first three rows.
         """
@@ -124,20 +128,20 @@ class SphericalWrist:
         wx, wy, v = px - d6 * ax, py - d6 * ay, pz - d6 * az
         square = wx * wx + wy * wy
         rest = square - offset * offset
-        if rest < -ROUNDING * (square + offset * offset):
+        if rest < EDGE * EDGE * (square + offset * offset) or square == 0.0:
             return []
-        root = sqrt(max(0.0, rest))
+        root = sqrt(rest)
         found: list[tuple[float, ...]] = []
         for radial in (root, -root):
-            c1, s1 = 1.0, 0.0
-            if square > 0.0:
-                c1, s1 = (radial * wx - offset * wy) / square, (radial * wy + offset * wx) / square
+            c1, s1 = (radial * wx - offset * wy) / square, (radial * wy + offset * wx) / square
             q1, u = atan2(s1, c1), radial - self.a1
             C = (u * u + v * v - (a2 * a2 + L * L)) / (2.0 * a2 * L)
             rest = (1.0 - C) * (1.0 + C)
-            if rest < -2.0 * ROUNDING:
+            if abs(rest) < EDGE * EDGE:
+                return []
+            if rest < 0.0:
                 continue
-            S, C = sqrt(max(0.0, rest)), min(1.0, max(-1.0, C))
+            S = sqrt(rest)
             along = a2 + L * C
             a_x, a_y = c1 * ax + s1 * ay, c1 * ay - s1 * ax
             n_x, n_y = c1 * nx + s1 * ny, c1 * ny - s1 * nx
@@ -148,12 +152,12 @@ class SphericalWrist:
                 q3, q2 = atan2(s3, c3), atan2(v * along - u * across, u * along + v * across)
                 c23, s23 = u * along + v * across, v * along - u * across
                 length = sqrt(c23 * c23 + s23 * s23)
-                if length == 0.0:
-                    continue
                 c23, s23 = (c23 * c3 - s23 * s3) / length, (s23 * c3 + c23 * s3) / length
                 ax3, az3 = c23 * a_x + s23 * az, c23 * az - s23 * a_x
                 h = sqrt(ax3 * ax3 + a_y * a_y)
-                c4, s4 = (-ax3 / h, -a_y / h) if h > _STRAIGHT else (1.0, 0.0)
+                if h < EDGE:
+                    return []
+                c4, s4 = -ax3 / h, -a_y / h
                 q4, q5 = atan2(s4, c4), atan2(h, az3)
                 q6 = atan2(c4 * n_y - s4 * (c23 * n_x + s23 * nz), c4 * o_y - s4 * (c23 * o_x + s23 * oz))
                 half_4 = -math.pi if q4 > 0.0 else math.pi

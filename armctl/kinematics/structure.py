@@ -11,8 +11,9 @@ right angles to that. What was found is tried on some poses, so that nothing els
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from armctl.kinematics.transform import FloatArray, inverted
 
 # Up to which a chain is what its structure says [m and rad]; `solve` brings what is left onto the target.
 SAME = 1e-8
-QUARTER = math.pi / 2.0
+QUARTER, TURN = math.pi / 2.0, 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +44,13 @@ class Placed:
     def poses(self, T: FloatArray) -> FloatArray:
         return self._ours(self.form.poses(self._theirs(T)))
 
+    def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+        signs, zeros = self.signs.tolist(), self.zeros_rad.tolist()
+        return [
+            tuple(math.remainder(sign * (q - zero), TURN) for q, sign, zero in zip(one, signs, zeros, strict=True))
+            for one in self.form.pose(self._theirs(np.asarray(T)).tolist())
+        ]
+
     def pose_families(self, T: FloatArray) -> FloatArray:
         return self._ours(self.form.pose_families(self._theirs(T)))
 
@@ -58,7 +66,12 @@ class Placed:
         return self._ours(q), distance
 
     def _theirs(self, T: FloatArray) -> FloatArray:
-        return np.asarray(inverted(self.B) @ T @ inverted(self.C))
+        before, after = self._around
+        return np.asarray(before @ T @ after)
+
+    @cached_property
+    def _around(self) -> tuple[FloatArray, FloatArray]:
+        return inverted(self.B), inverted(self.C)
 
     def _ours(self, q: FloatArray) -> FloatArray:
         q = self.signs * (q - self.zeros_rad)

@@ -16,7 +16,8 @@ from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian
 from armctl.kinematics.differential import dexterity
 from armctl.kinematics.robots.papers import INITIAL_DEG
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import pose_target, solve
+from armctl.kinematics.solution import solve
+from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error
 from armctl.lab.stage import Stage
 from armctl.lab.virtual_transfer import record

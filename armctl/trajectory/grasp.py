@@ -23,6 +23,7 @@ from armctl.kinematics.chain import forward_kinematics
 from armctl.kinematics.genetic import solve as genetic
 from armctl.kinematics.inverse import pointing, pose_errors, refine_poses, unreachable
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.target import point_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
@@ -190,7 +191,7 @@ def _solutions(
     """Joint positions of the chain [rad] within the limits that reach the point, best first; at least one."""
     n = robot.chain.n
     bounded = replace(robot, ranges_deg=tuple(joint.limits_deg for joint in arm.joints[:n]))
-    target, present = solution.point_target(point), np.asarray(q_now[:n])
+    target, present = point_target(point), np.asarray(q_now[:n])
     if method == "closed" or method == "numeric":
         answer = solution.solve(bounded, target, method=method, present=present, seed=seed)
     else:

@@ -25,6 +25,7 @@ from armctl.kinematics import solution
 from armctl.kinematics.chain import jacobian
 from armctl.kinematics.differential import jacobian_rate, joint_rates
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
@@ -198,7 +199,7 @@ def _paw_down(point: FloatArray, near: FloatArray, arm: ArmConfig, robot: Robot)
     found: list[FloatArray] = []
     for c, s in ((x / away, y / away), (-x / away, -y / away)):
         T = np.array([[c, s, 0.0, x], [s, -c, 0.0, y], [0.0, 0.0, -1.0, z], [0.0, 0.0, 0.0, 1.0]])
-        answer = solution.solve(robot, solution.pose_target(T), present=near, limits=limits)
+        answer = solution.solve(robot, pose_target(T), present=near, limits=limits)
         found += [np.array(one.q_rad) for one in answer.solutions if answer.reachable and one.within_limits]
     if not found:
         near_m = answer.least_position_error_m

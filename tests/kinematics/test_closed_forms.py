@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.errors import ConfigError
-from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
+from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, tool_position
 from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.spherical_wrist import SphericalWrist
-from armctl.kinematics.transform import finite
+from armctl.kinematics.transform import finite, pose_from_xyz_rpy
 from tests.kinematics.conftest import assert_at, seeds, some_q, turned
 
 QUARTER = math.pi / 2.0
@@ -95,13 +95,31 @@ def test_the_nearest_configuration_is_at_the_least_distance_and_no_sample_is_nea
     assert np.linalg.norm(samples - T[:3, 3], axis=1).min() >= distance - 1e-12
 
 
-@given(wrists, seeds)
-def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(arm: SphericalWrist, seed: int) -> None:
-    T = forward_kinematics(chain_of(arm), some_q(chain_of(arm), seed, 10))
-    for T_i, found in zip(T, arm.poses(T), strict=True):
-        alone = np.array(arm.pose(T_i.tolist()))
-        assert alone.shape == finite(found).shape
-        assert turned(alone, finite(found)).max() < 1e-6
+@given(forms, seeds)
+def test_plain_floats_and_arrays_give_the_same_solutions_in_the_same_order(
+    form: PlanarArm | SphericalWrist, seed: int
+) -> None:
+    chain = chain_of(form)
+    T = forward_kinematics(chain, some_q(chain, seed, 10))
+    for T_i, found in zip(T, form.poses(T), strict=True):
+        alone = np.array(form.pose(T_i.tolist())).reshape(-1, chain.n)
+        if chain.n == 5 and not getattr(form, "roll", False):
+            assert len(alone) == 0, "four links are a family"
+        elif len(alone) or np.linalg.svd(jacobian(chain, finite(found)), compute_uv=False)[:, -1].min() > 1e-3:
+            assert alone.shape == finite(found).shape
+            assert turned(alone, finite(found)).max() < 1e-6
+
+
+@given(planar, seeds)
+def test_a_pose_that_a_planar_arm_cannot_take_has_no_solution_in_plain_floats(arm: PlanarArm, seed: int) -> None:
+    chain = chain_of(arm)
+    T = forward_kinematics(chain, some_q(chain, seed))
+    tilted = T @ pose_from_xyz_rpy(0.0, 0.0, 0.0, 0.0, 1e-3, 0.0)
+    beside = T.copy()
+    beside[:3, 3] += 1e-6 * (np.cross(T[:3, 2], [0.0, 0.0, 1.0]) if arm.roll else T[:3, 2])
+    assert arm.pose(beside.tolist()) == []
+    if not arm.roll:
+        assert arm.pose(tilted.tolist()) == []
 
 
 @given(wrists, st.integers(0, 2), seeds)
@@ -112,11 +130,12 @@ def test_at_singular_poses_the_tool_is_exact_all_the_same(arm: SphericalWrist, k
     joint, q_rad = ((4, 0.0), (2, stretched), (4, 1e-11))[kind]  # the wrist straight, the elbow, the wrist nearly
     q[joint] = q_rad
     T = forward_kinematics(chain, q)
-    for found in (finite(arm.poses(T[None])), np.array(arm.pose(T.tolist()))):
-        errors = np.abs(forward_kinematics(chain, found) - T).max(axis=(-1, -2))
-        assert len(found) >= 4
-        assert errors.max() < 1e-7
-        assert errors.min() < 1e-11
+    assert arm.pose(T.tolist()) == [], "branches meet there, or are families"
+    found = finite(arm.poses(T[None]))
+    errors = np.abs(forward_kinematics(chain, found) - T).max(axis=(-1, -2))
+    assert len(found) >= 4
+    assert errors.max() < 1e-7
+    assert errors.min() < 1e-11
 
 
 def test_out_of_reach_there_is_no_solution_but_a_nearest_pose() -> None:

@@ -9,7 +9,8 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, jacobian, link_frames
 from armctl.kinematics.inverse import masked_jacobian, pointing, pose_errors, turn_left
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import direction_target, solve, within_limits
+from armctl.kinematics.solution import solve, within_limits
+from armctl.kinematics.target import direction_target
 from armctl.kinematics.transform import FloatArray
 
 ARMS = ("ax12-line", "crane-plus-v2", "lanzhou-4dof", "phantomx-pincher", "transfer-6dof", "xiang-6dof")

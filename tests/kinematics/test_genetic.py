@@ -19,7 +19,7 @@ from armctl.kinematics.genetic.problem import Evolution, Problem, points_problem
 from armctl.kinematics.genetic.solve import POSITION_WEIGHT, solve
 from armctl.kinematics.inverse import pose_errors
 from armctl.kinematics.robots.papers import WANTED_XYZ_RPY
-from armctl.kinematics.solution import point_target, pose_target
+from armctl.kinematics.target import point_target, pose_target
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 
 XIANG, PUMA = robots.get("xiang-6dof"), robots.get("puma560")

@@ -11,7 +11,8 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
 from armctl.kinematics.genetic import solve as genetic
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import point_target, pose_target, solve, weighted_travel, within_limits
+from armctl.kinematics.solution import solve, weighted_travel, within_limits
+from armctl.kinematics.target import point_target, pose_target
 from armctl.kinematics.transform import FloatArray
 from tests.kinematics.conftest import rngs
 

@@ -15,7 +15,8 @@ from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.inverse import pose_errors, refine_poses, solve_poses, solve_position, within_a_turn
 from armctl.kinematics.robots import papers
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import point_target, pose_target, solve, weighted_travel, within_limits
+from armctl.kinematics.solution import solve, weighted_travel, within_limits
+from armctl.kinematics.target import point_target, pose_target
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from tests.kinematics.conftest import rngs, seeds
 

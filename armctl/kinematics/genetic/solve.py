@@ -8,7 +8,8 @@ from armctl.kinematics import solution
 from armctl.kinematics.genetic import improved, plain
 from armctl.kinematics.genetic.problem import points_problem, poses_problem
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import Answer, Target
+from armctl.kinematics.solution import Answer
+from armctl.kinematics.target import Target
 from armctl.kinematics.transform import FloatArray
 
 Method = Literal["ga", "ga-improved"]

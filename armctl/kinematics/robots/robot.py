@@ -1,7 +1,7 @@
 """What a robot is: lengths by name, the chain they make, its joint ranges, and what its paper says of it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, Self
@@ -18,6 +18,9 @@ class ClosedForm(Protocol):
 
     def poses(self, T: FloatArray) -> FloatArray:
         """Every configuration [rad] of poses (m, 4, 4), shape (m, branches, n); NaN where a branch does not exist."""
+
+    def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+        """Every configuration [rad] of one pose in plain floats; none where it is singular or out of reach."""
 
     def pose_families(self, T: FloatArray) -> FloatArray:
         """Configurations [rad] of one pose (4, 4), over what a pose leaves free, shape (branches, k, n)."""

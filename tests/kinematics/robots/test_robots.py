@@ -11,7 +11,8 @@ from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.robots import papers
-from armctl.kinematics.solution import point_target, solve
+from armctl.kinematics.solution import solve
+from armctl.kinematics.target import point_target
 from armctl.kinematics.transform import finite
 from tests.kinematics.conftest import assert_at
 
