@@ -187,21 +187,21 @@ def _table(shape: str, lengths: FloatArray, rng: np.random.Generator) -> tuple[d
     robot = {"convention": "standard" if standard else "modified", "dh": rows, "tool_m": tool_m}
     frames, after = [], np.eye(4)
     for row in rows:
-        turn = _along_z(row.get("theta_deg", 0.0), row.get("d_m", 0.0))
-        twist = _along_x(row.get("alpha_deg", 0.0), row.get("a_m", 0.0))
+        turn = along_z(row.get("theta_deg", 0.0), row.get("d_m", 0.0))
+        twist = along_x(row.get("alpha_deg", 0.0), row.get("a_m", 0.0))
         frames.append((after @ turn if standard else twist @ turn, np.array([0.0, 0.0, 1.0])))
         after = twist if standard else np.eye(4)
     after[:3, 3] += tool_m
     return robot, tuple(frames), after
 
 
-def _along_z(deg: float, along_m: float) -> FloatArray:
+def along_z(deg: float, along_m: float) -> FloatArray:
     T = turned(np.array([0.0, 0.0, 1.0]), np.radians([deg]))[0]
     T[2, 3] = along_m
     return np.asarray(T)
 
 
-def _along_x(deg: float, along_m: float) -> FloatArray:
+def along_x(deg: float, along_m: float) -> FloatArray:
     T = turned(np.array([1.0, 0.0, 0.0]), np.radians([deg]))[0]
     T[0, 3] = along_m
     return np.asarray(T)

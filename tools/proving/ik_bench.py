@@ -24,7 +24,7 @@ from armctl.kinematics.inverse import pose_errors, solve_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import FloatArray
-from proving import genetic_ik_bench
+from proving import genetic_ik_bench, solve_bench
 from proving.figures import check, row
 
 POSES = 1000
@@ -60,7 +60,12 @@ def bench(seed: int, poses: int = POSES, fk_poses: int = FK_POSES, rounds: int =
     """Rows and checks; `ratio` is to armctl's batch."""
     rows: list[dict[str, Any]] = []
     checks: list[dict[str, Any]] = []
-    for part in (inverse(seed, poses, rounds), forward(seed, fk_poses, rounds), genetic_ik_bench.bench(seed)):
+    for part in (
+        inverse(seed, poses, rounds),
+        forward(seed, fk_poses, rounds),
+        genetic_ik_bench.bench(seed),
+        solve_bench.bench(seed),
+    ):
         rows += part["rows"]
         checks += part["checks"]
     return {"rows": rows, "checks": checks, "seed": seed}
