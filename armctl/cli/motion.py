@@ -17,6 +17,8 @@ POSTURE = click.option(
     "--posture", type=click.IntRange(1, 13), metavar="N", help="The Nth nearest posture; one too many lists them."
 )
 
+DIRECTION = click.option("--direction", type=POINT, help="With --xyz: where the tool points; 0,0,-1 is down.")
+
 
 @command("move", SOCKET)
 @click.option(
@@ -26,6 +28,7 @@ POSTURE = click.option(
 @click.option("--pose", type=POSE, metavar="x,y,z,r,p,y", help="Tool point, and roll, pitch, yaw in radians.")
 @click.option("--deg", is_flag=True, help="Angles are in degrees.")
 @click.option("--duration", "duration_s", type=Seconds(0.1), help="Seconds.  [default: at most 20 deg/s]")
+@DIRECTION
 @POSTURE
 def move_command(output: Output, deg: bool, **asked: Any) -> None:
     """Go somewhere and hold there: all joints start and arrive at once, slowly unless a duration is given.
@@ -134,6 +137,7 @@ def path_command(output: Output, file: Path, **how: Any) -> None:
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, help="Of a genetic algorithm.")
 @click.option("--off", "off_m", type=click.FloatRange(0.005, 0.3), default=0.05, help="Length of the approach, metres.")
 @click.option("--along", type=click.Choice(("above", "tool")), default="above", help="Direction of the approach.")
+@DIRECTION
 @POSTURE
 def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     """Bring the tool to a point along a short straight line, correcting for sag; grip what is there, or let it go.

@@ -22,7 +22,7 @@ from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.playback import Playback, PlayRequest, TaughtMotion, playback
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.reference import ReferencePath, error_mm
-from armctl.trajectory.target import MoveRequest, postures_at, way_by
+from armctl.trajectory.target import MoveRequest, aimed, postures_at, way_by
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import NOTED, TransferRequest, transfer_trajectory
 
@@ -135,7 +135,8 @@ def move_trajectory(
     """
     try:
         if request.point_m is not None:
-            goals = postures_at(pose_from_xyz_rpy(*request.point_m), q_now, arm, robot, turned=False)
+            to = aimed(request.point_m, request.direction)
+            goals = postures_at(to.T, q_now, arm, robot, turned=to.turned, direction=to.direction)
         elif request.pose is not None:
             goals = postures_at(pose_from_xyz_rpy(*request.pose), q_now, arm, robot)
         else:

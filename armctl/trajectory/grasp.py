@@ -11,10 +11,10 @@ Rules.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from armctl.config import ArmConfig, Frozen, GripperConfig
 from armctl.errors import RequestRefused, UnreachableTarget
@@ -23,14 +23,13 @@ from armctl.kinematics.chain import forward_kinematics
 from armctl.kinematics.genetic import solve as genetic
 from armctl.kinematics.inverse import pointing, pose_errors, refine_poses, unreachable
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.target import point_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
-from armctl.trajectory.bounds import Point
+from armctl.trajectory.bounds import Direction, Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import peak_rates, preflight_motion
-from armctl.trajectory.target import MOST_POSTURES, SAME_RAD, postures_at, way_by
+from armctl.trajectory.target import MOST_POSTURES, SAME_RAD, aimed, postures_at, way_by
 
 Method = Literal["closed", "numeric", "ga", "ga-improved"]
 Along = Literal["above", "tool"]
@@ -54,6 +53,8 @@ class ReachRequest(Frozen):
     # Where the tool point goes, in the base frame.
     point_m: Point
     gripper: Literal["stay", "grip", "let_go"] = "stay"
+    # Where the tool points there; about that direction it may turn. None: anywhere.
+    direction: Direction | None = None
     # Which inverse kinematics chooses the pose.
     ik: Method = "closed"
     # Seed of the methods that draw lots.
@@ -64,6 +65,12 @@ class ReachRequest(Frozen):
     along: Along = "above"
     # Which posture at the point, of those whose whole way may be gone, the best first; None: the first.
     posture: int | None = Field(None, ge=1, le=MOST_POSTURES)
+
+    @model_validator(mode="after")
+    def _no_lots(self) -> Self:
+        if self.direction is not None and self.ik.startswith("ga"):
+            raise ValueError(f"direction: the method {self.ik} takes none; give closed or numeric")
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +102,7 @@ def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
         straight(grasp.path_rad, there.positions_rad[-1], arm, robot, period_s)
         return grasp
 
-    postures = _solutions(point, q_now, arm, robot, request.ik, request.seed)
+    postures = _solutions(request, q_now, arm, robot)
     return way_by((q.tolist() for q in postures), way, request.posture)
 
 
@@ -185,28 +192,27 @@ def gripper_of(arm: ArmConfig, robot: Robot) -> tuple[int, GripperConfig]:
     return index, arm.gripper
 
 
-def _solutions(
-    point: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, method: Method, seed: int
-) -> Iterator[FloatArray]:
+def _solutions(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> Iterator[FloatArray]:
     """Joint positions of the chain [rad] within the limits that reach the point, best first; at least one."""
     n = robot.chain.n
     bounded = replace(robot, ranges_deg=tuple(joint.limits_deg for joint in arm.joints[:n]))
-    target, present = point_target(point), np.asarray(q_now[:n])
+    target, present = aimed(request.point_m, request.direction), np.asarray(q_now[:n])
+    method, seed = request.ik, request.seed
     if method == "closed" or method == "numeric":
         answer = solution.solve(bounded, target, method=method, present=present, seed=seed)
     else:
         answer = genetic.solve(bounded, target, method=method, present=present, seed=seed)
     if not answer.reachable and answer.least_position_error_m > 0.0:
-        raise unreachable(point, answer.least_position_error_m)
+        raise unreachable(target.position_m, answer.least_position_error_m)
     found = [
         np.array(one.q_rad)
         for one in answer.solutions
-        if one.within_limits and one.position_error_m <= solution.REACHED_M
+        if one.within_limits and one.position_error_m <= solution.REACHED_M and (answer.reachable or not target.turned)
     ]
     yield from found
     # Where none of these will do, another member of a family may.
     try:
-        others = postures_at(target.T, q_now, arm, robot, turned=False)
+        others = postures_at(target.T, q_now, arm, robot, turned=target.turned, direction=target.direction)
     except UnreachableTarget:
         if not found:
             raise

@@ -16,9 +16,10 @@ from armctl.errors import RequestRefused
 from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import within_limits
+from armctl.kinematics.target import Target, direction_target, point_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S
-from armctl.trajectory.bounds import Joints, Point, Pose
+from armctl.trajectory.bounds import Direction, Joints, Point, Pose
 
 STARTS = 12
 POSITION_TOLERANCE_M = 1e-6
@@ -37,6 +38,8 @@ class MoveRequest(Frozen):
     joints_rad: Joints | None = None
     point_m: Point | None = None
     pose: Pose | None = None
+    # Of a point: where the tool points there; about that direction it may turn. None: anywhere.
+    direction: Direction | None = None
     # How long the motion takes; None: as long as it needs at a slow speed.
     duration_s: float | None = Field(None, gt=0.0, le=LONGEST_S)
     # Which posture of those that may be gone to, the nearest first; None: the nearest.
@@ -46,11 +49,19 @@ class MoveRequest(Frozen):
     def _one_target(self) -> Self:
         if sum(target is not None for target in (self.joints_rad, self.point_m, self.pose)) != 1:
             raise ValueError("joints_rad, point_m, pose: give just one of them")
+        if self.direction is not None and self.point_m is None:
+            raise ValueError("direction: it goes with point_m alone; a pose has its own")
         return self
 
 
 def postures_at(
-    T: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, *, turned: bool = True
+    T: FloatArray,
+    q_now: Sequence[float],
+    arm: ArmConfig,
+    robot: Robot,
+    *,
+    turned: bool = True,
+    direction: FloatArray | None = None,
 ) -> list[list[float]]:
     """Joint positions [rad] inside the limits that bring the tool to a pose, the nearest first.
 
@@ -60,6 +71,7 @@ def postures_at(
         T: Wanted tool pose in the base frame, shape (4, 4).
         q_now: Present joint positions [rad], shape (joints,).
         turned: Whether the rotation counts; without it the position alone does.
+        direction: Where the tool is to point, unit vector; of the rotation nothing else counts then.
     Raises:
         UnreachableTarget: there are none; carries the nearest distance found.
     """
@@ -68,8 +80,8 @@ def postures_at(
     here = np.array(q_now[: chain.n])
     others = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))
     targets = np.broadcast_to(T, (STARTS + 1, 4, 4))
-    q = refine_poses(chain, targets, np.vstack([here, others]), limits, turned=turned)
-    away_m, turned_rad = pose_errors(chain, q, targets)
+    q = refine_poses(chain, targets, np.vstack([here, others]), limits, turned=turned, direction=direction)
+    away_m, turned_rad = pose_errors(chain, q, targets, direction)
     turned_rad = turned_rad * turned
     reached = (away_m <= POSITION_TOLERANCE_M) & (turned_rad <= ORIENTATION_TOLERANCE_RAD) & within_limits(q, limits)
     if not reached.any():
@@ -81,6 +93,11 @@ def postures_at(
     found = found[np.abs(found - here).max(axis=1).argsort(kind="stable")]
     distinct = [q for i, q in enumerate(found) if not (np.abs(found[:i] - q).max(axis=1) < SAME_RAD).any()]
     return [[*q.tolist(), *q_now[chain.n :]] for q in distinct]
+
+
+def aimed(point_m: Point, direction: Direction | None) -> Target:
+    """The target of a point [m], and where the tool points there, if that is wanted."""
+    return point_target(point_m) if direction is None else direction_target(point_m, direction)
 
 
 def way_by(postures: Iterable[Sequence[float]], way: Callable[[Sequence[float]], Way], wanted: int | None) -> Way:

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armctl.config import validate
 from armctl.dynamixel import ax12a
-from armctl.errors import IllegalTransition, LogError
+from armctl.errors import ConfigError, IllegalTransition, LogError
 from armctl.files import load_arm
 from armctl.host import host as host_module
 from armctl.host.motions import move, move_trajectory, run
 from armctl.kinematics import robots
-from armctl.kinematics.chain import tool_position
+from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import Hold, Mode, Run
 from armctl.trajectory.approach import approach_trajectory
@@ -322,6 +323,27 @@ def test_a_point_whose_nearest_posture_must_not_be_gone_to_is_reached_in_another
         assert way(request, REST_RAD) == pytest.approx(allowed[0])
         others += allowed[0] != postures[0]
     assert others > 0
+
+
+def test_a_point_is_moved_to_with_the_tool_pointing_where_it_is_wanted() -> None:
+    arm = load_arm("ax12-line")
+    chain, here = robots.of(arm).chain, np.radians((0.0, 87.0, -65.0, -64.0, -33.0, 20.0)).tolist()
+    for direction in ((0.0, 0.0, -2.0), (1.0, 0.0, -1.0)):
+        end = way(MoveRequest(point_m=(0.18, 0.0, 0.08), direction=direction), here)
+        T = forward_kinematics(chain, np.array(end[: chain.n]))
+        np.testing.assert_allclose(T[:3, 3], (0.18, 0.0, 0.08), atol=2e-6)
+        np.testing.assert_allclose(T[:3, 0], np.array(direction) / np.linalg.norm(direction), atol=2e-5)
+    with refused("UNREACHABLE", "deg within the joint limits"):
+        way(MoveRequest(point_m=(0.18, 0.0, 0.08), direction=(0.0, 1.0, 0.0)), here)
+
+
+@pytest.mark.parametrize(("asked", "says"), [
+    ({"pose": (0.1, 0.0, 0.1, 0.0, 0.0, 0.0), "direction": (0, 0, -1)}, "direction: it goes with point_m alone"),
+    ({"point_m": (0.1, 0.0, 0.1), "direction": (0, 0, 0)}, "0,0,0 points nowhere; give x,y,z in the base frame"),
+])  # fmt: skip
+def test_a_direction_that_is_none_or_of_no_point_is_refused(asked: dict[str, object], says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        validate(MoveRequest, asked, "move")
 
 
 def test_another_posture_can_be_asked_for_and_one_too_many_lists_them() -> None:

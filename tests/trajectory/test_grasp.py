@@ -8,9 +8,9 @@ import pytest
 from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
 
-from armctl.config import ArmConfig
+from armctl.config import ArmConfig, validate
 from armctl.dynamixel import ax12a
-from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.errors import ConfigError, RequestRefused, UnreachableTarget
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
@@ -72,6 +72,22 @@ def test_the_tool_comes_down_a_straight_line_and_turns_only_where_a_joint_is_at_
 def test_along_the_tool_s_axis_it_comes_from_where_the_tool_points_away_from() -> None:
     T = forward_kinematics(ROBOT.chain, path_to(off_m=0.03, along="tool"))
     assert T[0, :3, 3] == pytest.approx(T[-1, :3, 3] - 0.03 * T[-1, :3, 2], abs=1e-6)  # the hand is link 5, along z
+
+
+@pytest.mark.parametrize("along", ["above", "tool"])
+def test_the_tool_points_where_it_is_wanted_all_the_way_down(along: grasp.Along) -> None:
+    wanted = np.array((0.3, 0.0, -1.0)) / np.linalg.norm((0.3, 0.0, -1.0))
+    point = (0.2, 0.0, 0.1)
+    for posture in (1, 2):
+        path = path_to(point, direction=(0.3, 0.0, -1.0), along=along, off_m=0.02, posture=posture)
+        T = forward_kinematics(ROBOT.chain, path)
+        np.testing.assert_allclose(T[-1, :3, 3], point, atol=1e-6)
+        np.testing.assert_allclose(T[:, :3, 2], np.broadcast_to(wanted, (len(T), 3)), atol=1e-4)
+
+
+def test_a_genetic_algorithm_takes_no_direction() -> None:
+    with pytest.raises(ConfigError, match="the method ga takes none; give closed or numeric"):
+        validate(ReachRequest, {"point_m": POINT, "direction": (0, 0, -1), "ik": "ga"}, "reach")
 
 
 def test_another_posture_at_the_point_can_be_asked_for_and_one_too_many_lists_them() -> None:
