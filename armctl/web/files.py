@@ -184,10 +184,10 @@ class Files:
     def find(self, expression: Annotated[str, Query(max_length=200)]) -> dict[str, Any]:
         """Events, or minutes of servos, of all logs, as `armctl log find` has them; the newest first."""
         with Index(self._logs) as index:
-            index.update()
+            index.catch_up()
             found = search.find(index, expression)
         newest = [{**row, "log": FilePath(row["log"]).name} for row in reversed(found[-MOST_FOUND:])]
-        return {"found": newest, "left_off": len(found) - len(newest)}
+        return {"found": newest, "left_off": len(found) - len(newest), "unread": index.unread}
 
     def list_logs(self) -> dict[str, Any]:
         """The daemon's logs, the newest first."""

@@ -90,7 +90,9 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--runs", type=click.IntRange(0), help="hang: of each process.")
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
 @click.option(
-    "--workers", type=click.IntRange(1), help="soak, mutants, arms, lines, place, replay, setup: processes.  [default: 2]"
+    "--workers",
+    type=click.IntRange(1),
+    help="soak, mutants, arms, lines, place, replay, setup: processes.  [default: 2]",
 )
 @click.option("--arms", type=click.IntRange(1), help="How many; lines, place: 20, setup: 30, arms: 10 unless told.")
 @click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")

@@ -77,8 +77,9 @@ function listEvents(list, some, go, textOf = (event) => `${event.time_s.toFixed(
 }
 
 async function search() {
-  const { found, left_off } = await happened($("log-words").value);
-  $("log-found-hint").textContent = left_off ? `the newest ${found.length} of ${found.length + left_off}` : `${found.length} found`;
+  const { found, left_off, unread } = await happened($("log-words").value);
+  $("log-found-hint").textContent = (left_off ? `the newest ${found.length} of ${found.length + left_off}` : `${found.length} found`) +
+    (unread ? `; ${unread} older logs are still being read` : "");
   listEvents($("log-found"), found, (event) => act(null, () => showLog(event.log, event.time_s)), (event) => event.time.slice(0, 19).replace("T", " "));
 }
 
