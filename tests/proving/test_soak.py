@@ -56,6 +56,18 @@ def played(on: Stage, *lines: Line, duration_s: float = 30.0) -> Episode:
     return episode
 
 
+def test_what_an_arm_may_weigh_does_not_depend_on_what_holds_it_up(on: Stage) -> None:
+    episode = Episode(Story(1, 2.0, ()), on)
+    episode.play()
+    free = episode.watch.strains()
+    assert max(abs(one.gravity) for one in free) > 0.02
+    for joint in episode.body._joints:
+        joint.gravity_Nm = 0.0
+    held = episode.watch.strains()
+    assert not any(one.gravity for one in held)
+    assert [one.carrying for one in held] == [one.carrying for one in free]
+
+
 def test_a_story_is_the_same_for_the_same_numbers_and_another_for_others(on: Stage) -> None:
     assert draw(1, 2, on.arm) == draw(1, 2, on.arm)
     assert len({draw(seed, episode, on.arm) for seed in (1, 2) for episode in (1, 2)}) == 4

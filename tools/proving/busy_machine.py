@@ -54,31 +54,37 @@ def watch(seed: int, hours: float = HOURS, tell: Callable[[str], None] = lambda 
     """
     violations: list[str] = []
     seconds, motions = hours * 3600.0, 0
-    with _slow_disk() as syncs, busy(HOGS, seconds + PATIENCE_S), rig(seed=seed) as running:
-        running.stop_watching()
-        hold(running.client, PATIENCE_S)
-        control = running.client.call("status")["pids"]["control"]
-        begin_s = told_s = time.monotonic()
-        while (now_s := time.monotonic()) - begin_s < seconds:
-            goal = [math.radians(q) for q in SWING_DEG[motions % 2]]
-            motions += 1
-            try:
-                running.client.call("move", joints_rad=goal, duration_s=SWING_S)
-            except ArmctlError as error:
-                violations.append(f"motion {motions} after {now_s - begin_s:.0f} s: {error}")
-                hold(running.client, PATIENCE_S)
-            truth = running.simulator.state()["joints_rad"]
-            if max(abs(q - wanted) for q, wanted in zip(truth, goal, strict=True)) > NEAR_RAD:
-                violations.append(f"motion {motions} ended elsewhere")
-            if (pid := running.client.call("status")["pids"]["control"]) != control:
-                violations.append(f"control process {control} was replaced by {pid}")
-                control = pid
-            if now_s - told_s >= TELL_EVERY_S:
-                told_s = now_s
-                tell(f"{now_s - begin_s:.0f} of {seconds:.0f} s, {motions} motions, {len(violations)} violations")
-        _end(running)
-        messages, words = _log(running.socket.parent)
-        synced = syncs()
+    with _slow_disk() as syncs, contextlib.ExitStack() as hogs:
+        # Begun before the rig, which ends when every program does that was started after it; and ended before it: the
+        # daemon's logs are compacted only where nothing else wants the processor.
+        hogs.enter_context(busy(HOGS, seconds + PATIENCE_S))
+        with rig(seed=seed) as running:
+            running.stop_watching()
+            hold(running.client, PATIENCE_S)
+            control = running.client.call("status")["pids"]["control"]
+            begin_s = told_s = time.monotonic()
+            while (now_s := time.monotonic()) - begin_s < seconds:
+                goal = [math.radians(q) for q in SWING_DEG[motions % 2]]
+                motions += 1
+                try:
+                    running.client.call("move", joints_rad=goal, duration_s=SWING_S)
+                except ArmctlError as error:
+                    violations.append(f"motion {motions} after {now_s - begin_s:.0f} s: {error}")
+                    hold(running.client, PATIENCE_S)
+                truth = running.simulator.state()["joints_rad"]
+                if max(abs(q - wanted) for q, wanted in zip(truth, goal, strict=True)) > NEAR_RAD:
+                    violations.append(f"motion {motions} ended elsewhere")
+                if (pid := running.client.call("status")["pids"]["control"]) != control:
+                    violations.append(f"control process {control} was replaced by {pid}")
+                    control = pid
+                if now_s - told_s >= TELL_EVERY_S:
+                    told_s = now_s
+                    tell(f"{now_s - begin_s:.0f} of {seconds:.0f} s, {motions} motions, {len(violations)} violations")
+            _end(running)
+            hogs.close()
+            messages, words = _log(running.socket.parent)
+            tell(f"{messages} messages of the log, {words} of them tell of {WORD.decode()}")
+            synced = syncs()
     if words:
         violations.append(f"{words} messages of the log tell of {WORD.decode()}")
     if not (messages and synced):

@@ -46,7 +46,7 @@ class Strain:
     gravity: float
     voltage_V: float
     temperature_degC: float
-    # As much as gravity would ask for with what an arm may carry, which nobody can tell from a push.
+    # What gravity would ask a weak motor for with what an arm may carry, were the joint free: as good as a push.
     carrying: float | None = None
 
 

@@ -42,6 +42,8 @@ STATUS_REPLY = STATUS_SIZE + 6
 RATED_V = 12.0
 # What an arm may carry at its tool.
 CARRIED_KG = 0.15
+# Of the stall torque of its table a sound motor may have so much.
+WEAK = 0.8
 # Places in such a reply behind its header.
 TORQUE_AT = 3 + TORQUE_ENABLE.address - STATUS_BEGIN
 GOAL_AT = 3 + GOAL.address - STATUS_BEGIN
@@ -102,7 +104,8 @@ class Watch:
         self._index = {servo_id: i for i, servo_id in enumerate(arm.servo_ids)}
         self._heads = {servo_id: bytes((0xFF, 0xFF, servo_id, STATUS_REPLY - 4)) for servo_id in arm.servo_ids}
         self._pending: int | None = None
-        self._carried = PointMasses(body.chain, (*(0.0 for _ in range(body.chain.n + 1)), CARRIED_KG))
+        # Of the whole arm: what holds a joint up takes its weight, which nobody can tell from a push.
+        self._carried = PointMasses(body.chain, (*body.points_kg[:-1], body.points_kg[-1] + CARRIED_KG))
         self._writes = [-1] * len(body.servos)
         self._servos = [Servo(False, 0, 0, 0, 0.0, 0) for _ in body.servos]
         # Whether this tick's readings are not a sample's alone.
@@ -216,9 +219,9 @@ class Watch:
                 -joint.gravity_Nm / (full_Nm := joint.stall_Nm * max(joint.servo.voltage_V, 1.0) / RATED_V),
                 joint.servo.voltage_V,
                 joint.servo.temperature_degC,
-                -(joint.gravity_Nm + joint.direction * more_Nm) / full_Nm,
+                -joint.direction * carrying_Nm / (WEAK * full_Nm),
             )
-            for joint, (more_Nm, _) in zip(joints, chain(carried, repeat((0.0, 0.0))), strict=False)
+            for joint, (carrying_Nm, _) in zip(joints, chain(carried, repeat((0.0, 0.0))), strict=False)
         ]
 
 
