@@ -70,7 +70,8 @@ function listEvents(list, some, go, textOf = (event) => `${event.time_s.toFixed(
     button.type = "button";
     button.textContent = textOf(event);
     button.addEventListener("click", () => go(event));
-    item.append(button, ` ${event.text.startsWith(event.code) ? event.text : `${event.code}: ${event.text}`}`);
+    const told = event.text.startsWith(event.code) ? event.text : [event.code, event.text].filter(Boolean).join(": ");
+    item.append(button, ` ${told}`);
     return item;
   }));
   if (!some.length) list.replaceChildren(Object.assign(document.createElement("li"), { textContent: "nothing" }));
