@@ -1,6 +1,7 @@
 """The whole set-up of simulated arms: broken off anywhere, typed, and what a person may do wrong."""
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -205,7 +206,8 @@ def test_at_a_terminal_a_person_is_led_through_it_and_may_leave_and_come_back(tm
     like.write_text(LIKE)
     command = (sys.executable, "-m", "armctl", "setup", str(like), "--port", str(link))
     held = (sys.executable, "-m", "tests.commissioning.held_arm", str(link), str(truly))
-    with subprocess.Popen(held, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as world:
+    here = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(held, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=here) as world:
         assert world.stdin is not None
         assert world.stdout is not None
         try:
