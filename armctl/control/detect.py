@@ -138,7 +138,7 @@ def _detect_power_faults(s: Tick) -> None:
         if not s.is_from_here(i):
             found = f"goal {servo.goal} read back, {state.goal[i]} sent"
             s.latch_servo("OTHER_WRITER", i, f"{found}: another program writes to the bus")
-        elif servo.goal == state.goal[i] and _lasts(s, since_ns[i], BLOCKED_S):
+        elif _lasts(s, since_ns[i], BLOCKED_S):
             found = f"{math.degrees(errors_rad[i]):.1f} deg away from its goal for 0.3 s (bound 8)"
             if s.latch_servo("BLOCKED", i, found):
                 relieve(s, i)

@@ -206,17 +206,6 @@ def test_one_reading_that_is_another_servo_s_moves_no_arm() -> None:
     assert arm.state.goal == ours
 
 
-def test_a_program_that_goes_on_writing_the_goal_of_before_is_no_obstacle() -> None:
-    arm = holding()
-    held = [(register, arm.get(0, register)) for register in (ax12a.GOAL, ax12a.PRESENT_POSITION)]
-    arm.run_tick(Run(5, line(arm, seconds=1.0)))
-    while not arm.code():
-        for register, value in held:
-            arm.put(0, register, value)
-        arm.run_tick()
-    assert arm.code() == "OTHER_WRITER"
-
-
 def test_only_a_program_that_goes_on_writing_is_given_way_to_and_the_card_says_so() -> None:
     rig = Rig().holding()
     rig.fault("second_writer", 1, value=25, duration_s=3.0)
