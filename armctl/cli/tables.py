@@ -31,20 +31,29 @@ def show_table(
 
     Args:
         columns: Headings from the left.
-        rows: A cell a column; markup in it is plain text.
+        rows: A cell a column; markup in it is plain text, and what would steer the terminal a blank.
         words: Headings of the columns whose cells are words, set from the left; in the others stand figures.
     """
-    cells = [[column, *(row[i].replace("\n", " ") for row in rows)] for i, column in enumerate(columns)]
+    cells = [[column, *(_plain(row[i]) for row in rows)] for i, column in enumerate(columns)]
     worded = [column in words for column in columns]
     gap, widths = layout(cells, worded, console.width)
     sides = [str.ljust if word else str.rjust for word in worded]
     heading, *lines = (_lines(row, widths, sides, " " * gap) for row in zip(*cells, strict=True))
     if title:
         console.print(title, style="italic", markup=False, highlight=False)
-    console.out("\n".join(heading), style="bold", highlight=False)
-    rule = "─" * (sum(widths) + gap * (len(widths) - 1))
+    console.out(_shown("\n".join(heading), console), style="bold", highlight=False)
+    rule = ("─" if console.encoding.startswith("utf") else "-") * (sum(widths) + gap * (len(widths) - 1))
     # Not through the library, which takes ten times as long for ten thousand logs.
-    console.file.write("\n".join([rule, *chain.from_iterable(lines), ""]))
+    console.file.write(_shown("\n".join([rule, *chain.from_iterable(lines), ""]), console))
+
+
+def _plain(cell: str) -> str:
+    return cell if cell.isprintable() else "".join(c if c.isprintable() else " " for c in cell)
+
+
+def _shown(text: str, console: Console) -> str:
+    """What the terminal has no letter for is a question mark."""
+    return text.encode(console.encoding, "replace").decode(console.encoding)
 
 
 def _lines(row: Sequence[str], widths: Sequence[int], sides: Sequence[Callable[..., str]], gap: str) -> list[str]:

@@ -161,3 +161,15 @@ def test_a_cell_that_does_not_fit_goes_on_below_itself() -> None:
         *("n          s said", "─" * 18, "one     12.5 two", "             words"),
         *("x          1 a b", "yyyyyyy    2", "yy"),
     ]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "ascii"])
+def test_a_table_is_shown_on_a_terminal_of_any_encoding_and_steers_none(encoding: str) -> None:
+    screen = io.BytesIO()
+    console = Console(file=io.TextIOWrapper(screen, encoding), width=COLUMNS, color_system=None)
+    show_table(console, "", ("name", "°C"), [("a\x1b[2Jb\nc", "30"), ("Ω", "31")], ("name",))
+    console.file.flush()
+    shown = screen.getvalue().decode(encoding)
+    assert "\x1b" not in shown
+    assert [line.split()[-1] for line in shown.splitlines()[-2:]] == ["30", "31"]
+    assert "a [2Jb c" in shown
