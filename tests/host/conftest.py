@@ -6,18 +6,19 @@ from pathlib import Path
 
 import pytest
 
+from proving.hosted_arm import Inline
 from tests.genetic import hand
 from tests.host.bench import Bench
-from tests.host.doubles import InlineExecutor, write_take
+from tests.host.doubles import write_take
 
 
 @pytest.fixture
-def executor() -> InlineExecutor:
-    return InlineExecutor()
+def executor() -> Inline:
+    return Inline()
 
 
 @pytest.fixture
-def fresh(request: pytest.FixtureRequest, executor: InlineExecutor) -> Iterator[Bench]:
+def fresh(request: pytest.FixtureRequest, executor: Inline) -> Iterator[Bench]:
     """A host over ideal servos before its first tick; indirect parameters are changes of the arm's calibration."""
     found = Bench(**getattr(request, "param", {}))
     yield found

@@ -1,7 +1,6 @@
 """Stand-ins for what the host talks to: ideal servos behind the real control step, and a recorder in memory."""
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -110,18 +109,6 @@ class IdealControl:
         assert timeout_s > 0.0
         self.terminated = True
         self.link.close()
-
-
-class InlineExecutor(ThreadPoolExecutor):
-    """Does at once what the host gives to a thread, so that no test waits for the scheduler."""
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        future: Future[T] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 @dataclass

@@ -17,9 +17,9 @@ from armctl.recording.writer import LogContext
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault
 from armctl.sim.virtual_arm import VirtualArm
+from proving.hosted_arm import Inline
 from tests.control.ideal_arm import PERIOD_S
 from tests.host.bench import HostBench
-from tests.host.doubles import InlineExecutor
 from tests.recording.logs import write
 
 
@@ -91,5 +91,5 @@ class SimulatedBench(HostBench):
 @asynccontextmanager
 async def on_arm(name: str, seed: int = 0) -> AsyncIterator[SimulatedBench]:
     """A fresh bench with that arm, holding."""
-    asyncio.get_running_loop().set_default_executor(InlineExecutor())
+    asyncio.get_running_loop().set_default_executor(Inline())
     yield await SimulatedBench(load_arm(name), seed).holding()

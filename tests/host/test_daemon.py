@@ -27,8 +27,9 @@ from armctl.host import daemon, pulse
 from armctl.host.daemon import MAX_DEATHS, PATIENT_WAIT_S, Outside, restart_wait_s, run_daemon
 from armctl.messages import Hold, Mode
 from armctl.recording.writer import LogContext
+from proving.hosted_arm import Inline
 from tests.control.ideal_arm import IdealArm
-from tests.host.doubles import IdealControl, InlineExecutor, MemoryRecorder, refused, small_plan
+from tests.host.doubles import IdealControl, MemoryRecorder, refused, small_plan
 from tests.host.peers import PATIENCE_S, until
 
 T = TypeVar("T")
@@ -120,7 +121,7 @@ async def bench() -> AsyncIterator[Bench]:
     """A bench whose daemon is not yet running."""
     with tempfile.TemporaryDirectory() as folder:
         found = Bench(Path(folder))
-        asyncio.get_running_loop().set_default_executor(InlineExecutor())
+        asyncio.get_running_loop().set_default_executor(Inline())
         ticking = asyncio.create_task(found.tick())
         try:
             yield found

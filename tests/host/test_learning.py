@@ -24,8 +24,9 @@ from armctl.sim.spec import RANDOM_SPEC, ArmSpec
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory import learning
 from armctl.trajectory.target import MoveRequest
+from proving.hosted_arm import Inline
 from tests.control.ideal_arm import PERIOD_S
-from tests.host.doubles import InlineExecutor, NamedClient
+from tests.host.doubles import NamedClient
 from tests.host.simulated import SimulatedBench
 
 ARM = load_arm("ax12-line")
@@ -61,7 +62,7 @@ class Watched(SimulatedBench):
         self.true_m.append(self.simulated.true_tool_position())
 
     async def holding(self) -> Self:
-        asyncio.get_running_loop().set_default_executor(InlineExecutor())
+        asyncio.get_running_loop().set_default_executor(Inline())
         return await super().holding()
 
     async def some_motion(self) -> dict[str, Any]:

@@ -26,9 +26,9 @@ from armctl.host import programs
 from armctl.host.programs import Site
 from armctl.messages import Mode, Run, TickRecord
 from armctl.trajectory.program import ProgramRequest
+from proving.hosted_arm import Inline
 from tests.control.ideal_arm import PERIOD_S, IdealArm
 from tests.host.bench import Bench
-from tests.host.doubles import InlineExecutor
 
 ARM = load_arm("xiang-6dof").model_copy(update={"correction": False})
 assert ARM.gripper is not None
@@ -213,7 +213,7 @@ def test_none_leaves_a_step_out_and_each_goes_on_where_it_was(
     assume(expected)
 
     async def trial(folder: Path) -> None:
-        asyncio.get_running_loop().set_default_executor(InlineExecutor())
+        asyncio.get_running_loop().set_default_executor(Inline())
         arm = Arm(folder, thing)
         try:
             await survives(arm, steps, disturbances, expected)

@@ -41,7 +41,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class _Inline(ThreadPoolExecutor):
+class Inline(ThreadPoolExecutor):
     """Does at once what the host gives to a thread: no virtual time passes meanwhile."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
@@ -94,7 +94,7 @@ class HostedArm:
         self.shafts_rad: list[FloatArray] = []
         # Where in them the last plan began and ended.
         self._planned = (0, 0)
-        asyncio.get_running_loop().set_default_executor(_Inline())
+        asyncio.get_running_loop().set_default_executor(Inline())
         self.virtual.start()
         self.ticks(3)
 

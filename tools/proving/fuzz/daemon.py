@@ -6,8 +6,7 @@ import json
 import logging
 import os
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -29,6 +28,7 @@ from proving.fuzz import malformed
 from proving.fuzz.files import Takes
 from proving.fuzz.requests import Asker, Lines, fuzzed_arm, method_of, overlong
 from proving.fuzz.tally import HANG_S, Memory, Tally
+from proving.hosted_arm import Inline
 from proving.log_rig import PERIOD_S
 
 BATCH = 16
@@ -142,18 +142,6 @@ class _Recorder:
         pass
 
 
-class _Inline(ThreadPoolExecutor):
-    """Does at once what is given to a thread: the same seed then meets the same states."""
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        future: Future[T] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 async def _optimise(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
     progress(1, 2.0, 3.0)
     return {"plans": [], "via": list(job.request.via)}
@@ -199,7 +187,7 @@ async def served(seed: int, folder: Path) -> AsyncIterator[_Rig]:
     clock = VirtualClock(5 * NS_PER_S)
     virtual = VirtualArm(SimulatedArm(arm, seed=seed), PERIOD_S, clock=clock)
     virtual.start()
-    asyncio.get_running_loop().set_default_executor(_Inline())
+    asyncio.get_running_loop().set_default_executor(Inline())
     host = Host(arm, virtual.robot, PERIOD_S, _Recorder(), clock)
     control = _Control(virtual)
     host.exchange.attach(os.getpid(), control.send)
