@@ -19,6 +19,8 @@ BLOCKED_RAD = math.radians(8.0)
 BLOCKED_S = 0.3
 # One that is no farther from where it is wanted is not kept from there: its goal is far for what it bears.
 ASTRAY_RAD = math.radians(1.5)
+# One this near the goal that it shows is where it was told to be, by whoever told it: it may sag by so much.
+THERE_RAD = math.radians(4.0)
 LOAD_RATIO = 0.8
 # Load above 80 % for this long: a servo's own trip is near.
 LOAD_S = 2.0
@@ -123,7 +125,10 @@ def _detect_power_faults(s: Tick) -> None:
     # Of one that shows a goal from elsewhere: it is led, and not kept from where it is to be.
     errors_rad = [
         abs(servo.position - tick) * ax12a.TICK_RAD
-        if servo and s.is_from_here(i) and abs(s.joints[i].position_rad - wanted) > ASTRAY_RAD
+        if servo
+        and s.is_from_here(i)
+        and abs(s.joints[i].position_rad - wanted) > ASTRAY_RAD
+        and (servo.goal == tick or abs(servo.position - servo.goal) * ax12a.TICK_RAD > THERE_RAD)
         else 0.0
         for i, (servo, tick, wanted) in enumerate(zip(s.servos, state.goal, s.wanted_rad(), strict=True))
     ]

@@ -78,6 +78,24 @@ def test_an_earlier_goal_that_a_servo_goes_on_to_show_for_a_second_is_another_pr
         assert ticks <= 12
 
 
+def test_a_joint_that_is_led_back_to_an_earlier_goal_again_and_again_is_led_by_another_program_and_not_kept() -> None:
+    """It is where its goal of now wants it, however far from ours."""
+    arm = holding()
+    arm.run_tick(Run(5, line(arm, delta_rad=0.6, seconds=2.0)))
+    arm.run_ticks(3)
+    first = arm.get(0, ax12a.GOAL)
+
+    def lead_back(arm: IdealArm) -> None:
+        arm.put(0, ax12a.GOAL, first)
+        arm.put(0, ax12a.PRESENT_POSITION, first)
+
+    arm.after_write = lead_back
+    while not arm.code():
+        arm.run_tick()
+    assert arm.fault() == ("OTHER_WRITER", 1)
+    assert "BLOCKED" not in arm.events
+
+
 def test_a_servo_that_was_silent_shows_a_goal_of_ours_however_long_ago() -> None:
     arm = running(5)
     arm.silent = {1}
