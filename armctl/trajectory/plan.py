@@ -27,12 +27,15 @@ from armctl.trajectory.interpolate import Interpolation, joint_path, rest_to_res
 from armctl.trajectory.preflight import preflight_motion
 
 # How far behind its first point a plan is approached: more than what play and friction of a loaded servo take.
-LEAD_RAD = math.radians(3.0)
+LEAD_RAD = math.radians(4.0)
+# The way from there takes so long at least: a correction changes by 4 degrees a second at most, and what it is late by
+# ends as an error that friction keeps at the first point.
+LEAD_S = 2.0
 # In this share of the duration a joint moves by LEAD_RAD, or it has no direction of departure.
 LEAD_SHARE = 0.2
 # The control step counts trajectory seconds up tick by tick: without this the plan might seem to begin a tick late.
 ROUNDING_S = 1e-9
-DWELL_S = 0.5
+DWELL_S = 0.2
 SETTLE_S = 0.5
 # A goal every tick, a minute long at 50 Hz.
 MAX_VIA = 3000
@@ -159,7 +162,8 @@ def led_in(
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     lead_rad = _lead(motion, min(early_s, LEAD_SHARE * duration_s))
     behind = np.where((low <= start) & (start <= high), np.clip(start - lead_rad, low, high), start)
-    ways = [(a, b, approach_duration_s(a, b, arm, robot)) for a, b in ((q0, behind), (behind, start))]
+    there_s, led_s = [approach_duration_s(a, b, arm, robot) for a, b in ((q0, behind), (behind, start))]
+    ways = [(q0, behind, there_s), (behind, start, max(LEAD_S, led_s) if led_s else 0.0)]
     return approached(ways, motion, duration_s, period_s, label)
 
 
