@@ -26,8 +26,9 @@ from armctl.messages import Event
 TRIM_RAD = math.radians(3.0)
 # No correction is larger in all.
 MOST_RAD = math.radians(7.0)
-# No correction makes a goal farther from its joint: one that is blocked is to be told of as that.
-AWAY_RAD = math.radians(7.5)
+# No correction makes a goal farther from its joint: one that is blocked is to be told of as that, and one that is held
+# short of its place pushes with less than what trips it (0.8 of its strength at 7.5 deg).
+AWAY_RAD = math.radians(7.0)
 FAR_RAD = math.radians(3.0)
 # Until the arm stands, how long it is looked at then, and in all.
 WAIT_S, LOOK_S, REST_S = 0.2, 0.4, 3.0

@@ -156,6 +156,18 @@ def test_a_joint_that_does_not_turn_when_it_is_to_is_left_where_it_stands(seed: 
     assert on.replies()[5].ok
 
 
+@pytest.mark.parametrize("way_deg", [2.0, 2.7])
+@pytest.mark.parametrize("seed", [0, 3, 11])
+def test_a_joint_that_is_held_short_of_its_place_is_not_pushed_by_its_correction_until_it_trips(
+    seed: int, way_deg: float
+) -> None:
+    on = rig(seed)
+    on.ticks(60 + REST_TICKS, Run(5, on.way((0.0, 70.0, -80.0, -20.0, 10.0, 0.0))))
+    on.fault("blocked_joint", ARM.joints[1].servo_id)
+    on.ticks(140, Run(6, on.turned(way_deg, 1, seconds=8.0)))
+    assert "OVERLOAD" not in {event.code for record in on.records for event in record.outputs.events}
+
+
 @pytest.mark.parametrize("ends", ["stop", "fault"])
 def test_what_ends_a_motion_ends_its_way_to_its_place(ends: str) -> None:
     on = rig(2)
