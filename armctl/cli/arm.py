@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 
 @command("status", SOCKET)
-@click.option("--all", "every", is_flag=True, help="Of every arm that is a service of this computer.")
 def status_command(output: Output, every: bool) -> None:
     """Show one snapshot: state, fault, joints, tool.
 
@@ -223,7 +222,6 @@ torque_on = state_command("on", "Switch torque on, softly, at the position the a
 
 
 @command("rate", SOCKET)
-@click.argument("rate", type=click.FloatRange(0.1, 1.0))
 def rate_command(output: Output, rate: float) -> None:
     """Continue the run at RATE (0.1 to 1) of its planned speed.
 
@@ -233,8 +231,6 @@ def rate_command(output: Output, rate: float) -> None:
 
 
 # ------------------------------------------------------------------------------------------------- an arm goes limp
-
-COUNTDOWN = click.option("--countdown", type=click.IntRange(0, 60), default=3, help="Seconds to take hold of the arm.")
 
 
 def warn_of_limpness(output: Output, client: Client, countdown_s: int, question: str = "") -> None:
@@ -256,7 +252,6 @@ def warn_of_limpness(output: Output, client: Client, countdown_s: int, question:
 
 
 @command("release", SOCKET)
-@COUNTDOWN
 def release_command(output: Output, countdown: int) -> None:
     """Switch torque off after a countdown. The arm drops: support it.
 
@@ -292,7 +287,6 @@ def arm_command() -> None:
 
 
 @command("check", group=arm_command)
-@click.argument("file", metavar="NAME|FILE")
 def check_command(output: Output, file: str) -> int:
     """Judge the file of an arm without hardware, and draw the arm at rest, from its side.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import ARM, BAUD, CONFIG, FILE, PORT, SOCKET, Output, command, millimetres
+from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command, millimetres
 from armctl.cli.setup import AtTerminal, opened
 from armctl.cli.tables import show_table
 from armctl.errors import RequestRefused
@@ -27,13 +27,6 @@ ASKED = ("armctl calibrate", "or give --readings FILE")
 
 
 @command("calibrate", ARM, PORT, BAUD, CONFIG, SOCKET)
-@click.option("--points", type=FILE, help="Points to touch: lines x,y,z in metres, in the base frame.")
-@click.option("--touches", default=2, type=click.IntRange(1, 20), help="Postures for each point.")
-@click.option("--readings", type=FILE, help="Use these recorded readings; no arm is needed.")
-@click.option("--save-readings", type=FILE, help="Keep the readings in a new file.")
-@click.option("--sag", is_flag=True, help="Learn how the arm sags: the daemon moves it along lines, with torque on.")
-@click.option("--zero-at", type=click.Choice(["rest", "zero"]), help="Find only the zeros: hold the arm in this pose.")
-@click.option("--out", type=FILE, help="A new file to write instead of the arm's own.")
 def calibrate_command(
     output: Output,
     points: Path | None,

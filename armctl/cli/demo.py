@@ -8,18 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import click
-
-from armctl.cli.output import FOLDER, PLAYED, SOCKET, Output, command
+from armctl.cli.output import SOCKET, Output, command
 from armctl.cli.tables import show_rows
 
 
 @command("demo")
-@click.option(
-    "--out", type=FOLDER, default=Path("armctl-demo"), help="Folder for logs, recordings, plans and the report."
-)
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a demonstration.")
-@PLAYED
 def demo_command(output: Output, out: Path, seed: int, arm: str) -> int:
     """The whole job on simulated servos, in three to four minutes.
 
@@ -40,9 +33,6 @@ def demo_command(output: Output, out: Path, seed: int, arm: str) -> int:
 
 
 @command("try", SOCKET)
-@PLAYED
-@click.option("--port", type=click.IntRange(1, 65535), default=8080, help="TCP port of the dashboard.")
-@click.option("--no-browser", is_flag=True, help="Open no browser.")
 def try_command(output: Output, arm: str, port: int, no_browser: bool) -> int:
     """An arm to play with, without one: simulated servos, the daemon and the dashboard, until Ctrl-C.
 

@@ -2,34 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import ARM, CONFIG, DURATION, END, FILE, GEOMETRY, HOLDS, PROFILE, SOCKET, START, Output, command
+from armctl.cli.output import ARM, CONFIG, HOLDS, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
-    from armctl.lab.course import Via
-
-
-def via_counts(text: str) -> tuple[Via, ...]:
-    """`0,1,2,8,auto,stream`."""
-    found: list[Via] = []
-    for part in text.split(","):
-        word = part.strip()
-        if word.isdecimal() and int(word) <= 20:
-            found.append(int(word))
-        elif word in ("auto", "stream"):
-            found.append(cast("Via", word))
-        else:
-            raise click.BadParameter(f"{part!r} is not a number of via points from 0 to 20, auto or stream")
-    return tuple(found)
-
-
-# What `--via` of every experiment and study takes.
-VIA: dict[str, Any] = {"type": via_counts, "metavar": "N,N,..."}
+    pass
 
 
 @click.group("experiment")
@@ -41,34 +23,6 @@ def experiment_command() -> None:
 
 
 @command("line", SOCKET, CONFIG, ARM, group=experiment_command)
-@START
-@END
-@click.option("--via", **VIA, default="0,1,2", help="Numbers of via points; auto; stream.")
-@click.option("--repeats", type=click.IntRange(1, 100), default=5, help="Runs of each final plan.")
-@DURATION
-@click.option("--refine", "rounds", type=click.IntRange(0, 20), default=0, help="Corrections at most.")
-@click.option("--tolerance-mm", type=click.FloatRange(0.1), default=1.0, help="What auto asks for.")
-@click.option("--objective", type=click.Choice(("mean", "mix", "max")), default="mix", help="What is made small.")
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats an experiment.")
-@click.option("--recordings", multiple=True, metavar="NAME", help="Candidates for the genetic algorithm.")
-@click.option(
-    "--profile", type=PROFILE, default="default", help="Of the genetic algorithm; paper: its operators as published."
-)
-@click.option(
-    "--measured",
-    type=(FILE, str),
-    metavar="CSV RECORDING",
-    help="The tool as seen from outside during a recorded run: columns t_s, x_m, y_m, z_m, time from the plan's begin.",
-)
-@click.option(
-    "--report",
-    type=FILE,
-    metavar="HTML|SVG",
-    help="Draw it: a page with paths, deviation, convergence; or one picture of the paths (FILE.svg).",
-)
-@click.option("--virtual", is_flag=True, help="Simulated servos on a virtual clock; no daemon.")
-@click.option("--geometry", type=GEOMETRY, help="How well the virtual arm was put together.  [default: perfect]")
-@click.option("--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the virtual arm.  [default: 0.1]")
 def line_command(output: Output, virtual: bool, period_s: float | None, geometry: str | None, **asked: Any) -> None:
     """The straight line from A to B with so many intermediate points: before and after correction.
 

@@ -24,7 +24,6 @@ TOPICS: dict[str, str] = yaml.safe_load((DOCS / "topics.yaml").read_text(encodin
 
 
 @command("help")
-@click.argument("topic", required=False)
 def help_command(output: Output, topic: str | None) -> None:
     """Explain TOPIC; without one, list the topics.
 
@@ -151,7 +150,6 @@ FILES = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/complet
 
 
 @command("completion")
-@click.argument("shell", type=click.Choice(tuple(FILES)))
 def completion_command(output: Output, shell: str) -> None:
     """Print what lets the Tab key finish commands and options in SHELL.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from armctl.cli.output import CONFIG, DURATION, END, FILE, JSON, PROFILE, SOCKET, START, Output, command
+from armctl.cli.output import CONFIG, JSON, SOCKET, Output, command
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError, LogError, NoDaemon
 
@@ -75,7 +75,6 @@ def _on_recording(output: Output, method: str, words: Callable[[dict[str, Any]],
 
 
 @command("show", SOCKET, group=recordings_command)
-@click.argument("name")
 def recordings_show(output: Output, name: str) -> None:
     """One recording.
 
@@ -85,8 +84,6 @@ def recordings_show(output: Output, name: str) -> None:
 
 
 @command("rename", SOCKET, group=recordings_command)
-@click.argument("name")
-@click.argument("to")
 def recordings_rename(output: Output, name: str, to: str) -> None:
     """Rename a recording; a name that is taken is refused.
 
@@ -96,7 +93,6 @@ def recordings_rename(output: Output, name: str, to: str) -> None:
 
 
 @command("delete", SOCKET, group=recordings_command)
-@click.argument("name")
 def recordings_delete(output: Output, name: str) -> None:
     """Delete a recording.
 
@@ -106,22 +102,6 @@ def recordings_delete(output: Output, name: str) -> None:
 
 
 @command("optimize", SOCKET, CONFIG)
-@click.argument("recordings", nargs=-1, required=True)
-@START
-@END
-@click.option("--via", type=click.IntRange(0, 20), default=2, help="Intermediate points.")
-@DURATION
-@click.option("--seed", type=click.IntRange(0), default=0)
-@click.option(
-    "--profile", type=PROFILE, default="default", help="paper: the operators as published, and only recorded genes."
-)
-@click.option(
-    "--objective",
-    type=click.Choice(("mean", "mix", "max")),
-    default="mean",
-    help="What is minimised: the mean distance, its root mean square, or the largest.",
-)
-@click.option("--out", type=FILE, help="The plan file.  [default: plan-viaN.json]")
 def optimize_command(
     output: Output,
     recordings: tuple[str, ...],
@@ -202,13 +182,6 @@ def _optimize_here(
 
 
 @command("run", SOCKET)
-@click.argument("plan", type=FILE)
-@click.option(
-    "--refine",
-    type=click.IntRange(0, 20),
-    default=0,
-    help="Further runs at most, which correct the plan; the best one is kept as a new file.",
-)
 def run_command(output: Output, plan: Path, refine: int) -> int:
     """Pre-flight PLAN, approach its start slowly, run it, record it and compare with the prediction.
 
@@ -262,9 +235,6 @@ def _show_run(output: Output, result: dict[str, Any]) -> None:
 
 
 @command("play", SOCKET)
-@click.argument("name", metavar="NAME|FILE")
-@click.option("--rate", type=click.FloatRange(0.1, 2.0), default=1.0, help="Taught seconds a second.")
-@click.option("--repeat", type=click.IntRange(1, 100), default=1, help="How often.")
 def play_command(output: Output, name: str, **how: Any) -> None:
     """Move as was taught: a take or a run by its name, or a file: a log, or a table (CSV) of joint angles.
 

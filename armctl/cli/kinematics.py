@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import FILE, IK_METHODS, POINT, F, Numbers, Output, command
+from armctl.cli.output import F, Output, command
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError
 
@@ -22,32 +22,14 @@ if TYPE_CHECKING:
     from armctl.kinematics.transform import FloatArray
 
 
-def length(text: str) -> tuple[str, float]:
-    """`name=metres`."""
-    name, _, metres = text.partition("=")
-    try:
-        return name.strip(), float(metres)
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not a length such as a2=0.5") from None
-
-
-NUMBERS = Numbers()
-
-
 def robot_option(function: F) -> F:
-    """Adds `--robot` and `--set`; the command receives the `Robot` as its second argument."""
+    """For commands with `--robot` and `--set`, which receive the `Robot` as their second argument."""
 
     @functools.wraps(function)
     def on_robot(output: Output, robot_name: str, lengths: tuple[tuple[str, float], ...], **given: Any) -> object:
         return function(output, _robot(robot_name).with_lengths(dict(lengths)), **given)
 
-    named = click.option(
-        "--robot", "robot_name", required=True, metavar="NAME|FILE", help="See `armctl robots` and `armctl arms`."
-    )
-    changed = click.option(
-        "--set", "lengths", type=length, multiple=True, metavar="NAME=M", help="Another length, metres."
-    )
-    return named(changed(on_robot))  # type: ignore[return-value]  # what click calls has other parameters
+    return on_robot  # type: ignore[return-value]  # what click calls has other parameters
 
 
 def _robot(name: str) -> Robot:
@@ -62,9 +44,6 @@ def _robot(name: str) -> Robot:
             return robots.get(name)  # says which there are
         return robots.of(load_arm(name))
     return robots.get(name)
-
-
-deg_option = click.option("--deg", is_flag=True, help="Angles are given and told in degrees (JSON: always radians).")
 
 
 @command("robots")
@@ -82,8 +61,6 @@ def robots_command(output: Output) -> None:
 
 @command("fk")
 @robot_option
-@click.option("--q", required=True, type=NUMBERS, help="Joint positions.")
-@deg_option
 def fk_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) -> None:
     """Forward kinematics: the tool's pose for joint positions.
 
@@ -102,16 +79,6 @@ def fk_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) ->
 
 @command("ik")
 @robot_option
-@click.option("--xyz", type=POINT, help="A point for the tool, metres.")
-@click.option("--direction", type=POINT, metavar="x,y,z", help="With --xyz: where the tool points; 0,0,-1 is down.")
-@click.option("--pose", type=NUMBERS, help="x,y,z,roll,pitch,yaw; R = Rz(yaw) Ry(pitch) Rx(roll).")
-@click.option("--T", "matrix", type=NUMBERS, help="A pose as 16 numbers, row by row.")
-@click.option("--method", type=IK_METHODS, default="closed")
-@click.option("--polish/--no-polish", default=True, help="Bring solutions onto the target.")
-@click.option("--all", "every", is_flag=True, help="Every solution, not only the best.")
-@click.option("--near", type=NUMBERS, help="Present joint positions: solutions near them come first.")
-@click.option("--seed", default=0, type=click.IntRange(0), help="Repeats a random search.")
-@deg_option
 def ik_command(
     output: Output, robot: Robot, method: Any, every: bool, near: tuple[float, ...] | None, deg: bool, **asked: Any
 ) -> None:
@@ -161,8 +128,6 @@ def show_solutions(output: Output, found: Answer, solutions: Sequence[Solution],
 
 @command("jacobian")
 @robot_option
-@click.option("--q", required=True, type=NUMBERS, help="Joint positions.")
-@deg_option
 def jacobian_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bool) -> None:
     """The geometric Jacobian in the base frame, its rank and the manipulability.
 
@@ -181,10 +146,6 @@ def jacobian_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bo
 
 @command("workspace")
 @robot_option
-@click.option("--samples", default=20000, type=click.IntRange(1, 2_000_000), help="Random samples.")
-@click.option("--grid", default=0, type=click.IntRange(0, 60), help="Map a grid of N points an axis too.")
-@click.option("--seed", default=0, type=click.IntRange(0), help="Repeats a run.")
-@click.option("--out", type=FILE, help="An HTML page with the workspace in 3D and three projections.")
 def workspace_command(output: Output, robot: Robot, samples: int, grid: int, seed: int, out: Path | None) -> None:
     """Where the tool can be within the joint ranges: exact extents, and those of a random cloud.
 
@@ -218,16 +179,6 @@ def workspace_command(output: Output, robot: Robot, samples: int, grid: int, see
 
 @command("trajectory")
 @robot_option
-@click.option("--q0", required=True, type=NUMBERS, help="Joint positions at the start.")
-@click.option("--q1", required=True, type=NUMBERS, help="Joint positions at the end.")
-@click.option("--duration", required=True, type=float, help="Seconds.")
-@click.option("--v0", type=NUMBERS, help="Joint velocities at the start, per second.")
-@click.option("--v1", type=NUMBERS, help="Joint velocities at the end.")
-@click.option("--a0", type=NUMBERS, help="Joint accelerations at the start, per second squared.")
-@click.option("--a1", type=NUMBERS, help="Joint accelerations at the end.")
-@click.option("--samples", default=101, type=click.IntRange(2, 100_000), help="Times evaluated.")
-@click.option("--out", type=FILE, help="An HTML page with the curves of joints and tool.")
-@deg_option
 def trajectory_command(
     output: Output, robot: Robot, duration: float, samples: int, out: Path | None, deg: bool, **ends: Any
 ) -> None:

@@ -12,15 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import CONFIG, FILE, FOLDER, Output, command
+from armctl.cli.output import CONFIG, Output, command
 from armctl.cli.tables import show_rows, show_table
 
 if TYPE_CHECKING:
     from armctl.recording.index import Index
-
-LOG = click.argument("log", type=FILE)
-LOG_DIR = click.option("--log-dir", type=FOLDER, help="The folder of logs.  [default: the daemon's]")
-NEW_FILE = click.option("--out", type=FILE, required=True, metavar="PATH", help="The new file.")
 
 
 @click.group("log")
@@ -48,7 +44,6 @@ def _index(output: Output, folder: Path | None) -> Iterator[Index]:
 
 
 @command("list", CONFIG, group=log_command)
-@LOG_DIR
 def log_list(output: Output, log_dir: Path | None) -> None:
     """List every log: when it began, of which arm, which faults came up in it.
 
@@ -63,8 +58,6 @@ def log_list(output: Output, log_dir: Path | None) -> None:
 
 
 @command("find", CONFIG, group=log_command)
-@click.argument("expression", nargs=-1, required=True)
-@LOG_DIR
 def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) -> None:
     """Find what happened, in all logs: every word of EXPRESSION has to fit.
 
@@ -82,8 +75,6 @@ def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) 
 
 
 @command("stats", CONFIG, group=log_command)
-@click.option("--by", "period", type=click.Choice(("day", "week", "month")), default="week")
-@LOG_DIR
 def log_stats(output: Output, period: str, log_dir: Path | None) -> None:
     """Tell what every joint went through, week by week: is a servo wearing out?
 
@@ -97,8 +88,6 @@ def log_stats(output: Output, period: str, log_dir: Path | None) -> None:
 
 
 @command("diff", group=log_command)
-@click.argument("a", type=FILE)
-@click.argument("b", type=FILE)
 def log_diff(output: Output, a: Path, b: Path) -> None:
     """Compare two logs, quantity by quantity.
 
@@ -112,8 +101,6 @@ def log_diff(output: Output, a: Path, b: Path) -> None:
 
 
 @command("note", group=log_command)
-@LOG
-@click.argument("text")
 def log_note(output: Output, log: Path, text: str) -> None:
     """Keep a note about LOG; `log list` shows it, and `log find` finds it.
 
@@ -133,7 +120,6 @@ INFO = ("messages", "start_s", "duration_s", "topics", "complete", "summary_ok")
 
 
 @command("info", group=log_command)
-@LOG
 def info(output: Output, log: Path) -> None:
     """Tell what LOG holds: messages, duration, topics, whether it was closed properly.
 
@@ -158,7 +144,6 @@ def show_topics(output: Output, topics: Mapping[str, int]) -> None:
 
 
 @command("recover", group=log_command)
-@LOG
 def recover(output: Output, log: Path) -> None:
     """Write every intact message of a truncated LOG into a finished file beside it.
 
@@ -175,10 +160,6 @@ def recover(output: Output, log: Path) -> None:
 
 
 @command("export", group=log_command)
-@LOG
-@click.option("--format", "kind", type=click.Choice(["csv", "xlsx", "parquet"]), required=True)
-@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="PATH", help="The new file.")
-@click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only the messages of TOPIC; repeatable.")
 def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, ...]) -> None:
     """Write LOG as a table: one row for each tick, units in the column names.
 
@@ -199,10 +180,6 @@ def export(output: Output, log: Path, kind: Any, out: Path, topics: tuple[str, .
 
 
 @command("trim", group=log_command)
-@LOG
-@click.option("--from", "begin_s", type=float, default=0.0, help="Seconds since the beginning.")
-@click.option("--to", "end_s", type=float, help="Seconds since the beginning; the end if left out.")
-@NEW_FILE
 def trim(output: Output, log: Path, begin_s: float, end_s: float | None, out: Path) -> None:
     """Write a part of LOG as a log of its own, which opens and replays alone.
 
@@ -218,8 +195,6 @@ def trim(output: Output, log: Path, begin_s: float, end_s: float | None, out: Pa
 
 
 @command("merge", group=log_command)
-@click.argument("logs", type=FILE, nargs=-1, required=True)
-@NEW_FILE
 def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
     """Write consecutive LOGS of one daemon as one file; the order in which they are named does not matter.
 

@@ -8,9 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from armctl.cli.output import FILE, Output, command, kept_option
+from armctl.cli.output import Output, command, kept_option
 from armctl.errors import ArmctlError
 
 if TYPE_CHECKING:
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
     from armctl.recording.replay import ReplayResult
     from armctl.recording.timeline import Timeline
 
-LOG = click.argument("log", type=FILE)
 EVENTS_SHOWN = 6
 # Between two lines where there is no terminal.
 LINE_S = 1.0
@@ -34,16 +31,6 @@ PLAYED = kept_option(
 
 
 @command("replay", PLAYED)
-@LOG
-@click.option("--check", is_flag=True, help="Re-run every tick and compare bit for bit.")
-@click.option("--allow-gaps", is_flag=True, help="With --check: what could not be judged is told, and is no failure.")
-@click.option("--rate", type=click.FloatRange(0.01, 1000.0), default=1.0, help="Times real time.")
-@click.option("--start", "start_s", type=click.FloatRange(0.0), default=0.0, metavar="S", help="Begin here.")
-@click.option("--loop", is_flag=True, help="Begin again at the end.")
-@click.option("--report", type=FILE, metavar="HTML", help="Write a page about LOG instead.")
-@click.option("--onto-sim", is_flag=True, help="Let a simulated arm repeat the motion instead, and compare.")
-@click.option("--foreign", is_flag=True, help="Take a LOG of another arm with --onto-sim.")
-@click.option("--seed", default=0, help="Draws what the simulated arm is like.")
 def replay_command(output: Output, log: Path, check: bool, allow_gaps: bool, report: Path | None, **shown: Any) -> int:
     """Watch LOG in the terminal, or re-run what the daemon did and compare it bit for bit (--check).
 

@@ -6,30 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import click
-
-from armctl.cli.output import FILE, HOLDS, IK_METHODS, POINT, SOCKET, Numbers, Output, Seconds, command, millimetres
+from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
-POSE = Numbers(6, "six numbers x,y,z,roll,pitch,yaw")
-POSTURE = click.option(
-    "--posture", type=click.IntRange(1, 13), metavar="N", help="The Nth nearest posture; one too many lists them."
-)
-
-DIRECTION = click.option("--direction", type=POINT, help="With --xyz: where the tool points; 0,0,-1 is down.")
-
 
 @command("move", SOCKET)
-@click.option(
-    "--joints", "joints_rad", type=Numbers(), help="Joint positions in the calibration file's order, radians."
-)
-@click.option("--xyz", "point_m", type=POINT, help="Tool point, metres; the pose nearest to the present one is taken.")
-@click.option("--pose", type=POSE, metavar="x,y,z,r,p,y", help="Tool point, and roll, pitch, yaw in radians.")
-@click.option("--deg", is_flag=True, help="Angles are in degrees.")
-@click.option("--duration", "duration_s", type=Seconds(0.1), help="Seconds.  [default: at most 20 deg/s]")
-@DIRECTION
-@POSTURE
 def move_command(output: Output, deg: bool, **asked: Any) -> None:
     """Go somewhere and hold there: all joints start and arrive at once, slowly unless a duration is given.
 
@@ -56,13 +38,6 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
 
 
 @command("jog", SOCKET)
-@click.option("--joint", help="Name of the joint to turn.")
-@click.option("--axis", type=click.Choice(["x", "y", "z"]), help="Axis of the base frame to move the tool along.")
-@click.option(
-    "--speed", type=float, required=True, help="rad/s of the joint, m/s of the tool; negative for the other way."
-)
-@click.option("--deg", is_flag=True, help="The joint's speed is in deg/s.")
-@click.option("--seconds", type=click.FloatRange(0.1, 60.0), default=1.0, help="How long.")
 def jog_command(output: Output, joint: str | None, axis: str | None, speed: float, deg: bool, seconds: float) -> None:
     """Turn one joint, or move the tool along an axis, for as long as this command runs.
 
@@ -97,9 +72,6 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
 
 
 @command("path", SOCKET)
-@click.argument("file", type=FILE)
-@click.option("--duration", "duration_s", type=Seconds(0.5), help="Seconds.  [default: about 30 mm/s]")
-@click.option("--tolerance-mm", type=click.FloatRange(0.1, 50.0), default=2.0, help="How far a corner may be cut.")
 def path_command(output: Output, file: Path, **how: Any) -> None:
     """Lead the tool along the points in FILE: lines and arcs with rounded corners.
 
@@ -124,21 +96,6 @@ def path_command(output: Output, file: Path, **how: Any) -> None:
 
 
 @command("reach", SOCKET)
-@click.option("--xyz", "point_m", type=POINT, required=True, help="Tool point, metres.")
-@click.option("--grip", is_flag=True, help="Open, close until the load shows a grip, and back off.")
-@click.option("--let-go", is_flag=True, help="Open there, and back off.")
-@click.option(
-    "--method",
-    "ik",
-    type=IK_METHODS,
-    default="closed",
-    help="Inverse kinematics: closed form, numeric, or a genetic algorithm.",
-)
-@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, help="Of a genetic algorithm.")
-@click.option("--off", "off_m", type=click.FloatRange(0.005, 0.3), default=0.05, help="Length of the approach, metres.")
-@click.option("--along", type=click.Choice(("above", "tool")), default="above", help="Direction of the approach.")
-@DIRECTION
-@POSTURE
 def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     """Bring the tool to a point along a short straight line, correcting for sag; grip what is there, or let it go.
 
@@ -166,17 +123,6 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
 
 
 @command("transfer", SOCKET)
-@click.option("--pick", "pick_m", type=POINT, default="0.176,-0.132,-0.15", help="First station.")
-@click.option("--place", "place_m", type=POINT, default="0.176,0.132,-0.15", help="Second station.")
-@click.option("--height", "height_m", type=click.FloatRange(0.005, 0.5), default=0.06, help="Metres.")
-@click.option("--lift", "lift_s", type=click.FloatRange(0.1, 60.0), default=2.0, help="Seconds.")
-@click.option("--carry", "carry_s", type=click.FloatRange(0.1, 60.0), default=4.0, help="Seconds.")
-@click.option("--dwell", "dwell_s", type=click.FloatRange(0.0, 60.0), default=0.5, help="Seconds.")
-@click.option("--cycles", type=click.IntRange(1, 20), default=1, help="How often.")
-@click.option("--out", type=FILE, help="Page with the curves (HTML).")
-@click.option("--virtual", metavar="NAME|FILE", help="On simulated servos of this arm in virtual time; no daemon.")
-@click.option("--log", "log_path", type=FILE, help="Where --virtual writes its log.")
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Of --virtual's arm.")
 def transfer_command(
     output: Output, out: Path | None, virtual: str | None, log_path: Path | None, seed: int, **stations: Any
 ) -> None:

@@ -1,4 +1,4 @@
-"""What every command shares: options, and the two ways of answering, for people and for programs.
+"""What every command shares: kept options, and the two ways of answering, for people and for programs.
 
 With `--json` stdout holds exactly one JSON object (one a line for streams), also when the command fails;
 everything else goes to stderr.
@@ -7,16 +7,16 @@ everything else goes to stderr.
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from armctl.cli.parameters import parameters
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import served_socket
 
@@ -230,6 +230,8 @@ def command(
 ) -> Callable[[Callable[..., Any]], click.Command]:
     """Makes a function a command with `--json`; it receives the `Output` as its first argument.
 
+    What else it takes stands in the table beside its module, see `parameters.py`.
+
     Args:
         shared: Options whose values are kept in the `Output`; the help lists them after the command's own.
         group: What it is a command of; None: of `armctl`.
@@ -238,7 +240,8 @@ def command(
 
     def made(function: Callable[..., Any]) -> click.Command:
         new: click.Command = (group or click).command(name, **about)(click.pass_obj(function))
-        new.params += [*shared, JSON]
+        path = f"{group.name} {name}" if group else name
+        new.params += [*parameters(function.__module__.rpartition(".")[2], path), *shared, JSON]
         if SOCKET in shared and not any("--arm" in option.opts for option in new.params):
             new.params.append(SERVED)
         return new
@@ -274,64 +277,6 @@ SERVED = click.Option(
 )
 CONFIG = kept_option("config_file", "--config", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")
 ARM = kept_option("arm_name", "--arm", metavar="NAME|FILE", help="Which calibration file describes the arm.")
-PLAYED = click.option("--arm", default="ax12-line", metavar="NAME|FILE", help="Which arm to simulate.")
 LINK = kept_option("link", "--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")
 BAUD = kept_option("baud", "--baud", type=int, help="Rate of the bus, bit/s.  [default: the configuration's]")
 PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")
-
-
-FILE = click.Path(path_type=Path, dir_okay=False)
-# Operators of the genetic algorithm.
-PROFILE = click.Choice(("default", "paper"))
-IK_METHODS = click.Choice(("closed", "numeric", "ga", "ga-improved"))
-# Of a simulated arm, see sim/geometry.py.
-GEOMETRY = click.Choice(("perfect", "careful", "typical", "poor"))
-FOLDER = click.Path(path_type=Path, file_okay=False)
-
-
-class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
-    """Numbers with commas or blanks between them.
-
-    Args:
-        count: How many; None: any.
-        what: Said where the text is something else.
-        metres: Whether each is a coordinate, at most 10 m from the base.
-    """
-
-    def __init__(
-        self, count: int | None = None, what: str = "a list of numbers such as 0.1,-0.2,0.3", *, metres: bool = False
-    ) -> None:
-        self.name = "x,y,z" if metres else "a,b,..."
-        self._count, self._what, self._metres = count, what, metres
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
-        fail = partial(self.fail, param=param, ctx=ctx)
-        try:
-            numbers = tuple(float(part) for part in str(value).replace(",", " ").split())
-        except ValueError:
-            fail(f"{value!r} is not {self._what}")
-        if self._metres and not all(math.isfinite(number) and abs(number) <= 10.0 for number in numbers):
-            fail(f"{value!r}: each coordinate must be finite and within 10 m (the unit is metres)")
-        if not numbers or not all(map(math.isfinite, numbers)):
-            fail(f"{value!r}: the numbers must be finite")
-        if self._count is not None and len(numbers) != self._count:
-            fail(f"{value!r} is not {self._what}: it has {len(numbers)} numbers, not {self._count}")
-        return numbers
-
-
-class Seconds(click.FloatRange):
-    """How long a motion takes: at most what `messages` says, which is imported when somebody gives a duration."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        from armctl.messages import LONGEST_S
-
-        self.max = LONGEST_S
-        return super().convert(value, param, ctx)
-
-
-POINT = Numbers(3, "three numbers x,y,z in metres, such as 0.18,-0.125,0.10", metres=True)
-START = click.option("--from", "from_m", type=POINT, required=True, help="Start of the line, metres.")
-END = click.option("--to", "to_m", type=POINT, required=True, help="End of the line, metres.")
-DURATION = click.option("--duration", "duration_s", type=Seconds(0.5), default=5.0)

@@ -15,13 +15,8 @@ import click
 from armctl.cli.output import (
     ARM,
     CONFIG,
-    FILE,
-    FOLDER,
-    GEOMETRY,
     JSON,
     LINK,
-    PLAYED,
-    POINT,
     PORT,
     SOCKET,
     Output,
@@ -29,6 +24,7 @@ from armctl.cli.output import (
     command,
     kept_option,
 )
+from armctl.cli.parameters import parameters
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -44,8 +40,6 @@ def default_link() -> Path:
 
 
 @command("daemon", PORT, ARM, SOCKET, CONFIG)
-@click.option("--log-dir", type=FOLDER, help="Folder of the MCAP logs.")
-@click.option("--wait", is_flag=True, help="Wait until the port is there, as the service does.")
 def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
     """Control the arm, in the foreground, until Ctrl-C.
 
@@ -78,22 +72,6 @@ def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
 
 
 @command("sim")
-@PLAYED
-@click.option("--link", type=click.Path(path_type=Path), help="Stable name of the port.")
-@click.option("--seed", default=0, help="Draws masses, friction, play, offsets and noise.")
-@click.option("--return-delay-us", type=click.IntRange(0, 508), help="Return delay of every servo.")
-@click.option("--latency-ms", type=click.FloatRange(0.0, 100.0), default=0.0, help="Latency timer of the adapter.")
-@click.option("--echo", is_flag=True, help="The adapter also receives what the host sends.")
-@click.option(
-    "--faults", "faults_file", type=click.Path(path_type=Path), metavar="FILE", help="What goes wrong and when (YAML)."
-)
-@click.option(
-    "--factory", is_flag=True, help="The servos have the factory's EEPROM, unfit for torque until it is mended."
-)
-@click.option(
-    "--geometry", type=GEOMETRY, default="perfect", help="How well the arm was put together; no encoder shows it."
-)
-@click.option("--lockstep", is_flag=True, help="The arm's time advances with the bus master's ticks, not the clock's.")
 def sim_command(
     output: Output,
     arm: str,
@@ -136,10 +114,6 @@ def sim_command(
 
 
 @command("hand", LINK)
-@click.option("--from", "from_m", type=POINT, default="0.18,-0.125,0.10", help="Start, metres.")
-@click.option("--to", "to_m", type=POINT, default="0.18,0.125,0.10", help="End, metres.")
-@click.option("--seed", default=0, help="A different wobble for each number.")
-@click.option("--let-go", is_flag=True, help="Only let go of the arm.")
 def hand_command(output: Output, from_m: Point, to_m: Point, seed: int, let_go: bool) -> None:
     """Let the simulator's hand guide the limp arm along a line, wobbling as hands do.
 
@@ -178,12 +152,6 @@ class _ExplainedKinds(click.Command):
 
 
 @command("begin", LINK, group=fault_command, cls=_ExplainedKinds)
-@click.argument("kind")
-@click.option("--servo", "servo_id", type=int, help="Which servo; left out: every one.")
-@click.option("--probability", default=1.0, help="Of the fault, each time that it could happen.")
-@click.option("--count", type=int, help="At most so many times.")
-@click.option("--for", "duration_s", type=float, metavar="SECONDS", help="How long; left out: until it is ended.")
-@click.option("--value", type=float, help="Its meaning depends on the kind.")
 def fault_begin_command(output: Output, kind: str, **fault: Any) -> None:
     """Begin a fault; prints the number to end it by.
 
@@ -195,7 +163,6 @@ def fault_begin_command(output: Output, kind: str, **fault: Any) -> None:
 
 
 @command("end", LINK, group=fault_command)
-@click.argument("number", type=int)
 def fault_end_command(output: Output, number: int) -> None:
     """End a fault by its number.
 
@@ -235,8 +202,6 @@ WATCHED = kept_option(
 
 
 @command("live", WATCHED, SOCKET, CONFIG)
-@click.option("--port", type=click.IntRange(0, 65535), default=8765, help="0: any that is free.")
-@click.option("--layout", type=FILE, metavar="FILE", help="Only write a Foxglove layout that fits logs and live view.")
 def live_command(output: Output, port: int, layout: Path | None) -> None:
     """Let Foxglove, Lichtblick or PlotJuggler watch the arm, until Ctrl-C.
 
@@ -259,8 +224,6 @@ def live_command(output: Output, port: int, layout: Path | None) -> None:
 
 
 @click.group("web", invoke_without_command=True)
-@click.option("--port", type=click.IntRange(1, 65535), help="TCP port.  [default: 8080; with --lan 8443]")
-@click.option("--lan", is_flag=True, help="Serve the local network, over TLS. `armctl help arm` says what that means.")
 @click.pass_context
 def web_command(ctx: click.Context, port: int | None, lan: bool) -> None:
     """Serve the dashboard on this computer, until Ctrl-C.
@@ -275,7 +238,7 @@ def web_command(ctx: click.Context, port: int | None, lan: bool) -> None:
         _serve_pages(ctx.ensure_object(Output), port or (8443 if lan else 8080), lan)
 
 
-web_command.params += [SOCKET, CONFIG, JSON]
+web_command.params += [*parameters("processes", "web"), SOCKET, CONFIG, JSON]
 
 
 def _serve_pages(output: Output, port: int, lan: bool) -> None:
@@ -315,8 +278,6 @@ def web_token() -> None:
 
 
 @command("add", CONFIG, group=web_token)
-@click.argument("name")
-@click.option("--role", type=click.Choice(("look", "command")), default="command", help="look: look, and stop the arm.")
 def web_token_add(output: Output, name: str, role: Any) -> None:
     """Give a person a token of their own; it is printed once, and kept as a hash.
 
@@ -345,7 +306,6 @@ def web_token_list(output: Output) -> None:
 
 
 @command("revoke", CONFIG, group=web_token)
-@click.argument("name")
 def web_token_revoke(output: Output, name: str) -> None:
     """Take a person's token away; from now on it opens nothing.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.keys import TerminalKeys, attended, keys
-from armctl.cli.output import CONFIG, FILE, SOCKET, Output, command
+from armctl.cli.output import CONFIG, SOCKET, Output, command
 from armctl.cli.teach import ENTER, Tool, record_take
 from armctl.errors import ConfigError, LogError, NoDaemon
 
@@ -56,7 +56,6 @@ def _in_words(found: dict[str, Any]) -> str:
 
 
 @command("check", SOCKET, CONFIG, group=program_command)
-@click.argument("file", type=FILE)
 def program_check(output: Output, file: Path) -> int:
     """Check the program in FILE as a whole: every motion from where the step before it ends, and both branches.
 
@@ -88,8 +87,6 @@ def _check_here(output: Output, program: dict[str, Any]) -> dict[str, Any]:
 
 
 @command("run", SOCKET, group=program_command)
-@click.argument("file", type=FILE)
-@click.option("--from", "from_step", metavar="STEP", help="Begin with this step.  [default: where it stands]")
 def program_run(output: Output, file: Path, from_step: str | None) -> int:
     """Run the program in FILE, step by step, as one recording; Ctrl-C stops the arm.
 
@@ -111,8 +108,6 @@ def program_run(output: Output, file: Path, from_step: str | None) -> int:
 
 
 @command("record", SOCKET, group=program_command)
-@click.argument("file", type=FILE)
-@click.option("--places", type=click.IntRange(1, 1000), help="End after so many steps.  [default: when you say so]")
 def program_record(output: Output, file: Path, places: int | None) -> None:
     """Make a program, place by place, while you guide the limp arm, or while it holds and you jog it elsewhere.
 

@@ -6,9 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from armctl.cli.output import FOLDER, Output, command
+from armctl.cli.output import Output, command
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
@@ -19,10 +17,6 @@ PAPERS = ("000", "001", "002", "003", "004")
 
 
 @command("reproduce")
-@click.argument("paper", type=click.Choice((*PAPERS, "all")))
-@click.option("--out", type=FOLDER, help="Folder for the page, reproduce.html.")
-@click.option("--quick", is_flag=True, help="Fewer seeds, poses and runs: a look instead of the figures.")
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a run.")
 def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool, seed: int) -> int:
     """Recompute every table and figure of the five papers beside print, and judge every entry of every equation.
 

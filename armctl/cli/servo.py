@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from armctl.cli.output import ARM, BAUD, CONFIG, FILE, PORT, Output, command
+from armctl.cli.output import ARM, BAUD, CONFIG, PORT, Output, command
 from armctl.cli.setup import opened
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
     from armctl.commissioning.eeprom import Difference
 
-SERVO = click.IntRange(0, 253)
 WIRING = (PORT, BAUD, CONFIG)
 
 
@@ -30,8 +29,6 @@ def servo_command() -> None:
 
 
 @command("set-id", *WIRING, group=servo_command)
-@click.argument("old", type=SERVO)
-@click.argument("new", type=SERVO)
 def set_id_command(output: Output, old: int, new: int) -> None:
     """Give the servo OLD the id NEW; refused when NEW is taken or two servos answer to OLD.
 
@@ -45,8 +42,6 @@ def set_id_command(output: Output, old: int, new: int) -> None:
 
 
 @command("set-baud", *WIRING, group=servo_command)
-@click.argument("servo", type=SERVO)
-@click.argument("rate", type=int)
 def set_baud_command(output: Output, servo: int, rate: int) -> None:
     """Set the servo to RATE bit/s and find it again there; --baud is what it has now.
 
@@ -64,8 +59,6 @@ def set_baud_command(output: Output, servo: int, rate: int) -> None:
 
 
 @command("set-return-delay", ARM, *WIRING, group=servo_command)
-@click.argument("servo", metavar="ID|all")
-@click.argument("delay_us", metavar="US", type=click.IntRange(0, 508))
 def set_return_delay_command(output: Output, servo: str, delay_us: int) -> None:
     """How long the servo waits before it replies, in steps of 2 us; `all`: every servo of the arm.
 
@@ -92,7 +85,6 @@ def _servo_ids(output: Output, servo: str) -> tuple[int, ...]:
 
 
 @command("mend", ARM, *WIRING, group=servo_command)
-@click.argument("servo", metavar="ID|all")
 def mend_command(output: Output, servo: str) -> None:
     """Write what the daemon needs before it switches torque on: angle limits of the arm's file, and protection.
 
@@ -112,9 +104,6 @@ def mend_command(output: Output, servo: str) -> None:
 
 
 @command("set", *WIRING, group=servo_command)
-@click.argument("servo", type=SERVO)
-@click.argument("register")
-@click.argument("value", type=int)
 def set_command(output: Output, servo: int, register: str, value: int) -> None:
     """Write one EEPROM register, by its name in the control table, in its own unit.
 
@@ -139,7 +128,6 @@ def eeprom_command() -> None:
 
 
 @command("save", ARM, *WIRING, group=eeprom_command)
-@click.argument("file", type=FILE)
 def eeprom_save(output: Output, file: Path) -> None:
     """Write the EEPROM of every servo of the arm into FILE (YAML, or JSON by its name); never overwrites.
 
@@ -155,7 +143,6 @@ def eeprom_save(output: Output, file: Path) -> None:
 
 
 @command("diff", *WIRING, group=eeprom_command)
-@click.argument("file", type=FILE)
 def eeprom_diff(output: Output, file: Path) -> int:
     """Show where the servos differ from FILE; exit status 1 if they do.
 
@@ -172,8 +159,6 @@ def eeprom_diff(output: Output, file: Path) -> int:
 
 
 @command("restore", *WIRING, group=eeprom_command)
-@click.argument("file", type=FILE)
-@click.option("--servo", "servos", type=SERVO, multiple=True, help="Only this servo; may be given again.")
 def eeprom_restore(output: Output, file: Path, servos: tuple[int, ...]) -> None:
     """Write back what differs from FILE, except id and baud; nothing is written unless every servo can be.
 

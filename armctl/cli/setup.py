@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.keys import attended
-from armctl.cli.output import ARM, BAUD, CONFIG, FILE, FOLDER, PORT, SOCKET, Output, command
+from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ArmctlError, ConfigError, NoDaemon, RequestRefused
 from armctl.files import calibration_dirs, find_arm_file, served_socket
@@ -71,8 +71,6 @@ def opened(output: Output, servo_ids: Sequence[int] = ()) -> Iterator[ServoBus]:
 
 
 @command("setup", PORT, BAUD, CONFIG)
-@click.argument("arm_file", required=False)
-@click.option("--answers", type=FILE, help="Answers prepared for every question (YAML); nobody is asked.")
 def setup_command(output: Output, arm_file: str | None, answers: Path | None) -> None:
     """Set your own arm up, step by step: servos, joints, directions, limits, poses, a first small motion.
 
@@ -139,7 +137,6 @@ class AtTerminal:
 
 
 @command("scan", PORT, CONFIG)
-@click.option("--baud", metavar="N|all", help="One rate, or all usual ones.  [default: the configuration's]")
 def scan_command(output: Output, baud: str | None) -> int:
     """List the servos that answer: all ids at one baud in about a second, or at all usual bauds.
 
@@ -228,7 +225,6 @@ def show_checks(output: Output, checks: Sequence[Check]) -> None:
 
 
 @command("report", CONFIG)
-@click.option("--out", type=FILE, help="The zip file to write.")
 def report_command(output: Output, out: Path | None) -> None:
     """Gather versions, doctor, status, configuration and the last logs into one zip file for a bug report.
 
@@ -250,18 +246,9 @@ def report_command(output: Output, out: Path | None) -> None:
 
 # States in which a restart of the daemon changes nothing that the arm does.
 AT_REST = ("off", "holding", "faulted", "starting", "stalled")
-DRY_RUN = click.Option(["--dry-run"], is_flag=True, help="Say what would be done, and do nothing.")
-ROOT = click.Option(
-    ["--root"], type=FOLDER, default=Path("/"), help="Write below this folder and run no command: for packages."
-)
 
 
-@command("install", DRY_RUN, ROOT)
-@click.option("--arm", metavar="NAME|FILE", help="Which arm to serve.  [default: the configured one, or ax12-line]")
-@click.option("--port", metavar="PATH", help="Serial port of the arm, to limit the udev rule to its adapter.")
-@click.option("--user", help="Who may command the arm.  [default: you]")
-@click.option("--prefix", type=FOLDER, help="Environment whose bin/armctl the service starts.  [default: this one]")
-@click.option("--yes", is_flag=True, help="Do not ask before a file that is there is replaced.")
+@command("install")
 def install_command(output: Output, dry_run: bool, root: Path, yes: bool, **wanted: Any) -> None:
     """Make the daemon a service that starts with the system, or bring that service up to date.
 
@@ -310,7 +297,7 @@ def _refuse_moving(commands: Iterable[Sequence[str]]) -> None:
                 raise RequestRefused("MOVING", f"{what}; wait, or type `armctl stop`, then install again")
 
 
-@command("uninstall", DRY_RUN, ROOT)
+@command("uninstall")
 def uninstall_command(output: Output, dry_run: bool, root: Path) -> None:
     """Remove the service; configuration, calibrations, logs and recordings stay.
 

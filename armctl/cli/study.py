@@ -1,7 +1,7 @@
-"""`armctl study`: the command line of every study, in one table: what may be asked, and what a person is told.
+"""`armctl study`: the command line of every study, in one table: what it is for, and what a person is told.
 
-What a study does stands in a second table by the same names, `armctl/lab/study/studies.py`; its columns stand in
-`armctl/cli/tables.yaml`.
+What a study does stands in a second table by the same names, `armctl/lab/study/studies.py`; its options stand in
+`study.toml`, its columns in `tables.yaml`.
 """
 
 from __future__ import annotations
@@ -9,13 +9,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.experiment import VIA
-from armctl.cli.output import CONFIG, DURATION, END, FILE, POINT, START, Numbers, Output
+from armctl.cli.output import CONFIG, Output
 from armctl.cli.output import command as answering
 from armctl.cli.tables import Row, show_rows
 from armctl.errors import ConfigError
@@ -24,34 +22,12 @@ if TYPE_CHECKING:
     from armctl.config import ArmConfig, Config
     from armctl.lab.study.case import Case
 
-Option = Callable[[Callable[..., Any]], Callable[..., Any]]
-
-RECORDINGS = click.argument("recordings", nargs=-1)
-REFINE = click.option("--refine", "rounds", type=click.IntRange(0, 20), default=5, help="Corrections.")
-WORK = (
-    click.option("--seed", type=click.IntRange(0, 2**31), default=0, help="Repeats a study."),
-    click.option("--workers", type=click.IntRange(1, 1024), help="Processes.  [default: one a processor]"),
-    click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler that does the work: tcp://host:8786."),
-)
-
-
-# Options that several studies have, each with its own default.
-numbers = partial(click.option, type=Numbers())
-via = partial(click.option, "--via", **VIA)
-objective = partial(click.option, "--objective", type=click.Choice(("mean", "mix", "max")))
-
-
-def repeats(most: int, help: str) -> Option:
-    return click.option("--repeats", type=click.IntRange(1, most), default=5, help=help)
-
 
 @dataclass(frozen=True)
 class Command:
     """A row of the table."""
 
     help: str
-    # What is asked beside `WORK`: fields of `Case`, what varies, and the file.
-    options: tuple[Option, ...]
     # Of the table for people, from its first row.
     title: Callable[[Row], str]
     # Options that say which cases there are.
@@ -70,18 +46,6 @@ COMMANDS = {
     "ga": Command(
         "Settings of the genetic algorithm compared on RECORDINGS, or on takes of the simulated hand.\n\n"
         "Example: armctl study ga --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --population 50,95,200",
-        (
-            RECORDINGS,
-            START,
-            END,
-            numbers("--population", default="50,95,200"),
-            numbers("--pc", default="0.4,0.6,0.8", help="Crossover probabilities."),
-            numbers("--pm", default="0.001,0.01,0.05", help="Mutation probabilities."),
-            click.option("--generations", type=click.IntRange(10, 100_000), default=300),
-            click.option("--profile", type=click.Choice(("paper", "default")), default="paper"),
-            repeats(1000, "Seeds of each setting."),
-            DURATION,
-        ),
         "Mean distance from the line over {repeats} seeds, mm".format_map,
         varied=("population", "pc", "pm", "repeats"),
         whole=("population",),
@@ -89,19 +53,6 @@ COMMANDS = {
     "arms": Command(
         "One line, or PLAN as it stands, on many simulated arms drawn at random: the spread of its true error.\n\n"
         "Example: armctl study arms --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 2,stream --arms 20",
-        (
-            click.argument("plan", required=False, type=FILE),
-            click.option("--from", "from_m", type=POINT, help="Start of the line, metres; not with a plan."),
-            click.option("--to", "to_m", type=POINT, help="End of the line, metres; not with a plan."),
-            via(default="2", help="Numbers of via points; auto; stream."),
-            click.option("--arms", type=click.IntRange(1, 10_000), default=20),
-            REFINE,
-            DURATION,
-            objective(default="mix"),
-            click.option(
-                "--period", "period_s", type=click.FloatRange(0.01, 1.0), help="Tick of the arms.  [default: 0.1]"
-            ),
-        ),
         lambda first: f"True distance from the line on {first['arms'] + first['refused']} arms, median / worst, mm",
         varied=("arms",),
         table="summary",
@@ -114,17 +65,6 @@ COMMANDS = {
         "RECORDINGS (or takes of the simulated hand) are optimised for every duration. With --arms so many simulated "
         "arms run every combination, corrected, and are judged by their true tool path.\n\n"
         "Example: armctl study pareto --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --arms 4 --report pareto.html",
-        (
-            RECORDINGS,
-            START,
-            END,
-            numbers("--via", default="0,1,2,3,5,8", help="Numbers of via points."),
-            numbers("--durations", default="1,1.5,2,3,5,8", help="Seconds."),
-            click.option("--arms", type=click.IntRange(0, 1000), default=0, help="Simulated arms."),
-            REFINE,
-            objective(default="mean"),
-            click.option("--report", type=FILE, metavar="HTML", help="Write a page with the fronts drawn."),
-        ),
         "Distance from the line, mm; * no other is better in both".format_map,
         varied=("durations", "arms"),
         whole=("via",),
@@ -134,16 +74,6 @@ COMMANDS = {
         "What limits the corrected line: the experiment on one simulated arm, then with one effect after another "
         "off.\n\n"
         "Example: armctl study limits --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --report evidence.html",
-        (
-            START,
-            END,
-            via(default="1,2,8,stream", help="Via points; auto; stream."),
-            REFINE,
-            repeats(100, "Runs of each final plan."),
-            DURATION,
-            objective(default="mix"),
-            click.option("--report", type=FILE, metavar="HTML", help="Write the page with all the evidence."),
-        ),
         "True mean distance from the line, mm, one effect off".format_map,
         file="report",
         notes=lambda result: (
@@ -156,12 +86,6 @@ COMMANDS = {
     "paper": Command(
         "The paper's experiments 1, 2 and 3, five runs each, by its own genetic algorithm: Table II beside ours.\n\n"
         "Example: armctl study paper --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --xlsx angles.xlsx",
-        (
-            START,
-            END,
-            DURATION,
-            click.option("--xlsx", type=FILE, metavar="FILE", help="Write the recorded angles of all runs."),
-        ),
         "Distance from the line by the encoders, mean / maximum, mm".format_map,
         file="xlsx",
     ),
@@ -183,8 +107,6 @@ def _add(name: str, command: Command) -> None:
     def callback(output: Output, **asked: Any) -> None:
         run(name, command, output, asked)
 
-    for option in reversed((*command.options, *WORK)):
-        callback = option(callback)
     answering(name, CONFIG, group=study_command, help=command.help)(callback)
 
 

@@ -9,12 +9,10 @@ from collections.abc import Callable, Collection
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from armctl.cli.arm import COUNTDOWN, warn_of_limpness
+from armctl.cli.arm import warn_of_limpness
 from armctl.cli.jobs import in_words
 from armctl.cli.keys import attended, keys
-from armctl.cli.output import POINT, SOCKET, Output, Point, command
+from armctl.cli.output import SOCKET, Output, Point, command
 from armctl.errors import ConfigError, LogError, RequestRefused
 
 if TYPE_CHECKING:
@@ -32,12 +30,6 @@ ENTER = frozenset("\r\n")
 
 
 @command("teach", SOCKET)
-@click.argument("name")
-@click.option("--takes", type=click.IntRange(1, 100), default=1, help="How many to record.")
-@click.option("--from", "from_m", type=POINT, help="Start of the wanted line, metres: shows each take's error.")
-@click.option("--to", "to_m", type=POINT, help="End of the wanted line, metres.")
-@COUNTDOWN
-@click.option("--yes", is_flag=True, help="The arm may go limp at once: no question, no countdown.")
 def teach_command(
     output: Output, name: str, takes: int, from_m: Point | None, to_m: Point | None, countdown: int, yes: bool
 ) -> None:

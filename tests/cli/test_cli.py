@@ -12,7 +12,8 @@ import click
 import pytest
 
 from armctl.cli import PURPOSES, cli, main
-from armctl.cli.output import HOLDS, POINT, Output, next_command
+from armctl.cli.output import HOLDS, Output, next_command
+from armctl.cli.parameters import POINT
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import find_arm_file
 from tests.cli.conftest import Answer, StandIn, Typed, refusals

@@ -1,0 +1,141 @@
+"""Arguments and options of the commands: a table of each stands beside its module, in `MODULE.toml`.
+
+Rules.
+1. A table is named after its command, with the group before it where there is one. A key is what is typed, and behind
+   a blank the name that it has in the function, where that is another.
+2. A value is what click takes: `help`, `default`, `required` and so on. Its `type` is one of `KINDS`, a list of
+   choices, a range such as `1..20`, `0..` or `0.1..60.0` (`0.5..longest`: see `Seconds`), or some with blanks between.
+3. The value `"shared"` stands for that of the same key in the table `shared`, of the same file or of `shared.toml`.
+
+It is TOML because Python reads it by itself: no command waits for the package that reads YAML.
+"""
+
+import math
+import tomllib
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+if TYPE_CHECKING:
+    from armctl.lab.course import Via
+
+
+def parameters(module: str, command: str) -> list[click.Parameter]:
+    """What a command of a module of this package takes, in the order in which its help lists it.
+
+    Args:
+        module: Its name without the package's.
+        command: Its name, and before it that of its group.
+    """
+    tables = _read(module)
+    found: list[click.Parameter] = []
+    for words, about in tables.get(command, {}).items():
+        if about == "shared":
+            about = tables.get("shared", {}).get(words) or _read("shared")["shared"][words]
+        more = {"type": _kind(about["type"])} if "type" in about else {}
+        made = click.Option if words.startswith("-") else click.Argument
+        found.append(made(words.split(), **about | more))
+    return found
+
+
+@cache
+def _read(name: str) -> dict[str, dict[str, Any]]:
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def _kind(of: str | list[str]) -> Any:
+    if isinstance(of, list):
+        return click.Choice(of)
+    if " " in of:
+        return click.Tuple([_kind(one) for one in of.split()])
+    low, to, high = of.partition("..")
+    if not to:
+        return KINDS[of]
+    if high == "longest":
+        return Seconds(float(low))
+    if "." in low:
+        return click.FloatRange(float(low), float(high) if high else None)
+    return click.IntRange(int(low), int(high) if high else None)
+
+
+class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
+    """Numbers with commas or blanks between them.
+
+    Args:
+        count: How many; None: any.
+        what: Said where the text is something else.
+        metres: Whether each is a coordinate, at most 10 m from the base.
+    """
+
+    def __init__(
+        self, count: int | None = None, what: str = "a list of numbers such as 0.1,-0.2,0.3", *, metres: bool = False
+    ) -> None:
+        self.name = "x,y,z" if metres else "a,b,..."
+        self._count, self._what, self._metres = count, what, metres
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        if isinstance(value, tuple):
+            return value
+        fail = partial(self.fail, param=param, ctx=ctx)
+        try:
+            numbers = tuple(float(part) for part in str(value).replace(",", " ").split())
+        except ValueError:
+            fail(f"{value!r} is not {self._what}")
+        if self._metres and not all(math.isfinite(number) and abs(number) <= 10.0 for number in numbers):
+            fail(f"{value!r}: each coordinate must be finite and within 10 m (the unit is metres)")
+        if not numbers or not all(map(math.isfinite, numbers)):
+            fail(f"{value!r}: the numbers must be finite")
+        if self._count is not None and len(numbers) != self._count:
+            fail(f"{value!r} is not {self._what}: it has {len(numbers)} numbers, not {self._count}")
+        return numbers
+
+
+class Seconds(click.FloatRange):
+    """How long a motion takes: at most what `messages` says, which is imported when somebody gives a duration."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from armctl.messages import LONGEST_S
+
+        self.max = LONGEST_S
+        return super().convert(value, param, ctx)
+
+
+def length(text: str) -> tuple[str, float]:
+    """`name=metres`."""
+    name, _, metres = text.partition("=")
+    try:
+        return name.strip(), float(metres)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a length such as a2=0.5") from None
+
+
+def via_counts(text: str) -> tuple["Via", ...]:
+    """`0,1,2,8,auto,stream`."""
+    found: list[Via] = []
+    for part in text.split(","):
+        word = part.strip()
+        if word.isdecimal() and int(word) <= 20:
+            found.append(int(word))
+        elif word in ("auto", "stream"):
+            found.append(cast("Via", word))
+        else:
+            raise click.BadParameter(f"{part!r} is not a number of via points from 0 to 20, auto or stream")
+    return tuple(found)
+
+
+POINT = Numbers(3, "three numbers x,y,z in metres, such as 0.18,-0.125,0.10", metres=True)
+KINDS: dict[str, Any] = {
+    "int": click.INT,
+    "float": click.FLOAT,
+    "str": click.STRING,
+    "path": click.Path(path_type=Path),
+    "file": click.Path(path_type=Path, dir_okay=False),
+    "folder": click.Path(path_type=Path, file_okay=False),
+    "point": POINT,
+    "pose": Numbers(6, "six numbers x,y,z,roll,pitch,yaw"),
+    "numbers": Numbers(),
+    "length": click.types.FuncParamType(length),
+    "via": click.types.FuncParamType(via_counts),
+}
