@@ -22,7 +22,7 @@ import pytest
 from armctl.cli import cli
 from armctl.cli.help import DOCS, TOPICS, page
 from armctl.cli.processes import DEFAULT_LINK
-from armctl.control.faults import CODES, NEXT, WHAT
+from armctl.control.faults import CODES, FAULTS
 from armctl.files import load_arm
 from armctl.lab.demo import program
 from tests.terminal import CTRL_C, PATH, free_port, shell
@@ -179,7 +179,7 @@ def test_every_page_is_a_topic_and_every_topic_a_page() -> None:
 
 
 def test_the_page_of_faults_is_complete() -> None:
-    assert set(NEXT) == set(WHAT) == set(CODES)
+    assert all(kind.what and kind.remedy for kind in FAULTS)
     text = page("faults")
     assert all(f"## {code}\n" in text for code in CODES)
 
