@@ -11,35 +11,12 @@ import click
 
 from armctl import __version__
 from armctl.cli.output import Output
+from armctl.cli.parameters import tables
 from armctl.errors import ArmctlError
 
-# What the help lists under which heading, in the order in which a newcomer meets it.
-PURPOSES: dict[str, tuple[str, ...]] = {
-    "First steps": ("demo", "try", "setup", "sim", "daemon", "help", "completion"),
-    "Running the arm": (
-        *("status", "watch", "stop", "hold", "pause", "resume", "rate", "torque", "move", "jog", "reach", "transfer"),
-        *("run", "play", "path", "program", "park", "release", "clear"),
-    ),
-    "Teaching and straightening": ("teach", "recordings", "optimize", "experiment"),
-    "Setting an arm up": ("arms", "arm", "scan", "doctor", "servo", "calibrate", "install", "uninstall", "web", "live"),
-    "Logs": ("log", "replay", "report"),
-    "Kinematics, without an arm": ("robots", "fk", "ik", "jacobian", "workspace", "trajectory", "reproduce"),
-    "For maintainers": ("study", "hand", "fault"),
-}
-# Module of this package -> the commands in it, each as `NAME_command`; every other command has a module of its name.
-_SHARED = {
-    "arm": ("arms", "clear", "hold", "park", "pause", "rate", "release", "resume", "status", "stop", "torque", "watch"),
-    "demo": ("try",),
-    "help": ("completion",),
-    "jobs": ("optimize", "play", "recordings", "run"),
-    "kinematics": ("fk", "ik", "jacobian", "robots", "trajectory", "workspace"),
-    "logs": ("replay",),
-    "motion": ("jog", "move", "path", "reach", "transfer"),
-    "processes": ("daemon", "fault", "hand", "live", "sim", "web"),
-    "setup": ("doctor", "install", "report", "scan", "uninstall"),
-}
-_COMMANDS = {name: name for names in PURPOSES.values() for name in names}
-_COMMANDS |= {name: module for module, names in _SHARED.items() for name in names}
+# What the help lists under which heading, and the module of each command; it has the command as `NAME_command`.
+PURPOSES: dict[str, dict[str, str]] = tables("commands")
+_MODULES = {name: module for commands in PURPOSES.values() for name, module in commands.items()}
 # Characters at most that say in the list what a command does.
 SUMMARY = 100
 
@@ -48,12 +25,12 @@ class _Commands(click.Group):
     """Imports a command's module when the command is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted(_COMMANDS)
+        return sorted(_MODULES)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
+        if cmd_name not in _MODULES:
             return None
-        module = importlib.import_module(f"armctl.cli.{_COMMANDS[cmd_name]}")
+        module = importlib.import_module(f"armctl.cli.{_MODULES[cmd_name]}")
         command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
 

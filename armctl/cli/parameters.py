@@ -29,11 +29,11 @@ def parameters(module: str, command: str) -> list[click.Parameter]:
         module: Its name without the package's.
         command: Its name, and before it that of its group.
     """
-    tables = _read(module)
+    own = tables(module)
     found: list[click.Parameter] = []
-    for words, about in tables.get(command, {}).items():
+    for words, about in own.get(command, {}).items():
         if about == "shared":
-            about = tables.get("shared", {}).get(words) or _read("shared")["shared"][words]
+            about = own.get("shared", {}).get(words) or tables("shared")["shared"][words]
         more = {"type": _kind(about["type"])} if "type" in about else {}
         made = click.Option if words.startswith("-") else click.Argument
         found.append(made(words.split(), **about | more))
@@ -41,7 +41,8 @@ def parameters(module: str, command: str) -> list[click.Parameter]:
 
 
 @cache
-def _read(name: str) -> dict[str, dict[str, Any]]:
+def tables(name: str) -> dict[str, dict[str, Any]]:
+    """What stands in a file `NAME.toml` of this package."""
     return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
 
 

@@ -1,20 +1,21 @@
-"""`armctl study`: the command line of every study, in one table: what it is for, and what a person is told.
+"""`armctl study`: the command line of every study, from `study.toml`: its options, and what a person is told.
 
-What a study does stands in a second table by the same names, `armctl/lab/study/studies.py`; its options stand in
-`study.toml`, its columns in `tables.yaml`.
+What a study does stands in a second table by the same names, `armctl/lab/study/studies.py`; the columns that are shown
+stand in `tables.yaml`.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from armctl.cli.output import CONFIG, Output
 from armctl.cli.output import command as answering
+from armctl.cli.parameters import tables
 from armctl.cli.tables import Row, show_rows
 from armctl.errors import ConfigError
 
@@ -28,66 +29,27 @@ class Command:
     """A row of the table."""
 
     help: str
-    # Of the table for people, from its first row.
-    title: Callable[[Row], str]
+    # Of the table for people, filled in from its first row and the number of arms `drawn`.
+    title: str
     # Options that say which cases there are.
-    varied: tuple[str, ...] = ()
+    varied: Sequence[str] = ()
     # Options whose numbers must be whole.
-    whole: tuple[str, ...] = ()
+    whole: Sequence[str] = ()
     # The option that names a file to write.
     file: str | None = None
     # What of the result the table shows.
     table: str = "rows"
-    # Sentences below the table.
-    notes: Callable[[Mapping[str, Sequence[Row]]], Iterable[str]] = field(default=lambda _result: ())
 
 
-COMMANDS = {
-    "ga": Command(
-        "Settings of the genetic algorithm compared on RECORDINGS, or on takes of the simulated hand.\n\n"
-        "Example: armctl study ga --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --population 50,95,200",
-        "Mean distance from the line over {repeats} seeds, mm".format_map,
-        varied=("population", "pc", "pm", "repeats"),
-        whole=("population",),
-    ),
-    "arms": Command(
-        "One line, or PLAN as it stands, on many simulated arms drawn at random: the spread of its true error.\n\n"
-        "Example: armctl study arms --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --via 2,stream --arms 20",
-        lambda first: f"True distance from the line on {first['arms'] + first['refused']} arms, median / worst, mm",
-        varied=("arms",),
-        table="summary",
-        notes=lambda result: (
-            f"arm {row['arm']}, via {row['via']}: {row['refused']}" for row in result["rows"] if row["refused"]
-        ),
-    ),
-    "pareto": Command(
-        "Error against duration and against the number of via points, the best of each marked.\n\n"
-        "RECORDINGS (or takes of the simulated hand) are optimised for every duration. With --arms so many simulated "
-        "arms run every combination, corrected, and are judged by their true tool path.\n\n"
-        "Example: armctl study pareto --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --arms 4 --report pareto.html",
-        "Distance from the line, mm; * no other is better in both".format_map,
-        varied=("durations", "arms"),
-        whole=("via",),
-        file="report",
-    ),
-    "limits": Command(
-        "What limits the corrected line: the experiment on one simulated arm, then with one effect after another "
-        "off.\n\n"
-        "Example: armctl study limits --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --report evidence.html",
-        "True mean distance from the line, mm, one effect off".format_map,
-        file="report",
-        notes=lambda result: (
-            f"via {row['via']}: whole ticks alone {row['ticks_mm']:.2f} mm, zero offsets no encoder sees "
-            f"{row['unseen_mm']:.2f} mm"
-            for row in result["rows"]
-            if row["without"] is None
-        ),
-    ),
-    "paper": Command(
-        "The paper's experiments 1, 2 and 3, five runs each, by its own genetic algorithm: Table II beside ours.\n\n"
-        "Example: armctl study paper --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10 --xlsx angles.xlsx",
-        "Distance from the line by the encoders, mean / maximum, mm".format_map,
-        file="xlsx",
+COMMANDS = {name: Command(**about) for name, about in tables("study")["studies"].items()}
+# A sentence below the table about a row of the result; empty: none.
+NOTES: dict[str, Callable[[Row], str]] = {
+    "arms": lambda row: f"arm {row['arm']}, via {row['via']}: {row['refused']}" if row["refused"] else "",
+    "limits": lambda row: (
+        ""
+        if row["without"]
+        else f"via {row['via']}: whole ticks alone {row['ticks_mm']:.2f} mm, zero offsets no encoder sees "
+        f"{row['unseen_mm']:.2f} mm"
     ),
 }
 
@@ -173,6 +135,7 @@ def show(output: Output, name: str, result: Mapping[str, Sequence[Row]]) -> None
     """The table of a study's result, and the sentences below it."""
     command = COMMANDS[name]
     rows = result[command.table]
-    show_rows(output.console, f"study {name}", command.title(rows[0]), rows)
-    for note in command.notes(result):
+    title = command.title.format_map({**rows[0], "drawn": len({row.get("arm") for row in result["rows"]})})
+    show_rows(output.console, f"study {name}", title, rows)
+    for note in filter(None, map(NOTES.get(name, lambda _: ""), result["rows"])):
         output.say(note)
