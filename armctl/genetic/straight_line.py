@@ -32,7 +32,7 @@ from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.messages import LONGEST_S
 from armctl.trajectory.interpolate import time_of_progress
 from armctl.trajectory.placement import StraightMotion, place
-from armctl.trajectory.plan import Plan
+from armctl.trajectory.plan import Plan, plan_through
 from armctl.trajectory.straightness import distance_to_line, errors_mm, mean_error, progress_along_line
 from armctl.trajectory.via_points import choose_via_points, predict_tool_path
 
@@ -243,7 +243,8 @@ class _Line:
             moved_tool_m = predict_tool_path(chain, moved[:, :n], off_line.knots, interpolation)
             if mean_error(moved_tool_m, *self._ends) < mean_error(tool_m, *self._ends):
                 waypoints, knots, tool_m = moved, off_line.knots, moved_tool_m
-        return plan_through(self._arm, request, waypoints, knots, errors_mm(tool_m, *self._ends))
+        asked = request.model_dump(include={"from_m", "to_m", "duration_s", "interpolation", "seed"})
+        return plan_through(self._arm, waypoints, knots, errors_mm(tool_m, *self._ends), **asked)
 
 
 def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | None:
@@ -257,26 +258,6 @@ def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | 
         middle = (low + high) // 2
         low, high = (low, middle) if kept(middle / 10.0) else (middle, high)
     return high / 10.0
-
-
-def plan_through(
-    arm: ArmConfig, asked: OptimizeRequest, waypoints_rad: FloatArray, knots: FloatArray, predicted_mm: Sequence[float]
-) -> Plan:
-    """The plan of a request through waypoints [rad], shape (k, joints), at the progress of the knots, shape (k,).
-
-    Args:
-        predicted_mm: Mean and largest distance from the line.
-    """
-    return Plan(
-        arm_id=arm.arm_id,
-        calibration_hash=arm.calibration_hash,
-        **asked.model_dump(include={"from_m", "to_m", "duration_s", "interpolation", "seed"}),
-        via=len(knots) - 2,
-        waypoints_rad=tuple(map(tuple, waypoints_rad.tolist())),
-        waypoint_progress=tuple(knots.tolist()),
-        predicted_mean_error_mm=predicted_mm[0],
-        predicted_max_error_mm=predicted_mm[1],
-    )
 
 
 def _stations(duration_s: float, via: Sequence[int]) -> int:

@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from armctl.genetic.algorithm import PAPER
-from armctl.genetic.straight_line import plan_through
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.course import request_of
 from armctl.lab.rig import VirtualRig
 from armctl.lab.study.case import Case, Found
 from armctl.recording.disk import new_file
@@ -22,7 +20,7 @@ from armctl.recording.export import extra
 from armctl.report.line import PRINTED
 from armctl.trajectory.interpolate import joint_path
 from armctl.trajectory.line_path import line_paths
-from armctl.trajectory.plan import Plan
+from armctl.trajectory.plan import Plan, plan_through
 
 # A line of the paper's kind; the paper does not print its ends.
 FROM_M = (0.18, -0.125, 0.10)
@@ -75,7 +73,8 @@ def through_points(rig: VirtualRig, case: Case) -> Plan:
     knots = np.linspace(0.0, 1.0, via + 2)
     waypoints = np.tile([joint.rest_rad for joint in case.arm.joints], (len(knots), 1))
     waypoints[:, : rig.robot.chain.n] = joint_path(way, np.linspace(0.0, 1.0, len(way)), knots, "cubic")
-    return plan_through(case.arm, request_of(line, case.seed, interpolation="linear"), waypoints, knots, (0.0, 0.0))
+    asked = {"from_m": case.from_m, "to_m": case.to_m, "duration_s": case.duration_s, "seed": case.seed}
+    return plan_through(case.arm, waypoints, knots, (0.0, 0.0), interpolation="linear", **asked)
 
 
 def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[Found]) -> None:

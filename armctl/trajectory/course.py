@@ -28,7 +28,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.placement import Objective, StraightMotion, place
-from armctl.trajectory.plan import Plan, plan_positions
+from armctl.trajectory.plan import Plan, plan_positions, plan_through
 from armctl.trajectory.straightness import errors_mm
 
 # Kept free before each joint limit: a curve through waypoints swings a little further than they do.
@@ -120,23 +120,12 @@ def placed(on: Driven, course: Course, *, move_knots: bool = False, held: FloatA
 
 def plan_of(on: Driven, course: Course, seed: int) -> Plan:
     """The course as a plan for the daemon; its prediction is where the arm is expected, without rounding to ticks."""
-    line, arm = course.line, on.arm
+    line = course.line
     points = tool_position(on.robot.chain, course.expected_rad) + course.offset_m
-    mean_mm, max_mm = line.errors_mm(points)
-    return Plan(
-        arm_id=arm.arm_id,
-        calibration_hash=arm.calibration_hash,
-        from_m=tuple(line.A.tolist()),
-        to_m=tuple(line.B.tolist()),
-        duration_s=line.duration_s,
-        via=len(course.knots) - 2,
-        interpolation=course.kind,
-        waypoints_rad=tuple(map(tuple, np.concatenate([course.waypoints, course.beyond_rad], axis=1).tolist())),
-        waypoint_progress=tuple(course.knots.tolist()),
-        predicted_mean_error_mm=mean_mm,
-        predicted_max_error_mm=max_mm,
-        seed=seed,
-    )
+    waypoints = np.concatenate([course.waypoints, course.beyond_rad], axis=1)
+    ends_m = {"from_m": tuple(line.A.tolist()), "to_m": tuple(line.B.tolist())}
+    how = {"duration_s": line.duration_s, "interpolation": course.kind, "seed": seed}
+    return plan_through(on.arm, waypoints, course.knots, line.errors_mm(points), **ends_m, **how)
 
 
 def course_of(on: Driven, plan: Plan) -> Course:

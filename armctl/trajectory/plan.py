@@ -79,6 +79,27 @@ class Plan(Frozen):
         return self
 
 
+def plan_through(
+    arm: ArmConfig, waypoints_rad: FloatArray, knots: FloatArray, predicted_mm: Sequence[float], **asked: Any
+) -> Plan:
+    """The plan through waypoints [rad], shape (k, joints), at the progress of the knots, shape (k,).
+
+    Args:
+        predicted_mm: Mean and largest distance from the line.
+        asked: The fields that say which line it is and how it is gone: ends, duration, interpolation, seed.
+    """
+    return Plan(
+        arm_id=arm.arm_id,
+        calibration_hash=arm.calibration_hash,
+        via=len(knots) - 2,
+        waypoints_rad=tuple(map(tuple, waypoints_rad.tolist())),
+        waypoint_progress=tuple(knots.tolist()),
+        predicted_mean_error_mm=predicted_mm[0],
+        predicted_max_error_mm=predicted_mm[1],
+        **asked,
+    )
+
+
 def plan_to_text(plan: Plan) -> str:
     """The plan as JSON, indented for people, every bit kept."""
     return json.dumps(plan.model_dump(mode="json"), indent=1, allow_nan=False) + "\n"
