@@ -262,6 +262,18 @@ def test_7_a_joint_that_comes_from_below_its_rest_is_led_there_by_goals_beyond_i
     assert ("7" in holding.broken) == seen
 
 
+@pytest.mark.parametrize(("came", "steps", "seen"), [(509, 4, False), (509, 6, True), (480, 4, True)])
+def test_7_a_joint_that_came_from_near_its_rest_is_led_to_either_side_of_it_as_far_as_a_correction_may_be(
+    holding: Bench, came: int, steps: int, seen: bool
+) -> None:
+    holding.servos[0].goal = came  # the base rests at 512
+    holding.at(float(came))
+    holding.ticks(35, Mode.FAULTED, "HOT")
+    for _ in range(steps):
+        holding.move(-5, follow=False, mode=Mode.FAULTED, code="HOT")
+    assert ("7" in holding.broken) == seen
+
+
 @pytest.mark.parametrize(("mode", "code", "broken"), [(Mode.JOGGING, "", set()), (Mode.FAULTED, "HOT", {"7"})])
 def test_7_a_jog_that_comes_with_clear_is_no_way_to_rest_once_the_fault_is_gone(
     holding: Bench, mode: Mode, code: str, broken: set[str]

@@ -156,10 +156,13 @@ class TorqueJudge(StandingJudge):
             self._violate("2", now_s, i, f"brought back {away * TICK_DEG:.1f} deg to goal {goal} (bound 12)")
 
     def _off_rest(self, i: int, goal: int) -> float:
-        """How far a goal is off rest [ticks]; beyond it as its joint comes, what a correction may be does not count."""
-        rest = self._rest[i]
+        """How far a goal is off rest [ticks]; beyond it as its joint comes, what a correction may be does not count.
+
+        Of one that came from as near as that nobody can tell from which side it was to come.
+        """
+        rest, bent = self._rest[i], CORRECTION_DEG / TICK_DEG
         beyond = any((goal - rest) * (rest - place) > 0.0 for place in (self._told[i], self._came[i]))
-        return max(0.0, abs(goal - rest) - beyond * CORRECTION_DEG / TICK_DEG)
+        return max(0.0, abs(goal - rest) - bent * (beyond or abs(self._came[i] - rest) <= bent))
 
     def _led_to_rest(self, now_s: float, i: int, known: int, goal: int) -> None:
         """A goal goes on while a fault is told that may send the arm to rest."""
