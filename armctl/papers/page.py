@@ -42,7 +42,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of a paper, redrawn when asked for."""
+    """A figure of a paper, redrawn when asked for; those with one title in a row are its parts, side by side."""
 
     title: str
     description: str
@@ -80,7 +80,7 @@ KINDS = {"equal": "equal", "misprint": "misprint", "differs": "differs", "not": 
 
 def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) -> None:
     """Write the page: of every paper its quantities, figures and tables, and every entry that it prints."""
-    page = Page("Five papers, recomputed", contents=True)
+    page = Page("Five papers, recomputed")
     page.text(
         "Each quantity that a paper prints is shown beside the one computed here. Equal: the same to the printed "
         "digits, or by algebra. Misprint: print contradicts itself or the model of the paper, as numbers prove. "
@@ -92,17 +92,14 @@ def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) ->
         page.chapter(f"{report.paper}: {report.title}")
         page.text(*report.notes)
         page.heading(f"{report.paper}, quantities")
-        page.table(
-            ("quantity", "printed", "armctl", "unit", "verdict"),
-            [
-                (row.quantity, shown(row.printed), shown(row.armctl), row.unit, marked(row.verdict, row.verdict))
-                for row in report.rows
-            ],
-            words=True,
-        )
-        for picture in report.pictures:
-            page.heading(f"{report.paper}, {picture.title}")
-            page.figure(picture.draw(), picture.description)
+        rows = [
+            (row.quantity, shown(row.printed), shown(row.armctl), row.unit, marked(row.verdict, row.verdict))
+            for row in report.rows
+        ]
+        page.table(("quantity", "printed", "armctl", "unit", "verdict"), rows, words=True)
+        for title, views in groupby(report.pictures, key=lambda one: one.title):
+            page.heading(f"{report.paper}, {title}")
+            page.figures((view.draw(), view.description) for view in views)
         for table in report.tables:
             page.heading(f"{report.paper}, {table.title}")
             page.table(table.header, table.rows, table.caption)

@@ -21,7 +21,7 @@ from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, 
 from armctl.papers.transcription import introduced, said
 from armctl.papers.verdict import Effort, claim, error, unprinted
 from armctl.report import kinematics as drawn
-from armctl.report.page import Figure, axes
+from armctl.report.page import Figure, axes, curve
 
 # The standard algorithm with as many evaluations as the improved one.
 STANDARD = replace(plain.PAPER, population=improved.DEFAULT.populations * improved.DEFAULT.individuals)
@@ -116,7 +116,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     found, plain_found = errors(robot, better.q_rad, T), errors(robot, standard.q_rad, T)
     middle = _middle(found)
     arms = {"wanted": _wanted_arm(robot, better.q_rad[middle]), "found (median run)": better.q_rad[middle]}
-    title = "Figs. 2 and 3: the arm {}"
+    title = "Figs. 2 and 3: the arm, wanted and found"
     return PaperReport(
         *introduced("001", **asdict(improved.DEFAULT), weight=POSITION_WEIGHT),
         (
@@ -125,8 +125,12 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         ),
         (_table_2(robot, better.q_rad[middle], standard.q_rad[_middle(plain_found)]), knocked_out),
         (
-            Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, better, standard)),
-            *pictures(drawn.ARM_VIEWS, title, "wanted and found arm, {}", drawn.arm, robot.chain, arms),
+            Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, robot, better, standard)),
+            *(
+                Picture(title, f"Fig. {number}: {name}", partial(drawn.arm, robot.chain, {name: q}))
+                for number, (name, q) in enumerate(arms.items(), start=2)
+            ),
+            *pictures(drawn.FLAT, title, "both, {}", drawn.arm, robot.chain, arms),
         ),
     )
 
@@ -140,7 +144,7 @@ def _knocked_out(robot: Robot, T: FloatArray, some: FloatArray, seed: int, show:
         missed = errors(robot, improved.evolve(problem(robot, poses), settings, seeds).q_rad, poses)
         for part in (slice(len(T)), slice(len(T), None)):
             away_mm, turn = missed.position_m[part] * 1e3, float(np.median(missed.turn_rad[part]))
-            cells += [f"{np.median(away_mm):.2f}", f"{np.quantile(away_mm, 0.9):.2f}", f"{turn:.4f}"]
+            cells += [f"{value:.2g}" for value in (np.median(away_mm), np.quantile(away_mm, 0.9), turn)]
         rows.append((name, *cells))
         show(done, name)
     of = ("median mm", "90 % mm", "median rad")
@@ -205,9 +209,18 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
     return Table("Table 2: position and RPY", ("", "px m", "py m", "pz m", "roll", "pitch", "yaw"), tuple(rows), "rad")
 
 
-def _curves(better: Evolution, standard: Evolution) -> Figure:
-    figure = axes("generation", "error of eq. (4)", 420, yaxis_type="log")
-    for run, name, colour in ((better, "improved", drawn.COLOURS[2]), (standard, "standard", drawn.COLOURS[0])):
+def _curves(robot: Robot, better: Evolution, standard: Evolution) -> Figure:
+    """Down to a tenth of the error that print ends with: what lies below would take most of a logarithmic axis."""
+    figure = axes("generation", "error of eq. (4)", drawn.HEIGHT, yaxis_type="log")
+    wanted, printed = wanted_pose()[:3], []
+    for run, name, line, colour in (
+        (better, "improved", IMPROVED_XYZ_RPY, drawn.COLOURS[2]),
+        (standard, "standard", STANDARD_XYZ_RPY, drawn.COLOURS[0]),
+    ):
         costs = (np.median(cost, axis=1) for cost in (run.best_cost, run.mean_cost))
         by_generation(figure, f"{name}, {{}} (median)", colour, *costs)
+        squares = ((pose_from_xyz_rpy(*line)[:3] - wanted) ** 2).sum(axis=0)
+        printed.append(float(squares @ (1.0, 1.0, 1.0, POSITION_WEIGHT)))
+        curve(figure, [1, len(run.best_cost)], printed[-1:] * 2, f"{name}, in Table 2", colour, dash="dash")
+    figure.update_yaxes(range=np.log10([printed[0] / 10.0, 100.0]), dtick=1, exponentformat="power")
     return figure

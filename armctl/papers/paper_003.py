@@ -6,6 +6,7 @@ import numpy as np
 
 from armctl.kinematics import robots, workspace
 from armctl.kinematics.chain import tool_position
+from armctl.kinematics.robots.papers import FIG_5_DEG
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
@@ -59,25 +60,21 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     rows = (
         claim("poses through IK and back", said("003", "no_error"), max(worst, away), away < 1e-9, unit="m, rad"),
         claim("solutions of a pose at most", said("003", "solutions"), str(most), most == 4),
-        *_workspace_rows(robot, points),
-        *_trajectory_rows(robot, motion),
+        *_rows(robot, points, motion),
     )
     return PaperReport(
         *introduced("003"), rows, (_extent_table(extent, points),), tuple(_pictures(robot, extent, points, motion))
     )
 
 
-def _workspace_rows(robot: Robot, points: FloatArray) -> list[Row]:
+def _rows(robot: Robot, points: FloatArray, motion: Curves) -> list[Row]:
     notch = float(np.hypot(points[:, 0], points[:, 1]).min()) * 1e3
     offset = robot.lengths_m["d2"] * 1e3
     hollow = f"radius of the cylindrical notch, Fig. 4 (d2 = {offset:g} mm)"
-    return [claim(hollow, said("003", "notch"), notch, notch >= offset - 1e-6, unit="mm")]
-
-
-def _trajectory_rows(robot: Robot, motion: Curves) -> list[Row]:
     missed = float(np.linalg.norm(motion.tool_position_m[-1] - tool_position(robot.chain, np.radians(END_DEG))))
     steps = float(np.abs(np.diff(motion.acceleration_rad_s2, axis=0)).max() / np.abs(motion.acceleration_rad_s2).max())
     return [
+        claim(hollow, said("003", "notch"), notch, notch >= offset - 1e-6, unit="mm"),
         claim("distance of the trajectory's end", said("003", "reached"), missed, missed < EXACT, unit="m"),
         claim("greatest step of acceleration between samples, of its peak", said("003", "smooth"), steps, steps < 0.1),
     ]
@@ -96,10 +93,12 @@ def _extent_table(extent: FloatArray, points: FloatArray) -> Table:
 def _pictures(robot: Robot, extent: FloatArray, points: FloatArray, motion: Curves) -> list[Picture]:
     ends = {"start": motion.position_rad[0], "end": motion.position_rad[-1]}
     space = partial(drawn.arm, robot.chain, ends, tool_m=motion.tool_position_m)
-    described = "{} of random configurations"
+    described, tested = "{} of random configurations", {"arm": np.radians(FIG_5_DEG)}
     return [
-        *pictures(drawn.WORKSPACE_VIEWS, "Fig. 4: {}", described, drawn.workspace, points, extent),
+        *pictures(drawn.WORKSPACE_VIEWS, "Fig. 4: workspace", described, drawn.workspace, points, extent),
+        *pictures(drawn.ARM_VIEWS[:3:2], f"Fig. 5: the arm at {FIG_5_DEG} deg", "{}", drawn.arm, robot.chain, tested),
         Picture("Fig. 6: path of the tool", "the arm at both ends and the path of its tool", space),
-        *pictures(list(drawn.CURVES)[3:6], "Fig. 7: {}", "{} over time", drawn.curve, motion),
-        *pictures(list(drawn.CURVES)[:3], "Fig. 8: {}", "{} over time", drawn.curve, motion),
+        *pictures(list(drawn.CURVES)[3:4], "Fig. 7: position of the tool", "{} over time", drawn.curve, motion),
+        *pictures(list(drawn.CURVES)[:3], "Fig. 8: joint 1", "{} over time", partial(drawn.curve, first=1), motion),
+        *pictures(list(drawn.CURVES)[4:6], "the tool's other curves", "{} over time", drawn.curve, motion),
     ]

@@ -5,6 +5,7 @@ A figure that is a mean of several runs is shown with their spread. Where the tr
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,20 +54,13 @@ def _table(page: Page, report: line.ExperimentReport) -> None:
         own = [own_chord_mm(run.truth_tool_m) for run in one.runs if run.truth_tool_m is not None]
         durations = [run.duration_s for run in one.runs]
         paper = line.PRINTED.get(one.via) if isinstance(one.via, int) else None
-        rows.append(
-            (
-                one.via,
-                "{:.1f} / {:.1f}".format(*errors_mm(one.before.real_tool_m, *report.ends)),
-                f"{one.runs[0].predicted_mean_mm:.2f} / {one.runs[0].predicted_max_mm:.2f}",
-                _spread(by_encoder),
-                "-" if paper is None else f"{paper.errors} in {paper.duration_s:.1f} s",
-                _spread(truths) if truths else "unknown",
-                _spread(own) if own else "unknown",
-                f"{np.mean(durations):.2f}" + (f" ± {np.std(durations):.2f}" if len(durations) > 1 else ""),
-                len(one.runs),
-                len(one.rounds) - 1,
-            )
-        )
+        before, first = errors_mm(one.before.real_tool_m, *report.ends), one.runs[0]
+        predicted = f"{first.predicted_mean_mm:.2f} / {first.predicted_max_mm:.2f}"
+        printed = "-" if paper is None else f"{paper.errors} in {paper.duration_s:.1f} s"
+        true = (_spread(some) if some else "unknown" for some in (truths, own))
+        took = f"{np.mean(durations):.2f}" + (f" ± {np.std(durations):.2f}" if len(durations) > 1 else "")
+        measured = (_spread(by_encoder), printed, *true, took, len(one.runs), len(one.rounds) - 1)
+        rows.append((one.via, "{:.1f} / {:.1f}".format(*before), predicted, *measured))
     page.heading("Distance from the line")
     page.table(
         ("via", "before", "predicted", "by encoders", "paper", "true", "own line", "time s", "repeats", "corrections"),
@@ -166,18 +160,14 @@ def _limits(page: Page, report: line.ExperimentReport) -> None:
                 chart.add_bar(x=names, y=values, error_y=spread, name=_name(via), marker=marker)
     page.table(
         ("via", "without", "before, mm", "after, mm", "whole ticks, mm", "zero offsets, mm"),
-        [
-            (
-                row["via"],
-                row["without"] or "nothing: all effects",
-                f"{row['before_mm']:.2f}",
-                f"{row['after_mm']:.2f} ± {row['spread_mm']:.2f}",
-                f"{row['ticks_mm']:.2f}" if row["without"] is None else "",
-                f"{row['unseen_mm']:.2f}" if row["without"] is None else "",
-            )
-            for row in report.limits
-        ],
+        [_limit(row) for row in report.limits],
         "The shares do not add up, because the effects depend on one another. Whole ticks: the error that rounding "
         "goals to ticks causes on perfect servos. Zero offsets: the mean error by offsets of up to half a tick, which "
         "no encoder sees.",
     )
+
+
+def _limit(row: dict[str, Any]) -> tuple[str, ...]:
+    floors = (f"{row[floor]:.2f}" if row["without"] is None else "" for floor in ("ticks_mm", "unseen_mm"))
+    after = f"{row['after_mm']:.2f} ± {row['spread_mm']:.2f}"
+    return str(row["via"]), row["without"] or "nothing: all effects", f"{row['before_mm']:.2f}", after, *floors

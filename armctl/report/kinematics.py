@@ -13,11 +13,11 @@ from armctl.kinematics.chain import SerialChain, link_frames
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.kinematics.workspace import ReachabilityMap
-from armctl.report.page import Figure, Page, plotly
+from armctl.report.page import CLOSE, Figure, Page, axes, in_space, plotly
 from armctl.trajectory.quintic import Curves
 
-# Points of a cloud that are drawn, on a page of its own and among other pictures; more only make the page slow.
-SHOWN_POINTS, SHOWN_AMONG_OTHERS = 8000, 2500
+# Points of a cloud that are drawn; more only make the page slow.
+SHOWN_POINTS = 5000
 COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3", "#555555")
 IN_SPACE = "from the side and above"
 # View -> the axes to the right and upwards.
@@ -26,7 +26,9 @@ ARM_VIEWS = (IN_SPACE, *FLAT)
 PLANES = {f"Projection on {'xyz'[i]}{'xyz'[j]}": (i, j) for i, j in FLAT.values()}
 WORKSPACE_IN_SPACE = "Workspace in 3D"
 WORKSPACE_VIEWS = (WORKSPACE_IN_SPACE, *PLANES)
-# What of a trajectory is drawn -> the field of `Curves`, and the unit it is drawn in.
+UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+HEIGHT = 440
+# What of a trajectory is drawn -> the field of `Curves`, and its unit there; metres are drawn as millimetres.
 CURVES: dict[str, tuple[str, str]] = {
     "Joint positions": ("position_rad", "deg"),
     "Joint velocities": ("velocity_rad_s", "deg/s"),
@@ -40,83 +42,70 @@ CURVES: dict[str, tuple[str, str]] = {
 
 
 def arm(
-    chain: SerialChain, arms: dict[str, FloatArray], view: str = IN_SPACE, tool_m: FloatArray | None = None
+    chain: SerialChain,
+    arms: dict[str, FloatArray],
+    view: str = IN_SPACE,
+    tool_m: FloatArray | None = None,
+    *,
+    unit: str = "mm",
 ) -> Figure:
-    """Arms as lines through their joints.
+    """Arms as lines through their joints, to one scale.
 
     Args:
         arms: Configuration [rad], shape (n,), of each arm by its name.
         view: One of `ARM_VIEWS`.
         tool_m: The path of a tool in space, shape (m, 3).
+        unit: One of `UNITS`.
     """
-    lines: list[dict[str, Any]] = []
+    lines, drawn, plane = list[dict[str, Any]](), list[FloatArray](), FLAT.get(view)
     for k, ((name, q), colour) in enumerate(zip(arms.items(), COLOURS, strict=False)):
-        x, y, z = points = link_frames(chain, q)[:, :3, 3].T
-        line = {"mode": "lines+markers", "name": name}
-        if view == IN_SPACE:
-            style = {"line": {"width": 8, "color": colour}, "marker": {"size": 4, "color": colour}}
-            lines.append({"type": "scatter3d", "x": x, "y": y, "z": z, **line, **style})
-        else:
-            i, j = FLAT[view]
-            # Where arms coincide the first still shows around the second.
-            style = {"line": {"color": colour, "width": 9 if k == 0 else 3}, "marker": {"size": 8, "color": colour}}
-            lines.append({"type": "scatter", "x": points[i], "y": points[j], **line, **style})
+        drawn.append(link_frames(chain, q)[:, :3, 3] * UNITS[unit])
+        # Where arms coincide the first still shows around the second.
+        style = {"line": {"color": colour, "width": 9 if k == 0 else 4}, "marker": {"size": 5, "color": colour}}
+        lines.append({**_along(drawn[-1], plane), "mode": "lines+markers", "name": name, **style})
     if tool_m is not None:
-        x, y, z = tool_m.T
-        lines.append({"type": "scatter3d", "x": x, "y": y, "z": z, "mode": "lines", "name": "tool path"})
-    return plotly()(lines, layout=_space() if view == IN_SPACE else _plane(*FLAT[view], height=420))
+        drawn.append(tool_m * UNITS[unit])
+        lines.append({**_along(drawn[-1], plane), "mode": "lines", "name": "tool path"})
+    return _seen(lines, np.concatenate(drawn), plane, unit)
 
 
-def workspace(points_m: FloatArray, extent_m: FloatArray, view: str, *, alone: bool = False) -> Figure:
-    """A cloud, shape (m, 3), and the box of its exact extents, shape (3, 2).
-
-    Args:
-        view: One of `WORKSPACE_VIEWS`.
-        alone: Whether this is the page's only subject: then more points are drawn.
-    """
-    most = SHOWN_POINTS if alone or view == WORKSPACE_IN_SPACE else SHOWN_AMONG_OTHERS
-    x, y, z = shown = points_m[:: max(1, len(points_m) // most)].T
-    if view == WORKSPACE_IN_SPACE:
-        marker: dict[str, Any] = {"size": 1.2, "color": z}
-        cloud = {"type": "scatter3d", "x": x, "y": y, "z": z, "mode": "markers", "marker": marker}
-        return plotly()([cloud], layout=_space())
-    i, j = PLANES[view]
-    (left, right), (low, high) = extent_m[i], extent_m[j]
-    marker = {"size": 2 if alone else 3, "color": COLOURS[3], "opacity": 0.4 if alone else 0.45}
-    dots = {"type": "scattergl" if alone else "scatter", "mode": "markers", "name": "random configurations"}
-    line = {"color": COLOURS[0], "width": 1 if alone else 2}
-    corners = {"x": [left, right, right, left, left], "y": [low, low, high, high, low]}
-    return plotly()(
-        [
-            {**dots, "x": shown[i], "y": shown[j], "marker": marker},
-            {"type": "scatter", "mode": "lines", "name": "exact extents", "line": line, **corners},
-        ],
-        layout=_plane(i, j, height=480 if alone else 420),
-    )
+def workspace(points_m: FloatArray, extent_m: FloatArray, view: str) -> Figure:
+    """A cloud, shape (m, 3), and the box of its exact extents, shape (3, 2); `view`: one of `WORKSPACE_VIEWS`."""
+    shown, plane = points_m[:: max(1, len(points_m) // SHOWN_POINTS)] * 1e3, PLANES.get(view)
+    marker = {"size": 1.3, "color": COLOURS[3]} if plane is None else {"size": 2, "color": COLOURS[3], "opacity": 0.45}
+    lines = [{**_along(shown, plane), "mode": "markers", "name": "random configurations", "marker": marker}]
+    if plane is not None:
+        (left, right), (low, high) = extent_m[list(plane)] * 1e3
+        corners = {"x": [left, right, right, left, left], "y": [low, low, high, high, low], "type": "scatter"}
+        lines.append({**corners, "name": "exact extents", "line": {"color": COLOURS[0], "width": 2}})
+    return _seen(lines, shown, plane)
 
 
 def reachability(reach: ReachabilityMap) -> Figure:
     """The points of a grid that are in reach; the colour tells in how many ways."""
-    x, y, z = reach.points_m[reach.reachable].T
+    shown = reach.points_m[reach.reachable] * 1e3
     marker = {"size": 3, "color": reach.share[reach.reachable], "colorbar": {"title": "share"}, "opacity": 0.7}
-    points = {"type": "scatter3d", "x": x, "y": y, "z": z, "mode": "markers", "marker": marker}
-    return plotly()([points], layout=_space())
+    return _seen([{**_along(shown, None), "mode": "markers", "marker": marker}], shown, None)
 
 
-def curve(curves: Curves, title: str) -> Figure:
-    """One of `CURVES` over time, a line for each joint or axis."""
+def curve(curves: Curves, title: str, first: int | None = None) -> Figure:
+    """One of `CURVES` over time, a line for each joint or axis; all but the `first` ones on demand."""
     field, unit = CURVES[title]
-    values = getattr(curves, field)
+    values, unit = in_mm(getattr(curves, field), unit)
     if unit.startswith("deg"):
         values, names = np.degrees(values), [f"joint {i + 1}" for i in range(values.shape[1])]
     else:
         names = ["x", "y", "z"]
-    lines = [
-        {"type": "scatter", "x": curves.time_s, "y": column, "name": name, "line": {"color": colour}}
-        for column, name, colour in zip(values.T, names, COLOURS * 6, strict=False)
-    ]
-    axes = {"xaxis": {"title": "time [s]"}, "yaxis": {"title": unit}}
-    return plotly()(lines, layout={**axes, "height": 320, "margin": {"t": 20, "b": 60}})
+    chart = axes("time [s]", f"{title.lower()} [{unit}]", 320)
+    for k, (column, name, colour) in enumerate(zip(values.T, names, COLOURS * 6, strict=False)):
+        shown = True if first is None or k < first else "legendonly"
+        chart.add_scatter(x=curves.time_s, y=column, name=name, line={"color": colour}, visible=shown)
+    return chart
+
+
+def in_mm(values: FloatArray, unit: str) -> tuple[FloatArray, str]:
+    """What is in metres (a second ...) in millimetres; anything else as it is."""
+    return (values * 1e3, f"m{unit}") if unit.startswith("m") else (values, unit)
 
 
 def write_workspace(
@@ -125,16 +114,13 @@ def write_workspace(
     """A page with the workspace."""
     page = Page(f"Workspace of {robot.name}")
     page.text(robot.source)
-    low, high = points_m.min(axis=0), points_m.max(axis=0)
-    rows = [
-        (axis, f"{extent_m[i, 0]:.6f}", f"{extent_m[i, 1]:.6f}", f"{low[i]:.6f}", f"{high[i]:.6f}")
-        for i, axis in enumerate("xyz")
-    ]
-    note = f"metres, within the joint ranges; random: {len(points_m)} configurations"
+    boxes_mm = np.column_stack([extent_m, points_m.min(axis=0), points_m.max(axis=0)]) * 1e3
+    rows = [(axis, *(f"{value:.3f}" for value in row)) for axis, row in zip("xyz", boxes_mm, strict=True)]
+    note = f"millimetres, within the joint ranges; random: {len(points_m)} configurations"
     page.table(("axis", "exact least", "exact greatest", "random least", "random greatest"), rows, note)
     for view in (WORKSPACE_IN_SPACE, *sorted(PLANES)):
         page.heading(view)
-        page.figure(workspace(points_m, extent_m, view, alone=True), f"{view}: tool points of random configurations")
+        page.figure(workspace(points_m, extent_m, view), f"{view}: tool points of random configurations")
     if reach is not None:
         page.heading("Reachability")
         page.text("Colour: the share of the directions and branches tried at a point that keeps the joint ranges.")
@@ -154,12 +140,18 @@ def write_trajectory(robot: Robot, curves: Curves, path: Path) -> None:
     page.write(path)
 
 
-def _space() -> dict[str, Any]:
-    camera = {"eye": {"x": 1.4, "y": 1.4, "z": 0.9}, "projection": {"type": "orthographic"}}
-    axes = {f"{axis}axis": {"title": f"{axis} [m]"} for axis in "xyz"}
-    return {"scene": {"aspectmode": "data", "camera": camera, **axes}, "height": 560}
+def _along(points: FloatArray, plane: tuple[int, int] | None) -> dict[str, Any]:
+    """A curve through points, shape (m, 3), in space or flat."""
+    x, *more = points.T if plane is None else points.T[list(plane)]
+    return {"type": "scatter", "x": x, "y": more[0]} | ({"type": "scatter3d", "z": more[1]} if plane is None else {})
 
 
-def _plane(i: int, j: int, height: int) -> dict[str, Any]:
-    up = {"title": f"{'xyz'[j]} [m]", "scaleanchor": "x"}
-    return {"xaxis": {"title": f"{'xyz'[i]} [m]"}, "yaxis": up, "height": height}
+def _seen(lines: list[dict[str, Any]], points: FloatArray, plane: tuple[int, int] | None, unit: str = "mm") -> Figure:
+    """A chart of lines around points [unit], shape (m, 3): in space, or flat with two axes to one scale."""
+    chart = plotly()(lines, layout={**CLOSE, "height": HEIGHT})
+    if plane is None:
+        in_space(chart, points, unit)
+        return chart
+    right, up = ({"title": f"{'xyz'[axis]} [{unit}]", "constrain": "domain"} for axis in plane)
+    chart.update_layout(xaxis=right, yaxis={**up, "scaleanchor": "x"})
+    return chart

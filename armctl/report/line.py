@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.page import Page, cube, curve
+from armctl.report.page import Page, curve, in_space
 from armctl.trajectory.straightness import distance_to_line, errors_mm, own_chord_mm
 
 
@@ -159,19 +159,10 @@ def _table(page: Page, report: LineReport) -> None:
         truth = None if run.truth_tool_m is None else errors_mm(run.truth_tool_m, *report.ends)
         own = None if run.truth_tool_m is None else own_chord_mm(run.truth_tool_m)
         paper = PRINTED.get(run.via)
-        rows.append(
-            (
-                run.via,
-                run.goals,
-                f"{run.predicted_mean_mm:.1f} / {run.predicted_max_mm:.1f}",
-                "{:.1f} / {:.1f}".format(*encoder),
-                "-" if paper is None else paper.errors,
-                "-" if truth is None else "{:.1f} / {:.1f}".format(*truth),
-                "-" if own is None else "{:.1f} / {:.1f}".format(*own),
-                f"{run.duration_s:.1f}",
-                "-" if paper is None else f"{paper.duration_s:.1f}",
-            )
-        )
+        pairs = ((run.predicted_mean_mm, run.predicted_max_mm), encoder, paper and paper[:2], truth, own)
+        told = ("-" if pair is None else "{:.1f} / {:.1f}".format(*pair) for pair in pairs)
+        took = "-" if paper is None else f"{paper.duration_s:.1f}"
+        rows.append((run.via, run.goals, *told, f"{run.duration_s:.1f}", took))
     page.heading("Distance from the line")
     page.table(
         ("via points", "goals", "predicted", "by encoders", "paper", "true", "own line", "time s", "paper's time s"),
@@ -320,12 +311,16 @@ def _joint_figures(page: Page, report: LineReport) -> None:
 def space_figure(page: Page, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]], description: str) -> None:
     """Add tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
     with page.chart(description, "Tool paths in space", "", "", height=600) as chart:
-        AB = np.stack(ends) * 1000.0
-        x, y, z = AB.T
-        style = {"line": {"color": GREY, "width": 6}, "marker": {"size": 4, "color": GREY}}
-        chart.add_scatter3d(x=x, y=y, z=z, mode="lines+markers", name="line AB", **style)
-        for name, points, colour in paths:
-            x, y, z = points.T * 1000.0
-            chart.add_scatter3d(x=x, y=y, z=z, mode="lines", name=name, line={"color": colour, "width": 4})
-        camera = {"eye": {"x": 1.3, "y": -1.3, "z": 0.8}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
-        cube(chart, np.concatenate([AB, *(points * 1000.0 for _, points, _ in paths)]), camera)
+        paths_in_space(chart, ends, paths)
+
+
+def paths_in_space(chart: Any, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]]) -> None:
+    """Draw what `space_figure` adds."""
+    AB = np.stack(ends) * 1000.0
+    x, y, z = AB.T
+    style = {"line": {"color": GREY, "width": 6}, "marker": {"size": 4, "color": GREY}}
+    chart.add_scatter3d(x=x, y=y, z=z, mode="lines+markers", name="line AB", **style)
+    for name, points, colour in paths:
+        x, y, z = points.T * 1000.0
+        chart.add_scatter3d(x=x, y=y, z=z, mode="lines", name=name, line={"color": colour, "width": 4})
+    in_space(chart, np.concatenate([AB, *(points * 1000.0 for _, points, _ in paths)]))

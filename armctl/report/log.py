@@ -15,7 +15,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import new_file
 from armctl.recording.timeline import Motion, Timeline
-from armctl.report.page import Page, cube, curve
+from armctl.report.page import Page, curve, in_space
 from armctl.trajectory.straightness import distance_to_line
 
 # Most points of a curve; a longer log shows the extremes of each stretch.
@@ -110,17 +110,10 @@ def _state_figure(page: Page, timeline: Timeline) -> None:
     with page.chart(description, title, "time, s", "", height=220, barmode="overlay") as chart:
         seen: set[str] = set()
         for row, name, colour, begin_s, end_s in rows:
-            chart.add_bar(
-                y=[row],
-                base=[begin_s],
-                x=[end_s - begin_s],
-                orientation="h",
-                name=name,
-                legendgroup=name,
-                showlegend=name not in seen,
-                marker={"color": STATE_COLOURS.get(name, colour)},
-                hovertemplate=f"{name}, {begin_s:.1f} to {end_s:.1f} s<extra></extra>",
-            )
+            bar = {"y": [row], "base": [begin_s], "x": [end_s - begin_s], "orientation": "h", "name": name}
+            look = {"marker": {"color": STATE_COLOURS.get(name, colour)}, "showlegend": name not in seen}
+            hover = f"{name}, {begin_s:.1f} to {end_s:.1f} s<extra></extra>"
+            chart.add_bar(**bar, **look, legendgroup=name, hovertemplate=hover)
             seen.add(name)
         chart.update_yaxes(categoryorder="array", categoryarray=["fault", "state"])
     if faults:
@@ -167,8 +160,7 @@ def _tool_figure(page: Page, timeline: Timeline) -> None:
     with page.chart(description, "Tool path by the encoders", "", "", height=560) as chart:
         hover = "%{x:.1f}, %{y:.1f}, %{z:.1f} mm<extra></extra>"
         chart.add_scatter3d(x=x, y=y, z=z, mode="lines", line=line, name="tool", hovertemplate=hover)
-        camera = {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}}
-        cube(chart, np.stack([x, y, z], axis=1), camera)
+        in_space(chart, np.stack([x, y, z], axis=1))
 
 
 def _line_figures(page: Page, timeline: Timeline) -> None:
@@ -215,12 +207,9 @@ def _event_table(page: Page, timeline: Timeline) -> None:
     page.heading("Events")
     shown = timeline.happenings[:EVENTS]
     left_out = len(timeline.happenings) - len(shown)
-    page.table(
-        ("time s", "level", "event"),
-        [
-            (f"{(one.time_ns - timeline.start_ns) / NS_PER_S:.1f}", LEVELS.get(one.level, str(one.level)), one.text)
-            for one in shown
-        ],
-        f"The first {EVENTS}; {left_out} more stand in the log." if left_out else "",
-        words=True,
-    )
+    note = f"The first {EVENTS}; {left_out} more stand in the log." if left_out else ""
+    rows = [
+        (f"{(one.time_ns - timeline.start_ns) / NS_PER_S:.1f}", LEVELS.get(one.level, str(one.level)), one.text)
+        for one in shown
+    ]
+    page.table(("time s", "level", "event"), rows, note, words=True)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import html
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -21,6 +20,17 @@ Figure: TypeAlias = "go.Figure"
 
 # Looks of a page.
 _STYLE = Path(__file__).with_name("page.css")
+# What a chart without a title has around it: its legend stands in one line above.
+CLOSE: dict[str, Any] = {
+    "margin": {"l": 60, "r": 15, "t": 30, "b": 50},
+    "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"},
+}
+# Seen as MATLAB's plots in space are: from the left, half from above.
+CAMERA: dict[str, Any] = {
+    "eye": {"x": -0.68, "y": -0.89, "z": 0.65},
+    "center": {"x": 0.0, "y": 0.0, "z": -0.06},
+    "projection": {"type": "orthographic"},
+}
 # Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves.
 _CHART_COLOURS = Path(__file__).with_name("page.js")
 
@@ -36,7 +46,7 @@ def plotly() -> type[Figure]:
 def axes(x: str, y: str, height: int, **more: Any) -> Figure:
     """A figure without curves, its axes named."""
     figure = plotly()()
-    figure.update_layout(xaxis_title=x, yaxis_title=y, height=height, **more)
+    figure.update_layout(xaxis_title=x, yaxis_title=y, height=height, **CLOSE | more)
     return figure
 
 
@@ -48,17 +58,20 @@ def curve(
     chart.add_scatter(**{"mode": "lines", "x": x, "y": y, "name": name, "line": style} | more)
 
 
-def cube(chart: Any, points: FloatArray, camera: dict[str, Any]) -> None:
-    """Axes of a chart in space, all to one scale, around points [mm], shape (m, 3)."""
-    middle = (points.max(axis=0) + points.min(axis=0)) / 2.0
-    half = max(1.0, float(np.ptp(points, axis=0).max()) * 0.55)
+def in_space(chart: Any, points: FloatArray, unit: str = "mm") -> None:
+    """Axes of a chart in space, all to one scale, close around points [unit], shape (m, 3).
+
+    The box is as large as the chart allows, whatever its shape; no side is less than a third of the longest.
+    """
+    low, size = points.min(axis=0), np.ptp(points, axis=0)
+    side = np.maximum(size, max(1.0, float(size.max()) / 3.0)) * 1.08
+    ratio = dict(zip("xyz", (1.7 * side / np.linalg.norm(side)).tolist(), strict=True))
     axes = {
-        f"{axis}axis": {"title": {"text": f"{axis}, mm"}, "range": [float(centre) - half, float(centre) + half]}
-        for axis, centre in zip("xyz", middle, strict=True)
+        f"{axis}axis": {"title": {"text": f"{axis} [{unit}]"}, "range": [middle - half, middle + half], "nticks": 6}
+        for axis, middle, half in zip("xyz", (low + size / 2.0).tolist(), (side / 2.0).tolist(), strict=True)
     }
-    chart.update_layout(
-        scene={"aspectmode": "cube", "camera": camera, **axes}, margin={"l": 0, "r": 0, "t": 50, "b": 0}
-    )
+    scene = {"aspectmode": "manual", "aspectratio": ratio, "camera": CAMERA, **axes}
+    chart.update_layout(scene=scene, margin_l=0, margin_r=0, margin_b=0)
 
 
 class Marked(str):
@@ -73,20 +86,16 @@ class Marked(str):
 
 
 class Page:
-    """Collects blocks in order and writes them as one file.
+    """Collects blocks in order and writes them as one file; one with chapters begins with a list of its contents."""
 
-    A page with `contents` has a list of its chapters and their headings, and draws a chart when it comes into sight.
-    """
-
-    def __init__(self, title: str, *, contents: bool = False) -> None:
+    def __init__(self, title: str) -> None:
         self._title = title
         self._blocks: list[str] = [f"<h1>{html.escape(title)}</h1>"]
         self._has_script = False
-        self._contents: list[tuple[str, list[str]]] | None = [] if contents else None
+        self._contents: list[tuple[str, list[str]]] = []
 
     def chapter(self, text: str) -> None:
-        """A heading above others, in a page with contents."""
-        assert self._contents is not None
+        """A heading above others."""
         self._contents.append((text, []))
         self._blocks.append(f'<h2 class="chapter" id="{len(self._contents)}">{html.escape(text)}</h2>')
 
@@ -135,31 +144,31 @@ class Page:
         yield chart
         self.figure(chart, description)
 
-    def figure(self, figure: Figure, description: str) -> None:
-        """Add a plotly figure; `description` says in words what it shows."""
-        library, config = False if self._has_script else "inline", {"displaylogo": False, "responsive": True}
-        if self._contents is not None:
-            markup = self._drawn_when_seen(figure, config)
-        else:
-            markup = figure.to_html(full_html=False, include_plotlyjs=library, config=config)
-        self._has_script = True
-        label = html.escape(description, quote=True)
-        self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{markup}</figure>')
+    def figures(self, views: Iterable[tuple[Figure, str]]) -> None:
+        """Add figures, each with its description below, side by side where the page is wide enough."""
+        self._blocks.append('<div class="views">')
+        for figure, description in views:
+            self.figure(figure, description, f"<figcaption>{html.escape(description)}</figcaption>")
+        self._blocks.append("</div>")
 
-    def _drawn_when_seen(self, figure: Figure, config: dict[str, bool]) -> str:
-        """A chart that `page.js` draws; the first one brings the library along."""
+    def figure(self, figure: Figure, description: str, caption: str = "") -> None:
+        """Add a plotly figure; `description` says in words what it shows."""
         from plotly.offline import get_plotlyjs
 
-        library = "" if self._has_script else f"<script>{get_plotlyjs()}</script>"
-        data = f'{{"config":{json.dumps(config)},{figure.to_json()[1:]}'.replace("</", "<\\/")
+        # `page.js` draws it; the first one brings the library along, which runs when a chart is drawn.
+        library = "" if self._has_script else f'<script type="text/plain" id="plotly">{get_plotlyjs()}</script>'
+        self._has_script = True
+        label = html.escape(description, quote=True)
+        data = f'{{"config":{{"displaylogo":false,"responsive":true}},{figure.to_json()[1:]}'.replace("</", "<\\/")
         height = figure.layout.height or 450
         script = f'<script type="application/json">{data}</script>'
-        return f'{library}<div class="later" style="height:{height}px">{script}</div>'
+        chart = f'{library}<div class="later" style="height:{height}px">{script}</div>{caption}'
+        self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{chart}</figure>')
 
     def _list_of_contents(self) -> str:
         """Chapters with links to what is in them."""
         text = ""
-        for number, (chapter, headings) in enumerate(self._contents or [], 1):
+        for number, (chapter, headings) in enumerate(self._contents, 1):
             links = "".join(f'<a href="#{number}.{k}">{html.escape(one)}</a>' for k, one in enumerate(headings, 1))
             text += f'<details><summary><a href="#{number}">{html.escape(chapter)}</a></summary>{links}</details>'
         return f'<nav aria-label="Contents">{text}</nav>' if text else ""

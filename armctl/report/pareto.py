@@ -52,20 +52,15 @@ def add_fronts(page: Page, rows: Sequence[dict[str, Any]]) -> None:
             curve(chart, x, y, "front", "#7d8b99", dash="dot", mode="lines+markers", marker=rings)
     page.table(
         ("s", "via", "recorded genes, mm", "predicted, mm", "true, mm", "front by time", "front by via"),
-        [
-            (
-                f"{row['duration_s']:g}",
-                row["via"],
-                f"{row['recorded_mean_error_mm']:.2f}" if row["feasible"] else "no path keeps the limits",
-                f"{row['predicted_mean_error_mm']:.3f}",
-                _true(row.get("truth")),
-                "yes" if row["front_duration"] else "",
-                "yes" if row["front_via"] else "",
-            )
-            for row in rows
-        ],
+        [_told(row) for row in rows],
         "Recorded genes: what the genetic algorithm found. Predicted: its plan, genes and via points free.",
     )
+
+
+def _told(row: dict[str, Any]) -> tuple[str, ...]:
+    genes = f"{row['recorded_mean_error_mm']:.2f}" if row["feasible"] else "no path keeps the limits"
+    cells = (str(row["via"]), genes, f"{row['predicted_mean_error_mm']:.3f}", _true(row.get("truth")))
+    return f"{row['duration_s']:g}", *cells, *("yes" if row[front] else "" for front in ("front_duration", "front_via"))
 
 
 def _true(truth: dict[str, Any] | None) -> str:

@@ -20,7 +20,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.recording import channels, timeline
 from armctl.recording.reader import read
-from armctl.report.kinematics import COLOURS
+from armctl.report.kinematics import COLOURS, in_mm
 from armctl.report.page import Figure, Page, axes
 from armctl.trajectory.quintic import Curves, curves
 from armctl.trajectory.smoothing import local_cubics
@@ -77,10 +77,10 @@ def load(log: Path) -> Transfer:
 def draw(transfer: Transfer, title: str) -> Figure:
     """One of `TITLES` of a cycle that was loaded."""
     what, field, unit = TITLES[title]
-    chart = axes("time [s]", f"{what} [{unit}]", 420)
+    chart = axes("time [s]", f"{what} [{in_mm(np.zeros(0), unit)[1]}]", 420)
     for letter, colour, axis in zip("xyz", COLOURS, range(3), strict=False):
         for who, name, dash in ((transfer.model, "model", "dash"), (transfer.recorded, "recorded", "solid")):
-            values = getattr(who, field)[:, axis]
+            values, _ = in_mm(getattr(who, field)[:, axis], unit)
             line = {"color": colour, "width": 1.6, "dash": dash}
             chart.add_scatter(x=who.time_s, y=values, name=f"{letter}, {name}", line=line)
     return chart

@@ -32,7 +32,9 @@ def test_page_opens_without_a_network_and_keeps_3d_charts_few(tmp_path: Path, ty
     assert not missing(page, *headings, "prefers-color-scheme")
     assert 'src="http' not in page
     assert 0 < page.count('"type":"scatter3d"') < 16
-    # Drawn by the page's script when they come into sight; every link of the contents has its place.
+    # The library and the charts run when they come into sight; every link of the contents has its place.
+    assert page.count('<script type="text/plain" id="plotly">') == 1
+    assert max(map(len, re.findall(r"<script>(.*?)</script>", page, re.DOTALL))) < 10_000
     charts = re.findall(r'<script type="application/json">(.*?)</script>', page)
     assert len(charts) == page.count('<figure role="img"') > 10
     assert all({"data", "layout", "config"} == json.loads(chart).keys() for chart in charts)

@@ -1,5 +1,7 @@
 """001 to 004 in short form: what each recomputation shows."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,33 @@ def test_003_keeps_what_print_has_right() -> None:
     found = verdicts(paper_003.reproduce(QUICK, 0, silent))
     assert {name for name, verdict in found.items() if verdict == "misprint"} == {"solutions of a pose at most"}
     assert found["poses through IK and back"] == "equal"
+
+
+def test_003_figures_show_what_print_shows_in_its_units() -> None:
+    drawn: dict[str, list[Any]] = {}
+    for picture in paper_003.reproduce(QUICK, 0, silent).pictures:
+        drawn.setdefault(picture.title.partition(":")[0], []).append(picture.draw())
+    assert [len(drawn[f"Fig. {number}"]) for number in (4, 5, 6, 7, 8)] == [4, 2, 1, 1, 3]
+    assert all([trace.visible for trace in chart.data] == [True, *["legendonly"] * 3] for chart in drawn["Fig. 8"])
+    arm, flat = drawn["Fig. 5"]
+    assert (arm.data[0].x[-1], arm.data[0].z[-1]) == pytest.approx((219.0, 97.0))
+    assert flat.layout.xaxis.title.text == "x [mm]"
+    # Axes to one scale that end where the data do.
+    assert (flat.layout.yaxis.scaleanchor, flat.layout.xaxis.constrain) == ("x", "domain")
+    for chart in (arm, *drawn["Fig. 6"]):
+        ratio = chart.layout.scene.aspectratio
+        scales = [np.ptp(chart.layout.scene[f"{axis}axis"].range) / ratio[axis] for axis in "xyz"]
+        assert scales == pytest.approx([scales[0]] * 3)
+        for axis in "xyz":
+            low, high = chart.layout.scene[f"{axis}axis"].range
+            assert all(low <= value <= high for trace in chart.data for value in trace[axis])
+
+
+def test_001_no_decade_of_the_iteration_curve_lies_below_a_tenth_of_what_print_reaches() -> None:
+    (chart,) = (one.draw() for one in paper_001.reproduce(QUICK, 0, silent).pictures if "Fig. 1" in one.title)
+    lines = {trace.name: trace.y[0] for trace in chart.data if "Table 2" in trace.name}
+    assert chart.layout.yaxis.range[0] == pytest.approx(np.log10(lines["improved, in Table 2"]) - 1.0)
+    assert lines["improved, in Table 2"] < lines["standard, in Table 2"]
 
 
 def test_003_poses_come_back_exactly_with_two_branches() -> None:
