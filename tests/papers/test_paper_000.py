@@ -40,8 +40,17 @@ def test_the_report_tells_every_quantity_with_its_verdict() -> None:
     verdicts = {row.quantity: row.verdict for row in report.rows}
     assert verdicts["mean |dxy|, GA with polish"] == SMALLER
     assert sum("out of reach by exactly" in name for name in verdicts) == 3
-    readings, *runs = report.tables
+    readings, *runs, angles = report.tables
     assert [row[0] for row in readings.rows] == ["print", *paper_000.READINGS]
     assert [table.title for table in runs] == ["delta xy0 of one run", "delta z0 of one run"]
     assert all(len(table.rows) == 10 and len(table.rows[0]) == 11 for table in runs)
     assert len([picture for picture in report.pictures if "Fig. 11" in picture.title]) == 4
+    # Fig. 10: the angles found, by forward kinematics; with polish on both targets.
+    x_y_z = [tuple(map(float, row[-3:])) for row in angles.rows]
+    assert (x_y_z[2], x_y_z[3]) == paper_000.TARGETS_CM
+
+
+def test_mean_and_best_of_figure_8_meet_where_an_individual_is_mutated_and_not_where_a_bit_is() -> None:
+    found = {row.quantity: row.armctl for row in paper_000.reproduce(QUICK, 0, silent).rows}
+    name = "least / mean distance after 200 generations (Fig. 8)"
+    assert float(found[name]) < 0.2 < 0.8 < float(found[f"{name}, mutation of 0.01 an individual"])
