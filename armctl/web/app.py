@@ -21,7 +21,7 @@ from armctl import __version__
 from armctl.config import ArmConfig, Config, Frozen
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
 from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
-from armctl.host.methods import Confirmed, JogBeat, Named, Nothing
+from armctl.host.methods import Confirmed, JogBeat, Named, Nothing, Rate
 from armctl.trajectory.target import MoveRequest
 from armctl.web.connections import Connections
 from armctl.web.files import Files
@@ -47,6 +47,7 @@ COMMANDS: HandedOn = (
     ("/jog", JogBeat, "Lead the joints or the tool until the next heartbeat, which is due with the answer."),
     ("/pause", Nothing, "Slow the motion down to a stop, on its path."),
     ("/resume", Nothing, "Go on with a paused motion."),
+    ("/rate", Rate, "Go on with the motion under way at this share of its planned speed, 0.1 to 1."),
     ("/clear", Nothing, "Acknowledge the latched fault, or a notice; refused while a fault's cause persists."),
     ("/release", Confirmed, "Switch torque off: the arm drops unless it is supported, which `confirm` says."),
 )

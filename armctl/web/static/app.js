@@ -52,6 +52,7 @@ function show(latest) {
   if ($("notice-text").textContent !== notice) $("notice-text").textContent = notice;
   $("notice").hidden = !notice;
   controls();
+  keepRate(state);
   if (!latest) return;
   latest.joints.forEach(showJoint);
   if (drive) drive.show(state, latest.joints);
@@ -75,6 +76,22 @@ function show(latest) {
   drawArm(true);
   remember(latest);
   if (!$("view-live").hidden && !document.hidden) drawLive();
+}
+
+// How fast motions run, of their planned speed: said to the one under way, and to each that begins.
+const rate = { wanted: 1, said: 1 };
+
+function keepRate(state) {
+  if (state !== "moving") rate.said = 1;
+  if (state !== "moving" || rate.said === rate.wanted || !(page.snapshot.rate > 0)) return;  // a paused one would go on
+  rate.said = rate.wanted;
+  act(null, () => post("/rate", { rate: rate.wanted }));
+}
+
+function setRate(share) {
+  rate.wanted = share;
+  for (const slider of document.querySelectorAll(".rate")) slider.value = String(100 * share);
+  for (const told of document.querySelectorAll(".rate-told")) told.textContent = `${Math.round(100 * share)} %`;
 }
 
 // What a card says to type, and which button here does the same.
@@ -219,6 +236,7 @@ function wire() {
       await act(event.target, () => post("/release", { confirm: true }));
     }
   });
+  for (const slider of document.querySelectorAll(".rate")) slider.addEventListener("input", () => setRate(Number(slider.value) / 100));
   wireGuide();
   wireLogs();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);

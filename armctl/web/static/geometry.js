@@ -27,6 +27,12 @@ export function progressAlong(place, A, B) {
   return dot(minus(place, A), along) / dot(along, along);
 }
 
+// How much of a line a tool path leads along, 0 to 1.
+export function shareOf(track, [A, B]) {
+  const shares = track.map((place) => Math.min(1, Math.max(0, progressAlong(place, A, B))));
+  return Math.max(...shares, 0) - Math.min(...shares, 1);
+}
+
 // The part of a tool path that leads from A to B.
 export function fromTo(track, A, B) {
   const nearest = (end, some) => some.reduce((best, place, i) => Math.hypot(...minus(place, end)) <= Math.hypot(...minus(some[best], end)) ? i : best, 0);

@@ -1,10 +1,12 @@
 // Teach a line by hand, straighten what was taught, run it: the steps of the guide.
 
 import { chart, COLOURS, drawDeviation, namesOf } from "/charts.js";
-import { distance, minus, offLine, onTheWay, point, progressAlong, proper, wantedLine } from "/geometry.js";
+import { distance, minus, offLine, onTheWay, point, progressAlong, proper, shareOf, wantedLine } from "/geometry.js";
 import { $, act, after, confirmed, fill, millimetres, page, post, Refused, request, spoken, tell, torqueOn } from "/page.js";
 
 const MOST_DRAWN = 12;
+// Of a line that a take shows [%]: less is not what was to be shown.
+const LEAST_COVERED = 80;
 // The take that is recorded, and whether a plan runs.
 export const guide = { taking: null, running: false };
 // Tool paths of recordings, by name.
@@ -25,7 +27,7 @@ export function showTakes() {
     });
     const line = wantedLine(), off = tracks.has(take.name) && line ? offLine(tracks.get(take.name), line) : null;
     const figures = `: ${take.duration.toFixed(1)} s` + (off ? `, ${millimetres(off[0])} off the line on average, ${millimetres(off[1])} at most` : "");
-    label.append(box, take.name + figures);
+    label.append(box, take.name + figures + (take.why && !take.chosen ? `; left out: ${take.why}` : ""));
     item.append(label);
     return item;
   }));
@@ -36,7 +38,7 @@ async function loadTakes() {
   const chosen = new Set(takes.filter((take) => take.chosen).map((take) => take.name));
   const known = new Set(takes.map((take) => take.name));
   takes = recordings.filter((one) => !one.name.startsWith("run-")).map((one) => ({
-    name: one.name, duration: one.duration_s, chosen: known.size ? chosen.has(one.name) || !known.has(one.name) : true,
+    name: one.name, duration: one.duration_s, fresh: !known.has(one.name), chosen: known.size ? chosen.has(one.name) || !known.has(one.name) : true,
   }));
   showTakes();
   await drawGuide();
@@ -45,12 +47,18 @@ async function loadTakes() {
 // The chosen takes in space, beside the plan and its last run.
 async function drawGuide() {
   if (!page.view || $("view-guide").hidden) return;
-  const chosen = takes.filter((take) => take.chosen).slice(0, MOST_DRAWN).map((take) => take.name);
-  await Promise.all(chosen.filter((name) => !tracks.has(name)).map(async (name) => {
+  const inSight = takes.filter((take) => take.chosen).slice(0, MOST_DRAWN), line = wantedLine();
+  await Promise.all(inSight.filter(({ name }) => !tracks.has(name)).map(async ({ name }) => {
     tracks.set(name, (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m);
   }));
+  for (const take of inSight.filter(({ fresh }) => fresh && line)) {
+    const share = Math.round(100 * shareOf(tracks.get(take.name), line));
+    take.fresh = false;
+    if (share < LEAST_COVERED) [take.chosen, take.why] = [false, `it leads along ${share} % of the line`];
+  }
+  const chosen = inSight.filter((take) => take.chosen).map((take) => take.name);
   page.view.keep(["line", "trail", "plan", "run"]);
-  chosen.forEach((name, i) => page.view.curve(`take ${name}`, onTheWay(tracks.get(name), wantedLine()), COLOURS[i % COLOURS.length]));
+  chosen.forEach((name, i) => page.view.curve(`take ${name}`, onTheWay(tracks.get(name), line), COLOURS[i % COLOURS.length]));
   $("guide-names").replaceChildren(...namesOf(chosen));
   showTakes();
 }
@@ -118,16 +126,27 @@ async function toggleTake() {
   }
 }
 
-// One take by the simulator's hand: it carries the arm to the start, and leads it along the line.
+// One take by the simulator's hand: it carries the arm to the start, and leads it along the line. A take in which that did
+// not happen is not kept.
 async function takeByHand() {
   const line = wantedLine();
   if (!line) throw new Refused("the line needs two different points; each point has three numbers");
   if (!guide.taking) await toggleTake();
+  const name = guide.taking;
+  let led = false;
   try {
     const { duration_s } = await post("/hand", { from_m: line[0], to_m: line[1], seed: takes.length });
     await new Promise((resolve) => setTimeout(resolve, 1000 * duration_s));
+    const share = Math.round(100 * (covered[1] - covered[0]));
+    led = guide.taking === name && share >= LEAST_COVERED;
+    if (!led) throw new Refused(guide.taking === name ? `the hand led the tool along ${Math.max(0, share)} % of the line only; the take is not kept`
+      : "teaching ended before the hand had led the tool along the line; the take is not kept");
   } finally {
-    if (guide.taking) await toggleTake();
+    if (guide.taking) await post("/take/end");
+    guide.taking = null;
+    if (!led) await request(`/recordings/${encodeURIComponent(name)}`, { method: "DELETE" }).catch(() => null);
+    $("teach-figures").textContent = led ? `${name} is saved` : "";
+    await loadTakes();
   }
 }
 
@@ -207,7 +226,7 @@ async function runPlan(refine) {
       await torqueOn();
     }
     $("run-figures").textContent = `${spoken(name)} is running`;
-    result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine });
+    result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine, corrected: $("corrected").checked });
   } catch (error) {
     $("run-figures").textContent = "the run failed";
     throw error;
