@@ -4,10 +4,12 @@ A Unix stream socket; one JSON object a line each way, answered in order:
 
     {"method": "guide", "params": {"from": [x, y, z], "to": [x, y, z], "seed": 1, "duration_s": 5.0}}
         -> {"result": {"duration_s": s, "begin_s": s, "end_s": s}}    once the hand has begun; "duration_s" is optional
+    {"method": "hold", "params": {"joints_rad": [...], "free": n}}
+        -> {"result": {"duration_s", "begin_s", "end_s"}}    the joints are there then; "free", an index, is optional
     let_go, unplug, replug
         -> {"result": {}}
     state
-        -> {"result": {"time_ns", "time_s", "joints_rad", "tool_m", "plugged", "guided", "servos": [...]}}
+        -> {"result": {"time_ns", "time_s", "joints_rad", "tool_m", "plugged", "guided", "joints": [...], "gripper", "servos": [...]}}
     truth {"begin_ns", "end_ns"}
         -> {"result": {"time_ns": [...], "tool_m": [[x, y, z], ...], "joints_rad": [[...], ...]}}
     fault_begin {"kind", "servo_id", "probability", "count", "begin_s", "duration_s", "value"}
@@ -109,6 +111,7 @@ class Controls:
         # What gives the result of each method, and the parameters it knows (None: it checks them itself).
         self._methods: dict[str, tuple[Callable[[Params], Params | Iterator[str] | None], tuple[str, ...] | None]] = {
             "guide": (self._guide, ("from", "to", "seed", "duration_s")),
+            "hold": (self._hold, ("joints_rad", "free")),
             "let_go": (lambda _: arm.hand.release(), ()),
             "truth": (self._truth, ("begin_ns", "end_ns")),
             "state": (self._state, ()),
@@ -146,6 +149,15 @@ class Controls:
         duration_s = None if duration_s is None else _number(duration_s, "duration_s")
         return asdict(self._arm.hand.guide(*line, seed=seed, duration_s=duration_s))
 
+    def _hold(self, params: Params) -> Params:
+        wanted, free, n = params.get("joints_rad"), params.get("free"), len(self._arm.servos)
+        if not isinstance(wanted, list) or len(wanted) != n:
+            raise ValueError(f"joints_rad {wanted!r}: {n} numbers, rad")
+        if free is not None and free not in range(n):
+            raise ValueError(f"free {free!r}: the index of a joint, 0 to {n - 1}")
+        self._arm.advance(self._now_ns())
+        return asdict(self._arm.hand.hold(np.array([_number(q, "joints_rad") for q in wanted]), free))
+
     def _fault_begin(self, params: Params) -> Params:
         fault = validate(Fault, params, "fault")
         check_servo(fault, self._arm.config.servo_ids, "fault", "servo_id")
@@ -167,7 +179,7 @@ class Controls:
         return {"faults": self._arm.faults.listing()}
 
     def _state(self, _: Params) -> Params:
-        now_ns = self._now_ns()
+        now_ns, config = self._now_ns(), self._arm.config
         self._arm.advance(now_ns)
         return {
             "time_ns": now_ns,
@@ -176,6 +188,8 @@ class Controls:
             "tool_m": self._arm.true_tool_position().tolist(),
             "plugged": self._plug.plugged,
             "guided": self._arm.hand.holding,
+            "joints": [joint.model_dump(include={"name", "limits_deg", "rest_deg"}) for joint in config.joints],
+            "gripper": config.gripper and config.gripper.model_dump(include={"joint", "open_deg", "closed_deg"}),
             "servos": [
                 {
                     "servo_id": servo.servo_id,
@@ -266,6 +280,14 @@ class SimulatorClient:
         """
         line = {"from": [float(x) for x in from_m], "to": [float(x) for x in to_m]}
         return Guided(**self._call("guide", **line, seed=seed, duration_s=duration_s))
+
+    def hold(self, joints_rad: Sequence[float], free: int | None = None) -> Guided:
+        """Let the hand lead the joints to positions [rad] and hold them there, but for one that it leaves free.
+
+        Raises:
+            RequestRefused: a parameter is not acceptable.
+        """
+        return Guided(**self._call("hold", joints_rad=[float(q) for q in joints_rad], free=free))
 
     def let_go(self) -> None:
         """Take the hand off the arm."""

@@ -43,7 +43,9 @@ MAX_TORQUE_NM = 2.0
 
 
 def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
-    """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower."""
+    """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower; without an aim (nan) none."""
+    if math.isnan(behind_rad):
+        return 0.0
     torque = STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s
     return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
 
@@ -129,8 +131,7 @@ class Hand:
         take = _Take(
             seed=seed,
             start_s=self._now_s(),
-            # A hand that already holds the arm keeps its grip, else the arm would sag for a moment.
-            from_rad=self.aim(self._now_s())[0] if self.holding else self._positions_rad().tolist(),
+            from_rad=self._held_rad(),
             line_m=line,
             amplitude_m=share * peak,
             phase_rad=rng.uniform(0.0, 2.0 * math.pi, size=(len(WOBBLE_CYCLES), 3)),
@@ -148,6 +149,27 @@ class Hand:
         self._take = take
         return take.when
 
+    def hold(self, joints_rad: FloatArray, free: int | None = None) -> Guided:
+        """Lead every joint to a position [rad], shape (n,), and hold it there, as one does who sets an arm up.
+
+        Args:
+            free: Index of a joint that is left alone from now on.
+        """
+        to_rad = [math.nan if i == free else float(q) for i, q in enumerate(joints_rad)]
+        from_rad, nothing = self._held_rad(), np.zeros(3)
+        way = np.nanmax(np.abs(np.subtract(to_rad, from_rad)))
+        begin_s = max(CARRY_MIN_S, 1.875 * float(way) / CARRY_SPEED_RAD_S) + DWELL_BEFORE_S
+        take = _Take(0, self._now_s(), from_rad, (nothing, nothing), nothing, nothing, nothing, [to_rad, to_rad])
+        take.when = Guided(begin_s, begin_s, begin_s)
+        self._take = take
+        return take.when
+
+    def _held_rad(self) -> list[float]:
+        """Where every joint is held; one that already is keeps being so, else the arm would sag for a moment."""
+        here_rad = self._positions_rad().tolist()
+        aims_rad = self.aim(self._now_s())[0] if self.holding else here_rad
+        return [here if math.isnan(aim) else aim for aim, here in zip(aims_rad, here_rad, strict=True)]
+
     def release(self) -> None:
         """Let go of the arm."""
         self._take = None
@@ -162,7 +184,7 @@ class Hand:
         return self._aim(take, time_s)
 
     def _aim_in(self, take: _Take, time_s: float) -> tuple[list[float], list[float]]:
-        others = take.from_rad[self._chain.n :]
+        others = take.from_rad[len(take.knots_rad[0]) :]
         ahead_s = 1e-3
         here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
         speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]

@@ -63,6 +63,13 @@ def test_guide_takes_the_arm_and_let_go_leaves_it(desk: Desk) -> None:
     assert desk.ask("guide", **line, seed=1)["result"]["duration_s"] > 4.0
 
 
+def test_hold_takes_the_joints_of_which_the_state_tells(desk: Desk) -> None:
+    joints = desk.ask("state")["result"]["joints"]
+    assert joints[0].keys() == {"name", "limits_deg", "rest_deg"}
+    assert desk.ask("hold", joints_rad=[0.0] * len(joints), free=2)["result"]["duration_s"] >= 1.0
+    assert desk.ask("state")["result"]["guided"] is True
+
+
 def test_state_tells_the_truth_about_joints_and_servos(desk: Desk, arm: ArmConfig) -> None:
     state = desk.ask("state")["result"]
     assert state["joints_rad"] == pytest.approx([joint.rest_rad for joint in arm.joints])
