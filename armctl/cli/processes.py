@@ -243,7 +243,7 @@ web_command.params += [*parameters("processes", "web"), SOCKET, CONFIG, JSON]
 
 def _serve_pages(output: Output, port: int, lan: bool) -> None:
     from armctl.clock import ask_for_precedence
-    from armctl.files import data_dir, socket_path, tokens_path
+    from armctl.files import data_dir, socket_path
     from armctl.host.service_manager import notify
     from armctl.web.server import serve
 
@@ -264,7 +264,7 @@ def _serve_pages(output: Output, port: int, lan: bool) -> None:
         port=port,
         token_file=token_file,
         ready=ready,
-        people=tokens_path(output.config_file),
+        config_file=output.config_file,
         keys=keys if lan else None,
     )
 

@@ -77,6 +77,7 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     ARM_FILE is an arm of the same shape: a name of `armctl arms`, or your own file, which is renewed. It says how the
     links are. All else is found out, with you beside the arm: you turn the limp joints by hand, and say what you saw.
     What was found is kept after every step. Type q or Ctrl-C to break off, and the same command to go on there.
+    With --json another program asks: steps and questions on stdout, answers on stdin, one a line.
 
     Example: armctl setup ax12-line --port /dev/ttyUSB0
     """
@@ -85,7 +86,11 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     from armctl.commissioning.wizard import Wizard, progress, progress_path
     from armctl.files import load_arm
 
-    person: Person = Prepared(answers) if answers else AtTerminal(output, "armctl setup", "or give --answers FILE")
+    person: Person
+    if answers:
+        person = Prepared(answers)
+    else:
+        person = OverPipe(output) if output.json else AtTerminal(output, "armctl setup", "or give --answers FILE")
     kind = arm_file or person.ask("kind", "which arm is yours like?", [arm["name"] for arm in arms_at_hand()])
     arm, path = load_arm(kind), active_path(kind)
     name = arm.arm_id
@@ -95,14 +100,18 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     found = progress(kind, name, path)
     ports = sorted(str(port) for pattern in ("serial/by-id/*", "tty[UA]*[BM]*") for port in Path("/dev").glob(pattern))
     output.port = output.port or output.config.port or person.ask("port", "which port has the adapter?", ports)
-    output.after_interrupt = f"what was found is kept in {progress_path(path)}; type the same command to go on there"
+    kept = f"what was found is kept in {progress_path(path)}"
+    output.after_interrupt = f"{kept}; begin again with the same arm and name to go on there"
     steps = {}
     for step in Wizard(arm, path, found, partial(opened, output), person, output.config.period_s).run():
         steps[step["name"]] = step
+        if not answers:
+            output.result({"step": step})
         output.say("{name}: {text}".format(**step))
     given = f"--arm {name if path.parent == calibration_dirs()[0] else path} --port {output.port}"
     following = ["doctor " + given, "calibrate --points sheet.csv " + given, "daemon " + given, "calibrate --sag"]
-    output.answer({"arm": str(path), "steps": [*steps.values()]}, "\n  armctl ".join(["next:", *following]))
+    told = {"arm": str(path), "port": output.port, "steps": [*steps.values()]}
+    output.answer(told, "\n  armctl ".join(["next:", *following]))
 
 
 class AtTerminal:
@@ -119,9 +128,8 @@ class AtTerminal:
         self._output = output
 
     def ask(self, key: str, text: str, choices: Sequence[str] = ()) -> str:
-        wanted = f" ({', '.join(choices)})" if choices else "" if key == "name" else ", then press Enter"
         while True:
-            self._output.say(f"\n{text}{wanted}")
+            self._show(key, text, choices)
             word = (sys.stdin.readline() or "q").strip()
             if word == "q":
                 raise click.Abort
@@ -131,6 +139,20 @@ class AtTerminal:
 
     def again(self, refusal: RequestRefused) -> bool:
         return self.ask("again", f"{refusal}\ntry again, or break off?", ("again", "q")) == "again"
+
+    def _show(self, key: str, text: str, choices: Sequence[str]) -> None:
+        wanted = f" ({', '.join(choices)})" if choices else "" if key == "name" else ", then press Enter"
+        self._output.say(f"\n{text}{wanted}")
+
+
+class OverPipe(AtTerminal):
+    """Somebody asked by the program that started this one: questions on stdout, answers on stdin, a line each."""
+
+    def __init__(self, output: Output) -> None:
+        self._output = output
+
+    def _show(self, key: str, text: str, choices: Sequence[str]) -> None:
+        self._output.result({"question": {"key": key, "text": text, "choices": [*choices]}})
 
 
 # ----------------------------------------------------------------------------------------------------------- scan

@@ -9,7 +9,8 @@ A Unix stream socket; one JSON object a line each way, answered in order:
     let_go, unplug, replug
         -> {"result": {}}
     state
-        -> {"result": {"time_ns", "time_s", "joints_rad", "tool_m", "plugged", "guided", "joints": [...], "gripper", "servos": [...]}}
+        -> {"result": {"time_ns", "time_s", "joints_rad", "tool_m", "plugged", "guided", "joints": [...], "gripper",
+            "servos": [...]}}
     truth {"begin_ns", "end_ns"}
         -> {"result": {"time_ns": [...], "tool_m": [[x, y, z], ...], "joints_rad": [[...], ...]}}
     fault_begin {"kind", "servo_id", "probability", "count", "begin_s", "duration_s", "value"}

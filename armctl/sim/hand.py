@@ -43,7 +43,7 @@ MAX_TORQUE_NM = 2.0
 
 
 def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
-    """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower; without an aim (nan) none."""
+    """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower; 0 without an aim, nan."""
     if math.isnan(behind_rad):
         return 0.0
     torque = STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s

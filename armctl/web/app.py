@@ -20,6 +20,7 @@ from starlette.exceptions import HTTPException
 from armctl import __version__
 from armctl.config import ArmConfig, Config, Frozen
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
+from armctl.files import tokens_path
 from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
 from armctl.host.methods import Confirmed, JogBeat, Named, Nothing, Rate
 from armctl.trajectory.target import MoveRequest
@@ -27,6 +28,7 @@ from armctl.web.connections import Connections
 from armctl.web.files import Files
 from armctl.web.guard import PERSON, Guard
 from armctl.web.pages import pages
+from armctl.web.set_up import SetUp
 from armctl.web.tokens import Tokens
 
 TOKEN_WAIT_S = 5.0
@@ -70,22 +72,25 @@ def create_app(
     socket: Path,
     token: str,
     port: int,
-    people: Path | None = None,
     names: tuple[str, ...] | None = None,
+    config_file: str | None = None,
 ) -> tuple[FastAPI, Guard]:
     """The application, and the guard that every request passes first.
 
     Args:
         token: That of the address that is printed.
-        people: The file of people's tokens.
         names: See `Guard`.
+        config_file: That of the programs that a set-up starts, and where people's tokens lie.
     """
     daemon = Connections(socket, PERSON.get)
+    files = Files(daemon, arm, config)
+    set_up = SetUp(config_file, daemon, files)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         async with daemon.running():
             yield
+            await set_up.close()
 
     app = FastAPI(
         title="armctl",
@@ -99,12 +104,13 @@ def create_app(
     app.add_exception_handler(ArmctlError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _not_served)
-    guard = Guard(app, tokens=Tokens(people, token), port=port, names=names)
+    guard = Guard(app, tokens=Tokens(tokens_path(config_file), token), port=port, names=names)
     app.include_router(_live(daemon, guard))
     for tag, routes in (
-        ("commands", _commands(daemon)),
+        ("commands", _commands(daemon, set_up)),
+        ("set-up", set_up.routes()),
         ("teaching", _handed_on(daemon, TEACHING)),
-        ("files", Files(daemon, arm, config).routes()),
+        ("files", files.routes()),
     ):
         app.include_router(routes, prefix="/api", tags=[tag], responses=REFUSALS)
     app.include_router(pages())
@@ -178,7 +184,7 @@ async def _until_left(socket: WebSocket) -> None:
             await socket.receive_text()
 
 
-def _commands(daemon: Connections) -> APIRouter:
+def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
     router = _handed_on(daemon, COMMANDS)
 
     @router.get("/status")
@@ -189,7 +195,9 @@ def _commands(daemon: Connections) -> APIRouter:
     @router.post("/stop")
     async def stop(_: Nothing) -> dict[str, Any]:
         """Decelerate and hold. Served in every state, to anybody."""
-        return await daemon.stop()
+        with contextlib.suppress(*((NoDaemon,) if set_up.break_off() else ())):
+            return await daemon.stop()
+        return {"state": "off"}
 
     return router
 

@@ -111,9 +111,10 @@ class Connections:
     def _see(self, snapshot: dict[str, Any] | None) -> None:
         self.snapshot = snapshot
         if self._pages:
-            self._tell({"kind": "snapshot", "snapshot": self.snapshot})
+            self.tell({"kind": "snapshot", "snapshot": self.snapshot})
 
-    def _tell(self, message: dict[str, Any]) -> None:
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send a message to every page."""
         text = json.dumps(message, separators=(",", ":"))
         for page in self._pages:
             put_newest(page, text)
@@ -123,7 +124,7 @@ class Connections:
         with contextlib.suppress(ArmctlError):
             async for method, params in commander.notifications():
                 if method == "progress":
-                    self._tell({"kind": "progress", **params})
+                    self.tell({"kind": "progress", **params})
 
     async def _leave_unless_back(self) -> None:
         await asyncio.sleep(LEAVE_S)

@@ -25,6 +25,7 @@ from armctl.recording import reader, search
 from armctl.recording.index import Index
 from armctl.recording.recordings import drawn
 from armctl.sim.control import SimulatorClient, control_path
+from armctl.trajectory.bounds import Joints
 from armctl.trajectory.course import bent
 from armctl.trajectory.plan import Plan, Point
 from armctl.web.connections import Connections
@@ -56,14 +57,26 @@ class HandBody(Frozen):
     seed: int = Field(default=0, ge=0)
 
 
+class HoldBody(Frozen):
+    """Where the simulator's hand is to hold the joints [rad], and which one it leaves free, by its index."""
+
+    joints_rad: Joints
+    free: int | None = Field(None, ge=0)
+
+
 class Files:
     """The routes of one arm's files."""
 
     def __init__(self, daemon: Connections, arm: ArmConfig, config: Config) -> None:
         self._daemon = daemon
-        self.arm, self.robot, self.period_s = arm, robots.get(arm.robot, arm.lengths_m), config.period_s
+        self.serve(arm)
+        self.period_s = config.period_s
         self._logs = data_dir(config) / "logs"
         self._simulator = control_path(FilePath(config.port or "no port"))
+
+    def serve(self, arm: ArmConfig) -> None:
+        """From now on it is this arm."""
+        self.arm, self.robot = arm, robots.of(arm)
 
     def routes(self) -> APIRouter:
         """Every route. What does not await is run in a thread by the framework: files are read there."""
@@ -79,7 +92,9 @@ class Files:
             ("DELETE", "/plans/{name}", self.delete_plan),
             ("POST", "/plans/{name}/run", self.run),
             ("POST", "/plans/{name}/bend", self.bend),
+            ("GET", "/hand", self.seen),
             ("POST", "/hand", self.hand),
+            ("POST", "/hand/hold", self.hold),
             ("POST", "/hand/let-go", self.let_go),
             ("GET", "/logs", self.list_logs),
             ("GET", "/logs/find", self.find),
@@ -172,6 +187,16 @@ class Files:
         """Let the simulator's hand carry the limp arm to a line and lead it along; answers how long that takes."""
         with SimulatorClient(self._simulator) as simulator:
             return asdict(simulator.guide(body.from_m, body.to_m, seed=body.seed))
+
+    def hold(self, body: HoldBody) -> dict[str, Any]:
+        """Let the simulator's hand lead every joint where it is wanted, and hold it; answers how long that takes."""
+        with SimulatorClient(self._simulator) as simulator:
+            return asdict(simulator.hold(body.joints_rad, body.free))
+
+    def seen(self) -> dict[str, Any]:
+        """What one sees who stands beside the simulated arm."""
+        with SimulatorClient(self._simulator) as simulator:
+            return simulator.state()
 
     def let_go(self, _: Nothing) -> dict[str, Any]:
         """Take the simulator's hand off the arm."""

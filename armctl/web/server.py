@@ -28,7 +28,7 @@ def serve(
     port: int,
     token_file: Path | None,
     ready: Callable[[str], None],
-    people: Path | None = None,
+    config_file: str | None = None,
     keys: Path | None = None,
 ) -> None:
     """Serve until SIGINT, SIGTERM or SIGHUP.
@@ -39,7 +39,7 @@ def serve(
         token_file: Where the address with its token is kept, for whoever may read it; the next start takes its token.
             None: nowhere, and the token is a new one.
         ready: Called with that address once pages are served.
-        people: The file of people's tokens.
+        config_file: Of this program, as it was named; people's tokens lie beside it.
         keys: Folder of this server's own key and certificate: served is the local network, over TLS. None: this
             computer alone.
     Raises:
@@ -60,7 +60,7 @@ def serve(
     if keys is not None:
         host, scheme, name = "0.0.0.0", "https", socket_module.gethostname()
         names, (key, certificate) = (name, f"{name}.local"), _tls(keys, name)
-    _, guard = create_app(arm, config, socket=socket, token=token, port=port, people=people, names=names)
+    _, guard = create_app(arm, config, socket=socket, token=token, port=port, names=names, config_file=config_file)
     settings = uvicorn.Config(
         guard,
         host=host,

@@ -77,11 +77,11 @@ def test_next_take_begins_where_the_last_one_ended(simulated: SimulatedArm) -> N
 
 def test_joints_are_led_to_a_posture_and_held_there_but_for_the_one_that_is_left_free(simulated: SimulatedArm) -> None:
     simulated.advance(NS_PER_S)
-    wanted = [0.2, 1.2, -1.0, -0.6, 0.1, 0.3]
+    wanted = np.array([0.2, 1.2, -1.0, -0.6, 0.1, 0.3])
     first = simulated.hand.hold(wanted)
     simulated.advance(NS_PER_S + round(first.duration_s * 1e9))
     assert simulated.true_positions() == pytest.approx(wanted, abs=0.03)
-    freed = simulated.hand.hold([0.2, 1.2, -0.5, -0.6, 0.1, -0.3], free=1)
+    freed = simulated.hand.hold(np.array([0.2, 1.2, -0.5, -0.6, 0.1, -0.3]), free=1)
     simulated.advance(2 * NS_PER_S + round((first.duration_s + freed.duration_s) * 1e9))
     there = simulated.true_positions()
     assert np.delete(there, 1) == pytest.approx([0.2, -0.5, -0.6, 0.1, -0.3], abs=0.03)

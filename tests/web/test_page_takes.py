@@ -76,7 +76,7 @@ def test_whether_goals_are_corrected_is_asked_for_with_the_run(page: Page) -> No
         asked.append(route.request.post_data_json)
         route.fulfill(status=409, body=json.dumps({"error": {"code": "NO", "reasons": ["not now"]}}))
 
-    asked: list[dict[str, Any]] = []
+    asked: list[Any] = []
     plans = {"plans": [{"name": "a", "predicted_mean_error_mm": 1.0}]}
     page.route("**/api/plans", lambda route: route.fulfill(body=json.dumps(plans)))
     page.route(re.compile("/api/plans/a$"), lambda route: route.fulfill(body=json.dumps(PLAN)))

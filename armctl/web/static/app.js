@@ -7,6 +7,7 @@ import { distance, wantedLine } from "/geometry.js";
 import { enterGuide, guide, pointLed, progressed, showTeaching, wireGuide } from "/guide.js";
 import { drawLive, remember } from "/live.js";
 import { loadLogs, wireLogs } from "/logs.js";
+import { enterSetUp, settingUp, showSetUp, wireSetUp } from "/setup.js";
 import { $, act, after, armView, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views } from "/page.js";
 
 let drive = null;
@@ -34,6 +35,10 @@ function connect() {
     const message = JSON.parse(event.data);
     if (message.kind === "snapshot") show(message.snapshot);
     else if (message.kind === "progress") progressed(message);
+    else if (message.kind === "setup") {
+      showSetUp(message);
+      show(page.snapshot);
+    }
   };
   socket.onclose = (event) => {
     show(null);
@@ -44,7 +49,7 @@ function connect() {
 
 function show(latest) {
   page.snapshot = latest;
-  const state = latest ? latest.state : "unreachable";
+  const state = latest ? latest.state : settingUp() ? "setting up" : "unreachable";
   if ($("state").textContent !== state) $("state").textContent = state;
   $("state").dataset.state = state;
   showFaults(latest ? latest.faults : []);
@@ -204,7 +209,7 @@ const ENTER = {
     showArmIn("guide-slot");
     return enterGuide();
   },
-  compare: loadCompare, logs: loadLogs,
+  compare: loadCompare, logs: loadLogs, setup: enterSetUp,
 };
 
 function view(name) {
@@ -239,6 +244,7 @@ function wire() {
   for (const slider of document.querySelectorAll(".rate")) slider.addEventListener("input", () => setRate(Number(slider.value) / 100));
   wireGuide();
   wireLogs();
+  wireSetUp();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
   $("look").addEventListener("click", () => page.view && page.view.look());
 }

@@ -1,0 +1,166 @@
+// Setting an arm up: the questions of `armctl setup`; with simulated servos their hand does what is asked.
+
+import { $, act, page, post, request } from "/page.js";
+
+// The wizard's steps, as people call them, and what each is about.
+const STEPS = {
+  adapter: ["Adapter", "plug it in"], servos: ["Servos", "find every one"], joints: ["Joints", "turn each to both of its ends"],
+  directions: ["Directions", "which way the tool goes"], rest: ["Rest pose", "as the arm may lie limp"], zeros: ["Zeros", "a pose that is known"],
+  file: ["The arm's file", "written, and into the servos"], motion: ["First motion", "every joint a little"],
+};
+const NAME = /^[A-Za-z0-9][A-Za-z0-9._-]*$/;
+const WORDS = { kind: "Which arm is yours like", name: "Its name", port: "Port" };
+const HANDY = /^(middle|bend|rest|zero|motion)$|[.](one_end|the_other_end|open|closed|free|went)$/;
+const PUSHED_DEG = 2.5;  // beyond its limits, against the stop
+const LEAST_RAD = 0.03;  // that a joint is seen to turn by
+let told = [], running = false, shown = -1, handing = false, swing = 0;
+
+const radians = (deg) => deg * Math.PI / 180;
+const wait = (seconds) => new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+
+// ------------------------------------------------------------------------------------------- what is asked
+
+export const settingUp = () => running;
+
+export async function enterSetUp() {
+  showSetUp(await request("/setup"));
+}
+
+export function showSetUp(message) {
+  [told, running] = [message.told, message.running];
+  const last = told.at(-1) ?? {}, waits = running && Boolean(last.question);
+  drawSteps();
+  $("setup-begin").hidden = running || Boolean(last.arm);
+  $("setup-go").textContent = told.length ? "Go on" : "Begin";
+  $("setup-question").hidden = !waits;
+  $("setup-busy").hidden = !(running ? !waits : last.error);
+  $("setup-busy").textContent = running ? "Looking at the servos …" : last.error ?? "";
+  $("setup-busy").className = running ? "hint" : "alarm";
+  $("setup-done").hidden = !last.arm;
+  $("setup-arm").textContent = last.arm ? `${last.arm} is written. Start the arm, then teach it a line.` : "";
+  if (!waits) shown = -1;
+  else if (shown !== told.length - 1) ask(last.question, shown = told.length - 1);
+}
+
+function drawSteps() {
+  const done = new Map(told.filter(({ step }) => step).map(({ step }) => [step.name, step.text]));
+  const current = running ? Object.keys(STEPS).find((name) => !done.has(name)) : null;
+  $("setup-step").textContent = current ? STEPS[current][0] : "The arm";
+  $("setup-steps").replaceChildren(...Object.entries(STEPS).map(([name, [title, about]], i) => {
+    const item = document.createElement("li");
+    item.dataset.mark = done.has(name) ? "\u2713" : String(i + 1);
+    item.className = done.has(name) ? "done" : "";
+    if (name === current) item.setAttribute("aria-current", "step");
+    item.append(Object.assign(document.createElement("b"), { textContent: title }),
+      Object.assign(document.createElement("span"), { textContent: done.get(name) ?? about }));
+    return item;
+  }));
+}
+
+function ask({ key, text, choices }, number) {
+  const lines = text.split("\n"), drawn = key === "again" ? 0 : lines.length - 1, written = key === "name" || (key === "port" && !choices.length);
+  $("setup-picture").textContent = lines.slice(0, drawn).join("\n");
+  $("setup-picture").hidden = !drawn;
+  $("setup-text").textContent = lines.slice(drawn).join("\n");
+  if (key === "kind" || written) $("setup-step").textContent = "Before the first step";
+  $("setup-word-part").hidden = !written;
+  $("setup-label").textContent = WORDS[key] ?? "";
+  $("setup-word").value = "";
+  problem("");
+  const words = { q: "break off", "": written ? "Go on" : "Done" };
+  $("setup-choices").replaceChildren(...(choices.length ? choices : [""]).filter((word) => word !== "q").map((word) => {
+    const button = Object.assign(document.createElement("button"), { type: written ? "submit" : "button", textContent: words[word] ?? word });
+    if (!written) button.addEventListener("click", () => answer(number, word));
+    return button;
+  }));
+  $("setup-hand").hidden = handing || !page.arm.simulated || !HANDY.test(key);
+  if (handing && HANDY.test(key)) byHand(number, key, text);
+  else if (written) $("setup-word").focus();
+  else $("setup-choices").firstChild.focus({ preventScroll: true });
+}
+
+function problem(text) {
+  $("setup-problem").textContent = text;
+  $("setup-problem").hidden = !text;
+  $("setup-word").setAttribute("aria-invalid", String(Boolean(text)));
+}
+
+const answer = (number, word) => act(null, () => post("/setup/answer", { number, word }));
+
+// --------------------------------------------------------------------------------------- the simulator's hand
+
+const seen = () => request("/hand");
+
+async function hold(q, free = null) {
+  const { duration_s } = await post("/hand/hold", { joints_rad: q, free });
+  await wait(duration_s + 0.3);
+}
+
+// What weighs on the arm is made up for.
+async function holdExactly(q) {
+  let aim = q;
+  for (let i = 0; i < 3; i++) {
+    await hold(aim);
+    const { joints_rad } = await seen();
+    aim = aim.map((value, j) => value + q[j] - joints_rad[j]);
+  }
+}
+
+// Look at a joint until the question after that one: how far it turned, and which way.
+async function watch(index, start, number) {
+  swing = 0;
+  while (running && (told.length - 1 <= number || !told.at(-1).question)) {
+    const now = (await seen()).joints_rad[index] - start;
+    if (Math.abs(now) > Math.abs(swing)) swing = now;
+    await wait(0.05);
+  }
+}
+
+async function byHand(number, key, text) {
+  handing = true;
+  $("setup-hand").hidden = true;
+  const done = await act(null, async () => {
+    const { joints, gripper, joints_rad } = await seen(), [, name, what] = key.match(/^(?:(.*)[.])?(.*)$/);
+    const index = joints.findIndex((joint) => joint.name === name);
+    const q = joints.map(({ limits_deg: [low, high] }) => radians((low + high) / 2));
+    const say = async (word) => { await post("/setup/answer", { number, word }); return true; };
+    if (what === "went") return say(swing > LEAST_RAD ? "yes" : swing < -LEAST_RAD ? "no" : "again");
+    if (what === "free") {
+      await post("/hand/hold", { joints_rad, free: index });
+      await say("yes");
+      watch(index, joints_rad[index], number);
+      return true;
+    }
+    if (what === "zero") {
+      for (const [, joint, deg] of text.matchAll(/(\S+) (-?\d+) deg/g)) q[joints.findIndex((one) => one.name === joint)] = radians(Number(deg));
+    } else if (what === "bend") q.forEach((value, i) => { q[i] = value + 0.1 * (i - q.length / 2); });
+    else if (what === "rest" || what === "motion") joints.forEach(({ rest_deg }, i) => { q[i] = radians(rest_deg); });
+    else if (index >= 0) {
+      const [low, high] = joints[index].limits_deg;
+      q[index] = radians({ one_end: low - PUSHED_DEG, the_other_end: high + PUSHED_DEG, open: gripper?.open_deg, closed: gripper?.closed_deg }[what]);
+    }
+    await (what.endsWith("end") ? hold : holdExactly)(q);
+    if (what === "rest" || what === "motion") await post("/hand/let-go");
+    return say(what === "motion" ? "yes" : "");
+  });
+  if (done === null) handing = false;
+}
+
+// ---------------------------------------------------------------------------------------------------- wiring
+
+export function wireSetUp() {
+  $("setup-go").addEventListener("click", (event) => act(event.target, () => { handing = false; return post("/setup/begin"); }));
+  $("setup-question").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const word = $("setup-word").value.trim(), { key } = told.at(-1).question;
+    if (key === "name" && !NAME.test(word)) problem(`"${word}" is no name: write letters, digits, ".", "_" or "-", the first a letter or a digit, such as my-arm`);
+    else if (!word) problem("write the port's path, such as /dev/ttyUSB0");
+    else answer(told.length - 1, word);
+  });
+  $("setup-hand").addEventListener("click", () => byHand(told.length - 1, told.at(-1).question.key, told.at(-1).question.text));
+  $("setup-leave").addEventListener("click", (event) => act(event.target, () => post("/setup/answer", { number: told.length - 1, word: "q" })));
+  $("setup-start").addEventListener("click", (event) => act(event.target, async () => {
+    await post("/setup/start");
+    location.reload();  // it is another arm
+  }));
+}
