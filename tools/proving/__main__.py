@@ -47,6 +47,7 @@ PROOFS: dict[str, Work] = {
     "kill": _work("kill", "prove", tells=True),
     "hang": _work("hang", "prove", tells=True),
     "load": _work("load", "prove", tells=True),
+    "page": _work("page", "prove", tells=True),
 }
 # What a proof takes beside the seed.
 OPTIONS = {

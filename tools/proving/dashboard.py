@@ -1,6 +1,7 @@
 """`armctl web` on a daemon on simulated servos, each a program of its own."""
 
 import contextlib
+import os
 import socket
 import subprocess
 import sys
@@ -48,19 +49,36 @@ def dashboard(folder: Path, seed: int) -> Iterator[Dashboard]:
     with contextlib.ExitStack() as cleanup:
         cleanup.enter_context(program(folder / "simulator.log", "sim", "--link", str(servos), "--seed", str(seed)))
         daemon = cleanup.enter_context(program(folder / "daemon.log", "daemon", *common))
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
-        log = folder / "web.log"
-        command = [sys.executable, "-m", "armctl", "web", "--port", str(port), *common]
-        with log.open("w", encoding="utf-8") as words:
-            web = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, text=True, start_new_session=True)
-        cleanup.callback(_end, web)
+        web, port, token = cleanup.enter_context(pages(folder / "web.log", *common))
+        yield Dashboard(folder, path, daemon, web, port, token, folder / "web.log")
+
+
+@contextlib.contextmanager
+def pages(log: Path, *common: str, own: Path | None = None) -> Iterator[tuple[subprocess.Popen[str], int, str]]:
+    """`armctl web` alone, with its TCP port and its token.
+
+    Args:
+        own: Where the arms of its user lie; None: as for whoever runs this.
+    Raises:
+        ArmctlError: it did not start.
+    """
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    command = [sys.executable, "-m", "armctl", "web", "--port", str(port), *common]
+    environment = None if own is None else {**os.environ, "XDG_CONFIG_HOME": str(own)}
+    with log.open("w", encoding="utf-8") as words:
+        web = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=words, text=True, start_new_session=True, env=environment
+        )
+    try:
         assert web.stdout is not None
         ready, _, token = web.stdout.readline().strip().partition("#token=")
         if not ready.startswith("ready "):
             raise ArmctlError(f"armctl web did not start: {log.read_text(encoding='utf-8').strip()[-300:]}")
-        yield Dashboard(folder, path, daemon, web, port, token, log)
+        yield web, port, token
+    finally:
+        _end(web)
 
 
 def _end(process: subprocess.Popen[str]) -> None:

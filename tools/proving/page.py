@@ -1,0 +1,272 @@
+"""The dashboard in a browser, by itself: from the first question of the set-up to a corrected straight line.
+
+| trial | what is done | bound |
+|-|-|-|
+| journey | an arm that nobody has set up; all by the page, by mouse and finger | clicks; the true tool off its line |
+| cut off | the connection of a held button is lost: closed, or silent | the true tool stands |
+
+A click, a touch and a field that is written count one each. The line is judged by where the simulator says that the
+tool truly was: by its mean distance from its own best line. That from the wanted one, which is as exact as a hand holds
+the arm for its zeros, and the largest distances are told.
+
+A word of the page counts from the tick that takes it up. One that was under way when its connection was closed is
+taken up at the next tick, so the tool may then go on for a tick more.
+"""
+
+import contextlib
+import http.client
+import json
+import math
+import re
+import shutil
+import socket
+import struct
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from armctl.client import Client
+from armctl.errors import ArmctlError
+from armctl.lab.demo import program
+from armctl.sim.control import SimulatorClient, control_path
+from proving.dashboard import dashboard, pages
+from proving.rig import hold
+
+MOST_CLICKS = 25
+STRAIGHT_MM = 1.5
+# How long the tool may go on: after a silence; after a connection was closed with a word of its page under way.
+STOPPED_S = {"silent": 0.2, "closed": 0.3}
+CUTS = 200
+# A tool that goes less far than that in 50 ms stands (4 mm/s); it was led at 30 mm/s.
+STANDS_M = 0.0002
+LED_M_S = 0.03
+# Arms, the line that each can reach [m], and by what it is driven.
+JOURNEYS = tuple(
+    (arm, line, size)
+    for arm, line in (
+        ("phantomx-pincher", ("0.18, -0.125, 0.25", "0.18, 0.125, 0.25")),
+        ("ax12-line", ("0.18, -0.125, 0.1", "0.18, 0.125, 0.1")),
+    )
+    for size in ("desk", "phone")
+)
+FLAGS = ("--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE_MS = 120_000
+SET_UP_MS = 900_000
+
+
+# ------------------------------------------------------------------------------------------------- the journey
+
+
+@dataclass
+class Finger:
+    """Who uses the page, and how often so far."""
+
+    page: Any
+    touches: bool
+    clicks: int = 0
+
+    def press(self, what: str) -> None:
+        self.clicks += 1
+        if self.touches:
+            self.page.tap(what)
+        else:
+            self.page.click(what)
+
+    def write(self, where: str, text: str) -> None:
+        self.clicks += 1
+        self.page.fill(where, text)
+
+
+@contextlib.contextmanager
+def browsed(phone: bool) -> Iterator[Any]:
+    """A page of Chromium.
+
+    Raises:
+        ArmctlError: there is no browser, or nothing that drives it.
+    """
+    path = next((found for name in CHROMIUM if (found := shutil.which(name))), None)
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        path = None
+    if path is None:
+        raise ArmctlError("this proof needs Chromium and playwright: sudo apt install chromium, pip install playwright")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
+        width, height = (390, 844) if phone else (1440, 900)
+        size: Any = {"width": width, "height": height}
+        page = browser.new_context(viewport=size, has_touch=phone, is_mobile=phone).new_page()
+        page.set_default_timeout(PATIENCE_MS)
+        yield page
+        browser.close()
+
+
+def journey(seed: int, arm: str, line: tuple[str, str], size: str) -> dict[str, Any]:
+    """From an arm that nobody has set up to a corrected line, by the page alone."""
+    begin_s = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="armctl-") as name, contextlib.ExitStack() as cleanup:
+        folder = Path(name)
+        servos, config = folder / "servos", folder / "armctl.yaml"
+        config.write_text(yaml.safe_dump({"port": str(servos), "data_dir": str(folder)}), encoding="utf-8")
+        simulator = ("sim", "--arm", arm, "--link", str(servos), "--seed", str(seed))
+        cleanup.enter_context(program(folder / "simulator.log", *simulator))
+        common = ("--config", str(config), "--socket", str(folder / "daemon.sock"))
+        _, port, token = cleanup.enter_context(pages(folder / "web.log", *common, own=folder / "own"))
+        page = cleanup.enter_context(browsed(size == "phone"))
+        errors: list[str] = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(f"http://127.0.0.1:{port}/#token={token}")
+        finger = Finger(page, size == "phone")
+        answer = _by_the_page(finger, arm, line)
+        with SimulatorClient(control_path(servos)) as truth:
+            tool_m = truth.truth(answer["begin_ns"], answer["end_ns"]).tool_m
+    own_mm, wanted_mm = off_line_mm(tool_m, line)
+    return {"arm": arm, "size": size, "clicks": finger.clicks, "own_mean_mm": own_mm[0], "own_max_mm": own_mm[1],
+            "wanted_mean_mm": wanted_mm[0], "wanted_max_mm": wanted_mm[1], "encoders_mm": answer["mean_error_mm"],
+            "seconds": round(time.monotonic() - begin_s), "errors": errors}  # fmt: skip
+
+
+def _by_the_page(finger: Finger, arm: str, line: tuple[str, str]) -> dict[str, Any]:
+    """What the daemon answered to the run."""
+    from playwright.sync_api import expect
+
+    page = finger.page
+    expect.set_options(timeout=PATIENCE_MS)
+    finger.press("nav [data-view=setup]")
+    finger.press("#setup-go")
+    finger.press(f"#setup-choices button:text-is('{arm}')")
+    finger.write("#setup-word", "mine")
+    finger.press("#setup-choices button")
+    finger.press("#setup-hand")
+    expect(page.locator("#setup-done")).to_be_visible(timeout=SET_UP_MS)
+    finger.press("#setup-start")
+    expect(page.locator("#state")).to_have_text("off")
+    finger.press("nav [data-view=guide]")
+    finger.write("#line-form [name=from]", line[0])
+    finger.write("#line-form [name=to]", line[1])
+    finger.press("#teach-begin")
+    expect(page.locator("#state")).to_have_text("teaching")
+    for take in range(3):
+        finger.press("#take-by-hand")
+        expect(page.locator("#takes li")).to_have_count(take + 1)
+    finger.press("#teach-end")
+    expect(page.locator("#state")).to_have_text("off")
+    finger.press("#optimise-form [type=submit]")
+    expect(page.locator("#plan-choice")).to_have_value(re.compile("^line-via"))
+    with page.expect_response(re.compile("/run$"), timeout=SET_UP_MS) as answered:
+        finger.press("#refine")
+    if not answered.value.ok:
+        raise ArmctlError(f"the line was not run: {answered.value.text()}")
+    answer: dict[str, Any] = answered.value.json()
+    return answer
+
+
+def off_line_mm(tool_m: np.ndarray, line: tuple[str, str]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Mean and largest distance of the tool from its own best line, and from the wanted one."""
+    A, B = (np.array([float(part) for part in end.split(",")]) for end in line)
+    middle = tool_m.mean(axis=0)
+    own = np.linalg.svd(tool_m - middle)[2][0]
+    both = []
+    for place, way in ((middle, own), (A, (B - A) / np.linalg.norm(B - A))):
+        off = tool_m - place
+        away = 1e3 * np.linalg.norm(off - np.outer(off @ way, way), axis=1)
+        both.append((round(float(away.mean()), 3), round(float(away.max()), 3)))
+    return both[0], both[1]
+
+
+# ----------------------------------------------------------------------------------------- a connection is lost
+
+
+def cut_off(seed: int, count: int, tell: Callable[[str], None] = lambda _: None) -> list[dict[str, Any]]:
+    """How long the true tool went on after the connection was lost that led it [s]."""
+    rng, rows = np.random.default_rng((seed, 53)), list[dict[str, Any]]()
+    with (
+        tempfile.TemporaryDirectory(prefix="armctl-") as name,
+        dashboard(Path(name), seed) as running,
+        Client(running.socket) as client,
+        SimulatorClient(control_path(Path(name) / "servos")) as simulator,
+    ):
+        hold(client, 20.0)
+        for number in range(count):
+            way, side = tuple(STOPPED_S)[number % 2], 1.0 if number % 4 < 2 else -1.0
+            begin_ns = time.monotonic_ns()
+            with contextlib.closing(http.client.HTTPConnection("127.0.0.1", running.port, timeout=20.0)) as connection:
+                cut_ns = _led(connection, running.token, way, side * LED_M_S, float(rng.uniform(0.4, 1.0)))
+                time.sleep(1.0)
+            truth = simulator.truth(begin_ns, time.monotonic_ns())
+            rows.append({"way": way, **stood(truth.time_ns, truth.tool_m, cut_ns)})
+            if number % 20 == 19:
+                tell(f"{number + 1} of {count}, the slowest {max(row['stopped_s'] for row in rows):.3f} s")
+    return rows
+
+
+def _led(connection: http.client.HTTPConnection, token: str, way: str, speed_m_s: float, seconds: float) -> int:
+    """Lead the tool as a page does, and lose the connection; when [ns]."""
+    headers = {"X-Armctl-Token": token, "Content-Type": "application/json"}
+    begin_s, begun = time.monotonic(), False
+    while time.monotonic() - begin_s < seconds:
+        body = json.dumps({"tool_m_s": [0.0, 0.0, speed_m_s], "begin": not begun})
+        connection.request("POST", "/api/jog", body, headers)
+        if way == "closed" and time.monotonic() - begin_s > seconds - 0.1:
+            break  # in the middle of a request
+        answer = connection.getresponse()
+        told = answer.read()
+        if answer.status != 200:
+            raise ArmctlError(f"the tool is not led: {told.decode()}")
+        begun = True
+    cut_ns = time.monotonic_ns()
+    if way == "closed":  # at once, and with a reset
+        connection.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        connection.close()
+    return cut_ns
+
+
+def stood(time_ns: np.ndarray, tool_m: np.ndarray, cut_ns: int) -> dict[str, float]:
+    """How long after an instant the tool went on [s], and how far it had gone until then [m]."""
+    steps_m = np.linalg.norm(tool_m[5:] - tool_m[:-5], axis=1)
+    moving = np.flatnonzero(steps_m > STANDS_M)
+    went_m = float(np.linalg.norm(tool_m[np.searchsorted(time_ns, cut_ns) - 1] - tool_m[0]))
+    last_ns = int(time_ns[moving[-1] + 5]) if len(moving) else cut_ns
+    return {"stopped_s": round(max(0.0, (last_ns - cut_ns) / 1e9), 3), "went_m": round(went_m, 4)}
+
+
+# ------------------------------------------------------------------------------------------------------- all of it
+
+
+def prove(seed: int, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Every journey and every lost connection, and what was beyond its bound."""
+    rows = []
+    for trial in JOURNEYS:
+        rows.append(journey(seed, *trial))
+        tell(json.dumps(rows[-1]))
+    lost = cut_off(seed, CUTS, tell)
+    figures = {
+        f"stopped_s_max_{way}": max((row["stopped_s"] for row in lost if row["way"] == way), default=math.nan)
+        for way in STOPPED_S
+    }
+    return {"rows": rows, **figures, "runs": len(rows) + len(lost), "violations": judged(rows, lost), "seed": seed}
+
+
+def judged(rows: list[dict[str, Any]], lost: list[dict[str, Any]]) -> list[str]:
+    """What is beyond its bound."""
+    found = []
+    for row in rows:
+        who = f"{row['arm']}, {row['size']}"
+        if row["clicks"] > MOST_CLICKS:
+            found.append(f"{who}: {row['clicks']} clicks, bound {MOST_CLICKS}")
+        if not row["own_mean_mm"] <= STRAIGHT_MM:
+            found.append(f"{who}: {row['own_mean_mm']} mm off its line, bound {STRAIGHT_MM}")
+        found += [f"{who}: the page failed: {error}" for error in row["errors"]]
+    for number, row in enumerate(lost):
+        if not row["stopped_s"] <= (bound_s := STOPPED_S[row["way"]]):
+            found.append(f"cut {number} ({row['way']}): moved for {row['stopped_s']} s, bound {bound_s}")
+        if not row["went_m"] > STANDS_M:
+            found.append(f"cut {number} ({row['way']}): it did not move before")
+    return found
