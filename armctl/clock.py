@@ -48,8 +48,7 @@ class VirtualClock:
         return self._now_ns
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
-        if deadline_ns > self._now_ns:
-            self._now_ns = deadline_ns
+        self._now_ns = max(self._now_ns, deadline_ns)
 
     def advance_ns(self, duration_ns: int) -> None:
         """Move time forward.

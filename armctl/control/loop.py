@@ -31,14 +31,7 @@ class ControlLoop:
     """Owns the bus and the state; one call of `tick` is one tick."""
 
     def __init__(
-        self,
-        bus: ServoBus,
-        clock: Clock,
-        arm: ArmConfig,
-        robot: Robot,
-        period_s: float,
-        *,
-        restarted: bool = False,
+        self, bus: ServoBus, clock: Clock, arm: ArmConfig, robot: Robot, period_s: float, *, restarted: bool = False
     ) -> None:
         self.state = State()
         self._bus, self._clock, self._arm, self._robot = bus, clock, arm, robot

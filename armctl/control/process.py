@@ -186,14 +186,7 @@ def main(descriptor: int) -> int:
     clock = MonotonicClock()
     bus = ServoBus(SerialPort(settings.port, settings.baud, clock), settings.arm.servo_ids)
     robot = robots.get(settings.arm.robot, settings.arm.lengths_m)
-    loop = ControlLoop(
-        bus,
-        clock,
-        settings.arm,
-        robot,
-        settings.period_s,
-        restarted=restarted,
-    )
+    loop = ControlLoop(bus, clock, settings.arm, robot, settings.period_s, restarted=restarted)
     lane = StopLane(socket.socket(fileno=settings.stop_fd), clock)
     inbox = Inbox(link, lane, loop, clock)
 

@@ -7,17 +7,7 @@ from typing import NamedTuple
 
 from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import KINDS, with_fault
-from armctl.control.machine import (
-    ENERGISING,
-    LATCHED,
-    TO_REST,
-    TRANSITIONS,
-    LettingGo,
-    Look,
-    Phase,
-    State,
-    Trigger,
-)
+from armctl.control.machine import ENERGISING, LATCHED, TO_REST, TRANSITIONS, LettingGo, Look, Phase, State, Trigger
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register, Status
 from armctl.kinematics.chain import SerialChain

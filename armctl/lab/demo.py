@@ -258,12 +258,7 @@ def _recording(out: Path, name: str) -> recordings.Recording:
 
 
 def _finish(
-    session: _Session,
-    out: Path,
-    arm: ArmConfig,
-    names: list[str],
-    optimised: dict[str, Any],
-    runs: list[_Ran],
+    session: _Session, out: Path, arm: ArmConfig, names: list[str], optimised: dict[str, Any], runs: list[_Ran]
 ) -> dict[str, Any]:
     """Replay every log, write the report, and say it all."""
     stage = session.stage

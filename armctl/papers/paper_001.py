@@ -119,10 +119,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     title = "Figs. 2 and 3: the arm, wanted and found"
     return PaperReport(
         *introduced("001", **asdict(improved.DEFAULT), weight=POSITION_WEIGHT),
-        (
-            *_table_2_rows(found, plain_found, errors(robot, polished, T)),
-            *_exact_rows(robot, solved),
-        ),
+        (*_table_2_rows(found, plain_found, errors(robot, polished, T)), *_exact_rows(robot, solved)),
         (_table_2(robot, better.q_rad[middle], standard.q_rad[_middle(plain_found)]), knocked_out),
         (
             Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, robot, better, standard)),

@@ -109,8 +109,7 @@ class Draws:
         """The chain with its axes twisted."""
         sd, rng = math.radians(self._geometry.twist_deg), self._rng["twists"]
         return replace(
-            chain,
-            rows=tuple(replace(row, alpha=row.alpha + sd * float(rng.standard_normal())) for row in chain.rows),
+            chain, rows=tuple(replace(row, alpha=row.alpha + sd * float(rng.standard_normal())) for row in chain.rows)
         )
 
     def zero_rad(self) -> float:

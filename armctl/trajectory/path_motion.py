@@ -94,8 +94,7 @@ def path_motion(
             reasons = _against(motion, duration_s, arm, robot, q_now)
             if not reasons:
                 return PathMotion(
-                    led_in(motion, duration_s, arm, q_now, period_s, "path", early_s=EARLY_S),
-                    *_told(outline, progress),
+                    led_in(motion, duration_s, arm, q_now, period_s, "path", early_s=EARLY_S), *_told(outline, progress)
                 )
             if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
                 break
