@@ -196,10 +196,7 @@ def run_command(output: Output, plan: Path, refine: int) -> int:
 
     parsed = plan_from_text(read_text(plan, "plan"), str(plan))
     with output.motion("running", kept=", and what was recorded is kept") as client:
-        if refine:
-            result = client.call("run", on_progress=partial(_tell_run, output), plan=parsed.model_dump(), refine=refine)
-        else:
-            result = client.call("run", plan=parsed.model_dump())
+        result = client.call("run", on_progress=partial(_tell_run, output), plan=parsed.model_dump(), refine=refine)
     output.answer(result, partial(_show_run, output, result))
     return 1 if result.get("ended") else 0
 
@@ -230,7 +227,7 @@ def _show_run(output: Output, result: dict[str, Any]) -> None:
     output.say(
         f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "
         f"off the line in {result['duration_s']:.1f} s (by the encoders; predicted on perfect servos: "
-        f"{result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})",
+        f"{result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})"
     )
 
 

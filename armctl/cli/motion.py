@@ -1,7 +1,6 @@
 """What moves the arm somewhere: `armctl move`, `jog`, `path`, `reach` and `transfer`."""
 
 import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -50,6 +49,8 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
         raise ConfigError("armctl jog", "--joint/--axis", "one thing to jog is wanted", "give one of them")
     if not math.isfinite(speed) or abs(speed) > 1000.0:
         raise ConfigError("armctl jog", "--speed", f"{speed} is no speed", "20 deg/s is the fastest a joint goes")
+    from armctl.client.protocol import heartbeats
+
     with output.client() as client:
         names = [known["name"] for known in client.call("status")["joints"]]
         if joint is not None and joint not in names:
@@ -61,11 +62,8 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
             turn = max(-10.0, min(10.0, math.radians(speed) if deg else speed))
             wanted["joints_rad_s"] = [turn * (name == joint) for name in names]
         output.after_interrupt = HOLDS
-        end_s = time.monotonic() + seconds
-        client.call("jog", **wanted, begin=True)
-        while time.monotonic() < end_s:
-            client.call("jog", **wanted)  # answered by the next tick: the loop needs no clock of its own
-        state = client.call("stop")
+        for method, params in heartbeats(seconds, **wanted):
+            state = client.call(method, **params)
         tool = client.call("status")["tool"]
     position_m = tool["position_m"]
     output.answer({**state, "position_m": position_m}, f"{state['state']}, tool at {millimetres(position_m)}")

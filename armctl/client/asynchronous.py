@@ -1,6 +1,6 @@
 """The other end of the daemon's socket, for programs that do several things at once.
 
-    async with await AsyncClient.connect() as client:
+    async with AsyncClient() as client:
         print((await client.call("status"))["state"])
         async for snapshot in client.subscribe():
             ...
@@ -12,52 +12,55 @@ The same connection, errors and methods as `armctl.client.Client`, but every cal
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Coroutine
+import socket
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
-from armctl.client.protocol import MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
+from armctl.client.protocol import CONNECTIONS, MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
 
 MAX_LINE_BYTES = 16 * 2**20
 
 T = TypeVar("T")
 
 
-class AsyncClient(Protocol[Coroutine[Any, Any, Message]]):
-    """One connection to the daemon; made by `connect`."""
+class AsyncClient(Protocol):
+    """One connection to the daemon, from `open` or the begin of `async with` on.
+
+    Args:
+        socket: The daemon's; None: `ARMCTL_SOCKET`, else the usual place.
+    """
 
     _reader: asyncio.StreamReader
     _writer: asyncio.StreamWriter
     _receiving: asyncio.Task[None]
 
-    def __init__(self, path: str | Path | None = None) -> None:
-        super().__init__(path)
+    def __init__(self, socket: str | Path | None = None) -> None:
+        super().__init__(socket)
         self._waiting: dict[int, asyncio.Future[Message]] = {}
         self._opening = asyncio.Lock()
 
-    @classmethod
-    async def connect(cls, path: str | Path | None = None) -> Self:
-        """A connection to the daemon.
+    async def open(self) -> Self:
+        """Connect.
 
-        Args:
-            path: The daemon's socket; None: `ARMCTL_SOCKET`, else the usual place.
         Raises:
             NoDaemon: nobody answers there.
         """
-        client = cls(path)
-        await client._open()
-        return client
-
-    async def _open(self) -> None:
+        connection = socket.socket(socket.AF_UNIX)
+        connection.setblocking(False)
         try:
-            self._reader, self._writer = await asyncio.open_unix_connection(self.socket_file, limit=MAX_LINE_BYTES)
+            await asyncio.get_running_loop().sock_connect(connection, str(self.socket_file))
+            self._reader, self._writer = await asyncio.open_unix_connection(sock=connection, limit=MAX_LINE_BYTES)
         except OSError as error:
+            connection.close()
             raise self.no_daemon(error) from None
+        CONNECTIONS.add(connection)
         self._notifications: asyncio.Queue[Notification | None] = asyncio.Queue(MAX_WAITING_NOTIFICATIONS)
         self._receiving = asyncio.create_task(self._receive())
+        return self
 
     async def __aenter__(self) -> Self:
-        return self
+        return await self.open()
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
@@ -91,7 +94,7 @@ class AsyncClient(Protocol[Coroutine[Any, Any, Message]]):
         async with self._opening:
             if self.closed and not self._last_id:
                 self._writer.close()
-                await self._open()  # the daemon keeps no connection that asks nothing for long
+                await self.open()  # the daemon keeps no connection that asks nothing for long
         if self.closed:
             raise self.no_daemon("the connection is closed")
         line = self.request(method, params, person)

@@ -17,22 +17,22 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
-from armctl.client.protocol import MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
+from armctl.client.protocol import CONNECTIONS, MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
 
 
-class Client(Protocol[Message]):
+class Client(Protocol):
     """One connection to the daemon."""
 
-    def __init__(self, path: str | Path | None = None, *, timeout_s: float | None = None) -> None:
+    def __init__(self, socket: str | Path | None = None, *, timeout_s: float | None = None) -> None:
         """Connect.
 
         Args:
-            path: The daemon's socket; None: `ARMCTL_SOCKET`, else the usual place.
+            socket: The daemon's; None: `ARMCTL_SOCKET`, else the usual place.
             timeout_s: Longest wait for anything from the daemon; None: as long as it takes (a `run` takes long).
         Raises:
             NoDaemon: nobody answers there.
         """
-        super().__init__(path)
+        super().__init__(socket)
         self._timeout_s = timeout_s
         # Takes the `progress` notifications of calls that have no function of their own for them.
         self.on_progress: Callable[[Message], None] | None = None
@@ -98,6 +98,7 @@ class Client(Protocol[Message]):
         except OSError as error:
             self._socket.close()
             raise self.no_daemon(error) from None
+        CONNECTIONS.add(self._socket)
 
     def _receive(self) -> Message:
         while (end := self._received.find(b"\n")) < 0:

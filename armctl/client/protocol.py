@@ -5,36 +5,45 @@ it carries, and holds its `result` or its `error`.
 """
 
 import json
-from collections.abc import Sequence
+import os
+import socket as sockets
+import time
+from collections.abc import Iterable
+from operator import methodcaller
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
+from weakref import WeakSet
 
 from armctl import errors
 from armctl.errors import ArmctlError, NoDaemon, RequestRefused, rebuilt
 from armctl.files import socket_path
 
 MAX_WAITING_NOTIFICATIONS = 64
+# Every connection of this process. A child that was forked gives up its copies: they would keep what its parent began
+# going after the parent's end.
+CONNECTIONS = WeakSet[sockets.socket]()
+os.register_at_fork(after_in_child=lambda: list(map(sockets.socket.close, CONNECTIONS)))
 
 Message = dict[str, Any]
-# What a call gives: the answer, or what has to be awaited for it.
-Answer = TypeVar("Answer")
 # Method and parameters.
 Notification = tuple[str, Message]
+# The same of several requests, one after the other.
+Requests = Iterable[tuple[str, Message]]
 
 
-class Protocol(Generic[Answer]):
-    """What one connection has asked so far, and the motions that can be asked for by name.
+class Protocol:
+    """What one connection has asked so far.
 
     Args:
-        path: The daemon's socket; None: `ARMCTL_SOCKET`, else the usual place.
+        socket: The daemon's; None: `ARMCTL_SOCKET`, else the usual place.
     """
 
-    def __init__(self, path: str | Path | None = None) -> None:
-        self.socket_file = socket_path(None if path is None else str(path))
+    def __init__(self, socket: str | Path | None = None) -> None:
+        self.socket_file = socket_path(None if socket is None else str(socket))
         self._last_id = 0
 
     def request(self, method: str, params: Message, person: str = "") -> bytes:
-        """The line of a new request, whose id is `_last_id` from then on.
+        """The line of a new request, whose id is `_last_id` from then on; numbers may stand in arrays of numpy.
 
         Raises:
             RequestRefused: code LIMIT, a parameter is not a finite number.
@@ -44,44 +53,10 @@ class Protocol(Generic[Answer]):
             {"person": person} if person else {}
         )
         try:
-            return json.dumps(request, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+            line = json.dumps(request, separators=(",", ":"), allow_nan=False, default=methodcaller("tolist"))
         except ValueError as error:
             raise RequestRefused("LIMIT", f"{method}: a parameter is not a finite number ({error})") from None
-
-    def call(self, method: str, **params: Any) -> Answer:
-        """The result of a method, or what has to be awaited for it."""
-        raise NotImplementedError
-
-    def play(self, name: str, *, rate: float = 1.0, repeat: int = 1) -> Answer:
-        """Move as a take or a run was taught.
-
-        Args:
-            name: Of the recording.
-            rate: Taught seconds a second, 0.1 to 2.
-            repeat: How often.
-        Raises:
-            ArmctlError: there is none of that name, or the motion was refused (every reason), or stopped on the way.
-        """
-        return self.call("play", name=name, rate=rate, repeat=repeat)
-
-    def path(
-        self,
-        points_m: Sequence[Sequence[float]],
-        *,
-        kinds: Sequence[str] = (),
-        duration_s: float | None = None,
-        tolerance_mm: float = 2.0,
-    ) -> Answer:
-        """Lead the tool along points [m], each reached by a `line`, or by an `arc` that goes `through` another.
-
-        Args:
-            kinds: How each point is reached; empty: by lines.
-            duration_s: None: about 30 mm/s.
-            tolerance_mm: How far a corner may be cut.
-        Raises:
-            ArmctlError: the path was refused (every reason), or stopped on the way.
-        """
-        return self.call("path", points_m=points_m, kinds=kinds, duration_s=duration_s, tolerance_mm=tolerance_mm)
+        return line.encode() + b"\n"
 
     def no_daemon(self, why: str | OSError) -> NoDaemon:
         """The error for a daemon that is not there, or no longer."""
@@ -105,6 +80,15 @@ class Protocol(Generic[Answer]):
             raise error_of(answer["error"])
         found: Message = answer["result"]
         return found
+
+
+def heartbeats(seconds: float, **velocity: object) -> Requests:
+    """What jogs the arm for so long, each asked when the one before is answered, and then stops it."""
+    end_s = time.monotonic() + seconds
+    yield "jog", {**velocity, "begin": True}
+    while time.monotonic() < end_s:
+        yield "jog", velocity  # answered by the next tick: the loop needs no clock of its own
+    yield "stop", {}
 
 
 def error_of(answer: Message) -> ArmctlError:

@@ -144,7 +144,7 @@ class Host:
         lease.lost = True
         if lease.what in ("jog", "jogging"):
             self.leases.current = None  # its heartbeats have ceased
-        elif lease.what in ("run", "path", "play", "move", "park", "reach", "transfer", "program"):
+        elif lease.what in ("run", "path", "play", "move", "park", "reach", "grip", "transfer", "program"):
             text = f"the client left during its {lease.what}: hold"
             self.note({"event": "LEASE_LOST", "who": client.name, "text": text})
             self._in_background(self.stop())

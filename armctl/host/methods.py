@@ -19,14 +19,14 @@ from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
 from armctl.host.jsonrpc import error_data
 from armctl.host.motions import move, path, play, run, transfer
-from armctl.host.reach import reach
+from armctl.host.reach import grip, reach
 from armctl.host.refining import MOST_FURTHER, refine
 from armctl.host.server import PERSON, Connection, Method
 from armctl.kinematics.chain import tool_position
 from armctl.recording import recordings
 from armctl.recording.recordings import describe, drawn, listing
 from armctl.trajectory.bounds import Metre, Point, Radian
-from armctl.trajectory.grasp import ReachRequest
+from armctl.trajectory.grasp import GripRequest, ReachRequest
 from armctl.trajectory.plan import Plan, plan_positions, plan_to_text
 from armctl.trajectory.playback import PlayRequest
 from armctl.trajectory.program import Program, ProgramRequest
@@ -109,7 +109,7 @@ class JogBeat(Frozen):
 # Heartbeats of a jog are logged as commands of the control step; an optimisation moves nothing.
 UNNOTED = ("jog", "optimize")
 # What is learnt from.
-MOTIONS = {"run", "move", "reach", "transfer", "play", "path", "program_run"}
+MOTIONS = {"run", "move", "reach", "grip", "transfer", "play", "path", "program_run"}
 
 
 def _observed(look: Callable[[], dict[str, Any]]) -> Method:
@@ -165,6 +165,7 @@ class Methods:
             "play": Method(PlayRequest, self._play),
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
+            "grip": Method(GripRequest, partial(grip, host)),
             "transfer": Method(TransferRequest, partial(transfer, host)),
             "program_check": Method(Program, _in_thread(lambda p: programs.checked(site, p, programs.pose_now(host)))),
             "program_run": Method(ProgramRequest, lambda client, p: programs.run(host, client, site, p)),

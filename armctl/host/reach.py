@@ -3,17 +3,15 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from armctl.clock import NS_PER_S
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.host.host import Host
 from armctl.host.lease import Client
+from armctl.host.motions import move_result
 from armctl.host.watch import Done, Leg
-from armctl.kinematics.chain import tool_position
 from armctl.messages import JointTrajectory
 from armctl.trajectory import grasp
-from armctl.trajectory.grasp import Grasp, ReachRequest
+from armctl.trajectory.grasp import Grasp, GripRequest, ReachRequest
 
 # Of the load asked for: with less the gripper has lost what it held.
 HELD_SHARE = 0.5
@@ -32,16 +30,9 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
     planned: list[Grasp] = []
     legs = _legs(host, request, planned)
     name, done = await host.execute(client, "reach", legs, {"event": "REACH", **request.model_dump(exclude_none=True)})
-    n = host.robot.chain.n
-    q = np.array([leg.watch.positions_rad[-1][:n] for leg in done])
-    place = tool_position(host.robot.chain, q)
-    error_mm = 1e3 * np.linalg.norm(place[_THERE] - np.array(request.point_m))
     result: dict[str, Any] = {
         "recording": name,
-        "position_error_mm": float(error_mm),
-        "position_m": place[_THERE].tolist(),
-        "joints_rad": q[_THERE].tolist(),
-        "target_rad": planned[0].path_rad[-1].tolist(),
+        **move_result(done[_THERE], host.robot),
         "method": request.ik,
         "duration_s": (done[-1].watch.time_ns[-1] - done[0].watch.time_ns[0]) / NS_PER_S,
         "gripped": None,
@@ -59,8 +50,20 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
             "load_ratio": now["load_ratio"],
             **({} if gripper.open_mm is None else {"opening_mm": gripper.opening_mm(now["position_rad"])}),
         },
-        "lifted_m": place[-1].tolist(),
+        "lifted_m": move_result(done[-1], host.robot)["position_m"],
     }
+
+
+async def grip(host: Host, client: Client, request: GripRequest) -> dict[str, Any]:
+    """Close the gripper until its load says that it holds something, or open it; recorded and measured.
+
+    Raises:
+        RequestRefused: NO_GRIPPER, pre-flight (every reason), BUSY, stopped or failed on the way.
+        LogError: the recording cannot be made.
+    """
+    where, closing = (host.arm, host.robot, host.period_s), request.grip == "close"
+    name, done = await host.execute(client, "grip", [lambda q_now: grasp.gripping(q_now, *where, closing=closing)])
+    return {"recording": name, **move_result(done[0], host.robot), "gripped": closing and gripped(host, done)}
 
 
 def gripped(host: Host, done: Sequence[Done]) -> bool:

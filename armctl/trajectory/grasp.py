@@ -73,6 +73,12 @@ class ReachRequest(Frozen):
         return self
 
 
+class GripRequest(Frozen):
+    """What the gripper is to do where the tool is."""
+
+    grip: Literal["close", "open"] = "close"
+
+
 @dataclass(frozen=True, eq=False)
 class Grasp:
     """The straight line to a point."""

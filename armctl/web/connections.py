@@ -65,7 +65,7 @@ class Connections:
         """
         async with self._connecting:
             if self._commander is None or self._commander.closed:
-                self._commander = await AsyncClient.connect(self.socket)
+                self._commander = await AsyncClient(self.socket).open()
                 self._start(self._forward(self._commander))
             commander = self._commander
         return await commander.asked(method, params, self._person())
@@ -83,7 +83,7 @@ class Connections:
         watcher = self._watcher
         if watcher is not None and not watcher.closed:
             return await watcher.call("stop")
-        async with await AsyncClient.connect(self.socket) as client:
+        async with AsyncClient(self.socket) as client:
             return await client.call("stop")
 
     @contextlib.asynccontextmanager
@@ -102,7 +102,7 @@ class Connections:
     async def _watch(self) -> None:
         while True:
             with contextlib.suppress(NoDaemon):
-                async with await AsyncClient.connect(self.socket) as self._watcher:
+                async with AsyncClient(self.socket) as self._watcher:
                     async for snapshot in self._watcher.subscribe():
                         self._see(snapshot)
             self._see(None)

@@ -22,6 +22,7 @@ import pytest
 from armctl.cli import cli
 from armctl.cli.help import DOCS, TOPICS, page
 from armctl.cli.processes import DEFAULT_LINK
+from armctl.client import Client
 from armctl.control.faults import CODES, FAULTS
 from armctl.files import load_arm
 from armctl.lab.demo import program
@@ -128,6 +129,26 @@ def test_what_a_page_says_to_type_works(topic: str, stand: Stand) -> None:
             assert done.returncode == 0, f"{text}\n{done.stdout}{done.stderr}"
         ran += 1
     assert ran
+
+
+@pytest.mark.pty
+def test_the_examples_in_python_run(stand: Stand) -> None:
+    stand.need("daemon")
+    done = stand.shell(f"{sys.executable} {DOCS}/examples/circle.py")
+    assert "mm off the circle" in done.stdout, done.stderr
+    with shell(stand.folder) as keys:
+        since = keys.start(f"{sys.executable} {DOCS}/examples/teach.py")
+        keys.until("press Enter again.", since)
+        keys.press(b"\n")
+        with Client() as client:
+            next(snapshot for snapshot in client.subscribe() if snapshot["recording"])
+        stand.shell("armctl hand --seed 1")
+        for said in ("Hold it still", "Let go of it"):
+            keys.press(b"\n")
+            keys.until(said, since)
+        stand.shell("armctl hand --let-go")
+        keys.press(b"\n")
+        keys.until("mm off what you did", since)
 
 
 def test_a_command_to_copy_fits_a_terminal_of_80_columns() -> None:

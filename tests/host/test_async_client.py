@@ -25,7 +25,7 @@ async def served(tmp_path: Path, *lines: bytes, requests: int = 1) -> AsyncItera
         writer.close()
 
     server = await asyncio.start_unix_server(serve, tmp_path / "sock")
-    async with server, await AsyncClient.connect(tmp_path / "sock") as client:
+    async with server, AsyncClient(tmp_path / "sock") as client:
         yield client
 
 
@@ -69,7 +69,7 @@ async def test_a_client_that_was_sent_away_before_it_asked_anything_connects_aga
         writer.close()
 
     server = await asyncio.start_unix_server(serve, tmp_path / "sock")
-    async with server, await AsyncClient.connect(tmp_path / "sock") as client:
+    async with server, AsyncClient(tmp_path / "sock") as client:
         while not client.closed:
             await asyncio.sleep(0)
         answers = await asyncio.gather(client.call("status"), client.call("status"))
@@ -93,4 +93,4 @@ async def test_a_consumer_that_lags_loses_the_oldest(tmp_path: Path) -> None:
 
 async def test_nobody_there_is_said_with_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(NoDaemon, match="armctl daemon --port"):
-        await AsyncClient.connect(tmp_path / "nobody")
+        await AsyncClient(tmp_path / "nobody").open()

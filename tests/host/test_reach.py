@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from armctl.host.motions import move
-from armctl.host.reach import reach
+from armctl.host.reach import grip, reach
 from armctl.kinematics.chain import tool_position
 from armctl.messages import Mode, TickRecord
-from armctl.trajectory.grasp import Method, ReachRequest
+from armctl.trajectory.grasp import GripRequest, Method, ReachRequest
 from armctl.trajectory.target import MoveRequest
 from tests.host.doubles import refused
 from tests.host.simulated import SimulatedBench, on_arm
@@ -59,7 +59,7 @@ async def test_the_tool_comes_to_the_point_and_stays_there(name: str, point: tup
         assert result["position_error_mm"] < 4.0
         assert bench.off_mm(point) < 4.0
         n = bench.robot.chain.n
-        assert tool_position(bench.robot.chain, np.array(result["target_rad"])) == pytest.approx(point, abs=1e-6)
+        assert tool_position(bench.robot.chain, np.array(result["target_rad"][:n])) == pytest.approx(point, abs=1e-6)
         assert result["position_m"] == pytest.approx(
             tool_position(bench.robot.chain, np.array(result["joints_rad"][:n])).tolist()
         )
@@ -153,3 +153,17 @@ async def test_a_stop_ends_the_whole_reach_and_not_only_the_leg_under_way(bench:
     assert bench.loop.state.mode is Mode.HOLDING
     assert len(bench.recorder.takes) == 1
     assert sum(command.kind == "run" for record in bench.recorder.records for command in record.inputs.commands) == 1
+
+
+async def test_the_gripper_alone_grips_what_is_there_and_opens_again(bench: SimulatedBench) -> None:
+    before = bench.true_deg()[:5]
+    take_away = bench.place_object(math.radians(40.0))
+    closed = await bench.served(grip(bench.host, bench.anna, GripRequest()))
+    assert closed["gripped"] is True
+    assert bench.true_deg()[5] == pytest.approx(40.0, abs=2.0)
+    take_away()
+    opened = await bench.served(grip(bench.host, bench.anna, GripRequest(grip="open")))
+    assert opened["gripped"] is False
+    assert bench.true_deg() == pytest.approx([*before, 0.0], abs=3.0)
+    assert list(bench.recorder.takes) == [closed["recording"], opened["recording"]]
+    assert (await bench.served(grip(bench.host, bench.anna, GripRequest())))["gripped"] is False
