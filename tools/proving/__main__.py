@@ -48,12 +48,14 @@ PROOFS: dict[str, Work] = {
     "hang": _work("hang", "prove", tells=True),
     "load": _work("load", "prove", tells=True),
     "page": _work("page", "prove", tells=True),
+    "client": _work("client", "prove", tells=True),
 }
 # What a proof takes beside the seed.
 OPTIONS = {
     "soak": {"hours", "workers", "episode"},
     "mutants": {"workers"},
     "hang": {"runs", "hours"},
+    "client": {"runs"},
     "arms": {"arms", "workers"},
     "lines": {"arms", "classes", "workers"},
     "place": {"arms", "targets", "workers"},
@@ -88,7 +90,7 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.argument("name", type=click.Choice(tuple(PROOFS)))
 @seeded
 @click.option("--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine.")
-@click.option("--runs", type=click.IntRange(0), help="hang: of each process.")
+@click.option("--runs", type=click.IntRange(0), help="hang: of each process; client: ends.  [default: 200]")
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
 @click.option(
     "--workers",

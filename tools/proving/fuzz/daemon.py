@@ -48,6 +48,7 @@ LASTING = frozenset(
         "program_run",
         "move",
         "reach",
+        "grip",
         "transfer",
         "park",
         "optimize",

@@ -80,6 +80,7 @@ def requests_to(arm: ArmConfig) -> list[tuple[str, dict[str, Any]]]:
         ("move", {"point_m": [0.18, 0.0, 0.15]}),
         ("move", {"pose": [0.18, 0.0, 0.15, 0.0, 1.5, 0.0]}),
         ("reach", {"point_m": [0.18, 0.0, 0.12], "gripper": "stay", "ik": "closed", "seed": 1, "along": "above"}),
+        ("grip", {"grip": "close"}),
         ("transfer", {"pick_m": [0.18, -0.1, 0.1], "place_m": [0.18, 0.1, 0.1], "lift_s": 1.0, "cycles": 2}),
         ("rate", {"rate": 0.5}),
         ("jog", {"joints_rad_s": [0.0] * len(rest), "begin": True}),
