@@ -53,14 +53,14 @@ class Output:
         """Where answers for people go. Imported with the first of them: it takes as long as the rest of a command."""
         from rich.console import Console
 
-        return Console()
+        return Console(emoji=False)
 
     @cached_property
     def messages(self) -> Console:
         """Where everything else goes."""
         from rich.console import Console
 
-        return Console(stderr=True)
+        return Console(stderr=True, emoji=False)
 
     def client(self, socket: str | None = None, **options: Any) -> Client:
         """A connection to the daemon that was named."""

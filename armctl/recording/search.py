@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from armctl.errors import RequestRefused
+from armctl.errors import ConfigError
 from armctl.recording.index import Index
 from armctl.recording.notes import FIGURES, LEVELS
 
@@ -20,6 +20,10 @@ _TERMS = {
     "after": "time_s >= ?", "before": "time_s < ?",
 }  # fmt: skip
 _COMPARED = re.compile(rf"({'|'.join(READINGS)})([<>])(-?\d+(?:\.\d+)?)")
+_LIKE_COMPARED = re.compile(r"\w+[<>]")
+# Beyond it sqlite3 refuses a query, as it refuses numbers beyond 64 bits and halves of surrogate pairs.
+MOST_WORDS = 100
+SERVO_IDS = range(254)
 # What becomes of each figure of a minute in a longer time.
 _OF_A_PERIOD = ("max", "max", "avg", "min", "avg")
 PERIODS_S = {"day": 86_400, "week": 604_800, "month": 2_629_746}
@@ -44,9 +48,11 @@ def find(index: Index, expression: str) -> list[Row]:
     UTC unless it says otherwise), a comparison such as `load>0.8` or `temperature<60`, or any part of an event's text.
 
     Raises:
-        RequestRefused: QUERY, a word cannot be understood.
+        ConfigError: a word cannot be understood, or there are over `MOST_WORDS`.
     """
     words = expression.split()
+    if len(words) > MOST_WORDS:
+        raise _misunderstood(f"{len(words)} words", f"give {MOST_WORDS} at most")
     compared = [match for word in words if (match := _COMPARED.fullmatch(word))]
     where, arguments = ["1"], list[Any]()
     for word in words:
@@ -54,6 +60,8 @@ def find(index: Index, expression: str) -> list[Row]:
         if match := _COMPARED.fullmatch(word):
             where.append(f"{READINGS[match[1]]} {match[2]} ?")
             arguments.append(float(match[3]))
+        elif _LIKE_COMPARED.match(word) or not word.isprintable():
+            raise _misunderstood(word, f"compared are {', '.join(READINGS)}, by < or >, with a number such as 0.8")
         elif colon and key in _TERMS:
             where.append(_TERMS[key])
             arguments.append(_value(key, value))
@@ -61,9 +69,7 @@ def find(index: Index, expression: str) -> list[Row]:
             where.append("instr(lower(text), ?)")
             arguments.append(word.lower())
     if compared and any("text" in one or "code" in one or "level" in one for one in where):
-        raise RequestRefused(
-            "QUERY", f"{expression}: a comparison is of servos, and a code or text of events; ask twice"
-        )
+        raise _misunderstood(expression, "a comparison is of servos, and a code or text of events; ask twice")
     source = "minutes" if compared else "events"
     query = f"SELECT *, s.time_s AS at_s FROM {source} s JOIN logs ON logs.id = s.log WHERE {' AND '.join(where)}"
     return [_found(index, row, compared) for row in index.ask(f"{query} ORDER BY s.time_s", arguments)]
@@ -85,9 +91,14 @@ def _value(key: str, text: str) -> Any:
         if key in ("after", "before"):
             time = datetime.fromisoformat(text)
             return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
-        return LEVELS[text] if key == "level" else int(text) if key == "servo" else text
+        return LEVELS[text] if key == "level" else SERVO_IDS.index(int(text)) if key == "servo" else text
     except (ValueError, KeyError, OverflowError):
-        raise RequestRefused("QUERY", f"{key}:{text}: cannot be understood; see armctl log find --help") from None
+        known = "a servo is a number from 0 to 253, a level info, warning or error, a time such as 2025-06-15T12:00"
+        raise _misunderstood(f"{key}:{text}", known) from None
+
+
+def _misunderstood(words: str, remedy: str) -> ConfigError:
+    return ConfigError("armctl log find", ascii(words)[1:-1][:80], "cannot be understood", remedy)
 
 
 def stats(index: Index, period: str) -> list[Row]:

@@ -141,7 +141,7 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     expect(page.locator("#log-found-hint")).to_contain_text("found")
     page.fill("#log-words", "servo:x")
     page.click("#log-form [type=submit]")
-    expect(page.locator("#message")).to_contain_text("QUERY")
+    expect(page.locator("#message")).to_contain_text("servo:x: cannot be understood")
 
 
 BALL = """async () => {
