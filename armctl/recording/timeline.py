@@ -39,10 +39,9 @@ _TORQUE, _GOAL, _VOLTAGE, _TEMPERATURE = (
 # What every frame is made of, and what it tells of the joints.
 _SAMPLED = (channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE)
 _OF_JOINTS = (*channels.QUANTITIES.values(), "goal_rad", "voltage_V", "temperature_degC")
-_TOPICS = (
-    channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE, channels.DIAGNOSTICS, channels.ROSOUT,
-    channels.COMMAND, channels.WRITES, channels.CYCLE,
-)  # fmt: skip
+# What happened beside them.
+_HAPPENED = (channels.ROSOUT, channels.COMMAND, channels.WRITES)
+_TOPICS = (*_SAMPLED, channels.DIAGNOSTICS, *_HAPPENED, channels.CYCLE)
 _NAMES = {register.address: register.name for register in ax12a.REGISTERS}
 _UNKNOWN_TOOL = (math.nan,) * 7
 
@@ -91,22 +90,24 @@ class Frame:
 class Frames:
     """The frames of an open log in file order; what happened, and what was commanded, collects on the way.
 
+    Args:
+        topics: What is read of the log.
     Raises:
         LogError: the file was not written by armctl, or its beginning is damaged.
     """
 
-    def __init__(self, log: LogFile) -> None:
+    def __init__(self, log: LogFile, topics: Sequence[str] = _TOPICS) -> None:
         self.arm: ArmConfig = log_setup(log).arm
         self.happenings: list[Happening] = []
         self.motions: list[Motion] = []
-        self._log = log
+        self._log, self._topics = log, topics
         self._state = self._fault = ""
         # Servos, joints and tool of the tick that is not over yet, by topic.
         self._tick: dict[str, Any] = {}
         self._run: Motion | None = None
 
     def __iter__(self) -> Iterator[Frame]:
-        for message in self._log.messages(_TOPICS):
+        for message in self._log.messages(self._topics):
             value = self._log.decode(message)
             try:
                 frame = self._take(message, value)
@@ -333,7 +334,7 @@ class Timeline:
 _TYPES = {"time_ns": np.int64, "tick": np.int64, "torque_enabled": np.bool_, "state": np.object_, "fault": np.object_}
 
 
-def _changes(names: list[str]) -> tuple[tuple[int, str], ...]:
+def _changes(names: Sequence[str]) -> tuple[tuple[int, str], ...]:
     """From which frame on, what."""
     return tuple((i, name) for i, name in enumerate(names) if i == 0 or name != names[i - 1])
 
@@ -348,16 +349,18 @@ def load(path: Path, progress: Callable[[float], None] | None = None) -> Timelin
     """
     blocks: dict[str, list[Any]] = {field.name: [] for field in fields(Frame)}
     with LogFile(path) as log:
-        found = iter(frames := Frames(log))
+        arrays = Frames(log).columns() or {}
+    with LogFile(path) as log:
+        found = iter(frames := Frames(log, _HAPPENED if arrays else _TOPICS))
         # In blocks: the frames of a whole log as objects would take ten times the memory of its arrays.
         while block := list(islice(found, BLOCK_FRAMES)):
             for name, parts in blocks.items():
                 parts.append(np.array([getattr(frame, name) for frame in block], _TYPES.get(name, np.float64)))
             if progress is not None and len(block) == BLOCK_FRAMES:
                 progress(log.progress)
-        if not blocks["tick"]:
+        if not arrays and not blocks["tick"]:
             raise LogError(f"{path}: holds no whole tick; there is nothing to show")
-        arrays = {name: np.concatenate(parts) for name, parts in blocks.items()}
+        arrays = arrays or {name: np.concatenate(parts) for name, parts in blocks.items()}
         time_ns, states, faults = (arrays.pop(name) for name in ("time_ns", "state", "fault"))
         return Timeline(
             path=path,
@@ -365,8 +368,8 @@ def load(path: Path, progress: Callable[[float], None] | None = None) -> Timelin
             start_ns=int(time_ns[0]),
             time_s=(time_ns - time_ns[0]) / NS_PER_S,
             **arrays,
-            states=_changes(states.tolist()),
-            faults=_changes(faults.tolist()),
+            states=_changes(states),
+            faults=_changes(faults),
             happenings=tuple(frames.happenings),
             motions=tuple(frames.motions),
             complete=log.complete,

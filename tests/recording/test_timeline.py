@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,14 @@ def test_every_array_is_what_the_ticks_said(found: timeline.Timeline) -> None:
     np.testing.assert_array_equal(found.time_s, (times_ns - times_ns[0]) / NS_PER_S)
     assert found.start_ns == ANCHOR.epoch_ns(int(times_ns[0]))
     assert found.complete
+
+
+def test_a_log_that_is_read_tick_by_tick_is_the_same(found: timeline.Timeline, tmp_path: Path) -> None:
+    cut = timeline.load(write(tmp_path / "a.mcap", RECORDS, finish=False))
+    assert not cut.complete
+    for one in fields(cut):
+        if one.name not in ("path", "complete"):
+            np.testing.assert_equal(getattr(cut, one.name), getattr(found, one.name), err_msg=one.name)
 
 
 def test_goals_are_the_registers_while_there_is_torque(found: timeline.Timeline) -> None:
