@@ -88,16 +88,22 @@ def log_stats(output: Output, period: str, log_dir: Path | None) -> None:
 
 
 @command("diff", group=log_command)
-def log_diff(output: Output, a: Path, b: Path) -> None:
+def log_diff(output: Output, a: Path, b: Path, report: Path | None) -> None:
     """Compare two logs, quantity by quantity.
 
-    Example: armctl log diff line-1.mcap line-2.mcap
+    Example: armctl log diff line-1.mcap line-2.mcap --report line.html
     """
     from armctl.recording import entry
 
     rows = entry.diff(a, b)
+    if report is not None:
+        from armctl.recording.timeline import load
+        from armctl.report import log as page
+
+        page.write(report, load(a), load(b), rows=rows)
     shown = [{key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()} for row in rows]
-    output.answer({"rows": rows}, lambda: show_rows(output.console, "diff", "", shown))
+    answer = {"rows": rows} | ({"report": str(report)} if report else {})
+    output.answer(answer, lambda: show_rows(output.console, "diff", "", shown))
 
 
 @command("note", group=log_command)

@@ -53,7 +53,7 @@ def replay_command(output: Output, log: Path, check: bool, allow_gaps: bool, rep
     if report is not None:
         from armctl.report import log as page
 
-        page.write(_loaded(output, log), report, answer)
+        page.write(report, _loaded(output, log), checked=answer)
         answer["report"] = str(report)
         if not output.json:
             output.say(f"report: {report}")

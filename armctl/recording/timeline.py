@@ -39,6 +39,8 @@ _TORQUE, _GOAL, _VOLTAGE, _TEMPERATURE = (
 # What every frame is made of, and what it tells of the joints.
 _SAMPLED = (channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE)
 _OF_JOINTS = (*channels.QUANTITIES.values(), "goal_rad", "voltage_V", "temperature_degC")
+# Of the cycle of a tick, in the order of a frame's `cycle`.
+CYCLE_KEYS = ("bus_us", "lateness_us", "retries", "overrun", "dropped")
 # What happened beside them.
 _HAPPENED = (channels.ROSOUT, channels.COMMAND, channels.WRITES)
 _TOPICS = (*_SAMPLED, channels.DIAGNOSTICS, *_HAPPENED, channels.CYCLE)
@@ -80,6 +82,9 @@ class Frame:
     voltage_V: list[float]
     temperature_degC: list[float]
     torque_enabled: list[bool]
+    # Whether the servo answered in this tick.
+    fresh: list[bool]
+    cycle: list[float]
     # x, y, z [m] and the quaternion x, y, z, w.
     tool: tuple[float, ...]
     state: str
@@ -131,11 +136,14 @@ class Frames:
     def _columns(self, found: dict[str, Payloads]) -> dict[str, Any] | None:
         cycles = [(t, t.numbers("inputs_only") == 0) for t in self._log.tables(channels.CYCLE, found[channels.CYCLE])]
         time_ns = np.concatenate([t.log_time_ns[own] for t, own in cycles]).astype(np.int64)
-        tick = np.concatenate([t.numbers("tick")[own] for t, own in cycles]).astype(np.int64)[np.argsort(time_ns)]
-        time_ns.sort()
+        order = np.argsort(time_ns)
+        tick = np.concatenate([t.numbers("tick")[own] for t, own in cycles]).astype(np.int64)[order]
+        time_ns = time_ns[order]
         values: dict[str, Any] = {key: np.full((len(tick), len(self.arm.joints)), math.nan) for key in _OF_JOINTS}
         values["tool"] = np.full((len(tick), len(_UNKNOWN_TOOL)), math.nan)
-        values["torque_enabled"] = np.zeros((len(tick), len(self.arm.joints)), np.bool_)
+        values |= {key: np.zeros((len(tick), len(self.arm.joints)), np.bool_) for key in ("torque_enabled", "fresh")}
+        told_of = [np.concatenate([t.numbers(key)[own] for t, own in cycles])[order] for key in CYCLE_KEYS]
+        values["cycle"] = np.stack(told_of, axis=1)
         for topic in _SAMPLED:
             told = 0
             for table in self._log.tables(topic, found.get(topic, Payloads())):
@@ -169,6 +177,7 @@ class Frames:
             raise ValueError("another number of servos")
         else:
             for index, joint in enumerate(self.arm.joints):
+                values["fresh"][rows, index] = columns[f"servos[{index}].fresh"][kept]
                 block: Any = columns[f"servos[{index}].registers"][kept].astype(np.int64)
                 if block.shape[1]:
                     torque, goal = block[:, _TORQUE] > 0, block[:, _GOAL] + 256 * block[:, _GOAL + 1]
@@ -192,14 +201,14 @@ class Frames:
         elif topic == channels.CYCLE:
             self._tick = {}
             if not value["inputs_only"] and tick.keys() >= {channels.SERVOS, channels.JOINT_STATES}:
-                return self._frame(message.log_time_ns, value["tick"], tick)
+                return self._frame(message.log_time_ns, value, tick)
         else:
             self._happened(message, value)
         return None
 
-    def _frame(self, time_ns: int, number: int, tick: dict[str, Any]) -> Frame:
-        joints = tick[channels.JOINT_STATES]
-        registers, names = [servo["registers"] for servo in tick[channels.SERVOS]["servos"]], self.arm.joint_names
+    def _frame(self, time_ns: int, cycle: Value, tick: dict[str, Any]) -> Frame:
+        joints, servos = tick[channels.JOINT_STATES], tick[channels.SERVOS]["servos"]
+        registers, names = [servo["registers"] for servo in servos], self.arm.joint_names
         if len(registers) != len(names):
             raise ValueError(f"{len(registers)} servos, the arm has {len(names)}")
         values = zip(*(joints[key] for key in channels.QUANTITIES), strict=False)
@@ -208,7 +217,7 @@ class Frames:
         torque = [bool(block and block[_TORQUE]) for block in registers]
         return Frame(
             time_ns=time_ns,
-            tick=number,
+            tick=cycle["tick"],
             **dict(zip(channels.QUANTITIES.values(), columns, strict=True)),
             goal_rad=[
                 joint.position_rad(ax12a.register_value(ax12a.GOAL, block)) if on else math.nan
@@ -217,6 +226,8 @@ class Frames:
             voltage_V=[block[_VOLTAGE] / 10.0 if block else math.nan for block in registers],
             temperature_degC=[float(block[_TEMPERATURE]) if block else math.nan for block in registers],
             torque_enabled=torque,
+            fresh=[servo["fresh"] for servo in servos],
+            cycle=[cycle[key] for key in CYCLE_KEYS],
             tool=tick.get(channels.TCP_POSE, _UNKNOWN_TOOL),
             state=self._state,
             fault=self._fault,
@@ -290,7 +301,8 @@ class Timeline:
     """A whole log as arrays over its m frames and n joints.
 
     `time_s` (m,) counts from the first frame; joint arrays have shape (m, n), `tool` (m, 7) holds x, y, z [m] and
-    the quaternion x, y, z, w. `states` and `faults` list (from which frame on, what).
+    the quaternion x, y, z, w, `cycle` (m, 5) what `CYCLE_KEYS` names. `states` and `faults` list (from which frame on,
+    what).
     """
 
     path: Path
@@ -306,6 +318,8 @@ class Timeline:
     voltage_V: FloatArray
     temperature_degC: FloatArray
     torque_enabled: NDArray[np.bool_]
+    fresh: NDArray[np.bool_]
+    cycle: FloatArray
     tool: FloatArray
     states: tuple[tuple[int, str], ...]
     faults: tuple[tuple[int, str], ...]
@@ -331,7 +345,8 @@ class Timeline:
         return next(name for begin, name in reversed(self.faults) if begin <= frame)
 
 
-_TYPES = {"time_ns": np.int64, "tick": np.int64, "torque_enabled": np.bool_, "state": np.object_, "fault": np.object_}
+_TYPES: dict[str, Any] = dict.fromkeys(("time_ns", "tick"), np.int64) | dict.fromkeys(("state", "fault"), np.object_)
+_TYPES |= dict.fromkeys(("torque_enabled", "fresh"), np.bool_)
 
 
 def _changes(names: Sequence[str]) -> tuple[tuple[int, str], ...]:

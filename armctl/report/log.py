@@ -1,71 +1,129 @@
-"""One log on one page: joints against goals, load, voltage, temperature, the tool in space, states, faults, events."""
+"""Pages about logs: one log judged and drawn, with what came before its faults, or two drawn over one another.
+
+What is judged and drawn, and by which bounds, stands in log.yaml.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from armctl.clock import NS_PER_S
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import new_file
-from armctl.recording.timeline import Motion, Timeline
-from armctl.report.page import Page, curve, in_space
+from armctl.recording.timeline import CYCLE_KEYS, Motion, Timeline
+from armctl.report.page import Marked, Page, curve, in_space
 from armctl.trajectory.straightness import distance_to_line
 
 # Most points of a curve; a longer log shows the extremes of each stretch.
-POINTS = 4000
+POINTS = 2000
 EVENTS = 500
+# What is shown around a fault [s], and of how many faults.
+BEFORE_S, AFTER_S = 10.0, 1.0
+FAULTS = 5
 LEVELS = {20: "info", 30: "warning", 40: "error"}
-COLOURS = ("#d1495b", "#d98e1f", "#2f9e6e", "#3f7fd0", "#9a6bd1", "#7d8b99")
-STATE_COLOURS = {
-    "starting": "#c8d0d8",
-    "off": "#9aa7b4",
-    "energising": "#e3b34c",
-    "holding": "#2f9e6e",
-    "moving": "#3f7fd0",
-    "parking": "#6fb7c9",
-    "teaching": "#9a6bd1",
-    "releasing": "#b39ddb",
-    "faulted": "#d1495b",
-}
-_UNKNOWN_COLOUR = "#7d8b99"
+Answer = Mapping[str, Any]
+ABOUT = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+COLOURS = ABOUT["colours"]
+# How a verdict's figure is made of what is known of a joint.
+_OF: dict[str, Any] = {"mean": np.mean, "max": np.max, "min": np.min, "p99": lambda values: np.percentile(values, 99)}
 
 
-def write(timeline: Timeline, path: Path, checked: Mapping[str, Any] | None = None) -> None:
-    """Write the page.
+def write(path: Path, *logs: Timeline, checked: Answer | None = None, rows: Sequence[Answer] = ()) -> None:
+    """Write the page of a log, or of two, the second one dashed.
 
     Args:
         checked: Outcome of a re-run, if there was one: `ticks`, `messages`, `mismatches`.
+        rows: What `recording.entry.diff` says of the two.
     Raises:
         LogError: `path` exists already or cannot be written.
     """
-    page = Page(f"Log {timeline.path.name}")
-    begun = datetime.fromtimestamp(timeline.start_ns / NS_PER_S, UTC)
-    page.text(
-        f"Arm {timeline.arm.arm_id}, {begun:%Y-%m-%d %H:%M:%S} UTC, {timeline.duration_s:.1f} s, "
-        f"{len(timeline.time_s)} ticks."
-    )
-    if not timeline.complete:
-        page.text("The file was cut or is damaged: what is intact is shown.")
+    page = Page(f"Log {' and '.join(one.path.name for one in logs)}", light=True)
+    for one in logs:
+        _about(page, one)
+        _verdicts(page, one)
+    if len(logs) == 2 and all(one.motions for one in logs):
+        logs = tuple(map(_from_its_plan, logs))
+        page.text("Time 0 is where the first plan of each begins.")
     if checked:
-        page.text(
-            f"Run through the control step again: {checked['ticks']} ticks, {checked['messages']} messages, "
-            f"{checked['mismatches']} mismatches."
-        )
-    _state_figure(page, timeline)
-    _joint_figures(page, timeline)
-    _tool_figure(page, timeline)
-    _line_figures(page, timeline)
-    _servo_figures(page, timeline)
-    _event_table(page, timeline)
+        counts = ", ".join(f"{checked[key]} {key}" for key in ("ticks", "messages", "mismatches"))
+        page.text(f"Run through the control step again: {counts}.")
+    if rows:
+        page.heading("Figures")
+        cells = [[f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in row.values()] for row in rows]
+        page.table(("quantity", "solid", "dashed", "difference"), cells)
+    for one in logs:
+        _state_figure(page, one)
+        _before_faults(page, one)
+    _charts(page, ABOUT["charts"], *logs)
+    _tool_figure(page, *logs)
+    _line_figures(page, *logs)
+    for one in logs:
+        page.heading(f"Events of {one.path.name}")
+        _event_table(page, one)
     with new_file(path) as stream:
         stream.write(page.html().encode())
+
+
+def _about(page: Page, log: Timeline) -> None:
+    begun = f"{datetime.fromtimestamp(log.start_ns / NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    page.text(f"{log.path.name}: arm {log.arm.arm_id}, {begun}, {log.duration_s:.1f} s, {len(log.time_s)} ticks.")
+    if not log.complete:
+        page.text("The file was cut or is damaged: what is intact is shown.")
+
+
+def _from_its_plan(log: Timeline) -> Timeline:
+    """The log with time 0 where its first plan begins."""
+    later_ns = log.motions[0].begin_ns - log.start_ns
+    return replace(log, start_ns=log.start_ns + later_ns, time_s=log.time_s - later_ns / NS_PER_S)
+
+
+def _columns(log: Timeline) -> dict[str, FloatArray]:
+    """What is judged and drawn, a row a tick; of joints shape (m, n), NaN where it is not known."""
+    bus, off_deg, load = (
+        dict(zip(CYCLE_KEYS, log.cycle.T, strict=True)),
+        np.degrees(log.position_rad - log.goal_rad),
+        100.0 * log.load_ratio,
+    )
+    missing = (np.diff(log.tick) - 1).clip(min=0).sum()  # another control process counts anew
+    period_s = log.duration_s / max(1, len(log.tick) - 1 + missing) or math.inf
+    return {
+        "angle_deg": np.degrees(log.position_rad), "goal_deg": np.degrees(log.goal_rad), "off_deg": off_deg,
+        "distance_deg": np.abs(off_deg), "load_percent": load, "effort_percent": np.abs(load),
+        "voltage_V": log.voltage_V, "supply_left_V": log.voltage_V - log.arm.voltage_V[0],
+        "temperature_degC": log.temperature_degC,
+        "heat_left_degC": log.arm.temperature_limit_degC - log.temperature_degC,
+        "lost_percent": 100.0 * ~log.fresh, "lost": np.cumsum(~log.fresh, axis=0), "retries": np.cumsum(bus["retries"]),
+        "retries_percent": 100.0 * (bus["retries"] > 0), "late_percent": 100.0 * bus["overrun"],
+        "round_percent": 1e-4 * bus["bus_us"] / period_s, "round_ms": bus["bus_us"] / 1e3,
+        "late_ms": bus["lateness_us"] / 1e3,
+        "faults": np.full(1, float(len(_faults(log)))), "missing": np.full(1, float(missing + bus["dropped"].sum())),
+    }  # fmt: skip
+
+
+def _verdicts(page: Page, log: Timeline) -> None:
+    rows, columns, names = [], _columns(log), log.arm.joint_names
+    for about in ABOUT["verdicts"]:
+        good, bad, values = about["good"], about["bad"], columns[about["column"]]
+        sign, mark = (1, "<=") if good <= bad else (-1, ">=")
+        known = [(one[np.isfinite(one)], name) for one, name in zip(np.atleast_2d(values.T), names, strict=False)]
+        found = [(sign * float(_OF[about["of"]](one)), name) for one, name in known if len(one)]
+        worst, joint = max(found, default=(math.nan, ""))
+        verdict = "good" if worst <= sign * good else "watch" if worst <= sign * bad else "bad" if found else "unknown"
+        text = f"{sign * worst:.3g} {about['unit']}" + (f" ({joint})" if values.ndim == 2 and found else "")
+        what = about["what"] + (f": {about['remedy']}" if verdict in ("watch", "bad") else "")
+        rows.append((what, Marked(verdict, ABOUT["looks"][verdict]), text, f"{mark} {good:g} ({bad:g})"))
+    page.heading("Verdicts")
+    counted = ", ".join(f"{sum(row[1] == verdict for row in rows)} {verdict}" for verdict in ABOUT["looks"])
+    page.table(("", "verdict", "found", "good (bad beyond)"), rows, f"{counted}.", words=True)
 
 
 def thinned(values: FloatArray, most: int = POINTS) -> np.ndarray[Any, np.dtype[np.int64]]:
@@ -87,109 +145,97 @@ def thinned(values: FloatArray, most: int = POINTS) -> np.ndarray[Any, np.dtype[
     return np.unique(np.concatenate([np.array(sorted(rows)), edges, edges + 1]))
 
 
-def _curve(chart: Any, time_s: FloatArray, values: FloatArray, name: str, colour: str, **more: Any) -> None:
-    rows = thinned(values)
-    x, y = time_s[rows].astype(np.float32), values[rows].astype(np.float32)
-    curve(chart, x, y, name, colour, connectgaps=False, **more)
+def _charts(page: Page, charts: Sequence[Answer], *logs: Timeline, ticks: slice = slice(None)) -> None:
+    """Columns over time, a curve a joint; those of a second log are dashed."""
+    drawn = [_columns(log) for log in logs]
+    for about in charts:
+        if about["heading"]:
+            page.heading(about["heading"])
+        title = about["title"]
+        with page.chart(f"{title} over time", title, "time, s", about["unit"], height=320) as chart:
+            for log, columns, dashed in zip(logs, drawn, (None, "dash"), strict=False):
+                for key, dash in about["columns"].items():
+                    curves = zip(log.arm.joint_names, cycle(COLOURS), np.atleast_2d(columns[key].T), strict=False)
+                    for name, colour, values in curves:
+                        rows = thinned(values[ticks])
+                        x, y = (column[ticks][rows].astype(np.float32) for column in (log.time_s, values))
+                        first = dash == "solid" and columns[key].ndim == 2 and not dashed
+                        more: dict[str, Any] = {"legendgroup": name, "showlegend": first}
+                        curve(chart, x, y, name, colour, dash=dashed or dash, connectgaps=False, **more)
 
 
-def _stretches(changes: Sequence[tuple[int, str]], timeline: Timeline) -> list[tuple[float, float, str]]:
-    """(begin [s], end [s], what) of each stretch between two changes."""
-    begins = [float(timeline.time_s[frame]) for frame, _ in changes]
-    ends = [*begins[1:], timeline.duration_s]
-    return [(begin, end, what) for begin, end, (_, what) in zip(begins, ends, changes, strict=True)]
-
-
-def _state_figure(page: Page, timeline: Timeline) -> None:
+def _state_figure(page: Page, log: Timeline) -> None:
     page.heading("State and faults")
-    states = _stretches(timeline.states, timeline)
-    faults = [stretch for stretch in _stretches(timeline.faults, timeline) if stretch[2]]
-    rows = [("state", what, _UNKNOWN_COLOUR, begin, end) for begin, end, what in states if what]
-    rows += [("fault", what.partition(":")[0], STATE_COLOURS["faulted"], begin, end) for begin, end, what in faults]
+    drawn: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    told = []
+    for row, changes in (("state", log.states), ("fault", log.faults)):
+        times = [*(float(log.time_s[frame]) for frame, _ in changes), log.duration_s]
+        for (_, what), (begin_s, end_s) in zip(changes, pairwise(times), strict=True):
+            if what:
+                drawn.setdefault((row, what.partition(":")[0]), []).append((begin_s, end_s - begin_s))
+                told.append((row, f"{begin_s:.1f} to {end_s:.1f}", what))
     description, title = "States and faults of the arm over time", "What the arm did"
-    with page.chart(description, title, "time, s", "", height=220, barmode="overlay") as chart:
-        seen: set[str] = set()
-        for row, name, colour, begin_s, end_s in rows:
-            bar = {"y": [row], "base": [begin_s], "x": [end_s - begin_s], "orientation": "h", "name": name}
-            look = {"marker": {"color": STATE_COLOURS.get(name, colour)}, "showlegend": name not in seen}
-            hover = f"{name}, {begin_s:.1f} to {end_s:.1f} s<extra></extra>"
-            chart.add_bar(**bar, **look, legendgroup=name, hovertemplate=hover)
-            seen.add(name)
+    with page.chart(description, title, "time, s", "", height=220) as chart:
+        for (row, name), bars in drawn.items():
+            base, x = zip(*bars, strict=True)
+            colour = {"color": ABOUT["states"].get(name if row == "state" else row, COLOURS[-1])}
+            chart.add_bar(y=[row] * len(bars), base=base, x=x, orientation="h", name=name, marker=colour)
         chart.update_yaxes(categoryorder="array", categoryarray=["fault", "state"])
-    if faults:
-        told = [(f"{begin_s:.1f} to {end_s:.1f}", what) for begin_s, end_s, what in faults]
-        page.table(("time s", "fault"), told, words=True)
+    if faults := [cells for row, *cells in told if row == "fault"]:
+        page.table(("time s", "fault"), faults[:EVENTS], words=True)
 
 
-def _joint_figures(page: Page, timeline: Timeline) -> None:
-    page.heading("Joints against their goals")
-    title = "Joint angles (dotted: goals; none while limp)"
-    with page.chart("Measured joint angles and goals over time", title, "time, s", "angle, deg") as chart:
-        for j, (name, colour) in enumerate(zip(timeline.arm.joint_names, cycle(COLOURS), strict=False)):
-            measured, goal = np.degrees(timeline.position_rad[:, j]), np.degrees(timeline.goal_rad[:, j])
-            _curve(chart, timeline.time_s, measured, name, colour, legendgroup=name)
-            dotted = {"width": 1, "dash": "dot", "legendgroup": name, "showlegend": False}
-            _curve(chart, timeline.time_s, goal, f"{name} goal", colour, **dotted)
-    _quantity(page, timeline, np.degrees(timeline.position_rad - timeline.goal_rad), "Distance from the goal", "deg")
+def _faults(log: Timeline) -> list[tuple[float, str]]:
+    """When each fault came up [s], and which."""
+    came = [(float(log.time_s[frame]), what.partition(":")[0]) for frame, what in log.faults]
+    return [now for before, now in pairwise([(0.0, ""), *came]) if now[1] not in ("", before[1])]
 
 
-def _servo_figures(page: Page, timeline: Timeline) -> None:
-    page.heading("Servos")
-    _quantity(page, timeline, timeline.load_ratio * 100.0, "Load", "% of full output")
-    _quantity(page, timeline, timeline.voltage_V, "Supply voltage", "V")
-    _quantity(page, timeline, timeline.temperature_degC, "Temperature", "degC")
+def _before_faults(page: Page, log: Timeline) -> None:
+    for at_s, code in _faults(log)[:FAULTS]:
+        page.heading(f"Before {code} at {at_s:.1f} s")
+        _event_table(page, log, at_s - BEFORE_S, at_s + AFTER_S)
+        around = slice(log.index(at_s - BEFORE_S), log.index(at_s + AFTER_S) + 1)
+        _charts(page, [{**chart, "heading": ""} for chart in ABOUT["charts"] if "before" in chart], log, ticks=around)
 
 
-def _quantity(page: Page, timeline: Timeline, values: FloatArray, title: str, unit: str) -> None:
-    y = f"{title.lower()}, {unit}"
-    with page.chart(f"{title} of every joint over time", title, "time, s", y, height=320) as chart:
-        for name, colour, column in zip(timeline.arm.joint_names, cycle(COLOURS), values.T, strict=False):
-            _curve(chart, timeline.time_s, column, name, colour, width=1.5)
-
-
-def _tool_figure(page: Page, timeline: Timeline) -> None:
-    known = np.flatnonzero(np.isfinite(timeline.tool[:, 0]))
-    if not len(known):
+def _tool_figure(page: Page, *logs: Timeline) -> None:
+    known = [np.flatnonzero(np.isfinite(log.tool[:, 0])) for log in logs]
+    if not all(map(len, known)):
         return
     page.heading("Tool in space")
     # Evenly in time: a path has no extremes of one axis that would stand for the others.
-    rows = known[np.unique(np.linspace(0, len(known) - 1, min(POINTS, len(known))).astype(np.int64))]
-    x, y, z = (timeline.tool[rows, :3] * 1000.0).astype(np.float32).T
-    line = {"width": 4, "color": timeline.time_s[rows], "colorscale": "Viridis", "colorbar": {"title": "time, s"}}
-    description = "Path of the tool in space, coloured by time"
-    with page.chart(description, "Tool path by the encoders", "", "", height=560) as chart:
-        hover = "%{x:.1f}, %{y:.1f}, %{z:.1f} mm<extra></extra>"
-        chart.add_scatter3d(x=x, y=y, z=z, mode="lines", line=line, name="tool", hovertemplate=hover)
-        in_space(chart, np.stack([x, y, z], axis=1))
+    rows = [one[np.unique(np.linspace(0, len(one) - 1, min(POINTS, len(one))).astype(np.int64))] for one in known]
+    paths = [(log.tool[some, :3] * 1000.0).astype(np.float32) for log, some in zip(logs, rows, strict=True)]
+    by_time = {"color": logs[0].time_s[rows[0]].astype(np.float32), "colorbar": {"title": "time, s"}}
+    with page.chart("Path of the tool in space", "Tool path by the encoders", "", "", height=560) as chart:
+        for log, points, colour in zip(logs, paths, (COLOURS[3], COLOURS[0]), strict=False):
+            (x, y, z), line = points.T, {"color": colour} if len(logs) == 2 else by_time
+            chart.add_scatter3d(x=x, y=y, z=z, mode="lines", line=line, name=log.path.name)
+        in_space(chart, np.concatenate(paths))
 
 
-def _line_figures(page: Page, timeline: Timeline) -> None:
+def _line_figures(page: Page, *logs: Timeline) -> None:
     """How straight each run was: its distance from the line between its commanded ends."""
-    lines = [(motion, *ends) for motion in timeline.motions if (ends := _ends(timeline, motion)) is not None]
+    lines = [(log, motion, *ends) for log in logs for motion in log.motions if (ends := _ends(log, motion)) is not None]
     rows, curves = [], []
-    for (motion, A, B), colour in zip(lines, cycle(COLOURS), strict=False):
-        begin, end = (
-            timeline.index((time_ns - timeline.start_ns) / NS_PER_S) for time_ns in (motion.begin_ns, motion.end_ns)
-        )
-        points = timeline.tool[begin : end + 1, :3]
+    for (log, motion, A, B), colour in zip(lines, cycle(COLOURS), strict=False):
+        begin, end = (log.index((time_ns - log.start_ns) / NS_PER_S) for time_ns in (motion.begin_ns, motion.end_ns))
+        points = log.tool[begin : end + 1, :3]
         points = points[np.isfinite(points[:, 0])]
         if not len(points):
             continue
         error_mm = distance_to_line(points, A, B) * 1000.0
         along_mm = (points - A) @ (B - A) / np.linalg.norm(B - A) * 1000.0
-        name = f"{motion.label}, {timeline.time_s[begin]:.1f} s"
+        name = f"{motion.label}, {log.time_s[begin]:.1f} s" + (f", {log.path.name}" if log is not logs[0] else "")
         duration_s = (motion.end_ns - motion.begin_ns) / NS_PER_S
         rows.append((name, f"{error_mm.mean():.2f}", f"{error_mm.max():.2f}", f"{duration_s:.1f}"))
         curves.append((along_mm, error_mm, name, colour))
     if not rows:
         return
     page.heading("Straightness of the runs")
-    page.table(
-        ("run", "mean mm", "maximum mm", "time s"),
-        rows,
-        "Distance of the tool, by the encoders, from the line between the commanded ends of each run "
-        "(Raharjo et al. eqs. 19, 20).",
-    )
+    ends = "Distance of the tool, by the encoders, from the line between the commanded ends"
+    page.table(("run", "mean mm", "maximum mm", "time s"), rows, f"{ends} of each run (Raharjo et al. eqs. 19, 20).")
     description = "Distance of the tool from the line along each run"
     with page.chart(description, "Distance from the line", "along the line, mm", "distance, mm", height=320) as chart:
         for drawn in curves:
@@ -203,13 +249,9 @@ def _ends(timeline: Timeline, motion: Motion) -> tuple[FloatArray, FloatArray] |
     return None if math.dist(A, B) < 1e-6 else (A, B)
 
 
-def _event_table(page: Page, timeline: Timeline) -> None:
-    page.heading("Events")
-    shown = timeline.happenings[:EVENTS]
-    left_out = len(timeline.happenings) - len(shown)
-    note = f"The first {EVENTS}; {left_out} more stand in the log." if left_out else ""
-    rows = [
-        (f"{(one.time_ns - timeline.start_ns) / NS_PER_S:.1f}", LEVELS.get(one.level, str(one.level)), one.text)
-        for one in shown
-    ]
-    page.table(("time s", "level", "event"), rows, note, words=True)
+def _event_table(page: Page, log: Timeline, begin_s: float = -math.inf, end_s: float = math.inf) -> None:
+    told = [((one.time_ns - log.start_ns) / NS_PER_S, one.level, one.text) for one in log.happenings]
+    inside = [one for one in told if begin_s <= one[0] <= end_s]
+    rows = [(f"{at_s:.1f}", LEVELS.get(level, str(level)), text) for at_s, level, text in inside]
+    note = f"The first {EVENTS}; {len(rows) - EVENTS} more stand in the log." if len(rows) > EVENTS else ""
+    page.table(("time s", "level", "event"), rows[:EVENTS], note, words=True)

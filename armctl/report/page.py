@@ -33,6 +33,8 @@ CAMERA: dict[str, Any] = {
 }
 # Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves.
 _CHART_COLOURS = Path(__file__).with_name("page.js")
+# Draws the few kinds of charts of a light page.
+_LIGHT_CHARTS = Path(__file__).with_name("plot.js")
 
 
 def plotly() -> type[Figure]:
@@ -86,10 +88,13 @@ class Marked(str):
 
 
 class Page:
-    """Collects blocks in order and writes them as one file; one with chapters begins with a list of its contents."""
+    """Collects blocks in order and writes them as one file; one with chapters begins with a list of its contents.
 
-    def __init__(self, title: str) -> None:
-        self._title = title
+    The charts of a `light` one are drawn by a script of armctl's own instead of plotly's 4.8 MB.
+    """
+
+    def __init__(self, title: str, *, light: bool = False) -> None:
+        self._title, self._light = title, light
         self._blocks: list[str] = [f"<h1>{html.escape(title)}</h1>"]
         self._has_script = False
         self._contents: list[tuple[str, list[str]]] = []
@@ -140,7 +145,7 @@ class Page:
         chart = plotly()()
         usual = {"margin": {"l": 60, "r": 20, "t": 50, "b": 50}, "legend": {"font": {"size": 11}}}
         labels = {"title": title, "xaxis_title": x, "yaxis_title": y}
-        chart.update_layout(template="plotly_white", height=height, **labels, **usual | more)
+        chart.update_layout(template=None if self._light else "plotly_white", height=height, **labels, **usual | more)
         yield chart
         self.figure(chart, description)
 
@@ -156,10 +161,11 @@ class Page:
         from plotly.offline import get_plotlyjs
 
         # `page.js` draws it; the first one brings the library along, which runs when a chart is drawn.
-        library = "" if self._has_script else f'<script type="text/plain" id="plotly">{get_plotlyjs()}</script>'
+        drawing = _LIGHT_CHARTS.read_text(encoding="utf-8") if self._light else get_plotlyjs()
+        library = "" if self._has_script else f'<script type="text/plain" id="plotly">{drawing}</script>'
         self._has_script = True
         label = html.escape(description, quote=True)
-        data = f'{{"config":{{"displaylogo":false,"responsive":true}},{figure.to_json()[1:]}'.replace("</", "<\\/")
+        data = f'{{"config":{{"displaylogo":false,"responsive":true}},{figure.to_json()[1:]}'.replace("<", "\\u003c")
         height = figure.layout.height or 450
         script = f'<script type="application/json">{data}</script>'
         chart = f'{library}<div class="later" style="height:{height}px">{script}</div>{caption}'

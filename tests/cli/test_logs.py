@@ -297,6 +297,9 @@ def test_joints_are_followed_and_two_logs_compared(logs_folder: Path, answer: An
     assert all(row.keys() == {"quantity", "a", "b", "difference"} for row in found.values())
     assert found["events, error"]["difference"] == 1
     assert "duration_s" in typed("log", "diff", *pair).out
+    page = logs_folder.parent / "diff.html"
+    assert answer("log", "diff", *pair, "--report", page)["report"] == str(page)
+    assert "Log armctl-1.mcap and armctl-2.mcap" in page.read_text()
 
 
 # ------------------------------------------------------------------------------------------------------- docs

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Timeline:
 
 
 def text(log: Timeline, folder: Path, **checked: Any) -> str:
-    write(log, folder / "log.html", checked or None)
+    write(folder / "log.html", log, checked=checked or None)
     return (folder / "log.html").read_text()
 
 
@@ -44,7 +45,8 @@ def test_the_page_is_complete_in_itself(log: Timeline, tmp_path: Path) -> None:
     html = text(log, tmp_path)
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)
     assert "prefers-color-scheme: dark" in html
-    assert html.count('<figure role="img"') == 8
+    assert html.count('<figure role="img"') == 10
+    assert len(html) < 200_000  # nobody's library
 
 
 def test_without_a_run_there_is_no_straightness(log: Timeline, tmp_path: Path) -> None:
@@ -72,6 +74,93 @@ def test_a_fault_is_told_with_its_time(log: Timeline, tmp_path: Path) -> None:
     assert f"<td>{log.time_s[20]:.1f} to {log.time_s[30]:.1f}</td><td>HOT: servo 3 (elbow): 66 degC</td>" in html
 
 
+def test_what_came_before_a_fault_has_a_chapter(log: Timeline, tmp_path: Path) -> None:
+    later = replace(log, time_s=log.time_s * 4, faults=((0, ""), (40, "HOT: a"), (41, "HOT: b"), (55, "")))
+    times_ns = [log.start_ns + round(float(later.time_s[tick]) * 1e9) for tick in (10, 39, 59)]
+    happened = tuple(Happening(at, 20, "X", f"happened {k}") for k, at in enumerate(times_ns))
+    html = text(replace(later, happenings=happened), tmp_path)
+    before = html[html.index("Before HOT at ") : html.index("Joints against")]
+    assert html.count("<h2>Before") == 1
+    assert not missing(before, "happened 1", "Distance from the goal")
+    assert missing(before, "happened 0", "happened 2") == ["happened 0", "happened 2"]
+
+
+def verdicts(html: str) -> dict[str, tuple[str, ...]]:
+    """Verdict, figure and bounds by what is judged."""
+    rows = re.findall(r'<td>([^<]*)</td><td class="\w+">(\w+)</td><td>([^<]*)</td><td>([^<]*)</td>', html)
+    return {what: tuple(rest) for what, *rest in rows}
+
+
+def test_a_sound_log_is_judged_good(log: Timeline, tmp_path: Path) -> None:
+    found = verdicts(text(log, tmp_path))
+    assert len(found) == 10
+    assert found["replies lost"] == ("good", "0 % (wrist)", "&lt;= 0.1 (2)")
+    assert {verdict for verdict, *_ in found.values()} == {"good"}
+
+
+def where(values: np.ndarray[Any, Any], rows: slice, column: int, value: Any) -> np.ndarray[Any, Any]:
+    """The same with other values in some rows of a column."""
+    changed = values.copy()
+    changed[rows, column] = value
+    return changed
+
+
+# Of 60 ticks: what is changed, and what is told of it.
+JUDGED: dict[str, tuple[str, Callable[[Timeline], Any], str, str]] = {
+    "replies lost": ("fresh", lambda log: where(log.fresh, slice(3), 1, False), "bad", "5 % (shoulder)"),
+    "ticks with a servo asked again": ("cycle", lambda log: where(log.cycle, slice(3), 2, 1), "watch", "5 %"),
+    "part of a tick until all have answered": ("cycle", lambda log: where(log.cycle, slice(60), 0, 6e4), "watch", "6"),
+    "ticks that began late": ("cycle", lambda log: where(log.cycle, slice(3), 3, 1), "bad", "5 %"),
+    "ticks that are not in the log": ("tick", lambda log: log.tick + 4 * (log.tick > 9), "watch", "4 "),
+    "distance from the goal under torque": ("goal_rad", lambda log: log.position_rad - np.radians(7.0), "bad", "7 deg"),
+    "load": ("load_ratio", lambda log: where(log.load_ratio, slice(60), 2, -0.8), "watch", "80 % (elbow)"),
+    "left to the arm's limit of temperature": (
+        "temperature_degC", lambda log: where(log.temperature_degC, slice(1), 0, 66.0), "bad", "-1 degC (base)",
+    ),
+    "left to the arm's lowest voltage": ("voltage_V", lambda log: log.voltage_V * 0 + 9.2, "watch", "0.2 V"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", JUDGED)
+def test_what_is_wrong_with_a_log_is_told_with_its_remedy(log: Timeline, tmp_path: Path, what: str) -> None:
+    key, changed, verdict, figure = JUDGED[what]
+    other: dict[str, Any] = {key: changed(log)}
+    found = verdicts(text(replace(log, **other), tmp_path))
+    told = {name: rest for name, rest in found.items() if rest[0] != "good"}
+    ((name, rest),) = told.items()
+    assert name.replace("&#x27;", "'").startswith(f"{what}: ")
+    assert (rest[0], rest[1].startswith(figure)) == (verdict, True), rest
+
+
+def test_a_page_of_an_hour_is_small(log: Timeline, tmp_path: Path) -> None:
+    rng, m = np.random.default_rng(1), 36_000
+    shapes = {key: values.shape[1:] for key, values in vars(log).items() if isinstance(values, np.ndarray)}
+    hour: dict[str, Any] = {key: rng.normal(size=(m, *shape)) for key, shape in shapes.items()}
+    hour |= {"time_s": np.arange(m) * 0.1, "tick": np.arange(m), "fresh": hour["fresh"] > 0.1}
+    page.write(tmp_path / "one.html", one := replace(log, **hour, happenings=log.happenings * 100, motions=()))
+    page.write(tmp_path / "two.html", one, one)
+    assert (tmp_path / "one.html").stat().st_size < 2e6
+    assert (tmp_path / "two.html").stat().st_size < 4e6
+
+
+def test_two_logs_are_drawn_over_one_another_from_where_their_plans_begin(log: Timeline, tmp_path: Path) -> None:
+    other = replace(log, path=tmp_path / "b.mcap", start_ns=log.start_ns + 5, position_rad=log.position_rad + 0.1)
+    page.write(
+        tmp_path / "d.html", log, other, rows=[{"quantity": "load", "a": 1.23456789, "b": None, "difference": 2}]
+    )
+    html = (tmp_path / "d.html").read_text()
+    assert not missing(
+        html, "Log a.mcap and b.mcap", "Time 0 is where", "<td>1.23457</td><td>None</td><td>2</td>", '"dash":"dash"'
+    )
+    assert html.count("<h2>Verdicts</h2>") == 2
+    motion = log.motions[0]
+    shifted = page._from_its_plan(log)
+    assert shifted.time_s[log.index((motion.begin_ns - log.start_ns) / 1e9)] == pytest.approx(0.0, abs=0.1)
+    assert shifted.index((motion.begin_ns - shifted.start_ns) / 1e9) == log.index(
+        (motion.begin_ns - log.start_ns) / 1e9
+    )
+
+
 def test_text_from_the_log_is_never_markup(log: Timeline, tmp_path: Path) -> None:
     evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
     motions = tuple(replace(motion, label=evil) for motion in log.motions)
@@ -85,7 +174,7 @@ def test_an_existing_file_is_never_overwritten(log: Timeline, tmp_path: Path) ->
     taken = tmp_path / "log.html"
     taken.write_text("mine")
     with pytest.raises(LogError, match="exists already"):
-        write(log, taken)
+        write(taken, log)
     assert taken.read_text() == "mine"
 
 
