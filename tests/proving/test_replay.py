@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from armctl.recording.replay import ReplayResult, check
 from proving import replay
@@ -40,6 +41,14 @@ def test_a_check_that_passes_something_over_is_found_out(
     monkeypatch.setattr("proving.replay.replay.check", blinded)
     _, wrong, _ = replay.judged(1, SCENE)
     assert any(found in text for text in wrong), wrong
+
+
+def test_constants_of_a_message_are_no_leaves() -> None:
+    types = get_typestore(Stores.ROS2_JAZZY).types
+    stamp = types["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
+    line = types["rcl_interfaces/msg/Log"](stamp=stamp, level=40, name="a", msg="b", file="", function="c", line=3)
+    leaves = "level", "name", "msg", "file", "function", "line", "stamp.sec", "stamp.nanosec"
+    assert {where for where, *_ in replay.leaves(line, "/rosout", ())} == {f"/rosout.{leaf}" for leaf in leaves}
 
 
 def test_every_leaf_of_a_message_can_be_changed() -> None:

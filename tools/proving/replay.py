@@ -207,10 +207,13 @@ def changed(log: Path, other: Path, rng: random.Random) -> str:
 
 
 def leaves(value: Any, name: str, passed_over: tuple[str, ...]) -> Iterator[Leaf]:
-    """Name, setter and value of every leaf of a message; members of lists have the list's name."""
+    """Name, setter and value of every leaf of a message; members of lists have the list's name.
+
+    Constants of a type, which rosbags shows as fields, stand in no message: their names are in capitals.
+    """
     for key in vars(value):
         part = getattr(value, key)
-        if key in passed_over or key == "__msgtype__":
+        if key in passed_over or key == "__msgtype__" or key.isupper():
             continue
         where = f"{name}.{key}"
         if hasattr(part, "__msgtype__"):
