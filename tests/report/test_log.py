@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from playwright.sync_api import sync_playwright
 
 from armctl.errors import LogError
 from armctl.recording import timeline
@@ -23,6 +25,7 @@ from tests.recording.logs import write as write_log
 from tests.words import missing
 
 RECORDS = make_records(60, seed=3)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 @pytest.fixture(scope="module")
@@ -209,3 +212,28 @@ def test_a_short_column_is_drawn_whole() -> None:
 def test_numbers_are_those_of_the_log(log: Timeline, tmp_path: Path) -> None:
     told = (json.dumps(log.arm.joint_names[0]), f"{log.duration_s:.1f} s, {len(log.time_s)} ticks")
     assert not missing(text(log, tmp_path), *told)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: sudo apt install chromium")
+def test_every_chart_is_drawn_and_a_stretch_of_time_is_chosen_in_all_of_them(log: Timeline, tmp_path: Path) -> None:
+    html = text(replace(log, faults=((0, ""), (40, "HOT: a"))), tmp_path)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=("--no-sandbox", "--disable-gpu"))
+        shown, errors = browser.new_page(viewport={"width": 390, "height": 800}), list[str]()
+        shown.on("pageerror", lambda error: errors.append(str(error)))
+        shown.goto((tmp_path / "log.html").as_uri())
+        charts = shown.locator(".later")
+        for number in range(charts.count()):
+            charts.nth(number).scroll_into_view_if_needed()
+            charts.nth(number).locator("canvas").wait_for()
+        assert charts.count() == html.count("<figure")
+        assert shown.evaluate("document.documentElement.scrollWidth") == 390
+        canvas = charts.nth(1).locator("canvas")
+        canvas.drag_to(canvas, source_position={"x": 120, "y": 60}, target_position={"x": 240, "y": 60})
+        zooms = shown.evaluate("[...document.querySelectorAll('.later')].map(one => String(one.chart.zoom))")
+        over_time = [zoom for zoom in zooms if zoom != "null"]
+        assert (len(over_time), len(set(over_time))) == (len(zooms) - 2, 1)  # not in space, nor along a line
+        begin, end = map(float, over_time[0].split(","))
+        assert 0.0 < begin < end < log.duration_s
+        assert errors == []
+        browser.close()
