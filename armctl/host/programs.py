@@ -290,7 +290,7 @@ class _Job:
         if not (legs := await asyncio.to_thread(self.site.legs, step)):
             return step.words
         _, done = await self.host.carry_out(self.lease, legs)
-        if step.grip:
-            self.gripped = step.grip == "close" and gripped(self.host, done)
+        if step.grip or step.play:  # what is played moves the gripper, too
+            self.gripped = gripped(self.host, done) if step.grip else self.gripped and holds(self.host)
         found = f", gripped: {'yes' if self.gripped else 'nothing'}" if step.grip == "close" else ""
         return f"{step.words}, {sum(leg.trajectory.duration_s for leg in done):.1f} s{found}"
