@@ -33,7 +33,7 @@ from proving.figures import Row, check, row
 from proving.log_bench import FLUSH_TICKS, HOUR_TICKS, SIMULATED_TICKS
 from proving.log_rig import log_context, repeated, simulated_records
 
-FILES = 300
+FILES = 240
 HOURS_A_DAY = 10
 HOUR_NS = 3_600 * 10**9
 # Events in the hour, and the same ones with another code of the same length.
