@@ -141,7 +141,7 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     expect(page.locator("#log-found-hint")).to_contain_text("found")
     page.fill("#log-words", "servo:x")
     page.click("#log-form [type=submit]")
-    expect(page.locator("#message")).to_contain_text("servo:x: cannot be understood")
+    expect(page.locator("#log-words-problem")).to_contain_text("servo:x: cannot be understood")
 
 
 BALL = """async () => {
@@ -167,7 +167,7 @@ def test_an_intermediate_point_is_led_elsewhere_by_dragging_it_or_by_its_place(p
     expect(page.locator("#bend-place")).not_to_have_value(before)
     page.fill("#bend-place", "900, 0, 100")
     page.click("#bend-form [type=submit]")
-    expect(page.locator("#message")).to_contain_text("UNREACHABLE")
+    expect(page.locator("#bend-place-problem")).to_contain_text("UNREACHABLE")
     expect(page.locator("#bend-place")).not_to_have_value("900, 0, 100")
     page.select_option("#plan-choice", "line-via1")
 
@@ -313,8 +313,7 @@ def test_a_refusal_is_shown_in_the_daemons_words(page: Page) -> None:
     expect(page.locator("#takes li")).not_to_have_count(0)
     page.fill("#line-form [name=from]", "0.9, 0, 0.1")
     page.click("#optimise-form [type=submit]")
-    expect(page.locator("#message")).to_be_visible()
-    expect(page.locator("#message")).to_contain_text("BAD_RECORDINGS")
+    expect(page.locator("#optimise-problem")).to_contain_text("BAD_RECORDINGS")
 
 
 def test_a_fault_is_a_card_and_is_cleared_from_the_page(page: Page, stand: Stand) -> None:
@@ -375,7 +374,7 @@ def test_every_view_fits_names_its_controls_and_keeps_stop_in_sight(
     page = context.new_page()
     page.goto(stand.address)
     expect(page.locator("#tick")).not_to_have_text("–", timeout=PATIENCE_MS)
-    for view in ("arm", "live", "guide", "compare", "logs"):
+    for view in ("arm", "live", "guide", "compare", "logs", "setup"):
         page.click(f"nav [data-view={view}]")
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), f"{view} is too wide"
         cut = page.evaluate(

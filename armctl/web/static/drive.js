@@ -3,7 +3,7 @@
 // then stops the arm by itself.
 
 import { point } from "/geometry.js";
-import { $, degrees } from "/page.js";
+import { $, degrees, valueOf } from "/page.js";
 
 const AXES = { forward: [1, 0, 0], back: [-1, 0, 0], left: [0, 1, 0], right: [0, -1, 0], up: [0, 0, 1], down: [0, 0, -1] };
 const STANDING = ["holding", "off"];
@@ -20,10 +20,13 @@ export class Drive {
     $("go-reset").addEventListener("click", () => this.reset());
     $("tool-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      const place = $("tool-place"), to = this.place();
-      place.setAttribute("aria-invalid", String(!to));
-      if (to) this.go({ point_m: to }, "tool-problem");
-      else this.tell(`"${place.value}" is no place: write three numbers in mm with commas between them, such as 180, 0, 100`, "tool-problem");
+      try {
+        valueOf($("tool-place"));
+      } catch (error) {
+        this.tell(error.message, "tool-problem");
+        return;
+      }
+      this.go({ point_m: this.place() }, "tool-problem");
     });
     $("tool-place").addEventListener("input", () => this.aimAt());
     $("tool-pick").hidden = !this.view;

@@ -2,7 +2,7 @@
 
 import { chart, COLOURS, drawDeviation, namesOf } from "/charts.js";
 import { distance, minus, offLine, onTheWay, point, progressAlong, proper, shareOf, wantedLine } from "/geometry.js";
-import { $, act, after, confirmed, fill, millimetres, page, post, Refused, request, spoken, tell, torqueOn } from "/page.js";
+import { $, act, after, confirmed, fill, millimetres, page, post, Refused, request, spoken, tell, torqueOn, valueOf } from "/page.js";
 
 const MOST_DRAWN = 12;
 // Of a line that a take shows [%]: less is not what was to be shown.
@@ -86,9 +86,7 @@ function showPoint() {
 
 // The plan that is drawn, with one of its points elsewhere; it is another plan.
 async function bend() {
-  const place = $("bend-place"), to = point(place.value);
-  place.setAttribute("aria-invalid", String(!to));
-  if (!to) throw new Refused(`"${place.value}" is no place: write three numbers in mm with commas between them, such as 180, 0, 100`);
+  const to = point(valueOf($("bend-place")));
   try {
     const bent = await post(`/plans/${encodeURIComponent(drawn.name)}/bend`, { point: Number($("bend-point").value), to_m: to.map((value) => value / 1000) });
     const { name, plan } = bent;
@@ -120,17 +118,26 @@ async function toggleTake() {
     $("teach-figures").textContent = `${name} is saved`;
     await loadTakes();
   } else {
-    const name = freeName($("take-name").value || "take");
+    const name = freeName(valueOf($("take-name")));
     await post("/take/begin", { name });
     [guide.taking, covered] = [name, [1, 0]];
   }
 }
 
+// The line that is written.
+function lineToShow() {
+  const { from, to } = $("line-form").elements;
+  valueOf(from);
+  valueOf(to);
+  const line = wantedLine();
+  if (!line) throw new Refused("the line's two points are the same; write two different ones", to);
+  return line;
+}
+
 // One take by the simulator's hand: it carries the arm to the start, and leads it along the line. A take in which that did
 // not happen is not kept.
 async function takeByHand() {
-  const line = wantedLine();
-  if (!line) throw new Refused("the line needs two different points; each point has three numbers");
+  const line = lineToShow();
   if (!guide.taking) await toggleTake();
   const name = guide.taking;
   let led = false;
@@ -176,18 +183,17 @@ function drawGenerations() {
 }
 
 async function optimise(form) {
-  const line = wantedLine();
-  if (!line) throw new Refused("the line needs two different points; each point has three numbers");
+  const line = lineToShow();
   const chosen = takes.filter((take) => take.chosen).map((take) => take.name);
   if (!chosen.length) throw new Refused("choose at least one take above");
   Object.values(generations).forEach((list) => { list.length = 0; });
   const { plans } = await request("/plans");
   const taken = new Set(plans.map((plan) => plan.name));
-  const via = Number(form.elements.via.value);
-  let stem = $("take-name").value || "line";
-  for (let i = 2; taken.has(`${stem}-via${via}`); i++) stem = `${$("take-name").value || "line"}-${i}`;
+  const via = valueOf(form.elements.via), duration_s = valueOf(form.elements.duration_s), wanted = valueOf($("take-name"));
+  let stem = wanted;
+  for (let i = 2; taken.has(`${stem}-via${via}`); i++) stem = `${wanted}-${i}`;
   const result = await post("/optimize", {
-    name: stem, recordings: chosen, from_m: line[0], to_m: line[1], via: [via], duration_s: Number(form.elements.duration_s.value), seed: 0,
+    name: stem, recordings: chosen, from_m: line[0], to_m: line[1], via: [via], duration_s, seed: 0,
   });
   const [plan] = result.plans;
   generations.best = result.history.best_cost_mm;  // all generations: progress messages contained only some of them
@@ -276,25 +282,23 @@ export function wireGuide() {
   $("teach-end").addEventListener("click", (event) => act(event.target, () => post("/teach/end")));
   $("optimise-form").addEventListener("submit", (event) => {
     event.preventDefault();
-    act(event.submitter, () => optimise(event.target));
+    act(event.submitter, () => optimise(event.target), event.submitter);
   });
   $("line-form").addEventListener("submit", (event) => event.preventDefault());
   $("line-form").addEventListener("input", () => {
     const line = wantedLine();
-    $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "write three numbers for each point, separated by commas";
+    $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "";
     showTakes();
   });
   $("plan-choice").addEventListener("change", () => act(null, drawChosen));
   $("bend-point").addEventListener("change", showPoint);
   $("bend-form").addEventListener("submit", (event) => {
     event.preventDefault();
-    act(event.submitter, bend);
+    act(event.submitter, bend, $("bend-place"));
   });
   $("run").addEventListener("click", (event) => act(event.target, () => run()));
   $("refine").addEventListener("click", (event) => act(event.target, () => {
-    const most = $("refine-most");
-    if (!most.checkValidity()) throw new Refused("the further runs are a whole number from 1 to 20");
-    return run(Number(most.value));
+    return run(valueOf($("refine-most")));
   }));
 }
 
@@ -302,5 +306,5 @@ export function wireGuide() {
 export function pointLed(index, place) {
   $("bend-point").value = String(index + 1);
   $("bend-place").value = inMillimetres(place);
-  act(null, bend);
+  act(null, bend, $("bend-place"));
 }

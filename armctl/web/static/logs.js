@@ -104,6 +104,6 @@ export function wireLogs() {
   $("scrub").addEventListener("input", (event) => scrubTo(Number(event.target.value)));
   $("log-form").addEventListener("submit", (event) => {
     event.preventDefault();
-    act(event.submitter, search);
+    act(event.submitter, search, $("log-words"));
   });
 }

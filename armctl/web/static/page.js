@@ -1,5 +1,6 @@
 // What every view of the page shares: its elements, the server behind it, and what is known of the arm.
 
+import { point } from "/geometry.js";
 import { ArmView } from "/scene.js";
 
 export const $ = (id) => document.getElementById(id);
@@ -34,7 +35,62 @@ export function logIn() {
   };
 }
 
-export class Refused extends Error {}
+// What was not done, and why; it stands beside the field, where there is one.
+export class Refused extends Error {
+  constructor(message, field = null) {
+    super(message);
+    this.field = field;
+  }
+}
+
+// ------------------------------------------------------------------------------------------------- fields
+
+const NAME = /^[A-Za-z0-9][A-Za-z0-9._-]*$/;
+const FARTHEST_M = 10;
+const place = (unit, scale, example) => (value) => {
+  const to = point(value);
+  if (!to) return `"${value}" is no place: write three numbers in ${unit} with commas between them, such as ${example}`;
+  return to.some((one) => Math.abs(one) > FARTHEST_M * scale) ? `"${value}" is farther than ${FARTHEST_M * scale} ${unit} from the base` : "";
+};
+// What is wrong with a value, by what the field is (`data-is`); nothing: it is as it may be.
+const RULES = {
+  name: (value) => NAME.test(value) ? "" : `"${value}" is no name: write letters, digits, ".", "_" or "-", the first a letter or a digit, such as my-arm`,
+  metres: place("m", 1, "0.18, 0, 0.1"),
+  millimetres: place("mm", 1000, "180, 0, 100"),
+  number: (value, { min, max, step }) => {
+    const number = Number(value || NaN), whole = Number(step || 1) === 1;
+    return number >= Number(min) && number <= Number(max) && !(whole && number % 1) ? "" : `write a ${whole ? "whole " : ""}number from ${min} to ${max}`;
+  },
+};
+
+// Say beside a field what is wrong with it; nothing: not any more.
+export function beside(field, text) {
+  const id = field.dataset.problem ?? `${field.id || field.name}-problem`;
+  let told = $(id);
+  if (!told) {
+    told = Object.assign(document.createElement("p"), { id, className: "alarm" });
+    told.setAttribute("role", "alert");
+    (field.closest("label") ?? field).after(told);
+  }
+  told.textContent = text;
+  told.hidden = !text;
+  if (field.type !== "submit") field.setAttribute("aria-invalid", String(Boolean(text)));
+  field.setAttribute("aria-describedby", id);
+}
+
+const wrong = (field) => RULES[field.dataset.is]?.(field.value.trim(), field) ?? "";
+
+// The value of a field.
+export function valueOf(field) {
+  const text = wrong(field);
+  if (text) throw new Refused(text, field);
+  beside(field, "");
+  return field.type === "number" ? Number(field.value) : field.value.trim();
+}
+
+document.addEventListener("input", ({ target }) => {
+  if (target.dataset.is) beside(target, wrong(target));
+});
 
 export async function request(path, { method = "GET", body } = {}) {
   const headers = { "X-Armctl-Token": token };
@@ -58,15 +114,17 @@ export function tell(text) {
   $("message").hidden = !text;
 }
 
-// Does what a button asks for. The button is disabled until it is done. A refusal is shown.
-export async function act(button, work) {
+// Does what a button asks for. The button is disabled until it is done. A refusal is shown, beside a field where one is given.
+export async function act(button, work, field = null) {
   tell("");
+  if (field) beside(field, wrong(field));
   if (button) button.disabled = true;
   try {
     return await work();
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    tell(error.message);
+    if (error.field ?? field) beside(error.field ?? field, error.message);
+    else tell(error.message);
     return null;
   } finally {
     if (button) button.disabled = false;

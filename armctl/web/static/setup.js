@@ -1,6 +1,6 @@
 // Setting an arm up: the questions of `armctl setup`; with simulated servos their hand does what is asked.
 
-import { $, act, page, post, request } from "/page.js";
+import { $, act, beside, page, post, request, valueOf } from "/page.js";
 
 // The wizard's steps, as people call them, and what each is about.
 const STEPS = {
@@ -8,7 +8,6 @@ const STEPS = {
   directions: ["Directions", "which way the tool goes"], rest: ["Rest pose", "as the arm may lie limp"], zeros: ["Zeros", "a pose that is known"],
   file: ["The arm's file", "written, and into the servos"], motion: ["First motion", "every joint a little"],
 };
-const NAME = /^[A-Za-z0-9][A-Za-z0-9._-]*$/;
 const WORDS = { kind: "Which arm is yours like", name: "Its name", port: "Port" };
 const HANDY = /^(middle|bend|rest|zero|motion)$|[.](one_end|the_other_end|open|closed|free|went)$/;
 const PUSHED_DEG = 2.5;  // beyond its limits, against the stop
@@ -31,13 +30,14 @@ export function showSetUp(message) {
   const last = told.at(-1) ?? {}, waits = running && Boolean(last.question);
   drawSteps();
   $("setup-begin").hidden = running || Boolean(last.arm);
+  $("setup-held").hidden = !page.snapshot;
   $("setup-go").textContent = told.length ? "Go on" : "Begin";
   $("setup-question").hidden = !waits;
   $("setup-busy").hidden = !(running ? !waits : last.error);
   $("setup-busy").textContent = running ? "Looking at the servos …" : last.error ?? "";
   $("setup-busy").className = running ? "hint" : "alarm";
   $("setup-done").hidden = !last.arm;
-  $("setup-arm").textContent = last.arm ? `${last.arm} is written. Start the arm, then teach it a line.` : "";
+  $("setup-arm").textContent = last.arm ? `Its file is ${last.arm}. Start the arm, then teach it a line.` : "";
   if (!waits) shown = -1;
   else if (shown !== told.length - 1) ask(last.question, shown = told.length - 1);
 }
@@ -66,23 +66,20 @@ function ask({ key, text, choices }, number) {
   $("setup-word-part").hidden = !written;
   $("setup-label").textContent = WORDS[key] ?? "";
   $("setup-word").value = "";
-  problem("");
+  $("setup-word").dataset.is = key === "name" ? "name" : "";
+  beside($("setup-word"), "");
   const words = { q: "break off", "": written ? "Go on" : "Done" };
   $("setup-choices").replaceChildren(...(choices.length ? choices : [""]).filter((word) => word !== "q").map((word) => {
     const button = Object.assign(document.createElement("button"), { type: written ? "submit" : "button", textContent: words[word] ?? word });
     if (!written) button.addEventListener("click", () => answer(number, word));
     return button;
   }));
+  leaveToHand(handing && HANDY.test(key));
   $("setup-hand").hidden = handing || !page.arm.simulated || !HANDY.test(key);
   if (handing && HANDY.test(key)) byHand(number, key, text);
+  else if (handing && key === "again" && text.includes("look at the tool")) answer(number, "again");
   else if (written) $("setup-word").focus();
   else $("setup-choices").firstChild.focus({ preventScroll: true });
-}
-
-function problem(text) {
-  $("setup-problem").textContent = text;
-  $("setup-problem").hidden = !text;
-  $("setup-word").setAttribute("aria-invalid", String(Boolean(text)));
 }
 
 const answer = (number, word) => act(null, () => post("/setup/answer", { number, word }));
@@ -106,19 +103,30 @@ async function holdExactly(q) {
   }
 }
 
-// Look at a joint until the question after that one: how far it turned, and which way.
-async function watch(index, start, number) {
+// Look at a joint until the question after that one: how far it turned, and which way. It counts while it has torque, for a
+// free joint sags before; and it turns to where its servo reads most, and back.
+async function watch(index, number) {
+  let least = null, most = null;
   swing = 0;
   while (running && (told.length - 1 <= number || !told.at(-1).question)) {
-    const now = (await seen()).joints_rad[index] - start;
-    if (Math.abs(now) > Math.abs(swing)) swing = now;
+    const { joints_rad: { [index]: at }, servos: { [index]: { torque_enabled: held, position_tick: tick } } } = await seen();
+    if (held && !(tick >= least?.tick)) least = { at, tick };
+    if (held && !(tick <= most?.tick)) most = { at, tick };
+    swing = held ? most.at - least.at : swing;
     await wait(0.05);
   }
+}
+
+// Nobody presses a button for what the hand does.
+function leaveToHand(does) {
+  $("setup-handing").hidden = !does;
+  $("setup-choices").hidden = does;
 }
 
 async function byHand(number, key, text) {
   handing = true;
   $("setup-hand").hidden = true;
+  leaveToHand(true);
   const done = await act(null, async () => {
     const { joints, gripper, joints_rad } = await seen(), [, name, what] = key.match(/^(?:(.*)[.])?(.*)$/);
     const index = joints.findIndex((joint) => joint.name === name);
@@ -128,7 +136,7 @@ async function byHand(number, key, text) {
     if (what === "free") {
       await post("/hand/hold", { joints_rad, free: index });
       await say("yes");
-      watch(index, joints_rad[index], number);
+      watch(index, number);
       return true;
     }
     if (what === "zero") {
@@ -143,7 +151,9 @@ async function byHand(number, key, text) {
     if (what === "rest" || what === "motion") await post("/hand/let-go");
     return say(what === "motion" ? "yes" : "");
   });
-  if (done === null) handing = false;
+  if (done !== null) return;
+  handing = false;
+  leaveToHand(false);
 }
 
 // ---------------------------------------------------------------------------------------------------- wiring
@@ -152,10 +162,12 @@ export function wireSetUp() {
   $("setup-go").addEventListener("click", (event) => act(event.target, () => { handing = false; return post("/setup/begin"); }));
   $("setup-question").addEventListener("submit", (event) => {
     event.preventDefault();
-    const word = $("setup-word").value.trim(), { key } = told.at(-1).question;
-    if (key === "name" && !NAME.test(word)) problem(`"${word}" is no name: write letters, digits, ".", "_" or "-", the first a letter or a digit, such as my-arm`);
-    else if (!word) problem("write the port's path, such as /dev/ttyUSB0");
-    else answer(told.length - 1, word);
+    const field = $("setup-word"), number = told.length - 1;
+    act(event.submitter, () => {
+      if (!field.value.trim()) beside(field, `write ${field.dataset.is === "name" ? "a name, such as my-arm" : "the path of the port, such as /dev/ttyUSB0"}`);
+      else return post("/setup/answer", { number, word: valueOf(field) });
+      return null;
+    }, field);
   });
   $("setup-hand").addEventListener("click", () => byHand(told.length - 1, told.at(-1).question.key, told.at(-1).question.text));
   $("setup-leave").addEventListener("click", (event) => act(event.target, () => post("/setup/answer", { number: told.length - 1, word: "q" })));
