@@ -40,6 +40,27 @@ def _links(frames: FloatArray) -> list[FloatArray]:
     return [np.linalg.inv(before) @ after for before, after in pairwise(frames)]
 
 
+def _rows(frames: FloatArray, scale: float = 1.0, *, modified: bool = False) -> list[tuple[int, float, float, float]]:
+    """Of each link between frames its number, a, alpha [deg] and d, from where its axes lie; lengths times `scale`."""
+    rows = []
+    for n, T in enumerate(_links(frames), 1):
+        x, y, z, p = T[:3, :4].T
+        a, alpha, d = (p[0], math.atan2(-z[1], z[2]), p @ z) if modified else (p @ x, math.atan2(y[2], z[2]), p[2])
+        rows.append((n, round(float(a) * scale, 9), round(math.degrees(alpha), 9), round(float(d) * scale, 9)))
+    return rows
+
+
+def _apart(*wanted: float, scale: float = 1.0) -> Callable[[Any], float]:
+    """How far the numbers in printed words are from the wanted ones, at most; or a number from the last of them."""
+
+    def off(printed: Any) -> float:
+        numbers = re.findall(r"-?\d+", printed) if isinstance(printed, str) else (*wanted[:-1], printed)
+        gaps = [abs(float(one) - true) for one, true in zip(numbers, wanted, strict=False)]
+        return max(gaps) * scale if len(numbers) == len(wanted) else math.inf
+
+    return off
+
+
 def _links_from(number: int, links: Sequence[FloatArray]) -> dict[str, Any]:
     """Equations that have a link each."""
     return {f"({k})": link for k, link in enumerate(links, number)}
@@ -72,19 +93,24 @@ def _xiang(rng: np.random.Generator) -> Measured:
     missed = float(((tool - list(target.values())) ** 2).sum())
     signs = {"plus_minus": math.copysign(1.0, turned[0, 3]), "plus_minus3": math.copysign(1.0, math.sin(q[2]))}
     values = lengths | target | _pose(T) | _named("theta", q) | _named("l", list(fig_9.values())) | signs
-    values |= {"x": float(tool[0]), "y": float(tool[1])}
+    values |= {"x": float(tool[0]), "y": float(tool[1]), **_named("q", q)}
+    rows_of_9 = _rows(link_frames(robots.get("xiang-6dof").chain, q[:5]), 100.0)
+    table = [[n, q[n - 1], d, a, round(math.radians(alpha), 6), 0.0] for n, a, alpha, d in rows_of_9]
     ranges = [[low, angle, high] for (low, high), angle in zip(robot.limits_rad[1:4], q[1:4], strict=True)]
     sides = {"(12)": q[0], "(13)": turned[0, 3], "(14)": T[2, 3]}
     sides |= {"(15)": math.cos(q[2]), "(16)": math.cos(q[2]), "after (16)": math.sin(q[2])}
     matrices = {"(9)": T, "(10)": T, "(11), left": turned, "(11), right": turned}
-    matrices |= {"(17), left": stretched, "(17), right": stretched, "(18)": [[missed], *ranges]}
+    matrices |= {"(17), left": stretched, "(17), right": stretched, "(18)": [[missed], *ranges], "Fig. 9": table}
     return values, _links_from(2, links) | _both(sides) | matrices
 
 
 def _puma(rng: np.random.Generator) -> Measured:
     values, link = _one_link(rng, "standard", "i")
-    T = forward_kinematics(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
-    return values | _pose(T), {"(1)": link, "(3)": T}
+    frames = link_frames(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
+    T, other = frames[-1], frames[-2]
+    table = [[n, alpha, *(_apart(length, scale=1e3) for length in (a, d))] for n, a, alpha, d in _rows(frames)]
+    values |= {f"p_n{axis}": float(away) for axis, away in zip("xyz", other[:3, 3], strict=True)}
+    return values | _pose(T), {"(1)": link, "(3)": T, "(5)": other - T, "Table 1": table}
 
 
 def _line(rng: np.random.Generator) -> Measured:
@@ -94,11 +120,12 @@ def _line(rng: np.random.Generator) -> Measured:
     frames = link_frames(chain, q)
     T, links = frames[-1], _links(frames)
     names = [name for row, axis in enumerate("xyz", 1) for name in (f"r_{row}1", f"r_{row}2", f"r_{row}3", f"p_{axis}")]
+    table = [[n, alpha, a, d, q[n - 1]] for n, a, alpha, d in _rows(frames)]
     entries = {f"({number})": [[value] * 2] for number, value in enumerate(T[:3].ravel(), 7)}
     large = {f"P_{axis}": float(T[k, 3]) for k, axis in enumerate("xyz")}
     values = {name.replace("_", "", name[0] == "r"): value for name, value in _pose(T, names).items()}
     values |= {**lengths, **large, **_named("theta", q)}
-    return values, _links_from(1, links) | entries | {"(6)": T}
+    return values, _links_from(1, links) | entries | {"(6)": T, "Table I": table}
 
 
 def _lanzhou(rng: np.random.Generator) -> Measured:
@@ -119,11 +146,20 @@ def _lanzhou(rng: np.random.Generator) -> Measured:
     weighted = float((np.abs(turned) * weights).sum())
     least, span, rand = (float(value) for value in rng.uniform(0.1, 1.0, 3))
     # In (12) theta_i is another angle than in (1); there it stands alone.
-    values |= {**lengths, **_pose(T), **_named("theta", q), **_named("Δtheta", turned), **_named("l", weights)}
+    values |= {**lengths, **_pose(T), **_named("theta", [*q, 0.3]), **_named("Δtheta", turned), **_named("l", weights)}
     values |= {"x": out, "y": down, "alpha": alpha, "beta": beta, "Δ": weighted}
     values |= {"theta_min": least, "theta_max": least + span, "Rand": rand}
+    shown = _rows(link_frames(robots.get("lanzhou-4dof").chain, q), 1e3, modified=True)
+    ranges = (*LANZHOU_RANGES_DEG, (0.0,))
+    table = [[n, values[f"theta{n}"], alpha, a, d, _apart(*ranges[n - 1])] for n, a, alpha, d in shown]
     bent_up = q[2] < 0.0
-    matrices = {"(1), left": [[lambda words: _order(words, values, link)]], "(1)": link, "(2), names": T, "(2)": T}
+    matrices = {
+        "(1), left": [[lambda words: _order(words, values, link)]],
+        "(1)": link,
+        "(2), names": T,
+        "(2)": T,
+        "Table 1": table,
+    }
     cosine, rows = math.cos(q[2]), {"(3)": [math.tan(q[0]), q[0]], "(6)": [math.tan(beta), beta]}
     sides = {"(4)": along**2, "(5)": cosine, "(7)": math.cos(alpha), "(8)": total, "(9)": q[3], "(10)": weighted}
     others = {name: [[value] * 2 for value in column] for name, column in rows.items()}
@@ -152,13 +188,17 @@ def _transfer(rng: np.random.Generator) -> Measured:
     axes = frames[1:, :3, 2]
     columns = np.concatenate([np.cross(axes, T[:3, 3] - frames[1:, :3, 3]), axes], axis=1)  # (eq. 8)
     off = float(np.abs(columns.T - J).max())
+    shown = zip(_rows(link_frames(robots.get("transfer-6dof").chain, q), 1e3, modified=True), INITIAL_DEG, strict=True)
+    table = [[n, _apart(n - 1, a), alpha, _apart(n, d), _apart(n, deg)] for (n, a, alpha, d), deg in shown]
+    said = ("Z_i x iPn0", "Z_i x (0R iPn)", "Z_i")
     return values | lengths | _pose(T) | _named("theta", q), {
+        "Table 1": table,
         "(1)": link,
         "(3)": T,
         "(4), second matrix": T,
         "after (3), 0T6": initial * np.array([[1.0, 1.0, 1.0, 1000.0]] * 3 + [[1.0] * 4]),
         "(4), first matrix": np.linalg.inv(frames[1]),
-        "(8)": [[lambda _words: off] * 2] * 2,
+        "(8)": [[lambda words: off if words in said else math.inf] * 2] * 2,
     }
 
 

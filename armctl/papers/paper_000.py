@@ -141,10 +141,8 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     with stage("000: the grid and two targets", 1):
         first = evolve_grid(robot, seed, waist_given=False)
         targets = np.array(TARGETS_CM) / 100.0
-        two, calmer = (
-            evolve_grid(robot, seed, waist_given=False, settings=settings, targets=targets)
-            for settings in (plain.PAPER, PER_INDIVIDUAL)
-        )
+        run = partial(evolve_grid, robot, seed, waist_given=False, targets=targets)
+        two, calmer = run(), run(settings=PER_INDIVIDUAL)
         two_q, two_missed = polished(robot, targets, two.q_rad)
     exact_q, missed = polished(robot, grid_m(), first.q_rad)
     agree = int((np.abs(printed()["joint_1_population"] - population_formula()) <= 0.6e-4).sum())
@@ -183,12 +181,10 @@ def _polish_rows(robot: Robot, q: FloatArray, missed: FloatArray) -> list[Row]:
     found = statistics(grid_errors_cm(tool_position(robot.chain, q)))
     reached = int((missed <= REACHED_M).sum())
     rows = [
-        *(
-            error(f"{name}, GA with polish", before, after, "cm", why="not polished")
-            for name, before, after in zip(STATISTICS, printed_statistics().tolist(), found.tolist(), strict=True)
-        ),
-        unprinted("targets of the grid reached to 1e-9 m, of 100", str(reached)),
+        error(f"{name}, GA with polish", before, after, "cm", why="not polished")
+        for name, before, after in zip(STATISTICS, printed_statistics().tolist(), found.tolist(), strict=True)
     ]
+    rows.append(unprinted("targets of the grid reached to 1e-9 m, of 100", str(reached)))
     for (x, y), (distance, near) in out_of_reach(robot).items():
         i, j = int(x - SIDE_CM[0]), int(y - SIDE_CM[0])
         least = abs(float(np.hypot(near[0], near[1])) * 100.0 - float(np.hypot(x, y)))

@@ -158,11 +158,9 @@ def _middle(found: Errors) -> int:
 def _table_2_rows(found: Errors, standard: Errors, polished: Errors) -> list[Row]:
     rows, why = [], "another run, other settings"
     runs = f"median of {len(found.position_m)} seeds"
-    for name, line, ours in (
-        ("improved", IMPROVED_XYZ_RPY, found),
-        ("standard", STANDARD_XYZ_RPY, standard),
-        ("improved, with polish", IMPROVED_XYZ_RPY, polished),
-    ):
+    lines = (IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, IMPROVED_XYZ_RPY)
+    names = ("improved", "standard", "improved, with polish")
+    for name, line, ours in zip(names, lines, (found, standard, polished), strict=True):
         away_m, turned_rad = table_2_errors(line)
         position_mm, turn_rad = float(np.median(ours.position_m)) * 1e3, float(np.median(ours.turn_rad))
         rows.append(error(f"{name}: distance, {runs}", away_m * 1e3, position_mm, "mm", why=why))

@@ -95,16 +95,9 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     with stage("004: kinematics and cycle", 1):
         logged = logged_cycle(seed)
         shown, described = simulated_cycle(robot), "{}: the model's and the recorded one"
+        seen = pictures(transfer_curves.TITLES, "from the log, {}", described, transfer_curves.draw, logged)
         rows = [*_pose_rows(robot), *_inverse_rows(robot, q), *_jacobian_rows(robot, q), *_curve_rows(shown)]
-    return PaperReport(
-        *introduced("004", scale=SCALE),
-        tuple(rows),
-        (),
-        (
-            *_pictures(robot, shown),
-            *pictures(transfer_curves.TITLES, "from the log, {}", described, transfer_curves.draw, logged),
-        ),
-    )
+    return PaperReport(*introduced("004", scale=SCALE), tuple(rows), (), (*_pictures(robot, shown), *seen))
 
 
 def logged_cycle(seed: int) -> Transfer:
@@ -166,10 +159,8 @@ def _pictures(robot: Robot, shown: Curves) -> list[Picture]:
     q = stops(robot)
     arms = {"home": q[0], "pick": q[2], "place": q[5]}
     space = partial(drawn.arm, robot.chain, arms, tool_m=shown.tool_position_m)
-    return [
-        Picture("the cycle", "the arm at home, pick and place and the path of its tool", space),
-        *(
-            Picture(f"Fig. {number}: {title}", f"{title} over time", partial(drawn.curve, shown, title))
-            for number, title in enumerate(list(drawn.CURVES)[3:], start=3)
-        ),
+    figures = [
+        Picture(f"Fig. {number}: {title}", f"{title} over time", partial(drawn.curve, shown, title))
+        for number, title in enumerate(list(drawn.CURVES)[3:], start=3)
     ]
+    return [Picture("the cycle", "the arm at home, pick and place and the path of its tool", space), *figures]

@@ -56,7 +56,7 @@ def _table(page: Page, report: line.ExperimentReport) -> None:
         paper = line.PRINTED.get(one.via) if isinstance(one.via, int) else None
         before, first = errors_mm(one.before.real_tool_m, *report.ends), one.runs[0]
         predicted = f"{first.predicted_mean_mm:.2f} / {first.predicted_max_mm:.2f}"
-        printed = "-" if paper is None else f"{paper.errors} in {paper.duration_s:.1f} s"
+        printed = "-" if paper is None else "{:.1f} / {:.1f} in {:.1f} s".format(*paper)
         true = (_spread(some) if some else "unknown" for some in (truths, own))
         took = f"{np.mean(durations):.2f}" + (f" ± {np.std(durations):.2f}" if len(durations) > 1 else "")
         measured = (_spread(by_encoder), printed, *true, took, len(one.runs), len(one.rounds) - 1)

@@ -26,6 +26,7 @@ ARM_VIEWS = (IN_SPACE, *FLAT)
 PLANES = {f"Projection on {'xyz'[i]}{'xyz'[j]}": (i, j) for i, j in FLAT.values()}
 WORKSPACE_IN_SPACE = "Workspace in 3D"
 WORKSPACE_VIEWS = (WORKSPACE_IN_SPACE, *PLANES)
+Arms = dict[str, FloatArray]
 UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 HEIGHT = 440
 # What of a trajectory is drawn -> the field of `Curves`, and its unit there; metres are drawn as millimetres.
@@ -42,12 +43,7 @@ CURVES: dict[str, tuple[str, str]] = {
 
 
 def arm(
-    chain: SerialChain,
-    arms: dict[str, FloatArray],
-    view: str = IN_SPACE,
-    tool_m: FloatArray | None = None,
-    *,
-    unit: str = "mm",
+    chain: SerialChain, arms: Arms, view: str = IN_SPACE, tool_m: FloatArray | None = None, *, unit: str = "mm"
 ) -> Figure:
     """Arms as lines through their joints, to one scale.
 

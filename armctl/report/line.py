@@ -20,11 +20,6 @@ class Printed(NamedTuple):
     max_error_mm: float
     duration_s: float
 
-    @property
-    def errors(self) -> str:
-        """Mean / maximum [mm] for a table."""
-        return f"{self.mean_error_mm:.1f} / {self.max_error_mm:.1f}"
-
 
 # By number of via points, Raharjo et al. Table II; `armctl/lab/table_ii.py` makes that table anew.
 PRINTED: dict[int | str, Printed] = {
@@ -173,13 +168,11 @@ def _table(page: Page, report: LineReport) -> None:
         "the straight line that fits it best.",
     )
     page.heading("Candidates")
+    found = (("genetic algorithm", report.ga_mean_mm), ("exact optimum of the same genes", report.exact_mean_mm))
     page.table(
         ("recording", "mean mm", "maximum mm", "genes taken"),
         [(name, f"{mean:.2f}", f"{largest:.2f}", genes) for name, mean, largest, genes in report.candidate_errors_mm]
-        + [
-            ("genetic algorithm", f"{report.ga_mean_mm:.3f}", "", ""),
-            ("exact optimum of the same genes", f"{report.exact_mean_mm:.3f}", "", ""),
-        ],
+        + [(name, f"{mean:.3f}", "", "") for name, mean in found],
         "A gene is one recording's configuration, or the mean of two, which counts for both. It is a memetic "
         "algorithm: its crossover finds the cheapest mixture of two parents exactly, by dynamic programming. "
         f"The genetic algorithm is {report.gap_ratio * 100.0:.2f} % above the exact optimum (dynamic programming).",

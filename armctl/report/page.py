@@ -21,16 +21,10 @@ Figure: TypeAlias = "go.Figure"
 # Looks of a page.
 _STYLE = Path(__file__).with_name("page.css")
 # What a chart without a title has around it: its legend stands in one line above.
-CLOSE: dict[str, Any] = {
-    "margin": {"l": 60, "r": 15, "t": 30, "b": 50},
-    "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"},
-}
+_ABOVE = {"orientation": "h", "y": 1.0, "yanchor": "bottom"}
+CLOSE: dict[str, Any] = {"margin": {"l": 60, "r": 15, "t": 30, "b": 50}, "legend": _ABOVE}
 # Seen as MATLAB's plots in space are: from the left, half from above.
-CAMERA: dict[str, Any] = {
-    "eye": {"x": -0.68, "y": -0.89, "z": 0.65},
-    "center": {"x": 0.0, "y": 0.0, "z": -0.06},
-    "projection": {"type": "orthographic"},
-}
+CAMERA = {"eye": {"x": -0.68, "y": -0.89, "z": 0.65}, "projection": {"type": "orthographic"}}
 # Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves.
 _CHART_COLOURS = Path(__file__).with_name("page.js")
 # Draws the few kinds of charts of a light page.

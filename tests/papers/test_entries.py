@@ -154,6 +154,29 @@ def test_an_error_planted_in_a_derivation_is_found_by_numbers(
     assert {entry.equation for entry in of_paper(paper, transcription(paper)) if not entry.proven} == {number}
 
 
+@pytest.mark.parametrize("paper", PAPERS)
+def test_an_error_planted_in_a_table_of_parameters_is_found_by_numbers(
+    monkeypatch: pytest.MonkeyPatch, paper: str
+) -> None:
+    derive, printed = derivations.derived, transcription(paper)
+    (table,) = {"Table 1", "Table I", "Fig. 9"} & set(printed.equations)
+    cells = [entry for entry in ALL if (entry.paper, entry.equation, entry.verdict) == (paper, table, EQUAL)]
+    assert len(cells) >= 20
+    for entry in cells[:: len(cells) // 5]:
+        row, column = (entry.row or 0) - 1, (entry.column or 0) - 1
+
+        def slipped(of: str, row: int = row, column: int = column) -> dict[str, derivations.Cells]:
+            found = derive(of)
+            rows = [list(cells) for cells in found[table]]
+            rows[row][column] = (
+                "1_2" if isinstance(rows[row][column], str) else rows[row][column] + symbol("theta1") / 7
+            )
+            return found | {table: rows}
+
+        monkeypatch.setattr(module, "derived", slipped)
+        assert [at(one) for one in of_paper(paper, printed) if not one.proven] == [at(entry)]
+
+
 def test_words_that_are_no_formula_are_a_misprint_and_no_accident() -> None:
     for text in ("C1 +", ")(", "import os", "C1 ** ** 2", "1e999", "lambda", "[C1", "__import__('os')"):
         entry = next(one for one in ALL if (one.paper, *at(one)) == ("000", "(2)", 1, 1))
