@@ -105,7 +105,7 @@ def _puma() -> dict[str, Cells]:
     theta, alpha, a, d = (symbol(f"{name}_i") for name in ("theta", "alpha", "a", "d"))
     away = [[None, None, None, symbol(f"p_n{axis}") - symbol(f"p_{axis}")] for axis in "xyz"]
     return {
-        "Table 1": [[n, *_numbers(np.degrees(row.alpha), row.a, row.d)] for n, row in rows],
+        "Table 1": [[n, *_numbers(np.degrees(row.alpha), row.a), THETA[n - 1], *_numbers(row.d)] for n, row in rows],
         "(1)": (about_z(theta, d) * about_x(alpha, a)).tolist(),
         "(3)": _pose().tolist(),
         "(5)": [*away, [0, 0, 0, 0]],

@@ -108,7 +108,7 @@ def _puma(rng: np.random.Generator) -> Measured:
     values, link = _one_link(rng, "standard", "i")
     frames = link_frames(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
     T, other = frames[-1], frames[-2]
-    table = [[n, alpha, *(_apart(length, scale=1e3) for length in (a, d))] for n, a, alpha, d in _rows(frames)]
+    table = [[n, alpha, _apart(a, scale=1e3), None, _apart(d, scale=1e3)] for n, a, alpha, d in _rows(frames)]
     values |= {f"p_n{axis}": float(away) for axis, away in zip("xyz", other[:3, 3], strict=True)}
     return values | _pose(T), {"(1)": link, "(3)": T, "(5)": other - T, "Table 1": table}
 
