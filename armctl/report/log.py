@@ -234,8 +234,8 @@ def _line_figures(page: Page, *logs: Timeline) -> None:
     if not rows:
         return
     page.heading("Straightness of the runs")
-    ends = "Distance of the tool, by the encoders, from the line between the commanded ends"
-    page.table(("run", "mean mm", "maximum mm", "time s"), rows, f"{ends} of each run (Raharjo et al. eqs. 19, 20).")
+    told = "Distance of the tool, by the encoders, from the line between the commanded ends"
+    page.table(("run", "mean mm", "maximum mm", "time s"), rows, f"{told} of each run (Raharjo et al. eqs. 19, 20).")
     description = "Distance of the tool from the line along each run"
     with page.chart(description, "Distance from the line", "along the line, mm", "distance, mm", height=320) as chart:
         for drawn in curves:
