@@ -306,7 +306,7 @@ MUTANTS: tuple[Mutant, ...] = (
     # ------------------------------------------------------------------------------ correction, seen by `prove place`
     _log("trim without bound",
          ("TRIM_RAD = math.radians(3.0)", "TRIM_RAD = math.radians(99.0)"),
-         ("AWAY_RAD = math.radians(7.5)", "AWAY_RAD = math.radians(99.0)"),
+         ("AWAY_RAD = math.radians(7.0)", "AWAY_RAD = math.radians(99.0)"),
          ("MOST_RAD = math.radians(7.0)", "MOST_RAD = math.radians(99.0)"),
          room=CONTROL, tests=PLACE + "test_the_goal_of_a_joint_that_is_held_keeps_its_bound"),
     _log("trim while latched",
