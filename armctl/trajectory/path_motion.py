@@ -3,7 +3,8 @@
 Rules.
 1. Postures that reach the first point are followed along the path, from station to station, by the least change of the
    joints: so none changes its branch. Those that break off are dropped. The rest are ordered as on a line: a joint's
-   error should move the tool little off the path, and no joint should turn around.
+   error should move the tool little off the path, and no joint should turn around. Those to whose begin a joint has to
+   turn by `FARTHER_RAD` more than it need come last: an arm that faces its path does not reach for it over its back.
 2. Beside the joint limits `MARGIN_RAD` are kept free, for corrections.
 3. The tool goes at one speed. Where a joint would be too fast, as in a tight corner, it goes slower, and gets there
    gently. It sets off and arrives by `time_law`.
@@ -47,6 +48,7 @@ FEWEST_ROWS, MOST_ROWS = 200, 4000
 # No joint turns by more from station to station.
 LARGEST_STEP_RAD = 0.3
 TRIED_WAYS = 6
+FARTHER_RAD = math.pi / 2.0
 # So much before and after a place where the tool goes slower it does so, too.
 GENTLE_M = 0.008
 # What a duration is multiplied by while accelerations are too large, and how often.
@@ -146,7 +148,8 @@ def joint_ways(outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: 
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     J = jacobian(chain, ways)[..., :3, :]
     lever = np.linalg.norm(J - along[:, :, None] * (along[:, None, :] @ J), axis=-2)
-    best = np.argsort(turning_too(lever, ways), kind="stable")[:TRIED_WAYS]
+    turn = np.abs(ways[:, 0] - np.array(q_now[: chain.n])).max(axis=1)
+    best = np.lexsort((turning_too(lever, ways), turn > turn.min() + FARTHER_RAD))[:TRIED_WAYS]
     rows = int(np.clip(math.ceil(outline.length_m / ROW_M), FEWEST_ROWS, MOST_ROWS)) + 1
     place = np.linspace(0.0, 1.0, rows)
     fine = outline.rounded(place * outline.length_m)

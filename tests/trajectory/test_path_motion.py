@@ -8,6 +8,8 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 from armctl.errors import RequestRefused
+from armctl.files import load_arm
+from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.trajectory.line_path import MARGIN_RAD
 from armctl.trajectory.path_motion import PathMotion, path_motion
@@ -67,6 +69,19 @@ def test_no_joint_leaves_its_limits_less_the_room_for_corrections_or_jumps_to_an
     assert (q > LIMITS[:, 0] + MARGIN_RAD - 1e-6).all()
     assert (q < LIMITS[:, 1] - MARGIN_RAD + 1e-6).all()
     assert np.abs(np.diff(q, 2, axis=0)).max() < math.radians(0.5)
+
+
+def test_an_arm_that_faces_its_path_does_not_turn_its_base_around_for_it() -> None:
+    arm = load_arm("xiang-6dof")
+    robot = robots.get(arm.robot, arm.lengths_m)
+    now = (0.51, 0.949, -0.405, -0.591, 1.338, 0.0)
+    radius_m, z = (float(tool_position(robot.chain, np.array([0.0, *now[1:5]]))[i]) for i in (0, 2))
+    turned = set()
+    for to_rad in np.arange(0.03, 0.9, 0.03):
+        ends = tuple((radius_m * math.cos(turn), radius_m * math.sin(turn), z) for turn in (to_rad - 0.015, to_rad))
+        way = path_motion(PathRequest(points_m=ends), now, arm, robot, 0.1).trajectory
+        turned.add(round(math.degrees(way.positions_rad[-1][0] - to_rad)))
+    assert turned == {0}
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.2, 10.0))
