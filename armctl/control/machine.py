@@ -272,6 +272,8 @@ class Following:
     given_rad: tuple[float, ...]
     # For how long the motion has gone on.
     age_s: float = 0.0
+    # How far joints that stand have been off of late; empty: nothing is known yet.
+    off_rad: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,13 @@ A goal is where a joint is wanted a tick ahead, by a trajectory or a jog, and it
 2. A trim that grows slowly by what the encoders show, at the instants at which they were read; it begins anew with each
    motion. A joint that is far off is kept from where it is wanted, and not trimmed. Nothing is trimmed in a motion that
    is being stopped, nor while a fault is latched.
-3. What the motion before has left of a correction, which is blended out within `BLEND_S`.
-A trajectory that is not corrected, and an arm whose file says `correction: false`, have neither lag nor trim.
+3. A joint that hardly moves stands in its friction: a growing trim would have it jump in the middle of a line. It is
+   looked at for `STANDING_S`, and trimmed at once by how far it is off, where that is more than `STANDS_RAD`.
+4. What the motion before has left of a correction, which is blended out within `BLEND_S`.
+5. Goals are whole ticks. Of those beside the exact ones of all joints together, they are those that keep the tool
+   nearest to where exact ones would have it, and that turn no joint back.
+A trajectory that is not corrected, and an arm whose file says `correction: false`, have neither lag nor trim, and the
+nearest ticks.
 """
 
 import math
@@ -15,9 +20,13 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from armctl.control.machine import LATCHED, TO_REST, Following, Motion
 from armctl.control.settle import AWAY_RAD, FAR_RAD, MOST_RAD, TRIM_RAD, settle
 from armctl.control.tick import Tick
+from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.kinematics.chain import jacobian
 from armctl.messages import NS_PER_S, Event, Grip, JointTrajectory
 from armctl.trajectory.lag import lags_rad, side_after
 
@@ -33,6 +42,11 @@ BLEND_S = 0.8
 RATE_RAD_S = math.radians(4.0)
 # Of the error, per second.
 TRIM_RATE = 0.5
+# A joint that is wanted to go no faster stands.
+STANDING_RAD_S = math.radians(0.5)
+STANDING_S, STANDS_RAD = 0.65, 0.6 * TICK_RAD
+# What a joint's own rounding counts beside what it moves the tool: as if it had this lever.
+ROUNDING_M = 0.03
 
 
 def duration_s(trajectory: JointTrajectory) -> float:
@@ -161,14 +175,19 @@ def trim(s: Tick) -> None:
     f = s.state.following
     if f is None or not f.corrected or not s.fresh or s.state.phase in LATCHED:
         return
-    gain = TRIM_RATE * s.period_s * min(1.0, f.age_s / BLEND_S)
-    trims = list(f.trim_rad)
+    begun = min(1.0, f.age_s / BLEND_S)
+    gain, look = TRIM_RATE * s.period_s * begun, min(1.0, s.period_s / STANDING_S) * begun
+    trims, off = list(f.trim_rad), list(f.off_rad or (0.0,) * len(s.wire))
     for i in range(s.robot.chain.n):
         since_s = (s.inputs.sample.servos[i].stamp_ns - s.state.goal_ns) / NS_PER_S - s.period_s
         error = f.wanted_rad[i] + f.velocity_rad_s[i] * since_s - s.joints[i].position_rad
-        if abs(error) < FAR_RAD:
-            trims[i] = min(max(trims[i] + gain * error, -TRIM_RAD), TRIM_RAD)
-    s.state.following = replace(f, trim_rad=tuple(trims))
+        stands = abs(f.velocity_rad_s[i]) < STANDING_RAD_S
+        off[i] = off[i] + look * (error - off[i]) if stands else 0.0
+        if abs(error) > FAR_RAD or (stands and abs(off[i]) < STANDS_RAD):
+            continue
+        change = off[i] if stands else gain * error
+        trims[i], off[i] = min(max(trims[i] + change, -TRIM_RAD), TRIM_RAD), 0.0
+    s.state.following = replace(f, trim_rad=tuple(trims), off_rad=tuple(off))
 
 
 def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float]) -> tuple[list[int], Following]:
@@ -189,10 +208,44 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
         off = wanted[i] - s.joints[i].position_rad
         low, high = max(-MOST_RAD, min(0.0, -AWAY_RAD - off)), min(MOST_RAD, max(0.0, AWAY_RAD - off))
         given[i] = min(max(min(max(correction, low), high), last - most), last + most)
-    goals = s.whole_ticks([q + more for q, more in zip(wanted, given, strict=True)])
-    return goals, Following(
-        f.corrected, wanted, tuple(velocity_rad_s), side, f.trim_rad, f.before_rad, tuple(given), age_s
+    after = Following(
+        f.corrected, wanted, tuple(velocity_rad_s), side, f.trim_rad, f.before_rad, tuple(given), age_s, f.off_rad
     )
+    return _whole_ticks(s, f, after), after
+
+
+def _exact(s: Tick, f: Following) -> list[float]:
+    """The corrected goals [tick], before they are made whole."""
+    joints = zip(s.wire, f.wanted_rad, f.given_rad, strict=True)
+    return [joint.zero_tick + joint.direction * (q + given) / TICK_RAD for joint, q, given in joints]
+
+
+def _whole_ticks(s: Tick, f: Following, after: Following) -> list[int]:
+    """The goals beside the exact ones [tick] that keep the tool where it is to be (rule 5).
+
+    No goal goes farther from the last one than the exact one does, by more than the tick that rounding may add.
+    """
+    exact, before, n = _exact(s, after), _exact(s, f), s.robot.chain.n
+    goals = [round(tick) for tick in exact]
+    if not f.corrected:
+        return goals
+    slopes_m: list[list[float]] = jacobian(s.robot.chain, np.array(after.wanted_rad[:n]))[:3].T.tolist()
+    # Cost, how far the tool is off by then [m], and the goals of the joints so far: all that are possible.
+    found: list[tuple[float, float, float, float, tuple[int, ...]]] = [(0.0, 0.0, 0.0, 0.0, ())]
+    for i, (x_m, y_m, z_m) in enumerate(slopes_m):
+        way, last = s.wire[i].direction * (after.wanted_rad[i] - f.wanted_rad[i]), s.state.goal[i]
+        most = abs(exact[i] - before[i]) + 1.0
+        beside = (math.floor(exact[i]), math.ceil(exact[i])) if way else (goals[i],)
+        ticks = [tick for tick in beside if (tick - last) * way >= 0.0 and abs(tick - last) <= most]
+        ticks = ticks or [min(beside, key=lambda tick: abs(tick - last))]
+        off = [(tick, s.wire[i].direction * (tick - exact[i]) * TICK_RAD) for tick in ticks]
+        found = [
+            (cost + (ROUNDING_M * e) ** 2, x + x_m * e, y + y_m * e, z + z_m * e, (*chosen, tick))
+            for cost, x, y, z, chosen in found
+            for tick, e in off
+        ]
+    *_, nearest = min(found, key=lambda one: one[0] + one[1] * one[1] + one[2] * one[2] + one[3] * one[3])
+    return [*nearest, *goals[n:]]
 
 
 def _aimed_at(s: Tick, motion: Motion, time_s: float) -> tuple[list[int], Following]:

@@ -331,13 +331,6 @@ class Tick:
         shown = self.status(index).goal
         return shown == self.state.goal[index] or any(goal[index] == shown for goal in self.state.sent)
 
-    def whole_ticks(self, position_rad: Sequence[float]) -> list[int]:
-        """The nearest servo position of every joint position [rad]."""
-        return [
-            round(joint.zero_tick + joint.direction * q / ax12a.TICK_RAD)
-            for joint, q in zip(self.wire, position_rad, strict=True)
-        ]
-
     def send_goal(self, ticks: Sequence[int]) -> None:
         """Goal and speed for every servo, inside the limits; each arrives in one tick from where its ramp is by now.
 

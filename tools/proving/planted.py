@@ -35,8 +35,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("speed is not limited", CONTROL, (
         "min(max(__least, __speed), __joint.speed_limit_units)", "max(__least, __speed, 700)")),
     _m("sign of direction", CONTROL, (
-        "round(__joint.zero_tick + __joint.direction * __q / __tick_rad)",
-        "round(__joint.zero_tick - __joint.direction * __q / __tick_rad)")),
+        "__joint.zero_tick + __joint.direction * (__q + __given) / TICK_RAD",
+        "__joint.zero_tick - __joint.direction * (__q + __given) / TICK_RAD")),
     _m("goals two ticks further ahead", CONTROL,
        ("sample_trajectory(__motion.trajectory, __time_s + __d)",
         "sample_trajectory(__motion.trajectory, __time_s + 0.2 + __d)"),
