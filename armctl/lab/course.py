@@ -25,8 +25,9 @@ Via = int | Literal["auto", "stream"]
 DRAWN_WAYS, PLACED_WAYS, TRIED_WAYS = 400, 32, 30
 # What a servo is off after correction, one with another.
 SERVO_ERROR_RAD = 0.3 * TICK_RAD
-# Largest lag of a plan that may run: a larger one is near to where the daemon takes a joint for blocked.
-HEAVIEST_RAD = np.radians(7.0)
+# Largest lag of a plan that may run: with what a trim takes, more of it is beyond the largest correction there is
+# (`MOST_RAD`), and the tool falls off the line by centimetres.
+HEAVIEST_RAD = np.radians(5.8)
 UNKNOWN_HEAVIEST_RAD = np.radians(5.0)
 # How much more than it bears where it stands an arm may bear on its way from there.
 LEAVING = 1.1
@@ -92,8 +93,8 @@ def too_heavy(rig: Rig, model: LagModel | None, plan: Plan) -> str:
     chain = rig.robot.chain
     model, bound = (lag.nominal(rig.arm, chain), UNKNOWN_HEAVIEST_RAD) if model is None else (model, HEAVIEST_RAD)
     whole = np.array(joint_trajectory(plan, rig.arm, rig.goals_rad, rig.period_s).positions_rad)[:, : chain.n]
-    most = lag.heaviest_rad(model, chain, whole)
-    borne = lag.heaviest_rad(model, chain, np.tile(whole[0], (2, 1)))
+    most = lag.heaviest_rad(model, chain, whole, rig.period_s)
+    borne = lag.heaviest_rad(model, chain, np.tile(whole[0], (2, 1)), rig.period_s)
     allowed = np.maximum(bound, np.minimum(LEAVING * borne, HEAVIEST_RAD))
     if (most <= allowed).all():
         return ""

@@ -189,9 +189,12 @@ def predict(model: LagModel, X: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("imk,ik->mi", X, np.array(model.rows)))
 
 
-def heaviest_rad(model: LagModel, chain: SerialChain, q: FloatArray) -> FloatArray:
-    """Largest lag of each joint by gravity and friction along a motion [rad], shape (n,); q [rad], shape (m, n)."""
+def heaviest_rad(model: LagModel, chain: SerialChain, q: FloatArray, period_s: float) -> FloatArray:
+    """Largest lag of each joint along a motion [rad], shape (n,); q [rad], shape (m, n), every `period_s`.
+
+    Friction counts as if it always added to gravity and speed.
+    """
     n, rows = chain.n, np.array(model.rows)
-    X = regressors(chain, q, np.zeros(n), 1.0)
-    sag = np.einsum("imk,ik->mi", X[:, :, :n], rows[:, :n]) + rows[:, n + 2]
-    return np.asarray(np.abs(sag).max(axis=0) + np.abs(rows[:, n]))
+    X = regressors(chain, q, np.zeros(n), period_s)
+    X[:, :, n] = 0.0
+    return np.asarray(np.abs(predict(model, X)).max(axis=0) + np.abs(rows[:, n]))

@@ -4,8 +4,8 @@ Rules.
 1. The control step corrects what it foresees of the lag of each joint. What that leaves is learnt from the runs,
    smoothed, with a gain that falls from round to round. A constant gain creeps or, close to 2, diverges.
 2. A plan is corrected as a whole: its waypoints are placed again such that the motion less the lag is straight.
-3. A joint that hardly moves stands in its friction; pushing it further would wind it up until it jumps. It is held, and
-   the others make up for where it stands.
+3. A joint that hardly moves stands in its friction; pushing it on the way would wind it up until it jumps. It is led
+   elsewhere as a whole, by what it was off on the average.
 4. A motion is repeatable, its readings are not: the same plan, run again, seems straighter or less straight by the
    repeat noise. So a plan that seems better than the kept one is run a second time. It takes the kept one's place only
    if the mean of both runs is better by more than that noise. Kept plans therefore get better from one to the next. Now
@@ -41,8 +41,9 @@ LESS = 0.5
 RUNS, MOST_RUNS = 2, 3
 # Deviations of the noise between two runs that noise alone hardly ever makes.
 DISAGREE = 4.0 * 2.0**0.5
-# Standard deviation of the window over which readings are averaged.
-SMOOTH_S = 0.25
+# Standard deviation of the window over which readings are averaged, to compare runs by and to learn from: what is
+# learnt of noise is put into the next plan.
+SMOOTH_S, LEARN_S = 0.25, 0.5
 # A joint that travels less hardly moves.
 STILL_RAD = 3.0 * TICK_RAD
 PATIENCE = 2
@@ -104,10 +105,10 @@ def lag_of(on: Driven, plan: Plan, measured: Measured) -> FloatArray:
     return columns_at(time_s, at, columns_at(at, time_s, goals) - measured.positions_rad[:, : on.robot.chain.n])
 
 
-def smoothed(values: FloatArray, period_s: float) -> FloatArray:
+def smoothed(values: FloatArray, period_s: float, window_s: float = SMOOTH_S) -> FloatArray:
     """Values averaged over time with a Gaussian window, shape (m, ...); at the ends the window is cut off."""
     reach = np.arange(len(values)) * period_s
-    window = np.exp(-0.5 * ((reach[:, None] - reach) / SMOOTH_S) ** 2)
+    window = np.exp(-0.5 * ((reach[:, None] - reach) / window_s) ** 2)
     return np.asarray(np.tensordot(window / window.sum(axis=1, keepdims=True), values, axes=1))
 
 
@@ -115,9 +116,11 @@ def learn(on: Driven, last: Round, gain: float) -> Course:
     """The course of a round, corrected by what the runs of the round showed."""
     course = last.course
     lag = np.median([lag_of(on, last.plan, run) for run in last.runs], axis=0)
-    surprise = gain * smoothed(lag - course.lag_rad, on.period_s)
-    held = (np.ptp(course.expected_rad, axis=0) < STILL_RAD).astype(float)
-    return placed(on, replace(course, lag_rad=course.lag_rad + surprise), held=held)
+    surprise = gain * smoothed(lag - course.lag_rad, on.period_s, LEARN_S)
+    still = np.ptp(course.expected_rad, axis=0) < STILL_RAD
+    surprise = np.where(still, surprise.mean(axis=0), surprise)
+    waypoints = course.waypoints + np.where(still, surprise.mean(axis=0), 0.0)
+    return placed(on, replace(course, lag_rad=course.lag_rad + surprise, waypoints=waypoints), held=still.astype(float))
 
 
 def seen_mm(on: Driven, one: Round, measured: Measured) -> float:

@@ -94,7 +94,7 @@ def test_an_arm_that_stands_close_to_what_it_can_carry_may_leave_by_a_little_mor
     stands = np.radians([-35.0, 51.5, -103.0, 67.0, 42.0, 0.0])
     there = stands - np.radians([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
     borne, most = (
-        np.degrees(lag.heaviest_rad(model(), ROBOT.chain, np.tile(q[:5], (2, 1)))[1]) for q in (stands, there)
+        np.degrees(lag.heaviest_rad(model(), ROBOT.chain, np.tile(q[:5], (2, 1)), 0.1)[1]) for q in (stands, there)
     )
     assert borne < np.degrees(UNKNOWN_HEAVIEST_RAD) < most
     plan = make_plan(via=0, waypoints_rad=(tuple(stands), tuple(there)), waypoint_progress=(0.0, 1.0))

@@ -78,8 +78,8 @@ def test_the_nominal_arm_sags_by_the_slope_of_its_potential_energy(seed: int) ->
 
 def test_a_stretched_arm_is_heavier_than_a_folded_one() -> None:
     model = nominal(ARM, CHAIN)
-    stretched = heaviest_rad(model, CHAIN, np.zeros((2, 5)))
-    folded = heaviest_rad(model, CHAIN, np.tile([0.0, 1.4, -2.4, 0.5, 0.0], (2, 1)))
+    stretched = heaviest_rad(model, CHAIN, np.zeros((2, 5)), 0.1)
+    folded = heaviest_rad(model, CHAIN, np.tile([0.0, 1.4, -2.4, 0.5, 0.0], (2, 1)), 0.1)
     assert stretched[1] > np.radians(5.0) > folded[1]
     assert stretched[0] == pytest.approx(model.rows[0][5])
 

@@ -199,6 +199,25 @@ def test_one_run_is_enough_to_correct_a_lag_that_nobody_foresaw() -> None:
     assert after.filtered_mm < 0.35 * before.filtered_mm
 
 
+@pytest.mark.parametrize("via", [2, None])
+def test_a_joint_that_hardly_moves_is_led_elsewhere_as_a_whole_and_by_nothing_that_comes_and_goes(
+    via: int | None,
+) -> None:
+    """The base along a radial line: it stands off by a constant, and seems to swing."""
+    line, on = Line(np.array([0.16, 0.0, 0.1]), np.array([0.24, 0.0, 0.1]), 5.0), Lagging()
+    [way] = line_paths(on.arm, ROBOT, line.A, line.B, 5.0, np.random.default_rng(0), most=1)
+    knots = progress_of_ticks(51) if via is None else np.linspace(0.0, 1.0, via + 2)
+    course = placed(
+        on,
+        replace(first(on, via).course, line=line, waypoints=joint_path(way, np.linspace(0.0, 1.0, 41), knots, "cubic")),
+    )
+    one = Round(0, course, plan_of(on, course, 0), (), (), corrected=True)
+    run = on.run(one.plan)
+    run.positions_rad[:, 0] += 0.003 * np.sin(run.time_s * 2.0 * np.pi / 2.5)
+    after = learn(on, replace(one, runs=(run,)), 0.5)
+    np.testing.assert_allclose((after.waypoints - course.waypoints)[:, 0], 0.5 * 0.004, atol=2e-4)
+
+
 def test_a_plan_that_is_better_by_far_is_not_repeated_where_runs_are_counted(figures: list[float]) -> None:
     clear, doubtful = 9.0 - 1.1 * DISAGREE * NOISE_MM, 9.0 - 0.9 * DISAGREE * NOISE_MM
     figures += [9.0, clear, clear]
