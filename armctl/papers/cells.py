@@ -6,7 +6,7 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.robots.papers import FIG_5_DEG, QZ_DEG
+from armctl.kinematics.robots.papers import FIG_5_DEG, INITIAL_DEG, QZ_DEG
 from armctl.kinematics.transform import FloatArray
 from armctl.papers.paper_000 import HEIGHT_CM, RADIUS_CM, population_formula
 from armctl.papers.transcription import Transcription
@@ -32,5 +32,11 @@ def _lanzhou(_printed: Transcription) -> TrueCells:
     return {"ikine": (np.radians([QZ_DEG]), 0.0), "fig_5": (np.round(place_mm[None, [0, 2]], 9) + 0.0, 0.0)}
 
 
-# By paper; tables that are not named hold measurements, or motions that print does not give.
-TRUE_CELLS: dict[str, Callable[[Transcription], TrueCells]] = {"000": _grid, "003": _lanzhou}
+def _transfer(_printed: Transcription) -> TrueCells:
+    """By the text the arm is in its initial position at t = 0 of Fig. 3."""
+    place_mm = tool_position(robots.get("transfer-6dof").chain, np.radians(INITIAL_DEG)) * 1e3
+    return {"fig_3": (np.round(place_mm[None], 9) + 0.0, 0.0)}
+
+
+# By paper; tables that are not named hold measurements, what was chosen, or motions that print does not give.
+TRUE_CELLS: dict[str, Callable[[Transcription], TrueCells]] = {"000": _grid, "003": _lanzhou, "004": _transfer}

@@ -119,15 +119,19 @@ def _judged(one: _Formula, *, small: bool) -> tuple[str, str | None]:
 
 def _tables(paper: str, printed: Transcription) -> Iterator[Entry]:
     known = TRUE_CELLS[paper](printed) if paper in TRUE_CELLS else {}
-    for name, (true, slack) in known.items():
-        table = printed.tables[name]
+    for name, table in printed.tables.items():
+        true, slack = known.get(name, (np.full_like(table.numbers, np.nan), 0.0))
         bound = (table.rounding + slack) * (1.0 + 1e-9)
         gap = np.abs(table.numbers - true)
         for r, c in np.ndindex(true.shape):
-            told = (paper, table.place, r + 1, c + 1, table.rows[r][c], f"{true[r, c]:.7g}")
+            place = paper, table.place, r + 1, c + 1, table.rows[r][c]
+            line = f"line {table.line + r}"
+            if np.isnan(true[r, c]):
+                yield Entry(*place, None, NOT_DERIVED, line)
+                continue
             verdict = EQUAL if gap[r, c] <= bound[r, c] else MISPRINT
             how = f"computed: print is off by {gap[r, c]:.2g}, rounding by {bound[r, c]:.2g} at most"
-            yield Entry(*told, verdict, f"line {table.line + r}", how)
+            yield Entry(*place, f"{true[r, c]:.7g}", verdict, line, how)
 
 
 def _statements(paper: str, printed: Transcription) -> Iterator[Entry]:

@@ -110,7 +110,13 @@ def _puma(rng: np.random.Generator) -> Measured:
     T, other = frames[-1], frames[-2]
     table = [[n, alpha, _apart(a, scale=1e3), None, _apart(d, scale=1e3)] for n, a, alpha, d in _rows(frames)]
     values |= {f"p_n{axis}": float(away) for axis, away in zip("xyz", other[:3, 3], strict=True)}
-    return values | _pose(T), {"(1)": link, "(3)": T, "(5)": other - T, "Table 1": table}
+    return values | _pose(T), {
+        "(1)": link,
+        "(3)": T,
+        "(3), blocks": ((None, None), (None, 1.0)),
+        "(5)": other - T,
+        "Table 1": table,
+    }
 
 
 def _line(rng: np.random.Generator) -> Measured:

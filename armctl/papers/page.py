@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.papers.entry import Entry, counted, errata
+from armctl.papers.entry import MISPRINT, NOT_READABLE, Entry, counted, errata
 from armctl.report.page import Figure, Marked, Page, curve
 
 
@@ -125,9 +125,10 @@ def _write_entries(page: Page, paper: str, found: Sequence[Entry]) -> None:
 
 
 def _cell(entry: Entry) -> str:
-    if entry.verdict == "misprint":
+    """What is printed; of what is not readable, what the scan shows."""
+    if entry.verdict == MISPRINT:
         return f"{entry.printed} (misprint: {entry.true})"
-    return "(not readable)" if entry.verdict == "not readable" else entry.printed
+    return f"{entry.printed[1:]} (not readable)".strip() if entry.verdict == NOT_READABLE else entry.printed
 
 
 def marked(text: str, verdict: str) -> Marked:

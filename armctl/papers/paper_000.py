@@ -49,9 +49,9 @@ POPULATION_SHOWN = (14, 10)
 POPULATION_WORDS = "45 + atan2(2 - 4r/13, 1 + 4c/13) / 2 deg"
 
 
-def printed() -> dict[str, FloatArray]:
-    """The tables as printed: six of shape (10, 10) and Fig. 7's population [deg], (14, 10)."""
-    return {name: table.numbers for name, table in transcription("000").tables.items()}
+def printed(table: str) -> FloatArray:
+    """A table by its name in the transcription: one of the six, shape (10, 10), Fig. 7's population [deg], (14, 10)."""
+    return transcription("000").tables[table].numbers
 
 
 def grid_m() -> FloatArray:
@@ -79,7 +79,7 @@ def statistics(errors_cm: FloatArray) -> FloatArray:
 
 def printed_statistics(rows: IntArray | slice = slice(None)) -> FloatArray:
     """Of the errors that are printed of some targets: mean and greatest |dxy|, mean and greatest |dz| [cm]."""
-    return statistics(np.stack([printed()[name].ravel()[rows] for name in ("delta_xy0", "delta_z0")]))
+    return statistics(np.stack([printed(name).ravel()[rows] for name in ("delta_xy0", "delta_z0")]))
 
 
 def population_formula() -> FloatArray:
@@ -145,7 +145,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         two, calmer = run(), run(settings=PER_INDIVIDUAL)
         two_q, two_missed = polished(robot, targets, two.q_rad)
     exact_q, missed = polished(robot, grid_m(), first.q_rad)
-    agree = int((np.abs(printed()["joint_1_population"] - population_formula()) <= 0.6e-4).sum())
+    agree = int((np.abs(printed("joint_1_population") - population_formula()) <= 0.6e-4).sum())
     return PaperReport(
         *introduced("000"),
         (
@@ -189,14 +189,14 @@ def _polish_rows(robot: Robot, q: FloatArray, missed: FloatArray) -> list[Row]:
         i, j = int(x - SIDE_CM[0]), int(y - SIDE_CM[0])
         least = abs(float(np.hypot(near[0], near[1])) * 100.0 - float(np.hypot(x, y)))
         quantity = f"|dxy| at ({x:.0f}, {y:.0f}, 10), out of reach by exactly {distance * 100.0:.9f} cm"
-        rows.append(error(quantity, abs(float(printed()["delta_xy0"][i, j])), least, "cm", why="the least there is"))
+        rows.append(error(quantity, abs(float(printed("delta_xy0")[i, j])), least, "cm", why="the least there is"))
     return rows
 
 
 def _target_rows(robot: Robot, targets: FloatArray, two: Evolution, missed: FloatArray) -> list[Row]:
     rows = []
     points = tool_position(robot.chain, two.q_rad)
-    worst = float(np.abs(printed()["delta_xy0"]).max())
+    worst = float(np.abs(printed("delta_xy0")).max())
     quotes = ("first_target", "second_target")
     for quote, target, point, exact in zip(quotes, targets, points, missed.tolist(), strict=True):
         in_print = said("000", quote)

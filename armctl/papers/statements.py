@@ -10,11 +10,10 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, tool_position
-from armctl.kinematics.robots.papers import FIG_5_DEG, INITIAL_DEG, LANZHOU_RANGES_DEG, QZ_DEG
+from armctl.kinematics.robots.papers import FIG_5_DEG, LANZHOU_RANGES_DEG, QZ_DEG
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import table_ii
 from armctl.papers import paper_000, paper_004
-from armctl.papers.transcription import transcription
 from armctl.trajectory.straightness import mean_error, progress_along_line
 
 # How far print and the correction are from what is computed.
@@ -59,7 +58,7 @@ def _grid_reach() -> tuple[float, float]:
 
 def _ordered_population() -> tuple[float, float]:
     """Median over pairs of |row i + row 15 - i - 90| [deg]: of random angles in the same range, and of Fig. 7."""
-    shown = paper_000.printed()["joint_1_population"]
+    shown = paper_000.printed("joint_1_population")
     drawn = np.random.default_rng(0).uniform(shown.min(), shown.max(), shown.shape)
     random, print_ = (float(np.median(np.abs(one + one[::-1] - 90.0))) for one in (drawn, shown))
     return random, print_
@@ -120,12 +119,6 @@ def beyond_reach(target_m: FloatArray | Sequence[float]) -> float:
     return math.hypot(math.hypot(x, y) - 0.100, z) - (0.450 + 0.160 + 0.100)
 
 
-def _fig_3() -> tuple[float, float]:
-    start_m = transcription("004").tables["fig_3"].numbers[0] / 1000.0
-    initial = tool_position(robots.get("transfer-6dof").chain, np.radians(INITIAL_DEG))
-    return beyond_reach(start_m), max(0.0, beyond_reach(initial))
-
-
 def _branches_of_theta2() -> tuple[float, float]:
     """Distinct theta2 for one theta1 and theta3 that put the wrist on one place: print says two."""
     q = np.array([0.3, -1.0, 0.5, 0.2, 0.7, 0.1])
@@ -159,7 +152,6 @@ PROOFS: dict[str, Residuals] = {
     "fig_5_range": lambda: (_out_of_range(*FIG_5_DEG), _out_of_range(0.0, 7.0, -90.0, 82.0)),
     "qz_range": lambda: (_out_of_range(*QZ_DEG), _out_of_range(*QZ_DEG[:3], 82.0)),
     "reach": lambda: (beyond_reach((0.660, 0.0, 0.640)), max(0.0, beyond_reach((0.0, -0.160, 0.450)))),
-    "fig_3": _fig_3,
     "theta2": _branches_of_theta2,
     "column": _column_of_the_jacobian,
 }

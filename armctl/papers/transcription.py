@@ -38,7 +38,8 @@ class PrintedTable(Frozen):
     @property
     def rounding(self) -> FloatArray:
         """Half a unit of each cell's last digit."""
-        return np.array([[0.5 * 10.0 ** int(Decimal(cell).as_tuple().exponent) for cell in row] for row in self.rows])
+        decimals = [[Decimal(cell.replace(",", "")) for cell in row] for row in self.rows]
+        return np.array([[0.5 * 10.0 ** int(cell.as_tuple().exponent) for cell in row] for row in decimals])
 
     @property
     def by_column(self) -> dict[str, float]:

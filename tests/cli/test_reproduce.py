@@ -28,7 +28,7 @@ def test_page_opens_without_a_network_and_keeps_3d_charts_few(tmp_path: Path, ty
     said = typed("reproduce", "004", "--quick", "--out", tmp_path / "new")
     assert "004: a transfer robot with six degrees of freedom" in said.out
     page = (tmp_path / "new" / "reproduce.html").read_text(encoding="utf-8")
-    headings = ("004: a transfer robot", "Fig. 3: Tool position", "Fig. 7", "004, after (3), 0T6", "004, errata: 11")
+    headings = ("004: a transfer robot", "Fig. 3: Tool position", "Fig. 7", "004, after (3), 0T6", "004, errata: 13")
     assert not missing(page, *headings, "prefers-color-scheme")
     assert 'src="http' not in page
     assert 0 < page.count('"type":"scatter3d"') < 16

@@ -12,6 +12,7 @@ from armctl.papers import entries as module
 from armctl.papers.entries import entries, of_paper
 from armctl.papers.entry import EQUAL, MISPRINT, Entry, counted, errata
 from armctl.papers.notation import read, same, show, symbol
+from armctl.papers.paper_000 import TARGETS_CM
 from armctl.papers.run import PAPERS
 from armctl.papers.statements import PROOFS
 from armctl.papers.transcription import Transcription, transcription
@@ -66,7 +67,29 @@ def test_all_600_cells_of_the_grid_agree_and_figure_7_is_a_formula_in_all_cells_
     assert [at(entry) for entry in WRONG if entry.equation == "Fig. 7"] == [("Fig. 7", 1, 10)]
 
 
+@pytest.mark.parametrize("paper", PAPERS)
+def test_every_number_of_every_table_and_figure_is_an_entry(paper: str) -> None:
+    told: dict[str, list[str]] = {}
+    for entry in ALL:
+        if entry.paper == paper and entry.row is not None:
+            told.setdefault(entry.equation, []).append(entry.printed)
+    for table in transcription(paper).tables.values():
+        assert told[table.place] == [cell for row in table.rows for cell in row]
+
+
+def test_figure_3_of_004_begins_where_the_arm_is_not_and_of_its_motion_print_gives_nothing() -> None:
+    figures = {place: [one for one in ALL if (one.paper, one.equation[:6]) == ("004", place)] for place in
+               ("Fig. 3", "Fig. 4", "Fig. 5")}  # fmt: skip
+    assert [(one.printed, one.true) for one in figures["Fig. 3"]] == [("-500", "0"), ("610", "-160"), ("1300", "450")]
+    assert {one.verdict for one in figures["Fig. 3"]} == {MISPRINT}
+    assert [one.printed for one in figures["Fig. 4"]] == ["-297", "0", "245", "297", "200", "245"]
+    assert [one.printed for one in figures["Fig. 5"]] == ["20", "-113", "0", "95", "113", "46"]
+    assert {one.verdict for name in ("Fig. 4", "Fig. 5") for one in figures[name]} == {module.NOT_DERIVED}
+
+
 def test_what_other_modules_hold_of_print_is_what_is_transcribed() -> None:
+    targets = [tuple(transcription("000").tables[figure].numbers[0]) for figure in ("fig_11", "fig_12")]
+    assert targets == list(TARGETS_CM)
     rows = transcription("002").tables["table_ii"].numbers.tolist()
     assert [(row[3] * 10.0, row[1] * 10.0, row[2] / 1000.0) for row in rows] == [
         pytest.approx(PRINTED[via]) for via in (0, 1, 2)
