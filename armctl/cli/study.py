@@ -81,6 +81,7 @@ def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> N
     from dataclasses import replace
 
     from armctl.lab.line_experiment import named_takes
+    from armctl.lab.study.case import all_rows
     from armctl.lab.study.studies import STUDIES
     from armctl.lab.study.workers import Workers
 
@@ -94,13 +95,14 @@ def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> N
         takes = tuple(named_takes(config, arm, asked["recordings"])) or workers.guided(case)
         cases = [replace(case, takes=takes) for case in cases]
     found = workers.carry_out(study.label, study.run, cases)
-    result = study.result(cases, found, workers)
+    rows = study.told(all_rows(found), cases, workers)
+    result = {"rows": rows} if study.summary is None else {"rows": rows, "summary": study.summary(rows)}
     told: dict[str, Any] = {**result, "seed": asked["seed"]}
     if command.file is not None:
         path = asked[command.file]
         told[command.file] = None if path is None else str(path)
         if path is not None and study.write is not None:
-            study.write(path, cases, found, result["rows"], workers)
+            study.write(path, cases, found, rows, workers)
     output.answer(told, lambda: show(output, name, result))
 
 

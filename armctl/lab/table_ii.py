@@ -77,7 +77,7 @@ def through_points(rig: VirtualRig, case: Case) -> Plan:
     return plan_through(case.arm, waypoints, knots, (0.0, 0.0), interpolation="linear", **asked)
 
 
-def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[Found]) -> None:
+def write(path: Path, cases: Sequence[Case], experiments: Sequence[Found], *_: object) -> None:
     """The recorded angles in degrees, one sheet a recording, one row a sample, as an Excel file.
 
     Raises:
@@ -85,13 +85,14 @@ def write_angles(path: Path, joint_names: Sequence[str], experiments: Sequence[F
         ArmctlError: openpyxl is not installed; names the extra that brings it.
     """
     openpyxl = extra("Excel files", "openpyxl")
+    joints = [f"{name}_deg" for name in cases[0].arm.joint_names]
     # The file first: a book whose sheets are begun has to be saved.
     with new_file(path) as stream:
         book = openpyxl.Workbook(write_only=True)
         for found in experiments:
             for number, run in enumerate(found.evidence, 1):
                 sheet = book.create_sheet(f"experiment {found.rows[0]['experiment']} run {number}")
-                sheet.append(["time_s", *(f"{name}_deg" for name in joint_names)])
+                sheet.append(["time_s", *joints])
                 degrees: FloatArray = np.degrees(run.positions_rad)
                 for time_s, angles in zip(run.time_s.tolist(), degrees.tolist(), strict=True):
                     sheet.append([time_s, *angles])

@@ -6,14 +6,16 @@ import pytest
 
 from armctl.errors import LogError
 from armctl.lab.study.case import Case, Found
-from armctl.lab.table_ii import FROM_M, RUNS, TO_M, every_experiment, run, write_angles
+from armctl.lab.table_ii import FROM_M, RUNS, TO_M, every_experiment, run, write
 from armctl.report.line import PRINTED
 from tests.genetic import hand
+
+CASES = every_experiment(Case(arm=hand.arm(), from_m=FROM_M, to_m=TO_M))
 
 
 @pytest.fixture(scope="module")
 def experiments() -> list[Found]:
-    first, _, third = every_experiment(Case(arm=hand.arm(), from_m=FROM_M, to_m=TO_M))
+    first, _, third = CASES
     return [run(first), run(third)]
 
 
@@ -31,7 +33,7 @@ def test_more_points_are_straighter_and_the_paper_stands_beside(experiments: lis
 
 def test_the_recorded_angles_of_every_run_are_in_the_workbook(experiments: list[Found], tmp_path: Path) -> None:
     file = tmp_path / "angles.xlsx"
-    write_angles(file, hand.arm().joint_names, experiments)
+    write(file, CASES, experiments)
     book = openpyxl.load_workbook(file, read_only=True)
     assert book.sheetnames == [f"experiment {number} run {run}" for number in (1, 3) for run in range(1, RUNS + 1)]
     rows = list(book["experiment 3 run 2"].iter_rows(values_only=True))
@@ -41,4 +43,4 @@ def test_the_recorded_angles_of_every_run_are_in_the_workbook(experiments: list[
         assert row == pytest.approx((time_s, *(math.degrees(angle) for angle in q)))
     book.close()
     with pytest.raises(LogError, match="exists"):
-        write_angles(file, hand.arm().joint_names, experiments)
+        write(file, CASES, experiments)

@@ -60,9 +60,9 @@ def run(case: Case) -> Found:
     return Found([row])
 
 
-def over_seeds(rows: Sequence[Row], repeats: int) -> list[Row]:
-    """One row a setting, over its seeds; `rows` in the order of `every_setting`."""
-    result = []
+def over_seeds(rows: Sequence[Row], cases: Sequence[Case], *_: object) -> list[Row]:
+    """One row a setting, over its seeds; `rows` in the order of `every_setting`, a case each."""
+    result, repeats = [], cases[0].repeats
     for begin in range(0, len(rows), repeats):
         some = rows[begin : begin + repeats]
         errors = np.array([row["mean_error_mm"] for row in some])

@@ -17,7 +17,7 @@ from armctl.lab.line_experiment import experiment, identified
 from armctl.lab.line_results import drawn, unseen_mm
 from armctl.lab.rig import VirtualRig
 from armctl.lab.study import pareto
-from armctl.lab.study.case import Case, Found, Row
+from armctl.lab.study.case import Case, Found, Row, all_rows
 from armctl.lab.study.workers import Workers
 from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport
@@ -83,7 +83,7 @@ def run(case: Case) -> Found:
     return Found(rows, shown)
 
 
-def with_shares(rows: Sequence[Row]) -> list[Row]:
+def with_shares(rows: Sequence[Row], *_: object) -> list[Row]:
     """The rows, each with the share of its effect: the error with all effects less the error without this one [mm]."""
     whole = {row["via"]: row for row in rows if row["without"] is None}
     return [
@@ -112,7 +112,7 @@ def _fronts(case: Case, workers: Workers) -> list[Row]:
     cases = pareto.every_duration(replace(case, takes=takes), durations=durations, arms=1)
     # The genetic algorithm makes the mean small, whatever the correction on the arms does.
     found = workers.carry_out("optimising", pareto.run, [replace(one, objective="mean") for one in cases])
-    return pareto.judged(cases, found, workers)
+    return pareto.judged(all_rows(found), cases, workers)
 
 
 def tick_floor_mm(rig: VirtualRig, best: Round, line: Line) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.study import arms
-from armctl.lab.study.case import Case, Found, Row, all_rows
+from armctl.lab.study.case import Case, Found, Row
 from armctl.lab.study.workers import Workers
 
 
@@ -46,9 +46,8 @@ def run(case: Case) -> Found:
     )
 
 
-def judged(cases: Sequence[Case], found: Sequence[Found], workers: Workers) -> list[Row]:
+def judged(rows: Sequence[Row], cases: Sequence[Case], workers: Workers) -> list[Row]:
     """The rows of `run` with the truth of the arms that ran them, if any did, and the fronts marked."""
-    rows = all_rows(found)
     on_arms = [each for case in cases for each in arms.every_arm(case, arms=case.arms)]
     if on_arms:
         done = workers.carry_out("running on arms", arms.run, on_arms)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from armctl.lab import table_ii
 from armctl.lab.study import arms, ga, limits, pareto
-from armctl.lab.study.case import Case, Found, Row, all_rows
+from armctl.lab.study.case import Case, Found, Row
 from armctl.lab.study.workers import Workers
-from armctl.report import pareto as fronts_page
+from armctl.report import pareto as fronts
 
-Result = dict[str, list[Row]]
+Rows = Sequence[Row]
 Cases = Sequence[Case]
 
 
@@ -27,45 +27,25 @@ class Study:
     vary: Callable[..., list[Case]]
     # One case; a plain function, so that any process may call it.
     run: Callable[[Case], Found]
-    # The rows that are told, from all cases and what they gave.
-    result: Callable[[Cases, Sequence[Found], Workers], Result]
-    # Writes the study's file, from the cases, what they gave, and the rows.
-    write: Callable[[Path, Cases, Sequence[Found], Sequence[Row], Workers], None] | None = None
+    # The rows that are told, from those of all cases.
+    told: Callable[[Rows, Cases, Workers], Rows] = lambda rows, _cases, _workers: rows
+    # A few rows over all of those.
+    summary: Callable[[Rows], Rows] | None = None
+    # Writes the study's file, from the cases, what they gave, and the rows that are told.
+    write: Callable[[Path, Cases, Sequence[Found], Rows, Workers], None] | None = None
+
+
+def _fronts(path: Path, _cases: Cases, _found: Sequence[Found], rows: Rows, _workers: Workers) -> None:
+    fronts.write(rows, path)
 
 
 # By the name of its command.
 STUDIES = {
-    "ga": Study(
-        "evolving",
-        ga.every_setting,
-        ga.run,
-        lambda cases, found, _workers: {"rows": ga.over_seeds(all_rows(found), cases[0].repeats)},
-    ),
-    "arms": Study(
-        "arms",
-        arms.every_arm,
-        arms.run,
-        lambda _cases, found, _workers: {"rows": all_rows(found), "summary": arms.summary(all_rows(found))},
-    ),
-    "pareto": Study(
-        "optimising",
-        pareto.every_duration,
-        pareto.run,
-        lambda cases, found, workers: {"rows": pareto.judged(cases, found, workers)},
-        lambda path, _cases, _found, rows, _workers: fronts_page.write(rows, path),
-    ),
+    "ga": Study("evolving", ga.every_setting, ga.run, ga.over_seeds),
+    "arms": Study("arms", arms.every_arm, arms.run, summary=arms.summary),
+    "pareto": Study("optimising", pareto.every_duration, pareto.run, pareto.judged, write=_fronts),
     "limits": Study(
-        "one effect off at a time",
-        limits.every_effect,
-        limits.run,
-        lambda _cases, found, _workers: {"rows": limits.with_shares(all_rows(found))},
-        limits.write,
+        "one effect off at a time", limits.every_effect, limits.run, limits.with_shares, write=limits.write
     ),
-    "paper": Study(
-        "experiments",
-        table_ii.every_experiment,
-        table_ii.run,
-        lambda _cases, found, _workers: {"rows": all_rows(found)},
-        lambda path, cases, found, _rows, _workers: table_ii.write_angles(path, cases[0].arm.joint_names, found),
-    ),
+    "paper": Study("experiments", table_ii.every_experiment, table_ii.run, write=table_ii.write),
 }

@@ -6,11 +6,11 @@ Nothing is shared. So the results are the same bits whoever does the work; they 
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from armctl.errors import ArmctlError
 from armctl.host.jobs import NICENESS
@@ -18,11 +18,10 @@ from armctl.kinematics.transform import FloatArray
 from armctl.lab.line_experiment import guided_takes
 from armctl.lab.stage import Stage
 from armctl.lab.study.case import Case
+from armctl.recording.export import extra
 
 A = TypeVar("A")
 R = TypeVar("R")
-# Called with the number of pieces done.
-Tell = Callable[[int], None]
 
 CONNECT_S = 5
 
@@ -48,15 +47,43 @@ class Workers:
             def tell(done: int) -> None:
                 show(done, f"{done} of {len(arguments)}")
 
-            if self.scheduler is not None:
-                return _on_cluster(work, arguments, self.scheduler, tell)
-            if self.processes > 1 and len(arguments) > 1:
-                return _in_processes(work, arguments, min(self.processes, len(arguments)), tell)
-            results = []
-            for argument in arguments:
-                results.append(work(argument))
-                tell(len(results))
-            return results
+            if self.scheduler is None and min(self.processes, len(arguments)) <= 1:
+                results = []
+                for argument in arguments:
+                    results.append(work(argument))
+                    tell(len(results))
+                return results
+            with self._pool(len(arguments)) as pool:
+                futures = [pool.submit(work, argument) for argument in arguments]
+                try:
+                    for done, future in enumerate(as_completed(futures), 1):
+                        future.result()  # raises what the work raised, without waiting for the rest
+                        tell(done)
+                except BaseException:
+                    for future in futures:
+                        future.cancel()
+                    pool.shutdown(wait=False)
+                    raise
+                return [future.result() for future in futures]
+
+    @contextmanager
+    def _pool(self, pieces: int) -> Iterator[Executor]:
+        """Spawned processes, or the cluster as if it were some."""
+        if self.scheduler is None:
+            processes = min(self.processes, pieces)
+            with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), os.nice, (NICENESS,)) as pool:
+                yield pool
+            return
+        distributed = extra("Dask schedulers", "distributed", "study")
+        try:
+            client = distributed.Client(self.scheduler, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ArmctlError(
+                f"no Dask scheduler at {self.scheduler}: {error or type(error).__name__}; start one with `dask "
+                "scheduler` and workers with `dask worker`, with armctl installed where they run"
+            ) from None
+        with client:
+            yield client.get_executor(pure=False)
 
     def guided(self, case: Case) -> tuple[FloatArray, ...]:
         """Takes of the simulated hand along the case's line: joint positions [rad], each shape (samples, joints).
@@ -65,39 +92,3 @@ class Workers:
             UnreachableTarget: an end of the line is out of the hand's reach.
         """
         return tuple(guided_takes(case.rig(), case.line, case.seed, self.stage))
-
-
-def _in_processes(work: Callable[[A], R], arguments: Sequence[A], processes: int, tell: Tell) -> list[R]:
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), os.nice, (NICENESS,)) as pool:
-        futures = [pool.submit(work, argument) for argument in arguments]
-        try:
-            _watch(as_completed(futures), tell)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        return [future.result() for future in futures]
-
-
-def _watch(finished: Iterable[Any], tell: Tell) -> None:
-    for done, future in enumerate(finished, 1):
-        future.result()  # raises what the work raised, without waiting for the rest
-        tell(done)
-
-
-def _on_cluster(work: Callable[[A], R], arguments: Sequence[A], scheduler: str, tell: Tell) -> list[R]:
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError:
-        raise ArmctlError("a Dask scheduler needs distributed; install it with: pip install 'armctl[study]'") from None
-    try:
-        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise ArmctlError(
-            f"no Dask scheduler at {scheduler}: {error or type(error).__name__}; start one with `dask scheduler` and "
-            "workers with `dask worker`, with armctl installed where they run"
-        ) from None
-    with client:
-        futures = client.map(work, list(arguments), pure=False)
-        _watch(distributed.as_completed(futures, loop=client.loop), tell)
-        results: list[R] = client.gather(futures)
-    return results

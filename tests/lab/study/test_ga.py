@@ -20,7 +20,7 @@ def test_every_setting_gets_the_same_seeds_and_one_row() -> None:
     asked = every_setting(BASE, population=[10, 30], pc=[0.5, 0.9], pm=[0.01], repeats=2)
     assert [each.seed for each in asked] == [7, 8] * 4
     found = all_rows([run(each) for each in asked])
-    table = over_seeds(found, repeats=2)
+    table = over_seeds(found, asked)
     assert [(row["population"], row["crossover_probability"]) for row in table] == list(product((10, 30), (0.5, 0.9)))
     for row, first, second in zip(table, found[::2], found[1::2], strict=True):
         both = (first["mean_error_mm"], second["mean_error_mm"])
