@@ -1,4 +1,13 @@
 (() => {
+  // A box in space is as large as its chart has room for, its labels beside it. In this projection it grows with its
+  // aspect ratio; a unit of that is .517 of the height.
+  const fit = chart => {
+    const {aspectratio: box, camera: {eye}} = chart.layout.scene, {w, h} = chart._fullLayout._size;
+    const flat = Math.hypot(eye.x, eye.y), away = Math.hypot(flat, eye.z), [x, y] = [Math.abs(eye.x), Math.abs(eye.y)];
+    const across = (y * box.x + x * box.y) / flat, up = (eye.z * (x * box.x + y * box.y) / flat + flat * box.z) / away;
+    const by = Math.min((w - 100) / across, (h - 80) / up) / (.517 * h);
+    Plotly.relayout(chart, {"scene.aspectratio": {x: box.x * by, y: box.y * by, z: box.z * by}});
+  };
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const paint = (charts = document.querySelectorAll(".js-plotly-plot")) => {
     const of = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -7,13 +16,15 @@
     for (const chart of charts) {
       const change = {paper_bgcolor: of("--paper"), plot_bgcolor: of("--paper"), "font.color": of("--ink"),
         ...axis("xaxis"), ...axis("yaxis")};
-      if (chart.layout.scene) for (const letter of "xyz") Object.assign(change, axis(`scene.${letter}axis`,
-        {[`scene.${letter}axis.backgroundcolor`]: of("--paper")}));
+      if (chart.layout.scene) for (const name of ["scene.xaxis", "scene.yaxis", "scene.zaxis"])
+        Object.assign(change, axis(name, {[`${name}.backgroundcolor`]: of("--paper"),
+          [`${name}.nticks`]: innerWidth < 700 ? 4 : 6}));
       // The legend stands 60 px below the curves, whatever their height: under the name of the axis.
       if (innerWidth < 700) Object.assign(change, {"legend.orientation": "h", "legend.x": 0, "legend.xanchor": "left",
-        "legend.y": -60 / Math.max(80, (chart.layout.height || 450) - 100), "legend.yanchor": "top", "margin.l": 50,
-        "margin.r": 12, "title.font.size": 14}, chart.layout.scene && {"scene.camera.eye": {x: -.85, y: -1.11, z: .81}});
-      Plotly.relayout(chart, change);
+        "legend.y": -60 / Math.max(80, (chart.layout.height || 450) - 100), "legend.yanchor": "top",
+        "margin.l": chart.layout.scene ? 0 : 50, "margin.r": chart.layout.scene ? 0 : 12, "title.font.size": 14});
+      // The script of a light page draws at once, and its own way.
+      Plotly.relayout(chart, change)?.then(() => chart.layout.scene && fit(chart));
     }
   };
   // A chart is drawn when it is nearly in sight, and kept; the library runs when the first one is.
