@@ -53,19 +53,16 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
 
 def show(output: Output, reports: list[PaperReport], found: list[Entry], page: Path | None) -> None:
     from armctl.papers.entry import counted, errata
-    from armctl.papers.page import shown
+    from armctl.papers.page import ERRATA, QUANTITIES, quantities
 
     for report in reports:
-        rows = [(row.quantity, shown(row.printed), shown(row.armctl), row.unit, row.verdict) for row in report.rows]
-        columns = ("quantity", "printed", "armctl", "unit", "verdict")
         title = f"{report.paper}: {report.title}"
-        show_table(output.console, title, columns, rows, words=("quantity", "printed", "unit", "verdict"))
+        show_table(output.console, title, QUANTITIES, quantities(report), words=("quantity", "printed", "verdict"))
         output.say("")
     wrong = errata(found)
-    words = [(f"{one.paper} {one.where}", one.printed, str(one.true), one.proof) for one in wrong]
-    headings = ("where", "printed", "true", "proof")
+    words = [(f"{one.paper} {where}", *others) for one in wrong for where, *others in (one.told,)]
     title = f"{len(wrong)} errata, {sum(one.proven for one in wrong)} of them proven"
-    show_table(output.console, title, headings, words, words=headings)
+    show_table(output.console, title, ERRATA, words, words=ERRATA)
     for paper, said in counted(found).items():
         output.say(f"{paper}: {said}")
     output.say(f"page: {page}" if page is not None else "--out DIR writes a page with the tables and pictures")

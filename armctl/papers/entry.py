@@ -52,6 +52,11 @@ class Entry:
         printed, true = self.off
         return f"{self.how}: print is off by {printed:.4g}, the correction by {true:.1e}"
 
+    @property
+    def told(self) -> tuple[str, ...]:
+        """As an erratum: where, what is printed, what is true, and the proof."""
+        return self.where, self.printed, str(self.true), self.proof
+
 
 def errata(found: Sequence[Entry]) -> list[Entry]:
     """The entries that do not hold."""
@@ -62,5 +67,5 @@ def counted(found: Sequence[Entry]) -> dict[str, str]:
     """By paper how many entries have which verdict, in words."""
     count: defaultdict[str, Counter[str]] = defaultdict(Counter)
     for entry in found:
-        count[entry.paper][entry.verdict.split(":")[0]] += 1
+        count[entry.paper][entry.verdict] += 1
     return {paper: ", ".join(f"{n} {verdict}" for verdict, n in sorted(of.items())) for paper, of in count.items()}

@@ -14,6 +14,7 @@ import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 from armctl.papers.entry import MISPRINT, NOT_READABLE, Entry, counted, errata
+from armctl.papers.transcription import transcription
 from armctl.report.page import Figure, Marked, Page, curve
 
 
@@ -74,8 +75,17 @@ class PaperReport:
     pictures: tuple[Picture, ...] = ()
 
 
+QUANTITIES = ("quantity", "printed", "armctl", "verdict")
+ERRATA = ("where", "printed", "true", "proof")
 # Looks of the verdicts, by their first word.
 KINDS = {"equal": "equal", "misprint": "misprint", "differs": "differs", "not": "unread"}
+
+
+def quantities(report: PaperReport) -> list[tuple[str, ...]]:
+    """The rows of a report as a table for people, under `QUANTITIES`."""
+    named = [f"{row.quantity} [{row.unit}]" if row.unit else row.quantity for row in report.rows]
+    shown = [(_shown(row.printed), _shown(row.armctl), row.verdict) for row in report.rows]
+    return [(name, *cells) for name, cells in zip(named, shown, strict=True)]
 
 
 def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) -> None:
@@ -92,11 +102,9 @@ def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) ->
         page.chapter(f"{report.paper}: {report.title}")
         page.text(*report.notes)
         page.heading(f"{report.paper}, quantities")
-        rows = [
-            (row.quantity, shown(row.printed), shown(row.armctl), row.unit, marked(row.verdict, row.verdict))
-            for row in report.rows
-        ]
-        page.table(("quantity", "printed", "armctl", "unit", "verdict"), rows, words=True)
+        page.table(
+            QUANTITIES, [(*cells, _marked(verdict, verdict)) for *cells, verdict in quantities(report)], words=True
+        )
         for title, views in groupby(report.pictures, key=lambda one: one.title):
             page.heading(f"{report.paper}, {title}")
             page.figures((view.draw(), view.description) for view in views)
@@ -108,20 +116,19 @@ def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) ->
 
 
 def _write_entries(page: Page, paper: str, found: Sequence[Entry]) -> None:
-    """Each equation and table as it is laid out in print, and what is wrong in it below."""
-    wrong = errata(found)
+    """What is wrong in a paper, and below it each equation and table as it is laid out in print."""
+    wrong, print_ = errata(found), transcription(paper)
+    columns = {**print_.equations, **{table.place: table for table in print_.tables.values()}}
     page.heading(f"{paper}, errata: {len(wrong)}")
-    told = [(one.where, one.printed, one.true, one.proof) for one in wrong]
-    page.table(("where", "printed", "true", "proof"), told, words=True)
+    if wrong:
+        page.table(ERRATA, [one.told for one in wrong], words=True)
     for equation, of in groupby((one for one in found if one.row is not None), key=lambda one: one.equation):
         rows = [list(row) for _, row in groupby(of, key=lambda one: one.row)]
         page.heading(f"{paper}, {equation}")
         verdicts = counted([one for row in rows for one in row])[paper]
-        widest = range(1, max(map(len, rows)) + 1)
-        cells = [tuple(marked(_cell(one), one.verdict) for one in row) for row in rows]
-        page.table(
-            tuple(map(str, widest)), cells, f"{verdicts}; from {rows[0][0].place} of the scanned text", words=True
-        )
+        header = columns[equation].columns or tuple(map(str, range(1, max(map(len, rows)) + 1)))
+        cells = [tuple(_marked(_cell(one), one.verdict) for one in row) for row in rows]
+        page.table(header, cells, f"{verdicts}; from {rows[0][0].place} of the scanned text", words=True)
 
 
 def _cell(entry: Entry) -> str:
@@ -131,11 +138,11 @@ def _cell(entry: Entry) -> str:
     return f"{entry.printed[1:]} (not readable)".strip() if entry.verdict == NOT_READABLE else entry.printed
 
 
-def marked(text: str, verdict: str) -> Marked:
+def _marked(text: str, verdict: str) -> Marked:
     """Text in the colour of a verdict."""
     return Marked(text, KINDS[verdict.split(":")[0].split(" ")[0]])
 
 
-def shown(value: float | str | None) -> str:
+def _shown(value: float | str | None) -> str:
     """A number as a person reads it."""
     return value if isinstance(value, str) else "-" if value is None else f"{value:.6g}"

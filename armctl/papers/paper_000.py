@@ -226,7 +226,7 @@ def _run_tables(errors_cm: FloatArray) -> list[Table]:
     columns = ("x \\ y", *(f"{y:.0f}" for y in SIDE_CM))
     tables = []
     for name, values in zip(("delta xy0", "delta z0"), errors_cm.reshape(2, *RADIUS_CM.shape), strict=True):
-        rows = [(f"{x:.0f}", *(f"{value:.3f}" for value in row)) for x, row in zip(SIDE_CM, values, strict=True)]
+        rows = [(f"{x:.0f}", *(f"{value:z.3f}" for value in row)) for x, row in zip(SIDE_CM, values, strict=True)]
         tables.append(Table(f"{name} of one run", columns, tuple(rows), "cm; GA over theta1 to theta4, as printed"))
     return tables
 
@@ -249,7 +249,7 @@ def _angles_table(robot: Robot, *found: FloatArray) -> Table:
     lines = []
     for who, q in zip(("GA", "GA with polish"), found, strict=True):
         cells = np.column_stack([np.degrees(q), tool_position(robot.chain, q) * 100.0])
-        lines += [(f"{_name(k)}, {who}", *(f"{value:.3f}" for value in row)) for k, row in enumerate(cells)]
+        lines += [(f"{_name(k)}, {who}", *(f"{value:z.3f}" for value in row)) for k, row in enumerate(cells)]
     header = ("target", *(f"theta{joint}" for joint in range(1, robot.chain.n + 1)), "x", "y", "z")
     return Table("Fig. 10: angles found", header, tuple(lines), "deg; cm by forward kinematics")
 

@@ -1,8 +1,9 @@
 """001: the improved genetic algorithm on the PUMA 560: Table 2, the iteration curve (Fig. 1), the arms (Figs. 2, 3)."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from armctl.kinematics.genetic.solve import POSITION_WEIGHT
 from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.solution import solve
+from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray, finite, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
 from armctl.lab.stage import Progress, Stage
 from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, pictures
@@ -28,6 +31,8 @@ STANDARD = replace(plain.PAPER, population=improved.DEFAULT.populations * improv
 BATCH = 100
 # Runs that a random pose gets at most before it counts as not solved.
 TRIES = 6
+# Position [m] and turn [rad] missed by each of several runs.
+Errors = tuple[FloatArray, FloatArray]
 # Near a singularity least squares creeps.
 POLISH_ITERATIONS = 1500
 SOLVED = 1e-6
@@ -46,14 +51,6 @@ KNOCKED_OUT: dict[str, dict[str, Any]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """Position [m] and turn [rad] missed by each of several runs."""
-
-    position_m: FloatArray
-    turn_rad: FloatArray
-
-
 def wanted_pose() -> FloatArray:
     """The wanted pose of Table 2, shape (4, 4)."""
     return pose_from_xyz_rpy(*WANTED_XYZ_RPY)
@@ -62,11 +59,6 @@ def wanted_pose() -> FloatArray:
 def problem(robot: Robot, T: FloatArray) -> Problem:
     """Poses, shape (runs, 4, 4), as the genetic algorithms see them."""
     return poses_problem(robot.chain, T, robot.limits_rad, POSITION_WEIGHT)
-
-
-def errors(robot: Robot, q: FloatArray, T: FloatArray) -> Errors:
-    """What configurations, shape (runs, 6), miss of poses, shape (runs, 4, 4)."""
-    return Errors(*pose_errors(robot.chain, q, T))
 
 
 def table_2_errors(xyz_rpy: Sequence[float]) -> tuple[float, float]:
@@ -80,20 +72,17 @@ def solved_by_polish(robot: Robot, T: FloatArray, seed: int, show: Callable[[flo
     """The improved algorithm with polish on poses, shape (m, 4, 4); a pose that is missed gets another seed."""
     best = np.empty((len(T), robot.chain.n))
     missed = np.full(len(T), np.inf)
-    for attempt in range(TRIES):
-        for begin in range(0, len(T), BATCH):
-            rows = begin + np.flatnonzero(missed[begin : begin + BATCH] > SOLVED)
-            if len(rows):
-                run = improved.evolve(
-                    problem(robot, T[rows]), improved.DEFAULT, [[seed, attempt, int(k)] for k in rows]
-                )
-                q = refine_poses(robot.chain, T[rows], run.q_rad, robot.limits_rad, iterations=POLISH_ITERATIONS)
-                found = errors(robot, q, T[rows])
-                gap = np.maximum(found.position_m, found.turn_rad)
-                better = gap < missed[rows]
-                best[rows[better]], missed[rows[better]] = q[better], gap[better]
-            show((attempt * len(T) + begin + BATCH) / TRIES, f"{int((missed <= SOLVED).sum())} of {len(T)} solved")
-    return errors(robot, best, T)
+    for attempt, begin in product(range(TRIES), range(0, len(T), BATCH)):
+        rows = begin + np.flatnonzero(missed[begin : begin + BATCH] > SOLVED)
+        if len(rows):
+            seeds = [[seed, attempt, int(k)] for k in rows]
+            run = improved.evolve(problem(robot, T[rows]), improved.DEFAULT, seeds)
+            q = refine_poses(robot.chain, T[rows], run.q_rad, robot.limits_rad, iterations=POLISH_ITERATIONS)
+            gap = np.maximum(*pose_errors(robot.chain, q, T[rows]))
+            better = gap < missed[rows]
+            best[rows[better]], missed[rows[better]] = q[better], gap[better]
+        show((attempt * len(T) + begin + BATCH) / TRIES, f"{int((missed <= SOLVED).sum())} of {len(T)} solved")
+    return pose_errors(robot.chain, best, T)
 
 
 def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
@@ -113,13 +102,13 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         solved = solved_by_polish(robot, some, seed, show)
     with stage("001: operators knocked out", len(KNOCKED_OUT)) as show:
         knocked_out = _knocked_out(robot, T, some[: 2 * len(T)], seed, show)
-    found, plain_found = errors(robot, better.q_rad, T), errors(robot, standard.q_rad, T)
+    found, plain_found, exact = (pose_errors(robot.chain, q, T) for q in (better.q_rad, standard.q_rad, polished))
     middle = _middle(found)
     arms = {"wanted": _wanted_arm(robot, better.q_rad[middle]), "found (median run)": better.q_rad[middle]}
     title = "Figs. 2 and 3: the arm, wanted and found"
     return PaperReport(
         *introduced("001", **asdict(improved.DEFAULT), weight=POSITION_WEIGHT),
-        (*_table_2_rows(found, plain_found, errors(robot, polished, T)), *_exact_rows(robot, solved)),
+        (*_table_2_rows(found, plain_found, exact), *_exact_rows(robot, solved)),
         (_table_2(robot, better.q_rad[middle], standard.q_rad[_middle(plain_found)]), knocked_out),
         (
             Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, robot, better, standard)),
@@ -136,36 +125,37 @@ def _knocked_out(robot: Robot, T: FloatArray, some: FloatArray, seed: int, show:
     """Each of `KNOCKED_OUT` on Table 2's pose, one run a seed, and on random poses, one run each; both (m, 4, 4)."""
     rows, poses = [], np.concatenate((T, some))
     seeds = [[seed, k] for count in (len(T), len(some)) for k in range(count)]
+    with_all = None
     for done, (name, changes) in enumerate(KNOCKED_OUT.items(), start=1):
         settings, cells = replace(improved.DEFAULT, **changes), list[str]()
-        missed = errors(robot, improved.evolve(problem(robot, poses), settings, seeds).q_rad, poses)
+        q = improved.evolve(problem(robot, poses), settings, seeds).q_rad
+        with_all = q if with_all is None else with_all
+        away_m, turns = pose_errors(robot.chain, q, poses)
         for part in (slice(len(T)), slice(len(T), None)):
-            away_mm, turn = missed.position_m[part] * 1e3, float(np.median(missed.turn_rad[part]))
+            away_mm, turn = away_m[part] * 1e3, float(np.median(turns[part]))
             cells += [f"{value:.2g}" for value in (np.median(away_mm), np.quantile(away_mm, 0.9), turn)]
-        rows.append((name, *cells))
+        rows.append((name, *cells, f"{int((q != with_all).any(axis=1).sum())} of {len(q)}"))
         show(done, name)
     of = ("median mm", "90 % mm", "median rad")
-    header = ("without", *(f"Table 2: {one}" for one in of), *(f"random: {one}" for one in of))
+    header = ("without", *(f"Table 2: {one}" for one in of), *(f"random: {one}" for one in of), "runs changed")
     note = f"no polish; {len(T)} seeds on the pose of Table 2, {len(some)} random poses"
     return Table("which of its operators matters", header, tuple(rows), note)
 
 
 def _middle(found: Errors) -> int:
     """The run whose position error is the median."""
-    return int(np.argsort(found.position_m)[len(found.position_m) // 2])
+    return int(np.argsort(found[0])[len(found[0]) // 2])
 
 
 def _table_2_rows(found: Errors, standard: Errors, polished: Errors) -> list[Row]:
-    rows, why = [], "another run, other settings"
-    runs = f"median of {len(found.position_m)} seeds"
+    rows, why, runs = [], "another run, other settings", f"median of {len(found[0])} seeds"
     lines = (IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, IMPROVED_XYZ_RPY)
     names = ("improved", "standard", "improved, with polish")
     for name, line, ours in zip(names, lines, (found, standard, polished), strict=True):
-        away_m, turned_rad = table_2_errors(line)
-        position_mm, turn_rad = float(np.median(ours.position_m)) * 1e3, float(np.median(ours.turn_rad))
-        rows.append(error(f"{name}: distance, {runs}", away_m * 1e3, position_mm, "mm", why=why))
+        (away_m, turned_rad), (position_m, turn_rad) = table_2_errors(line), (float(np.median(one)) for one in ours)
+        rows.append(error(f"{name}: distance, {runs}", away_m * 1e3, position_m * 1e3, "mm", why=why))
         rows.append(error(f"{name}: turn, {runs}", turned_rad, turn_rad, "rad", why=why))
-    worst_mm, near_mm = float(polished.position_m.max()) * 1e3, table_2_errors(IMPROVED_XYZ_RPY)[0] * 1e3
+    worst_mm, near_mm = float(polished[0].max()) * 1e3, table_2_errors(IMPROVED_XYZ_RPY)[0] * 1e3
     rows.append(error("improved, with polish: greatest distance", near_mm, worst_mm, "mm", why="a missed run"))
     return rows
 
@@ -174,11 +164,11 @@ def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
     T = wanted_pose()
     assert robot.closed_form is not None
     branches = finite(robot.closed_form.poses(T[None]))
-    exact = errors(robot, branches, np.repeat(T[None], len(branches), axis=0))
-    share = float(((solved.position_m <= SOLVED) & (solved.turn_rad <= SOLVED)).mean())
+    exact_m, _ = pose_errors(robot.chain, branches, np.repeat(T[None], len(branches), axis=0))
+    share = float((np.maximum(*solved) <= SOLVED).mean())
     distinct = len(np.unique(np.round(branches, 6), axis=0))
-    worst_m, why = float(exact.position_m.max()), "differs: too many are missed"
-    what = f"share of {len(solved.position_m)} random poses within 1e-6 m and rad, with polish, up to {TRIES} seeds"
+    worst_m, why = float(exact_m.max()), "differs: too many are missed"
+    what = f"share of {len(solved[0])} random poses within 1e-6 m and rad, with polish, up to {TRIES} seeds"
     return [
         claim(what, said("001", "precision"), share, share >= 0.999, why=why),
         unprinted("solutions of Table 2's pose, closed form", str(distinct)),
@@ -188,10 +178,7 @@ def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
 
 def _wanted_arm(robot: Robot, near: FloatArray) -> FloatArray:
     """The exact configuration on the branch nearest to one found."""
-    assert robot.closed_form is not None
-    branches = finite(robot.closed_form.poses(wanted_pose()[None]))
-    turn = (branches - near + np.pi) % (2.0 * np.pi) - np.pi
-    return np.asarray(branches[np.abs(turn).sum(axis=1).argmin()])
+    return np.array(solve(robot, pose_target(wanted_pose()), present=near).solutions[0].q_rad)
 
 
 def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
@@ -199,7 +186,10 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
     rows = [(f"{name}, print", *(f"{value:.4f}" for value in line)) for name, line in lines.items()]
     for name, q in (("improved, armctl (median run)", ours), ("standard, armctl (median run)", standard)):
         T = forward_kinematics(robot.chain, q)
-        values = [*T[:3, 3].tolist(), *rpy_from_matrix(T[:3, :3])]
+        # The same turn has two triples; print has the one whose pitch is beyond a quarter turn.
+        roll, pitch, yaw = rpy_from_matrix(T[:3, :3])
+        turns = np.array([roll, -pitch, yaw]) + np.pi
+        values = [*T[:3, 3], *((turns + np.pi) % (2.0 * np.pi) - np.pi)]
         rows.append((name, *(f"{value:.6f}" for value in values)))
     return Table("Table 2: position and RPY", ("", "px m", "py m", "pz m", "roll", "pitch", "yaw"), tuple(rows), "rad")
 

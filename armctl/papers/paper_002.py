@@ -122,12 +122,12 @@ def _table(errors_mm: FloatArray) -> Table:
     rows: list[tuple[str, ...]] = []
     for via in VIA:
         mean_mm, max_mm, _ = PRINTED[via]
-        rows.append((str(via + 1), "print", f"{mean_mm:.2f}", "", f"{max_mm:.2f}", ""))
+        rows.append((f"{via + 1}, print", f"{mean_mm:.2f}", "", f"{max_mm:.2f}", ""))
         for k, name in enumerate(MEASURES):
             low, median, high = np.percentile(errors_mm[:, via, k], (25, 50, 75), axis=0)
             told = (f"{value:.2f}" for of in (0, 1) for value in (median[of], high[of] - low[of]))
-            rows.append((str(via + 1), name, *told))
-    header = ("experiment", "", "mean", "its spread", "maximum", "its spread")
+            rows.append((f"{via + 1}, {name}", *told))
+    header = ("experiment", "mean", "its spread", "maximum", "its spread")
     note = f"mm; medians of {len(errors_mm)} arms, spread: between quartiles; by the encoders if nothing is said"
     return Table("Table II: by the paper's procedure", header, tuple(rows), note)
 

@@ -149,9 +149,9 @@ def _curve_rows(shown: Curves) -> list[Row]:
     )
     print_ = transcription("004").tables
     return [
-        Row(f"greatest {what} along {axis}, {table.place}", printed, float(found), table.unit, why)
-        for what, table, most in (("speed", print_["speed"], speed), ("acceleration", print_["acceleration"], push))
-        for (axis, printed), found in zip(table.by_column.items(), most, strict=True)
+        Row(f"greatest {what} along {axis}, {print_[what].place}", float(printed), float(found), print_[what].unit, why)
+        for what, most in (("speed", speed), ("acceleration", push))
+        for axis, printed, found in zip("xyz", print_[what].numbers[0], most, strict=True)
     ]
 
 

@@ -16,16 +16,26 @@ from armctl.config import Frozen, parse_yaml, validate
 from armctl.kinematics.transform import FloatArray
 
 
-class PrintedTable(Frozen):
-    """The numbers of a table, a figure or a sentence."""
+class PrintedEquation(Frozen):
+    """Formulas in the paper's notation (`notation.py`)."""
+
+    line: int
+    # Of a table: what its columns are called.
+    columns: tuple[str, ...] = Field((), strict=False)
+    # A line a row, `|` between the cells; "?" begins a cell that is not readable, what the scan shows follows.
+    cells: str
+
+    @property
+    def rows(self) -> list[list[str]]:
+        return [[cell.strip() for cell in line.split("|")] for line in self.cells.splitlines()]
+
+
+class PrintedTable(PrintedEquation):
+    """The numbers of a table, a figure or a sentence; blanks between the cells."""
 
     # Such as "Table II" or "Fig. 7".
     place: str
-    line: int
     unit: str
-    columns: tuple[str, ...] = Field((), strict=False)
-    # A line a row, blanks between the cells.
-    cells: str
 
     @property
     def rows(self) -> list[list[str]]:
@@ -40,23 +50,6 @@ class PrintedTable(Frozen):
         """Half a unit of each cell's last digit."""
         decimals = [[Decimal(cell.replace(",", "")) for cell in row] for row in self.rows]
         return np.array([[0.5 * 10.0 ** int(cell.as_tuple().exponent) for cell in row] for row in decimals])
-
-    @property
-    def by_column(self) -> dict[str, float]:
-        """Of a table of one row."""
-        return dict(zip(self.columns, self.numbers[0].tolist(), strict=True))
-
-
-class PrintedEquation(Frozen):
-    """Formulas in the paper's notation (`notation.py`)."""
-
-    line: int
-    # A line a row, `|` between the cells; "?" begins a cell that is not readable, what the scan shows follows.
-    cells: str
-
-    @property
-    def rows(self) -> list[list[str]]:
-        return [[cell.strip() for cell in line.split("|")] for line in self.cells.splitlines()]
 
 
 class Quote(Frozen):

@@ -30,6 +30,9 @@ def test_page_opens_without_a_network_and_keeps_3d_charts_few(tmp_path: Path, ty
     page = (tmp_path / "new" / "reproduce.html").read_text(encoding="utf-8")
     headings = ("004: a transfer robot", "Fig. 3: Tool position", "Fig. 7", "004, after (3), 0T6", "004, errata: 13")
     assert not missing(page, *headings, "prefers-color-scheme")
+    # Tables of parameters have the columns of print; a verdict says why, also where it is told for a whole table.
+    told = ("greatest speed along x, Fig. 4, maximum [mm/s]", "3 differs: print gives nothing to compute it from")
+    assert not missing(page, *(f"<th>{name}</th>" for name in ("i", "a", "alpha", "d", "theta")), *told)
     assert 'src="http' not in page
     assert 0 < page.count('"type":"scatter3d"') < 16
     # The library and the charts run when they come into sight; every link of the contents has its place.
