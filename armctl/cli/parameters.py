@@ -4,7 +4,8 @@ Rules.
 1. A table is named after its command, with the group before it where there is one. A key is what is typed, and behind
    a blank the name that it has in the function, where that is another.
 2. A value is what click takes: `help`, `default`, `required` and so on. Its `type` is one of `KINDS`, a list of
-   choices, a range such as `1..20`, `0..` or `0.1..60.0` (`0.5..longest`: see `Seconds`), or some with blanks between.
+   choices, a range such as `1..20`, `0..` or `0.1..60.0` (`0.5..longest`: see `Seconds`), `list of` one of these, or
+   some with blanks between.
 3. The value `"shared"` stands for that of the same key in the table `shared`, of the same file or of `shared.toml`.
 
 It is TOML because Python reads it by itself: no command waits for the package that reads YAML.
@@ -49,7 +50,9 @@ def tables(name: str) -> dict[str, dict[str, Any]]:
 def _kind(of: str | list[str]) -> Any:
     if isinstance(of, list):
         return click.Choice(of)
-    if " " in of:
+    if of.startswith("list of "):
+        return Several(_kind(of.removeprefix("list of ")))
+    if " " in of and of not in KINDS:
         return click.Tuple([_kind(one) for one in of.split()])
     low, to, high = of.partition("..")
     if not to:
@@ -57,7 +60,7 @@ def _kind(of: str | list[str]) -> Any:
     if high == "longest":
         return Seconds(float(low))
     if "." in low:
-        return click.FloatRange(float(low), float(high) if high else None)
+        return FiniteRange(float(low), float(high) if high else None)
     return click.IntRange(int(low), int(high) if high else None)
 
 
@@ -93,7 +96,40 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in som
         return numbers
 
 
-class Seconds(click.FloatRange):
+class Several(click.ParamType):  # type: ignore[type-arg]  # generic only in some versions
+    """Values of one kind with commas or blanks between them."""
+
+    name = "a,b,..."
+
+    def __init__(self, kind: Any) -> None:
+        self._kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Any, ...]:
+        parts = value if isinstance(value, tuple) else str(value).replace(",", " ").split()
+        if not parts:
+            self.fail(f"{value!r}: give at least one", param, ctx)
+        return tuple(self._kind.convert(part, param, ctx) for part in parts)
+
+
+class NewFile(click.Path):
+    """A file that will be written when the work is done: where that cannot be is told before."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = Path(str(super().convert(value, param, ctx)))
+        if not path.parent.is_dir():
+            self.fail(f"{str(path.parent)!r} is no folder; make it first", param, ctx)
+        return path
+
+
+class FiniteRange(click.FloatRange):
+    """A range; NaN is in none, though it is not below nor above one either."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        return number if math.isfinite(number) else self.fail(f"{value!r} must be finite", param, ctx)
+
+
+class Seconds(FiniteRange):
     """How long a motion takes: at most what `messages` says, which is imported when somebody gives a duration."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -133,6 +169,7 @@ KINDS: dict[str, Any] = {
     "str": click.STRING,
     "path": click.Path(path_type=Path),
     "file": click.Path(path_type=Path, dir_okay=False),
+    "new file": NewFile(path_type=Path, dir_okay=False, writable=True),
     "folder": click.Path(path_type=Path, file_okay=False),
     "point": POINT,
     "pose": Numbers(6, "six numbers x,y,z,roll,pitch,yaw"),

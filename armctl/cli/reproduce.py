@@ -29,15 +29,17 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
     from armctl.papers.entry import errata
     from armctl.papers.run import reproduce
     from armctl.papers.verdict import FULL, QUICK
+    from armctl.recording.disk import writing
 
     papers = PAPERS if paper == "all" else (paper,)
+    page = None if out is None else out / "reproduce.html"
+    if page is not None:
+        with writing(page):  # rather now than after the work
+            page.parent.mkdir(parents=True, exist_ok=True)
     reports = reproduce(papers, QUICK if quick else FULL, seed, output.progress)
     found = judged.entries(papers)
     wrong = errata(found)
-    page = None
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        page = out / "reproduce.html"
+    if page is not None:
         report.write(reports, found, page)
     told = ("paper", "equation", "row", "column", "printed", "true", "verdict", "place")
     result: dict[str, Any] = {

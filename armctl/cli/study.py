@@ -17,7 +17,7 @@ from armctl.cli.output import CONFIG, Output
 from armctl.cli.output import command as answering
 from armctl.cli.parameters import tables
 from armctl.cli.tables import Row, show_rows
-from armctl.errors import ConfigError
+from armctl.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     from armctl.config import ArmConfig, Config
@@ -33,8 +33,6 @@ class Command:
     title: str
     # Options that say which cases there are.
     varied: Sequence[str] = ()
-    # Options whose numbers must be whole.
-    whole: Sequence[str] = ()
     # The option that names a file to write.
     file: str | None = None
     # What of the result the table shows.
@@ -86,20 +84,20 @@ def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> N
     from armctl.lab.study.workers import Workers
 
     config, arm = output.config, output.arm
-    for key in command.whole:
-        asked[key] = _whole(name, f"--{key}", asked[key])
     study, case = STUDIES[name], _case(name, command, asked, arm, config)
     cases = study.vary(case, **{key: asked[key] for key in command.varied})  # refuses bad settings before any work
     workers = Workers(output.progress, asked["workers"] or len(os.sched_getaffinity(0)), asked["scheduler"])
     if "recordings" in asked:
         takes = tuple(named_takes(config, arm, asked["recordings"])) or workers.guided(case)
         cases = [replace(case, takes=takes) for case in cases]
+    path = asked.get(str(command.file))
+    if command.file == "xlsx" and path is not None and path.exists():  # rather now than after the work
+        raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")
     found = workers.carry_out(study.label, study.run, cases)
     rows = study.told(all_rows(found), cases, workers)
     result = {"rows": rows} if study.summary is None else {"rows": rows, "summary": study.summary(rows)}
     told: dict[str, Any] = {**result, "seed": asked["seed"]}
     if command.file is not None:
-        path = asked[command.file]
         told[command.file] = None if path is None else str(path)
         if path is not None and study.write is not None:
             study.write(path, cases, found, rows, workers)
@@ -125,12 +123,6 @@ def _case(name: str, command: Command, asked: dict[str, Any], arm: ArmConfig, co
     if "profile" in asked:
         given["settings"] = replace(PROFILES[asked["profile"]], generations=asked["generations"])
     return Case(arm=arm, **given)
-
-
-def _whole(name: str, option: str, values: Sequence[float]) -> tuple[int, ...]:
-    if any(value != int(value) for value in values):
-        raise ConfigError(f"armctl study {name}", option, f"{list(values)} are not whole numbers")
-    return tuple(int(value) for value in values)
 
 
 def show(output: Output, name: str, result: Mapping[str, Sequence[Row]]) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
+from armctl.recording.disk import writing
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -184,5 +185,10 @@ class Page:
         )
 
     def write(self, path: Path) -> None:
-        """Write the page to `path`."""
-        path.write_text(self.html(), encoding="utf-8")
+        """Write the page to `path`.
+
+        Raises:
+            LogError: it cannot be written.
+        """
+        with writing(path):
+            path.write_text(self.html(), encoding="utf-8")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
+from armctl.recording.disk import writing
 from armctl.report.line import ExperimentReport, LineRun, along_and_off
 from armctl.trajectory.straightness import errors_mm
 
@@ -26,7 +27,8 @@ STYLE = Path(__file__).with_name("picture.css")
 
 def write(report: ExperimentReport, path: Path) -> None:
     """Write the picture to `path`."""
-    path.write_text(svg(report), encoding="utf-8")
+    with writing(path):
+        path.write_text(svg(report), encoding="utf-8")
 
 
 def svg(report: ExperimentReport) -> str:

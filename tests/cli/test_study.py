@@ -39,3 +39,11 @@ def test_fronts_are_told_and_drawn(answer: Answer, tmp_path: Path) -> None:
 def test_the_tables_for_people_come_out_too(typed: Typed) -> None:
     said = typed("study", "arms", *LINE, "--via", "1", "--arms", "1", "--refine", "0", "--workers", "1")
     assert "True distance from the line on 1 arms" in said.out
+
+
+def test_a_workbook_that_exists_is_told_before_the_work(typed: Typed, tmp_path: Path) -> None:
+    book = tmp_path / "angles.xlsx"
+    book.touch()
+    said = typed("study", "paper", *LINE, "--xlsx", book, status=1)
+    assert "exists already" in said.err
+    assert "experiments ..." not in said.err
