@@ -4,7 +4,6 @@ The curves are those of a cycle by the model (`simulated_cycle`), and beside the
 """
 
 import tempfile
-from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -16,9 +15,7 @@ from armctl.kinematics.chain import SerialChain, forward_kinematics, jacobian
 from armctl.kinematics.differential import dexterity
 from armctl.kinematics.robots.papers import INITIAL_DEG
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import solve
-from armctl.kinematics.target import pose_target
-from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rotation_error
+from armctl.kinematics.transform import FloatArray, rotation_error
 from armctl.lab.stage import Stage
 from armctl.lab.virtual_transfer import record
 from armctl.papers.page import PaperReport, Picture, Row, pictures
@@ -28,53 +25,30 @@ from armctl.report import kinematics as drawn
 from armctl.report import transfer_curves
 from armctl.report.transfer_curves import Transfer
 from armctl.trajectory import transfer as trajectory
-from armctl.trajectory.quintic import Curves, curves, quintic
+from armctl.trajectory.quintic import Curves, curves
 
 ROBOT = "transfer-6dof"
 # Of the arm in calibration/transfer-6dof.yaml.
 SCALE = 0.4
 LOGGED = trajectory.TransferRequest(pick_m=(0.176, -0.132, -0.15), place_m=(0.176, 0.132, -0.15))
+# The same cycle at the size of print.
+WHOLE = trajectory.TransferRequest(pick_m=(0.44, -0.33, -0.375), place_m=(0.44, 0.33, -0.375), height_m=0.15)
+SAMPLES = 600
 EXACT = 1e-12
 STEP_RAD = 1e-5
 # What central differences of that step can tell.
 DIFFERENCE_BOUND = 1e-8
 
-HOME_DEG = (0.0, -60.0, -30.0, 0.0, 90.0, 0.0)
-PICK_M = (0.350, -0.300, -0.150)
-PLACE_M = (0.350, 0.300, 0.050)
-ABOVE_M = 0.120
-DOWN_RPY = (np.pi, 0.0, 0.0)
-STAGE_S = (2.0, 1.0, 1.0, 3.0, 1.0, 1.0, 2.0)
-SAMPLES = 60
 
-
-def stops(robot: Robot) -> FloatArray:
-    """Joint positions of the cycle [rad], shape (8, 6): home, above and at the pick, above and at the place, home.
+def simulated_cycle(robot: Robot) -> Curves:
+    """The cycle by the model.
 
     Raises:
-        UnreachableTarget: never for the paper's lengths; `solve` answers the nearest configuration otherwise.
+        RequestRefused: never for the paper's lengths.
     """
-    home = np.radians(HOME_DEG)
-    way = [home]
-    for x, y, z in (PICK_M, PLACE_M):
-        for height in (z + ABOVE_M, z, z + ABOVE_M):
-            answer = solve(robot, pose_target(pose_from_xyz_rpy(x, y, height, *DOWN_RPY)), present=way[-1])
-            way.append(np.array(answer.solutions[0].q_rad))
-    return np.unwrap(np.stack([*way, home]), axis=0)
-
-
-def simulated_cycle(robot: Robot, samples: int = SAMPLES) -> Curves:
-    """The cycle by the model: quintic motions from stop to stop."""
-    q = stops(robot)
-    begin_s, parts = 0.0, []
-    for start, end, duration_s in zip(q, q[1:], STAGE_S, strict=False):
-        time_s = np.linspace(0.0, duration_s, samples)
-        part = curves(robot.chain, time_s, *quintic(start, end, duration_s).sample(time_s))
-        parts.append(replace(part, time_s=part.time_s + begin_s))
-        begin_s += duration_s
-    return Curves(
-        **{each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Curves)}
-    )
+    motion = trajectory.motion(WHOLE, load_arm(ROBOT), robot)
+    time_s = np.linspace(0.0, motion.duration_s, SAMPLES)
+    return curves(robot.chain, time_s, *motion.sample(time_s))
 
 
 def tool_rate(chain: SerialChain, q: FloatArray, rate: FloatArray) -> FloatArray:
@@ -156,11 +130,12 @@ def _curve_rows(shown: Curves) -> list[Row]:
 
 
 def _pictures(robot: Robot, shown: Curves) -> list[Picture]:
-    q = stops(robot)
-    arms = {"home": q[0], "pick": q[2], "place": q[5]}
+    stations = {"pick": WHOLE.pick_m, "place": WHOLE.place_m}
+    away_m = {name: np.linalg.norm(shown.tool_position_m - place, axis=1) for name, place in stations.items()}
+    arms = {name: shown.position_rad[distances.argmin()] for name, distances in away_m.items()}
     space = partial(drawn.arm, robot.chain, arms, tool_m=shown.tool_position_m)
     figures = [
         Picture(f"Fig. {number}: {title}", f"{title} over time", partial(drawn.curve, shown, title))
         for number, title in enumerate(list(drawn.CURVES)[3:], start=3)
     ]
-    return [Picture("the cycle", "the arm at home, pick and place and the path of its tool", space), *figures]
+    return [Picture("the cycle", "the arm at pick and place and the path of its tool", space), *figures]

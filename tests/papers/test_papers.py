@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armctl.kinematics import robots
-from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.chain import forward_kinematics
 from armctl.kinematics.genetic import improved
 from armctl.kinematics.genetic.problem import Evolution, Problem
 from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY
@@ -154,18 +154,21 @@ def test_004_kinematics_hold_the_printed_start_does_not_and_the_cycle_is_drawn()
     assert found["Fig. 3 starts at (-500, 610, 1300): out of reach by"] == "misprint"
 
 
-def test_004_the_cycle_visits_pick_and_place_and_comes_home() -> None:
-    q = paper_004.stops(TRANSFER)
-    points = tool_position(TRANSFER.chain, q)
-    np.testing.assert_allclose(points[2], paper_004.PICK_M, atol=1e-9)
-    np.testing.assert_allclose(points[5], paper_004.PLACE_M, atol=1e-9)
-    np.testing.assert_allclose(points[0], points[-1], atol=1e-12)
-    down = forward_kinematics(TRANSFER.chain, q[1:7])[:, :3, 2]
-    np.testing.assert_allclose(down, np.broadcast_to([0.0, 0.0, -1.0], (6, 3)), atol=1e-9)
+def test_004_the_cycle_visits_pick_and_place_with_the_paw_down_and_comes_back() -> None:
+    shown = paper_004.simulated_cycle(TRANSFER)
+    for place in (paper_004.WHOLE.pick_m, paper_004.WHOLE.place_m):
+        assert np.linalg.norm(shown.tool_position_m - place, axis=1).min() < 1e-9
+    np.testing.assert_allclose(shown.position_rad[0], shown.position_rad[-1], atol=1e-9)
+    down = forward_kinematics(TRANSFER.chain, shown.position_rad)[:, :3, 2]
+    assert np.abs(down - [0.0, 0.0, -1.0]).max() < 0.01
+    # The recorded one is the same, smaller.
+    whole, logged = (np.array([cycle.pick_m, cycle.place_m]) for cycle in (paper_004.WHOLE, paper_004.LOGGED))
+    np.testing.assert_allclose(whole * paper_004.SCALE, logged)
+    assert pytest.approx(paper_004.LOGGED.height_m) == paper_004.WHOLE.height_m * paper_004.SCALE
 
 
 def test_004_longer_arms_give_another_cycle() -> None:
     longer: Robot = robots.get("transfer-6dof", {"a2": 0.5})
-    one, other = (paper_004.simulated_cycle(robot, 5) for robot in (TRANSFER, longer))
+    one, other = (paper_004.simulated_cycle(robot) for robot in (TRANSFER, longer))
     assert np.abs(one.position_rad - other.position_rad).max() > 1e-3
-    np.testing.assert_allclose(one.tool_position_m[9], other.tool_position_m[9], atol=1e-9)
+    np.testing.assert_allclose(one.tool_position_m[0], other.tool_position_m[0], atol=1e-9)
