@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from armctl.papers.entry import Entry
     from armctl.papers.page import PaperReport
 
-PAPERS = ("000", "001", "002", "003", "004")
-
 
 @command("reproduce")
 def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool, seed: int) -> int:
@@ -27,16 +25,16 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
     from armctl.papers import entries as judged
     from armctl.papers import page as report
     from armctl.papers.entry import errata
-    from armctl.papers.run import reproduce
+    from armctl.papers.run import PAPERS
     from armctl.papers.verdict import FULL, QUICK
     from armctl.recording.disk import writing
 
-    papers = PAPERS if paper == "all" else (paper,)
+    papers = tuple(PAPERS) if paper == "all" else (paper,)
     page = None if out is None else out / "reproduce.html"
     if page is not None:
         with writing(page):  # rather now than after the work
             page.parent.mkdir(parents=True, exist_ok=True)
-    reports = reproduce(papers, QUICK if quick else FULL, seed, output.progress)
+    reports = [PAPERS[one](QUICK if quick else FULL, seed, output.progress) for one in papers]
     found = judged.entries(papers)
     wrong = errata(found)
     if page is not None:

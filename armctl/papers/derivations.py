@@ -14,7 +14,7 @@ import numpy as np
 
 from armctl.config import parse_yaml
 from armctl.kinematics import robots
-from armctl.kinematics.robots.papers import INITIAL_DEG, LANZHOU_RANGES_DEG
+from armctl.kinematics.robots.papers import INITIAL_DEG
 from armctl.papers.notation import product_to_sum, read, symbol, sympy
 
 Cells = Sequence[Sequence[Any]]
@@ -132,11 +132,7 @@ def _lanzhou() -> dict[str, Cells]:
     rows = ((0, 0, d1), (a2, -QUARTER, d2), (a3, 0, 0), (a4, 0, 0))
     A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=False)]
     theta, alpha, a, d = (symbol(name) for name in ("theta_i", "alpha_before", "a_before", "d_i"))
-    mm = {name: round(1000 * length) for name, length in robots.get("lanzhou-4dof").lengths_m.items()}
-    table = ((0, 0, mm["d1"]), (-90, mm["a2"], mm["d2"]), (0, mm["a3"], 0), (0, mm["a4"], 0), (0, mm["a5"], 0))
-    ranges = [*(f"{low:g}~{high:g}" for low, high in LANZHOU_RANGES_DEG), "0"]
     return {
-        "Table 1": [[n + 1, THETA[n], *row, within] for n, (row, within) in enumerate(zip(table, ranges, strict=True))],
         "(1)": (about_x(alpha, a) * about_z(theta, d)).tolist(),
         "(2), names": _pose().tolist(),
         "(2)": (A[0] * _product(*A[1:], about_x(0, a5))).tolist(),
@@ -153,15 +149,7 @@ def _transfer() -> dict[str, Cells]:
     at |= {angle: sympy.pi * round(deg) / 180 for angle, deg in zip(THETA, INITIAL_DEG, strict=True)}
     initial = reduce(lambda T, link: T * link.subs(at), A, sympy.eye(4))
 
-    def named(length: Any) -> Any:
-        return f"{str(length)[0]}_{str(length)[1]}={at[length]}" if length in at else length
-
-    angles = [f"theta_{n}={deg:g}{'°' if deg else ''}" for n, deg in enumerate(INITIAL_DEG, 1)]
     return {
-        "Table 1": [
-            [n, named(a), alpha * 180 / sympy.pi, named(d), angle]
-            for n, ((a, alpha, d), angle) in enumerate(zip(rows, angles, strict=True), 1)
-        ],
         "(1)": (about_x(alpha, a) * about_z(theta, d)).tolist(),
         "(3)": _pose().tolist(),
         "after (3), 0T6": initial.tolist(),

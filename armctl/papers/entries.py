@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from armctl.papers.cells import TRUE_CELLS
 from armctl.papers.derivations import derived
 from armctl.papers.entry import EQUAL, MISPRINT, NOT_READABLE, PRINT_OFF, Entry
-from armctl.papers.measurements import MEASURED
+from armctl.papers.measurements import MEASURED, TRUE_CELLS
 from armctl.papers.notation import read, same, show, some_value, sympy
 from armctl.papers.statements import PROOFS
 from armctl.papers.transcription import Transcription, transcription
@@ -70,14 +69,7 @@ def _formulas(paper: str, printed: Transcription) -> Iterator[_Formula]:
                 if true is None or isinstance(true, str):
                     yield _Formula(number, r + 1, c + 1, text, None, true)
                 else:
-                    yield _Formula(number, r + 1, c + 1, text, _read(text), sympy.sympify(true))
-
-
-def _read(text: str) -> Any:
-    try:
-        return read(text)
-    except ValueError:
-        return sympy.nan
+                    yield _Formula(number, r + 1, c + 1, text, read(text), sympy.sympify(true))
 
 
 def _measure(paper: str, formulas: list[_Formula]) -> None:

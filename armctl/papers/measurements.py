@@ -1,5 +1,7 @@
 """The quantities of the papers' equations at random configurations, by `kinematics.chain` and not by symbols.
 
+Below them what the cells of tables should be, where that can be computed: from the other tables, or by a robot.
+
 Each function gives the values of all names at one configuration, and the equations' cells as numbers. A cell may also
 be a function of the printed words, which tells how far off they are. None: not measured.
 """
@@ -14,9 +16,11 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, link_frames, tool_position
-from armctl.kinematics.robots.papers import INITIAL_DEG, LANZHOU_RANGES_DEG
+from armctl.kinematics.robots.papers import FIG_5_DEG, INITIAL_DEG, LANZHOU_RANGES_DEG, QZ_DEG
 from armctl.kinematics.transform import FloatArray
 from armctl.papers.derivations import NAMES
+from armctl.papers.paper_000 import HEIGHT_CM, RADIUS_CM, population_formula
+from armctl.papers.transcription import Transcription
 
 # Values by name, and cells by equation.
 Measured = tuple[dict[str, float], dict[str, Any]]
@@ -211,3 +215,37 @@ def _transfer(rng: np.random.Generator) -> Measured:
 _ALL: tuple[Callable[[np.random.Generator], Measured], ...] = (_xiang, _puma, _line, _lanzhou, _transfer)
 # By paper.
 MEASURED = {f"{paper:03}": measure for paper, measure in enumerate(_ALL)}
+
+
+# ----------------------------------------------------------------------------------------------------- cells of tables
+
+# By table: what is true, and how uncertain that is because it is computed from rounded cells; shapes as the table's.
+TrueCells = dict[str, tuple[FloatArray, FloatArray | float]]
+
+
+def _grid_cells(printed: Transcription) -> TrueCells:
+    """Each of the six tables from one of the others and the targets; Fig. 7 by its formula."""
+    true: TrueCells = {"joint_1_population": (population_formula(), 0.0)}
+    for axis, target in (("xy0", RADIUS_CM), ("z0", np.full_like(RADIUS_CM, HEIGHT_CM))):
+        measured, away = (printed.tables[name] for name in (f"{axis}_test", f"delta_{axis}"))
+        true[f"{axis}_test"] = target + away.numbers, away.rounding
+        true[f"delta_{axis}"] = measured.numbers - target, measured.rounding
+        true[f"p_{axis}"] = away.numbers / target, away.rounding / target
+    return true
+
+
+def _place_mm(robot: str, q_deg: Sequence[float]) -> FloatArray:
+    """Where its tool is, shape (1, 3), without the dust of rounding."""
+    return np.round(tool_position(robots.get(robot).chain, np.radians([q_deg])) * 1e3, 9) + 0.0
+
+
+# By paper; tables that are not named hold measurements, what was chosen, or motions that print does not give. By its
+# text the arm of 004 is in its initial position at t = 0 of Fig. 3.
+TRUE_CELLS: dict[str, Callable[[Transcription], TrueCells]] = {
+    "000": _grid_cells,
+    "003": lambda _: {
+        "ikine": (np.radians([QZ_DEG]), 0.0),
+        "fig_5": (_place_mm("lanzhou-4dof", FIG_5_DEG)[:, [0, 2]], 0.0),
+    },
+    "004": lambda _: {"fig_3": (_place_mm("transfer-6dof", INITIAL_DEG), 0.0)},
+}

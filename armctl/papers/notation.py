@@ -30,11 +30,7 @@ def symbol(name: str) -> Any:
 
 
 def read(text: str) -> Any:
-    """A printed formula as an expression; angles in radians.
-
-    Raises:
-        ValueError: it is no formula.
-    """
+    """A printed formula as an expression, angles in radians; what is no formula is no number either (nan)."""
     for letter, word in _LETTERS.items():
         text = text.replace(letter, word)
     words, names = [""], dict[str, Any]()
@@ -43,7 +39,7 @@ def read(text: str) -> Any:
         if factor and (words[-1][-1:].isalnum() or words[-1] == ")") and words[-1] not in _FUNCTIONS:
             words.append("*")
         if token[0] not in _MARKS and not token[0].isalnum():
-            raise ValueError(f"{text!r} is no formula: {token!r}")
+            return sympy.nan
         if token[0].isalpha() and token not in _FUNCTIONS:
             # A name of its own, so that no word of Python and no constant of sympy is meant by it.
             names[f"v{len(names)}"] = _named(token)
@@ -51,8 +47,8 @@ def read(text: str) -> Any:
         words.append(token)
     try:
         return sympy.sympify("".join(words), locals={**_FUNCTIONS, **names}, rational=True)
-    except (sympy.SympifyError, SyntaxError, TypeError) as error:
-        raise ValueError(f"{text!r} is no formula") from error
+    except (sympy.SympifyError, SyntaxError, TypeError):
+        return sympy.nan
 
 
 def _named(token: str) -> Any:
