@@ -9,7 +9,6 @@ from typing import get_args
 import numpy as np
 
 from armctl.kinematics import robots
-from armctl.kinematics.annulus import PlaneReach
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.genetic import plain
 from armctl.kinematics.genetic.problem import Evolution, behind_the_waist, points_problem
@@ -89,21 +88,13 @@ def population_formula() -> FloatArray:
     return np.asarray(45.0 + 0.5 * np.degrees(np.arctan2(y, x)))
 
 
-def evolve_grid(
-    robot: Robot,
-    seed: int,
-    *,
-    waist_given: bool,
-    settings: plain.Settings = plain.PAPER,
-    rows: IntArray | slice = slice(None),
-    targets: FloatArray | None = None,
+def evolve(
+    robot: Robot, seed: int, targets: FloatArray, *, waist_given: bool = False, settings: plain.Settings = plain.PAPER
 ) -> Evolution:
-    """The published algorithm on targets of the grid, or on other ones [m], shape (k, 3)."""
-    points = grid_m()[rows] if targets is None else targets
-    problem = points_problem(robot.chain, points, robot.limits_rad)
-    if waist_given:
-        problem = behind_the_waist(problem)
-    return plain.evolve(problem, settings, [[seed, target] for target in range(len(points))])
+    """The published algorithm on targets [m], shape (k, 3)."""
+    problem = points_problem(robot.chain, targets, robot.limits_rad)
+    problem = behind_the_waist(problem) if waist_given else problem
+    return plain.evolve(problem, settings, [[seed, target] for target in range(len(targets))])
 
 
 def polished(robot: Robot, targets: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -115,14 +106,13 @@ def polished(robot: Robot, targets: FloatArray, q: FloatArray) -> tuple[FloatArr
 
 def out_of_reach(robot: Robot) -> dict[tuple[float, float], tuple[float, FloatArray]]:
     """Targets of the grid (x, y) [cm] that the arm cannot reach: least distance [m] and nearest tool point [m]."""
-    lengths = robot.lengths_m
-    # Where the tool point can go.
-    where = PlaneReach((lengths["a2"], lengths["a3"], lengths["d5"]), 0.0, 0.0, lengths["d1"])
+    assert robot.closed_form is not None
     found = {}
     for target in grid_m():
-        near, distance = where.nearest(target)
+        q, distance = robot.closed_form.nearest_position(target)
         if distance > 0.0:
-            found[(round(100.0 * float(target[0]), 9), round(100.0 * float(target[1]), 9))] = (distance, near)
+            x, y, _ = np.round(target * 100.0, 9).tolist()
+            found[x, y] = distance, tool_position(robot.chain, q[0])
     return found
 
 
@@ -134,15 +124,13 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     with stage("000: readings of the text", len(READINGS)) as show:
         for done, (name, (waist_given, settings)) in enumerate(READINGS.items(), start=1):
             seeds = range(seed, seed + effort.grid_seeds)
-            runs = [evolve_grid(robot, one, waist_given=waist_given, settings=settings, rows=rows) for one in seeds]
+            runs = [evolve(robot, one, grid_m()[rows], waist_given=waist_given, settings=settings) for one in seeds]
             reached = [tool_position(robot.chain, run.q_rad) for run in runs]
             found[name] = np.array([statistics(grid_errors_cm(points, rows)) for points in reached])
             show(done, name)
     with stage("000: the grid and two targets", 1):
-        first = evolve_grid(robot, seed, waist_given=False)
-        targets = np.array(TARGETS_CM) / 100.0
-        run = partial(evolve_grid, robot, seed, waist_given=False, targets=targets)
-        two, calmer = run(), run(settings=PER_INDIVIDUAL)
+        first, targets = evolve(robot, seed, grid_m()), np.array(TARGETS_CM) / 100.0
+        two, calmer = (evolve(robot, seed, targets, settings=share) for share in (plain.PAPER, PER_INDIVIDUAL))
         two_q, two_missed = polished(robot, targets, two.q_rad)
     exact_q, missed = polished(robot, grid_m(), first.q_rad)
     agree = int((np.abs(printed("joint_1_population") - population_formula()) <= 0.6e-4).sum())
@@ -164,26 +152,24 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     )
 
 
+def _statistics_rows(name: str, found: FloatArray, why: str, rows: IntArray | slice = slice(None)) -> list[Row]:
+    pairs = zip(STATISTICS, printed_statistics(rows).tolist(), found.tolist(), strict=True)
+    return [error(f"{which}{name}", before, after, "cm", why=why) for which, before, after in pairs]
+
+
 def _grid_rows(found: dict[str, FloatArray], rows: IntArray) -> list[Row]:
     """The algorithm as printed, and the reading whose mean errors come nearest to print."""
-    wanted = printed_statistics(rows)
-    values = found[AS_PRINTED].mean(axis=0)
+    means, wanted = {name: values.mean(axis=0) for name, values in found.items()}, printed_statistics(rows)
     why = "four angles are searched; see the readings of the text"
-    told = [
-        error(f"{name} of the printed cells, {AS_PRINTED}", float(before), float(after), "cm", why=why)
-        for name, before, after in zip(STATISTICS, wanted, values, strict=True)
-    ]
-    nearest = min(found, key=lambda name: float(np.abs(np.log(found[name].mean(axis=0) / wanted)).sum()))
+    told = _statistics_rows(f" of the printed cells, {AS_PRINTED}", means[AS_PRINTED], why, rows)
+    nearest = min(means, key=lambda name: float(np.abs(np.log(means[name] / wanted)).sum()))
     return [*told, unprinted("reading whose four statistics come nearest to print", nearest)]
 
 
 def _polish_rows(robot: Robot, q: FloatArray, missed: FloatArray) -> list[Row]:
     found = statistics(grid_errors_cm(tool_position(robot.chain, q)))
+    rows = _statistics_rows(", GA with polish", found, "not polished")
     reached = int((missed <= REACHED_M).sum())
-    rows = [
-        error(f"{name}, GA with polish", before, after, "cm", why="not polished")
-        for name, before, after in zip(STATISTICS, printed_statistics().tolist(), found.tolist(), strict=True)
-    ]
     rows.append(unprinted("targets of the grid reached to 1e-9 m, of 100", str(reached)))
     for (x, y), (distance, near) in out_of_reach(robot).items():
         i, j = int(x - SIDE_CM[0]), int(y - SIDE_CM[0])
@@ -195,17 +181,14 @@ def _polish_rows(robot: Robot, q: FloatArray, missed: FloatArray) -> list[Row]:
 
 def _target_rows(robot: Robot, targets: FloatArray, two: Evolution, missed: FloatArray) -> list[Row]:
     rows = []
-    points = tool_position(robot.chain, two.q_rad)
+    away_cm = np.linalg.norm(tool_position(robot.chain, two.q_rad) - targets, axis=1) * 100.0
     worst = float(np.abs(printed("delta_xy0")).max())
-    quotes = ("first_target", "second_target")
-    for quote, target, point, exact in zip(quotes, targets, points, missed.tolist(), strict=True):
-        in_print = said("000", quote)
-        name = "target ({:.0f}, {:.0f}, {:.0f}): distance".format(*(target * 100.0))
-        away = float(np.linalg.norm(point - target)) * 100.0
+    for k, quote in enumerate(("first_target", "second_target")):
+        in_print, name, away, exact = said("000", quote), f"target {_name(k)}: distance", float(away_cm[k]), missed[k]
         why = f"differs: {away:.2f} cm in this run"
         rows.append(claim(f"{name}, GA alone", in_print, away, away <= worst, unit="cm", why=why))
-        why = "differs: not reached"
-        rows.append(claim(f"{name}, with polish", in_print, exact * 100.0, exact < REACHED_M, unit="cm", why=why))
+        holds, why = bool(exact < REACHED_M), "differs: not reached"
+        rows.append(claim(f"{name}, with polish", in_print, float(exact) * 100.0, holds, unit="cm", why=why))
     return rows
 
 

@@ -25,7 +25,7 @@ def test_three_targets_are_out_of_reach_by_exactly_so_much() -> None:
 
 
 def test_with_polish_97_targets_are_reached_and_the_others_come_as_near_as_they_can() -> None:
-    run = paper_000.evolve_grid(ROBOT, 5, waist_given=False)
+    run = paper_000.evolve(ROBOT, 5, paper_000.grid_m())
     q, missed = paper_000.polished(ROBOT, paper_000.grid_m(), run.q_rad)
     assert (missed <= 1e-9).sum() == 97
     least = dict.fromkeys(range(100), 0.0)
