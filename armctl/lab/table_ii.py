@@ -21,6 +21,7 @@ from armctl.report.line import PRINTED
 from armctl.trajectory.interpolate import joint_path
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan, plan_through
+from armctl.trajectory.refinement import Measured
 
 # A line of the paper's kind; the paper does not print its ends.
 FROM_M = (0.18, -0.125, 0.10)
@@ -38,16 +39,26 @@ def every_experiment(case: Case) -> list[Case]:
     return [replace(paper, via=(via,)) for via in VIA]
 
 
+def recorded(case: Case) -> tuple[Plan, list[Measured], Case]:
+    """The plan of one experiment, what was measured in each run, and the case with that as takes.
+
+    Raises:
+        RequestRefused: the line cannot be followed.
+    """
+    rig = case.rig()
+    plan = through_points(rig, case)
+    runs = [rig.run(plan, corrected=False) for _ in range(RUNS)]
+    return plan, runs, replace(case, takes=tuple(run.positions_rad for run in runs))
+
+
 def run(case: Case) -> Found:
     """One experiment as the paper made it: its row, and as evidence what was measured in each run.
 
     Raises:
         RequestRefused: the line cannot be followed, or the recordings are too far from it.
     """
-    rig = case.rig()
-    plan = through_points(rig, case)
-    runs = [rig.run(plan, corrected=False) for _ in range(RUNS)]
-    result = replace(case, takes=tuple(run.positions_rad for run in runs)).optimum()
+    plan, runs, taken = recorded(case)
+    result = taken.optimum()
     recorded_mm = [take.mean_error_mm for take in result.baseline]
     row = {
         "experiment": plan.via + 1,

@@ -5,6 +5,7 @@ which the genetic algorithm makes one path. Errors are by the encoders, as the p
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -56,8 +57,7 @@ def experiments(seed: int) -> list[Experiment]:
     for case in table_ii.every_experiment(Case(arm=arm, seed=seed, from_m=FROM_M, to_m=TO_M, duration_s=5.0)):
         (via,) = case.via
         case = replace(case, duration_s=PRINTED[via].duration_s)
-        found, plan = table_ii.run(case), table_ii.through_points(case.rig(), case)
-        taken = replace(case, takes=tuple(run.positions_rad for run in found.evidence))
+        plan, runs, taken = table_ii.recorded(case)
         printed, improved = (one.optimum() for one in (taken, replace(taken, settings=DEFAULT)))
         paths = (printed.ga.path, improved.ga.path)
         recorded_m = tuple(tool_position(chain, take[:, : chain.n]) for take in taken.takes)
@@ -65,11 +65,11 @@ def experiments(seed: int) -> list[Experiment]:
         # At the same stations as the paths, and not while the arm stands at an end.
         alone = [(one.mean_error_mm, one.max_error_mm) for one in printed.baseline]
         found_mm.append(tuple(np.mean(alone, axis=0)))
-        found_mm.append(tuple(np.mean([true_mm(run, case.line) for run in found.evidence], axis=0)))
+        found_mm.append(tuple(np.mean([true_mm(run, case.line) for run in runs], axis=0)))
         goals = plan_positions(plan, np.arange(0.0, plan.duration_s, table_ii.PERIOD_S))
         found_mm.append(case.line.errors_mm(tool_position(chain, goals[:, : chain.n])))
-        found_m = (paths[0].tool_m, paths[1].tool_m)
-        done.append(Experiment(np.array(found_mm), found.rows[0]["duration_s"], recorded_m, found_m))
+        took_s = float(np.mean([run.duration_s for run in runs]))
+        done.append(Experiment(np.array(found_mm), took_s, recorded_m, (paths[0].tool_m, paths[1].tool_m)))
     return done
 
 
@@ -84,20 +84,12 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     errors_mm = np.array([[one.errors_mm for one in arm] for arm in arms])
     rows = [row for via in VIA for row in _rows(errors_mm[:, via], [arm[via] for arm in arms], via)]
     first = arms[0]
-    pictures = [
-        *_views("Fig. 7: individual", "one recording, sample by sample", first[0], 1),
-        *_views("Fig. 8: initial population", "five recordings", first[0], RUNS),
-        *(
-            view
-            for via in VIA
-            for view in _views(f"Fig. {9 + via}: experiment {via + 1}", f"{via} intermediate points", first[via])
-        ),
-        Picture(
-            "Fig. 12: comparison",
-            "distance over time, each by the GA as printed",
-            lambda: _over_time(first),
-        ),
-    ]
+    pictures = _views("Fig. 7: individual", "one recording, sample by sample", first[0], 1)
+    pictures += _views("Fig. 8: initial population", "five recordings", first[0], RUNS)
+    for via in VIA:
+        pictures += _views(f"Fig. {9 + via}: experiment {via + 1}", f"{via} intermediate points", first[via])
+    together = "distance over time, each by the GA as printed"
+    pictures.append(Picture("Fig. 12: comparison", together, partial(_over_time, first)))
     told = introduced("002", arms=effort.arms, from_m=FROM_M, to_m=TO_M, runs=RUNS)
     return PaperReport(*told, tuple(rows), (_table(errors_mm),), tuple(pictures))
 
