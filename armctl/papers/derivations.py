@@ -10,8 +10,6 @@ from functools import reduce
 from importlib import resources
 from typing import Any
 
-import numpy as np
-
 from armctl.config import parse_yaml
 from armctl.kinematics import robots
 from armctl.kinematics.robots.papers import INITIAL_DEG
@@ -81,7 +79,6 @@ def _xiang() -> dict[str, Cells]:
     stretched, all_links = _back(upper) * turned, A[0] * upper
     # Print has it as the 0 that it is.
     stretched[1, 3] = stretched[1, 3].subs({T[0, 3]: all_links[0, 3], T[1, 3]: all_links[1, 3]})
-    table = enumerate(robots.get("xiang-6dof").chain.rows, 1)
     return {
         **{f"({number})": link.tolist() for number, link in enumerate(A, 2)},
         "(9)": (A[0] * upper * hand).tolist(),
@@ -92,20 +89,13 @@ def _xiang() -> dict[str, Cells]:
         "(14)": [[T[2, 3], upper[1, 3]]],
         "(17), left": stretched.tolist(),
         "(17), right": hand.tolist(),
-        "Fig. 9": [[n, symbol(f"q{n}"), *_numbers(row.d * 100, row.a * 100, row.alpha), 0] for n, row in table],
     }
 
 
-def _numbers(*values: float) -> list[Any]:
-    return [sympy.Rational(f"{value:.6f}") for value in values]
-
-
 def _puma() -> dict[str, Cells]:
-    rows = enumerate(robots.get("puma560").chain.rows, 1)
     theta, alpha, a, d = (symbol(f"{name}_i") for name in ("theta", "alpha", "a", "d"))
     away = [[None, None, None, symbol(f"p_n{axis}") - symbol(f"p_{axis}")] for axis in "xyz"]
     return {
-        "Table 1": [[n, *_numbers(np.degrees(row.alpha), row.a), THETA[n - 1], *_numbers(row.d)] for n, row in rows],
         "(1)": (about_z(theta, d) * about_x(alpha, a)).tolist(),
         "(3)": _pose().tolist(),
         "(5)": [*away, [0, 0, 0, 0]],
@@ -120,7 +110,6 @@ def _line() -> dict[str, Cells]:
     names = [name for row in (1, 2, 3) for name in (f"r_{row}1", f"r_{row}2", f"r_{row}3", f"p_{' xyz'[row]}")]
     numbered = enumerate(((name.replace("p", "P"), T[k // 4, k % 4]) for k, name in enumerate(names)), 7)
     return {
-        "Table I": [[n + 1, alpha * 180 / sympy.pi, a, d, THETA[n]] for n, (a, alpha, d) in enumerate(rows)],
         **{f"({number})": link.tolist() for number, link in enumerate(A, 1)},
         "(6)": _pose(names).tolist(),
         **{f"({number})": [[symbol(name), value]] for number, (name, value) in numbered},
