@@ -7,7 +7,7 @@ stand in `tables.yaml`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -37,19 +37,13 @@ class Command:
     file: str | None = None
     # What of the result the table shows.
     table: str = "rows"
+    # A sentence below the table about every row that has, or has not, a value at a key.
+    note: str = ""
+    noted: str = ""
+    noted_if: bool = True
 
 
 COMMANDS = {name: Command(**about) for name, about in tables("study")["studies"].items()}
-# A sentence below the table about a row of the result; empty: none.
-NOTES: dict[str, Callable[[Row], str]] = {
-    "arms": lambda row: f"arm {row['arm']}, via {row['via']}: {row['refused']}" if row["refused"] else "",
-    "limits": lambda row: (
-        ""
-        if row["without"]
-        else f"via {row['via']}: whole ticks alone {row['ticks_mm']:.2f} mm, zero offsets no encoder sees "
-        f"{row['unseen_mm']:.2f} mm"
-    ),
-}
 
 
 @click.group("study")
@@ -131,5 +125,6 @@ def show(output: Output, name: str, result: Mapping[str, Sequence[Row]]) -> None
     rows = result[command.table]
     title = command.title.format_map({**rows[0], "drawn": len({row.get("arm") for row in result["rows"]})})
     show_rows(output.console, f"study {name}", title, rows)
-    for note in filter(None, map(NOTES.get(name, lambda _: ""), result["rows"])):
-        output.say(note)
+    for row in result["rows"] if command.note else ():
+        if bool(row[command.noted]) is command.noted_if:
+            output.say(command.note.format_map(row))

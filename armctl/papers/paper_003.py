@@ -62,9 +62,8 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         claim("solutions of a pose at most", said("003", "solutions"), str(most), most == 4),
         *_rows(robot, points, motion),
     )
-    return PaperReport(
-        *introduced("003"), rows, (_extent_table(extent, points),), tuple(_pictures(robot, extent, points, motion))
-    )
+    table = Table("Fig. 4: workspace", *drawn.extents_table(extent, points))
+    return PaperReport(*introduced("003"), rows, (table,), tuple(_pictures(robot, extent, points, motion)))
 
 
 def _rows(robot: Robot, points: FloatArray, motion: Curves) -> list[Row]:
@@ -78,16 +77,6 @@ def _rows(robot: Robot, points: FloatArray, motion: Curves) -> list[Row]:
         claim("distance of the trajectory's end", said("003", "reached"), missed, missed < EXACT, unit="m"),
         claim("greatest step of acceleration between samples, of its peak", said("003", "smooth"), steps, steps < 0.1),
     ]
-
-
-def _extent_table(extent: FloatArray, points: FloatArray) -> Table:
-    cloud = workspace.cloud_extents(points)
-    rows = tuple(
-        (axis, *(f"{value * 1e3:.4f}" for value in (*extent[i].tolist(), *cloud[i].tolist())))
-        for i, axis in enumerate("xyz")
-    )
-    header = ("axis", "exact least", "exact greatest", "random least", "random greatest")
-    return Table("Fig. 4: workspace", header, rows, f"mm; random: {len(points)} configurations by eq. (12)")
 
 
 def _pictures(robot: Robot, extent: FloatArray, points: FloatArray, motion: Curves) -> list[Picture]:

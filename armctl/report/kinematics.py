@@ -104,16 +104,23 @@ def in_mm(values: FloatArray, unit: str) -> tuple[FloatArray, str]:
     return (values * 1e3, f"m{unit}") if unit.startswith("m") else (values, unit)
 
 
+def extents_table(
+    extent_m: FloatArray, points_m: FloatArray
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+    """Exact extents, shape (3, 2), beside those of a cloud, shape (m, 3): header, rows and caption."""
+    boxes_mm = np.column_stack([extent_m, points_m.min(axis=0), points_m.max(axis=0)]) * 1e3
+    rows = tuple((axis, *(f"{value:.4f}" for value in row)) for axis, row in zip("xyz", boxes_mm, strict=True))
+    header = ("axis", "exact least", "exact greatest", "random least", "random greatest")
+    return header, rows, f"millimetres, within the joint ranges; random: {len(points_m)} configurations"
+
+
 def write_workspace(
     robot: Robot, extent_m: FloatArray, points_m: FloatArray, reach: ReachabilityMap | None, path: Path
 ) -> None:
     """A page with the workspace."""
     page = Page(f"Workspace of {robot.name}")
     page.text(robot.source)
-    boxes_mm = np.column_stack([extent_m, points_m.min(axis=0), points_m.max(axis=0)]) * 1e3
-    rows = [(axis, *(f"{value:.3f}" for value in row)) for axis, row in zip("xyz", boxes_mm, strict=True)]
-    note = f"millimetres, within the joint ranges; random: {len(points_m)} configurations"
-    page.table(("axis", "exact least", "exact greatest", "random least", "random greatest"), rows, note)
+    page.table(*extents_table(extent_m, points_m))
     for view in (WORKSPACE_IN_SPACE, *sorted(PLANES)):
         page.heading(view)
         page.figure(workspace(points_m, extent_m, view), f"{view}: tool points of random configurations")

@@ -59,13 +59,10 @@ def summary(rows: Sequence[Row]) -> list[Row]:
         done = [row for row in some if row["refused"] is None]
         told: Row = {"via": via, "arms": len(done), "refused": len(some) - len(done)}
         for key in ("before", "truth"):
-            errors = [row[key] for row in done if row[key] is not None]
-            if errors:
-                told[key] = {name: _spread([one[name] for one in errors]) for name in TOLD[:2]}
+            # Mean and maximum of each arm, shape (arms, 2).
+            errors = np.array([[row[key][name] for name in TOLD[:2]] for row in done if row[key] is not None])
+            if len(errors):
+                over = {"median": np.median(errors, axis=0), "worst": errors.max(axis=0), "spread": errors.std(axis=0)}
+                told[key] = {name: {of: float(two[k]) for of, two in over.items()} for k, name in enumerate(TOLD[:2])}
         result.append(told)
     return result
-
-
-def _spread(values: Sequence[float]) -> dict[str, float]:
-    found = np.array(values)
-    return {"median": float(np.median(found)), "worst": float(found.max()), "spread": float(found.std())}

@@ -66,17 +66,12 @@ def over_seeds(rows: Sequence[Row], cases: Sequence[Case], *_: object) -> list[R
     for begin in range(0, len(rows), repeats):
         some = rows[begin : begin + repeats]
         errors = np.array([row["mean_error_mm"] for row in some])
-        result.append(
-            {
-                **{name: some[0][name] for name in VARIED},
-                "mean_error_mm": float(errors.mean()),
-                "spread_mm": float(errors.std()),
-                "best_mm": float(errors.min()),
-                "gap_ratio": float(np.mean([row["gap_ratio"] for row in some])),
-                "feasible": sum(row["feasible"] for row in some),
-                "settled_generation": float(np.mean([row["settled_generation"] for row in some])),
-                "exact_mean_error_mm": some[0]["exact_mean_error_mm"],
-                "repeats": len(some),
-            }
-        )
+        told: Row = {name: some[0][name] for name in (*VARIED, "exact_mean_error_mm")}
+        told |= {name: float(np.mean([row[name] for row in some])) for name in ("gap_ratio", "settled_generation")}
+        told |= {
+            "mean_error_mm": float(errors.mean()),
+            "spread_mm": float(errors.std()),
+            "best_mm": float(errors.min()),
+        }
+        result.append(told | {"feasible": sum(row["feasible"] for row in some), "repeats": len(some)})
     return result
