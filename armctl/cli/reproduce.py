@@ -10,8 +10,8 @@ from armctl.cli.output import Output, command
 from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
+    from armctl.papers.comparison import PaperReport
     from armctl.papers.entry import Entry
-    from armctl.papers.page import PaperReport
 
 
 @command("reproduce")
@@ -24,9 +24,9 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
     """
     from armctl.papers import entries as judged
     from armctl.papers import page as report
+    from armctl.papers.comparison import FULL, QUICK
     from armctl.papers.entry import errata
     from armctl.papers.run import PAPERS
-    from armctl.papers.verdict import FULL, QUICK
     from armctl.recording.disk import writing
 
     papers = tuple(PAPERS) if paper == "all" else (paper,)

@@ -5,7 +5,7 @@ algebra by hand. A cell is an expression, or words where print has no formula to
 `measurements.py` has the same cells on numbers, by other means: a slip made here is found there.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import reduce
 from importlib import resources
 from typing import Any
@@ -147,6 +147,5 @@ def _transfer() -> dict[str, Cells]:
     }
 
 
-_ALL: tuple[Callable[[], dict[str, Cells]], ...] = (_xiang, _puma, _line, _lanzhou, _transfer)
 # By paper.
-DERIVED = {f"{paper:03}": derive for paper, derive in enumerate(_ALL)}
+DERIVED = {"000": _xiang, "001": _puma, "002": _line, "003": _lanzhou, "004": _transfer}

@@ -212,9 +212,8 @@ def _transfer(rng: np.random.Generator) -> Measured:
     }
 
 
-_ALL: tuple[Callable[[np.random.Generator], Measured], ...] = (_xiang, _puma, _line, _lanzhou, _transfer)
 # By paper.
-MEASURED = {f"{paper:03}": measure for paper, measure in enumerate(_ALL)}
+MEASURED = {"000": _xiang, "001": _puma, "002": _line, "003": _lanzhou, "004": _transfer}
 
 
 # ----------------------------------------------------------------------------------------------------- cells of tables

@@ -1,79 +1,13 @@
-"""The page that compares the papers with their recomputation: what is printed, what is found, what is wrong.
+"""The page that compares the papers with their recomputation: what is printed, what is found, what is wrong."""
 
-A `PaperReport` is data: rows of numbers with a verdict, tables, and pictures that are drawn only when a page is made.
-"""
-
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from armctl.kinematics.transform import FloatArray
+from armctl.papers.comparison import PaperReport
 from armctl.papers.entry import MISPRINT, NOT_READABLE, Entry, counted, errata
 from armctl.papers.transcription import transcription
-from armctl.report.page import Figure, Marked, Page, curve
-
-
-@dataclass(frozen=True)
-class Row:
-    """One quantity of a paper beside armctl's."""
-
-    quantity: str
-    # None: the paper gives no number.
-    printed: float | str | None
-    armctl: float | str
-    unit: str
-    # "equal", "misprint", "differs: why" or "not printed".
-    verdict: str
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of a paper, recomputed."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    caption: str = ""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure of a paper, redrawn when asked for; those with one title in a row are its parts, side by side."""
-
-    title: str
-    description: str
-    draw: Callable[[], Figure]
-
-
-def pictures(
-    names: Iterable[str], title: str, description: str, draw: Callable[..., Figure], *of: Any
-) -> list[Picture]:
-    """One picture for each name: the name fills in title and description, and is what `draw` draws of `of`."""
-    return [Picture(title.format(name), description.format(name), partial(draw, *of, name)) for name in names]
-
-
-def by_generation(figure: Figure, name: str, colour: str, best: FloatArray, mean: FloatArray) -> None:
-    """Add the best and the mean of a genetic algorithm's population, one value a generation from the first on."""
-    for values, which, dash in ((best, "best", "solid"), (mean, "mean", "dot")):
-        curve(figure, np.arange(1, len(values) + 1), values, name.format(which), colour, dash=dash)
-
-
-@dataclass(frozen=True)
-class PaperReport:
-    """Everything about one paper."""
-
-    paper: str
-    title: str
-    notes: tuple[str, ...]
-    rows: tuple[Row, ...]
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
-
+from armctl.report.page import Marked, Page
 
 QUANTITIES = ("quantity", "printed", "armctl", "verdict")
 ERRATA = ("where", "printed", "true", "proof")

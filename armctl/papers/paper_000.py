@@ -16,9 +16,8 @@ from armctl.kinematics.inverse import refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.lab.stage import Stage
-from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, pictures
+from armctl.papers.comparison import Effort, PaperReport, Picture, Row, Table, claim, error, pictures, unprinted
 from armctl.papers.transcription import introduced, said, transcription
-from armctl.papers.verdict import Effort, claim, error, unprinted
 from armctl.report import kinematics as drawn
 from armctl.report.page import Figure, axes
 
@@ -246,7 +245,7 @@ def _curves(runs: Iterable[Evolution], k: int) -> Figure:
     figure = axes("generation", "distance [cm]", drawn.HEIGHT)
     for run, share, colour in zip(runs, ("a bit", "an individual"), drawn.COLOURS[::2], strict=False):
         costs = (np.sqrt(cost[:, k]) * 100.0 for cost in (run.best_cost, run.mean_cost))
-        by_generation(figure, f"{{}}, mutation of 0.01 {share}", colour, *costs)
+        drawn.by_generation(figure, f"{{}}, mutation of 0.01 {share}", colour, *costs)
     return figure
 
 

@@ -20,9 +20,8 @@ from armctl.kinematics.solution import solve
 from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray, finite, pose_from_xyz_rpy, rotation_error, rpy_from_matrix
 from armctl.lab.stage import Progress, Stage
-from armctl.papers.page import PaperReport, Picture, Row, Table, by_generation, pictures
+from armctl.papers.comparison import Effort, PaperReport, Picture, Row, Table, claim, error, pictures, unprinted
 from armctl.papers.transcription import introduced, said
-from armctl.papers.verdict import Effort, claim, error, unprinted
 from armctl.report import kinematics as drawn
 from armctl.report.page import Figure, axes, curve
 
@@ -203,7 +202,7 @@ def _curves(robot: Robot, better: Evolution, standard: Evolution) -> Figure:
         (standard, "standard", STANDARD_XYZ_RPY, drawn.COLOURS[0]),
     ):
         costs = (np.median(cost, axis=1) for cost in (run.best_cost, run.mean_cost))
-        by_generation(figure, f"{name}, {{}} (median)", colour, *costs)
+        drawn.by_generation(figure, f"{name}, {{}} (median)", colour, *costs)
         squares = ((pose_from_xyz_rpy(*line)[:3] - wanted) ** 2).sum(axis=0)
         printed.append(float(squares @ (1.0, 1.0, 1.0, POSITION_WEIGHT)))
         curve(figure, [1, len(run.best_cost)], printed[-1:] * 2, f"{name}, in Table 2", colour, dash="dash")

@@ -19,9 +19,8 @@ from armctl.lab.line_results import true_mm
 from armctl.lab.stage import Stage
 from armctl.lab.study.case import Case
 from armctl.lab.table_ii import FROM_M, RUNS, TO_M, VIA
-from armctl.papers.page import PaperReport, Picture, Row, Table
+from armctl.papers.comparison import Effort, PaperReport, Picture, Row, Table, error, unprinted
 from armctl.papers.transcription import introduced
-from armctl.papers.verdict import Effort, error, unprinted
 from armctl.report import kinematics as drawn
 from armctl.report.line import ALONG, PRINTED, distance_curve, paths_in_space
 from armctl.report.page import Figure, axes, curve

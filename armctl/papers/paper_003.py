@@ -10,9 +10,8 @@ from armctl.kinematics.robots.papers import FIG_5_DEG
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.stage import Stage
-from armctl.papers.page import PaperReport, Picture, Row, Table, pictures
+from armctl.papers.comparison import Effort, PaperReport, Picture, Row, Table, claim, pictures, through_closed_form
 from armctl.papers.transcription import introduced, said
-from armctl.papers.verdict import Effort, claim, through_closed_form
 from armctl.report import kinematics as drawn
 from armctl.trajectory.quintic import Curves, curves, quintic
 

@@ -18,12 +18,10 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, rotation_error
 from armctl.lab.stage import Stage
 from armctl.lab.virtual_transfer import record
-from armctl.papers.page import PaperReport, Picture, Row, pictures
+from armctl.papers.comparison import Effort, PaperReport, Picture, Row, claim, pictures, through_closed_form, unprinted
 from armctl.papers.transcription import introduced, said, transcription
-from armctl.papers.verdict import Effort, claim, through_closed_form, unprinted
 from armctl.report import kinematics as drawn
 from armctl.report import transfer_curves
-from armctl.report.transfer_curves import Transfer
 from armctl.trajectory import transfer as trajectory
 from armctl.trajectory.quintic import Curves, curves
 
@@ -67,18 +65,12 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     robot = robots.get(ROBOT)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (effort.random_poses, robot.chain.n))
     with stage("004: kinematics and cycle", 1):
-        logged = logged_cycle(seed)
+        with tempfile.TemporaryDirectory(prefix="armctl-") as folder:
+            logged = transfer_curves.load(record(load_arm(ROBOT), LOGGED, Path(folder) / "transfer.mcap", seed=seed))
         shown, described = simulated_cycle(robot), "{}: the model's and the recorded one"
         seen = pictures(transfer_curves.TITLES, "from the log, {}", described, transfer_curves.draw, logged)
         rows = [*_pose_rows(robot), *_inverse_rows(robot, q), *_jacobian_rows(robot, q), *_curve_rows(shown)]
     return PaperReport(*introduced("004", scale=SCALE), tuple(rows), (), (*_pictures(robot, shown), *seen))
-
-
-def logged_cycle(seed: int) -> Transfer:
-    """A cycle that the control loop ran on a simulated arm, read back from its log."""
-    arm = load_arm(ROBOT)
-    with tempfile.TemporaryDirectory(prefix="armctl-") as folder:
-        return transfer_curves.load(record(arm, LOGGED, Path(folder) / "transfer.mcap", seed=seed))
 
 
 def _pose_rows(robot: Robot) -> list[Row]:

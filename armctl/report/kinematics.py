@@ -14,6 +14,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.kinematics.workspace import ReachabilityMap
 from armctl.report.page import CLOSE, Figure, Page, axes, in_space, plotly
+from armctl.report.page import curve as line
 from armctl.trajectory.quintic import Curves
 
 # Points of a cloud that are drawn; more only make the page slow.
@@ -97,6 +98,12 @@ def curve(curves: Curves, title: str, first: int | None = None) -> Figure:
         shown = True if first is None or k < first else "legendonly"
         chart.add_scatter(x=curves.time_s, y=column, name=name, line={"color": colour}, visible=shown)
     return chart
+
+
+def by_generation(figure: Figure, name: str, colour: str, best: FloatArray, mean: FloatArray) -> None:
+    """Add the best and the mean of a genetic algorithm's population, one value a generation from the first on."""
+    for values, which, dash in ((best, "best", "solid"), (mean, "mean", "dot")):
+        line(figure, np.arange(1, len(values) + 1), values, name.format(which), colour, dash=dash)
 
 
 def in_mm(values: FloatArray, unit: str) -> tuple[FloatArray, str]:

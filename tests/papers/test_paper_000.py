@@ -9,7 +9,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.lab.stage import silent
 from armctl.papers import paper_000
-from armctl.papers.verdict import QUICK, SMALLER
+from armctl.papers.comparison import QUICK, SMALLER
 
 ROBOT = robots.get("xiang-6dof")
 

@@ -13,9 +13,8 @@ from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
 from armctl.lab.stage import silent
 from armctl.papers import paper_001, paper_002, paper_003, paper_004
-from armctl.papers.page import PaperReport
+from armctl.papers.comparison import QUICK, SMALLER, PaperReport, error
 from armctl.papers.transcription import transcription
-from armctl.papers.verdict import QUICK, SMALLER, error
 
 TRANSFER = robots.get("transfer-6dof")
 

@@ -38,8 +38,6 @@ EFFECTS: dict[str, dict[str, Any]] = {
 }
 TIMING = "timing"
 TIMING_SHARE = 0.2
-# What is switched off; None: nothing.
-WITHOUT: tuple[str | None, ...] = (None, *EFFECTS, TIMING)
 # Durations of the fronts on the page, over the one asked for.
 FRONT_SHARES = (0.5, 0.7, 1.0, 1.6, 2.4)
 

@@ -1,6 +1,12 @@
-"""Rows with a verdict: how a printed number compares with the computed one. And a check that several papers need."""
+"""What recomputing a paper gives: rows of numbers with a verdict, tables, pictures; and a check that several need.
 
+A `PaperReport` is data; its pictures are drawn only when a page is made.
+"""
+
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -8,7 +14,58 @@ from armctl.kinematics.chain import forward_kinematics
 from armctl.kinematics.inverse import pose_errors
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.papers.page import Row
+from armctl.report.page import Figure
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of a paper beside armctl's."""
+
+    quantity: str
+    # None: the paper gives no number.
+    printed: float | str | None
+    armctl: float | str
+    unit: str
+    # "equal", "misprint", "differs: why" or "not printed".
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a paper, recomputed."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of a paper, redrawn when asked for; those with one title in a row are its parts, side by side."""
+
+    title: str
+    description: str
+    draw: Callable[[], Figure]
+
+
+def pictures(
+    names: Iterable[str], title: str, description: str, draw: Callable[..., Figure], *of: Any
+) -> list[Picture]:
+    """One picture for each name: the name fills in title and description, and is what `draw` draws of `of`."""
+    return [Picture(title.format(name), description.format(name), partial(draw, *of, name)) for name in names]
+
+
+@dataclass(frozen=True)
+class PaperReport:
+    """Everything about one paper."""
+
+    paper: str
+    title: str
+    notes: tuple[str, ...]
+    rows: tuple[Row, ...]
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
 
 
 @dataclass(frozen=True)
