@@ -7,13 +7,12 @@ algebra by hand. A cell is an expression, or words where print has no formula to
 
 from collections.abc import Sequence
 from functools import reduce
-from importlib import resources
 from typing import Any
 
-from armctl.config import parse_yaml
 from armctl.kinematics import robots
 from armctl.kinematics.robots.papers import INITIAL_DEG
 from armctl.papers.notation import product_to_sum, read, symbol, sympy
+from armctl.papers.transcription import written
 
 Cells = Sequence[Sequence[Any]]
 # Of the tool's pose, its rows one after the other.
@@ -57,10 +56,9 @@ def _pose(names: Sequence[str] = NAMES) -> Any:
 
 def derived(paper: str) -> dict[str, Cells]:
     """Every derived equation of a paper: those below, and `derived.yaml`."""
-    text = resources.files("armctl.papers").joinpath("derived.yaml").read_text(encoding="utf-8")
     by_hand = {
         number: [[_by_hand(cell.strip()) for cell in line.split("|")] for line in lines.splitlines()]
-        for number, lines in parse_yaml(text, "derived.yaml")[paper].items()
+        for number, lines in written("derived.yaml")[paper].items()
     }
     return DERIVED[paper]() | by_hand
 

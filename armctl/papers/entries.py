@@ -5,7 +5,6 @@ configurations: the derivation has to agree with what `measurements.py` finds th
 table's cell, and of words, the verdict is a difference beyond rounding.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -31,14 +30,11 @@ class _Formula:
     row: int
     column: int
     printed: str
-    # Expressions, or words, or None.
+    # An expression; None: it is not derived, or words.
     read: Any
+    # An expression, words, or None.
     derived: Any
     off: tuple[float, float] | None = None
-
-    @property
-    def computed(self) -> bool:
-        return not isinstance(self.derived, str | None) and self.read is not None
 
 
 def entries(papers: Sequence[str]) -> list[Entry]:
@@ -57,7 +53,9 @@ def _equations(paper: str, printed: Transcription) -> Iterator[Entry]:
     for one in formulas:
         place = f"line {printed.equations[one.number].line}"
         verdict, true = _judged(one, small=paper in ("003", "004"))
-        yield Entry(paper, one.number, one.row, one.column, one.printed, true, verdict, place, off=one.off)
+        # What no number says is not proven.
+        off = (0.0, 0.0) if verdict == MISPRINT and one.off is None else one.off
+        yield Entry(paper, one.number, one.row, one.column, one.printed, true, verdict, place, off=off)
 
 
 def _formulas(paper: str, printed: Transcription) -> Iterator[_Formula]:
@@ -66,15 +64,14 @@ def _formulas(paper: str, printed: Transcription) -> Iterator[_Formula]:
         for r, row in enumerate(equation.rows):
             for c, text in enumerate(row):
                 true = known[number][r][c] if number in known and not text.startswith("?") else None
-                if true is None or isinstance(true, str):
-                    yield _Formula(number, r + 1, c + 1, text, None, true)
-                else:
-                    yield _Formula(number, r + 1, c + 1, text, read(text), sympy.sympify(true))
+                place = number, r + 1, c + 1, text
+                words = true is None or isinstance(true, str)
+                yield _Formula(*place, None, true) if words else _Formula(*place, read(text), sympy.sympify(true))
 
 
 def _measure(paper: str, formulas: list[_Formula]) -> None:
     """How far print and derivation are off, at most, at several configurations."""
-    computed = [one for one in formulas if one.computed]
+    computed = [one for one in formulas if one.read is not None]
     pairs = [expression for one in computed for expression in (one.read, one.derived)]
     names = sorted({name for pair in pairs for name in pair.free_symbols}, key=str)
     value_of = sympy.lambdify([names], pairs, "numpy")
@@ -85,13 +82,12 @@ def _measure(paper: str, formulas: list[_Formula]) -> None:
         with np.errstate(all="ignore"):
             numbers = iter(value_of(given))
         for one in formulas:
-            pair = (next(numbers), next(numbers)) if one.computed else (one.printed, one.derived)
+            pair = (next(numbers), next(numbers)) if one.read is not None else (one.printed, one.derived)
             measured = cells[one.number][one.row - 1][one.column - 1] if one.number in cells else None
             if measured is not None and one.derived is not None:
                 gaps = [measured(value) if callable(measured) else abs(value - measured) for value in pair]
-                print_, true = (math.inf if math.isnan(gap) else float(gap) for gap in gaps)
-                before = one.off or (0.0, 0.0)
-                one.off = max(before[0], print_), max(before[1], true)
+                print_, true = np.maximum(np.nan_to_num(gaps, nan=np.inf), one.off or 0.0).tolist()
+                one.off = print_, true
 
 
 def _judged(one: _Formula, *, small: bool) -> tuple[str, str | None]:

@@ -7,8 +7,9 @@ be a function of the printed words, which tells how far off they are. None: not 
 """
 
 import math
-import re
+import operator
 from collections.abc import Callable, Sequence
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -20,7 +21,9 @@ from armctl.kinematics.robots.papers import FIG_5_DEG, INITIAL_DEG, LANZHOU_RANG
 from armctl.kinematics.transform import FloatArray
 from armctl.papers.derivations import NAMES
 from armctl.papers.paper_000 import HEIGHT_CM, RADIUS_CM, population_formula
+from armctl.papers.paper_004 import tool_rate
 from armctl.papers.transcription import Transcription
+from armctl.trajectory.straightness import distance_to_line, mean_error
 
 # Values by name, and cells by equation.
 Measured = tuple[dict[str, float], dict[str, Any]]
@@ -54,13 +57,24 @@ def _rows(frames: FloatArray, scale: float = 1.0, *, modified: bool = False) -> 
     return rows
 
 
-def _apart(*wanted: float, scale: float = 1.0) -> Callable[[Any], float]:
-    """How far the numbers in printed words are from the wanted ones, at most; or a number from the last of them."""
+def _says(words: str, number: float, scale: float = 1.0) -> Callable[[Any], float]:
+    """How far a printed number is from what it should be; words are the right ones or infinitely far."""
 
     def off(printed: Any) -> float:
-        numbers = re.findall(r"-?\d+", printed) if isinstance(printed, str) else (*wanted[:-1], printed)
-        gaps = [abs(float(one) - true) for one, true in zip(numbers, wanted, strict=False)]
-        return max(gaps) * scale if len(numbers) == len(wanted) else math.inf
+        if isinstance(printed, str):
+            return 0.0 if printed == words else math.inf
+        return abs(float(printed) - number) * scale
+
+    return off
+
+
+def _meant(means: dict[str, Any], true: Any) -> Callable[[str], float]:
+    """How far what words mean, or the product of the words one by one, is from what is true; infinitely: nothing."""
+
+    def off(words: str) -> float:
+        factors = [means.get(word) for word in ([words] if words in means else words.split())]
+        known = all(factor is not None for factor in factors)
+        return float(np.abs(reduce(operator.matmul, factors) - true).max()) if known else math.inf
 
     return off
 
@@ -89,6 +103,13 @@ def _xiang(rng: np.random.Generator) -> Measured:
     frames = link_frames(SerialChain(rows), q)
     T, links = frames[-1], _links(frames)
     turned, stretched = (np.linalg.inv(frames[joint]) @ T for joint in (1, 4))
+    if rng.random() < 0.5:
+        # Of the arm's own poses entries are 0 whatever their sign; the left sides hold for any other as well.
+        T = forward_kinematics(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
+        turned, left = np.linalg.inv(frames[1]) @ T, (np.linalg.inv(frames[4]) @ T).tolist()
+        left[1][3] = None  # print has it as the 0 that it is
+        cells = _links_from(2, links) | {"(10)": T, "(11), left": turned, "(17), left": left}
+        return lengths | _pose(T) | _named("theta", q), cells
     # Eq. (18): the arm of Fig. 9, its angles from the vertical, its hand's joint turned by a quarter.
     fig_9 = _drawn(rng, "d1", "a2", "a3", "d5")
     robot = robots.get("xiang-6dof", fig_9)
@@ -103,7 +124,8 @@ def _xiang(rng: np.random.Generator) -> Measured:
     ranges = [[low, angle, high] for (low, high), angle in zip(robot.limits_rad[1:4], q[1:4], strict=True)]
     sides = {"(12)": q[0], "(13)": turned[0, 3], "(14)": T[2, 3]}
     sides |= {"(15)": math.cos(q[2]), "(16)": math.cos(q[2]), "after (16)": math.sin(q[2])}
-    matrices = {"(9)": T, "(10)": T, "(11), left": turned, "(11), right": turned}
+    product = [_meant(dict.fromkeys(("RT1 1T2 2T3 ... n-1Tn", "A1 A2 A3 ... An"), reduce(np.matmul, links)), T)] * 2
+    matrices = {"(8)": [product], "(9)": T, "(10)": T, "(11), left": turned, "(11), right": turned}
     matrices |= {"(17), left": stretched, "(17), right": stretched, "(18)": [[missed], *ranges], "Fig. 9": table}
     return values, _links_from(2, links) | _both(sides) | matrices
 
@@ -112,12 +134,13 @@ def _puma(rng: np.random.Generator) -> Measured:
     values, link = _one_link(rng, "standard", "i")
     frames = link_frames(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
     T, other = frames[-1], frames[-2]
-    table = [[n, alpha, _apart(a, scale=1e3), None, _apart(d, scale=1e3)] for n, a, alpha, d in _rows(frames)]
+    table = [[n, alpha, _says("", a, 1e3), None, _says("", d, 1e3)] for n, a, alpha, d in _rows(frames)]
     values |= {f"p_n{axis}": float(away) for axis, away in zip("xyz", other[:3, 3], strict=True)}
+    blocks = {"R_n3x3": reduce(np.matmul, _links(frames))[:3, :3], "O_n3x1": T[:3, 3:], "0_1x3": np.zeros((1, 3))}
     return values | _pose(T), {
         "(1)": link,
         "(3)": T,
-        "(3), blocks": ((None, None), (None, 1.0)),
+        "(3), blocks": [[_meant(blocks, T[:3, :3]), _meant(blocks, T[:3, 3:])], [_meant(blocks, T[3:, :3]), 1.0]],
         "(5)": other - T,
         "Table 1": table,
     }
@@ -135,7 +158,22 @@ def _line(rng: np.random.Generator) -> Measured:
     large = {f"P_{axis}": float(T[k, 3]) for k, axis in enumerate("xyz")}
     values = {name.replace("_", "", name[0] == "r"): value for name, value in _pose(T, names).items()}
     values |= {**lengths, **large, **_named("theta", q)}
-    return values, _links_from(1, links) | entries | {"(6)": T, "Table I": table}
+    # Any points and any line, the fitness of any population.
+    A, B, *points = rng.uniform(-0.3, 0.3, (7, 3))
+    P, fitness = np.array(points), rng.uniform(0.1, 1.0, 5)
+    away, shares = np.linalg.norm(np.cross(P - A, P - B), axis=1) / np.linalg.norm(B - A), fitness / fitness.sum()
+    cumulated = np.cumsum(fitness) / fitness.sum()
+    means = {
+        "norm((P_i - A) x (P_i - B)) / norm(B - A)": away,
+        "sum(i = 1..n, f(x_i) / n)": sum(away / len(away)),
+        "P[i]": shares,
+        "fitness value / total fitness population": shares,
+        "C[i]": cumulated,
+        "P[1] + ... + P[i]": [sum(shares[: i + 1]) for i in range(len(shares))],
+    }
+    true = {"(19)": distance_to_line(P, A, B), "(20)": mean_error(P, A, B), "(21)": np.diff(cumulated, prepend=0.0)}
+    words = {number: [[_meant(means, value)] * 2] for number, value in (true | {"(22)": cumulated}).items()}
+    return values, _links_from(1, links) | entries | words | {"(6)": T, "Table I": table}
 
 
 def _lanzhou(rng: np.random.Generator) -> Measured:
@@ -160,32 +198,32 @@ def _lanzhou(rng: np.random.Generator) -> Measured:
     values |= {"x": out, "y": down, "alpha": alpha, "beta": beta, "Δ": weighted}
     values |= {"theta_min": least, "theta_max": least + span, "Rand": rand}
     shown = _rows(link_frames(robots.get("lanzhou-4dof").chain, q), 1e3, modified=True)
-    ranges = (*LANZHOU_RANGES_DEG, (0.0,))
-    table = [[n, values[f"theta{n}"], alpha, a, d, _apart(*ranges[n - 1])] for n, a, alpha, d in shown]
+    ranges = (*(f"{low:g}~{high:g}" for low, high in LANZHOU_RANGES_DEG), "0")
+    table = [[n, values[f"theta{n}"], alpha, a, d, _says(ranges[n - 1], 0.0)] for n, a, alpha, d in shown]
+    about = {"Rot_z(theta_i)": {}, "Trans_z(d_i)": {"d": values["d_i"]}, "Trans_x(a_{i-1})": {"a": values["a_before"]}}
+    about["Rot_x(alpha_{i-1})"] = {"alpha": values["alpha_before"]}
+    turns = {name: np.array([values["theta_i"] if name == "Rot_z(theta_i)" else 0.0]) for name in about}
+    motions = {name: forward_kinematics(SerialChain((DHRow(**row),)), turns[name]) for name, row in about.items()}
     bent_up = q[2] < 0.0
     matrices = {
-        "(1), left": [[lambda words: _order(words, values, link)]],
+        "(1), left": [[_meant(motions, link)]],
         "(1)": link,
         "(2), names": T,
         "(2)": T,
         "Table 1": table,
     }
-    cosine, rows = math.cos(q[2]), {"(3)": [math.tan(q[0]), q[0]], "(6)": [math.tan(beta), beta]}
-    sides = {"(4)": along**2, "(5)": cosine, "(7)": math.cos(alpha), "(8)": total, "(9)": q[3], "(10)": weighted}
-    others = {name: [[value] * 2 for value in column] for name, column in rows.items()}
-    others |= {"(11)": [[span * rand]], "(12)": [[None, least + span * rand]]}
+    sides = {
+        "(4)": along**2,
+        "(5)": math.cos(q[2]),
+        "(7)": math.cos(alpha),
+        "(8)": total,
+        "(9)": q[3],
+        "(10)": weighted,
+    }
+    others = {"(3)": [[math.tan(q[0])] * 2, [q[0]] * 2], "(6)": [[math.tan(beta)] * 2, [beta] * 2]}
+    others |= {"(11)": [[span * rand]], "(12)": [[values["theta_i"], least + span * rand]]}
     others["after (7)"] = [[q[1], q[1] if bent_up else None, None if bent_up else q[1]]]
     return values, matrices | _both(sides) | others
-
-
-def _order(words: str, values: dict[str, float], link: FloatArray) -> float:
-    """How far motions in the order of the words are from a link."""
-    T = np.eye(4)
-    for axis, name in re.findall(r"_([xz])\((\w+?)_", words):
-        value = values[f"{name}_i" if axis == "z" else f"{name}_before"]
-        row = DHRow(**{} if name == "theta" else {name: value})
-        T = T @ forward_kinematics(SerialChain((row,)), np.array([value if name == "theta" else 0.0]))
-    return float(np.abs(T - link).max())
 
 
 def _transfer(rng: np.random.Generator) -> Measured:
@@ -196,11 +234,22 @@ def _transfer(rng: np.random.Generator) -> Measured:
     values, link = _one_link(rng, "modified", "before")
     initial = forward_kinematics(robots.get("transfer-6dof").chain, np.radians(INITIAL_DEG))
     axes = frames[1:, :3, 2]
-    columns = np.concatenate([np.cross(axes, T[:3, 3] - frames[1:, :3, 3]), axes], axis=1)  # (eq. 8)
-    off = float(np.abs(columns.T - J).max())
+    levers = np.cross(axes, T[:3, 3] - frames[1:, :3, 3])
+    columns, rate = np.concatenate([levers, axes], axis=1), rng.uniform(-1.0, 1.0, 6)  # (eq. 8)
+    said = {"Z_i x iPn0": levers, "Z_i x (0R iPn)": levers, "Z_i": axes}
+    speeds = {"V": rate @ columns, "dX/dt": tool_rate(chain, q, rate), "J(q) dq/dt": J @ rate}
+    ways = {"0T6": T, "0T1 (1T2) (2T3) (3T4) (4T5) (5T6)": reduce(np.matmul, _links(frames))}
     shown = zip(_rows(link_frames(robots.get("transfer-6dof").chain, q), 1e3, modified=True), INITIAL_DEG, strict=True)
-    table = [[n, _apart(n - 1, a), alpha, _apart(n, d), _apart(n, deg)] for (n, a, alpha, d), deg in shown]
-    said = ("Z_i x iPn0", "Z_i x (0R iPn)", "Z_i")
+    table = [
+        [
+            n,
+            _says(f"a_{n - 1}={a:g}", a),
+            alpha,
+            _says(f"d_{n}={d:g}", d),
+            _says(f"theta_{n}={deg:g}{'°' * bool(deg)}", 0.0),
+        ]
+        for (n, a, alpha, d), deg in shown
+    ]
     return values | lengths | _pose(T) | _named("theta", q), {
         "Table 1": table,
         "(1)": link,
@@ -208,7 +257,10 @@ def _transfer(rng: np.random.Generator) -> Measured:
         "(4), second matrix": T,
         "after (3), 0T6": initial * np.array([[1.0, 1.0, 1.0, 1000.0]] * 3 + [[1.0] * 4]),
         "(4), first matrix": np.linalg.inv(frames[1]),
-        "(8)": [[lambda words: off if words in said else math.inf] * 2] * 2,
+        "(2)": [[_meant(ways, forward_kinematics(chain, q))] * 2],
+        "(7)": [[_meant(speeds, J @ rate)] * 3],
+        "(8)": [[_meant(said, part)] * 2 for part in (J[:3].T, J[3:].T)],
+        "(9)": [[_meant({f"TJ{k}(q)": column for k, column in enumerate(columns, 1)}, wanted) for wanted in J.T]],
     }
 
 

@@ -8,6 +8,7 @@ rounding. The papers are at hand as scanned text without page marks: a place is 
 from decimal import Decimal
 from functools import cache
 from importlib import resources
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -85,8 +86,12 @@ class Transcription(Frozen):
 def transcription(paper: str) -> Transcription:
     """What is transcribed of a paper, "000" to "004"."""
     file = f"printed/{paper}.yaml"
-    text = resources.files("armctl.papers").joinpath(file).read_text(encoding="utf-8")
-    return validate(Transcription, parse_yaml(text, file), file)
+    return validate(Transcription, written(file), file)
+
+
+def written(file: str) -> Any:
+    """What stands in a YAML file of this package."""
+    return parse_yaml(resources.files("armctl.papers").joinpath(file).read_text(encoding="utf-8"), file)
 
 
 def said(paper: str, quote: str) -> str:

@@ -37,6 +37,10 @@ def test_print_is_wrong_and_the_correction_holds(entry: Entry) -> None:
 
 def test_numbers_say_what_every_verdict_says() -> None:
     assert [entry for entry in ALL if not entry.proven] == []
+    of_equations = [entry for entry in ALL if entry.equation in transcription(entry.paper).equations]
+    judged = [entry for entry in of_equations if entry.verdict in (EQUAL, MISPRINT)]
+    assert len(judged) > 600
+    assert all(entry.off is not None for entry in judged)
 
 
 def test_every_entry_of_every_numbered_equation_has_a_verdict() -> None:
@@ -178,6 +182,32 @@ def test_an_error_planted_in_a_derivation_is_found_by_numbers(
 
 
 @pytest.mark.parametrize("paper", PAPERS)
+def test_an_error_planted_in_any_cell_of_a_derivation_is_found_by_numbers(
+    monkeypatch: pytest.MonkeyPatch, paper: str
+) -> None:
+    derive, printed, rng = derivations.derived, transcription(paper), random.Random(int(paper) + 19)
+    judged = {at(entry) for entry in ALL if entry.paper == paper and entry.verdict in (EQUAL, MISPRINT)}
+    formulas = [
+        (number, r, c)
+        for number, rows in derive(paper).items()
+        for r, row in enumerate(rows)
+        for c, cell in enumerate(row)
+        if not isinstance(cell, str) and (number, r + 1, c + 1) in judged
+    ]
+    for number, r, c in rng.sample(formulas, 8):
+
+        def slipped(of: str, number: str = number, r: int = r, c: int = c) -> dict[str, derivations.Cells]:
+            found = derive(of)
+            rows = [list(cells) for cells in found[number]]
+            # A sign; of nothing, something.
+            rows[r][c] = -rows[r][c] or symbol("theta1") / 7
+            return found | {number: rows}
+
+        monkeypatch.setattr(module, "derived", slipped)
+        assert [at(one) for one in of_paper(paper, printed) if not one.proven] == [(number, r + 1, c + 1)]
+
+
+@pytest.mark.parametrize("paper", PAPERS)
 def test_an_error_planted_in_a_table_of_parameters_is_found_by_numbers(
     monkeypatch: pytest.MonkeyPatch, paper: str
 ) -> None:
@@ -198,6 +228,36 @@ def test_an_error_planted_in_a_table_of_parameters_is_found_by_numbers(
 
         monkeypatch.setattr(module, "derived", slipped)
         assert [at(one) for one in of_paper(paper, printed) if not one.proven] == [at(entry)]
+
+
+@pytest.mark.parametrize("paper", PAPERS)
+def test_a_slip_in_words_of_a_derivation_or_of_print_is_found_by_numbers(
+    monkeypatch: pytest.MonkeyPatch, paper: str
+) -> None:
+    derive, printed = derivations.derived, transcription(paper)
+    known = {at(entry): entry for entry in ALL if entry.paper == paper and entry.verdict == EQUAL}
+    words = [
+        known[number, r, c]
+        for number, rows in derive(paper).items()
+        for r, row in enumerate(rows, 1)
+        for c, cell in enumerate(row, 1)
+        if isinstance(cell, str) and (number, r, c) in known
+    ]
+    assert len(words) == {"000": 2, "001": 3, "002": 6, "003": 5, "004": 25}[paper]
+    for entry in words:
+        found = {at(one): one for one in of_paper(paper, plant(printed, entry, f"{entry.printed} 7"))}[at(entry)]
+        assert found.verdict == MISPRINT
+        assert found.proven
+
+        def slipped(of: str, entry: Entry = entry) -> dict[str, derivations.Cells]:
+            found = derive(of)
+            rows = [list(cells) for cells in found[entry.equation]]
+            rows[(entry.row or 0) - 1][(entry.column or 0) - 1] += " 7"
+            return found | {entry.equation: rows}
+
+        monkeypatch.setattr(module, "derived", slipped)
+        assert [at(one) for one in of_paper(paper, printed) if not one.proven] == [at(entry)]
+        monkeypatch.setattr(module, "derived", derive)
 
 
 def test_words_that_are_no_formula_are_a_misprint_and_no_accident() -> None:
