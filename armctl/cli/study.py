@@ -72,7 +72,7 @@ def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> N
     """Do one study and show it."""
     from dataclasses import replace
 
-    from armctl.lab.line_experiment import named_takes
+    from armctl.lab.line_experiment import guided_takes, named_takes
     from armctl.lab.study.case import all_rows
     from armctl.lab.study.studies import STUDIES
     from armctl.lab.study.workers import Workers
@@ -82,8 +82,9 @@ def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> N
     cases = study.vary(case, **{key: asked[key] for key in command.varied})  # refuses bad settings before any work
     workers = Workers(output.progress, asked["workers"] or len(os.sched_getaffinity(0)), asked["scheduler"])
     if "recordings" in asked:
-        takes = tuple(named_takes(config, arm, asked["recordings"])) or workers.guided(case)
-        cases = [replace(case, takes=takes) for case in cases]
+        takes = named_takes(config, arm, asked["recordings"])
+        takes = takes or guided_takes(case.rig(), case.line, case.seed, output.progress)
+        cases = [replace(case, takes=tuple(takes)) for case in cases]
     path = asked.get(str(command.file))
     if command.file == "xlsx" and path is not None and path.exists():  # rather now than after the work
         raise LogError(f"{path}: exists already; choose another name, nothing is overwritten")

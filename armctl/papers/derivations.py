@@ -17,6 +17,7 @@ from armctl.papers.transcription import written
 Cells = Sequence[Sequence[Any]]
 # Of the tool's pose, its rows one after the other.
 NAMES = ("n_x", "o_x", "a_x", "p_x", "n_y", "o_y", "a_y", "p_y", "n_z", "o_z", "a_z", "p_z")
+NAMES_OF_002 = [name for n, row in enumerate("xyz", 1) for name in (f"r_{n}1", f"r_{n}2", f"r_{n}3", f"p_{row}")]
 THETA = [symbol(f"theta{joint}") for joint in range(1, 7)]
 LAST = sympy.Matrix([[0, 0, 0, 1]])
 QUARTER = sympy.pi / 2
@@ -105,11 +106,10 @@ def _line() -> dict[str, Cells]:
     rows = ((0, QUARTER, d1), (a2, 0, 0), (a3, 0, 0), (a4, 0, 0), (a5 + a6, 0, 0))
     A = [about_z(theta, d) * about_x(alpha, a) for theta, (a, alpha, d) in zip(THETA, rows, strict=False)]
     T = A[0] * _product(*A[1:])
-    names = [name for row in (1, 2, 3) for name in (f"r_{row}1", f"r_{row}2", f"r_{row}3", f"p_{' xyz'[row]}")]
-    numbered = enumerate(((name.replace("p", "P"), T[k // 4, k % 4]) for k, name in enumerate(names)), 7)
+    numbered = enumerate(((name.replace("p", "P"), T[k // 4, k % 4]) for k, name in enumerate(NAMES_OF_002)), 7)
     return {
         **{f"({number})": link.tolist() for number, link in enumerate(A, 1)},
-        "(6)": _pose(names).tolist(),
+        "(6)": _pose(NAMES_OF_002).tolist(),
         **{f"({number})": [[symbol(name), value]] for number, (name, value) in numbered},
     }
 

@@ -19,7 +19,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, jacobian, link_frames, tool_position
 from armctl.kinematics.robots.papers import FIG_5_DEG, INITIAL_DEG, LANZHOU_RANGES_DEG, QZ_DEG
 from armctl.kinematics.transform import FloatArray
-from armctl.papers.derivations import NAMES
+from armctl.papers.derivations import NAMES, NAMES_OF_002
 from armctl.papers.paper_000 import HEIGHT_CM, RADIUS_CM, population_formula
 from armctl.papers.paper_004 import tool_rate
 from armctl.papers.transcription import Transcription
@@ -152,11 +152,10 @@ def _line(rng: np.random.Generator) -> Measured:
     chain = robots.get("ax12-line", of_robot | {"a56": lengths["a5"] + lengths["a6"]}).chain
     frames = link_frames(chain, q)
     T, links = frames[-1], _links(frames)
-    names = [name for row, axis in enumerate("xyz", 1) for name in (f"r_{row}1", f"r_{row}2", f"r_{row}3", f"p_{axis}")]
     table = [[n, alpha, a, d, q[n - 1]] for n, a, alpha, d in _rows(frames)]
     entries = {f"({number})": [[value] * 2] for number, value in enumerate(T[:3].ravel(), 7)}
     large = {f"P_{axis}": float(T[k, 3]) for k, axis in enumerate("xyz")}
-    values = {name.replace("_", "", name[0] == "r"): value for name, value in _pose(T, names).items()}
+    values = {name.replace("_", "", name[0] == "r"): value for name, value in _pose(T, NAMES_OF_002).items()}
     values |= {**lengths, **large, **_named("theta", q)}
     # Any points and any line, the fitness of any population.
     A, B, *points = rng.uniform(-0.3, 0.3, (7, 3))

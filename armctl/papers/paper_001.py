@@ -25,6 +25,8 @@ from armctl.papers.transcription import introduced, said
 from armctl.report import kinematics as drawn
 from armctl.report.page import Figure, axes, curve
 
+# The wanted pose of Table 2.
+WANTED = pose_from_xyz_rpy(*WANTED_XYZ_RPY)
 # The standard algorithm with as many evaluations as the improved one.
 STANDARD = replace(plain.PAPER, population=improved.DEFAULT.populations * improved.DEFAULT.individuals)
 BATCH = 100
@@ -50,11 +52,6 @@ KNOCKED_OUT: dict[str, dict[str, Any]] = {
 }
 
 
-def wanted_pose() -> FloatArray:
-    """The wanted pose of Table 2, shape (4, 4)."""
-    return pose_from_xyz_rpy(*WANTED_XYZ_RPY)
-
-
 def problem(robot: Robot, T: FloatArray) -> Problem:
     """Poses, shape (runs, 4, 4), as the genetic algorithms see them."""
     return poses_problem(robot.chain, T, robot.limits_rad, POSITION_WEIGHT)
@@ -62,9 +59,9 @@ def problem(robot: Robot, T: FloatArray) -> Problem:
 
 def table_2_errors(xyz_rpy: Sequence[float]) -> tuple[float, float]:
     """Distance [m] and turn [rad] between a row of Table 2 and the wanted one."""
-    T, wanted = pose_from_xyz_rpy(*xyz_rpy), wanted_pose()
-    turn = rotation_error(T[:3, :3], wanted[:3, :3])
-    return float(np.linalg.norm(T[:3, 3] - wanted[:3, 3])), float(np.linalg.norm(turn))
+    T = pose_from_xyz_rpy(*xyz_rpy)
+    turn = rotation_error(T[:3, :3], WANTED[:3, :3])
+    return float(np.linalg.norm(T[:3, 3] - WANTED[:3, 3])), float(np.linalg.norm(turn))
 
 
 def solved_by_polish(robot: Robot, T: FloatArray, seed: int, show: Callable[[float, str], None]) -> Errors:
@@ -88,7 +85,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     """Recompute the paper."""
     robot = robots.get("puma560")
     seeds = [[seed, run] for run in range(effort.pose_seeds)]
-    T = np.repeat(wanted_pose()[None], len(seeds), axis=0)
+    T = np.repeat(WANTED[None], len(seeds), axis=0)
     with stage("001: both algorithms", 2) as show:
         better = improved.evolve(problem(robot, T), improved.DEFAULT, seeds)
         show(1, "improved")
@@ -103,7 +100,9 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         knocked_out = _knocked_out(robot, T, some[: 2 * len(T)], seed, show)
     found, plain_found, exact = (pose_errors(robot.chain, q, T) for q in (better.q_rad, standard.q_rad, polished))
     middle = _middle(found)
-    arms = {"wanted": _wanted_arm(robot, better.q_rad[middle]), "found (median run)": better.q_rad[middle]}
+    # The exact configuration on the branch nearest to the one found.
+    wanted = np.array(solve(robot, pose_target(WANTED), present=better.q_rad[middle]).solutions[0].q_rad)
+    arms = {"wanted": wanted, "found (median run)": better.q_rad[middle]}
     title = "Figs. 2 and 3: the arm, wanted and found"
     return PaperReport(
         *introduced("001", **asdict(improved.DEFAULT), weight=POSITION_WEIGHT),
@@ -160,10 +159,9 @@ def _table_2_rows(found: Errors, standard: Errors, polished: Errors) -> list[Row
 
 
 def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
-    T = wanted_pose()
     assert robot.closed_form is not None
-    branches = finite(robot.closed_form.poses(T[None]))
-    exact_m, _ = pose_errors(robot.chain, branches, np.repeat(T[None], len(branches), axis=0))
+    branches = finite(robot.closed_form.poses(WANTED[None]))
+    exact_m, _ = pose_errors(robot.chain, branches, np.repeat(WANTED[None], len(branches), axis=0))
     share = float((np.maximum(*solved) <= SOLVED).mean())
     distinct = len(np.unique(np.round(branches, 6), axis=0))
     worst_m, why = float(exact_m.max()), "differs: too many are missed"
@@ -173,11 +171,6 @@ def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
         unprinted("solutions of Table 2's pose, closed form", str(distinct)),
         error("their greatest distance", table_2_errors(IMPROVED_XYZ_RPY)[0], worst_m, "m", why="rounding"),
     ]
-
-
-def _wanted_arm(robot: Robot, near: FloatArray) -> FloatArray:
-    """The exact configuration on the branch nearest to one found."""
-    return np.array(solve(robot, pose_target(wanted_pose()), present=near).solutions[0].q_rad)
 
 
 def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
@@ -196,14 +189,14 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
 def _curves(robot: Robot, better: Evolution, standard: Evolution) -> Figure:
     """Down to a tenth of the error that print ends with: what lies below would take most of a logarithmic axis."""
     figure = axes("generation", "error of eq. (4)", drawn.HEIGHT, yaxis_type="log")
-    wanted, printed = wanted_pose()[:3], []
+    printed = list[float]()
     for run, name, line, colour in (
         (better, "improved", IMPROVED_XYZ_RPY, drawn.COLOURS[2]),
         (standard, "standard", STANDARD_XYZ_RPY, drawn.COLOURS[0]),
     ):
         costs = (np.median(cost, axis=1) for cost in (run.best_cost, run.mean_cost))
         drawn.by_generation(figure, f"{name}, {{}} (median)", colour, *costs)
-        squares = ((pose_from_xyz_rpy(*line)[:3] - wanted) ** 2).sum(axis=0)
+        squares = ((pose_from_xyz_rpy(*line)[:3] - WANTED[:3]) ** 2).sum(axis=0)
         printed.append(float(squares @ (1.0, 1.0, 1.0, POSITION_WEIGHT)))
         curve(figure, [1, len(run.best_cost)], printed[-1:] * 2, f"{name}, in Table 2", colour, dash="dash")
     figure.update_yaxes(range=np.log10([printed[0] / 10.0, 100.0]), dtick=1, exponentformat="power")

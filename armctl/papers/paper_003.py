@@ -38,13 +38,6 @@ def round_trip(robot: Robot, poses: int, rng: np.random.Generator) -> tuple[floa
     return float(missed[holds].max()), int(holds.sum(axis=1).max()), float(away.max())
 
 
-def trajectory(robot: Robot) -> Curves:
-    """The quintic motion of Figs. 6 to 8."""
-    motion = quintic(np.radians(START_DEG), np.radians(END_DEG), DURATION_S)
-    time_s = np.linspace(0.0, DURATION_S, 201)
-    return curves(robot.chain, time_s, *motion.sample(time_s))
-
-
 def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
     """Recompute the paper."""
     robot = robots.get("lanzhou-4dof")
@@ -55,7 +48,9 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         extent = workspace.extents(robot.chain, robot.limits_rad, rng)
         points = workspace.cloud(robot.chain, robot.limits_rad, effort.samples, rng)
         show(2, "")
-    motion = trajectory(robot)
+    # The quintic motion of Figs. 6 to 8.
+    way, time_s = quintic(np.radians(START_DEG), np.radians(END_DEG), DURATION_S), np.linspace(0.0, DURATION_S, 201)
+    motion = curves(robot.chain, time_s, *way.sample(time_s))
     rows = (
         claim("poses through IK and back", said("003", "no_error"), max(worst, away), away < 1e-9, unit="m, rad"),
         claim("solutions of a pose at most", said("003", "solutions"), str(most), most == 4),

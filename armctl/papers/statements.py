@@ -4,14 +4,13 @@ Each computes how far print and the correction are from the same quantity, found
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, jacobian, tool_position
 from armctl.kinematics.robots.papers import FIG_5_DEG, LANZHOU_RANGES_DEG, QZ_DEG
-from armctl.kinematics.transform import FloatArray
 from armctl.lab import table_ii
 from armctl.papers import paper_000, paper_003, paper_004
 from armctl.trajectory.straightness import mean_error, progress_along_line
@@ -102,10 +101,11 @@ def _out_of_range(*q_deg: float) -> float:
     return max(max(low - q, q - high, 0.0) for q, (low, high) in zip(q_deg, LANZHOU_RANGES_DEG, strict=True))
 
 
-def beyond_reach(target_m: FloatArray | Sequence[float]) -> float:
-    """How far a place lies outside the sphere about the shoulder of 004 that holds every place of its tool [m]."""
-    x, y, z = target_m
-    return math.hypot(math.hypot(x, y) - 0.100, z) - (0.450 + 0.160 + 0.100)
+def _beyond_reach() -> tuple[float, float]:
+    """How far places of 004's tool lie outside the sphere about the shoulder that holds them all [m]."""
+    places = ((0.660, 0.0, 0.640), (0.0, -0.160, 0.450))
+    print_, true = (math.hypot(math.hypot(x, y) - 0.100, z) - (0.450 + 0.160 + 0.100) for x, y, z in places)
+    return print_, max(0.0, true)
 
 
 def _branches_of_theta2() -> tuple[float, float]:
@@ -140,7 +140,7 @@ PROOFS: dict[str, Residuals] = {
     "link": _standard_link,
     "fig_5_range": lambda: (_out_of_range(*FIG_5_DEG), _out_of_range(0.0, 7.0, -90.0, 82.0)),
     "qz_range": lambda: (_out_of_range(*QZ_DEG), _out_of_range(*QZ_DEG[:3], 82.0)),
-    "reach": lambda: (beyond_reach((0.660, 0.0, 0.640)), max(0.0, beyond_reach((0.0, -0.160, 0.450)))),
+    "reach": _beyond_reach,
     "theta2": _branches_of_theta2,
     "column": _column_of_the_jacobian,
 }

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from armctl.kinematics.chain import tool_position
-from armctl.lab.line_experiment import experiment, identified
+from armctl.lab.line_experiment import experiment, guided_takes, identified
 from armctl.lab.line_results import drawn, unseen_mm
 from armctl.lab.rig import VirtualRig
 from armctl.lab.study import pareto
@@ -105,7 +105,7 @@ def write(path: Path, cases: Sequence[Case], found: Sequence[Found], rows: Seque
 
 
 def _fronts(case: Case, workers: Workers) -> list[Row]:
-    takes = workers.guided(case)
+    takes = tuple(guided_takes(case.rig(), case.line, case.seed, workers.stage))
     durations = [case.duration_s * share for share in FRONT_SHARES] if case.via else []
     cases = pareto.every_duration(replace(case, takes=takes), durations=durations, arms=1)
     # The genetic algorithm makes the mean small, whatever the correction on the arms does.

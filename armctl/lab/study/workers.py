@@ -14,10 +14,7 @@ from typing import TypeVar
 
 from armctl.errors import ArmctlError
 from armctl.host.jobs import NICENESS
-from armctl.kinematics.transform import FloatArray
-from armctl.lab.line_experiment import guided_takes
 from armctl.lab.stage import Stage
-from armctl.lab.study.case import Case
 from armctl.recording.export import extra
 
 A = TypeVar("A")
@@ -84,11 +81,3 @@ class Workers:
             ) from None
         with client:
             yield client.get_executor(pure=False)
-
-    def guided(self, case: Case) -> tuple[FloatArray, ...]:
-        """Takes of the simulated hand along the case's line: joint positions [rad], each shape (samples, joints).
-
-        Raises:
-            UnreachableTarget: an end of the line is out of the hand's reach.
-        """
-        return tuple(guided_takes(case.rig(), case.line, case.seed, self.stage))
