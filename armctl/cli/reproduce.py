@@ -11,7 +11,7 @@ from armctl.cli.tables import show_table
 
 if TYPE_CHECKING:
     from armctl.papers.comparison import PaperReport
-    from armctl.papers.entry import Entry
+    from armctl.papers.entries import Entry
 
 
 @command("reproduce")
@@ -25,7 +25,6 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
     from armctl.papers import entries as judged
     from armctl.papers import page as report
     from armctl.papers.comparison import FULL, QUICK
-    from armctl.papers.entry import errata
     from armctl.papers.run import PAPERS
     from armctl.recording.disk import writing
 
@@ -36,7 +35,7 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
             page.parent.mkdir(parents=True, exist_ok=True)
     reports = [PAPERS[one](QUICK if quick else FULL, seed, output.progress) for one in papers]
     found = judged.entries(papers)
-    wrong = errata(found)
+    wrong = judged.errata(found)
     if page is not None:
         report.write(reports, found, page)
     told = ("paper", "equation", "row", "column", "printed", "true", "verdict", "place")
@@ -52,7 +51,7 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
 
 
 def show(output: Output, reports: list[PaperReport], found: list[Entry], page: Path | None) -> None:
-    from armctl.papers.entry import counted, errata
+    from armctl.papers.entries import counted, errata
     from armctl.papers.page import ERRATA, QUANTITIES, quantities
 
     for report in reports:

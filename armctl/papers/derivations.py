@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
-from armctl.kinematics import robots
-from armctl.kinematics.robots.papers import INITIAL_DEG
 from armctl.papers.notation import product_to_sum, read, symbol, sympy
 from armctl.papers.transcription import written
 
@@ -131,9 +129,8 @@ def _transfer() -> dict[str, Cells]:
     rows = ((0, 0, 0), (a1, -QUARTER, 0), (a2, 0, 0), (0, QUARTER, d4), (0, -QUARTER, 0), (0, QUARTER, d6))
     A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=True)]
     theta, alpha, a, d = (symbol(name) for name in ("theta_i", "alpha_before", "a_before", "d_i"))
-    mm = {name: round(1000 * length) for name, length in robots.get("transfer-6dof").lengths_m.items()}
-    at = {symbol(name): value for name, value in mm.items()}
-    at |= {angle: sympy.pi * round(deg) / 180 for angle, deg in zip(THETA, INITIAL_DEG, strict=True)}
+    # In the initial position, millimetres.
+    at = {a1: 100, a2: 450, d4: 160, d6: 100} | dict(zip(THETA, (QUARTER, -QUARTER, 0, 0, 0, 0), strict=True))
     initial = reduce(lambda T, link: T * link.subs(at), A, sympy.eye(4))
 
     return {

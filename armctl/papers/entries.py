@@ -5,6 +5,7 @@ configurations: the derivation has to agree with what `measurements.py` finds th
 table's cell, and of words, the verdict is a difference beyond rounding.
 """
 
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,14 +13,78 @@ from typing import Any
 import numpy as np
 
 from armctl.papers.derivations import derived
-from armctl.papers.entry import EQUAL, MISPRINT, NOT_READABLE, PRINT_OFF, Entry
 from armctl.papers.measurements import MEASURED, TRUE_CELLS
 from armctl.papers.notation import read, same, show, some_value, sympy
 from armctl.papers.statements import PROOFS
 from armctl.papers.transcription import Transcription, transcription
 
+EQUAL, MISPRINT, NOT_READABLE = "equal", "misprint", "not readable"
 NOT_DERIVED = "differs: print gives nothing to compute it from"
 CONFIGURATIONS = 8
+# A misprint is off by more than this, what is true by less.
+PRINT_OFF, TRUE_OFF = 1e-3, 1e-9
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry of an equation, a cell of a table, or a statement."""
+
+    paper: str
+    # Its number, or the place of the table or of the words.
+    equation: str
+    # From 1 on; None: a statement.
+    row: int | None
+    column: int | None
+    printed: str
+    # None: it cannot be told.
+    true: str | None
+    verdict: str
+    # Where it stands in the scanned text, which has no page marks.
+    place: str
+    # What is computed to prove it.
+    how: str = "print against the symbolic derivation, both at random configurations"
+    # How far print and the correction are from what is computed; None: nothing is.
+    off: tuple[float, float] | None = None
+
+    @property
+    def where(self) -> str:
+        """Its place among the errata."""
+        number = f"eq. {self.equation}" if self.equation.startswith("(") else self.equation
+        return number if self.row is None else f"{number}, row {self.row}, column {self.column}"
+
+    @property
+    def proven(self) -> bool:
+        """Whether numbers say what the verdict says."""
+        if self.off is None:
+            return True
+        printed, true = self.off
+        return true < TRUE_OFF and (printed > PRINT_OFF) == (self.verdict == MISPRINT)
+
+    @property
+    def proof(self) -> str:
+        """The computation and its outcome, in words."""
+        if self.off is None:
+            return self.how
+        printed, true = self.off
+        return f"{self.how}: print is off by {printed:.4g}, the correction by {true:.1e}"
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """As an erratum: where, what is printed, what is true, and the proof."""
+        return self.where, self.printed, str(self.true), self.proof
+
+
+def errata(found: Sequence[Entry]) -> list[Entry]:
+    """The entries that do not hold."""
+    return [entry for entry in found if entry.verdict == MISPRINT]
+
+
+def counted(found: Sequence[Entry]) -> dict[str, str]:
+    """By paper how many entries have which verdict, in words."""
+    count: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    for entry in found:
+        count[entry.paper][entry.verdict] += 1
+    return {paper: ", ".join(f"{n} {verdict}" for verdict, n in sorted(of.items())) for paper, of in count.items()}
 
 
 @dataclass(eq=False)

@@ -79,14 +79,9 @@ def _meant(means: dict[str, Any], true: Any) -> Callable[[str], float]:
     return off
 
 
-def _links_from(number: int, links: Sequence[FloatArray]) -> dict[str, Any]:
-    """Equations that have a link each."""
-    return {f"({k})": link for k, link in enumerate(links, number)}
-
-
-def _both(sides: dict[str, float]) -> dict[str, Any]:
-    """Equations whose two sides are one number."""
-    return {number: [[value] * 2] for number, value in sides.items()}
+def _each(number: int, values: Sequence[Any] | FloatArray) -> dict[str, Any]:
+    """Equations by their numbers, from the first on."""
+    return {f"({k})": value for k, value in enumerate(values, number)}
 
 
 def _one_link(rng: np.random.Generator, convention: Any, of_link: str) -> tuple[dict[str, float], FloatArray]:
@@ -108,7 +103,7 @@ def _xiang(rng: np.random.Generator) -> Measured:
         T = forward_kinematics(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
         turned, left = np.linalg.inv(frames[1]) @ T, (np.linalg.inv(frames[4]) @ T).tolist()
         left[1][3] = None  # print has it as the 0 that it is
-        cells = _links_from(2, links) | {"(10)": T, "(11), left": turned, "(17), left": left}
+        cells = _each(2, links) | {"(10)": T, "(11), left": turned, "(17), left": left}
         return lengths | _pose(T) | _named("theta", q), cells
     # Eq. (18): the arm of Fig. 9, its angles from the vertical, its hand's joint turned by a quarter.
     fig_9 = _drawn(rng, "d1", "a2", "a3", "d5")
@@ -127,7 +122,8 @@ def _xiang(rng: np.random.Generator) -> Measured:
     product = [_meant(dict.fromkeys(("RT1 1T2 2T3 ... n-1Tn", "A1 A2 A3 ... An"), reduce(np.matmul, links)), T)] * 2
     matrices = {"(8)": [product], "(9)": T, "(10)": T, "(11), left": turned, "(11), right": turned}
     matrices |= {"(17), left": stretched, "(17), right": stretched, "(18)": [[missed], *ranges], "Fig. 9": table}
-    return values, _links_from(2, links) | _both(sides) | matrices
+    both = {number: [[value] * 2] for number, value in sides.items()}
+    return values, _each(2, links) | both | matrices
 
 
 def _puma(rng: np.random.Generator) -> Measured:
@@ -153,7 +149,7 @@ def _line(rng: np.random.Generator) -> Measured:
     frames = link_frames(chain, q)
     T, links = frames[-1], _links(frames)
     table = [[n, alpha, a, d, q[n - 1]] for n, a, alpha, d in _rows(frames)]
-    entries = {f"({number})": [[value] * 2] for number, value in enumerate(T[:3].ravel(), 7)}
+    entries = _each(7, [[[value] * 2] for value in T[:3].ravel()])
     large = {f"P_{axis}": float(T[k, 3]) for k, axis in enumerate("xyz")}
     values = {name.replace("_", "", name[0] == "r"): value for name, value in _pose(T, NAMES_OF_002).items()}
     values |= {**lengths, **large, **_named("theta", q)}
@@ -165,14 +161,12 @@ def _line(rng: np.random.Generator) -> Measured:
     means = {
         "norm((P_i - A) x (P_i - B)) / norm(B - A)": away,
         "sum(i = 1..n, f(x_i) / n)": sum(away / len(away)),
-        "P[i]": shares,
         "fitness value / total fitness population": shares,
-        "C[i]": cumulated,
         "P[1] + ... + P[i]": [sum(shares[: i + 1]) for i in range(len(shares))],
-    }
+    } | {"P[i]": shares, "C[i]": cumulated}
     true = {"(19)": distance_to_line(P, A, B), "(20)": mean_error(P, A, B), "(21)": np.diff(cumulated, prepend=0.0)}
     words = {number: [[_meant(means, value)] * 2] for number, value in (true | {"(22)": cumulated}).items()}
-    return values, _links_from(1, links) | entries | words | {"(6)": T, "Table I": table}
+    return values, _each(1, links) | entries | words | {"(6)": T, "Table I": table}
 
 
 def _lanzhou(rng: np.random.Generator) -> Measured:
@@ -222,7 +216,7 @@ def _lanzhou(rng: np.random.Generator) -> Measured:
     others = {"(3)": [[math.tan(q[0])] * 2, [q[0]] * 2], "(6)": [[math.tan(beta)] * 2, [beta] * 2]}
     others |= {"(11)": [[span * rand]], "(12)": [[values["theta_i"], least + span * rand]]}
     others["after (7)"] = [[q[1], q[1] if bent_up else None, None if bent_up else q[1]]]
-    return values, matrices | _both(sides) | others
+    return values, matrices | {number: [[value] * 2] for number, value in sides.items()} | others
 
 
 def _transfer(rng: np.random.Generator) -> Measured:

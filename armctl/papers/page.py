@@ -5,7 +5,7 @@ from itertools import groupby
 from pathlib import Path
 
 from armctl.papers.comparison import PaperReport
-from armctl.papers.entry import MISPRINT, NOT_READABLE, Entry, counted, errata
+from armctl.papers.entries import MISPRINT, NOT_READABLE, Entry, counted, errata
 from armctl.papers.transcription import transcription
 from armctl.report.page import Marked, Page
 

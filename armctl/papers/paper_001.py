@@ -109,7 +109,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         (*_table_2_rows(found, plain_found, exact), *_exact_rows(robot, solved)),
         (_table_2(robot, better.q_rad[middle], standard.q_rad[_middle(plain_found)]), knocked_out),
         (
-            Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, robot, better, standard)),
+            Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, better, standard)),
             *(
                 Picture(title, f"Fig. {number}: {name}", partial(drawn.arm, robot.chain, {name: q}))
                 for number, (name, q) in enumerate(arms.items(), start=2)
@@ -186,14 +186,12 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
     return Table("Table 2: position and RPY", ("", "px m", "py m", "pz m", "roll", "pitch", "yaw"), tuple(rows), "rad")
 
 
-def _curves(robot: Robot, better: Evolution, standard: Evolution) -> Figure:
+def _curves(better: Evolution, standard: Evolution) -> Figure:
     """Down to a tenth of the error that print ends with: what lies below would take most of a logarithmic axis."""
     figure = axes("generation", "error of eq. (4)", drawn.HEIGHT, yaxis_type="log")
     printed = list[float]()
-    for run, name, line, colour in (
-        (better, "improved", IMPROVED_XYZ_RPY, drawn.COLOURS[2]),
-        (standard, "standard", STANDARD_XYZ_RPY, drawn.COLOURS[0]),
-    ):
+    runs, lines = {"improved": better, "standard": standard}, (IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY)
+    for (name, run), line, colour in zip(runs.items(), lines, drawn.COLOURS[2::-2], strict=True):
         costs = (np.median(cost, axis=1) for cost in (run.best_cost, run.mean_cost))
         drawn.by_generation(figure, f"{name}, {{}} (median)", colour, *costs)
         squares = ((pose_from_xyz_rpy(*line)[:3] - WANTED[:3]) ** 2).sum(axis=0)

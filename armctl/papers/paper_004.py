@@ -110,14 +110,12 @@ def _jacobian_rows(robot: Robot, q: FloatArray) -> list[Row]:
 
 def _curve_rows(shown: Curves) -> list[Row]:
     why = "differs: print does not give its motion"
-    speed, push = (
-        np.abs(values).max(axis=0) * 1e3 for values in (shown.tool_velocity_m_s, shown.tool_acceleration_m_s2)
-    )
+    found = {"speed": shown.tool_velocity_m_s, "acceleration": shown.tool_acceleration_m_s2}
     print_ = transcription("004").tables
     return [
-        Row(f"greatest {what} along {axis}, {print_[what].place}", float(printed), float(found), print_[what].unit, why)
-        for what, most in (("speed", speed), ("acceleration", push))
-        for axis, printed, found in zip("xyz", print_[what].numbers[0], most, strict=True)
+        Row(f"greatest {what} along {axis}, {print_[what].place}", float(printed), float(most), print_[what].unit, why)
+        for what, values in found.items()
+        for axis, printed, most in zip("xyz", print_[what].numbers[0], np.abs(values).max(axis=0) * 1e3, strict=True)
     ]
 
 

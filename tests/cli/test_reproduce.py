@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from armctl.papers import entries
-from armctl.papers.entry import Entry
+from armctl.papers.entries import Entry
 from tests.cli.conftest import Answer, Typed
 from tests.words import missing
 

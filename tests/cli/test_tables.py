@@ -25,7 +25,7 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.lab.study.limits import EFFECTS, TIMING
 from armctl.papers.comparison import PaperReport, Row
-from armctl.papers.entry import Entry
+from armctl.papers.entries import Entry
 from armctl.recording import timeline
 from armctl.recording.player import Player
 from tests.cli.conftest import Typed

@@ -9,8 +9,7 @@ import pytest
 from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY, WANTED_XYZ_RPY
 from armctl.papers import derivations
 from armctl.papers import entries as module
-from armctl.papers.entries import entries, of_paper
-from armctl.papers.entry import EQUAL, MISPRINT, Entry, counted, errata
+from armctl.papers.entries import EQUAL, MISPRINT, Entry, counted, entries, errata, of_paper
 from armctl.papers.notation import read, same, show, symbol
 from armctl.papers.paper_000 import TARGETS_CM
 from armctl.papers.run import PAPERS

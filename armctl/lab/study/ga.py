@@ -28,17 +28,13 @@ def every_setting(
     Raises:
         ConfigError: a setting is out of range.
     """
-    return [
-        replace(
-            case,
-            settings=replace(case.settings, population=P, crossover_probability=Pc, mutation_probability=Pm),
-            seed=case.seed + repeat,
-            repeats=repeats,
-            objective="mean",
-        )
+    settings = [
+        replace(case.settings, population=P, crossover_probability=Pc, mutation_probability=Pm)
         for P, Pc, Pm in product(population, pc, pm)
-        for repeat in range(repeats)
     ]
+    seeds = range(case.seed, case.seed + repeats)
+    asked = replace(case, repeats=repeats, objective="mean")
+    return [replace(asked, settings=one, seed=seed) for one in settings for seed in seeds]
 
 
 def run(case: Case) -> Found:

@@ -7,10 +7,10 @@ Nothing is shared. So the results are the same bits whoever does the work; they 
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from armctl.errors import ArmctlError
 from armctl.host.jobs import NICENESS
@@ -39,37 +39,27 @@ class Workers:
         Raises:
             ArmctlError: what the work raised; or distributed is not installed, or no scheduler answers.
         """
-        with self.stage(label, len(arguments)) as show:
-
-            def tell(done: int) -> None:
-                show(done, f"{done} of {len(arguments)}")
-
-            if self.scheduler is None and min(self.processes, len(arguments)) <= 1:
-                results = []
-                for argument in arguments:
-                    results.append(work(argument))
-                    tell(len(results))
-                return results
-            with self._pool(len(arguments)) as pool:
-                futures = [pool.submit(work, argument) for argument in arguments]
-                try:
-                    for done, future in enumerate(as_completed(futures), 1):
-                        future.result()  # raises what the work raised, without waiting for the rest
-                        tell(done)
-                except BaseException:
-                    for future in futures:
-                        future.cancel()
-                    pool.shutdown(wait=False)
-                    raise
-                return [future.result() for future in futures]
+        with self.stage(label, len(arguments)) as show, self._mapped(len(arguments)) as mapped:
+            results: list[R] = []
+            for result in mapped(work, arguments):
+                results.append(result)
+                show(len(results), f"{len(results)} of {len(arguments)}")
+            return results
 
     @contextmanager
-    def _pool(self, pieces: int) -> Iterator[Executor]:
-        """Spawned processes, or the cluster as if it were some."""
+    def _mapped(self, pieces: int) -> Iterator[Callable[..., Iterator[Any]]]:
+        """What does as `map` does: this process, spawned ones, or a cluster as if it were some."""
+        processes = min(self.processes, pieces)
+        if self.scheduler is None and processes <= 1:
+            yield map
+            return
         if self.scheduler is None:
-            processes = min(self.processes, pieces)
             with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), os.nice, (NICENESS,)) as pool:
-                yield pool
+                try:
+                    yield pool.map
+                except BaseException:
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    raise
             return
         distributed = extra("Dask schedulers", "distributed", "study")
         try:
@@ -80,4 +70,4 @@ class Workers:
                 "scheduler` and workers with `dask worker`, with armctl installed where they run"
             ) from None
         with client:
-            yield client.get_executor(pure=False)
+            yield client.get_executor(pure=False).map
