@@ -8,7 +8,7 @@ rounding. The papers are at hand as scanned text without page marks: a place is 
 from decimal import Decimal
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -26,9 +26,11 @@ class PrintedEquation(Frozen):
     # A line a row, `|` between the cells; "?" begins a cell that is not readable, what the scan shows follows.
     cells: str
 
+    between: ClassVar[str | None] = "|"
+
     @property
     def rows(self) -> list[list[str]]:
-        return [[cell.strip() for cell in line.split("|")] for line in self.cells.splitlines()]
+        return [[cell.strip() for cell in line.split(self.between)] for line in self.cells.splitlines()]
 
 
 class PrintedTable(PrintedEquation):
@@ -37,10 +39,7 @@ class PrintedTable(PrintedEquation):
     # Such as "Table II" or "Fig. 7".
     place: str
     unit: str
-
-    @property
-    def rows(self) -> list[list[str]]:
-        return [line.split() for line in self.cells.splitlines()]
+    between = None
 
     @property
     def numbers(self) -> FloatArray:
