@@ -116,7 +116,9 @@ def _equations(paper: str, printed: Transcription) -> Iterator[Entry]:
     formulas = list(_formulas(paper, printed))
     _measure(paper, formulas)
     for one in formulas:
-        place = f"line {printed.equations[one.number].line}"
+        of = printed.equations[one.number]
+        # The rows of a table stand on a line each.
+        place = f"line {of.line + (one.row - 1 if of.columns else 0)}"
         verdict, true = _judged(one, small=paper in ("003", "004"))
         # What no number says is not proven.
         off = (0.0, 0.0) if verdict == MISPRINT and one.off is None else one.off

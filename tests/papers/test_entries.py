@@ -80,6 +80,13 @@ def test_every_number_of_every_table_and_figure_is_an_entry(paper: str) -> None:
         assert told[table.place] == [cell for row in table.rows for cell in row]
 
 
+def test_the_rows_of_a_table_stand_on_a_line_each_and_an_equation_on_one() -> None:
+    places = {(entry.paper, *at(entry)): entry.place for entry in ALL}
+    assert places["003", "Table 1", 5, 1] == "line 48"
+    assert places["000", "Fig. 7", 14, 10] == "line 184"
+    assert places["000", "(17), left", 3, 1] == places["000", "(17), left", 1, 1] == "line 120"
+
+
 def test_figure_3_of_004_begins_where_the_arm_is_not_and_of_its_motion_print_gives_nothing() -> None:
     figures = {place: [one for one in ALL if (one.paper, one.equation[:6]) == ("004", place)] for place in
                ("Fig. 3", "Fig. 4", "Fig. 5")}  # fmt: skip
