@@ -111,7 +111,7 @@ def reproduce(effort: Effort, seed: int, stage: Stage) -> PaperReport:
         (
             Picture("Fig. 1: iteration curve", "best error by generation", partial(_curves, better, standard)),
             *(
-                Picture(title, f"Fig. {number}: {name}", partial(drawn.arm, robot.chain, {name: q}))
+                Picture(title, f"Fig. {number}: {name}", partial(drawn.arm, robot.chain, {name: q}, axes_m=0.15))
                 for number, (name, q) in enumerate(arms.items(), start=2)
             ),
             *pictures(drawn.FLAT, title, "both, {}", drawn.arm, robot.chain, arms),

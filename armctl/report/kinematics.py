@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from armctl.kinematics.chain import SerialChain, link_frames
+from armctl.kinematics.chain import SerialChain, forward_kinematics, link_frames
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.kinematics.workspace import ReachabilityMap
@@ -44,7 +44,13 @@ CURVES: dict[str, tuple[str, str]] = {
 
 
 def arm(
-    chain: SerialChain, arms: Arms, view: str = IN_SPACE, tool_m: FloatArray | None = None, *, unit: str = "mm"
+    chain: SerialChain,
+    arms: Arms,
+    view: str = IN_SPACE,
+    tool_m: FloatArray | None = None,
+    *,
+    unit: str = "mm",
+    axes_m: float = 0.0,
 ) -> Figure:
     """Arms as lines through their joints, to one scale.
 
@@ -53,6 +59,7 @@ def arm(
         view: One of `ARM_VIEWS`.
         tool_m: The path of a tool in space, shape (m, 3).
         unit: One of `UNITS`.
+        axes_m: How long the axes n, o, a of each tool are drawn; 0: not at all.
     """
     lines, drawn, plane = list[dict[str, Any]](), list[FloatArray](), FLAT.get(view)
     for k, ((name, q), colour) in enumerate(zip(arms.items(), COLOURS, strict=False)):
@@ -60,6 +67,12 @@ def arm(
         # Where arms coincide the first still shows around the second.
         style = {"line": {"color": colour, "width": 9 if k == 0 else 4}, "marker": {"size": 5, "color": colour}}
         lines.append({**_along(drawn[-1], plane), "mode": "lines+markers", "name": name, **style})
+        T = forward_kinematics(chain, q)
+        for axis, along, colour in zip("noa", T[:3, :3].T, COLOURS[1:4], strict=False) if axes_m else ():
+            drawn.append((T[:3, 3] + np.outer((0.0, axes_m), along)) * UNITS[unit])
+            lines.append(
+                {**_along(drawn[-1], plane), "mode": "lines", "name": axis, "line": {"color": colour, "width": 6}}
+            )
     if tool_m is not None:
         drawn.append(tool_m * UNITS[unit])
         lines.append({**_along(drawn[-1], plane), "mode": "lines", "name": "tool path"})

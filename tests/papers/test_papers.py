@@ -135,6 +135,14 @@ def test_001_no_decade_of_the_iteration_curve_lies_below_a_tenth_of_what_print_r
     assert lines["improved, in Table 2"] < lines["standard, in Table 2"]
 
 
+def test_001_figures_2_and_3_show_the_pose_of_the_hand_as_their_captions_say() -> None:
+    wanted = next(one for one in paper_001.reproduce(QUICK, 0, silent).pictures if one.description == "Fig. 2: wanted")
+    axes = {trace.name: np.array([trace.x, trace.y, trace.z]) for trace in wanted.draw().data if trace.name in "noa"}
+    turns = np.stack([np.diff(axes[name], axis=1)[:, 0] / 150.0 for name in "noa"], axis=1)
+    np.testing.assert_allclose(turns, paper_001.WANTED[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(axes["n"][:, 0] / 1e3, paper_001.WANTED[:3, 3], atol=1e-9)
+
+
 def test_003_poses_come_back_exactly_with_two_branches() -> None:
     worst, most, away = paper_003.round_trip(robots.get("lanzhou-4dof"), 500, np.random.default_rng(4))
     assert worst < 1e-12
