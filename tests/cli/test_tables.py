@@ -23,7 +23,7 @@ from armctl.commissioning.eeprom import Difference
 from armctl.commissioning.scan import FoundServo
 from armctl.files import load_arm
 from armctl.kinematics import robots
-from armctl.lab.study.limits import EFFECTS, TIMING
+from armctl.lab.study.limits import EFFECTS
 from armctl.papers.comparison import PaperReport, Row
 from armctl.papers.entries import Entry
 from armctl.recording import timeline
@@ -80,7 +80,7 @@ PARAMETERS = (
 )
 FIT = Fit(load_arm("ax12-line"), PARAMETERS, np.array([123.4, 5.0]), rms_before_mm=123.4, rms_mm=12.3)
 STUDIES = {name: WIDEST[f"study {name}"] for name in ("arms", "ga", "pareto", "paper")}
-STUDIES["limits"] = {"rows": [{**WIDEST["study limits"], "without": effect} for effect in (None, *EFFECTS, TIMING)]}
+STUDIES["limits"] = {"rows": [{**WIDEST["study limits"], "without": effect} for effect in (None, *EFFECTS, "timing")]}
 TABLES: dict[str, Callable[[Output], object]] = {
     "demo": lambda out: demo.show(out, WIDEST["demo"]),
     "experiment": lambda out: experiment.show(out, WIDEST["experiment"]),

@@ -36,7 +36,6 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "noise": {"noise_tick": 0.0},
     "offset": {"zero_offset_within_tick": 0.0},
 }
-TIMING = "timing"
 TIMING_SHARE = 0.2
 # Durations of the fronts on the page, over the one asked for.
 FRONT_SHARES = (0.5, 0.7, 1.0, 1.6, 2.4)
@@ -47,7 +46,7 @@ def every_effect(case: Case) -> list[Case]:
     return [
         case,
         *(replace(case, without=effect, spec=replace(case.spec, **off)) for effect, off in EFFECTS.items()),
-        replace(case, without=TIMING, period_s=case.period_s * TIMING_SHARE),
+        replace(case, without="timing", period_s=case.period_s * TIMING_SHARE),
     ]
 
 
