@@ -5,7 +5,7 @@ configurations: the derivation has to agree with what `measurements.py` finds th
 table's cell, and of words, the verdict is a difference beyond rounding.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -81,10 +81,9 @@ def errata(found: Sequence[Entry]) -> list[Entry]:
 
 def counted(found: Sequence[Entry]) -> dict[str, str]:
     """By paper how many entries have which verdict, in words."""
-    count: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for entry in found:
-        count[entry.paper][entry.verdict] += 1
-    return {paper: ", ".join(f"{n} {verdict}" for verdict, n in sorted(of.items())) for paper, of in count.items()}
+    count = sorted(Counter((entry.paper, entry.verdict) for entry in found).items())
+    papers = dict.fromkeys(entry.paper for entry in found)
+    return {paper: ", ".join(f"{n} {verdict}" for (of, verdict), n in count if of == paper) for paper in papers}
 
 
 @dataclass(eq=False)

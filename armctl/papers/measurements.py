@@ -38,6 +38,10 @@ def _pose(T: FloatArray, names: Sequence[str] = NAMES) -> dict[str, float]:
     return dict(zip(names, T[:3].ravel().tolist(), strict=True))
 
 
+def _any_pose(rng: np.random.Generator) -> FloatArray:
+    return forward_kinematics(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
+
+
 def _drawn(rng: np.random.Generator, *names: str) -> dict[str, float]:
     return {name: float(rng.uniform(0.1, 0.5)) for name in names}
 
@@ -100,7 +104,7 @@ def _xiang(rng: np.random.Generator) -> Measured:
     turned, stretched = (np.linalg.inv(frames[joint]) @ T for joint in (1, 4))
     if rng.random() < 0.5:
         # Of the arm's own poses entries are 0 whatever their sign; the left sides hold for any other as well.
-        T = forward_kinematics(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
+        T = _any_pose(rng)
         turned, left = np.linalg.inv(frames[1]) @ T, (np.linalg.inv(frames[4]) @ T).tolist()
         left[1][3] = None  # print has it as the 0 that it is
         cells = _each(2, links) | {"(10)": T, "(11), left": turned, "(17), left": left}
@@ -170,6 +174,9 @@ def _line(rng: np.random.Generator) -> Measured:
 
 
 def _lanzhou(rng: np.random.Generator) -> Measured:
+    if rng.random() < 0.5:
+        # Of the arm's own poses a_z is 0 whatever its sign.
+        return _pose(T := _any_pose(rng)), {"(2), names": T}
     q = np.radians(rng.uniform(*np.array(LANZHOU_RANGES_DEG).T))
     # Print knows the sum of these within half a turn.
     q[1:] *= min(1.0, 3.0 / abs(q[1:].sum()))
@@ -271,9 +278,12 @@ def _grid_cells(printed: Transcription) -> TrueCells:
     """Each of the six tables from one of the others and the targets; Fig. 7 by its formula."""
     true: TrueCells = {"joint_1_population": (population_formula(), 0.0)}
     for axis, target in (("xy0", RADIUS_CM), ("z0", np.full_like(RADIUS_CM, HEIGHT_CM))):
-        measured, away = (printed.tables[name] for name in (f"{axis}_test", f"delta_{axis}"))
+        measured, away, share = (printed.tables[name] for name in (f"{axis}_test", f"delta_{axis}", f"p_{axis}"))
+        # By whichever has more digits: "10" says little, 1.63E-07 of it much.
+        ways = (measured.numbers - target, measured.rounding), (share.numbers * target, share.rounding * target)
+        finer = ways[0][1] <= ways[1][1]
         true[f"{axis}_test"] = target + away.numbers, away.rounding
-        true[f"delta_{axis}"] = measured.numbers - target, measured.rounding
+        true[f"delta_{axis}"] = np.where(finer, ways[0][0], ways[1][0]), np.where(finer, ways[0][1], ways[1][1])
         true[f"p_{axis}"] = away.numbers / target, away.rounding / target
     return true
 
