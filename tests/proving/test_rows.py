@@ -28,6 +28,18 @@ def test_a_servo_that_is_not_heard_is_told_of(ticks: int, mode: Mode, broken: se
     assert bench.red == broken
 
 
+@pytest.mark.parametrize(("heard", "broken"), [
+    ("    x   x", False), ("    x   x   x  ", True), ("xxxxxxx", False), ("xxxxxxxxx", True),
+])  # fmt: skip
+def test_a_joint_that_cannot_follow_is_told_of_by_the_replies_that_tell_it(
+    holding: Bench, heard: str, broken: bool
+) -> None:
+    holding.at(MIDDLE + 60)
+    for each in heard:
+        holding.tick(Mode.HOLDING, heard=each == "x")
+    assert ("rows" in holding.broken) == broken
+
+
 @pytest.mark.parametrize("register", [register for register in ax12a.REGISTERS if register.eeprom])
 def test_9_a_write_to_the_eeprom(holding: Bench, register: ax12a.Register) -> None:
     holding.write(0, register, register.default)

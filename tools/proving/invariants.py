@@ -382,7 +382,8 @@ class Judge(TorqueJudge):
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
                 self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
             if before:
-                self._watch_strain(now_s, i, abs(before[i].goal - servo.sensed_tick))
+                off = (abs(before[i].goal - place) for place in (servo.sensed_tick, self._told[i]))
+                self._watch_strain(now_s, i, min(off))
             if i in self._enabled:
                 self._watch_jump(now_s, i, servo)
         if before and gap_s <= 0.05:

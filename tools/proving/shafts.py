@@ -79,8 +79,8 @@ class ShaftJudge:
     def _watch_strain(self, now_s: float, i: int, away_ticks: int) -> None:
         """A joint that cannot follow: over 8 deg (and the noise of two readings) for 300 ms has to be reported.
 
-        It counts from when a program watches for it: one that has just adopted the arm knows of nothing before. Of a
-        joint that is not heard nothing is to be reported but that.
+        It counts from when a program watches for it and was told: one that has just adopted the arm knows of nothing
+        before. Of a joint that is not heard nothing is to be reported but that.
         """
         if away_ticks <= BLOCKED_TICKS or self._mode not in POWERED or self._code:
             self._far_s[i] = math.inf
