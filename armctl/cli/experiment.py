@@ -23,7 +23,9 @@ def experiment_command() -> None:
 
 
 @command("line", SOCKET, CONFIG, ARM, group=experiment_command)
-def line_command(output: Output, virtual: bool, period_s: float | None, geometry: str | None, **asked: Any) -> None:
+def line_command(
+    output: Output, virtual: bool, period_s: float | None, geometry: str | None, age: str | None, **asked: Any
+) -> None:
     """The straight line from A to B with so many intermediate points: before and after correction.
 
     Every plan is run as it is, then with what the arm's sag model predicts, then corrected by what was measured, and
@@ -38,10 +40,12 @@ def line_command(output: Output, virtual: bool, period_s: float | None, geometry
     for option, value, why in (
         ("--period", period_s, "the daemon's period is in its configuration"),
         ("--geometry", geometry, "the daemon's arm is as it was put together"),
+        ("--age", age, "the daemon's servos are as old as they are"),
     ):
         if value is not None and not virtual:
             raise ConfigError("armctl experiment", option, why, "leave it out")
-    config, arm, wanted = output.config, output.arm, Asked(**asked, geometry=geometry or "perfect")
+    config, arm = output.config, output.arm
+    wanted = Asked(**asked, geometry=geometry or "perfect", age=age or "new")
     if virtual:
         result = on_virtual_arm(arm, wanted, period_s or config.period_s, config, output.progress)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -80,8 +80,7 @@ def sim_command(
     faults_file: Path | None,
     return_delay_us: int | None,
     factory: bool,
-    geometry: str,
-    **line: Any,
+    **told: Any,
 ) -> int:
     """Simulate an arm: servos that answer the real protocol bytes on a pseudo terminal.
 
@@ -95,21 +94,20 @@ def sim_command(
     from armctl.sim import pty
     from armctl.sim.arm import SimulatedArm
     from armctl.sim.faults import Fault, Faults, parse
-    from armctl.sim.geometry import GEOMETRIES
-    from armctl.sim.spec import DEFAULT_SPEC
+    from armctl.sim.spec import DEFAULT_SPEC, put_together
 
     played = load_arm(arm)
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
         faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
     link = (link or default_link()).absolute()
-    spec = replace(DEFAULT_SPEC, geometry=GEOMETRIES[geometry])
-    simulated = SimulatedArm(played, seed=line["seed"], spec=spec, faults=Faults(faults, seed=line["seed"]))
+    spec, seed = put_together(DEFAULT_SPEC, told.pop("geometry"), told.pop("age")), told["seed"]
+    simulated = SimulatedArm(played, seed=seed, spec=spec, faults=Faults(faults, seed=seed))
     if return_delay_us is not None:
         simulated.set_all(ax12a.RETURN_DELAY, return_delay_us // 2)
     for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT) if factory else ():
         simulated.set_all(limit, limit.default)
-    pty.run(simulated, link=link, ready=partial(output.ready, "port"), **line)
+    pty.run(simulated, link=link, ready=partial(output.ready, "port"), **told)
     return 0
 
 

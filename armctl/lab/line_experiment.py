@@ -33,8 +33,7 @@ from armctl.recording import recordings
 from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.geometry import GEOMETRIES
-from armctl.sim.spec import RANDOM_SPEC
+from armctl.sim.spec import RANDOM_SPEC, put_together
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import columns_at
@@ -89,8 +88,9 @@ class Asked(Wanted):
     measured: tuple[Path, str] | None
     # A page that shows what was found.
     report: Path | None
-    # Of a virtual arm: how well it was put together, a name in `GEOMETRIES`.
+    # Of a virtual arm: how well it was put together, and how old its servos are (`GEOMETRIES`, `AGES`).
     geometry: str = "perfect"
+    age: str = "new"
 
 
 def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
@@ -99,7 +99,7 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
     The sag model is identified and the candidates are guided on the spot. From where the hand leaves the arm, low or
     at its joints' limits, there may be no way back to rest, nor to another line: it is carried to rest.
     """
-    spec = replace(RANDOM_SPEC, geometry=GEOMETRIES[asked.geometry])
+    spec = put_together(RANDOM_SPEC, asked.geometry, asked.age)
 
     def at_rest() -> VirtualRig:
         return VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=spec), period_s)
@@ -116,7 +116,7 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
         if preflight_motion(np.array(back.positions_rad), period_s, arm, rig.robot):
             rig = at_rest()
     found = _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
-    return {**found, "geometry": asked.geometry}
+    return {**found, "geometry": asked.geometry, "age": asked.age}
 
 
 def on_daemon(rig: Rig, asked: Asked, config: Config, stage: Stage) -> dict[str, Any]:

@@ -124,23 +124,32 @@ class Body:
 
     def update_voltage(self) -> bool:
         """Renew the voltage under the present load; whether it is another than before."""
-        current_A = 0.0
+        onward_A, currents_A = 0.0, []
         for joint in self.joints:
-            current_A += max(0.0, joint.servo.output * joint.effort) * self.spec.stall_current_A
-        voltage_V = max(0.0, self.supply_V - self.spec.supply_ohm * current_A)
+            currents_A.append(max(0.0, joint.servo.output * joint.effort) * self.spec.stall_current_A)
+            onward_A += currents_A[-1]
+        voltage_V = max(0.0, self.supply_V - self.spec.supply_ohm * onward_A)
         if voltage_V == self.voltage_V:
             return False
         self.voltage_V = voltage_V
-        for joint in self.joints:
+        # From servo to servo; the cable to each one carries what it and those beyond it take.
+        for joint, current_A in zip(self.joints, currents_A, strict=True):
+            voltage_V = max(0.0, voltage_V - self.spec.cable_ohm * onward_A)
             joint.servo.voltage_V = voltage_V
+            onward_A -= current_A
         return True
 
     def update_temperatures(self, steps: int) -> None:
         """Bring the temperatures nearer to where the present efforts lead, exponentially."""
-        left = math.exp(-steps * STEP_S / self.spec.heating_s)
+        spec, passed_s = self.spec, steps * STEP_S
+        left = math.exp(-passed_s / spec.heating_s)
         for joint in self.joints:
-            settled_degC = self.settled_degC(joint)
-            joint.servo.temperature_degC = settled_degC + (joint.servo.temperature_degC - settled_degC) * left
+            servo, settled_degC = joint.servo, self.settled_degC(joint)
+            servo.temperature_degC = settled_degC + (servo.temperature_degC - settled_degC) * left
+            if spec.friction_per_degC:
+                joint.warmth = math.exp(spec.friction_per_degC * (spec.idle_degC - servo.temperature_degC))
+            if servo.variants.led_lingers_s:
+                servo.calm_s = 0.0 if servo.alarms() else servo.calm_s + passed_s
 
     def settled_degC(self, joint: Joint) -> float:
         """Where the temperature of a motor leads at its present effort."""

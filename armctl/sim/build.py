@@ -12,7 +12,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain
 from armctl.sim.geometry import PERFECT, Draws
 from armctl.sim.gravity import PointMasses
-from armctl.sim.joint import Joint
+from armctl.sim.joint import STEP_S, Joint
 from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
 
@@ -37,17 +37,30 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
         _joint(config, _of_model(spec, MODELS[config.model]), rng, own_rng)
         for config, own_rng in zip(arm.joints, servo_rngs, strict=True)
     ]
+    draws = Draws(spec.geometry, seed)
     if spec.geometry != PERFECT:
-        draws = Draws(spec.geometry, seed)
         chain = draws.chain(robot.with_lengths(draws.lengths_m(lengths_m)).chain)
         for joint in joints:
             joint.misplace(draws.zero_rad(), draws.deviation(spec.shaft_friction_Nm))
     for joint in joints:
         joint.stall_Nm = joint.spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
+        _make_its_own(joint, draws)
     servo_kg = spec.servo_kg + spec.bracket_kg
     servos_kg = [servo_kg * (1.0 + spec.mass_spread * float(rng.uniform(-1.0, 1.0))) for _ in joints]
     # Servos beyond the chain sit midway between its last axis and the tool.
     return chain, joints, PointMasses(chain, (*servos_kg[: chain.n], sum(servos_kg[chain.n :]), tool_kg))
+
+
+def _make_its_own(joint: Joint, draws: Draws) -> None:
+    """What else makes a servo differ from the next one."""
+    spec, servo = joint.spec, joint.servo
+    joint.stiction_Nm *= draws.share("stiction", spec.stiction_spread)
+    joint.load_friction = draws.within("load", *spec.load_friction)
+    joint.dead_steps = round(draws.within("dead time", *spec.dead_time_s) / STEP_S)
+    speed_rad_s = spec.no_load_speed_rad_s * draws.share("speed", spec.no_load_spread)
+    joint.spec = replace(spec, no_load_speed_rad_s=speed_rad_s)
+    servo.slope_share = draws.within("slope", *spec.slope_share)
+    servo.noise_tick *= draws.share("noise", spec.noise_spread)
 
 
 def _of_model(spec: ArmSpec, model: ServoModel) -> ArmSpec:

@@ -1,11 +1,11 @@
 """Bytes in, bytes out, timed: one half-duplex bus with a fleet of simulated servos behind a USB adapter.
 
 A byte takes ten bits at `baud` both ways. A packet is acted on when its last byte has arrived; the reply begins
-after the servo's own return delay, once the bus is free, and reaches the host byte by byte or, with an adapter
-latency, whenever the adapter's timer fires. More than 100 ms between two bytes put the servos' parser back to the
-header search. A servo set to another baud hears nothing. Two servos with one id talk over each other: the bus
-carries the bitwise AND. What goes wrong on the way is up to `faults`. Not modelled: the host talking into a reply, the
-adapter's 62-byte packets.
+after the servo's own return delay (and, if the arm asks for it, what its firmware takes), once the bus is free, and
+reaches the host byte by byte or, with an adapter latency, whenever the adapter's timer fires. More than 100 ms between
+two bytes put the servos' parser back to the header search. A servo set to another baud hears nothing. Two servos that
+answer at once talk over each other: the bus carries the bitwise AND. What goes wrong on the way is up to `faults`. Not
+modelled: the host talking into a reply, the adapter's 62-byte packets.
 """
 
 from bisect import bisect_right
@@ -16,7 +16,15 @@ import numpy as np
 
 from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.packet import BITS_PER_BYTE, BROADCAST_ID, BadChecksum, Decoder, Packet, encode_status
+from armctl.dynamixel.packet import (
+    BITS_PER_BYTE,
+    BROADCAST_ID,
+    BadChecksum,
+    Decoder,
+    Instruction,
+    Packet,
+    encode_status,
+)
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.servo import SimulatedServo
 
@@ -24,6 +32,11 @@ BYTE_GAP_NS = 100_000_000
 # Bytes farther apart than this reach the host one after another; a byte at 57,600 baud takes 174 us.
 PAUSE_NS = 200_000
 BAUD_TOLERANCE = 0.03
+# What the firmware needs for a reply on top of its return delay, by instruction, and for each byte that it writes.
+REPLY_NS: dict[int, int] = {Instruction.PING: 18_000, Instruction.READ: 22_000, Instruction.WRITE: 24_000}
+WRITE_BYTE_NS = 6_000
+# For each byte that goes to its EEPROM a servo hears nothing for so long.
+EEPROM_BYTE_NS = 6_000_000
 
 
 class SimulatedBus:
@@ -118,12 +131,11 @@ class SimulatedBus:
             self._list_hearers()
         hearers = self._hearers.get(to, ())
         faults = arm.faults
-        if not faults.planned and (len(hearers) == 1 or to == BROADCAST_ID):  # nearly all: one reply at most
+        one_reply = len(hearers) == 1 or (to == BROADCAST_ID and not arm.spec.variants.broadcast_ping_answered)
+        if one_reply and not faults.planned:  # nearly all
             arm.advance(time_ns, hearers[0] if len(hearers) == 1 else None)
             for i in hearers:
-                servo = arm.servos[i]
-                delay_ns = servo.return_delay_ns
-                status = None if servo.booting else servo.handle(packet)
+                status, delay_ns = self._told(arm.servos[i], packet, time_ns)
                 if status is not None:
                     self._quiet_ns = max(time_ns + delay_ns, self._quiet_ns)
                     self._speak(status, byte_ns, 0)
@@ -139,8 +151,7 @@ class SimulatedBus:
             servo_id, servo = self._servo_ids[i], arm.servos[i]
             if servo.booting or faults.in_force("mute", servo_id):
                 continue
-            servo_delay_ns = servo.return_delay_ns
-            status = servo.handle(packet)
+            status, servo_delay_ns = self._told(servo, packet, time_ns)
             if to == servo_id and (noise := faults.happening("garbage", servo_id)):
                 self._quiet_ns = max(time_ns, self._quiet_ns)
                 self._speak(noise.rng.bytes(round(noise.amount)), byte_ns, 0)
@@ -159,6 +170,19 @@ class SimulatedBus:
         for status in statuses[1:]:
             on_wire = bytes(a & b for a, b in zip_longest(on_wire, status, fillvalue=0xFF))
         self._speak(on_wire, byte_ns, late_ns)
+
+    def _told(self, servo: SimulatedServo, packet: Packet | BadChecksum, time_ns: int) -> tuple[bytes | None, int]:
+        """What a servo answers, and after how long [ns]."""
+        if servo.booting or time_ns < servo.deaf_until_ns:
+            return None, 0
+        delay_ns, written = servo.return_delay_ns, servo.eeprom_writes
+        status = servo.handle(packet)
+        if self.arm.spec.firmware_takes_time and isinstance(packet, Packet):
+            delay_ns += REPLY_NS.get(packet.code, REPLY_NS[Instruction.WRITE])
+            if packet.code == Instruction.WRITE:
+                delay_ns += max(0, len(packet.parameters) - 1) * WRITE_BYTE_NS
+            servo.deaf_until_ns = time_ns + (servo.eeprom_writes - written) * EEPROM_BYTE_NS
+        return status, delay_ns
 
     def _list_hearers(self) -> None:
         """Note which servos hear what is said to whom: this changes with an EEPROM, or with the host's baud."""

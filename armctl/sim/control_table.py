@@ -21,11 +21,12 @@ def touched(begin: int, end: int) -> dict[str, Register]:
     return {r.name: r for r in ax12a.REGISTERS if r.address < end and r.address + r.size > begin}
 
 
-def refusal(table: bytearray, parameters: bytes) -> int:
+def refusal(table: bytearray, parameters: bytes, *, wheel_goal: bool) -> int:
     """Error bits of a write that must not happen; 0: it may.
 
     Args:
         parameters: The first address, and the bytes from there on.
+        wheel_goal: Whether a goal may be written in wheel mode, where it means nothing.
     """
     if len(parameters) < 2:
         return ErrorBit.INSTRUCTION
@@ -44,6 +45,6 @@ def refusal(table: bytearray, parameters: bytes) -> int:
         highest = ax12a.TICK_MAX if register is ax12a.MOVING_SPEED and not wheel else register.maximum
         if not (register.writable and (register.minimum <= wanted <= highest)) or (register.eeprom and torque):
             error |= int(ErrorBit.RANGE)
-        elif register is ax12a.GOAL and not (wheel or low <= wanted <= high):
+        elif register is ax12a.GOAL and not (wheel_goal if wheel else low <= wanted <= high):
             error |= int(ErrorBit.ANGLE_LIMIT)
     return error

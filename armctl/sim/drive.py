@@ -84,12 +84,12 @@ class Drive(NamedTuple):
         return Ramp(reference_tick, goal_tick, step_tick if way_tick > 0.0 else -step_tick, arrival)
 
 
-def drive_of(registers: Sequence[int]) -> Drive:
-    """What the registers of `DRIVING` mean."""
+def drive_of(registers: Sequence[int], slope_share: float = 1.0) -> Drive:
+    """What the registers of `DRIVING` mean to a controller whose output climbs over this share of their slopes."""
     cw_limit, ccw_limit, max_torque, enabled, *compliance, goal, moving_speed, torque_limit, punch = registers
     cw_margin, ccw_margin, *slopes = compliance
     limit, least = min(torque_limit, max_torque) / ax12a.LOAD_MAX, punch / ax12a.LOAD_MAX
-    cw_gain, ccw_gain = ((1.0 - least) / ax12a.compliance_slope(slope) for slope in slopes)
+    cw_gain, ccw_gain = ((1.0 - least) / (slope_share * ax12a.compliance_slope(slope)) for slope in slopes)
     ramp_tick_s = moving_speed * ax12a.SPEED_UNIT_RAD_S / ax12a.TICK_RAD
     spin: float | None = None
     if cw_limit == ccw_limit == 0:

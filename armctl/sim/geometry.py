@@ -91,14 +91,25 @@ class Deviation:
         self.settled_rad = self.at(shaft_rad)
 
 
+# Of what is drawn by a stream of its own; a new kind stands last, or every seed becomes another arm.
+KINDS = "lengths", "zeros", "twists", "sensors", "stiction", "load", "dead time", "slope", "speed", "noise"
+
+
 class Draws:
-    """One arm's errors, each kind from its own stream."""
+    """What is off about one arm, each kind from its own stream."""
 
     def __init__(self, geometry: Geometry, seed: int) -> None:
         self._geometry = geometry
-        kinds = "lengths", "zeros", "twists", "sensors"
-        streams = np.random.SeedSequence((seed, 0x6E0)).spawn(len(kinds))
-        self._rng = {kind: np.random.default_rng(stream) for kind, stream in zip(kinds, streams, strict=True)}
+        streams = np.random.SeedSequence((seed, 0x6E0)).spawn(len(KINDS))
+        self._rng = {kind: np.random.default_rng(stream) for kind, stream in zip(KINDS, streams, strict=True)}
+
+    def within(self, kind: str, low: float, high: float) -> float:
+        """The next of a kind, drawn evenly."""
+        return float(self._rng[kind].uniform(low, high))
+
+    def share(self, kind: str, spread: float) -> float:
+        """A factor that is off by up to a share, either way."""
+        return 1.0 + spread * self.within(kind, -1.0, 1.0)
 
     def lengths_m(self, lengths_m: dict[str, float]) -> dict[str, float]:
         """The link lengths [m] as they truly are."""
@@ -114,7 +125,7 @@ class Draws:
 
     def zero_rad(self) -> float:
         """By how much the next joint's zero is off."""
-        return math.radians(self._geometry.zero_deg) * float(self._rng["zeros"].uniform(-1.0, 1.0))
+        return math.radians(self._geometry.zero_deg) * self.within("zeros", -1.0, 1.0)
 
     def deviation(self, friction_Nm: float) -> Deviation:
         """Of the next joint's link."""

@@ -6,6 +6,7 @@ Integrated at 1 kHz by semi-implicit Euler:
     motor   = stall_torque * output * voltage / 12 V - stall_torque / no_load_speed * velocity     (nothing when limp)
     torque  = motor + gravity + hand
     inertia * acceleration = torque - Coulomb friction; from rest only if the torque exceeds the stiction
+    both frictions grow with what gravity lays on the gears, and fall as the motor gets warm
 
 The shaft, which the position sensor sees and the link hangs on, follows the motor through a play: gravity and hand
 push it to one flank; without them it is dragged along.
@@ -18,6 +19,7 @@ Two ideas save most of the time, and both give the same as computing every step:
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 from armctl.sim.drive import Drive, Ramp
@@ -51,6 +53,10 @@ class Joint:
     stops_rad: tuple[float, float]
     # Torque at the rated supply.
     stall_Nm: float
+    # What friction grows by, as a share of the torque that the gears carry.
+    load_friction: float = 0.0
+    # From a write until the controller follows it.
+    dead_steps: int = 0
 
     # The motor's angle behind its gears; the shaft's differs by the play.
     motor_rad: float = field(init=False)
@@ -66,6 +72,10 @@ class Joint:
     drive: Drive = field(init=False)
     # The servo's count of writes when its drive was taken over.
     writes: int = field(init=False)
+    # Drives that the controller does not follow yet: from which step on, and whether the ramp begins at the shaft.
+    late: deque[tuple[int, Drive, bool]] = field(default_factory=deque)
+    # What heat leaves of friction.
+    warmth: float = 1.0
     ramp: Ramp = field(init=False)
     # Steps since the ramp's begin.
     ramp_steps: int = 0
@@ -117,13 +127,26 @@ class Joint:
         self.aim_rad_s = self.direction * velocity_rad_s
 
     def take_drive(self) -> bool:
-        """Take over what was written to the servo; whether nothing has to move for it."""
+        """Take over what was written to the servo, now or after its dead time; whether nothing has to move for it."""
         servo, drive = self.servo, self.servo.drive
-        same = drive == self.drive
+        restarts, servo.ramp_restarts = servo.ramp_restarts, False
+        self.writes = servo.writes
+        if self.dead_steps and drive.enabled and self.drive.enabled:
+            if drive != (self.late[-1][1] if self.late else self.drive) or restarts:
+                self.late.append((self.step + self.dead_steps, drive, restarts))
+            return not self.late and servo.reference_tick == drive.goal_tick
+        self.late.clear()
+        same = self._follow(drive, restarts)
+        return same and (not drive.enabled or drive.spin is not None or servo.reference_tick == drive.goal_tick)
+
+    def _follow(self, drive: Drive, restarts: bool) -> bool:
+        """Have the controller work by a drive from now on; whether it did before."""
+        same = drive == self.drive and not restarts
+        if restarts:
+            self.servo.reference_tick = self.servo.sensed_tick()
         if not same:
             self.drive, self.reference_tick = drive, math.nan  # its ramp begins where the reference is
-        self.writes = servo.writes
-        return same and (not drive.enabled or drive.spin is not None or servo.reference_tick == drive.goal_tick)
+        return same
 
     def advance(self, until_step: int, aim_step: int | None) -> bool:
         """Let time pass; whether anything about the joint changes.
@@ -132,6 +155,15 @@ class Joint:
             until_step: The step to come to.
             aim_step: The step to which the hand's aim belongs; None: no hand pulls.
         """
+        changes = bool(self.late)
+        while self.late and self.late[0][0] <= until_step:
+            step, drive, restarts = self.late.popleft()
+            self._advance(step, aim_step)
+            self._follow(drive, restarts)
+        return self._advance(until_step, aim_step) or changes
+
+    def _advance(self, until_step: int, aim_step: int | None) -> bool:
+        """The same with one drive."""
         count = until_step - self.step
         if count <= 0:
             return False
@@ -165,7 +197,11 @@ class Joint:
         Args:
             aim_age: Steps since the hand's aim was taken; None: no hand pulls.
         """
-        servo, stiction, rate, half_play = self.servo, self.stiction_Nm, self.step_over_inertia, self.half_play_rad
+        servo, rate, half_play = self.servo, self.step_over_inertia, self.half_play_rad
+        friction = self.warmth
+        if self.load_friction:
+            friction += self.load_friction * abs(self.gravity_Nm) / self.coulomb_Nm
+        coulomb, stiction = self.coulomb_Nm * friction, self.stiction_Nm * friction
         shaft, motor, velocity = servo.shaft_rad, self.motor_rad, servo.velocity_rad_s
         low, high = self.stops_rad if self.blocked_rad is None else (self.blocked_rad, self.blocked_rad)
         stall, brake = self._motor_constants()
@@ -189,7 +225,7 @@ class Joint:
             if velocity == 0.0 and -stiction <= torque <= stiction:
                 stuck_at = shaft, motor
             else:
-                velocity = sliding_velocity(velocity, torque, self.coulomb_Nm, rate)
+                velocity = sliding_velocity(velocity, torque, coulomb, rate)
             motor += velocity * STEP_S
             # The shaft is anywhere within the play around the motor.
             shaft += drift

@@ -7,7 +7,8 @@ terminal's far end is held open here, or the first client to close it would end 
 always names the present one and vanishes with it, by request or while an `unplug` fault is in force.
 
 Not modelled: what a UART does to bytes (overrun, framing), and modem lines. A host that flushes its output
-right behind a packet without reply (pypot does after SYNC_WRITE) may lose it before it ever arrives here.
+right behind a packet without reply (pypot does after SYNC_WRITE) may lose it: until a worker of the kernel has run the
+packet is not here yet, and no thread that reads here can hold on to it (docs/simulator.md has what was measured).
 """
 
 import contextlib

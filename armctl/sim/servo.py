@@ -2,11 +2,11 @@
 
 Rules, from ROBOTIS' e-manual and the AX-12 user's manual unless marked:
 
-- PING is answered at any status return level, READ from level 1, the rest at level 2; a broadcast never is.
+- PING is answered at any status return level, READ from level 1, the rest at level 2; a broadcast never is (a switch).
 - A write counts as a whole or not at all. Out of range, read-only, beyond the table, EEPROM while torque is on
   (assumed: the manual only forbids it), or outside 24..35 once LOCK is set: range error. A goal outside the angle
   limits: angle-limit error. ACTION with nothing registered, or a wrong number of parameters: instruction error.
-- An unknown instruction is met with silence, a bad checksum addressed to the servo with a checksum error.
+- An unknown instruction is met with silence (a switch), a bad checksum addressed to the servo with a checksum error.
 - Voltage, overheat and overload bits stand in every reply while their cause lasts. An error that is also set in the
   shutdown register trips the servo: torque limit 0 and torque off; one set in the alarm-LED register makes the LED
   blink. It stays overloaded until torque is enabled again with a torque limit above 0.
@@ -17,6 +17,7 @@ Rules, from ROBOTIS' e-manual and the AX-12 user's manual unless marked:
 What differs between reports and firmwares is a field of `ServoVariants`.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from struct import Struct
@@ -62,6 +63,14 @@ class ServoVariants:
     goal_follows_when_limp: bool = True
     # A new goal continues the speed ramp from the reference in force; otherwise from the present position.
     ramp_from_reference: bool = True
+    # A broadcast PING is answered, by all servos at once (the manual of 2006 says both).
+    broadcast_ping_answered: bool = False
+    # An instruction that no manual defines is answered with the error bit that exists for it.
+    unknown_instruction_answered: bool = False
+    # In wheel mode a goal is refused with an angle-limit error.
+    wheel_goal_refused: bool = False
+    # For so long after an alarm is over the LED goes on blinking; the manual says 2 s.
+    led_lingers_s: float = 0.0
 
 
 class SimulatedServo:
@@ -99,11 +108,19 @@ class SimulatedServo:
         self.booting = False
         # Noise of every position reading, in standard deviations; None: each reading has its own.
         self.noise: float | None = None
-        # Counts whatever may change `drive`, and whatever changes the EEPROM.
+        # Counts whatever may change `drive`, and the bytes written to the EEPROM.
         self.writes = self.eeprom_writes = 0
         self._draws = _standard_normals(rng)
-        self._noise_tick = noise_tick
-        self._variants = variants
+        self.noise_tick = noise_tick
+        self.variants = variants
+        # Over what share of its slope the output climbs.
+        self.slope_share = 1.0
+        # A goal came with which the speed ramp begins anew.
+        self.ramp_restarts = False
+        # How long no alarm has stood.
+        self.calm_s = math.inf
+        # It hears nothing before this instant of the bus.
+        self.deaf_until_ns = 0
         self._registered: bytes | None = None
         self._last_error = 0
         self._driven_by: tuple[int, ...] = ()
@@ -126,7 +143,7 @@ class SimulatedServo:
     def _put(self, address: int, data: bytes) -> None:
         self.table[address : address + len(data)] = data
         self.writes += 1
-        self.eeprom_writes += address < ax12a.EEPROM_END
+        self.eeprom_writes += len(data) if address < ax12a.EEPROM_END else 0
 
     @property
     def position_tick(self) -> float:
@@ -152,7 +169,8 @@ class SimulatedServo:
     @property
     def led(self) -> Literal["off", "on", "blinking"]:
         """The light on its case: blinking for an alarm the alarm-LED register asks for, else as its register says."""
-        if (self.alarms() | self._last_error) & value(self.table, ax12a.ALARM_LED):
+        lingers = self.calm_s < self.variants.led_lingers_s
+        if lingers or (self.alarms() | self._last_error) & value(self.table, ax12a.ALARM_LED):
             return "blinking"
         return "on" if value(self.table, ax12a.LED) else "off"
 
@@ -161,7 +179,7 @@ class SimulatedServo:
         """The position controller's settings now."""
         registers = DRIVING.unpack(self.table)
         if registers != self._driven_by:
-            self._driven_by, self._drive = registers, drive_of(registers)
+            self._driven_by, self._drive = registers, drive_of(registers, self.slope_share)
         return self._drive
 
     def sensed_tick(self) -> int:
@@ -175,7 +193,7 @@ class SimulatedServo:
         if position is None:
             position = sensed_tick(self.shaft_rad / TICK_RAD + noise_tick)
             speed = round(self.velocity_rad_s / SPEED_UNIT_RAD_S)
-        if not enabled and self._variants.goal_follows_when_limp:
+        if not enabled and self.variants.goal_follows_when_limp:
             _GOAL.pack_into(table, _GOAL_AT, position)
         _MEASURED.pack_into(
             table,
@@ -204,6 +222,8 @@ class SimulatedServo:
                 error, reply = self._read(packet.parameters)
             elif code in _REACTIONS:
                 error = _REACTIONS[code](self, packet.parameters)
+            elif self.variants.unknown_instruction_answered:
+                error = int(ErrorBit.INSTRUCTION)
             else:
                 return None
         elif to == BROADCAST_ID:
@@ -212,7 +232,10 @@ class SimulatedServo:
         self._last_error = error
         if error:
             self._shut_down(error)
-        if to == BROADCAST_ID or not (level == 2 or code == Instruction.PING or (level and code == _READ)):
+        pinged = code == Instruction.PING
+        if to == BROADCAST_ID and not (pinged and self.variants.broadcast_ping_answered):
+            return None
+        if not (level == 2 or pinged or (level and code == _READ)):
             return None
         return encode_status(servo_id, error, reply)
 
@@ -223,16 +246,16 @@ class SimulatedServo:
         begin, size = parameters
         if size == 0 or begin + size > ax12a.TABLE_SIZE:
             return ErrorBit.RANGE, b""
-        self._measure(self._noise_tick * (next(self._draws) if self.noise is None else self.noise))
+        self._measure(self.noise_tick * (next(self._draws) if self.noise is None else self.noise))
         return 0, bytes(self.table[begin : begin + size])
 
     def _write(self, parameters: bytes) -> int:
-        if not (error := refusal(self.table, parameters)):
+        if not (error := refusal(self.table, parameters, wheel_goal=not self.variants.wheel_goal_refused)):
             self._apply(parameters[0], parameters[1:])
         return error
 
     def _register_write(self, parameters: bytes) -> int:
-        if not (error := refusal(self.table, parameters)):
+        if not (error := refusal(self.table, parameters, wheel_goal=not self.variants.wheel_goal_refused)):
             self._registered, self.table[_REGISTERED_AT] = parameters, 1
         return error
 
@@ -258,8 +281,8 @@ class SimulatedServo:
         if not was_enabled:
             self._measure(0.0)  # a goal that followed the position is where it is now
         self._put(address, data)
-        energising = (ax12a.GOAL.name in names and self._variants.goal_write_energises) or (
-            ax12a.MOVING_SPEED.name in names and self._variants.speed_write_energises
+        energising = (ax12a.GOAL.name in names and self.variants.goal_write_energises) or (
+            ax12a.MOVING_SPEED.name in names and self.variants.speed_write_energises
         )
         if energising and ax12a.TORQUE_ENABLE.name not in names:
             self.table[_TORQUE_ENABLE_AT] = 1
@@ -268,8 +291,9 @@ class SimulatedServo:
             return
         if not was_enabled and value(self.table, ax12a.TORQUE_LIMIT) > 0:
             self.overloaded = False
-        if not was_enabled or (ax12a.GOAL.name in names and not self._variants.ramp_from_reference):
+        if not was_enabled:
             self.reference_tick = self.sensed_tick()
+        self.ramp_restarts |= ax12a.GOAL.name in names and not self.variants.ramp_from_reference
 
     def _reset(self, _: bytes = b"") -> int:
         """Restore the factory's table."""

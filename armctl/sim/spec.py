@@ -4,9 +4,10 @@ docs/simulator.md says of each figure whether it is ROBOTIS', a study's or a gue
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from armctl.dynamixel import ax12a
-from armctl.sim.geometry import PERFECT, Geometry
+from armctl.sim.geometry import GEOMETRIES, PERFECT, Geometry
 from armctl.sim.servo import ServoVariants
 
 
@@ -26,10 +27,21 @@ class ArmSpec:
     # Each motor is weaker or stronger by up to this share.
     stall_spread: float = 0.0
     no_load_speed_rad_s: float = ax12a.NO_LOAD_SPEED_RAD_S
+    # Each motor is slower or faster by up to this share.
+    no_load_spread: float = 0.0
     # Coulomb friction at the output shaft.
     friction_Nm: tuple[float, float] = (0.08, 0.16)
-    # Break-away torque over Coulomb friction.
+    # What friction grows by, as a share of the torque that the gears carry.
+    load_friction: tuple[float, float] = (0.0, 0.0)
+    # What share of its friction a joint loses for each degree that its motor is warmer than at rest.
+    friction_per_degC: float = 0.0
+    # Break-away torque over Coulomb friction, and how far a joint's is from that, either way.
     stiction_ratio: float = 1.2
+    stiction_spread: float = 0.0
+    # From a write until the controller follows it.
+    dead_time_s: tuple[float, float] = (0.0, 0.0)
+    # Over what share of its compliance slope the output truly climbs.
+    slope_share: tuple[float, float] = (1.0, 1.0)
     # Of motor and gears, seen from the output shaft.
     rotor_inertia_kg_m2: float = 0.002
     # Whole width of the play between motor and shaft.
@@ -44,8 +56,9 @@ class ArmSpec:
     zero_offset_within_tick: float | None = None
     # Standard deviation of the error of each link length.
     length_error_m: float = 0.0
-    # Standard deviation of a reported position.
+    # Standard deviation of a reported position; each sensor is better or worse by up to this share.
     noise_tick: float = 0.5
+    noise_spread: float = 0.0
     # The mechanical stops lie this far beyond the calibration's limits.
     stop_deg: float = 2.0
     # With every joint this near its rest pose the arm leans on something that carries its weight.
@@ -57,6 +70,8 @@ class ArmSpec:
     supply_V: float = 12.0
     # Of supply and cables together.
     supply_ohm: float = 0.15
+    # Of the cable from each servo to the next one, and of its plugs.
+    cable_ohm: float = 0.0
     stall_current_A: float = 1.5
     # Where a servo's temperature settles while its motor rests.
     idle_degC: float = 30.0
@@ -66,6 +81,8 @@ class ArmSpec:
     heating_s: float = 400.0
     # A servo is deaf for this long after its firmware restarts.
     boot_s: float = 0.3
+    # Whether replies take the firmware's time, and writing the EEPROM makes a servo deaf (see bus.py).
+    firmware_takes_time: bool = False
     variants: ServoVariants = field(default_factory=ServoVariants)
     # What else is off, by streams of their own.
     geometry: Geometry = PERFECT
@@ -75,3 +92,38 @@ DEFAULT_SPEC = ArmSpec()
 
 # Arms as different as one batch of servos and one pair of hands may make them: for experiments over many seeds.
 RANDOM_SPEC = replace(DEFAULT_SPEC, mass_spread=0.15, stall_spread=0.2, zero_offset_within_tick=0.5)
+
+# What is published of these servos, and what is guessed on top, as far as the default has none of it: every figure's
+# whole range.
+_PUBLISHED: dict[str, Any] = {
+    "load_friction": (0.0, 0.15),
+    "friction_per_degC": 0.004,
+    "stiction_spread": 0.15,
+    "dead_time_s": (0.0174, 0.0502),
+    "slope_share": (0.6, 1.0),
+    "no_load_spread": 0.1,
+    "cable_ohm": 0.03,
+    "firmware_takes_time": True,
+}
+# How a servo's age changes an arm: `new` is the arm as it was given.
+AGES: dict[str, dict[str, Any]] = {
+    "new": {},
+    "worn": _PUBLISHED
+    | {
+        "friction_Nm": (0.10, 0.24),
+        "stiction_ratio": 1.4,
+        "play_deg": (0.5, 1.5),
+        "noise_tick": 1.25,
+        "noise_spread": 0.6,
+    },
+}
+# New servos with all that is published of them: with "worn" ones, the range that identification has to stand.
+RANGE_SPEC = replace(RANDOM_SPEC, **_PUBLISHED)
+
+
+def put_together(spec: ArmSpec, geometry: str, age: str) -> ArmSpec:
+    """The arm as well put together, and with servos as old, as asked (`GEOMETRIES`, `AGES`).
+
+    What is drawn of it stays, in other sizes.
+    """
+    return replace(spec, geometry=GEOMETRIES[geometry], **AGES[age])
