@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from armctl.control.faults import KINDS, Cause
 from armctl.control.machine import Phase, Trigger
 from armctl.control.relief import PUSH_RATIO, keep_here, pushes, relieve
-from armctl.control.tick import STILL_TICKS, Tick
+from armctl.control.stillness import STILL_TICKS
+from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Status
 from armctl.messages import NS_PER_S, Event, Mode

@@ -360,8 +360,9 @@ class State:
     load_since_ns: tuple[int, ...] = ()
     # Readings lost to noise in each of the latest ticks.
     noise: tuple[int, ...] = ()
-    # Positions of the previous sample [tick].
+    # Positions of the previous sample, and of those before it in which none was meant to have torque [tick].
     last_ticks: tuple[int, ...] = ()
+    earlier_ticks: tuple[tuple[int, ...], ...] = ()
 
     @property
     def fault(self) -> Fault | None:

@@ -15,7 +15,7 @@ from armctl.control.faults import SETTLING, Cause
 from armctl.control.machine import TO_REST, Motion, Phase, Trigger
 from armctl.control.motion import set_off
 from armctl.control.sequences import soften
-from armctl.control.tick import STILL_TICKS, Tick
+from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.messages import Command, Event, JointTrajectory, LagModel, Mode, most_points
@@ -142,15 +142,15 @@ def _torque_on(s: Tick, request_id: int) -> None:
     found = state.phase is Phase.FOUND  # its servos are not taken over yet, because not all of them were heard
     if not found:
         state.target(Trigger.TORQUE_ON)
-    if found or not s.fresh or len(state.last_ticks) != len(s.joints):
+    if found or not s.fresh or not state.last_ticks:
         raise RequestRefused("NO_REPLY", "not every servo answered just now; see `armctl status`")
     for cause, text in persisting_causes(s):
         if code := {Cause.HEAT: "HOT", Cause.SUPPLY: "VOLTAGE"}.get(cause):
             raise RequestRefused(code, f"the arm would go to rest: {text}")
     ticks = []
-    for index, (joint, last) in enumerate(zip(s.arm.joints, state.last_ticks, strict=True)):
-        position = s.status(index).position
-        if abs(position - last) > STILL_TICKS:
+    for index, joint in enumerate(s.arm.joints):
+        position, still, _ = s.limp_shaft(index)
+        if still is False:
             raise RequestRefused("JUMP_REFUSED", f"joint {joint.name} is moving; hold the arm still")
         low, high = joint.limits_tick
         if not low - EDGE_TICKS <= position <= high + EDGE_TICKS:
@@ -160,7 +160,7 @@ def _torque_on(s: Tick, request_id: int) -> None:
                 f"joint {joint.name} is at {position_deg:.1f} deg, outside {joint.limits_deg[0]:g} to "
                 f"{joint.limits_deg[1]:g}; move it inside by hand",
             )
-        ticks.append(s.here(index))
+        ticks.append(s.wire[index].within_limits(position))
     s.go(Trigger.TORQUE_ON)
     soften(s)
     state.powered = None

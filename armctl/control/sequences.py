@@ -10,7 +10,8 @@ from armctl.control.detect import REST_AHEAD_S, SILENT_AGE_S
 from armctl.control.faults import KINDS
 from armctl.control.machine import Motion, Phase, Trigger
 from armctl.control.motion import set_off
-from armctl.control.tick import STILL_TICKS, Tick
+from armctl.control.stillness import Shaft
+from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.messages import Event
 from armctl.trajectory.approach import approach_trajectory, lowest_link_m
@@ -19,6 +20,8 @@ from armctl.trajectory.approach import approach_trajectory, lowest_link_m
 SOFT_TORQUE = 128
 # No servo takes torque with a goal farther from its shaft (0.6 deg).
 ENERGISE_AWAY_TICKS = 2
+# How long a limp shaft may take to be known to stand still.
+STILL_S = 4.0
 # How long the torque limit rises.
 RAMP_S = 0.5
 # A servo that does not show its full torque limit by then refuses it.
@@ -67,21 +70,25 @@ def energise(s: Tick) -> None:
     if not s.fresh:
         state.ticks -= 1  # it waits until every servo has been heard; one that stays silent latches a fault
         return
-    surprise = next(filter(None, (_surprise(s, i, anchor[i]) for i in range(len(anchor)))), None)
+    limp = [_limp_shaft(s, i) for i in range(len(anchor))]
+    surprise = next(filter(None, (_surprise(s, i, anchor[i], limp[i]) for i in range(len(anchor)))), None)
     if surprise:
         s.events.append(Event("warning", *surprise))
         s.go(Trigger.ENERGISE_FAILED)
         s.end_sequence(*surprise)
         s.let_go()
         return
-    moved = any(_drifted(s, i, was) > ENERGISE_AWAY_TICKS for i, was in enumerate(anchor))
+    here = [was if shaft is None else shaft.tick for shaft, was in zip(limp, anchor, strict=True)]
+    moved = any(abs(tick - was) > ENERGISE_AWAY_TICKS for tick, was in zip(here, anchor, strict=True))
     match state.phase:
         case Phase.SOFTENING if soften(s):
+            pass
+        case Phase.SOFTENING | Phase.PREPARING if any(shaft and shaft.still is None for shaft in limp):
             pass
         case Phase.SOFTENING | Phase.PREPARING if moved or state.phase is Phase.SOFTENING:
             # Torque would pull a shaft that has moved back to where it was: another goal, to be looked at again.
             if moved:
-                state.anchor = tuple(s.here(i) if _drifted(s, i, was) else was for i, was in enumerate(anchor))
+                state.anchor = tuple(here)
             s.go(Trigger.SOFT_SEEN if state.phase is Phase.SOFTENING else Trigger.SHAFT_MOVED)
             s.send_goal(state.anchor)
         case Phase.PREPARING:
@@ -122,9 +129,12 @@ def soften(s: Tick) -> bool:
     return len(s.writes) > before
 
 
-def _drifted(s: Tick, index: int, anchor: int) -> int:
-    """How far a limp shaft has come since energising began [tick]; one under torque, soft as it is, only sags."""
-    return 0 if s.status(index).torque_enabled else abs(s.here(index) - anchor)
+def _limp_shaft(s: Tick, index: int) -> Shaft | None:
+    """Of a shaft where torque comes on; None: it has some, and however soft it only sags."""
+    state = s.state
+    if s.status(index).torque_enabled or state.phase not in (Phase.SOFTENING, Phase.PREPARING):
+        return None
+    return s.limp_shaft(index, state.anchor[index])
 
 
 def _at_full_torque(s: Tick) -> bool:
@@ -136,16 +146,18 @@ def _at_full_torque(s: Tick) -> bool:
     return not behind
 
 
-def _surprise(s: Tick, index: int, anchor: int) -> tuple[str, str] | None:
+def _surprise(s: Tick, index: int, anchor: int, limp: Shaft | None) -> tuple[str, str] | None:
     """What is not as it should be with one servo while torque comes on, and its code; None: nothing."""
     joint, servo, full = s.arm.joints[index], s.status(index), s.wire[index].full_torque
     who = f"servo {joint.servo_id} ({joint.name})"
     softening, preparing = s.state.phase is Phase.SOFTENING, s.state.phase is Phase.PREPARING
-    if (softening or preparing) and _drifted(s, index, anchor) > STILL_TICKS:
+    too_long = limp is not None and limp.still is None and s.state.ticks > s.ticks_in(STILL_S)
+    if limp is not None and (limp.still is False or too_long):
         return "JUMP_REFUSED", f"{who} moved while torque came on; hold the arm still and try again"
     if abs(servo.position - anchor) * ax12a.TICK_RAD > JUMP_RAD:
         return "JUMP_REFUSED", f"{who} moved while torque came on; support the arm and try again"
-    if not softening and abs(servo.goal - anchor) > (STILL_TICKS if preparing else 0):
+    # That of a limp servo may follow its shaft.
+    if not softening and abs(servo.goal - anchor) > (limp.noise_ticks if limp is not None else 0):
         return "NOT_TAKEN", f"{who} shows goal {servo.goal} where {anchor} was written"
     if preparing and not ax12a.register_value(ax12a.MOVING_SPEED, s.inputs.sample.servos[index].registers):
         # Torque would come on at full speed. A limp servo may let its goal follow the shaft, and shows one it missed.

@@ -25,6 +25,7 @@ from armctl.control.motion import duration_s, move
 from armctl.control.relief import look_for_push
 from armctl.control.requests import carry_out
 from armctl.control.sequences import adopt, energise, go_to_rest
+from armctl.control.stillness import MANY
 from armctl.control.tick import Tick, WireJoint, wire_joints
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Status
@@ -59,6 +60,8 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     if state.phase is Phase.FOUND:
         adopt(s)
     _advance(s)
+    earlier = () if state.powered or not state.last_ticks else (*state.earlier_ticks[2 - MANY :], state.last_ticks)
+    state.earlier_ticks = earlier
     state.last_ticks = () if None in servos else tuple([servo.position for servo in servos if servo])
     if s.goal is not None:
         s.remember(s.goal.ticks)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import KINDS, with_fault
 from armctl.control.machine import ENERGISING, LATCHED, TO_REST, TRANSITIONS, LettingGo, Look, Phase, State, Trigger
+from armctl.control.stillness import Shaft, shaft
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register, Status
 from armctl.kinematics.chain import SerialChain
@@ -22,8 +23,6 @@ LEAD_TICKS = math.radians(9.0) / ax12a.TICK_RAD
 ROUNDING_TICKS = 1.0
 # The goals of so long are remembered, and some at the slowest period.
 SENT_S, SENT_LEAST = 1.0, 8
-# Largest change between two samples of an arm that counts as still (noise is one tick).
-STILL_TICKS = 3
 LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
 # Share of a period: a tick that comes no sooner after the last one is in time.
 IN_TIME = 0.9
@@ -140,6 +139,16 @@ class Tick:
         status = self.servos[index]
         assert status is not None
         return status
+
+    def limp_shaft(self, index: int, anchor: int | None = None) -> Shaft:
+        """What is known of a shaft that no torque moves.
+
+        Args:
+            anchor: See `shaft`; with one, the limit counts of a shaft that is just beyond it.
+        """
+        before = (*self.state.earlier_ticks, self.state.last_ticks)
+        readings = [*(ticks[index] for ticks in before), self.status(index).position]
+        return shaft(readings if anchor is None else [*map(self.wire[index].within_limits, readings)], anchor)
 
     def here(self, index: int) -> int:
         """Where a shaft is [tick], or the limit that it is just beyond."""

@@ -122,7 +122,7 @@ def about_to_energise_limp_servos() -> IdealArm:
                 arm.put(index, ax12a.TORQUE_ENABLE, 0)
 
     arm.after_write = stay_limp
-    arm.run_tick()
+    arm.run_ticks(16)  # by now its sensors are known to be quiet
     arm.run_tick(TorqueOn(1))
     return arm
 

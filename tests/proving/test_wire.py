@@ -28,7 +28,7 @@ def test_damage_both_ways_of_a_hundredth_of_all_packets_is_told_to_be_nothing_el
 def test_a_wrong_word_about_a_damaged_line_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wire_damage, "RED", frozenset())
     monkeypatch.setattr(wire_damage, "SHARES", (0.0,))
-    monkeypatch.setattr("armctl.control.sequences.STILL_TICKS", -1)  # no servo lies still enough
+    monkeypatch.setattr("armctl.control.stillness.STILL_TICKS", -1)  # no servo lies still enough
     result = wire_damage.prove(1, 1)
     assert result["violations"] == 1
     assert "JUMP_REFUSED" in result["damage"][0]["codes"]

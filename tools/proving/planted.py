@@ -104,8 +104,10 @@ MUTANTS: tuple[Mutant, ...] = (
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch), (ax12a.TORQUE_LIMIT, SOFT_TORQUE))",
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch))")),
     _m("torque-on at a goal of its own", CONTROL,
-       ("__ticks.append(__s.here(__index))", "__ticks.append(__s.here(__index) + 9)"),
-       ("abs(__s.here(__index) - __anchor)", "abs(__s.here(__index) + 9 - __anchor)")),
+       ("__ticks.append(__s.wire[__index].within_limits(__position))",
+        "__ticks.append(__s.wire[__index].within_limits(__position) + 9)"),
+       ("__s.limp_shaft(__index, __state.anchor[__index])",
+        "__s.limp_shaft(__index, __state.anchor[__index] - 9)._replace(tick=__state.anchor[__index])")),
     _m("an EEPROM write in service", CONTROL, (
         "__limit = round(__rising)\n__s.write(__servo_id, ax12a.TORQUE_LIMIT, __limit)",
         "__limit = round(__rising)\n__s.write(__servo_id, ax12a.MAX_TORQUE, __limit)")),
