@@ -264,6 +264,9 @@ class ArmConfig(Frozen):
     rest_on_strain: bool = True
     # Whether goals are corrected by the lag that is foreseen and by what the encoders show.
     correction: bool = True
+    # Whether the servos go on with the speed ramp of the goal before; if not, each begins at the shaft. Left out: that
+    # shows itself (`armctl identify --quick` finds it out).
+    ramp_from_reference: bool | None = None
     # From the base to the tool.
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
     # What `reach --grip` closes.
@@ -336,6 +339,11 @@ class ArmConfig(Frozen):
                     raise ValueError(f"two joints have {what} {value}; {remedy}")
         return self
 
+    @model_serializer(mode="wrap")
+    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """What nobody has found out is not told: files and logs of old arms stay as they are."""
+        return {key: value for key, value in handler(self).items() if key != "ramp_from_reference" or value is not None}
+
     @property
     def robot_name(self) -> str:
         """What to call its kinematic model."""
@@ -356,7 +364,7 @@ class ArmConfig(Frozen):
         How thick the links are changes nothing in a log, and every plan is judged anew before it runs. What a gripper
         was told stands in the log itself, as does how goals were corrected.
         """
-        told = self.model_dump_json(exclude={"link_radius_m", "gripper", "correction"})
+        told = self.model_dump_json(exclude={"link_radius_m", "gripper", "correction", "ramp_from_reference"})
         return hashlib.sha256(told.encode()).hexdigest()[:16]
 
 

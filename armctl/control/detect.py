@@ -30,6 +30,11 @@ HEAT_S = 2.0
 SUPPLY_S = 0.5
 # Time in which a `stop` calls the way to rest off.
 REST_AHEAD_S = 3.0
+# So much farther behind its ramp than it pushes for, for so many ticks, is no joint whose ramp goes on, however noisy
+# its sensor or slow to react its servo.
+BEHIND_TICKS, LAZY_TICKS = 12.0, 2
+# What is at its torque limit pushes no more for being farther off.
+LIMIT_SHARE = 0.9
 NOISE_S = 10.0
 NOISE_SHARE = 0.1
 # A standing joint pushes for so long before that is a fault.
@@ -227,3 +232,28 @@ def _detect_noise(s: Tick) -> None:
     if total > NOISE_SHARE * length * len(s.joints):
         share = total / (len(noise) * len(s.joints))
         s.latch("BUS_NOISE", f"{share:.0%} of the replies came damaged in {len(noise) * s.period_s:.0f} s (bound 10%)")
+
+
+def look_at_ramps(s: Tick) -> None:
+    """Notice that the servos begin their speed ramp to each new goal at the shaft: no document says what they do.
+
+    Such a ramp takes back with each goal what a loaded joint lags behind. So the joint falls ever farther behind goals
+    that come tick by tick, and yet does not push as one does that is so far from its goal.
+    """
+    state = s.state
+    led = (state.motion or state.jog) and s.fresh and s.all_powered() and not state.faults
+    if s.arm.ramp_from_reference is not None or state.ramp_restarts or not led:
+        return
+    lazy = any(
+        servo is not None
+        and servo.goal == goal
+        and abs(servo.load_ratio) < LIMIT_SHARE * servo.torque_limit / ax12a.LOAD_MAX
+        and abs(ramp - servo.position) - ax12a.distance_rad(servo, abs(servo.load_ratio)) / ax12a.TICK_RAD
+        > BEHIND_TICKS
+        for servo, goal, ramp in zip(s.servos, state.goal, s.ramps(), strict=True)
+    )
+    state.lazy_ticks = state.lazy_ticks + 1 if lazy else 0
+    if state.lazy_ticks == LAZY_TICKS:
+        state.ramp_restarts = True
+        text = "the servos begin their speed ramp anew at the shaft; goals get more speed from now on"
+        s.events.append(Event("info", "RAMP_RESTARTS", text))

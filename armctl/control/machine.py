@@ -329,6 +329,9 @@ class State:
     ramp: tuple[float, ...] = ()
     # When the last goal was sent.
     goal_ns: int = 0
+    # Whether those ramps were seen to begin at the shaft with each goal, and for how many ticks it has looked so.
+    ramp_restarts: bool = False
+    lazy_ticks: int = 0
     # Of each servo the registers that only torque-on writes (see ax12a.py), from when torque was taken over.
     settings: tuple[int, ...] = ()
     # None: the joints are wanted at their goals.

@@ -25,7 +25,6 @@ from armctl.control.enforce import holds, stay
 from armctl.control.machine import Look
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import Status
 from armctl.dynamixel.servos import MODELS
 from armctl.kinematics.chain import joint_axes
 
@@ -92,7 +91,7 @@ def _is_too_far(s: Tick, index: int) -> bool:
     """Whether a joint is farther from its goal than gravity explains."""
     servo, (low, high) = s.status(index), explained_ratio(s)[index]
     ahead_rad = _ahead_rad(s, index)
-    return not -_distance_rad(servo, -low) - PUSH_RAD <= ahead_rad <= _distance_rad(servo, high) + PUSH_RAD
+    return not -ax12a.distance_rad(servo, -low) - PUSH_RAD <= ahead_rad <= ax12a.distance_rad(servo, high) + PUSH_RAD
 
 
 def _ahead_rad(s: Tick, index: int) -> float:
@@ -181,10 +180,3 @@ def _holding_Nm(s: Tick) -> list[tuple[float, float]]:
             high += Nm_kg * (heavy_kg if Nm_kg > 0.0 else light_kg)
         found.append((min(low, 0.0), max(high, 0.0)))
     return found + [(0.0, 0.0)] * (len(s.wire) - chain.n)
-
-
-def _distance_rad(servo: Status, ratio: float) -> float:
-    """How far from its goal a servo stands that gives an output >= 0, by its compliance."""
-    margin, slope, punch = ax12a.compliance(servo.settings)
-    rise = max(0.0, min(ratio, 1.0) - punch / ax12a.LOAD_MAX) / (1.0 - punch / ax12a.LOAD_MAX)
-    return (margin + rise * slope) * ax12a.TICK_RAD

@@ -17,7 +17,7 @@ Rules.
 """
 
 from armctl.config import ArmConfig
-from armctl.control.detect import REST_AHEAD_S, detect_faults
+from armctl.control.detect import REST_AHEAD_S, detect_faults, look_at_ramps
 from armctl.control.enforce import hold_goals, switch_off
 from armctl.control.jog import advance_jog
 from armctl.control.machine import ENERGISING, MODE, TO_REST, Jogging, Motion, Phase, State
@@ -52,6 +52,7 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     joints, fresh = _joint_states(inputs, servos, wire), all(reading.fresh for reading in readings)
     s = Tick(state, inputs, arm, wire, robot, period_s, joints, servos, fresh)
     state.ticks += 1
+    look_at_ramps(s)
     detect_faults(s)
     if state.letting_go is not None:
         switch_off(s)

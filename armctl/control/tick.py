@@ -26,6 +26,8 @@ SENT_S, SENT_LEAST = 1.0, 8
 LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
 # Share of a period: a tick that comes no sooner after the last one is in time.
 IN_TIME = 0.9
+# Of a period, what a ramp takes that begins at the shaft.
+RAMP_SHARE = 0.1
 # Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal.
 MINIMUM_SPEED_UNITS = 16
 
@@ -348,19 +350,18 @@ class Tick:
         if self.state.letting_go is not None:
             return
         goal = [joint.within_limits(tick) for joint, tick in zip(self.wire, ticks, strict=True)]
-        before = self.ramp = self._ramps()
-        tick_rad_s = ax12a.TICK_RAD / self.period_s
-        ways = [abs(a - b) for a, b in zip(goal, before or goal, strict=True)]
-        speeds = [ax12a.moving_speed_units(way * tick_rad_s) for way in ways]
-        self.goal = Goal(
-            tuple(goal),
-            tuple([
-                min(max(MINIMUM_SPEED_UNITS, speed), joint.speed_limit_units)
-                for joint, speed in zip(self.wire, speeds, strict=True)
-            ]),
-        )  # fmt: skip
+        self.ramp = self.ramps()
+        begin, tick_rad_s = self.ramp or goal, ax12a.TICK_RAD / self.period_s
+        limits = [joint.speed_limit_units for joint in self.wire]
+        if self.state.ramp_restarts or self.arm.ramp_from_reference is False:
+            # Each ramp is to be over soon: what a joint lags behind is asked of it anew with every goal.
+            begin, tick_rad_s = [self.status(i).position for i in range(len(goal))], tick_rad_s / RAMP_SHARE
+            limits = [ax12a.TICK_MAX] * len(goal)
+        speeds = [ax12a.moving_speed_units(abs(a - b) * tick_rad_s) for a, b in zip(goal, begin, strict=True)]
+        speeds = [min(max(MINIMUM_SPEED_UNITS, speed), most) for speed, most in zip(speeds, limits, strict=True)]
+        self.goal = Goal(tuple(goal), tuple(speeds))
 
-    def _ramps(self) -> tuple[float, ...]:
+    def ramps(self) -> tuple[float, ...]:
         """Where the servos' own speed ramps are by now [tick]: at the last goal, or short of it.
 
         After a late tick the next one comes soon. A goal that then got no more speed than its own way needs would leave

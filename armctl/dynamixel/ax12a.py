@@ -194,6 +194,13 @@ def decode(block: bytes) -> Status | None:
     )  # fmt: skip
 
 
+def distance_rad(servo: Status, ratio: float) -> float:
+    """How far from its goal a servo stands that gives an output >= 0, by its compliance."""
+    margin, slope, punch = compliance(servo.settings)
+    rise = max(0.0, min(ratio, 1.0) - punch / LOAD_MAX) / (1.0 - punch / LOAD_MAX)
+    return (margin + rise * slope) * TICK_RAD
+
+
 # ---------------------------------------------------------------- what can be true of a servo, whichever it is
 
 MOTION_MARGIN = 1.5

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
+from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.packet import Instruction
 from armctl.files import load_arm
@@ -42,8 +43,8 @@ class Rig(VirtualArm):
 
     port: DamagingPort
 
-    def __init__(self, seed: int = 3, spec: ArmSpec = DEFAULT_SPEC) -> None:
-        super().__init__(SimulatedArm(ARM, seed=seed, spec=spec), make_port=DamagingPort)
+    def __init__(self, seed: int = 3, spec: ArmSpec = DEFAULT_SPEC, arm: ArmConfig = ARM) -> None:
+        super().__init__(SimulatedArm(arm, seed=seed, spec=spec), make_port=DamagingPort)
         self.records: list[TickRecord] = []
         self.on_tick = self.records.append
         self.start()

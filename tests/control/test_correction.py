@@ -14,10 +14,9 @@ from armctl.control.settle import MOST_RAD, REST_S, TRIM_RAD
 from armctl.control.tick import LEAD_TICKS
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.messages import Hold, LagModel, Mode, Pause, Resume, Run, UseModel
-from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
 from armctl.trajectory.lag import nominal
-from tests.control.damaged_arm import ARM, STRETCHED_DEG, DamagingPort, Rig
+from tests.control.damaged_arm import ARM, STRETCHED_DEG, Rig
 from tests.control.ideal_arm import holding, line
 
 REST_TICKS = round(REST_S / 0.1)
@@ -150,14 +149,7 @@ def test_a_joint_that_a_motion_does_not_turn_is_brought_to_its_place_all_the_sam
 
 
 def test_an_arm_whose_file_says_so_gets_its_goals_as_they_are() -> None:
-    plain = ARM.model_copy(update={"correction": False})
-    on = Rig.__new__(Rig)
-    super(Rig, on).__init__(SimulatedArm(plain, seed=3, spec=RANDOM_SPEC), make_port=DamagingPort)
-    on.records = []
-    on.on_tick = on.records.append
-    on.start()
-    on.ticks(3)
-    on.holding()
+    on = Rig(3, RANDOM_SPEC, ARM.model_copy(update={"correction": False})).holding()
     way = on.way(STRETCHED_DEG)
     on.records.clear()
     on.ticks(60, Run(5, way))

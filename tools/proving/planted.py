@@ -30,10 +30,9 @@ LET_GO = "__state.powered, __state.looks, __state.borne_ratio = (False, (), ())"
 MUTANTS: tuple[Mutant, ...] = (
     # ------------------------------------------------------------------------------------------ goals and speeds
     _m("speed 0 is written", CONTROL, (
-        "min(max(__least, __speed), __joint.speed_limit_units)",
-        "0 * min(max(__least, __speed), __joint.speed_limit_units)")),
+        "min(max(MINIMUM_SPEED_UNITS, __speed), __most)", "0 * min(max(MINIMUM_SPEED_UNITS, __speed), __most)")),
     _m("speed is not limited", CONTROL, (
-        "min(max(__least, __speed), __joint.speed_limit_units)", "max(__least, __speed, 700)")),
+        "min(max(MINIMUM_SPEED_UNITS, __speed), __most)", "max(MINIMUM_SPEED_UNITS, __speed, 700)")),
     _m("sign of direction", CONTROL, (
         "__joint.zero_tick + __joint.direction * (__q + __given) / TICK_RAD",
         "__joint.zero_tick - __joint.direction * (__q + __given) / TICK_RAD")),
