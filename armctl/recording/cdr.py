@@ -6,47 +6,32 @@ Rules.
 3. A sequence is a uint32 count, then its elements; an empty one is followed by no padding.
 4. A message is a dict with exactly the declared keys: a missing or misspelled one is an error, never a zero.
 
-A type is compiled once into a list of steps. Neighbouring primitives become one precompiled `struct` for each of the
-eight positions its first byte can have. Messages of one `Shape` are read at one go, without the steps.
+Messages of a shape that came before go at one go (shapes.py), all others field by field.
 """
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from itertools import groupby
-from typing import Any, NamedTuple
+from typing import Any
 
 from armctl.errors import LogError
-from armctl.recording.schemas import MESSAGES, PRIMITIVES, Field, fields, parse_schema, short_name
+from armctl.recording.schemas import MESSAGES, PRIMITIVES, fields, parse_schema, short_name
 from armctl.recording.shapes import HEADER as HEADER
-from armctl.recording.shapes import Shape, packer, pieces
+from armctl.recording.shapes import Shape, shape
 from armctl.recording.shapes import Value as Value
 
 # Bounds for schemas that came with a file from elsewhere.
 MAX_DEPTH = 16
 MAX_NESTED = 1000
 MAX_FIELDS = 10_000
-_SIMPLE = {*PRIMITIVES, "string"}
-# Bounds on the shapes that are kept of a type: sizes of messages, shapes of each, and pieces of a shape, which has more
-# than so many bytes for each one of its texts.
-MAX_SIZES, MAX_SHAPES, MAX_PIECES, MAX_TEXT = 64, 4, 256, 1.5
-
-# What puts a value behind the bytes so far, and what gets one from its place on: the value, and where it ends.
-_Put = Callable[[bytearray, Any], None]
-_Get = Callable[[bytes, int], tuple[Any, int]]
-# The same for some fields of a message; decoding enters them into it.
-_Encode = Callable[[bytearray, Value], None]
-_Decode = Callable[[bytes, int, Value], int]
-
-
-class _Type(NamedTuple):
-    """A compiled type, with the number of messages and fields inside it; those in lists do not count."""
-
-    put: _Put
-    get: _Get
-    nested: int
-    fields: int
+# Bounds on the shapes that are kept of a type: for encoding; for decoding sizes of messages, and shapes of each size;
+# and on the bytes of a message whose shape is looked for.
+MAX_ENCODED, MAX_SIZES, MAX_SHAPES, MAX_BYTES = 32, 64, 4, 2**14
+_MISFITS = (struct.error, TypeError, AttributeError, ValueError, LookupError)
+_STRING, _BYTES = "s", "B"
+_SIZES = {code: struct.calcsize(code) for code in (*PRIMITIVES.values(), _STRING)}
 
 
 @dataclass(frozen=True)
@@ -54,10 +39,11 @@ class Codec:
     """Bytes of one message type, both ways."""
 
     name: str
-    _type: _Type
+    _type: "_Type"
     _messages: Mapping[str, str] = field(repr=False, compare=False)
-    # Shapes that were met, by the size of their messages; None: one that is not worth it.
-    _shapes: dict[int, list[Shape | None]] = field(default_factory=dict, repr=False, compare=False)
+    # Shapes that were met (None: one that is not worth it): in encoding, and in decoding by the size of messages.
+    _encoded: list[Shape | None] = field(default_factory=list, repr=False, compare=False)
+    _decoded: dict[int, list[Shape | None]] = field(default_factory=dict, repr=False, compare=False)
 
     def encode(self, value: Value) -> bytes:
         """CDR bytes of a message.
@@ -65,12 +51,22 @@ class Codec:
         Raises:
             ValueError: a key is missing or unknown, or a value does not fit its field.
         """
+        with suppress(*_MISFITS):  # field by field it comes again, and tells of which field
+            for known in self._encoded:
+                if known is not None and (data := known.encode(value)) is not None:
+                    return data
         out = bytearray(HEADER)
         try:
             self._type.put(out, value)
-        except (struct.error, TypeError, AttributeError, ValueError) as error:
+        except _MISFITS as error:
             raise ValueError(f"{self.name}: {error}") from None
+        if len(self._encoded) < MAX_ENCODED and len(out) <= MAX_BYTES:
+            self._encoded.append(self.shape(value))
         return bytes(out)
+
+    def shape(self, value: Value) -> Shape | None:
+        """The shape of a message, if it is worth it."""
+        return shape(self.name, value, self._messages)
 
     def decode(self, data: bytes) -> Value:
         """The message in `data`.
@@ -78,26 +74,19 @@ class Codec:
         Raises:
             LogError: the bytes are no such message.
         """
-        shapes = self._shapes.get(len(data), ())
-        for shape in shapes:
-            if shape is not None and (known := shape.decode(data)) is not None:
-                return known
+        shapes = self._decoded.get(len(data), ())
+        for known in shapes:
+            if known is not None and (value := known.decode(data)) is not None:
+                return value
         if data[:4] != HEADER:
             raise LogError(f"{self.name}: not little-endian CDR (header {bytes(data[:4]).hex()})")
         try:
-            message: Value = self._type.get(data, len(HEADER))[0]
+            message, _ = self._type.get(data, len(HEADER))
         except (struct.error, UnicodeDecodeError, IndexError) as error:
             raise LogError(f"{self.name}: damaged message of {len(data)} bytes ({error})") from None
-        if len(shapes) < MAX_SHAPES and len(self._shapes) < MAX_SIZES:
-            self._shapes.setdefault(len(data), []).append(self._shape(message, len(data)))
+        if len(shapes) < MAX_SHAPES and len(self._decoded) < MAX_SIZES and len(data) <= MAX_BYTES:
+            self._decoded.setdefault(len(data), []).append(self.shape(message))
         return message
-
-    def _shape(self, message: Value, size: int) -> Shape | None:
-        """The shape of a message; None where it is too long, or mostly text, which seldom comes again."""
-        found = pieces(self.name, message, self._messages)
-        texts = sum(len(content) for code, content in found if not code)
-        fits = len(found) <= MAX_PIECES and packer(found).size == size > texts * MAX_TEXT
-        return Shape(self.name, message, self._messages) if fits else None
 
 
 @lru_cache(256)
@@ -117,179 +106,90 @@ def schema_codec(name: str, text: str) -> Codec:
     return Codec(short_name(name), _compile(short_name(name), messages, 0, {}), messages)
 
 
-def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str, _Type]) -> _Type:
+def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str, "_Type"]) -> "_Type":
     if name in known:
         return known[name]
-    too_much = LogError(f"message type {name}: nested deeper than {MAX_DEPTH} or wider than {MAX_NESTED}")
     if depth > MAX_DEPTH:
-        raise too_much
-    members = fields(name, messages)
-    keys = frozenset(item.name for item in members)
-    inside = {item: _compile(item.type, messages, depth + 1, known) for item in members if item.type not in _SIMPLE}
-    single = {item.name: part for item, part in inside.items() if not item.is_array}
-    nested = sum(1 + part.nested for part in single.values())
-    count = len(members) + sum(part.fields for part in single.values())
-    if nested > MAX_NESTED:
-        raise too_much
-    if count > MAX_FIELDS:
-        raise LogError(f"message type {name}: over {MAX_FIELDS} fields")
-    steps: list[tuple[_Encode, _Decode]] = []
-    for are_numbers, group in groupby(members, lambda item: item.type in PRIMITIVES and not item.is_array):
-        if are_numbers:
-            steps.append(_run(list(group)))
-        else:
-            steps += [_field(item.name, *_value_of(item, inside.get(item))) for item in group]
+        raise LogError(f"message type {name}: nested deeper than {MAX_DEPTH}")
+    members: list[tuple[str, Any, bool]] = []
+    for item in fields(name, messages):
+        plain = PRIMITIVES.get(item.type, _STRING if item.type == "string" else "")
+        members.append((item.name, plain or _compile(item.type, messages, depth + 1, known), item.is_array))
+    made = known[name] = _Type(members)
+    if made.nested > MAX_NESTED or made.count > MAX_FIELDS:
+        raise LogError(f"message type {name}: wider than {MAX_NESTED} messages or {MAX_FIELDS} fields")
+    return made
 
-    def put(out: bytearray, value: Value) -> None:
-        if value.keys() != keys:
-            raise ValueError(f"missing or unknown fields: {', '.join(sorted(keys ^ value.keys()))}")
-        for encode, _ in steps:
-            encode(out, value)
 
-    def get(data: bytes, at: int) -> tuple[Value, int]:
-        value: Value = dict.fromkeys(single)  # messages come first, then all other fields
-        for _, decode in steps:
-            at = decode(data, at, value)
+class _Type:
+    """A compiled type; of each field: name, kind (a format of `struct`, `_STRING`, or a type), if it is a list."""
+
+    def __init__(self, members: list[tuple[str, Any, bool]]) -> None:
+        self._fields, self._keys = members, frozenset(name for name, _, _ in members)
+        # Messages in it come first in what is decoded, then all other fields.
+        self._single = {name: kind for name, kind, is_list in members if isinstance(kind, _Type) and not is_list}
+        # Messages and fields inside it; those in lists do not count.
+        self.nested: int = sum(1 + kind.nested for kind in self._single.values())
+        self.count: int = len(members) + sum(kind.count for kind in self._single.values())
+
+    def put(self, out: bytearray, value: Value) -> None:
+        """Add a message to bytes."""
+        if value.keys() != self._keys:
+            raise ValueError(f"missing or unknown fields: {', '.join(sorted(self._keys ^ value.keys()))}")
+        for name, kind, is_list in self._fields:
+            content: Any = value[name] if is_list else (value[name],)
+            if is_list:
+                content = memoryview(content).tobytes() if kind == _BYTES else content
+                _pack(out, "I", len(content))
+            if isinstance(kind, _Type):
+                for part in content:
+                    kind.put(out, part)
+            elif kind == _STRING:
+                for text in content:
+                    data = text.encode() + b"\0"
+                    out += bytes(-len(out) & 3) + len(data).to_bytes(4, "little") + data
+            elif len(content):
+                _pack(out, kind, *content)
+
+    def get(self, data: bytes, at: int) -> tuple[Value, int]:
+        """The message that begins at a byte, and where it ends."""
+        value: Value = dict.fromkeys(self._single)
+        for name, kind, is_list in self._fields:
+            found: list[Any] = []
+            count = 1
+            if is_list:
+                at += (-at & 3) + 4
+                count = int.from_bytes(data[at - 4 : at], "little")
+            if kind is _STRING:
+                for _ in range(count):
+                    begin = at + (-at & 3) + 4
+                    at = begin + int.from_bytes(data[begin - 4 : begin], "little")
+                    if at > len(data):
+                        raise IndexError(f"a string of {at - begin} bytes ends beyond it")
+                    found.append(data[begin : at - 1].decode())
+            elif isinstance(kind, _Type):
+                for _ in range(count):
+                    part, at = kind.get(data, at)
+                    found.append(part)
+            elif kind == _BYTES and is_list:
+                (found,), at = _unpack(data, at, _STRING, count)
+            elif count:
+                found, at = _unpack(data, at, kind, count)
+            value[name] = found if is_list else found[0]
+        if at > len(data):
+            raise IndexError("a count ends beyond it")
         return value, at
 
-    known[name] = _Type(put, get, nested, count)
-    return known[name]
+
+def _pack(out: bytearray, code: str, *numbers: Any) -> None:
+    """Add numbers of one format, behind what aligns them."""
+    out += bytes(-(len(out) - len(HEADER)) % _SIZES[code]) + struct.pack(f"<{len(numbers)}{code}", *numbers)
 
 
-def _value_of(item: Field, part: _Type | None) -> tuple[_Put, _Get]:
-    """How the value of a field that is no plain number goes into bytes; `part`: its type, if that is a message."""
-    if item.is_array and item.type in ("byte", "uint8"):
-        return _put_blob, _get_blob
-    if item.type in PRIMITIVES:
-        return _numbers(PRIMITIVES[item.type])
-    put, get = (_put_string, _get_string) if part is None else part[:2]
-    return _list(put, get) if item.is_array else (put, get)
-
-
-def _packers(formats: str) -> tuple[struct.Struct, ...]:
-    """One struct for each (position in the message) mod 8, with its padding inside; the header shifts by 4."""
-    found = []
-    for begin in range(8):
-        at, text = begin - 4, "<"
-        for character in formats:
-            size = struct.calcsize(character)
-            text += "x" * (-at % size) + character
-            at += -at % size + size
-        found.append(struct.Struct(text))
-    return tuple(found)
-
-
-_COUNT = _packers("I")
-
-
-def _run(items: list[Field]) -> tuple[_Encode, _Decode]:
-    """The step of neighbouring numbers."""
-    keys = [item.name for item in items]
-    packers = _packers("".join(PRIMITIVES[item.type] for item in items))
-
-    def encode(out: bytearray, message: Value) -> None:
-        out += packers[len(out) & 7].pack(*[message[key] for key in keys])
-
-    def decode(data: bytes, at: int, message: Value) -> int:
-        packer = packers[at & 7]
-        message.update(zip(keys, packer.unpack_from(data, at), strict=True))
-        return at + packer.size
-
-    return encode, decode
-
-
-def _field(key: str, put: _Put, get: _Get) -> tuple[_Encode, _Decode]:
-    """The step of a field that is no plain number."""
-
-    def encode(out: bytearray, message: Value) -> None:
-        put(out, message[key])
-
-    def decode(data: bytes, at: int, message: Value) -> int:
-        message[key], at = get(data, at)
-        return at
-
-    return encode, decode
-
-
-def _put_count(out: bytearray, count: int) -> None:
-    out += _COUNT[len(out) & 7].pack(count)
-
-
-def _get_count(data: bytes, at: int) -> tuple[int, int]:
-    packer = _COUNT[at & 7]
-    return packer.unpack_from(data, at)[0], at + packer.size
-
-
-def _put_string(out: bytearray, text: str) -> None:
-    # Names and frame ids come again in every message, texts do not.
-    out += _known_string(text, len(out) & 7) if len(text) < 32 else _string_bytes(text, len(out) & 7)
-
-
-def _string_bytes(text: str, position: int) -> bytes:
-    data = text.encode()
-    return _COUNT[position].pack(len(data) + 1) + data + b"\0"
-
-
-_known_string = lru_cache(1024)(_string_bytes)
-
-
-def _get_string(data: bytes, at: int) -> tuple[str, int]:
-    at += (-at & 3) + 4
-    end = at + int.from_bytes(data[at - 4 : at], "little")
-    if end > len(data):
-        raise IndexError(f"a string of {end - at} bytes ends beyond the message")
-    return data[at : end - 1].decode(), end
-
-
-def _put_blob(out: bytearray, value: Any) -> None:
-    blob = bytes(memoryview(value))
-    _put_count(out, len(blob))
-    out += blob
-
-
-def _get_blob(data: bytes, at: int) -> tuple[bytes, int]:
-    count, at = _get_count(data, at)
-    if at + count > len(data):
-        raise IndexError(f"{count} bytes end beyond the message")
-    return bytes(data[at : at + count]), at + count
-
-
-def _numbers(character: str) -> tuple[_Put, _Get]:
-    """A sequence of numbers of one format."""
-    size = struct.calcsize(character)
-
-    def put(out: bytearray, values: Any) -> None:
-        _put_count(out, len(values))
-        if values:
-            out += bytes(-(len(out) - 4) % size)
-            out += struct.pack(f"<{len(values)}{character}", *values)
-
-    def get(data: bytes, at: int) -> tuple[list[Any], int]:
-        count, at = _get_count(data, at)
-        if not count:
-            return [], at
-        at += -(at - 4) % size
-        if at + count * size > len(data):
-            raise IndexError(f"{count} values end beyond the message")
-        return list(struct.unpack_from(f"<{count}{character}", data, at)), at + count * size
-
-    return put, get
-
-
-def _list(put: _Put, get: _Get) -> tuple[_Put, _Get]:
-    """A sequence of strings or messages."""
-
-    def put_all(out: bytearray, values: Any) -> None:
-        _put_count(out, len(values))
-        for value in values:
-            put(out, value)
-
-    def get_all(data: bytes, at: int) -> tuple[list[Any], int]:
-        count, at = _get_count(data, at)
-        values = []
-        for _ in range(count):
-            value, at = get(data, at)
-            values.append(value)
-        return values, at
-
-    return put_all, get_all
+def _unpack(data: bytes, at: int, code: str, count: int = 1) -> tuple[list[Any], int]:
+    """Numbers of one format from a byte on, or behind what aligns them; and where they end."""
+    size = _SIZES[code]
+    at += -(at - len(HEADER)) % size
+    if at + size * count > len(data):
+        raise IndexError(f"{count} values end beyond it")
+    return [*struct.unpack_from(f"<{count}{code}", data, at)], at + size * count

@@ -28,7 +28,7 @@ from armctl.json_text import to_json
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
-from armctl.messages import Command, Event, Fault, JointState, JointTrajectory, Reply, Run, ServoReading, TickRecord
+from armctl.messages import Command, Event, JointState, JointTrajectory, Reply, Run, ServoReading, TickRecord
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.notes import parse_note
 from armctl.recording.schemas import full_name
@@ -118,30 +118,24 @@ class Anchor:
 
 
 class Row(NamedTuple):
-    """A message that comes every tick, as numbers: templates.py makes bytes of them without the message itself."""
+    """A message that comes every tick, as numbers too: a shape (shapes.py) makes bytes of these without the message."""
 
     topic: str
     # Messages of one shape differ in their numbers alone.
     shape: Hashable
-    # Behind the stamps, in the order of their fields; a uint8[] is one item, of bytes.
+    # In the order of their fields; a uint8[] is one item, of bytes.
     numbers: list[Any]
-    # The message, given its header.
-    value: Callable[[Value], Value]
+    value: Callable[[], Value]
 
 
-def row_message(row: Row, record: TickRecord, anchor: Anchor) -> Message:
-    """The message that a row of this tick stands for."""
-    return row.topic, row.value(_header(anchor.epoch_ns(record.inputs.sample.time_ns), BASE))
-
-
-def servos_row(record: TickRecord, arm: ArmConfig) -> Row:
+def servos_row(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Row:
     """What every servo said."""
-    readings = record.inputs.sample.servos
-    numbers: list[Any] = []
+    readings, header = record.inputs.sample.servos, _header(_epoch_ns(record, anchor))
+    numbers = [*header["stamp"].values()]
     for reading in readings:
         numbers += (reading.servo_id, reading.fresh, reading.error, reading.stamp_ns, reading.registers)
     shape = tuple([(reading.problem, len(reading.registers)) for reading in readings])
-    return Row(SERVOS, shape, numbers, partial(_servos, readings, arm.joint_names))
+    return Row(SERVOS, shape, numbers, partial(_servos, header, readings, arm.joint_names))
 
 
 def command_messages(record: TickRecord) -> list[Message]:
@@ -151,35 +145,36 @@ def command_messages(record: TickRecord) -> list[Message]:
 
 def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
     """What the control step said in this tick: the part of the log a replay can compute again."""
-    rows = output_rows(record, arm, robot)
-    return [row_message(row, record, anchor) for row in rows] + event_messages(record, anchor, arm)
+    rows = output_rows(record, anchor, arm, robot)
+    return [(row.topic, row.value()) for row in rows] + event_messages(record, anchor, arm)
 
 
-def output_rows(record: TickRecord, arm: ArmConfig, robot: Robot) -> list[Row]:
+def output_rows(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Row]:
     """Those outputs that come every tick: joints, and goal, frames and tool where there are some."""
-    outputs = record.outputs
+    outputs, header = record.outputs, _header(_epoch_ns(record, anchor))
+    stamp = [*header["stamp"].values()]
     known = [(name, joint) for name, joint in zip(arm.joint_names, outputs.joints, strict=True) if joint.known]
     numbers = [getattr(joint, quantity) for quantity in QUANTITIES.values() for _, joint in known]
     names = tuple([name for name, _ in known])
-    rows = [Row(JOINT_STATES, names, numbers, partial(_joints, names, numbers))]
+    rows = [Row(JOINT_STATES, names, stamp + numbers, partial(_joints, header, names, numbers))]
     if (goal := outputs.goal) is not None:
         numbers = [joint.position_rad(tick) for joint, tick in zip(arm.joints, goal.ticks, strict=True)]
         numbers += [speed * ax12a.SPEED_UNIT_RAD_S for speed in goal.speeds]
-        rows.append(Row(JOINT_COMMANDS, (), numbers, partial(_joints, arm.joint_names, numbers)))
+        rows.append(Row(JOINT_COMMANDS, (), stamp + numbers, partial(_joints, header, arm.joint_names, numbers)))
     if (tool := outputs.tool) is not None:
         q = np.array([joint.position_rad for joint in outputs.joints])
         frames = [_placing(T) for T in moving_frames(arm, robot, q)]
-        rows.append(Row(TF, (), [*chain.from_iterable(frames)], partial(_transforms, moving_links(arm), frames)))
+        numbers = [number for frame in frames for number in (*stamp, *frame)]
+        rows.append(Row(TF, (), numbers, partial(_transforms, header, moving_links(arm), frames)))
         placing = [*tool.position_m, *tool.quaternion]
-        rows.append(Row(TCP_POSE, (), placing, partial(_pose, placing)))
+        rows.append(Row(TCP_POSE, (), stamp + placing, partial(_pose, header, placing)))
     return rows
 
 
 def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[Message]:
     """Those outputs that do not come every tick: accepted trajectories, register writes, replies, events."""
-    inputs, outputs = record.inputs, record.outputs
-    epoch_ns = anchor.epoch_ns(inputs.sample.time_ns)
-    header = _header(epoch_ns, BASE)
+    inputs, outputs, epoch_ns = record.inputs, record.outputs, _epoch_ns(record, anchor)
+    header = _header(epoch_ns)
     runs = [command.trajectory for command in inputs.commands if isinstance(command, Run)]
     messages: list[Message] = [(JOINT_TRAJECTORY, _joint_trajectory(header, run, arm)) for run in runs]
     if outputs.writes:
@@ -187,20 +182,19 @@ def event_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> list[M
         writes = [asdict(write) | {"confirmed": done} for write, done in zip(outputs.writes, results, strict=False)]
         messages.append((WRITES, {"header": header, "writes": writes}))
     messages += _records(record, "reply", outputs.replies)
-    messages += [(ROSOUT, log_line(event, epoch_ns, CONTROL)) for event in outputs.events]
-    return messages
+    return messages + [(ROSOUT, log_line(event, epoch_ns, CONTROL)) for event in outputs.events]
 
 
 def wire_message(pieces: Iterable[tuple[int, bool, bytes]], epoch_ns: int) -> Message:
     """What went over the wire: when [ns, monotonic], whether it was sent, and the bytes."""
     keys = ("time_ns", "sent", "data")
-    return WIRE, {"header": _header(epoch_ns, BASE), "pieces": [dict(zip(keys, one, strict=True)) for one in pieces]}
+    return WIRE, {"header": _header(epoch_ns), "pieces": [dict(zip(keys, one, strict=True)) for one in pieces]}
 
 
-def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
+def cycle_row(record: TickRecord, anchor: Anchor, *, inputs_only: bool = False) -> Row:
     """How the tick went, the times of its inputs, mode and faults; the last message of every tick."""
     inputs, outputs, sample = record.inputs, record.outputs, record.inputs.sample
-    faults = [_fault(fault) for fault in outputs.faults]
+    header, faults = _header(_epoch_ns(record, anchor)), [asdict(fault) for fault in outputs.faults]
     numbers = {
         "tick": inputs.tick,
         "now_ns": inputs.now_ns,
@@ -221,24 +215,15 @@ def cycle_row(record: TickRecord, *, inputs_only: bool = False) -> Row:
         # Most of it stands in no message of every tick, being repeated from the registers.
         "joints_crc": zlib.crc32(b"".join([_JOINT.pack(*_OF_A_JOINT(joint)) for joint in outputs.joints])),
     }
-    since = [fault[key] for fault in faults for key in ("since_ns", "servo_id")]
-    shape = (
-        outputs.mode,
-        len(outputs.wanted_rad),
-        *[(fault["code"], fault["text"], fault["follows"]) for fault in faults],
-    )
-    said = {"mode": outputs.mode, "wanted": list(outputs.wanted_rad), "faults": faults}
-    return Row(
-        CYCLE,
-        shape,
-        [*numbers.values(), *outputs.wanted_rad, *since],
-        lambda header: {"header": header, **numbers, **said},
-    )
-
-
-def _fault(fault: Fault) -> Value:
-    servo_id = -1 if fault.servo_id is None else fault.servo_id
-    return asdict(fault) | {"servo_id": servo_id}
+    since: list[int] = []
+    for fault in faults:
+        fault["servo_id"] = -1 if fault["servo_id"] is None else fault["servo_id"]
+        since += (fault["since_ns"], fault["servo_id"])
+    texts = [(fault["code"], fault["text"], fault["follows"]) for fault in faults]
+    told = {"mode": outputs.mode, "wanted": outputs.wanted_rad, "faults": faults}
+    shape = (outputs.mode, len(outputs.wanted_rad), *texts)
+    flat = [*header["stamp"].values(), *numbers.values(), *outputs.wanted_rad, *since]
+    return Row(CYCLE, shape, flat, lambda: {"header": header, **numbers, **told})
 
 
 def static_transforms(epoch_ns: int, arm: ArmConfig, robot: Robot) -> Message:
@@ -266,7 +251,7 @@ def diagnostics(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Message:
             message = reading.problem or " ".join(ax12a.ErrorBit.names(reading.error)) or "ok"
             level, facts = int(message != "ok"), {key: getattr(joint, key) for key in _HEALTH}
         status.append(_status(level, config.name, message, f"servo {config.servo_id}", facts))
-    return DIAGNOSTICS, {"header": _header(anchor.epoch_ns(sample.time_ns), BASE), "status": status}
+    return DIAGNOSTICS, {"header": _header(_epoch_ns(record, anchor)), "status": status}
 
 
 def log_line(event: Event, epoch_ns: int, source: str) -> Value:
@@ -303,14 +288,26 @@ def stamp(epoch_ns: int) -> Value:
     return {"sec": epoch_ns // NS_PER_S, "nanosec": epoch_ns % NS_PER_S}
 
 
-def _header(epoch_ns: int, frame_id: str) -> Value:
+def _epoch_ns(record: TickRecord, anchor: Anchor) -> int:
+    return anchor.epoch_ns(record.inputs.sample.time_ns)
+
+
+def _header(epoch_ns: int, frame_id: str = BASE) -> Value:
     return {"stamp": stamp(epoch_ns), "frame_id": frame_id}
 
 
-def _joints(names: Sequence[str], numbers: list[float], header: Value) -> Value:
+def _servos(header: Value, readings: Sequence[ServoReading], names: Sequence[str]) -> Value:
+    servos = [
+        {"id": reading.servo_id, "name": name, **{key: getattr(reading, key) for key in READING}}
+        for name, reading in zip(names, readings, strict=True)
+    ]
+    return {"header": header, "servos": servos}
+
+
+def _joints(header: Value, names: Sequence[str], numbers: list[float]) -> Value:
     n = len(names)
     values = {key: numbers[place * n : (place + 1) * n] for place, key in enumerate(QUANTITIES)}
-    return {"header": header, "name": list(names), **values}
+    return {"header": header, "name": names, **values}
 
 
 def _axes(values: Iterable[float]) -> Value:
@@ -328,20 +325,12 @@ def _transform(header: Value, child: str, placing: list[float]) -> Value:
     return {"header": header, "child_frame_id": child, "transform": transform}
 
 
-def _transforms(links: Sequence[str], frames: list[list[float]], header: Value) -> Value:
+def _transforms(header: Value, links: Sequence[str], frames: list[list[float]]) -> Value:
     return {"transforms": [_transform(header, link, placing) for link, placing in zip(links, frames, strict=True)]}
 
 
-def _pose(placing: list[float], header: Value) -> Value:
+def _pose(header: Value, placing: list[float]) -> Value:
     return {"header": header, "pose": {"position": _axes(placing[:3]), "orientation": _axes(placing[3:])}}
-
-
-def _servos(readings: Sequence[ServoReading], names: Sequence[str], header: Value) -> Value:
-    servos = [
-        {"id": reading.servo_id, "name": name, **{key: getattr(reading, key) for key in READING}}
-        for name, reading in zip(names, readings, strict=True)
-    ]
-    return {"header": header, "servos": servos}
 
 
 def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig) -> Value:

@@ -310,8 +310,8 @@ class Rerun:
     def _pairs(self, tick: _Tick, record: TickRecord, anchor: Anchor) -> Iterator[tuple[str, list[bytes], list[bytes]]]:
         """What the log holds of each topic in a tick, and what is computed."""
         arm, robot = self._setup.arm, self._setup.robot
-        messages = channels.output_messages(record, anchor, arm, robot)
-        messages.append(channels.row_message(channels.cycle_row(record), record, anchor))
+        messages, cycle = channels.output_messages(record, anchor, arm, robot), channels.cycle_row(record, anchor)
+        messages.append((cycle.topic, cycle.value()))
         now = (record.inputs.sample.time_ns // DIAGNOSTICS_PERIOD_NS, record.outputs.mode, record.outputs.faults)
         due = self._diagnosed and self._diagnosed != now
         self._diagnosed = now

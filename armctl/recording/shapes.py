@@ -1,108 +1,133 @@
 """Shapes of messages: those of one type with the same texts and counts differ in their numbers alone.
 
-Such messages are one `struct`, whose bytes between the numbers are known. templates.py writes them so, cdr.py reads
-them so; what has another shape goes the way of the codec.
+Such messages are one `struct`, whose bytes between the numbers are known, and Python expressions that take the numbers
+out of a message and make a message of them. A codec (cdr.py) keeps the shapes that it meets: nearly all messages of a
+log have one that came before, and take a tenth of the time then.
 """
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence, Sized
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
-from armctl.recording.schemas import MESSAGES, PRIMITIVES, Field, fields
+from armctl.recording.schemas import PRIMITIVES, fields
 
 HEADER = b"\x00\x01\x00\x00"
 Value = dict[str, Any]
-# The format of a number and what it is (`_items`); an empty format and the bytes of what lies between two numbers.
-Piece = tuple[str, Any]
-_TIME = "builtin_interfaces/Time"
-_PLAIN = {*PRIMITIVES, "string"}
+# Bounds of what is worth it: so many parts, and so many bytes for each one that is the same, as those of texts are.
+MAX_PARTS, MAX_SAME = 256, 1.5
 
 
-class Shape:
-    """Messages of one type with the same texts and counts: one struct, and one expression that makes them.
+class Shape(NamedTuple):
+    """Messages of one type with the same texts and counts. Those of another shape give None."""
+
+    # Of a value that does not fit its field: the errors of `struct`, or those of asking a dict that is none.
+    encode: Callable[[Value], bytes | None]
+    decode: Callable[[bytes], Value | None]
+    # Bytes of a message's numbers in order, a uint8[] being one of them, of bytes; trusted to be of this shape.
+    pack: Callable[[Sequence[Any]], bytes]
+
+
+def shape(name: str, example: Value, messages: Mapping[str, str]) -> Shape | None:
+    """The shape of a message; None where it is too long, or mostly text.
 
     Args:
-        name: Short name of the type.
-        example: One of them.
+        name: Short name of its type.
         messages: Declarations of the types.
     """
-
-    def __init__(self, name: str, example: Value, messages: Mapping[str, str]) -> None:
-        found = pieces(name, example, messages)
-        self._unpack = packer(found).unpack
-        self._texts = itemgetter(*[place for place, (code, _) in enumerate(found) if not code])
-        self._expected = self._texts([content for _, content in found])
-        arguments = [f"_{place}" for place in range(len(found))]
-        numbers = iter([name for name, (code, _) in zip(arguments, found, strict=True) if code])
-        # Texts and names are written as Python writes them; names of fields have been checked (schemas.py).
-        made = _expression(name, example, messages, numbers)
-        self._make: Callable[..., Value] = eval(f"lambda {', '.join(arguments)}: {made}", {})
-
-    def decode(self, data: bytes) -> Value | None:
-        """The message in bytes of the example's size; None where it has another shape."""
-        values = self._unpack(data)
-        return self._make(*values) if self._texts(values) == self._expected else None
-
-
-def packer(found: list[Piece]) -> struct.Struct:
-    """What puts pieces together, and takes them apart."""
-    return struct.Struct("<" + "".join(code or f"{len(content)}s" for code, content in found))
+    walk = _Walk(messages)
+    made = walk.message(name, "m", example)
+    walk.end()
+    packer = struct.Struct(walk.format)
+    if len(walk.packed) > MAX_PARTS or packer.size <= walk.same_bytes * MAX_SAME:
+        return None
+    known = {"pack": packer.pack, "unpack": packer.unpack}
+    fits = " and ".join([f"len(data) == {packer.size}", "(v := unpack(data))", *walk.expected])
+    functions = (
+        f"lambda m: pack({', '.join(walk.packed)}) if {' and '.join(walk.holds)} else None",
+        f"lambda data: {made} if {fits} else None",
+        f"lambda s: pack({', '.join(walk.flat)})",
+    )
+    # Texts and names are written as Python writes them; names of fields have been checked (schemas.py).
+    return Shape(*(eval(function, known) for function in functions))
 
 
-def pieces(name: str, example: Value, messages: Mapping[str, str] = MESSAGES) -> list[Piece]:
-    """What messages of the example's shape consist of; the first and the last piece are bytes."""
-    found: list[Piece] = [("", HEADER)]
-    at = 0
-    for alignment, size, code, content in _items(name, example, messages):
-        constant = bytes(-at % alignment)
-        at += len(constant) + size
-        if not code:
-            constant += content
-        if constant:
-            before = b"" if found[-1][0] else found.pop()[1]
-            found.append(("", before + constant))
-        if code:
-            found.append((code, content))
-    return [*found, ("", b"")]
-
-
-def _items(name: str, value: Value, messages: Mapping[str, str]) -> Iterator[tuple[int, int, str, Any]]:
-    """Alignment, size, struct format and content of everything in a message.
-
-    The content is the bytes of what never changes, and of a number its name, if it is a part of a stamp.
+class _Walk:
+    """One way through a message: the format of its bytes, and expressions about `m`, a message, `v`, what its bytes are
+    unpacked to, and `s`, its numbers.
     """
-    for item in fields(name, messages):
-        content = value[item.name]
-        if item.is_array:
-            yield 4, 4, "", struct.pack("<I", len(content))
-        if item.is_array and item.type in ("byte", "uint8"):
-            yield 1, len(content), f"{len(content)}s", ""
-            continue
-        for element in content if item.is_array else [content]:
-            if item.type == "string":
-                text = element.encode() + b"\0"
-                yield 4, 4 + len(text), "", struct.pack("<I", len(text)) + text
-            elif item.type in PRIMITIVES:
-                code = PRIMITIVES[item.type]
-                size = struct.calcsize(code)
-                yield size, size, code, f"stamp.{item.name}" if name == _TIME else ""
-            else:
-                yield from _items(item.type, element, messages)
 
+    def __init__(self, messages: Mapping[str, str]) -> None:
+        self.format, self.same_bytes = "<", 0
+        # What is packed, of a message and of numbers; what holds of every message of the shape, and of its bytes.
+        self.packed: list[str] = []
+        self.flat: list[str] = []
+        self.holds: list[str] = []
+        self.expected: list[str] = []
+        self._messages = messages
+        # How many bytes there are, the last ones that are the same in every message, how many values, and numbers.
+        self._at, self._same, self._values, self._numbers = -len(HEADER), b"", 0, 0
+        self._add_same(HEADER, 1)
 
-def _expression(name: str, example: Value, messages: Mapping[str, str], numbers: Iterator[str]) -> str:
-    """A message as a Python expression, with what `numbers` gives in the place of each number."""
+    def message(self, name: str, place: str, value: Value) -> str:
+        """Walk through a message; how such a one is made, with the messages in it first, as the codec has it."""
+        here, made = self._named(place, value), []
+        for item in fields(name, self._messages):
+            walk = self._list if item.is_array else self._one
+            part = f"{item.name!r}: {walk(item.type, f'{here}[{item.name!r}]', value[item.name])}"
+            made.append((item.is_array or item.type in PRIMITIVES or item.type == "string", part))
+        return f"{{{', '.join(part for _, part in sorted(made, key=itemgetter(0)))}}}"
 
-    def of(item: Field, element: Any) -> str:
-        if item.type == "string":
-            return repr(element)
-        return next(numbers) if item.type in PRIMITIVES else _expression(item.type, element, messages, numbers)
+    def end(self) -> None:
+        """What comes next is not the same in every message."""
+        if self._same:
+            same = repr(self._same)
+            self.expected.append(f"v[{self._values}] == {same}")
+            self.format += f"{len(self._same)}s"
+            self.packed.append(same)
+            self.flat.append(same)
+            self._same = b""
+            self._values += 1
 
-    parts = []
-    for item in fields(name, messages):
-        content, listed = example[item.name], item.is_array and item.type not in ("byte", "uint8")
-        made = f"[{', '.join(of(item, element) for element in content)}]" if listed else of(item, content)
-        parts.append((item.is_array or item.type in _PLAIN, f"{item.name!r}: {made}"))
-    parts.sort(key=itemgetter(0))  # messages come first, as the steps have it
-    return f"{{{', '.join(part for _, part in parts)}}}"
+    def _one(self, kind: str, place: str, content: Any) -> str:
+        if kind in PRIMITIVES:
+            return f"v[{self._add(PRIMITIVES[kind], 1, place)}]"
+        if kind != "string":
+            return self.message(kind, place, content)
+        data = content.encode() + b"\0"
+        self._add_same(struct.pack("<I", len(data)) + data, 4)
+        text = repr(data[:-1].decode())
+        self.holds.append(f"{place} == {text}")
+        return text
+
+    def _list(self, kind: str, place: str, content: Any) -> str:
+        here, count = self._named(place, content), len(content)
+        self._add_same(struct.pack("<I", count), 4)
+        if kind in ("byte", "uint8"):
+            return f"v[{self._add(f'{count}s', 1, here)}]"
+        if kind not in PRIMITIVES:
+            return f"[{', '.join(self._one(kind, f'{here}[{index}]', one) for index, one in enumerate(content))}]"
+        first = self._add(PRIMITIVES[kind], count, f"*{here}") if count else 0
+        return f"[*v[{first}:{first + count}]]"
+
+    def _named(self, place: str, content: Sized) -> str:
+        """A name for what stands in a place, which has as many members in every message."""
+        name = f"m{len(self.holds)}"
+        self.holds.append(f"len({name} := {place}) == {len(content)}")
+        return name
+
+    def _add_same(self, data: bytes, alignment: int) -> None:
+        data = bytes(-self._at % alignment) + data
+        self._same, self._at, self.same_bytes = self._same + data, self._at + len(data), self.same_bytes + len(data)
+
+    def _add(self, code: str, count: int, packed: str) -> int:
+        """Numbers of one format behind what there is; the place of the first one among the values."""
+        size = struct.calcsize(code)
+        self._add_same(b"", 1 if code.endswith("s") else size)
+        self.end()
+        self._at += size * count
+        self.format += code if count == 1 else f"{count}{code}"
+        self.packed.append(packed)
+        self.flat.append(f"s[{self._numbers}]" if count == 1 else f"*s[{self._numbers}:{self._numbers + count}]")
+        self._values, self._numbers = self._values + count, self._numbers + count
+        return self._values - count

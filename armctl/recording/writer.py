@@ -12,7 +12,7 @@ Rules.
 import json
 import os
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,15 +28,17 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.urdf import urdf
 from armctl.messages import Event, TickRecord
 from armctl.recording import channels, provenance
-from armctl.recording.channels import TOPICS, Anchor, Message
+from armctl.recording.channels import TOPICS, Anchor, Message, Row
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, PART, Disk, publish, writing
 from armctl.recording.schemas import schema_text, short_name
-from armctl.recording.templates import Encoded, TickEncoder
+from armctl.recording.shapes import Shape
 
 # Attachment: schemas, channels and everything of the metadata record, with a checksum over it.
 SEED = "armctl.json"
 DIAGNOSTICS_PERIOD_NS = NS_PER_S
+# Bound on the shapes that are kept of a file's messages.
+MAX_SHAPES = 64
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class LogWriter:
         self.anchor = anchor or Anchor.now()
         self.begin_ns = self.anchor.monotonic_ns
         self._disk = disk
-        self._encoder = TickEncoder(context.arm, context.robot)
+        self._shapes: dict[Hashable, Shape | None] = {}
         self._keyframe = ""
         self._inputs_only: Sequence[TickRecord] = ()
         self._begun = self._named = False
@@ -124,28 +126,27 @@ class LogWriter:
 
     def write_tick(self, record: TickRecord) -> None:
         """Every message of one tick."""
-        encoder, anchor = self._encoder, self.anchor
-        time_ns = record.inputs.sample.time_ns
+        anchor, arm, time_ns = self.anchor, self.context.arm, record.inputs.sample.time_ns
+        epoch_ns = anchor.epoch_ns(time_ns)
         with writing(self.part):
             self._begin(time_ns)
-            self._write(record, encoder.inputs(record, anchor))
-            self._write(record, encoder.outputs(record, anchor))
+            self._add_inputs(epoch_ns, record)
+            self._add_rows(epoch_ns, *channels.output_rows(record, anchor, arm, self.context.robot))
+            self._add(epoch_ns, *channels.event_messages(record, anchor, arm))
             if record.dropped:
                 text = f"{record.dropped} tick records were lost before tick {record.inputs.tick}"
                 self.write_event(Event("warning", "DROPPED", text), time_ns)
             now = (time_ns // DIAGNOSTICS_PERIOD_NS, record.outputs.mode, record.outputs.faults)
             if now != self._diagnosed:
                 self._diagnosed = now
-                self._add(channels.diagnostics(record, anchor, self.context.arm), anchor.epoch_ns(time_ns))
-            self._write(record, [encoder.cycle(record, anchor)])
+                self._add(epoch_ns, channels.diagnostics(record, anchor, arm))
+            self._add_rows(epoch_ns, channels.cycle_row(record, anchor))
             if record.keyframe:
-                self._add(channels.string_message(channels.STATE, record.keyframe), anchor.epoch_ns(time_ns))
+                self._add(epoch_ns, channels.string_message(channels.STATE, record.keyframe))
 
     def write_wire(self, pieces: Iterable[tuple[int, bool, bytes]], time_ns: int) -> None:
         """What went over the wire up to a tick (see `channels.wire_message`), behind it."""
-        epoch_ns = self.anchor.epoch_ns(time_ns)
-        with writing(self.part):
-            self._add(channels.wire_message(pieces, epoch_ns), epoch_ns)
+        self._say(time_ns, lambda epoch_ns: channels.wire_message(pieces, epoch_ns))
 
     def write_note(self, topic: str, text: str, time_ns: int) -> None:
         """Text (JSON) on a std_msgs/String topic, at a monotonic time.
@@ -155,16 +156,11 @@ class LogWriter:
         """
         if topic not in TOPICS or short_name(TOPICS[topic].type) != "std_msgs/String":
             raise ValueError(f"topic {topic}: notes go to {channels.COMMAND}")
-        with writing(self.part):
-            self._begin(time_ns)
-            self._add(channels.string_message(topic, text), self.anchor.epoch_ns(time_ns))
+        self._say(time_ns, lambda _: channels.string_message(topic, text))
 
     def write_event(self, event: Event, time_ns: int) -> None:
         """A line of the recorder's own on /rosout, at a monotonic time."""
-        with writing(self.part):
-            self._begin(time_ns)
-            epoch_ns = self.anchor.epoch_ns(time_ns)
-            self._add((channels.ROSOUT, channels.log_line(event, epoch_ns, channels.RECORDING)), epoch_ns)
+        self._say(time_ns, lambda epoch_ns: (channels.ROSOUT, channels.log_line(event, epoch_ns, channels.RECORDING)))
 
     def flush(self) -> None:
         """End the chunk, and return when its data are on the disk."""
@@ -252,27 +248,49 @@ class LogWriter:
         self.begin_ns = time_ns
         epoch_ns = self.anchor.epoch_ns(time_ns)
         context = self.context
-        self._add(channels.string_message(channels.ROBOT_DESCRIPTION, self._description), epoch_ns)
-        self._add(channels.static_transforms(epoch_ns, context.arm, context.robot), epoch_ns)
+        self._add(epoch_ns, channels.string_message(channels.ROBOT_DESCRIPTION, self._description))
+        self._add(epoch_ns, channels.static_transforms(epoch_ns, context.arm, context.robot))
         if self._keyframe:
-            self._add(channels.string_message(channels.STATE, self._keyframe), epoch_ns)
+            self._add(epoch_ns, channels.string_message(channels.STATE, self._keyframe))
         for record in self._inputs_only:
             # At the time the file begins: who plays it is not to wait for what is not its own.
-            self._write(record, self._encoder.inputs(record, self.anchor), epoch_ns)
-            self._write(record, [self._encoder.cycle(record, self.anchor, inputs_only=True)], epoch_ns)
+            self._add_inputs(epoch_ns, record)
+            self._add_rows(epoch_ns, channels.cycle_row(record, self.anchor, inputs_only=True))
         self._inputs_only = ()
         self._writer.end_chunk()
         self._head_bytes = self._writer.offset
 
-    def _write(self, record: TickRecord, messages: Sequence[Encoded], epoch_ns: int | None = None) -> None:
-        self._sequence = record.inputs.tick & 0xFFFFFFFF
-        epoch_ns = self.anchor.epoch_ns(record.inputs.sample.time_ns) if epoch_ns is None else epoch_ns
-        for topic, data in messages:
-            self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
+    def _say(self, time_ns: int, message: Callable[[int], Message]) -> None:
+        """Add a message between those of ticks, made of its epoch time."""
+        epoch_ns = self.anchor.epoch_ns(time_ns)
+        with writing(self.part):
+            self._begin(time_ns)
+            self._add(epoch_ns, message(epoch_ns))
 
-    def _add(self, message: Message, epoch_ns: int) -> None:
-        topic, value = message
-        self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, TOPICS[topic].codec.encode(value))
+    def _add_inputs(self, epoch_ns: int, record: TickRecord) -> None:
+        """What the control step saw in a tick: servos, then commands in their order."""
+        self._sequence = record.inputs.tick & 0xFFFFFFFF
+        self._add_rows(epoch_ns, channels.servos_row(record, self.anchor, self.context.arm))
+        self._add(epoch_ns, *channels.command_messages(record))
+
+    def _add_rows(self, epoch_ns: int, *rows: Row) -> None:
+        """Add messages of every tick, by their numbers alone where their shape came before."""
+        for row in rows:
+            key = row.topic, row.shape
+            if key not in self._shapes:
+                if len(self._shapes) >= MAX_SHAPES:
+                    self._shapes.clear()
+                self._shapes[key] = TOPICS[row.topic].codec.shape(row.value())
+            if (shape := self._shapes[key]) is None:
+                self._add(epoch_ns, (row.topic, row.value()))
+            else:
+                data = shape.pack(row.numbers)
+                self._writer.add_message(self._channels[row.topic], epoch_ns, self._sequence, data)
+
+    def _add(self, epoch_ns: int, *messages: Message) -> None:
+        for topic, value in messages:
+            data = TOPICS[topic].codec.encode(value)
+            self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
 
 
 def _yaml(data: dict[str, Any]) -> str:

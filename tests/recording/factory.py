@@ -61,10 +61,10 @@ def times_s(records: Sequence[TickRecord]) -> list[float]:
 
 def tick_messages(record: TickRecord) -> list[channels.Message]:
     """Every message of one tick in file order, without state and diagnostics, which do not come every tick."""
-    servos, cycle = channels.servos_row(record, ARM), channels.cycle_row(record)
+    servos, cycle = channels.servos_row(record, ANCHOR, ARM), channels.cycle_row(record, ANCHOR)
     return [
-        channels.row_message(servos, record, ANCHOR),
+        (servos.topic, servos.value()),
         *channels.command_messages(record),
         *channels.output_messages(record, ANCHOR, ARM, ROBOT),
-        channels.row_message(cycle, record, ANCHOR),
+        (cycle.topic, cycle.value()),
     ]

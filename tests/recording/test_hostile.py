@@ -79,18 +79,21 @@ def declaring(channels: int, chunks: int = 1) -> bytes:
 
 
 def read_s(path: Path, data: bytes) -> float:
-    """CPU time of reading a file in every way."""
+    """Least CPU time of three times reading a file in every way: what else the machine does makes it longer."""
     path.write_bytes(data)
-    begun_s = time.process_time()
-    hostile.read_all(path)
-    return time.process_time() - begun_s
+    took_s = []
+    for _ in range(3):
+        begun_s = time.process_time()
+        hostile.read_all(path)
+        took_s.append(time.process_time() - begun_s)
+    return min(took_s)
 
 
 def test_time_is_in_proportion_to_what_is_declared(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    few, many = min(read_s(path, declaring(500)) for _ in range(3)), read_s(path, declaring(4000))
+    few, many = read_s(path, declaring(500)), read_s(path, declaring(4000))
     assert many < 25 * few, "with eight times as much"
-    few, many = min(read_s(path, declaring(1000, 50)) for _ in range(3)), read_s(path, declaring(1000, 800))
+    few, many = read_s(path, declaring(1000, 50)), read_s(path, declaring(1000, 800))
     assert many < 25 * few, "with the same, and sixteen times as many chunks"
 
 

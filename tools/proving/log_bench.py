@@ -5,8 +5,8 @@ What is counted:
   times. All write and read the very same messages of it.
 - `write, from ticks` is armctl's whole work, from the tick record to the file, forward kinematics for /tf included.
   `encode and write` begins where the others begin, with the values ready: as dicts for mcap-ros2-support, as numbers
-  in order for armctl's templates. foxglove-sdk has no encoder for these schemas: it is given ready CDR, so its figure
-  is writing alone.
+  in order for armctl's shapes. foxglove-sdk has no encoder for these schemas: it is given ready CDR, so its figure is
+  writing alone.
 - `decode all` of armctl gives every number of every message as a contiguous numpy array, and every text as a str;
   without the texts it is told apart. rosbags' gives a dataclass a message, mcap-ros2-support's an object a message.
 - Chunks have 1 MiB and zstd everywhere, as a log has after compaction; armctl's figures for a log that was flushed
@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.clock import NS_PER_S
 from armctl.messages import TickRecord
 from armctl.recording import channels
 from armctl.recording.cdr import Value
@@ -40,7 +39,7 @@ from armctl.recording.export import export
 from armctl.recording.reader import info, read, read_columns
 from armctl.recording.recover import recover
 from armctl.recording.schemas import fields, schema_text, short_name
-from armctl.recording.templates import Template, TickEncoder
+from armctl.recording.shapes import Shape
 from armctl.recording.writer import LogWriter
 from proving.figures import Row, check, row
 from proving.hostile import WAYS, files, read_all
@@ -118,13 +117,13 @@ def _write(records: list[TickRecord], root: Path, rounds: int, rows: list[Row], 
     count = info(path).messages
     path.unlink()
     whole_s = _best_s(whole, rounds, path)
-    encoder, messages = TickEncoder(context.arm, context.robot), _Messages()
+    messages = _Messages()
     for record in records:
-        encoded = [*encoder.inputs(record, anchor), *encoder.outputs(record, anchor), encoder.cycle(record, anchor)]
+        rows_of_tick = [channels.servos_row(record, anchor, context.arm), channels.cycle_row(record, anchor)]
+        rows_of_tick += channels.output_rows(record, anchor, context.arm, context.robot)
         time_ns = anchor.epoch_ns(record.inputs.sample.time_ns)
-        for topic, data in encoded:
-            if topic in _TICK:
-                messages.add(topic, time_ns, TOPICS[topic].codec.decode(data), data)
+        for one in rows_of_tick:
+            messages.add(one.topic, time_ns, one.value())
     ours, foxglove, ros2 = f"armctl, zstd {LEVEL}", "foxglove-sdk, CDR given, zstd 3", "mcap-ros2-support, zstd 3"
     peers: dict[str, Callable[[], None]] = {
         ours: lambda: _write_armctl(path, messages, LEVEL),
@@ -154,20 +153,22 @@ class _Messages:
         self.ready: list[tuple[str, int, bytes]] = []
         self.numbers: list[tuple[str, int, Callable[[list[Any]], bytes], list[Any]]] = []
         # By what makes up their shapes here.
-        self._templates: dict[tuple[str, int, str | None], Template] = {}
+        self._shapes: dict[tuple[str, int, str | None], Shape | None] = {}
 
-    def add(self, topic: str, time_ns: int, value: Value, data: bytes) -> None:
-        name = short_name(TOPICS[topic].type)
-        numbers = [*divmod(time_ns, NS_PER_S), *message_numbers(name, value)]
-        template = self._templates.setdefault((topic, len(data), value.get("mode")), Template(name, value))
-        assert template.encode(numbers) == data, topic
+    def add(self, topic: str, time_ns: int, value: Value) -> None:
+        codec, numbers = TOPICS[topic].codec, message_numbers(short_name(TOPICS[topic].type), value)
+        data = codec.encode(value)
+        key = topic, len(data), value.get("mode")
+        shape = self._shapes.setdefault(key, None if key in self._shapes else codec.shape(value))
+        assert shape is not None, topic
+        assert shape.pack(numbers) == data, topic
         self.values.append((topic, time_ns, value))
         self.ready.append((topic, time_ns, data))
-        self.numbers.append((topic, time_ns, template.encode, numbers))
+        self.numbers.append((topic, time_ns, shape.pack, numbers))
 
 
 def message_numbers(name: str, value: Value) -> list[Any]:
-    """What a template wants: every number of a message in order, but for stamps."""
+    """What a shape packs: every number of a message in order."""
     found: list[Any] = []
     for item in fields(name):
         content = value[item.name]
@@ -176,7 +177,7 @@ def message_numbers(name: str, value: Value) -> list[Any]:
             continue
         for one in content if item.is_array else (content,):
             if isinstance(one, dict):
-                found += message_numbers(item.type, one) if item.type != "builtin_interfaces/Time" else ()
+                found += message_numbers(item.type, one)
             elif not isinstance(one, str):
                 found.append(one)
     return found
