@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
@@ -49,6 +50,23 @@ def test_constants_of_a_message_are_no_leaves() -> None:
     line = types["rcl_interfaces/msg/Log"](stamp=stamp, level=40, name="a", msg="b", file="", function="c", line=3)
     leaves = "level", "name", "msg", "file", "function", "line", "stamp.sec", "stamp.nanosec"
     assert {where for where, *_ in replay.leaves(line, "/rosout", ())} == {f"/rosout.{leaf}" for leaf in leaves}
+
+
+def test_every_leaf_of_a_message_that_was_read_can_be_changed_and_no_other_changes_with_it() -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    name = "sensor_msgs/msg/JointState"
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 2), "base")
+    state = store.types[name](header, ["a", "b"], *(np.array([value, 2.0]) for value in (0.5, 0.0, -1.0)))
+    data = store.serialize_cdr(state, name)
+    count = len(list(replay.leaves(state, "", ())))
+    assert count == 11
+    made = set()
+    for index in range(count):
+        other = store.deserialize_cdr(data, name)
+        _, put, leaf = list(replay.leaves(other, "", ()))[index]
+        put(replay.another(leaf))
+        made.add(bytes(store.serialize_cdr(other, name)))
+    assert len(made - {bytes(data)}) == count
 
 
 def test_every_leaf_of_a_message_can_be_changed() -> None:

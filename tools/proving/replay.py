@@ -219,6 +219,9 @@ def leaves(value: Any, name: str, passed_over: tuple[str, ...]) -> Iterator[Leaf
         if hasattr(part, "__msgtype__"):
             yield from leaves(part, where, passed_over)
         elif isinstance(part, list) or hasattr(part, "dtype"):
+            if hasattr(part, "dtype"):
+                part = part.copy()  # what rosbags has read cannot be written to
+                object.__setattr__(value, key, part)
             for index, member in enumerate(part):
                 if hasattr(member, "__msgtype__"):
                     yield from leaves(member, where, passed_over)
