@@ -31,6 +31,7 @@ MAX_FIELDS = 10_000
 MAX_ENCODED, MAX_SIZES, MAX_SHAPES, MAX_BYTES = 32, 64, 4, 2**14
 _MISFITS = (struct.error, TypeError, AttributeError, ValueError, LookupError)
 _STRING, _BYTES = "s", "B"
+_COUNT = struct.Struct("<I").unpack_from
 _SIZES = {code: struct.calcsize(code) for code in (*PRIMITIVES.values(), _STRING)}
 
 
@@ -155,29 +156,32 @@ class _Type:
         """The message that begins at a byte, and where it ends."""
         value: Value = dict.fromkeys(self._single)
         for name, kind, is_list in self._fields:
+            if kind is _STRING and not is_list:  # most of the fields of messages that have no shape
+                at += (-at & 3) + 4
+                begin, at = at, at + _COUNT(data, at - 4)[0]
+                value[name] = data[begin : at - 1].decode()
+                continue
             found: list[Any] = []
             count = 1
             if is_list:
                 at += (-at & 3) + 4
-                count = int.from_bytes(data[at - 4 : at], "little")
-            if kind is _STRING:
-                for _ in range(count):
-                    begin = at + (-at & 3) + 4
-                    at = begin + int.from_bytes(data[begin - 4 : begin], "little")
-                    if at > len(data):
-                        raise IndexError(f"a string of {at - begin} bytes ends beyond it")
-                    found.append(data[begin : at - 1].decode())
-            elif isinstance(kind, _Type):
+                (count,) = _COUNT(data, at - 4)
+            if isinstance(kind, _Type):
                 for _ in range(count):
                     part, at = kind.get(data, at)
                     found.append(part)
+            elif kind is _STRING:
+                for _ in range(count):
+                    at += (-at & 3) + 4
+                    begin, at = at, at + _COUNT(data, at - 4)[0]
+                    found.append(data[begin : at - 1].decode())
             elif kind == _BYTES and is_list:
                 (found,), at = _unpack(data, at, _STRING, count)
             elif count:
                 found, at = _unpack(data, at, kind, count)
             value[name] = found if is_list else found[0]
         if at > len(data):
-            raise IndexError("a count ends beyond it")
+            raise IndexError("a text ends beyond it")
         return value, at
 
 

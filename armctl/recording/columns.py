@@ -10,15 +10,16 @@ Rules.
 """
 
 import struct
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.errors import LogError
 from armctl.recording.cdr import HEADER, MAX_DEPTH
+from armctl.recording.chunks import MESSAGE_OPCODE, RECORD
 from armctl.recording.schemas import PRIMITIVES, fields
 
 # Bounds on what a topic may fall into; beyond them it is read message by message.
@@ -86,6 +87,8 @@ class Table:
 
     log_time_ns: NDArray[np.uint64]
     sequence: NDArray[np.uint32]
+    # As in `Payloads`.
+    place: IntArray
     columns: dict[str, Column | Texts]
 
     def numbers(self, path: str) -> NDArray[np.float64]:
@@ -102,16 +105,80 @@ class Table:
 
 @dataclass(frozen=True)
 class Payloads:
-    """Encoded messages of one topic in file order."""
+    """Encoded messages of one topic in file order, as arrays of shape (n,), and their bytes one behind the other."""
 
-    log_time_ns: list[int] = field(default_factory=list)
-    sequence: list[int] = field(default_factory=list)
-    data: list[bytes] = field(default_factory=list)
+    log_time_ns: NDArray[np.uint64]
+    sequence: NDArray[np.uint32]
+    # Rises from message to message, of all topics of a file.
+    place: IntArray
+    size: IntArray
+    data: bytes
 
-    def add(self, time_ns: int, sequence: int, data: bytes) -> None:
-        self.log_time_ns.append(time_ns)
-        self.sequence.append(sequence)
-        self.data.append(data)
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        """Log time and bytes of each."""
+        ends = np.cumsum(self.size)
+        columns = (column.tolist() for column in (self.log_time_ns, ends - self.size, ends))
+        yield from ((time_ns, self.data[begin:end]) for time_ns, begin, end in zip(*columns, strict=True))
+
+    @classmethod
+    def of(cls, messages: Sequence[tuple[int, int, int, bytes]]) -> Self:
+        """Those with these log times, sequence numbers, places and bytes."""
+        times_ns, sequence, place, data = zip(*messages, strict=True) if messages else ((),) * 4
+        numbers = np.array(times_ns, np.uint64), np.array(sequence, np.uint32), np.array(place, np.int64)
+        return cls(*numbers, np.array([*map(len, data)], np.int64), b"".join(data))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """All of these, one after the other."""
+
+        def column(key: str) -> Any:
+            return np.concatenate([getattr(part, key) for part in parts])
+
+        data = b"".join([part.data for part in parts])
+        return cls(column("log_time_ns"), column("sequence"), column("place"), column("size"), data)
+
+
+# A message's record but for its data.
+_HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times_ns", "<u8", 2)])
+
+
+def gather(
+    block: bytes, channels: Mapping[int, str], topics: Collection[str] | None, base: int
+) -> dict[str, Payloads] | None:
+    """Messages of a block at once, by topic.
+
+    Args:
+        block: Records.
+        channels: The topic of every channel.
+        topics: Which ones are wanted; None: all.
+        base: Place of the block's beginning.
+    Returns:
+        None, unless the block is nothing but messages of these channels.
+    """
+    begins, at, last, unpack = list[int](), 0, len(block) - _HEAD.itemsize, RECORD.unpack_from
+    while at <= last:
+        begins.append(at)
+        at += RECORD.size + unpack(block, at)[1]
+    if at != len(block) or not begins:
+        return None
+    starts, view = np.array(begins), np.ndarray((last + 1,), f"V{_HEAD.itemsize}", block, 0, (1,))
+    heads = view[starts].view(_HEAD)
+    begin, end = starts + _HEAD.itemsize, np.append(starts[1:], len(block))
+    present = np.unique(heads["channel"]).tolist()
+    if not channels.keys() >= {*present} or (heads["opcode"] != MESSAGE_OPCODE).any() or (begin > end).any():
+        return None
+    found: dict[str, Payloads] = {}
+    for topic in dict.fromkeys(channels[number] for number in present):
+        if topics is None or topic in topics:
+            rows = np.isin(heads["channel"], [number for number in present if channels[number] == topic])
+            some, first, size = heads[rows], begin[rows], (end - begin)[rows]
+            if (size == size[0]).all() and size[0]:
+                data = np.ndarray((len(block) - size[0] + 1,), f"V{size[0]}", block, 0, (1,))[first].tobytes()
+            else:
+                data = b"".join([block[a:b] for a, b in zip(first.tolist(), (first + size).tolist(), strict=True)])
+            times_ns, sequence = (np.ascontiguousarray(one) for one in (some["times_ns"][:, 0], some["sequence"]))
+            found[topic] = Payloads(times_ns, sequence, base + first, size, data)
+    return found
 
 
 class _Differ(Exception):
@@ -130,17 +197,14 @@ def tables(name: str, messages: Mapping[str, str], payloads: Payloads) -> tuple[
     Raises:
         LogError: a message does not fit the type, or they come in too many shapes.
     """
-    n = len(payloads.data)
-    sizes = np.fromiter(map(len, payloads.data), np.int64, n)
-    buffer = b"".join(payloads.data)
+    n, sizes = len(payloads.size), payloads.size
     starts = np.cumsum(sizes) - sizes
-    time_ns, sequence = np.array(payloads.log_time_ns, np.uint64), np.array(payloads.sequence, np.uint32)
     found: list[Table] = []
     pending = [np.arange(n)] if n else []
     while pending:
         rows = pending.pop(0)
         whole = len(rows) == n
-        walk = _Walk(name, messages, buffer, starts if whole else starts[rows], sizes if whole else sizes[rows])
+        walk = _Walk(name, messages, payloads.data, starts if whole else starts[rows], sizes if whole else sizes[rows])
         try:
             columns = walk.columns()
         except _Differ as differ:
@@ -149,7 +213,7 @@ def tables(name: str, messages: Mapping[str, str], payloads: Payloads) -> tuple[
             if len(found) + len(pending) > MAX_TABLES:
                 raise LogError(f"{name}: over {MAX_TABLES} shapes of messages; read them one by one") from None
             continue
-        found.append(Table(time_ns[rows], sequence[rows], columns))
+        found.append(Table(payloads.log_time_ns[rows], payloads.sequence[rows], payloads.place[rows], columns))
     return tuple(found)
 
 

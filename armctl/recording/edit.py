@@ -11,7 +11,7 @@ Rules.
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -26,14 +26,13 @@ from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import PART, new_file
-from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage, Progress
 from armctl.recording.replay import MERGED, LogSetup, Rerun, log_setup
 from armctl.recording.rewrite import Rewrite
 
 TRIMMED = "trimmed"
 # Most messages kept since the last keyframe, to compute the state at a cut; several times what is between two.
 MAX_WARMUP_MESSAGES = 40_000
-PROGRESS_MESSAGES = 5000
 _LATCHED = tuple(topic.name for topic in channels.TOPICS.values() if topic.latched)
 # Topics whose newest message goes on being true: what a file that begins in the middle must say first.
 _STANDING = (*_LATCHED, channels.DIAGNOSTICS)
@@ -57,9 +56,6 @@ class MergeResult(EditResult):
     """Of several files one. `gaps`: between which times [s since the first tick] two of them have nothing."""
 
     gaps: tuple[dict[str, float], ...] = ()
-
-
-Progress = Callable[[float], None]
 
 
 def first_ns(path: Path) -> int:
@@ -91,12 +87,10 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
     # Further than any file goes is as good as for ever.
     begin_ns, end_ns = (zero_ns + round(max(-1e9, min(bound, 1e9)) * NS_PER_S) for bound in (begin_s, end_s))
     facts = {"from": path.name, "begin_s": repr(begin_s), "end_s": repr(end_s)}
-    with LogFile(path) as log, _rewriting(out, log, TRIMMED, facts) as copy:
+    with LogFile(path, progress) as log, _rewriting(out, log, TRIMMED, facts) as copy:
         before = _Before(log)
         taken, has_state, has_ticks = 0, False, channels.SERVOS in log.topics
-        for count, message in enumerate(log.messages()):
-            if progress is not None and count % PROGRESS_MESSAGES == 0:
-                progress(log.progress)
+        for message in log.messages():
             # A tick is taken whole: it begins with its servos, whatever others noted at about the same time.
             if message.log_time_ns < begin_ns or (has_ticks and not taken and message.topic != channels.SERVOS):
                 before.take(message)
@@ -130,16 +124,21 @@ def merge(paths: Sequence[Path], out: Path, progress: Progress | None = None) ->
     if len(paths) < 2:
         raise LogError(f"{paths[0] if paths else out}: one file makes no merger; name two or more")
     ordered = sorted(paths, key=first_ns)
-    with LogFile(ordered[0]) as first:
+
+    def show(done: int) -> Progress | None:
+        """What is called with the fraction read of one of the files."""
+        return None if progress is None else lambda fraction: progress((done + fraction) / len(ordered))
+
+    with LogFile(ordered[0], show(0)) as first:
         setups = [_checked(first, path) for path in ordered]
         anchors = dict.fromkeys(anchor for setup in setups for anchor in (setup.anchor, *setup.later_anchors))
         later = " ".join(f"{a.wall_ns}/{a.monotonic_ns}" for a in anchors if a != setups[0].anchor)
         names = " ".join(path.name for path in ordered)
         with _rewriting(out, first, MERGED, {"from": names, "anchors": later}) as copy:
-            merger = _Merger(copy, progress, len(ordered))
+            merger = _Merger(copy)
             merger.take(first, None)
-            for before, path in pairwise(ordered):
-                with LogFile(path) as log:
+            for done, (before, path) in enumerate(pairwise(ordered), 1):
+                with LogFile(path, show(done)) as log:
                     copy.follow(log)
                     merger.take(log, before)
     return MergeResult(out, copy.messages, copy.duration_s, gaps=tuple(merger.gaps))
@@ -167,8 +166,8 @@ def _checked(first: LogFile, path: Path) -> LogSetup:
 class _Merger:
     """Ticks of one file after the other; knows which one was the last."""
 
-    def __init__(self, copy: Rewrite, progress: Progress | None, files: int) -> None:
-        self._copy, self._progress, self._files, self._done = copy, progress, files, 0
+    def __init__(self, copy: Rewrite) -> None:
+        self._copy = copy
         self._tick: int | None = None
         self._tick_ns = self._zero_ns = 0
         self._anchors: set[str | None] = set()
@@ -182,16 +181,13 @@ class _Merger:
         """
         tick: list[LogMessage] = []
         begun = before is None
-        for count, message in enumerate(log.messages()):
-            if self._progress is not None and count % PROGRESS_MESSAGES == 0:
-                self._progress((self._done + log.progress) / self._files)
+        for message in log.messages():
             if before is None or message.topic not in _LATCHED:
                 tick.append(message)
             if message.topic == channels.CYCLE or len(tick) > MAX_WARMUP_MESSAGES:
                 begun = self._end_tick(log, tick, before, begun)
                 tick = []
         self._copy.add(tick)
-        self._done += 1
         self._anchors.add(log.facts.get("anchor_wall_ns"))
         if not log.complete:
             raise LogError(f"{log.path}: is damaged or has no end; mend it first: armctl log recover {log.path}")

@@ -22,7 +22,7 @@ from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
 from armctl.errors import LogError
 from armctl.recording import channels
-from armctl.recording.columns import Payloads, Table
+from armctl.recording.columns import Table
 from armctl.recording.log_file import LogFile
 from armctl.recording.notes import FIGURES, LEVELS, NOTE_LEVEL, parse_note
 
@@ -67,13 +67,12 @@ def describe(path: Path) -> Entry:
                 entry.simulated = log.facts["simulated"] == "true"
             found = log.payloads((channels.SERVOS, channels.ROSOUT, channels.COMMAND))
             entry.complete = log.complete
-            if channels.SERVOS in found and (times := found[channels.SERVOS].log_time_ns):
-                entry.start_s, entry.duration_s = times[0] / NS_PER_S, (times[-1] - times[0]) / NS_PER_S
+            if times_ns := found[channels.SERVOS].log_time_ns.tolist():
+                entry.start_s, entry.duration_s = times_ns[0] / NS_PER_S, (times_ns[-1] - times_ns[0]) / NS_PER_S
                 for table in log.tables(channels.SERVOS, found[channels.SERVOS]):
                     entry.minutes += _minutes(table)
             for topic in (channels.ROSOUT, channels.COMMAND):
-                told = found.get(topic, Payloads())
-                for time_ns, data in zip(told.log_time_ns, told.data, strict=True):
+                for time_ns, data in found[topic]:
                     if topic == channels.ROSOUT or b'"event"' in data:
                         entry.events += _event(time_ns / NS_PER_S, topic, log.codec(topic).decode(data))
     except (LogError, OSError) as error:

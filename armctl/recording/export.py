@@ -5,9 +5,8 @@ Rules.
 2. Every table begins with `time_epoch_s` and `time_s`, seconds since the log's first tick.
 3. Values are the log's own, unrounded (Excel keeps 15 digits of them); what is not known is empty. Lists without
    names are JSON text, bytes are hexadecimal.
-4. One row at a time: memory does not grow with the log, but for Parquet's table of ticks, which is made column by
-   column in a tenth of the time. An Excel sheet ends at the most rows Excel reads and the
-   next one goes on.
+4. The table of ticks is made column by column, in a tenth of the time; the messages of a topic are read one by one, so
+   that memory does not grow with them. An Excel sheet ends at the most rows Excel reads and the next one goes on.
 5. A file gets its name when it is complete, and replaces nothing.
 """
 
@@ -16,10 +15,11 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from importlib import import_module
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Self
 
@@ -27,11 +27,11 @@ import numpy as np
 
 from armctl.clock import NS_PER_S
 from armctl.errors import ArmctlError, LogError
-from armctl.recording import channels
+from armctl.recording import channels, timeline
 from armctl.recording.disk import new_file, writing
-from armctl.recording.edit import Progress, first_ns
-from armctl.recording.log_file import LogFile
-from armctl.recording.timeline import Frame, Frames
+from armctl.recording.edit import first_ns
+from armctl.recording.log_file import LogFile, Progress
+from armctl.recording.timeline import Timeline
 
 Format = Literal["csv", "xlsx", "parquet"]
 Cell = bool | int | float | str | None
@@ -86,97 +86,91 @@ def export(
             raise LogError(f"{out}: exists already; choose another name, nothing is overwritten")
         with writing(out):
             out.mkdir(parents=True)
-    done: list[_Table] = []
+    with LogFile(path) as log:
+        facts = {"source": path.name, **log.facts}
+    ticks, made = cache(partial(timeline.load, path)), list[_Table]()
 
-    def show(fraction: float) -> None:
-        if progress is not None:
-            progress((len(done) - 1 + fraction) / len(names))
+    def rows(table: _Table) -> Iterator[Sequence[Cell]]:
+        for number, row in enumerate(table.rows):
+            if progress is not None and number % PROGRESS_ROWS == 0:
+                progress((len(made) - 1 + number / table.count) / len(names))
+            yield row
 
     def tables(wanted: Sequence[str]) -> Iterator[_Table]:
         for name in wanted:
-            done.append(_Table(path, name, show))
-            if not (kind == "parquet" and name == TICKS and done[-1].take_columns()):
-                done[-1].look()
-            yield done[-1]
+            made.append(_of_ticks(name, ticks()) if name in (TICKS, ANGLES) else _of_topic(name, path))
+            yield replace(made[-1], rows=rows(made[-1]))
 
-    write = {"csv": _write_csv, "xlsx": _write_excel, "parquet": _write_parquet}[kind]
+    writers: dict[str, Callable[[BinaryIO, Iterator[_Table]], None]] = {
+        "csv": _write_csv, "xlsx": _write_excel, "parquet": partial(_write_parquet, facts),
+    }  # fmt: skip
     for file, wanted in files.items():
         with new_file(file) as stream:
-            write(stream, tables(wanted))
-    return ExportResult(tuple(files), {one.name: one.count for one in done}, all(one.complete for one in done))
+            writers[kind](stream, tables(wanted))
+    return ExportResult(tuple(files), {one.name: one.count for one in made}, all(one.complete for one in made))
 
 
+@dataclass(frozen=True)
 class _Table:
-    """One table of a log, which is read twice: `look` finds the columns, then `rows` gives the cells.
+    """`columns` in their order, with the type that holds all cells of each; `rows` have a cell for each of them."""
 
-    Args:
-        show: Called with the fraction done.
+    name: str
+    columns: dict[str, type]
+    rows: Iterable[Sequence[Cell]]
+    count: int
+    complete: bool
+
+
+def _of_ticks(name: str, seen: Timeline) -> _Table:
+    times_ns = np.rint(seen.time_s * NS_PER_S).astype(np.int64) + seen.start_ns
+    times = [_times(time_ns, seen.start_ns) for time_ns in times_ns.tolist()]
+    cells: dict[str, Any] = {key: [row[key] for row in times] for key in times[0]}
+    if name == ANGLES:  # what the paper's recorder wrote
+        angles = zip(seen.arm.joint_names, np.degrees(seen.position_rad).T, strict=True)
+        cells |= {f"{joint}.position_deg": column for joint, column in angles}
+    else:
+        cells["tick"] = seen.tick
+        for key, changes in (("state", seen.states), ("fault", seen.faults)):
+            since = pairwise([*changes, (len(times), "")])
+            cells[key] = [what for (begin, what), (end, _) in since for _ in range(begin, end)]
+        for index, joint in enumerate(seen.arm.joint_names):
+            cells |= {f"{joint}.{quantity}": getattr(seen, quantity)[:, index] for quantity in _QUANTITIES}
+        cells |= {f"tool.{axis}": column for axis, column in zip(_TOOL, seen.tool.T, strict=True)}
+    for key, column in cells.items():
+        if isinstance(column, np.ndarray):
+            cells[key] = np.where(column == column, column, np.array(None)).tolist()  # NaN: not known
+    first = {key: next((cell for cell in column if cell is not None), 0.0) for key, column in cells.items()}
+    columns = {key: _common(None, cell) or float for key, cell in first.items()}
+    return _Table(name, columns, zip(*cells.values(), strict=True), len(times), seen.complete)
+
+
+def _of_topic(topic: str, path: Path) -> _Table:
+    """The messages of a topic, which is read twice: for the columns, then for the cells.
+
+    Raises:
+        LogError: there are none.
     """
+    zero_ns, found, count = first_ns(path), dict[str, type | None](), 0
 
-    def __init__(self, path: Path, name: str, show: Progress) -> None:
-        self.name = name
-        # Rows given so far.
-        self.count = 0
-        # Whether the log is complete; known after the last row.
-        self.complete = False
-        # Every column in the order in which they come up, and the type that holds all its cells.
-        self.columns: dict[str, type] = {}
-        self.facts: dict[str, str] = {}
-        self._path, self._show = path, show
-        # All cells by column, where they come at once.
-        self._cells: dict[str, Any] = {}
-
-    def take_columns(self) -> bool:
-        """Take all cells of the table of ticks at once; False where they have to be looked for one by one."""
-        with LogFile(self._path) as log:
-            if (found := (frames := Frames(log)).columns()) is None:
-                return False
-            self.facts, self.complete = {"source": self._path.name, **log.facts}, log.complete
-        times = [_times(time_ns, int(found["time_ns"][0])) for time_ns in found["time_ns"].tolist()]
-        self._cells = {name: [row[name] for row in times] for name in times[0]}
-        self._cells |= {key: found[key] for key in ("tick", "state", "fault")}
-        for index, name in enumerate(frames.arm.joint_names):
-            self._cells |= {f"{name}.{quantity}": found[quantity][:, index] for quantity in _QUANTITIES}
-        self._cells |= {f"tool.{axis}": column for axis, column in zip(_TOOL, found["tool"].T, strict=True)}
-        for name, cells in self._cells.items():
-            if isinstance(cells, np.ndarray):
-                self._cells[name] = np.where(cells == cells, cells, np.array(None)).tolist()  # NaN: not known
-        first = {name: next((cell for cell in cells if cell is not None), 0.0) for name, cells in self._cells.items()}
-        self.columns = {name: _common(None, cell) or float for name, cell in first.items()}
-        return True
-
-    def look(self) -> None:
-        """Find the columns.
-
-        Raises:
-            LogError: there are no rows.
-        """
-        found: dict[str, type | None] = {}
-        for row in self._read(0.0):
-            for name, cell in row.items():
-                found[name] = _common(found.get(name), cell)
-        self.columns = {name: kind or float for name, kind in found.items()}
-
-    def rows(self) -> Iterator[Sequence[Cell]]:
-        """The cells of every row, one for each column."""
-        cells = zip(*self._cells.values(), strict=True)
-        for row in cells if self._cells else ([row.get(name) for name in self.columns] for row in self._read(0.5)):
-            self.count += 1
+    def read(log: LogFile) -> Iterator[Row]:
+        for message in log.messages((topic,)):
+            row = _times(message.log_time_ns, zero_ns)
+            _flatten(row, "", log.decode(message), topic)
             yield row
 
-    def _read(self, begun: float) -> Iterator[Row]:
-        """The log's rows; `begun`: fraction done before the first one."""
-        count = 0
-        with LogFile(self._path) as log:
-            self.facts = {"source": self._path.name, **log.facts}
-            for count, row in enumerate(_rows(log, self.name, first_ns(self._path)), 1):  # used below
-                yield row
-                if count % PROGRESS_ROWS == 0:
-                    self._show(begun + log.progress / 2.0)
-            if not count:
-                known = ", ".join(sorted(log.topics)) or "none"
-                raise LogError(f"{self._path}: holds nothing for a table of {self.name}; topics: {known}")
-            self.complete = log.complete
+    def cells() -> Iterator[Sequence[Cell]]:
+        with LogFile(path) as log:
+            yield from ([row.get(name) for name in found] for row in read(log))
+
+    with LogFile(path) as log:
+        for row in read(log):
+            count += 1
+            for name, cell in row.items():
+                found[name] = _common(found.get(name), cell)
+        if not count:
+            known = ", ".join(sorted(log.topics)) or "none"
+            raise LogError(f"{path}: holds nothing for a table of {topic}; topics: {known}")
+        return _Table(topic, {name: kind or float for name, kind in found.items()}, cells(), count, log.complete)
 
 
 def _common(kind: type | None, cell: Cell) -> type | None:
@@ -192,19 +186,6 @@ def _common(kind: type | None, cell: Cell) -> type | None:
 
 
 # ------------------------------------------------------------------------------------------------------- rows
-
-
-def _rows(log: LogFile, table: str, zero_ns: int) -> Iterator[Row]:
-    if table in (TICKS, ANGLES):
-        frames = Frames(log)
-        make = _tick_row if table == TICKS else _angle_row
-        for frame in frames:
-            yield _times(frame.time_ns, zero_ns) | make(frame, frames.arm.joint_names)
-        return
-    for message in log.messages((table,)):
-        row = _times(message.log_time_ns, zero_ns)
-        _flatten(row, "", log.codec(table).decode(message.data), table)
-        yield row
 
 
 def _times(time_ns: int, zero_ns: int) -> Row:
@@ -223,26 +204,6 @@ class Seconds(float):
 
     def __str__(self) -> str:
         return f"{self.time_ns // NS_PER_S}.{self.time_ns % NS_PER_S:09d}"
-
-
-def _tick_row(frame: Frame, names: Sequence[str]) -> Row:
-    row: Row = {"tick": frame.tick, "state": frame.state, "fault": frame.fault}
-    for index, name in enumerate(names):
-        for quantity in _QUANTITIES:
-            row[f"{name}.{quantity}"] = _known(getattr(frame, quantity)[index])
-    for axis, value in zip(_TOOL, frame.tool, strict=True):
-        row[f"tool.{axis}"] = _known(value)
-    return row
-
-
-def _angle_row(frame: Frame, names: Sequence[str]) -> Row:
-    """What the paper's recorder wrote: the angle of every joint."""
-    angles = zip(names, frame.position_rad, strict=True)
-    return {f"{name}.position_deg": _known(math.degrees(angle)) for name, angle in angles}
-
-
-def _known(value: float) -> Cell:
-    return None if value != value else value
 
 
 def _flatten(row: Row, prefix: str, value: Any, topic: str) -> None:
@@ -292,7 +253,7 @@ def _write_csv(stream: BinaryIO, tables: Iterator[_Table]) -> None:
     rows = csv.writer(text)
     for table in tables:
         rows.writerow(table.columns)
-        rows.writerows([str(cell) if isinstance(cell, Seconds) else cell for cell in row] for row in table.rows())
+        rows.writerows([str(cell) if isinstance(cell, Seconds) else cell for cell in row] for row in table.rows)
     text.detach()
 
 
@@ -303,7 +264,7 @@ def _write_excel(stream: BinaryIO, tables: Iterator[_Table]) -> None:
         for table in tables:
             # Excel allows 31 characters, and none of []:*?/\
             name = re.sub(r"[\[\]:*?/\\]", "-", table.name.strip("/"))[:24]
-            for index, row in enumerate(table.rows()):
+            for index, row in enumerate(table.rows):
                 sheets, place = divmod(index, EXCEL_ROWS - 1)
                 if place == 0:
                     sheet = book.create_sheet(f"{name} {sheets + 1}" if sheets else name)
@@ -327,12 +288,12 @@ def _excel_cell(sheet: Any, cell: Cell) -> Any:
     return cell
 
 
-def _write_parquet(stream: BinaryIO, tables: Iterator[_Table]) -> None:
+def _write_parquet(facts: dict[str, str], stream: BinaryIO, tables: Iterator[_Table]) -> None:
     pyarrow, parquet = extra("Parquet files", "pyarrow"), import_module("pyarrow.parquet")
     types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
     for table in tables:
-        schema = pyarrow.schema([(name, types[kind]) for name, kind in table.columns.items()], metadata=table.facts)
-        rows = table.rows()
+        schema = pyarrow.schema([(name, types[kind]) for name, kind in table.columns.items()], metadata=facts)
+        rows = iter(table.rows)
         with parquet.ParquetWriter(stream, schema, compression="zstd") as file:
             while batch := list(islice(rows, BATCH_ROWS)):
                 columns = zip(table.columns.values(), zip(*batch, strict=True), strict=True)

@@ -15,8 +15,9 @@ import json
 import mmap
 import struct
 import zlib
-from collections.abc import Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -40,6 +41,8 @@ MAX_SEED_BYTES = 2**20
 MAX_DECLARED = 10_000
 MAX_RECORD_BYTES = MAX_CHUNK_BYTES + 2**16
 MAX_CHUNK_NS = 3600 * NS_PER_S
+# What is taken apart together: less takes longer, more takes memory.
+BLOCK_BYTES = 4 * 2**20
 _CHUNK, _MESSAGE_INDEX, _DATA_END = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX), int(Opcode.DATA_END)
 _PRIVATE = 0x80
 # Records whose content is kept; messages and chunks are read apart.
@@ -48,6 +51,7 @@ _KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
     Opcode.CHANNEL: Channel,
 }  # fmt: skip
 _INDEX_LENGTH = struct.Struct("<I")
+Progress = Callable[[float], None]
 
 
 class LogMessage(NamedTuple):
@@ -62,12 +66,15 @@ class LogMessage(NamedTuple):
 class LogFile:
     """One pass over a file: attachments and facts are known at once, messages come from `messages`.
 
+    Args:
+        progress: Called now and then with the fraction of the file that was read.
     Raises:
         LogError: the file cannot be opened or is no MCAP file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, progress: Progress | None = None) -> None:
         self.path = path
+        self._progress = progress
         self.attachments: dict[str, Attachment] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}
@@ -96,11 +103,6 @@ class LogFile:
         self._scanning = self._scan()
         # Everything before the first chunk is known from here on: attachments, facts, channels.
         self._first = next(self._scanning, None)
-
-    @property
-    def progress(self) -> float:
-        """Fraction of the file read so far."""
-        return self._at / len(self._data)
 
     @property
     def lost_ns(self) -> int:
@@ -147,13 +149,21 @@ class LogFile:
             yield from self._split(chunk, topics)
 
     def payloads(self, topics: Collection[str] | None = None) -> dict[str, Payloads]:
-        """The same messages by topic, as lists of bytes."""
-        found: dict[str, Payloads] = {}
-        for chunk in self._chunks():
-            at = self._sort(chunk, topics, found)
-            for message in self._split(chunk, topics, at):
-                found.setdefault(message.topic, Payloads()).add(*message[1:])
-        return found
+        """The same messages by topic, some MiB of them at once; of the topics that are named also those without any."""
+        parts: dict[str, list[Payloads]] = {topic: [] for topic in topics or ()}
+        base = 0
+        for pieces in self._blocks():
+            block = b"".join(pieces)
+            found = columns.gather(block, self._names, topics, base)
+            if found is None:  # one by one: what is no message is taken note of
+                lists: dict[str, list[Any]] = {}
+                for place, message in enumerate(chain.from_iterable(self._split(piece, topics) for piece in pieces)):
+                    lists.setdefault(message.topic, []).append((*message[1:3], base + place, message.data))
+                found = {topic: Payloads.of(messages) for topic, messages in lists.items()}
+            for topic, some in found.items():
+                parts.setdefault(topic, []).append(some)
+            base += len(block)
+        return {topic: Payloads.joined(some) if some else Payloads.of(()) for topic, some in parts.items()}
 
     def tables(self, topic: str, payloads: Payloads) -> tuple[Table, ...]:
         """Messages of one topic as columns, a table for each shape they come in (see columns.py).
@@ -183,9 +193,17 @@ class LogFile:
         """
         return self.codec(message.topic).decode(message.data)
 
-    def misfit(self, message: LogMessage, error: Exception) -> LogError:
-        """The error for a message of one of armctl's topics with something else in it."""
-        return LogError(f"{self.path}: {message.topic} is not as armctl writes it: {error!r}")
+    @contextmanager
+    def as_written(self, topic: str) -> Iterator[None]:
+        """Turn the errors of reading armctl's own messages into one: a file from elsewhere may have anything in them.
+
+        Raises:
+            LogError: a message of this topic has.
+        """
+        try:
+            yield
+        except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+            raise LogError(f"{self.path}: {topic} is not as armctl writes it: {error!r}") from None
 
     @contextmanager
     def _schema(self, topic: str) -> Iterator[tuple[str, str]]:
@@ -222,6 +240,17 @@ class LogFile:
             yield self._first
         yield from self._scanning
 
+    def _blocks(self) -> Iterator[list[bytes]]:
+        """Chunks, some MiB of them together."""
+        pieces, size = list[bytes](), 0
+        for chunk in self._chunks():
+            pieces.append(chunk)
+            size += len(chunk)
+            if size >= BLOCK_BYTES or chunk is self._first:  # that one declares what the others hold
+                yield pieces
+                pieces, size = [], 0
+        yield pieces
+
     def _scan(self) -> Generator[bytes, None, None]:
         """Inflated chunks with a good checksum; everything else is taken note of on the way."""
         data, size, unpack = self._data, len(self._data), RECORD.unpack_from
@@ -249,6 +278,8 @@ class LogFile:
                 continue
             self._at = begin + length
             if chunk is not None:
+                if self._progress is not None:
+                    self._progress(self._at / size)
                 yield chunk
         self._at = size
 
@@ -327,28 +358,6 @@ class LogFile:
             begin_ns = self._end_ns or begin_ns
             self._tail_ns = end_ns - begin_ns if 0 < end_ns - begin_ns < MAX_CHUNK_NS else 0
         self._at = chunks.next_chunk(data, self._at)
-
-    def _sort(self, chunk: bytes, topics: Collection[str] | None, found: dict[str, Payloads]) -> int:
-        """Sort messages by topic as long as there is nothing but messages; where that ends.
-
-        `_split` does the same for every chunk, but takes twice the time: here no message becomes a tuple.
-        """
-        lists: dict[int, Payloads | None] = {}
-        unpack, last, at = MESSAGE.unpack_from, len(chunk) - MESSAGE.size, 0
-        while at <= last:
-            opcode, length, number, sequence, time_ns, _ = unpack(chunk, at)
-            end = at + 9 + length
-            if opcode != MESSAGE_OPCODE or number not in self._names or end < at + 31 or end > len(chunk):
-                break
-            if number not in lists:
-                wanted = topics is None or self._names[number] in topics
-                lists[number] = found.setdefault(self._names[number], Payloads()) if wanted else None
-            if (payloads := lists[number]) is not None:
-                payloads.log_time_ns.append(time_ns)
-                payloads.sequence.append(sequence)
-                payloads.data.append(chunk[at + 31 : end])
-            at = end
-        return at
 
     def _split(self, chunk: bytes, topics: Collection[str] | None, at: int = 0) -> Iterator[LogMessage]:
         """The messages of a chunk from `at` on; what else stands in it is taken note of."""

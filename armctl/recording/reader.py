@@ -81,7 +81,7 @@ def read_columns(path: Path, topics: Iterable[str] | None = None) -> dict[str, t
     """
     with LogFile(path) as log:
         found = log.payloads(None if topics is None else frozenset(topics))
-        return {topic: log.tables(topic, payloads) for topic, payloads in found.items() if payloads.data}
+        return {topic: log.tables(topic, payloads) for topic, payloads in found.items() if len(payloads.size)}
 
 
 def info(path: Path) -> LogInfo:
@@ -129,16 +129,16 @@ def ticks(path: Path) -> JointTrack:
         LogError: the file is no log or holds none.
     """
     with LogFile(path) as log:
-        return joint_track(log, log.payloads((JOINT_STATES,)).get(JOINT_STATES))
+        return joint_track(log, log.payloads((JOINT_STATES,))[JOINT_STATES])
 
 
-def joint_track(log: LogFile, payloads: Payloads | None) -> JointTrack:
+def joint_track(log: LogFile, payloads: Payloads) -> JointTrack:
     """Those messages of /joint_states that name the most joints, as arrays.
 
     Raises:
         LogError: there are none.
     """
-    found = [] if payloads is None else [_named(table) for table in log.tables(JOINT_STATES, payloads)]
+    found = [_named(table) for table in log.tables(JOINT_STATES, payloads)] if len(payloads.size) else []
     named = [kind for kind in found if kind is not None]
     if not named:
         raise LogError(f"{log.path}: holds no joint states")

@@ -92,12 +92,11 @@ def load(path: Path) -> Recording:
     marks: dict[str, int] = {}
     with LogFile(path) as log:
         found = log.payloads((JOINT_STATES, ROSOUT))
-        joints = joint_track(log, found.get(JOINT_STATES))
-        if ROSOUT in found:
-            for time_ns, data in zip(found[ROSOUT].log_time_ns, found[ROSOUT].data, strict=True):
-                line = log.codec(ROSOUT).decode(data)
-                if line.get("name") == CONTROL and line.get("function") in ("PLAN_BEGIN", "PLAN_END"):
-                    marks[line["function"]] = time_ns
+        joints = joint_track(log, found[JOINT_STATES])
+        for time_ns, data in found[ROSOUT]:
+            line = log.codec(ROSOUT).decode(data)
+            if line.get("name") == CONTROL and line.get("function") in ("PLAN_BEGIN", "PLAN_END"):
+                marks[line["function"]] = time_ns
         window = None
         if len(marks) == 2:
             begin_s, end_s = ((marks[key] - joints.start_ns) / NS_PER_S for key in ("PLAN_BEGIN", "PLAN_END"))

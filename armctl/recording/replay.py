@@ -35,12 +35,11 @@ from armctl.messages import Inputs, Outputs, Sample, ServoReading, TickRecord
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
-from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.log_file import LogFile, LogMessage, Progress
 from armctl.recording.provenance import other_program
 from armctl.recording.schemas import schema_text
 from armctl.recording.writer import DIAGNOSTICS_PERIOD_NS
 
-PROGRESS_TICKS = 500
 # Characters of a value in `first_mismatch`.
 SHOWN = 200
 # Metadata record of a file that was merged from several; `anchors` are those of the later ones, wall/monotonic.
@@ -142,7 +141,7 @@ class _Tick:
     logged: dict[str, list[bytes]] = field(default_factory=dict)
 
 
-def check(path: Path, progress: Callable[[float], None] | None = None, *, step: Step = control_step) -> ReplayResult:
+def check(path: Path, progress: Progress | None = None, *, step: Step = control_step) -> ReplayResult:
     """Run a log's inputs through the control step and compare with what is logged.
 
     Args:
@@ -152,12 +151,10 @@ def check(path: Path, progress: Callable[[float], None] | None = None, *, step: 
         LogError: the file is no log of armctl's, holds no state to begin at, or cannot be parsed.
     """
     begun_s = time.perf_counter()
-    with LogFile(path) as log:
+    with LogFile(path, progress) as log:
         replay = Rerun(log, log_setup(log), step)
         for message in log.messages():
             replay.take(message)
-            if progress is not None and message.topic == channels.CYCLE and replay.ticks % PROGRESS_TICKS == 1:
-                progress(log.progress)
         replay.end()
         written_by: dict[str, Any] = {key: log.facts.get(key, "") for key in ("version", "commit", "sources")}
     if not replay.keyframes and not replay.ticks:
@@ -222,10 +219,8 @@ class Rerun:
         Raises:
             LogError: it is not what armctl writes.
         """
-        try:
+        with self._log.as_written(message.topic):
             self._take(message)
-        except (TypeError, ValueError, AttributeError, LookupError) as error:
-            raise self._log.misfit(message, error) from None
 
     def _take(self, message: LogMessage) -> None:
         topic = message.topic

@@ -1,7 +1,8 @@
-"""A log as what a person watches: one frame a tick, and a whole log of them as arrays.
+"""A log as what a person watches: a frame a tick, all of them as arrays.
 
 Rules.
-1. A frame is a tick that the file holds completely (its cycle is there); ticks kept for replay alone are none.
+1. A frame is a tick that the file holds completely (servos, joints, and the cycle that ends it); ticks kept for replay
+   alone are none.
 2. Positions, speeds and loads are what the daemon said (/joint_states), the rest is what the servos said (their
    registers). What is not known is NaN.
 3. The goal is the one in the servo's register while it has torque: what the servo was told, whoever told it.
@@ -10,9 +11,10 @@ Rules.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from itertools import islice
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from heapq import merge
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +28,11 @@ from armctl.errors import LogError
 from armctl.kinematics.transform import FloatArray
 from armctl.recording import channels
 from armctl.recording.cdr import Value
-from armctl.recording.columns import Payloads, Table
-from armctl.recording.log_file import LogFile, LogMessage
+from armctl.recording.columns import Payloads
+from armctl.recording.log_file import LogFile, Progress
 from armctl.recording.notes import parse_note
 from armctl.recording.replay import log_setup
 
-BLOCK_FRAMES = 500
 _TORQUE, _GOAL, _VOLTAGE, _TEMPERATURE = (
     register.address - ax12a.STATUS_BEGIN
     for register in (ax12a.TORQUE_ENABLE, ax12a.GOAL, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
@@ -43,9 +44,7 @@ _OF_JOINTS = (*channels.QUANTITIES.values(), "goal_rad", "voltage_V", "temperatu
 CYCLE_KEYS = ("bus_us", "lateness_us", "retries", "overrun", "dropped")
 # What happened beside them.
 _HAPPENED = (channels.ROSOUT, channels.COMMAND, channels.WRITES)
-_TOPICS = (*_SAMPLED, channels.DIAGNOSTICS, *_HAPPENED, channels.CYCLE)
 _NAMES = {register.address: register.name for register in ax12a.REGISTERS}
-_UNKNOWN_TOOL = (math.nan,) * 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,185 +68,21 @@ class Motion:
     end_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """One tick; every sequence has one value a joint, in the calibration's order."""
+class _Happenings:
+    """What happened and what was commanded, collected message by message in file order."""
 
-    time_ns: int
-    tick: int
-    position_rad: list[float]
-    velocity_rad_s: list[float]
-    load_ratio: list[float]
-    goal_rad: list[float]
-    voltage_V: list[float]
-    temperature_degC: list[float]
-    torque_enabled: list[bool]
-    # Whether the servo answered in this tick.
-    fresh: list[bool]
-    cycle: list[float]
-    # x, y, z [m] and the quaternion x, y, z, w.
-    tool: tuple[float, ...]
-    state: str
-    # CODE: text; empty if there is none.
-    fault: str
-
-
-class Frames:
-    """The frames of an open log in file order; what happened, and what was commanded, collects on the way.
-
-    Args:
-        topics: What is read of the log.
-    Raises:
-        LogError: the file was not written by armctl, or its beginning is damaged.
-    """
-
-    def __init__(self, log: LogFile, topics: Sequence[str] = _TOPICS) -> None:
-        self.arm: ArmConfig = log_setup(log).arm
+    def __init__(self) -> None:
         self.happenings: list[Happening] = []
         self.motions: list[Motion] = []
-        self._log, self._topics = log, topics
-        self._state = self._fault = ""
-        # Servos, joints and tool of the tick that is not over yet, by topic.
-        self._tick: dict[str, Any] = {}
         self._run: Motion | None = None
 
-    def __iter__(self) -> Iterator[Frame]:
-        for message in self._log.messages(self._topics):
-            value = self._log.decode(message)
-            try:
-                frame = self._take(message, value)
-            except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
-                # A file from elsewhere may bear our topics with anything in them.
-                raise self._log.misfit(message, error) from None
-            if frame is not None:
-                yield frame
-
-    def columns(self) -> dict[str, Any] | None:
-        """All frames at once: by the name of a frame's field an array with a row a frame, in a tenth of the time.
-
-        None where the log is damaged, or is not as armctl writes it; then its ticks tell one by one, in another pass.
-        """
-        found = self._log.payloads((*_SAMPLED, channels.CYCLE, channels.DIAGNOSTICS))
-        try:
-            return self._columns(found) if self._log.complete else None
-        except (LookupError, TypeError, ValueError, AttributeError, LogError):
-            return None
-
-    def _columns(self, found: dict[str, Payloads]) -> dict[str, Any] | None:
-        cycles = [(t, t.numbers("inputs_only") == 0) for t in self._log.tables(channels.CYCLE, found[channels.CYCLE])]
-        time_ns = np.concatenate([t.log_time_ns[own] for t, own in cycles]).astype(np.int64)
-        order = np.argsort(time_ns)
-        tick = np.concatenate([t.numbers("tick")[own] for t, own in cycles]).astype(np.int64)[order]
-        time_ns = time_ns[order]
-        values: dict[str, Any] = {key: np.full((len(tick), len(self.arm.joints)), math.nan) for key in _OF_JOINTS}
-        values["tool"] = np.full((len(tick), len(_UNKNOWN_TOOL)), math.nan)
-        values |= {key: np.zeros((len(tick), len(self.arm.joints)), np.bool_) for key in ("torque_enabled", "fresh")}
-        told_of = [np.concatenate([t.numbers(key)[own] for t, own in cycles])[order] for key in CYCLE_KEYS]
-        values["cycle"] = np.stack(told_of, axis=1)
-        for topic in _SAMPLED:
-            told = 0
-            for table in self._log.tables(topic, found.get(topic, Payloads())):
-                rows = np.searchsorted(time_ns, table.log_time_ns.astype(np.int64)).clip(max=len(tick) - 1)
-                kept = (time_ns[rows] == table.log_time_ns) & (tick[rows] & 0xFFFFFFFF == table.sequence)
-                told += int(kept.sum())
-                self._enter(topic, table, rows[kept], kept, values)
-            if told != len(tick) and topic != channels.TCP_POSE:
-                return None
-        diagnosed_ns, told_then = np.array(found[channels.DIAGNOSTICS].log_time_ns, np.int64), [("", "")]
-        for data in found[channels.DIAGNOSTICS].data:
-            self._diagnosed(self._log.codec(channels.DIAGNOSTICS).decode(data))
-            told_then.append((self._state, self._fault))
-        if (np.diff(time_ns) <= 0).any() or (np.diff(diagnosed_ns) < 0).any():
-            return None
-        state, fault = zip(*[told_then[at] for at in np.searchsorted(diagnosed_ns, time_ns, side="right")], strict=True)
-        return {"time_ns": time_ns, "tick": tick, "state": state, "fault": fault, **values}
-
-    def _enter(self, topic: str, table: Table, rows: Any, kept: Any, values: dict[str, Any]) -> None:
-        """Put what messages of one shape say of their frames where it belongs; some are of no frame."""
-        columns: dict[str, Any] = table.columns
-        if topic == channels.TCP_POSE:
-            parts = [f"position.{axis}" for axis in "xyz"] + [f"orientation.{axis}" for axis in "xyzw"]
-            values["tool"][rows] = np.stack([columns[f"pose.{part}"][kept] for part in parts], axis=1)
-        elif topic == channels.JOINT_STATES:
-            names = [set(column.tolist()) for path, column in columns.items() if path.startswith("name[")]
-            for index, (name,) in enumerate(names):  # or there is more than one at its place
-                for key, quantity in channels.QUANTITIES.items():
-                    values[quantity][rows, self.arm.joint_names.index(name)] = columns[key][kept, index]
-        elif f"servos[{len(self.arm.joints)}].id" in columns:
-            raise ValueError("another number of servos")
-        else:
-            for index, joint in enumerate(self.arm.joints):
-                values["fresh"][rows, index] = columns[f"servos[{index}].fresh"][kept]
-                block: Any = columns[f"servos[{index}].registers"][kept].astype(np.int64)
-                if block.shape[1]:
-                    torque, goal = block[:, _TORQUE] > 0, block[:, _GOAL] + 256 * block[:, _GOAL + 1]
-                    values["torque_enabled"][rows, index] = torque
-                    values["goal_rad"][rows, index] = np.where(torque, joint.position_rad(goal), math.nan)
-                    values["voltage_V"][rows, index] = block[:, _VOLTAGE] / 10.0
-                    values["temperature_degC"][rows, index] = block[:, _TEMPERATURE]
-
-    def _take(self, message: LogMessage, value: Value) -> Frame | None:
-        """One message; the frame, if a tick ends with it."""
-        topic, tick = message.topic, self._tick
-        if topic == channels.SERVOS:
-            self._tick = {topic: value}
-        elif topic == channels.JOINT_STATES:
-            tick[topic] = value
-        elif topic == channels.TCP_POSE:
-            position, turn = value["pose"]["position"], value["pose"]["orientation"]
-            tick[topic] = (*(position[axis] for axis in "xyz"), *(turn[axis] for axis in "xyzw"))
-        elif topic == channels.DIAGNOSTICS:
-            self._diagnosed(value)
-        elif topic == channels.CYCLE:
-            self._tick = {}
-            if not value["inputs_only"] and tick.keys() >= {channels.SERVOS, channels.JOINT_STATES}:
-                return self._frame(message.log_time_ns, value, tick)
-        else:
-            self._happened(message, value)
-        return None
-
-    def _frame(self, time_ns: int, cycle: Value, tick: dict[str, Any]) -> Frame:
-        joints, servos = tick[channels.JOINT_STATES], tick[channels.SERVOS]["servos"]
-        registers, names = [servo["registers"] for servo in servos], self.arm.joint_names
-        if len(registers) != len(names):
-            raise ValueError(f"{len(registers)} servos, the arm has {len(names)}")
-        values = zip(*(joints[key] for key in channels.QUANTITIES), strict=False)
-        told = dict(zip(joints["name"], values, strict=False))
-        columns = map(list, zip(*(told.get(name, (math.nan,) * 3) for name in names), strict=True))
-        torque = [bool(block and block[_TORQUE]) for block in registers]
-        return Frame(
-            time_ns=time_ns,
-            tick=cycle["tick"],
-            **dict(zip(channels.QUANTITIES.values(), columns, strict=True)),
-            goal_rad=[
-                joint.position_rad(ax12a.register_value(ax12a.GOAL, block)) if on else math.nan
-                for joint, block, on in zip(self.arm.joints, registers, torque, strict=True)
-            ],
-            voltage_V=[block[_VOLTAGE] / 10.0 if block else math.nan for block in registers],
-            temperature_degC=[float(block[_TEMPERATURE]) if block else math.nan for block in registers],
-            torque_enabled=torque,
-            fresh=[servo["fresh"] for servo in servos],
-            cycle=[cycle[key] for key in CYCLE_KEYS],
-            tool=tick.get(channels.TCP_POSE, _UNKNOWN_TOOL),
-            state=self._state,
-            fault=self._fault,
-        )
-
-    def _diagnosed(self, value: Value) -> None:
-        arm = next((status for status in value["status"] if status["name"] == "armctl: arm"), None)
-        if arm is None:
-            return
-        facts = {pair["key"]: pair["value"] for pair in arm["values"]}
-        self._state = facts.get("mode", arm["message"])
-        self._fault = arm["message"].removeprefix(f"{self._state}: ") if facts.get("fault") else ""
-
-    def _happened(self, message: LogMessage, value: Value) -> None:
-        time_ns = message.log_time_ns
-        if message.topic == channels.ROSOUT:
+    def take(self, topic: str, time_ns: int, value: Value) -> None:
+        """The next message of one of `_HAPPENED`."""
+        if topic == channels.ROSOUT:
             source = "" if value["name"] == channels.CONTROL else f"{value['name']}: "
             self.happenings.append(Happening(time_ns, value["level"], value["function"], f"{source}{value['msg']}"))
             self._mark(value["function"], time_ns)
-        elif message.topic == channels.WRITES:
+        elif topic == channels.WRITES:
             failed = any(not write["confirmed"] for write in value["writes"])
             self.happenings.append(Happening(time_ns, 30 if failed else 20, "WRITE", _written(value["writes"])))
         elif (record := channels.parse_record(value["data"])) is None:
@@ -345,16 +180,12 @@ class Timeline:
         return next(name for begin, name in reversed(self.faults) if begin <= frame)
 
 
-_TYPES: dict[str, Any] = dict.fromkeys(("time_ns", "tick"), np.int64) | dict.fromkeys(("state", "fault"), np.object_)
-_TYPES |= dict.fromkeys(("torque_enabled", "fresh"), np.bool_)
-
-
 def _changes(names: Sequence[str]) -> tuple[tuple[int, str], ...]:
     """From which frame on, what."""
     return tuple((i, name) for i, name in enumerate(names) if i == 0 or name != names[i - 1])
 
 
-def load(path: Path, progress: Callable[[float], None] | None = None) -> Timeline:
+def load(path: Path, progress: Progress | None = None) -> Timeline:
     """A whole log as arrays.
 
     Args:
@@ -362,30 +193,104 @@ def load(path: Path, progress: Callable[[float], None] | None = None) -> Timelin
     Raises:
         LogError: the file is no log of armctl's, or holds no whole tick.
     """
-    blocks: dict[str, list[Any]] = {field.name: [] for field in fields(Frame)}
-    with LogFile(path) as log:
-        arrays = Frames(log).columns() or {}
-    with LogFile(path) as log:
-        found = iter(frames := Frames(log, _HAPPENED if arrays else _TOPICS))
-        # In blocks: the frames of a whole log as objects would take ten times the memory of its arrays.
-        while block := list(islice(found, BLOCK_FRAMES)):
-            for name, parts in blocks.items():
-                parts.append(np.array([getattr(frame, name) for frame in block], _TYPES.get(name, np.float64)))
-            if progress is not None and len(block) == BLOCK_FRAMES:
-                progress(log.progress)
-        if not arrays and not blocks["tick"]:
-            raise LogError(f"{path}: holds no whole tick; there is nothing to show")
-        arrays = arrays or {name: np.concatenate(parts) for name, parts in blocks.items()}
-        time_ns, states, faults = (arrays.pop(name) for name in ("time_ns", "state", "fault"))
+    with LogFile(path, progress) as log:
+        arm = log_setup(log).arm
+        found = log.payloads((channels.CYCLE, *_SAMPLED, channels.DIAGNOSTICS, *_HAPPENED))
+        frames = _frames(log, arm, found)
+        told = _Happenings()
+        for topic, time_ns, value in _decoded(log, found, *_HAPPENED):
+            with log.as_written(topic):
+                told.take(topic, time_ns, value)
+        time_ns, states, faults = (frames.pop(name) for name in ("time_ns", "states", "faults"))
         return Timeline(
             path=path,
-            arm=frames.arm,
+            arm=arm,
             start_ns=int(time_ns[0]),
             time_s=(time_ns - time_ns[0]) / NS_PER_S,
-            **arrays,
+            **frames,
             states=_changes(states),
             faults=_changes(faults),
-            happenings=tuple(frames.happenings),
-            motions=tuple(frames.motions),
+            happenings=tuple(told.happenings),
+            motions=tuple(told.motions),
             complete=log.complete,
         )
+
+
+def _decoded(log: LogFile, found: dict[str, Payloads], *topics: str) -> Iterator[tuple[str, int, Value]]:
+    """Topic, time and value of every message of some topics, in the order of the file."""
+    placed = [zip(found[topic].place.tolist(), repeat(topic), found[topic], strict=False) for topic in topics]
+    for _, topic, (time_ns, data) in merge(*placed):
+        yield topic, time_ns, log.codec(topic).decode(data)
+
+
+def _frames(log: LogFile, arm: ArmConfig, found: dict[str, Payloads]) -> dict[str, Any]:
+    """An array with a row a frame by its name; of times, states and faults too."""
+    cycles = log.tables(channels.CYCLE, found[channels.CYCLE])
+    if not cycles:
+        raise LogError(f"{log.path}: holds no whole tick; there is nothing to show")
+    places = np.concatenate([table.place for table in cycles])
+    order, shape = np.argsort(places), (len(places), len(arm.joints))
+    places, time_ns = places[order], np.concatenate([table.log_time_ns for table in cycles])[order].astype(np.int64)
+    with log.as_written(channels.CYCLE):
+        tick, inputs_only, *told = (
+            np.concatenate([table.columns[key] for table in cycles])[order]
+            for key in ("tick", "inputs_only", *CYCLE_KEYS)
+        )
+        values: dict[str, Any] = {"time_ns": time_ns, "tick": tick.astype(np.int64), "cycle": np.stack(told, axis=1)}
+    values |= {key: np.full(shape, math.nan) for key in _OF_JOINTS}
+    values |= {key: np.zeros(shape, np.bool_) for key in ("torque_enabled", "fresh")}
+    values["tool"] = np.full((len(places), 7), math.nan)
+    whole = inputs_only == 0
+    for topic in _SAMPLED:
+        known = np.full(len(places), topic == channels.TCP_POSE)
+        for table in log.tables(topic, found[topic]):
+            # It is of the tick that the next cycle ends, unless its own was lost.
+            rows = np.searchsorted(places, table.place).clip(max=len(places) - 1)
+            kept = (time_ns[rows] == table.log_time_ns) & (values["tick"][rows] & 0xFFFFFFFF == table.sequence)
+            known[rows[kept]] = True
+            with log.as_written(topic):
+                _enter(arm, topic, table.columns, rows[kept], kept, values)
+        whole &= known
+    if not whole.any():
+        raise LogError(f"{log.path}: holds no whole tick; there is nothing to show")
+    modes = [("", "")]
+    for topic, _, value in _decoded(log, found, channels.DIAGNOSTICS):
+        with log.as_written(topic):
+            modes.append(_diagnosed(value, modes[-1]))
+    since = np.searchsorted(found[channels.DIAGNOSTICS].place, places[whole])
+    values = {key: column[whole] for key, column in values.items()}
+    return values | dict(zip(("states", "faults"), zip(*[modes[at] for at in since], strict=True), strict=True))
+
+
+def _enter(arm: ArmConfig, topic: str, columns: dict[str, Any], rows: Any, kept: Any, values: dict[str, Any]) -> None:
+    """Put what messages of one shape say of their frames where it belongs; those that are `kept` are of some."""
+    if topic == channels.TCP_POSE:
+        parts = [f"position.{axis}" for axis in "xyz"] + [f"orientation.{axis}" for axis in "xyzw"]
+        values["tool"][rows] = np.stack([columns[f"pose.{part}"][kept] for part in parts], axis=1)
+    elif topic == channels.JOINT_STATES:
+        names = [set(column.tolist()) for path, column in columns.items() if path.startswith("name[")]
+        for index, (name,) in enumerate(names):  # or there is more than one at its place
+            for key, quantity in channels.QUANTITIES.items():
+                values[quantity][rows, arm.joint_names.index(name)] = columns[key][kept, index]
+    elif f"servos[{len(arm.joints)}].id" in columns:
+        raise ValueError("another number of servos")
+    else:
+        for index, joint in enumerate(arm.joints):
+            values["fresh"][rows, index] = columns[f"servos[{index}].fresh"][kept]
+            block = columns[f"servos[{index}].registers"][kept].astype(np.int64)
+            if block.shape[1]:
+                torque, goal = block[:, _TORQUE] > 0, block[:, _GOAL] + 256 * block[:, _GOAL + 1]
+                values["torque_enabled"][rows, index] = torque
+                values["goal_rad"][rows, index] = np.where(torque, joint.position_rad(goal), math.nan)
+                values["voltage_V"][rows, index] = block[:, _VOLTAGE] / 10.0
+                values["temperature_degC"][rows, index] = block[:, _TEMPERATURE]
+
+
+def _diagnosed(value: Value, before: tuple[str, str]) -> tuple[str, str]:
+    """State and fault that a message about the arm's health tells; as before where it tells none."""
+    arm = next((status for status in value["status"] if status["name"] == "armctl: arm"), None)
+    if arm is None:
+        return before
+    facts = {pair["key"]: pair["value"] for pair in arm["values"]}
+    state = facts.get("mode", arm["message"])
+    return state, arm["message"].removeprefix(f"{state}: ") if facts.get("fault") else ""

@@ -22,7 +22,7 @@ from tests.recording.test_cdr import NAMES, values
 
 
 def payloads(data: list[bytes]) -> Payloads:
-    return Payloads(list(range(len(data))), list(range(len(data))), data)
+    return Payloads.of([(number, number, number, one) for number, one in enumerate(data)])
 
 
 def message(name: str, table: Table, row: int, prefix: str = "") -> Value:

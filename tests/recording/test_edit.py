@@ -259,8 +259,7 @@ def test_one_file_damaged_ones_and_those_that_overlap_or_do_not_follow_are_refus
     assert sorted(tmp_path.iterdir()) == [first, overlapping, later, before, damaged]
 
 
-def test_progress_comes_to_its_end(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(edit, "PROGRESS_MESSAGES", 50)
+def test_progress_comes_to_its_end(log: Path, tmp_path: Path) -> None:
     seen: list[float] = []
     trim(log, tmp_path / "b.mcap", 0.0, 5.0, seen.append)
     assert seen == sorted(seen)

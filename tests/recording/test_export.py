@@ -19,8 +19,6 @@ from armctl.messages import TickRecord
 from armctl.recording import export as exporting
 from armctl.recording.channels import TOPICS
 from armctl.recording.export import Format, export
-from armctl.recording.log_file import LogFile
-from armctl.recording.timeline import Frames
 from tests.recording.altered import faulty, with_sample, without_first_joint
 from tests.recording.factory import ANCHOR, ARM, make_records
 from tests.recording.logs import write
@@ -206,34 +204,27 @@ def silent(record: TickRecord) -> TickRecord:
 
 
 @pytest.mark.parametrize(
-    ("records", "by_columns"),
-    [
-        (RECORDS, True),
-        (faulty(RECORDS, 12, 20), True),
-        ([*map(silent, RECORDS[:7]), *RECORDS[7:]], True),
-        (RECORDS[5:], True),
-        ([*RECORDS[:9], RECORDS[8], *RECORDS[9:]], False),
-    ],
-    ids=["whole", "with a fault", "first servo silent", "not from the first tick", "a tick twice"],
+    "records",
+    [RECORDS, faulty(RECORDS, 12, 20), [*map(silent, RECORDS[:7]), *RECORDS[7:]], RECORDS[5:]],
+    ids=["whole", "with a fault", "first servo silent", "not from the first tick"],
 )
-def test_columns_at_once_are_those_row_by_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: list[TickRecord], by_columns: bool
-) -> None:
+def test_every_row_is_what_the_tick_said(tmp_path: Path, records: list[TickRecord]) -> None:
     log = write(tmp_path / "a.mcap", records, inputs_only=RECORDS[2:5] if records[0] is RECORDS[5] else ())
-    with LogFile(log) as opened:
-        assert (Frames(opened).columns() is not None) == by_columns
-    result = export(log, tmp_path / "columns.parquet", "parquet")
-    monkeypatch.setattr(exporting._Table, "take_columns", lambda table: False)
-    assert export(log, tmp_path / "rows.parquet", "parquet").rows == result.rows
-    tables = [pyarrow.parquet.read_table(tmp_path / f"{name}.parquet") for name in ("columns", "rows")]
-    assert tables[0].schema.equals(tables[1].schema, check_metadata=True)
-    assert tables[0].equals(tables[1])
-
-
-def test_a_cut_log_goes_row_by_row_into_parquet_too(tmp_path: Path) -> None:
-    cut = write(tmp_path / "a.mcap", RECORDS[:30], finish=False)
-    result = export(cut, tmp_path / "t.parquet", "parquet")
-    assert (result.rows, result.complete) == ({"ticks": 30}, False)
+    export(log, tmp_path / "t.parquet", "parquet")
+    header, rows = table(tmp_path / "t.parquet")
+    begun_ns = records[0].inputs.sample.time_ns
+    for row, record in zip(rows, records, strict=True):
+        outputs, since_ns = record.outputs, record.inputs.sample.time_ns - begun_ns
+        fault = outputs.fault
+        cells: dict[str, Any] = {"time_s": since_ns / NS_PER_S, "tick": record.inputs.tick, "state": outputs.mode.value}
+        cells["fault"] = f"{fault.code}: {fault.text}" if fault else ""
+        for name, joint in zip(ARM.joint_names, outputs.joints, strict=True):
+            for quantity in ("position_rad", "velocity_rad_s", "load_ratio"):
+                cells[f"{name}.{quantity}"] = getattr(joint, quantity) if joint.known else None
+        for name, joint, reading in zip(ARM.joint_names, outputs.joints, record.inputs.sample.servos, strict=True):
+            for quantity in ("voltage_V", "temperature_degC"):
+                cells[f"{name}.{quantity}"] = getattr(joint, quantity) if reading.registers else None
+        assert {key: row[header.index(key)] for key in cells} == cells
 
 
 def test_what_is_not_known_is_empty(tmp_path: Path, kind: Format) -> None:
@@ -274,7 +265,7 @@ def test_a_missing_package_is_named_with_its_extra(
 
 
 def test_progress_runs_from_none_to_all(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exporting, "PROGRESS_ROWS", 10)
+    monkeypatch.setattr(exporting, "PROGRESS_ROWS", 5)
     seen: list[float] = []
     export(log, tmp_path / "t.xlsx", "xlsx", progress=seen.append)
     assert seen == sorted(seen)

@@ -17,7 +17,7 @@ from armctl.recording.log_file import LogFile
 from armctl.recording.replay import check
 from tests.recording.altered import with_outputs, without_first_joint
 from tests.recording.factory import ANCHOR, ARM, make_records
-from tests.recording.logs import add_string_channel, foreign, write
+from tests.recording.logs import add_string_channel, foreign, spoilt, write
 from tests.recording.refusals import cannot
 
 RECORDS = make_records(60, seed=3)
@@ -44,7 +44,7 @@ def test_every_array_is_what_the_ticks_said(found: timeline.Timeline) -> None:
     assert found.complete
 
 
-def test_a_log_that_is_read_tick_by_tick_is_the_same(found: timeline.Timeline, tmp_path: Path) -> None:
+def test_a_log_that_was_not_ended_is_the_same(found: timeline.Timeline, tmp_path: Path) -> None:
     cut = timeline.load(write(tmp_path / "a.mcap", RECORDS, finish=False))
     assert not cut.complete
     for one in fields(cut):
@@ -109,11 +109,45 @@ def test_index_finds_the_newest_frame_at_or_before_a_time(found: timeline.Timeli
         assert [found.index(time_s + later_s) for time_s in found.time_s.tolist()] == list(range(len(RECORDS)))
 
 
-def test_frames_can_be_read_one_by_one(log: Path) -> None:
-    with LogFile(log) as file:
-        frames = timeline.Frames(file)
-        assert next(iter(frames)).tick == 0
-        assert [one.code for one in frames.happenings] == ["CONNECTED", "STATE"]  # nothing was read ahead
+def test_ticks_of_which_something_is_lost_are_no_frames_and_disturb_no_other(tmp_path: Path) -> None:
+    whole = timeline.load(write(tmp_path / "a.mcap", RECORDS, flush_ticks=1))
+    data = (tmp_path / "a.mcap").read_bytes()
+    for lost in ((9,), (1, 2, 30), (len(RECORDS),)):  # of the chunks, the one with number 0 being the head
+        (tmp_path / "b.mcap").write_bytes(spoilt(data, *lost))
+        found = timeline.load(tmp_path / "b.mcap")
+        kept = ~np.isin(whole.tick, [number - 1 for number in lost])
+        assert not found.complete
+        for name in ("tick", "position_rad", "goal_rad", "voltage_V", "fresh", "tool", "cycle"):
+            np.testing.assert_equal(getattr(found, name), getattr(whole, name)[kept], err_msg=name)
+        states = [whole.state(frame) for frame in np.flatnonzero(kept).tolist()]
+        # Where the message with the change is lost the one before goes on.
+        assert [found.state(frame) for frame in range(len(states))][-5:] == states[-5:]
+
+
+def test_a_servo_message_of_a_tick_without_its_end_is_not_taken_for_the_next_one(tmp_path: Path) -> None:
+    """As after a damaged chunk: a tick begins, and the next thing that can be read is the end of another."""
+    with foreign(tmp_path / "b.mcap") as writer, LogFile(write(tmp_path / "a.mcap", RECORDS[:8])) as source:
+        for attachment in source.attachments.values():
+            data = attachment.data
+            if attachment.name == "armctl.json":
+                data = json.dumps(json.loads(data) | {"schemas": [], "channels": []}).encode()
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, data)
+        ids = {}
+        for message in source.messages():
+            if message.topic not in ids:
+                schema = source.schemas[next(c.schema_id for c in source.channels.values() if c.topic == message.topic)]
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[message.topic] = writer.register_channel(message.topic, "cdr", number)
+            time_ns, tick, end = message.log_time_ns, message.sequence, message.topic == "/armctl/cycle"
+            if not (tick == 3 and end) and not (tick == 4 and not end):
+                writer.add_message(ids[message.topic], time_ns, message.data, time_ns, tick)
+    assert timeline.load(tmp_path / "b.mcap").tick.tolist() == [0, 1, 2, 5, 6, 7]
+
+
+def test_a_tick_that_stands_there_twice_is_two_frames(tmp_path: Path) -> None:
+    found = timeline.load(write(tmp_path / "a.mcap", [*RECORDS[:9], RECORDS[8], *RECORDS[9:]]))
+    assert found.tick.tolist() == [*range(9), 8, *range(9, len(RECORDS))]
+    assert found.position_rad[8].tolist() == found.position_rad[9].tolist()
 
 
 def test_a_log_without_ticks_is_refused(tmp_path: Path) -> None:
