@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from armctl.errors import LogError
 from armctl.recording.cdr import HEADER, MAX_DEPTH
-from armctl.recording.chunks import MESSAGE_OPCODE, RECORD
+from armctl.recording.chunks import RECORD
 from armctl.recording.schemas import PRIMITIVES, fields
 
 # Bounds on what a topic may fall into; beyond them it is read message by message.
@@ -121,64 +121,63 @@ class Payloads:
         yield from ((time_ns, self.data[begin:end]) for time_ns, begin, end in zip(*columns, strict=True))
 
     @classmethod
-    def of(cls, messages: Sequence[tuple[int, int, int, bytes]]) -> Self:
-        """Those with these log times, sequence numbers, places and bytes."""
-        times_ns, sequence, place, data = zip(*messages, strict=True) if messages else ((),) * 4
-        numbers = np.array(times_ns, np.uint64), np.array(sequence, np.uint32), np.array(place, np.int64)
-        return cls(*numbers, np.array([*map(len, data)], np.int64), b"".join(data))
-
-    @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """All of these, one after the other."""
 
-        def column(key: str) -> Any:
-            return np.concatenate([getattr(part, key) for part in parts])
+        def column(key: str, kind: Any) -> Any:
+            return np.concatenate([np.empty(0, kind), *(getattr(part, key) for part in parts)])
 
+        times_ns, sequence = column("log_time_ns", np.uint64), column("sequence", np.uint32)
         data = b"".join([part.data for part in parts])
-        return cls(column("log_time_ns"), column("sequence"), column("place"), column("size"), data)
+        return cls(times_ns, sequence, column("place", np.int64), column("size", np.int64), data)
 
 
 # A message's record but for its data.
 _HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times_ns", "<u8", 2)])
 
 
-def gather(
-    block: bytes, channels: Mapping[int, str], topics: Collection[str] | None, base: int
-) -> dict[str, Payloads] | None:
-    """Messages of a block at once, by topic.
+class Block:
+    """Messages of some chunks.
 
     Args:
-        block: Records.
-        channels: The topic of every channel.
-        topics: Which ones are wanted; None: all.
-        base: Place of the block's beginning.
-    Returns:
-        None, unless the block is nothing but messages of these channels.
+        data: Their records, among others.
+        begins: Where each message's record begins.
+        channels: The topic of every channel; messages of others are left out.
     """
-    begins, at, last, unpack = list[int](), 0, len(block) - _HEAD.itemsize, RECORD.unpack_from
-    while at <= last:
-        begins.append(at)
-        at += RECORD.size + unpack(block, at)[1]
-    if at != len(block) or not begins:
-        return None
-    starts, view = np.array(begins), np.ndarray((last + 1,), f"V{_HEAD.itemsize}", block, 0, (1,))
-    heads = view[starts].view(_HEAD)
-    begin, end = starts + _HEAD.itemsize, np.append(starts[1:], len(block))
-    present = np.unique(heads["channel"]).tolist()
-    if not channels.keys() >= {*present} or (heads["opcode"] != MESSAGE_OPCODE).any() or (begin > end).any():
-        return None
-    found: dict[str, Payloads] = {}
-    for topic in dict.fromkeys(channels[number] for number in present):
-        if topics is None or topic in topics:
-            rows = np.isin(heads["channel"], [number for number in present if channels[number] == topic])
-            some, first, size = heads[rows], begin[rows], (end - begin)[rows]
-            if (size == size[0]).all() and size[0]:
-                data = np.ndarray((len(block) - size[0] + 1,), f"V{size[0]}", block, 0, (1,))[first].tobytes()
+
+    def __init__(self, data: bytes, begins: Sequence[int], channels: Mapping[int, str]) -> None:
+        self.data = data
+        begin = np.array(begins, np.int64)
+        places = np.ndarray((max(0, len(data) - _HEAD.itemsize + 1),), f"V{_HEAD.itemsize}", data, 0, (1,))
+        heads = places[begin].view(_HEAD)
+        self._topics = {
+            number: channels[number] for number in np.unique(heads["channel"]).tolist() if number in channels
+        }
+        known = np.isin(heads["channel"], [*self._topics])
+        # How many messages are left out.
+        self.unknown = int((~known).sum())
+        self._heads, self._begin = heads[known], begin[known] + _HEAD.itemsize
+        self._end = self._begin + self._heads["length"].astype(np.int64) - (_HEAD.itemsize - RECORD.size)
+
+    def __iter__(self) -> Iterator[tuple[str, int, int, bytes]]:
+        """Topic, log time, sequence number and bytes of each."""
+        heads, data, topics = self._heads, self.data, self._topics
+        columns = (heads["channel"], heads["times_ns"][:, 0], heads["sequence"], self._begin, self._end)
+        for number, time_ns, sequence, begin, end in zip(*(column.tolist() for column in columns), strict=True):
+            yield topics[number], time_ns, sequence, data[begin:end]
+
+    def payloads(self, topics: Collection[str] | None, base: int) -> Iterator[tuple[str, Payloads]]:
+        """The messages of some topics, or of all; `base`: place of the block in its file."""
+        for topic in {*self._topics.values()} if topics is None else {*topics} & {*self._topics.values()}:
+            rows = np.isin(self._heads["channel"], [number for number, one in self._topics.items() if one == topic])
+            heads, begin, end = self._heads[rows], self._begin[rows], self._end[rows]
+            size, data = end - begin, self.data
+            if (least := int(size[0])) and (size == least).all():
+                some = np.ndarray((len(data) - least + 1,), f"V{least}", data, 0, (1,))[begin].tobytes()
             else:
-                data = b"".join([block[a:b] for a, b in zip(first.tolist(), (first + size).tolist(), strict=True)])
-            times_ns, sequence = (np.ascontiguousarray(one) for one in (some["times_ns"][:, 0], some["sequence"]))
-            found[topic] = Payloads(times_ns, sequence, base + first, size, data)
-    return found
+                some = b"".join([data[a:b] for a, b in zip(begin.tolist(), end.tolist(), strict=True)])
+            times_ns, sequence = (np.ascontiguousarray(one) for one in (heads["times_ns"][:, 0], heads["sequence"]))
+            yield topic, Payloads(times_ns, sequence, base + begin, size, some)
 
 
 class _Differ(Exception):

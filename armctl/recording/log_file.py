@@ -30,7 +30,7 @@ from armctl.errors import LogError
 from armctl.recording import chunks, columns
 from armctl.recording.cdr import Codec, Value, schema_codec
 from armctl.recording.chunks import CHUNK, MAGIC, MAX_CHUNK_BYTES, MESSAGE, MESSAGE_OPCODE, RECORD
-from armctl.recording.columns import Payloads, Table
+from armctl.recording.columns import Block, Payloads, Table
 from armctl.recording.schemas import parse_schema, short_name
 from armctl.recording.writer import SEED
 
@@ -145,25 +145,20 @@ class LogFile:
         Raises:
             LogError: the file claims to inflate to more than is ever read (rule 4).
         """
-        for chunk in self._chunks():
-            yield from self._split(chunk, topics)
+        for block in self._blocks():
+            for message in block:
+                if topics is None or message[0] in topics:
+                    yield tuple.__new__(LogMessage, message)  # half the time of a call
 
     def payloads(self, topics: Collection[str] | None = None) -> dict[str, Payloads]:
         """The same messages by topic, some MiB of them at once; of the topics that are named also those without any."""
         parts: dict[str, list[Payloads]] = {topic: [] for topic in topics or ()}
         base = 0
-        for pieces in self._blocks():
-            block = b"".join(pieces)
-            found = columns.gather(block, self._names, topics, base)
-            if found is None:  # one by one: what is no message is taken note of
-                lists: dict[str, list[Any]] = {}
-                for place, message in enumerate(chain.from_iterable(self._split(piece, topics) for piece in pieces)):
-                    lists.setdefault(message.topic, []).append((*message[1:3], base + place, message.data))
-                found = {topic: Payloads.of(messages) for topic, messages in lists.items()}
-            for topic, some in found.items():
-                parts.setdefault(topic, []).append(some)
-            base += len(block)
-        return {topic: Payloads.joined(some) if some else Payloads.of(()) for topic, some in parts.items()}
+        for block in self._blocks():
+            for topic, payloads in block.payloads(topics, base):
+                parts.setdefault(topic, []).append(payloads)
+            base += len(block.data)
+        return {topic: Payloads.joined(some) for topic, some in parts.items()}
 
     def tables(self, topic: str, payloads: Payloads) -> tuple[Table, ...]:
         """Messages of one topic as columns, a table for each shape they come in (see columns.py).
@@ -235,21 +230,18 @@ class LogFile:
         self._scanning.close()
         self._data.close()
 
-    def _chunks(self) -> Iterator[bytes]:
-        if self._first is not None:
-            yield self._first
-        yield from self._scanning
-
-    def _blocks(self) -> Iterator[list[bytes]]:
-        """Chunks, some MiB of them together."""
-        pieces, size = list[bytes](), 0
-        for chunk in self._chunks():
+    def _blocks(self) -> Iterator[Block]:
+        """The messages of all chunks, some MiB together."""
+        pieces, begins, size = list[bytes](), list[int](), 0
+        for chunk in chain([self._first or b""], self._scanning, [b""]):
+            self._take_chunk(chunk, size, begins)
             pieces.append(chunk)
             size += len(chunk)
-            if size >= BLOCK_BYTES or chunk is self._first:  # that one declares what the others hold
-                yield pieces
-                pieces, size = [], 0
-        yield pieces
+            if size >= BLOCK_BYTES or chunk is self._first or not chunk:  # what the first one declares the others hold
+                block = Block(b"".join(pieces), begins, self._names)
+                self.damaged += block.unknown
+                yield block
+                pieces, begins, size = [], [], 0
 
     def _scan(self) -> Generator[bytes, None, None]:
         """Inflated chunks with a good checksum; everything else is taken note of on the way."""
@@ -278,6 +270,10 @@ class LogFile:
                 continue
             self._at = begin + length
             if chunk is not None:
+                begin_ns, end_ns = CHUNK.unpack_from(data, begin)[:2]
+                if self.damaged > self._bridged and self._end_ns:
+                    self._lost_ns += max(0, begin_ns - self._end_ns)
+                self._end_ns, self._tail_ns, self._bridged = end_ns, 0, self.damaged
                 if self._progress is not None:
                     self._progress(self._at / size)
                 yield chunk
@@ -359,34 +355,18 @@ class LogFile:
             self._tail_ns = end_ns - begin_ns if 0 < end_ns - begin_ns < MAX_CHUNK_NS else 0
         self._at = chunks.next_chunk(data, self._at)
 
-    def _split(self, chunk: bytes, topics: Collection[str] | None, at: int = 0) -> Iterator[LogMessage]:
-        """The messages of a chunk from `at` on; what else stands in it is taken note of."""
-        size = len(chunk)
-        padded = chunk + bytes(MESSAGE.size) if at < size else b""  # so that a short last record unpacks, too
-        unpack, head = MESSAGE.unpack_from, MESSAGE.size
-        names, damaged = self._names, self.damaged
-        first_ns = last_ns = 0
+    def _take_chunk(self, chunk: bytes, base: int, begins: list[int]) -> None:
+        """Add where the messages of a chunk begin, the chunk itself at `base`; take note of what else stands in it."""
+        at, size, unpack = 0, len(chunk), RECORD.unpack_from
         while at < size:
-            opcode, length, number, sequence, time_ns, _ = unpack(padded, at)
-            end = at + 9 + length
-            if end > size:
+            opcode, length = unpack(chunk, at) if at + RECORD.size <= size else (0, 0)
+            end = at + RECORD.size + length
+            if opcode == MESSAGE_OPCODE and at + MESSAGE.size <= end <= size:
+                begins.append(base + at)
+            elif end > size or not self._chunk_record(opcode, chunk[at + RECORD.size : end]):
                 self.damaged += 1
-                break
-            if opcode != MESSAGE_OPCODE or end < at + head:
-                if not self._chunk_record(opcode, chunk[at + RECORD.size : end]):
-                    self.damaged += 1
-                    break  # where the next record begins is not known any more
-            elif (name := names.get(number)) is None:
-                self.damaged += 1
-            else:
-                first_ns, last_ns = first_ns or time_ns, time_ns
-                if topics is None or name in topics:
-                    yield tuple.__new__(LogMessage, (name, time_ns, sequence, chunk[at + head : end]))
+                break  # where the next record begins is not known any more
             at = end
-        if last_ns:
-            if damaged > self._bridged and self._end_ns:
-                self._lost_ns += max(0, first_ns - self._end_ns)
-            self._end_ns, self._tail_ns, self._bridged = last_ns, 0, self.damaged
 
     def _chunk_record(self, opcode: int, body: bytes) -> bool:
         """Take note of a record inside a chunk that is no message; False if it does not belong there."""

@@ -22,7 +22,8 @@ from tests.recording.test_cdr import NAMES, values
 
 
 def payloads(data: list[bytes]) -> Payloads:
-    return Payloads.of([(number, number, number, one) for number, one in enumerate(data)])
+    numbers, sizes = np.arange(len(data)), np.array([*map(len, data)], np.int64)
+    return Payloads(numbers.astype(np.uint64), numbers.astype(np.uint32), numbers, sizes, b"".join(data))
 
 
 def message(name: str, table: Table, row: int, prefix: str = "") -> Value:
