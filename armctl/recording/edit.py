@@ -264,7 +264,7 @@ class _Before:
         except LogError as error:
             _log.warning("no state at the cut: %s", error)
             return None
-        return None if rerun.mismatches else rerun.state
+        return None if rerun.found.mismatches else rerun.state
 
 
 @contextmanager

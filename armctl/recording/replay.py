@@ -56,30 +56,30 @@ _TOLD = ("lateness_us", "write_us", "dropped", "goal_sent")
 Step = Callable[[State, Inputs, ArmConfig, Robot, float], tuple[State, Outputs]]
 
 
-@dataclass(frozen=True)
+@dataclass
 class ReplayResult:
     """Outcome of a check. `messages` were compared, `mismatches` of them differ; `first_mismatch` says where."""
 
     # Whose outputs were compared, and `judged` as well.
-    ticks: int
-    messages: int
-    mismatches: int
-    seconds: float
-    realtime_ratio: float
-    first_mismatch: str
+    ticks: int = 0
+    messages: int = 0
+    mismatches: int = 0
+    seconds: float = 0.0
+    realtime_ratio: float = 0.0
+    first_mismatch: str = ""
     # The same in parts: `tick`, `field`, `logged` and `computed`; `ulps` between them where both are floats.
-    first: dict[str, Any] | None
-    # Topics that the log's armctl did not write, or not as this one does.
-    not_compared: tuple[str, ...]
+    first: dict[str, Any] | None = None
+    # Topics that the log's armctl did not write, or not as this one does; known from the first judged tick on.
+    not_compared: tuple[str, ...] = ()
     # Ticks of the file's own that could not be judged.
-    skipped: int
+    skipped: int = 0
     # Where nothing was judged, `from_s` and `to_s` since the file's first tick; None: nobody knows how long.
-    gaps: tuple[dict[str, float | None], ...]
+    gaps: tuple[dict[str, float | None], ...] = ()
     # Of the armctl that made the log: another one may decide otherwise.
-    version: str
+    version: str = ""
     # Its commit and the digest of its sources (see provenance.py); empty: they are not in the log.
-    commit: str
-    sources: str
+    commit: str = ""
+    sources: str = ""
 
     @property
     def judged(self) -> int:
@@ -152,28 +152,24 @@ def check(path: Path, progress: Progress | None = None, *, step: Step = control_
     """
     begun_s = time.perf_counter()
     with LogFile(path, progress) as log:
-        replay = Rerun(log, log_setup(log), step)
+        rerun = Rerun(log, log_setup(log), step)
         for message in log.messages():
-            replay.take(message)
-        replay.end()
-        written_by: dict[str, Any] = {key: log.facts.get(key, "") for key in ("version", "commit", "sources")}
-    if not replay.keyframes and not replay.ticks:
+            rerun.take(message)
+        result = rerun.end()
+    if not rerun.keyframes and not result.ticks:
         raise LogError(f"{path}: holds no keyframe; there is no state to begin at")
-    figures = ("ticks", "messages", "mismatches", "first_mismatch", "first", "not_compared", "skipped", "gaps")
-    found = {key: getattr(replay, key) for key in figures}
-    seconds = time.perf_counter() - begun_s
-    ratio = replay.duration_ns / NS_PER_S / max(seconds, 1e-9)
-    return ReplayResult(seconds=seconds, realtime_ratio=ratio, **written_by, **found)
+    result.seconds = time.perf_counter() - begun_s
+    result.realtime_ratio = rerun.duration_ns / NS_PER_S / max(result.seconds, 1e-9)
+    return result
 
 
 class Rerun:
     """The control step over a log's inputs, compared on the way: messages in, figures out."""
 
     def __init__(self, log: LogFile, setup: LogSetup, step: Step = control_step) -> None:
-        self.ticks = self.messages = self.mismatches = self.keyframes = self.duration_ns = self.skipped = 0
-        self.first: dict[str, Any] | None = None
-        # Known from the first tick on that is judged.
-        self.not_compared: tuple[str, ...] = ()
+        self.keyframes = self.duration_ns = 0
+        version, commit, sources = (log.facts.get(key, "") for key in ("version", "commit", "sources"))
+        self.found = ReplayResult(version=version, commit=commit, sources=sources)
         # State after the last tick; None: not known.
         self.state: State | None = None
         self._log, self._setup, self._step = log, setup, step
@@ -186,32 +182,20 @@ class Rerun:
         # What diagnostics are written of when it changes (see writer.py); empty: not known.
         self._diagnosed: tuple[object, ...] = ()
 
-    @property
-    def first_mismatch(self) -> str:
-        """Where the first difference is; empty if there is none."""
-        if self.first is None:
-            return ""
-        tick, field, *values = (self.first[key] for key in ("tick", "field", "logged", "computed"))
-        logged, computed = ("nothing" if value is None else json.dumps(value)[:SHOWN] for value in values)
-        return f"tick {tick}, {field}: logged {logged}, computed {computed}"
-
-    @property
-    def gaps(self) -> tuple[dict[str, float | None], ...]:
-        """Where nothing was judged [s since the first tick]."""
-        since = [[None if at is None else (at - self._zero_ns) / NS_PER_S for at in gap] for gap in self._gaps]
-        return tuple({"from_s": from_s, "to_s": to_s} for from_s, to_s in since)
-
-    def end(self) -> None:
-        """Behind the last message: what the file lacks there."""
+    def end(self) -> ReplayResult:
+        """What was found, behind the last message: with what the file lacks there."""
         self._cut_off()
-        log = self._log
+        log, gaps = self._log, self._gaps
         cut = not log.ended or RECOVERED in log.metadata or not (log.complete or log.damaged)
         if self._gap_ns:
-            self._gaps.append((self._gap_ns, None if cut else self._own_ns))
+            gaps.append((self._gap_ns, None if cut else self._own_ns))
         elif cut:
-            self._gaps.append((self._own_ns, None))
-        elif log.damaged and not self._gaps:
-            self._gaps.append((self._zero_ns, self._own_ns))  # what was lost there nobody knows
+            gaps.append((self._own_ns, None))
+        elif log.damaged and not gaps:
+            gaps.append((self._zero_ns, self._own_ns))  # what was lost there nobody knows
+        since = [[None if at is None else (at - self._zero_ns) / NS_PER_S for at in gap] for gap in gaps]
+        self.found.gaps = tuple({"from_s": from_s, "to_s": to_s} for from_s, to_s in since)
+        return self.found
 
     def take(self, message: LogMessage) -> None:
         """The next message of the file.
@@ -251,7 +235,7 @@ class Rerun:
         self.keyframes += 1
         state = self._parsed(from_json, State, text)
         if self.state is not None:
-            self.messages += 1
+            self.found.messages += 1
             if state != self.state:
                 self._differs(channels.STATE, state, self.state, lambda one: json.loads(to_json(one)))
         self.state = state
@@ -259,7 +243,7 @@ class Rerun:
     def _cut_off(self) -> None:
         """Count what was collected of a tick that has no cycle; a trimmed file begins with diagnostics of its own."""
         tick = self._tick
-        self.skipped += tick.servos is not None or not tick.logged.keys() <= {channels.DIAGNOSTICS}
+        self.found.skipped += tick.servos is not None or not tick.logged.keys() <= {channels.DIAGNOSTICS}
 
     def _finish(self, tick: _Tick, cycle: Value, epoch_ns: int) -> None:
         number, time_ns, own = cycle["tick"], cycle["time_ns"], not cycle["inputs_only"]
@@ -274,7 +258,7 @@ class Rerun:
         if own:
             self._zero_ns, self._own_ns = self._zero_ns or epoch_ns, epoch_ns
         if self.state is None or tick.servos is None:
-            self.skipped += own
+            self.found.skipped += own
             self._gap_ns = self._gap_ns or epoch_ns * own
             return
         if own and self._gap_ns:
@@ -288,18 +272,18 @@ class Rerun:
             raise LogError(f"{self._log.path}: tick {number}: the control step cannot take it: {error!r}") from error
         if not own:
             return
-        if not self.ticks:
+        if not self.found.ticks:
             declared = self._log.declarations
             ours = {topic: schema_text(TOPICS[topic].type).encode() for topic in _COMPARED}
-            self.not_compared = tuple(topic for topic, text in ours.items() if declared.get(topic) != text)
-        self.ticks += 1
+            self.found.not_compared = tuple(topic for topic, text in ours.items() if declared.get(topic) != text)
+        self.found.ticks += 1
         self.duration_ns += time_ns - previous_ns if previous_ns else 0
         told = {key: cycle[key] for key in _TOLD if key in cycle}
         record = TickRecord(inputs, outputs, confirmed=tick.confirmed, **told)
-        before = self.mismatches
+        before = self.found.mismatches
         for topic, logged, computed in self._pairs(tick, record, setup.anchor_of(time_ns, epoch_ns)):
             # Diagnostics sum up the others: what these have shown is not counted again.
-            if topic != channels.DIAGNOSTICS or self.mismatches == before:
+            if topic != channels.DIAGNOSTICS or self.found.mismatches == before:
                 self._compare(topic, logged, computed)
 
     def _pairs(self, tick: _Tick, record: TickRecord, anchor: Anchor) -> Iterator[tuple[str, list[bytes], list[bytes]]]:
@@ -313,7 +297,7 @@ class Rerun:
         if due or channels.DIAGNOSTICS in tick.logged:  # a file of several has more of them than are due
             messages.append(channels.diagnostics(record, anchor, arm))
         for topic in _COMPARED:
-            if topic not in self.not_compared:
+            if topic not in self.found.not_compared:
                 encode = TOPICS[topic].codec.encode
                 yield topic, tick.logged.get(topic, []), [encode(value) for name, value in messages if name == topic]
 
@@ -335,20 +319,23 @@ class Rerun:
             raise LogError(f"{self._log.path}: a record cannot be understood: {why}") from None
 
     def _compare(self, topic: str, logged: list[bytes], computed: list[bytes]) -> None:
-        self.messages += max(len(logged), len(computed))
+        self.found.messages += max(len(logged), len(computed))
         for ours, theirs in zip_longest(logged, computed):
             if ours != theirs:
                 self._differs(topic, ours, theirs, TOPICS[topic].codec.decode)
 
     def _differs(self, topic: str, logged: Any, computed: Any, plain: Callable[[Any], Value]) -> None:
-        self.mismatches += 1
-        if self.first is None:
+        self.found.mismatches += 1
+        if self.found.first is None:
             values = (None if one is None else plain(one) for one in (logged, computed))
-            field, *found = _difference(topic, *values)
+            field, *differing = _difference(topic, *values)
             # As JSON that everybody reads: what is no number is a word.
-            ours, theirs = json.loads(json.dumps(found), parse_constant=str)
+            ours, theirs = json.loads(json.dumps(differing), parse_constant=str)
             ulps = _ulps(ours, theirs) if isinstance(ours, float) and isinstance(theirs, float) else None
-            self.first = {"tick": self._last_tick, "field": field, "logged": ours, "computed": theirs, "ulps": ulps}
+            tick = self._last_tick
+            told = ("nothing" if one is None else json.dumps(one)[:SHOWN] for one in (ours, theirs))
+            self.found.first = {"tick": tick, "field": field, "logged": ours, "computed": theirs, "ulps": ulps}
+            self.found.first_mismatch = "tick {}, {}: logged {}, computed {}".format(tick, field, *told)
 
 
 def _difference(name: str, logged: Any, computed: Any) -> tuple[str, Any, Any]:

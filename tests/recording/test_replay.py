@@ -46,7 +46,7 @@ def test_the_state_is_known_after_every_tick_from_the_very_first_on(tmp_path: Pa
             if message.topic == "/armctl/cycle":
                 known.append(rerun.state is not None)
     assert known == [True] * 100
-    assert (rerun.ticks, rerun.mismatches, rerun.keyframes) == (100, 0, 3)
+    assert (rerun.found.ticks, rerun.found.mismatches, rerun.keyframes) == (100, 0, 3)
 
 
 def test_anchors_that_cannot_be_read_are_an_error_of_the_log(tmp_path: Path) -> None:
