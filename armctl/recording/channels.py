@@ -79,6 +79,12 @@ class Topic:
 TOPICS: dict[str, Topic] = {}
 
 
+def register_column(blocks: Any, register: ax12a.Register) -> Any:
+    """A register's value in what a servo said n times, uint8 of shape (n, STATUS_SIZE)."""
+    begin = register.address - ax12a.STATUS_BEGIN
+    return blocks[:, begin : begin + register.size] @ 256 ** np.arange(register.size)
+
+
 def _topic(name: str, short_type: str, *, latched: bool = False) -> str:
     TOPICS[name] = Topic(name, full_name(short_type), latched)
     return name

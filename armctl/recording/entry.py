@@ -16,20 +16,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
 from armctl.errors import LogError
 from armctl.recording import channels
 from armctl.recording.columns import Table
+from armctl.recording.index import FEW
 from armctl.recording.log_file import LogFile
 from armctl.recording.notes import FIGURES, LEVELS, NOTE_LEVEL, parse_note
+from armctl.recording.reader import info
 
 MINUTE_NS = 60 * NS_PER_S
-# Fewer logs are read in this process: others take half a second to start.
-FEW = 12
 WORKERS = 2
+_REGISTERS = (
+    ax12a.TORQUE_ENABLE, ax12a.PRESENT_LOAD, ax12a.PRESENT_POSITION, ax12a.GOAL, ax12a.PRESENT_TEMPERATURE,
+    ax12a.PRESENT_VOLTAGE,
+)  # fmt: skip
 _SERVO = re.compile(r" \(servo (\d+)\): ")
 
 
@@ -66,7 +69,8 @@ def describe(path: Path) -> Entry:
             if "simulated" in log.facts:
                 entry.simulated = log.facts["simulated"] == "true"
             found = log.payloads((channels.SERVOS, channels.ROSOUT, channels.COMMAND))
-            entry.complete = log.complete
+            # Where the end alone is damaged, others may read it all the same.
+            entry.complete = log.complete or (log.ended and info(path).complete)
             if times_ns := found[channels.SERVOS].log_time_ns.tolist():
                 entry.start_s, entry.duration_s = times_ns[0] / NS_PER_S, (times_ns[-1] - times_ns[0]) / NS_PER_S
                 for table in log.tables(channels.SERVOS, found[channels.SERVOS]):
@@ -98,33 +102,26 @@ def _minutes(table: Table) -> Iterator[tuple[Any, ...]]:
         if not isinstance(registers, np.ndarray) or registers.ndim != 2 or registers.shape[1] < ax12a.STATUS_SIZE:
             continue  # it never answered
         kept = table.numbers(f"servos[{index}].fresh") > 0
-        blocks, times = registers[kept].astype(np.int32), time_ns[kept]
+        times, blocks = time_ns[kept], registers[kept]
         if not len(times):
             continue
-        torque = blocks[:, ax12a.TORQUE_ENABLE.address - ax12a.STATUS_BEGIN] > 0
-        load = (_word(blocks, ax12a.PRESENT_LOAD) & 1023) / 1023.0
-        off_tick = np.abs(_word(blocks, ax12a.PRESENT_POSITION) - _word(blocks, ax12a.GOAL))
-        error_deg = off_tick * math.degrees(ax12a.TICK_RAD)
+        torque, load, position, goal, heat, voltage = (channels.register_column(blocks, one) for one in _REGISTERS)
         begins = np.flatnonzero(np.diff(times // MINUTE_NS, prepend=-1))
         counts = np.diff(begins, append=len(times))
-        under_torque = np.add.reduceat(torque.astype(float), begins)
+        load, under_torque = (load & 1023) / 1023.0, np.add.reduceat((torque > 0).astype(float), begins)
+        error_deg = np.abs(position - goal) * (torque > 0) * math.degrees(ax12a.TICK_RAD)
         columns = (
             times[begins] / NS_PER_S,
-            np.maximum.reduceat(blocks[:, ax12a.PRESENT_TEMPERATURE.address - ax12a.STATUS_BEGIN], begins),
+            np.maximum.reduceat(heat, begins),
             np.maximum.reduceat(load, begins),
             np.add.reduceat(load, begins) / counts,
-            np.minimum.reduceat(blocks[:, ax12a.PRESENT_VOLTAGE.address - ax12a.STATUS_BEGIN], begins) / 10.0,
+            np.minimum.reduceat(voltage, begins) / 10.0,
             # Of no tick with torque: no figure.
-            np.add.reduceat(error_deg * torque, begins) / np.where(under_torque, under_torque, np.nan),
+            np.add.reduceat(error_deg, begins) / np.where(under_torque, under_torque, np.nan),
         )
         servo_id, joint = int(table.numbers(f"servos[{index}].id")[0]), name[0]
         for time_s, *figures in zip(*(column.tolist() for column in columns), strict=True):
             yield time_s, servo_id, joint, *figures
-
-
-def _word(blocks: NDArray[np.int32], register: ax12a.Register) -> NDArray[np.int32]:
-    low = register.address - ax12a.STATUS_BEGIN
-    return blocks[:, low] + 256 * blocks[:, low + 1]
 
 
 def entries(paths: list[Path]) -> Iterable[Entry]:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 INDEX = ".index.sqlite3"
 # Changes with the tables (index.sql); an index of another number is made anew.
-VERSION = 2
+VERSION = 3
 FEW = 12
 _TABLES = Path(__file__).with_suffix(".sql")
 

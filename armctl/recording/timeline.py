@@ -33,10 +33,7 @@ from armctl.recording.log_file import LogFile, Progress
 from armctl.recording.notes import parse_note
 from armctl.recording.replay import log_setup
 
-_TORQUE, _GOAL, _VOLTAGE, _TEMPERATURE = (
-    register.address - ax12a.STATUS_BEGIN
-    for register in (ax12a.TORQUE_ENABLE, ax12a.GOAL, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
-)
+_REGISTERS = (ax12a.TORQUE_ENABLE, ax12a.GOAL, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
 # What every frame is made of, and what it tells of the joints.
 _SAMPLED = (channels.SERVOS, channels.JOINT_STATES, channels.TCP_POSE)
 _OF_JOINTS = (*channels.QUANTITIES.values(), "goal_rad", "voltage_V", "temperature_degC")
@@ -277,13 +274,13 @@ def _enter(arm: ArmConfig, topic: str, columns: dict[str, Any], rows: Any, kept:
     else:
         for index, joint in enumerate(arm.joints):
             values["fresh"][rows, index] = columns[f"servos[{index}].fresh"][kept]
-            block = columns[f"servos[{index}].registers"][kept].astype(np.int64)
+            block = columns[f"servos[{index}].registers"][kept]
             if block.shape[1]:
-                torque, goal = block[:, _TORQUE] > 0, block[:, _GOAL] + 256 * block[:, _GOAL + 1]
-                values["torque_enabled"][rows, index] = torque
-                values["goal_rad"][rows, index] = np.where(torque, joint.position_rad(goal), math.nan)
-                values["voltage_V"][rows, index] = block[:, _VOLTAGE] / 10.0
-                values["temperature_degC"][rows, index] = block[:, _TEMPERATURE]
+                torque, goal, voltage, temperature = (channels.register_column(block, one) for one in _REGISTERS)
+                values["torque_enabled"][rows, index] = torque > 0
+                values["goal_rad"][rows, index] = np.where(torque > 0, joint.position_rad(goal), math.nan)
+                values["voltage_V"][rows, index] = voltage / 10.0
+                values["temperature_degC"][rows, index] = temperature
 
 
 def _diagnosed(value: Value, before: tuple[str, str]) -> tuple[str, str]:

@@ -22,6 +22,7 @@ from armctl.recording import search
 from armctl.recording.entry import diff
 from armctl.recording.index import INDEX, Index, bring_up_to_date
 from armctl.recording.notes import NOTES, add_note
+from armctl.recording.reader import info
 from armctl.recording.timeline import load
 from armctl.recording.writer import LogContext
 from tests.recording.altered import later, with_outputs
@@ -77,6 +78,19 @@ def test_every_log_is_listed_with_what_it_says_of_itself_and_what_came_up(folder
     assert (logs["armctl-0.mcap"]["faults"], logs["cut.mcap.part"]["complete"]) == ([], False)
     assert (logs["none.mcap"]["start"], logs["none.mcap"]["complete"]) == (None, False)
     assert "is no MCAP file" in logs["none.mcap"]["problem"]
+
+
+def test_complete_means_in_a_list_what_it_means_of_one_log(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.mcap", RECORDS[:5]).read_bytes()
+    begin = int.from_bytes(whole[-8 - 20 : -8 - 12], "little")  # of the summary
+    (tmp_path / "logs").mkdir()
+    for place in range(begin - 20, len(whole), 97):
+        spoiled = whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :]
+        (tmp_path / "logs" / f"{place}.mcap").write_bytes(spoiled)
+    with updated(tmp_path / "logs") as index:
+        found = {row["path"]: row["complete"] for row in search.listing(index)}
+    assert found == {path: info(Path(path)).complete for path in found}
+    assert {*found.values()} == {True, False}
 
 
 def reread(index: Index) -> int:
