@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -33,6 +34,9 @@ Goals = Literal["plain", "corrected", "refined"]
 
 COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3")
 FAINT, GREY, GREEN = "#b9c2cd", "#7d8b99", "#2a7f62"
+# Dash and width of a path by what was done about the arm's lag: the better its goals, the more it stands out.
+STROKES = {"plain": ("dot", 1.5), "corrected": ("dash", 2.0), "refined": ("solid", 2.5)}
+STROKES |= {"before": ("dot", 1.0), "after": ("solid", 2.0)}
 # Of a genetic algorithm, at least.
 SHOWN_GENERATIONS = 10
 ALONG, OFF = "along the line, mm", "off the line, mm"
@@ -64,11 +68,6 @@ class LineRun:
     def real_tool_m(self) -> FloatArray:
         """Where the tool was: really, if that is known, else by the encoders."""
         return self.tool_m if self.truth_tool_m is None else self.truth_tool_m
-
-    @property
-    def told(self) -> str:
-        """Its name among others: `2 via, corrected`."""
-        return f"{self.via} via, {self.goals}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,49 +123,94 @@ class LineReport:
     notes: Sequence[str] = ()
 
 
+class Shown(NamedTuple):
+    """Runs of one plan. The first one's path is drawn; its repeats stand beside it where distances are."""
+
+    via: int | str
+    # What was done about the arm's lag, one of `STROKES`.
+    goals: str
+    runs: Sequence[LineRun]
+    colour: str
+
+    @property
+    def name(self) -> str:
+        """Its name among others: `2 via, corrected`."""
+        return f"{via_text(self.via)}, {self.goals}"
+
+    @property
+    def strokes(self) -> dict[str, Any]:
+        return dict(zip(("dash", "width"), STROKES[self.goals.split()[0]], strict=True))
+
+
+def via_text(via: int | str) -> str:
+    return str(via) if via == "stream" else f"{via} via"
+
+
+def wanted(ends: Ends) -> str:
+    begin, end = (", ".join(f"{value:.3f}" for value in point) for point in ends)
+    return f"The tool was to move from ({begin}) to ({end}) m in a straight line."
+
+
 def write(report: LineReport, path: Path) -> None:
     """Write the page."""
     page = Page("Straight line: taught, optimised, run")
-    begin, end = map(point_text, report.ends)
     page.text(
-        f"The tool was to move from ({begin}) to ({end}) m in a straight line. "
+        wanted(report.ends),
         f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
         "result through 0, 1 and 2 intermediate points: plain, with the plan's own positions as goals, then corrected "
         "by what the plain runs had shown of the arm, then refined by a further run.",
         *report.notes,
     )
-    _table(page, report)
-    _path_figures(page, report)
-    _deviation_figure(page, report)
-    _convergence_figure(page, report)
-    _joint_figures(page, report)
+    colours = dict(zip(dict.fromkeys(run.via for run in report.runs), COLOURS, strict=False))
+    shown = [Shown(run.via, run.goals, [run], colours[run.via]) for run in report.runs]
+    add_distances(page, report.ends, shown)
+    _candidates(page, report)
+    add_paths(page, report.ends, shown, report.candidates_m)
+    add_deviations(page, report.ends, shown)
+    page.heading("Genetic algorithm by generation")
+    best_take_mm = min(mean_mm for _, mean_mm, _, _ in report.candidate_errors_mm)
+    levels = {"exact optimum": report.exact_mean_mm, "best take": best_take_mm}
+    add_generations(page, {"best": report.best_mm, "mean": report.mean_mm}, levels)
+    _joint_figures(page, shown, report.joint_names)
     page.write(path)
 
 
-def point_text(point: FloatArray) -> str:
-    return ", ".join(f"{value:.3f}" for value in point)
-
-
-def _table(page: Page, report: LineReport) -> None:
+def add_distances(page: Page, ends: Ends, shown: Sequence[Shown]) -> None:
+    """The table of how far off the line each plan was."""
     rows = []
-    for run in report.runs:
-        encoder = errors_mm(run.tool_m, *report.ends)
-        truth = None if run.truth_tool_m is None else errors_mm(run.truth_tool_m, *report.ends)
-        own = None if run.truth_tool_m is None else own_chord_mm(run.truth_tool_m)
-        paper = PRINTED.get(run.via)
-        pairs = ((run.predicted_mean_mm, run.predicted_max_mm), encoder, paper and paper[:2], truth, own)
-        told = ("-" if pair is None else "{:.1f} / {:.1f}".format(*pair) for pair in pairs)
-        took = "-" if paper is None else f"{paper.duration_s:.1f}"
-        rows.append((run.via, run.goals, *told, f"{run.duration_s:.1f}", took))
+    for one in shown:
+        first, paper, durations_s = one.runs[0], PRINTED.get(one.via), [run.duration_s for run in one.runs]
+        truths = [run.truth_tool_m for run in one.runs if run.truth_tool_m is not None]
+        told = (
+            _spread([(first.predicted_mean_mm, first.predicted_max_mm)]),
+            _spread([errors_mm(run.tool_m, *ends) for run in one.runs]),
+            "-" if paper is None else "{:.1f} / {:.1f} in {:.1f} s".format(*paper),
+            _spread([errors_mm(truth, *ends) for truth in truths]),
+            _spread([own_chord_mm(truth) for truth in truths]),
+        )
+        took = f"{np.mean(durations_s):.2f}" + (f" ± {np.std(durations_s):.2f}" if len(durations_s) > 1 else "")
+        rows.append((one.via, one.goals, *told, took, len(one.runs)))
     page.heading("Distance from the line")
     page.table(
-        ("via points", "goals", "predicted", "by encoders", "paper", "true", "own line", "time s", "paper's time s"),
+        ("via points", "goals", "predicted", "by encoders", "paper", "true", "own line", "time s", "runs"),
         rows,
-        "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20). Predicted: the commanded motion on "
-        "perfect servos. By encoders: servo angles through forward kinematics, as the paper measured its Table II. "
-        "True: the tool's real place, with sag under gravity, play and zero offsets. Own line: the real path against "
-        "the straight line that fits it best.",
+        "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20), ± standard deviation over the runs. "
+        "Predicted: the commanded motion, with what was known of the arm then. By encoders: servo angles through "
+        "forward kinematics, as the paper measured its Table II. True: the tool's real place, with sag under gravity, "
+        "play and zero offsets. Own line: the real path against the straight line that fits it best.",
     )
+
+
+def _spread(pairs: Sequence[tuple[float, float]]) -> str:
+    if not pairs:
+        return "unknown"
+    (mean, most), (mean_spread, most_spread) = np.mean(pairs, axis=0), np.std(pairs, axis=0)
+    if len(pairs) == 1:  # one run tells nothing about a spread
+        return f"{mean:.2f} / {most:.2f}"
+    return f"{mean:.2f} ± {mean_spread:.2f} / {most:.2f} ± {most_spread:.2f}"
+
+
+def _candidates(page: Page, report: LineReport) -> None:
     page.heading("Candidates")
     found = (("genetic algorithm", report.ga_mean_mm), ("exact optimum of the same genes", report.exact_mean_mm))
     page.table(
@@ -193,54 +237,50 @@ def along_and_off(
     return offset @ direction, offset @ sideways, offset @ upward
 
 
-def _path_figures(page: Page, report: LineReport) -> None:
+def add_paths(page: Page, ends: Ends, shown: Sequence[Shown], candidates_m: Sequence[FloatArray] = ()) -> None:
+    """The tool paths in space and in both `VIEWS`: taught, commanded and run."""
     page.heading("Path against line, in space, from above and from the side")
-    ends, runs = report.ends, _coloured(report.runs)
-    paths = [(run.told, run.real_tool_m, FAINT if run.goals == "plain" else colour) for run, colour in runs]
-    space_figure(page, ends, paths, "Tool paths in space against the line AB")
+    paths = [
+        (one.name, one.runs[0].real_tool_m, one.colour if one.strokes["dash"] != "dot" else FAINT) for one in shown
+    ]
+    with page.chart("Tool paths in space against the line AB", "Tool paths in space", "", "", height=600) as chart:
+        paths_in_space(chart, ends, paths)
     for axis, title in VIEWS:
         with page.chart(f"Tool paths against the line AB, {title}", title, ALONG, OFF) as chart:
-            for index, candidate in enumerate(report.candidates_m):
-                group = {"legendgroup": "taught", "showlegend": index == 0}
-                path_curve(chart, ends, axis, candidate, "taught", FAINT, width=1, **group)
-            wanted_curve(chart, ends)
-            for run, colour in runs:
-                judge = "by encoders" if run.truth_tool_m is None else "true"
-                dash, width = _strokes(run)
-                path_curve(chart, ends, axis, run.real_tool_m, f"{run.told}, {judge}", colour, dash=dash, width=width)
-            for run, colour in {run.via: (run, colour) for run, colour in runs}.values():  # one plan, however it ran
-                name, hidden = f"{run.via} via, commanded", {"visible": "legendonly"}
-                path_curve(chart, ends, axis, run.predicted_tool_m, name, colour, width=1, dash="dash", **hidden)
-                via_markers(chart, ends, axis, run, colour, f"{run.via} via points", showlegend=False)
+            draw = partial(_path_curve, chart, ends, axis)
+            for index, candidate in enumerate(candidates_m):
+                draw(candidate, "taught", FAINT, width=1, legendgroup="taught", showlegend=index == 0)
+            draw(np.stack(ends), "line AB", GREY)
+            for one in shown:
+                judge = "by encoders" if one.runs[0].truth_tool_m is None else "true"
+                draw(one.runs[0].real_tool_m, f"{one.name}, {judge}", one.colour, **one.strokes)
+            for one in {one.via: one for one in shown}.values():  # one plan, however it ran
+                name, plan = via_text(one.via), one.runs[0]
+                draw(
+                    plan.predicted_tool_m, f"{name}, commanded", one.colour, width=1, dash="dash", visible="legendonly"
+                )
+                diamonds = {"color": one.colour, "size": 8, "symbol": "diamond"}
+                draw(plan.via_tool_m, f"{name} points", one.colour, mode="markers", marker=diamonds, showlegend=False)
 
 
-def _coloured(runs: Sequence[LineRun]) -> list[tuple[LineRun, str]]:
-    """Each run with the colour of its number of via points."""
-    colours = dict(zip(dict.fromkeys(run.via for run in runs), COLOURS, strict=False))
-    return [(run, colours[run.via]) for run in runs]
-
-
-def _strokes(run: LineRun) -> tuple[str, float]:
-    """Dash and width of its path: the better its goals, the more it stands out."""
-    return {"plain": ("dot", 1.5), "corrected": ("dash", 2.0), "refined": ("solid", 2.5)}[run.goals]
-
-
-def wanted_curve(chart: Any, ends: Ends) -> None:
-    """The line AB, seen from above or from the side."""
-    curve(chart, [0, float(np.linalg.norm(ends[1] - ends[0])) * 1000.0], [0, 0], "line AB", GREY)
-
-
-def path_curve(chart: Any, ends: Ends, axis: int, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
-    """A tool path seen along one of `VIEWS`."""
+def _path_curve(chart: Any, ends: Ends, axis: int, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
     view = along_and_off(tool_m, *ends)
     curve(chart, view[0], view[axis], name, colour, **more)
 
 
-def via_markers(chart: Any, ends: Ends, axis: int, run: LineRun, colour: str, name: str, **more: Any) -> None:
-    """Where a run's via points are commanded, seen along one of `VIEWS`."""
-    via = along_and_off(run.via_tool_m, *ends)
-    marker = {"color": colour, "size": 8, "symbol": "diamond"}
-    chart.add_scatter(x=via[0], y=via[axis], mode="markers", marker=marker, name=name, **more)
+def add_deviations(page: Page, ends: Ends, shown: Sequence[Shown]) -> None:
+    """Distance from the line along it, of every run."""
+    page.heading("Deviation along the path")
+    description = "Distance of the tool from the line AB along the path, for each run"
+    with page.chart(description, "Distance from the line", ALONG, "distance, mm") as chart:
+        for one in shown:
+            for number, run in enumerate(one.runs):
+                group = {"legendgroup": one.name, "showlegend": number == 0, "opacity": 0.35 if number else 1.0}
+                judge = "by encoders" if run.truth_tool_m is None else "true"
+                distance_curve(chart, ends, run.real_tool_m, f"{one.name}, {judge}", one.colour, **one.strokes, **group)
+            if (first := one.runs[0]).truth_tool_m is not None:
+                more: dict[str, Any] = {"dash": "dash", "width": 1, "visible": "legendonly"}
+                distance_curve(chart, ends, first.tool_m, f"{one.name}, by encoders", one.colour, **more)
 
 
 def distance_curve(chart: Any, ends: Ends, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
@@ -249,66 +289,37 @@ def distance_curve(chart: Any, ends: Ends, tool_m: FloatArray, name: str, colour
     curve(chart, along_and_off(tool_m, *ends)[0], distance_mm, name, colour, **more)
 
 
-def level(chart: Any, mm: float, name: str) -> None:
-    """What a genetic algorithm is held against."""
-    chart.add_hline(y=mm, line={"color": GREY, "dash": "dot"}, annotation_text=name)
+def add_generations(page: Page, costs_mm: dict[str, Sequence[float] | FloatArray], levels: dict[str, float]) -> None:
+    """The genetic algorithm's costs by generation, the best one's first, and what they are held against.
+
+    As many generations are shown as it took to the best one, and half as many more; the rest stands to the right.
+    """
+    description = "Cost of the genetic algorithm by generation"
+    with page.chart(description, "Genetic algorithm on the recordings", "generation", "mean distance, mm") as chart:
+        for (name, cost_mm), colour in zip(costs_mm.items(), (GREEN, FAINT), strict=False):
+            curve(chart, np.arange(len(cost_mm)), cost_mm, name, colour)
+        for name, mm in levels.items():
+            chart.add_hline(y=mm, line={"color": GREY, "dash": "dot"}, annotation_text=name)
+        found = int(np.argmin(np.asarray(next(iter(costs_mm.values())))))
+        chart.update_xaxes(range=[0, max(SHOWN_GENERATIONS, found + found // 2)])
 
 
-def improving(chart: Any, best_mm: FloatArray | Sequence[float]) -> None:
-    """Show as many generations as it took to the best one, and half as many more; the rest stands to the right."""
-    found = int(np.argmin(np.asarray(best_mm)))
-    chart.update_xaxes(range=[0, max(SHOWN_GENERATIONS, found + found // 2)])
-
-
-def _deviation_figure(page: Page, report: LineReport) -> None:
-    page.heading("Deviation along the path")
-    description = "Distance of the tool from the line AB along the path, for each run"
-    with page.chart(description, "Distance from the line", ALONG, "distance, mm") as chart:
-        for run, colour in _coloured(report.runs):
-            dash, width = _strokes(run)
-            more = {"dash": "dash", "width": 1, "visible": "legendonly"}
-            if run.truth_tool_m is None:
-                more = {"dash": dash, "width": width}
-            else:
-                name = f"{run.told}, true"
-                distance_curve(chart, report.ends, run.truth_tool_m, name, colour, dash=dash, width=width)
-            distance_curve(chart, report.ends, run.tool_m, f"{run.told}, by encoders", colour, **more)
-
-
-def _convergence_figure(page: Page, report: LineReport) -> None:
-    page.heading("Genetic algorithm by generation")
-    description = "Best and mean cost of the genetic algorithm by generation"
-    title = "Mean distance of the best and of the average individual"
-    with page.chart(description, title, "generation", "mean distance, mm") as chart:
-        generations = np.arange(len(report.best_mm))
-        curve(chart, generations, report.best_mm, "best", GREEN)
-        curve(chart, generations, report.mean_mm, "mean", FAINT)
-        level(chart, report.exact_mean_mm, "exact optimum")
-        level(chart, min(mean_mm for _, mean_mm, _, _ in report.candidate_errors_mm), "best take")
-        improving(chart, report.best_mm)
-
-
-def _joint_figures(page: Page, report: LineReport) -> None:
+def _joint_figures(page: Page, shown: Sequence[Shown], joint_names: Sequence[str]) -> None:
     page.heading("Joint angles against time")
-    for run in report.runs:
-        description = f"Joint angles against time: {run.told}"
-        title = f"{run.told} (dotted: the plan)"
-        with page.chart(description, title, "time, s", "joint angle, deg") as chart:
+    for one in shown:
+        run = one.runs[0]
+        with page.chart(
+            f"Joint angles against time: {one.name}", f"{one.name} (dotted: the plan)", "time, s", "joint angle, deg"
+        ) as chart:
             measured, goals = np.degrees(run.positions_rad), np.degrees(run.goals_rad)
-            for joint, (name, colour) in enumerate(zip(report.joint_names, cycle((*COLOURS, "#5a6878")), strict=False)):
+            for joint, (name, colour) in enumerate(zip(joint_names, cycle((*COLOURS, "#5a6878")), strict=False)):
                 for values, label, dash in ((measured, name, "solid"), (goals, f"{name} commanded", "dot")):
                     group: dict[str, Any] = {"legendgroup": name, "showlegend": values is measured}
                     curve(chart, run.time_s, values[:, joint], label, colour, dash=dash, **group)
 
 
-def space_figure(page: Page, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]], description: str) -> None:
-    """Add tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
-    with page.chart(description, "Tool paths in space", "", "", height=600) as chart:
-        paths_in_space(chart, ends, paths)
-
-
 def paths_in_space(chart: Any, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]]) -> None:
-    """Draw what `space_figure` adds."""
+    """Tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
     AB = np.stack(ends) * 1000.0
     x, y, z = AB.T
     style = {"line": {"color": GREY, "width": 6}, "marker": {"size": 4, "color": GREY}}

@@ -20,8 +20,9 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import new_file
 from armctl.recording.timeline import CYCLE_KEYS, Motion, Timeline
+from armctl.report.line import distance_curve
 from armctl.report.page import Marked, Page, curve, in_space
-from armctl.trajectory.straightness import distance_to_line
+from armctl.trajectory.straightness import errors_mm
 
 # Most points of a curve; a longer log shows the extremes of each stretch.
 POINTS = 2000
@@ -225,12 +226,11 @@ def _line_figures(page: Page, *logs: Timeline) -> None:
         points = points[np.isfinite(points[:, 0])]
         if not len(points):
             continue
-        error_mm = distance_to_line(points, A, B) * 1000.0
-        along_mm = (points - A) @ (B - A) / np.linalg.norm(B - A) * 1000.0
+        mean_mm, max_mm = errors_mm(points, A, B)
         name = f"{motion.label}, {log.time_s[begin]:.1f} s" + (f", {log.path.name}" if log is not logs[0] else "")
         duration_s = (motion.end_ns - motion.begin_ns) / NS_PER_S
-        rows.append((name, f"{error_mm.mean():.2f}", f"{error_mm.max():.2f}", f"{duration_s:.1f}"))
-        curves.append((along_mm, error_mm, name, colour))
+        rows.append((name, f"{mean_mm:.2f}", f"{max_mm:.2f}", f"{duration_s:.1f}"))
+        curves.append(((A, B), points, name, colour))
     if not rows:
         return
     page.heading("Straightness of the runs")
@@ -239,7 +239,7 @@ def _line_figures(page: Page, *logs: Timeline) -> None:
     description = "Distance of the tool from the line along each run"
     with page.chart(description, "Distance from the line", "along the line, mm", "distance, mm", height=320) as chart:
         for drawn in curves:
-            curve(chart, *drawn)
+            distance_curve(chart, *drawn)
 
 
 def _ends(timeline: Timeline, motion: Motion) -> tuple[FloatArray, FloatArray] | None:

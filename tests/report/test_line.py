@@ -43,7 +43,7 @@ def page(report: LineReport, folder: Path) -> str:
 def test_the_page_tells_what_the_paths_show(tmp_path: Path) -> None:
     html = page(REPORT, tmp_path)
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)
-    assert (html.count("12.3 / 12.3"), html.count("45.6 / 45.6")) == (2, 2)
+    assert (html.count("12.30 / 12.30"), html.count("45.60 / 45.60")) == (2, 2)
     assert not missing(html, "take &lt;1&gt;", "2.00 % above")
     assert html.count('<figure role="img"') == 3 + 1 + 1 + 5
 
@@ -77,7 +77,7 @@ def test_the_genetic_algorithm_is_drawn_as_far_as_it_improves_from_the_best_take
 def test_without_an_outside_measurement_the_truth_is_left_open(tmp_path: Path) -> None:
     blind = [replace(one, truth_tool_m=None) for one in REPORT.runs]
     html = page(replace(REPORT, runs=blind), tmp_path)
-    assert (html.count("12.3 / 12.3"), html.count("45.6 / 45.6")) == (2, 0)
+    assert (html.count("12.30 / 12.30"), html.count("45.60 / 45.60")) == (2, 0)
 
 
 @pytest.mark.parametrize("to", [B, np.array([0.3, -0.1, 0.1]), np.array([0.18, -0.1, 0.2]), A - 0.05])
