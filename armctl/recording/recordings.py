@@ -71,12 +71,12 @@ class Recording:
         return len(self.time_s)
 
     @property
-    def plan_positions_rad(self) -> FloatArray:
-        """The samples inside the plan's window; all of them where no plan ran."""
+    def played(self) -> slice:
+        """The samples that count: of a run the plan proper, of a take not its dead time at both ends."""
         if self.plan_s is None:
-            return self.positions_rad
-        begin_s, end_s = self.plan_s
-        return self.positions_rad[(self.time_s >= begin_s) & (self.time_s <= end_s)]
+            return moving_part(self.positions_rad)
+        begin, end = np.searchsorted(self.time_s, self.plan_s[0]), np.searchsorted(self.time_s, self.plan_s[1], "right")
+        return slice(int(begin), int(end))
 
 
 def load(path: Path) -> Recording:
@@ -127,13 +127,7 @@ def taught(recording: Recording) -> TaughtMotion:
     Raises:
         ConfigError: it is too short or too long to be played.
     """
-    time_s, positions_rad = recording.time_s, recording.positions_rad
-    if recording.plan_s is None:
-        part = moving_part(positions_rad)
-        time_s, positions_rad = time_s[part], positions_rad[part]
-    else:
-        begin_s, end_s = recording.plan_s
-        time_s, positions_rad = time_s[(time_s >= begin_s) & (time_s <= end_s)], recording.plan_positions_rad
+    time_s, positions_rad = recording.time_s[recording.played], recording.positions_rad[recording.played]
     data = {
         "joints": recording.joint_names,
         "time_s": tuple(np.round(time_s, 6).tolist()),
@@ -249,14 +243,11 @@ def describe(
             where these make no line.
         with_marks: Whether to look for marked via points as well, which reads the file once more.
     """
-    positions_rad = recording.plan_positions_rad
-    moving = slice(0, len(positions_rad))
     errors_m = None
     # Positions may be any number a float can hold: what overflows becomes None below.
     with np.errstate(all="ignore"):
-        if recording.plan_s is None:
-            moving = moving_part(positions_rad)
-        part_rad = positions_rad[moving, : robot.chain.n]
+        played = recording.played
+        part_rad = recording.positions_rad[played, : robot.chain.n]
         if len(part_rad) and part_rad.shape[1] == robot.chain.n and np.isfinite(part_rad).all():
             errors_m = _errors_m(tool_position(robot.chain, part_rad), line)
     mean_m, max_m = errors_m or (None, None)
@@ -270,7 +261,7 @@ def describe(
         "arm_id": recording.arm_id,
         "calibration_hash": recording.calibration_hash,
         "complete": recording.complete,
-        "dead_samples": [moving.start, len(positions_rad) - moving.stop],
+        "dead_samples": [0, 0] if recording.plan_s else [played.start, recording.samples - played.stop],
         **({"marks": via_marks(recording.path)} if with_marks else {}),
     }
 

@@ -10,6 +10,7 @@ from armctl.errors import ConfigError
 from armctl.recording import recordings
 from armctl.recording.recordings import listing
 from armctl.recording.writer import LogWriter
+from armctl.trajectory.dead_time import moving_part
 from tests.recording.factory import ANCHOR, ARM, CONTEXT, ROBOT, make_records, times_s
 from tests.recording.logs import write
 from tests.recording.refusals import cannot
@@ -37,13 +38,13 @@ def test_the_window_of_the_plan_comes_from_the_events(tmp_path: Path) -> None:
     marks = {event.code: r.inputs.tick for r in RECORDS for event in r.outputs.events if event.code.startswith("PLAN_")}
     window_s = tuple(times_s(RECORDS)[marks[code]] for code in ("PLAN_BEGIN", "PLAN_END"))
     assert loaded.plan_s == pytest.approx(window_s)
-    assert loaded.plan_positions_rad.shape == (marks["PLAN_END"] - marks["PLAN_BEGIN"] + 1, 6)
+    assert loaded.positions_rad[loaded.played].shape == (marks["PLAN_END"] - marks["PLAN_BEGIN"] + 1, 6)
 
 
 def test_a_take_without_a_plan_is_used_whole(tmp_path: Path) -> None:
     loaded = recordings.load(write(tmp_path / "a.mcap", RECORDS[:10]))
     assert loaded.plan_s is None
-    assert loaded.plan_positions_rad is loaded.positions_rad
+    assert loaded.played == moving_part(loaded.positions_rad)
 
 
 def test_of_a_run_the_plan_is_played_and_of_a_take_what_moves(tmp_path: Path) -> None:
@@ -54,7 +55,7 @@ def test_of_a_run_the_plan_is_played_and_of_a_take_what_moves(tmp_path: Path) ->
         ARM.arm_id,
         ARM.calibration_hash,
     )
-    np.testing.assert_allclose(motion.positions_rad, run.plan_positions_rad, atol=1e-5)
+    np.testing.assert_allclose(motion.positions_rad, run.positions_rad[run.played], atol=1e-5)
     assert run.plan_s is not None
     assert motion.duration_s == pytest.approx(run.plan_s[1] - run.plan_s[0], abs=1e-5)
     swing = np.concatenate([np.zeros(20), 0.5 * np.sin(np.linspace(0.0, 1.5, 30)), np.full(20, 0.5)])
