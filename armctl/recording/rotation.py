@@ -20,6 +20,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from armctl.clock import NS_PER_S, Clock
@@ -195,14 +196,9 @@ class Files:
 
     def close(self, *kinds: str) -> None:
         """Finish the open files of these kinds."""
+        self._write(LogWriter.close, *kinds)
         for kind in kinds:
-            if kind in self._open:
-                try:
-                    self._open[kind].close()
-                except (LogError, ValueError) as error:
-                    self._abandon(kind, error)
-                else:
-                    del self._open[kind]
+            self._open.pop(kind, None)
 
     # ------------------------------------------------------------------------------------------ rotation
 
@@ -258,12 +254,12 @@ class Files:
             return  # no space, or no folder: the log's problem says so
         stem = f"{quota.FAULT}-{_stamp(log.anchor.epoch_ns(time_ns))}-{code}"
         try:
-            for record in self._begin(SNAPSHOT, stem, log.path.name, log.anchor, time_ns - span_ns):
-                self._open[SNAPSHOT].write_tick(record)
-        except (LogError, OSError, ValueError) as error:
+            records = self._begin(SNAPSHOT, stem, log.path.name, log.anchor, time_ns - span_ns)
+        except (LogError, OSError) as error:
             _log.error("no snapshot of %s: %s", code, error)
-            if SNAPSHOT in self._open:
-                self._abandon(SNAPSHOT, error)
+            return
+        for record in records:
+            self._write(partial(LogWriter.write_tick, record=record), SNAPSHOT)
 
     def _begin(self, kind: str, stem: str, previous: str, anchor: Anchor, begin_ns: int | None = None) -> Ticks:
         """Open a file beside the logs; returns the ticks since `begin_ns`, which are to be written to it."""
