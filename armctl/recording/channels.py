@@ -313,7 +313,7 @@ def _servos(header: Value, readings: Sequence[ServoReading], names: Sequence[str
 def _joints(header: Value, names: Sequence[str], numbers: list[float]) -> Value:
     n = len(names)
     values = {key: numbers[place * n : (place + 1) * n] for place, key in enumerate(QUANTITIES)}
-    return {"header": header, "name": names, **values}
+    return {"header": header, "name": list(names), **values}
 
 
 def _axes(values: Iterable[float]) -> Value:

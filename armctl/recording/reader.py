@@ -2,7 +2,7 @@
 
 - `read`: decoded messages in file order; `LogFile` (log_file.py) gives them as they are.
 - `read_columns`: whole topics as numpy columns (columns.py), many times faster.
-- `info`, `ticks`: what is in a file; /joint_states as arrays.
+- `info`: what is in a file.
 
 Every failure is a LogError.
 """
@@ -13,15 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from mcap.reader import make_reader
 
 from armctl.clock import NS_PER_S
-from armctl.errors import LogError
-from armctl.kinematics.transform import FloatArray
 from armctl.recording.cdr import Value
-from armctl.recording.channels import JOINT_STATES, QUANTITIES
-from armctl.recording.columns import Payloads, Table
+from armctl.recording.columns import Table
 from armctl.recording.log_file import LogFile
 
 
@@ -46,18 +42,6 @@ class LogInfo:
     facts: dict[str, str]
     # Whether its end is as it was written; others may refuse a file whose summary has a wrong checksum.
     summary_ok: bool
-
-
-@dataclass(frozen=True)
-class JointTrack:
-    """/joint_states as arrays; `time_s` counts from the first message, arrays have shape (m,) and (m, n)."""
-
-    names: tuple[str, ...]
-    start_ns: int
-    time_s: FloatArray
-    position_rad: FloatArray
-    velocity_rad_s: FloatArray
-    load_ratio: FloatArray
 
 
 def read(path: Path, topics: Collection[str] | None = None) -> Iterator[DecodedMessage]:
@@ -120,42 +104,3 @@ def _stock_reads(log: LogFile, topics: Counter[str]) -> bool:
             return Counter(channel.topic for _, channel, _ in reader.iter_messages()) == topics
     except Exception:  # it has no common type of error
         return False
-
-
-def ticks(path: Path) -> JointTrack:
-    """/joint_states of a log as arrays.
-
-    Raises:
-        LogError: the file is no log or holds none.
-    """
-    with LogFile(path) as log:
-        return joint_track(log, log.payloads((JOINT_STATES,))[JOINT_STATES])
-
-
-def joint_track(log: LogFile, payloads: Payloads) -> JointTrack:
-    """Those messages of /joint_states that name the most joints, as arrays.
-
-    Raises:
-        LogError: there are none.
-    """
-    found = [_named(table) for table in log.tables(JOINT_STATES, payloads)] if len(payloads.size) else []
-    named = [kind for kind in found if kind is not None]
-    if not named:
-        raise LogError(f"{log.path}: holds no joint states")
-    names, table = max(named, key=lambda kind: len(kind[0]))
-    time_ns = table.log_time_ns.astype(np.int64)
-    return JointTrack(
-        names=names,
-        start_ns=int(time_ns[0]),
-        time_s=(time_ns - time_ns[0]) / NS_PER_S,
-        **{quantity: table.numbers(path) for path, quantity in QUANTITIES.items()},
-    )
-
-
-def _named(table: Table) -> tuple[tuple[str, ...], Table] | None:
-    """The joints of a table, if it has a number of each kind for each of them."""
-    names = tuple(path for path in table.columns if path.startswith("name["))
-    shapes = {table.numbers(path).shape[-1] for path in QUANTITIES}
-    if not names or shapes != {len(names)}:
-        return None
-    return tuple(str(table.columns[path][0]) for path in names), table

@@ -24,10 +24,11 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.channels import COMMAND, CONTROL, JOINT_STATES, ROSOUT
+from armctl.recording.columns import Table
 from armctl.recording.disk import PART, owned, publish, writing
 from armctl.recording.log_file import LogFile
 from armctl.recording.notes import parse_note
-from armctl.recording.reader import joint_track, read
+from armctl.recording.reader import read
 from armctl.recording.recover import recover
 from armctl.trajectory.dead_time import moving_part
 from armctl.trajectory.playback import DECIMALS, TaughtMotion
@@ -92,14 +93,20 @@ def load(path: Path) -> Recording:
     marks: dict[str, int] = {}
     with LogFile(path) as log:
         found = log.payloads((JOINT_STATES, ROSOUT))
-        joints = joint_track(log, found[JOINT_STATES])
+        tables = log.tables(JOINT_STATES, found[JOINT_STATES]) if len(found[JOINT_STATES].size) else ()
+        # A joint that has never answered is in no message: those count that name the most.
+        names, table = max(map(_named, tables), key=lambda named: len(named[0]), default=((), None))
+        if table is None or not names:
+            raise LogError(f"{path}: holds no joint states")
+        times_ns = table.log_time_ns.astype(np.int64)
+        start_ns = int(times_ns[0])
         for time_ns, data in found[ROSOUT]:
             line = log.codec(ROSOUT).decode(data)
             if line.get("name") == CONTROL and line.get("function") in ("PLAN_BEGIN", "PLAN_END"):
                 marks[line["function"]] = time_ns
         window = None
         if len(marks) == 2:
-            begin_s, end_s = ((marks[key] - joints.start_ns) / NS_PER_S for key in ("PLAN_BEGIN", "PLAN_END"))
+            begin_s, end_s = ((marks[key] - start_ns) / NS_PER_S for key in ("PLAN_BEGIN", "PLAN_END"))
             window = (begin_s, end_s) if begin_s <= end_s else None
         facts = log.facts
         return Recording(
@@ -107,13 +114,19 @@ def load(path: Path) -> Recording:
             path=path,
             arm_id=facts.get("arm_id", ""),
             calibration_hash=facts.get("calibration_hash", ""),
-            joint_names=joints.names,
-            start_ns=joints.start_ns,
-            time_s=joints.time_s,
-            positions_rad=joints.position_rad,
+            joint_names=names,
+            start_ns=start_ns,
+            time_s=(times_ns - start_ns) / NS_PER_S,
+            positions_rad=table.numbers("position"),
             plan_s=window,
             complete=log.complete,
         )
+
+
+def _named(table: Table) -> tuple[tuple[str, ...], Table]:
+    """The joints of a table, if it has a position for each of them."""
+    names = tuple(str(column[0]) for path, column in table.columns.items() if path.startswith("name["))
+    return names if table.numbers("position").shape[-1] == len(names) else (), table
 
 
 def drawn(count: int) -> Any:

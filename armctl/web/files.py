@@ -21,9 +21,9 @@ from armctl.host.jobs import RecordedRequest
 from armctl.host.methods import HowToRun, Nothing
 from armctl.kinematics import robots
 from armctl.kinematics.chain import joint_axes, tool_position
-from armctl.recording import reader, search
+from armctl.recording import search
 from armctl.recording.index import Index
-from armctl.recording.recordings import drawn
+from armctl.recording.recordings import drawn, load
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.bounds import Joints
 from armctl.trajectory.course import bent
@@ -222,16 +222,16 @@ class Files:
 
     def log(self, name: NamePath, from_s: Seconds = 0.0, to_s: Seconds | None = None) -> dict[str, Any]:
         """Joint angles and the tool of one log over a span of time, thinned out for drawing."""
-        track = reader.ticks(_log_path(self._logs, name))
+        track = load(_log_path(self._logs, name))
         inside = np.flatnonzero((track.time_s >= from_s) & (track.time_s <= (np.inf if to_s is None else to_s)))
         kept = inside[drawn(len(inside))]
-        tool_m = tool_position(self.robot.chain, track.position_rad[kept][:, : self.robot.chain.n])
+        tool_m = tool_position(self.robot.chain, track.positions_rad[kept][:, : self.robot.chain.n])
         return {
             "name": name,
-            "names": list(track.names),
-            "duration_s": float(track.time_s[-1]),
+            "names": list(track.joint_names),
+            "duration_s": track.duration_s,
             "time_s": track.time_s[kept].round(4).tolist(),
-            "position_rad": track.position_rad[kept].round(5).tolist(),
+            "position_rad": track.positions_rad[kept].round(5).tolist(),
             "tool_m": tool_m.round(5).tolist(),
         }
 

@@ -104,23 +104,22 @@ def test_diagnostics_come_at_1_hz_and_on_change(log: Path) -> None:
 
 
 def test_joint_states_come_as_arrays(log: Path) -> None:
-    track = reader.ticks(log)
-    assert track.names == ARM.joint_names
+    track = recordings.load(log)
+    assert track.joint_names == ARM.joint_names
     np.testing.assert_allclose(track.time_s, times_s(RECORDS), atol=1e-9)
-    for name in ("position_rad", "velocity_rad_s", "load_ratio"):
-        expected = [[getattr(joint, name) for joint in record.outputs.joints] for record in RECORDS]
-        np.testing.assert_array_equal(getattr(track, name), expected)
+    expected = [[joint.position_rad for joint in record.outputs.joints] for record in RECORDS]
+    np.testing.assert_array_equal(track.positions_rad, expected)
 
 
 def test_ticks_in_which_a_joint_was_unknown_are_left_out_of_the_arrays(tmp_path: Path) -> None:
-    track = reader.ticks(write(tmp_path / "a.mcap", [without_first_joint(RECORDS[0]), *RECORDS[1:]]))
-    assert track.position_rad.shape == (99, 6)
+    track = recordings.load(write(tmp_path / "a.mcap", [without_first_joint(RECORDS[0]), *RECORDS[1:]]))
+    assert track.positions_rad.shape == (99, 6)
 
 
 def test_a_file_without_ticks_is_a_log_all_the_same(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", [])
     assert set(reader.info(path).topics) == {"/robot_description", "/tf_static"}
-    cannot(reader.ticks, path, why="no joint states")
+    cannot(recordings.load, path, why="no joint states")
     cannot(check, path, why="no keyframe")
 
 
@@ -192,7 +191,7 @@ def test_any_bytes_behind_the_magic_are_read_or_are_a_log_error(tmp_path: Path, 
             at, length = rng.randrange(8, len(noise)), rng.randrange(1, 30)
             noise[at : at + length] = rng.randbytes(length)
         path.write_bytes(noise)
-        for attempt in (reader.info, reader.ticks, check, recordings.load, lambda p: list(reader.read(p))):
+        for attempt in (reader.info, check, recordings.load, lambda p: list(reader.read(p))):
             with suppress(LogError):
                 attempt(path)
 

@@ -114,7 +114,7 @@ def test_replay_goes_on_at_the_next_keyframe_after_a_gap(tmp_path: Path) -> None
 def test_a_file_that_begins_after_a_keyframe_replays_from_its_beginning(tmp_path: Path, begin: int) -> None:
     path = write(tmp_path / "a.mcap", RECORDS[begin:], keyframe=RECORDS[40].keyframe, inputs_only=RECORDS[41:begin])
     assert replayed(path) == (100 - begin, 0)
-    assert reader.ticks(path).position_rad.shape == (100 - begin, 6)
+    assert recordings.load(path).positions_rad.shape == (100 - begin, 6)
     assert recordings.load(path).duration_s == pytest.approx((99 - begin) / 10.0)
 
 

@@ -16,7 +16,7 @@ import zstandard
 from mcap.records import Attachment
 
 from armctl.errors import LogError
-from armctl.recording import reader, recordings
+from armctl.recording import reader, recordings, timeline
 from armctl.recording.cdr import HEADER
 from armctl.recording.chunks import CHUNK, MAGIC, MAX_CHUNK_BYTES, RECORD, ChunkWriter
 from armctl.recording.writer import SEED
@@ -35,7 +35,7 @@ def read_all(path: Path) -> int:
         count = reader.info(path).messages
     readings: tuple[Callable[[], object], ...] = (
         lambda: reader.read_columns(path),
-        lambda: reader.ticks(path),
+        lambda: timeline.load(path),
         lambda: recordings.load(path),
         lambda: sum(1 for _ in reader.read(path)),
     )
