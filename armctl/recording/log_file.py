@@ -50,7 +50,6 @@ _KINDS: dict[int, type[Header | Attachment | Metadata | Schema | Channel]] = {
     Opcode.HEADER: Header, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata, Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
 }  # fmt: skip
-_INDEX_LENGTH = struct.Struct("<I")
 Progress = Callable[[float], None]
 
 
@@ -249,10 +248,6 @@ class LogFile:
         while self._at + RECORD.size <= size:
             opcode, length = unpack(data, self._at)
             begin = self._at + RECORD.size
-            if opcode == _MESSAGE_INDEX and self._is_index(begin, length):
-                # Nine in ten records of a file that was flushed every second, and nothing in them is needed.
-                self._at = begin + length
-                continue
             if opcode == _DATA_END and length == 4:
                 self.ended = True
                 self.complete = self.damaged == 0 and chunks.ends_well(data, self.begins)
@@ -279,10 +274,6 @@ class LogFile:
                 yield chunk
         self._at = size
 
-    def _is_index(self, begin: int, length: int) -> bool:
-        fits = length >= 6 and begin + length <= len(self._data)
-        return fits and bool(_INDEX_LENGTH.unpack_from(self._data, begin + 2)[0] == length - 6)
-
     def _claim(self, begin: int) -> None:
         """Count what a chunk claims to inflate to, before it is."""
         claim = CHUNK.unpack_from(self._data, begin)[2]
@@ -299,7 +290,7 @@ class LogFile:
             return chunks.inflate(memoryview(body))
         if opcode == Opcode.MESSAGE:
             raise LogError("a message outside a chunk has no checksum")
-        if opcode == _MESSAGE_INDEX:
+        if opcode == _MESSAGE_INDEX and int.from_bytes(body[2:6], "little") != len(body) - 6:
             raise LogError("an index of another length")
         if opcode in _KINDS:
             self._kept += len(body)
