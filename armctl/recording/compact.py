@@ -9,12 +9,12 @@ Rules.
 """
 
 import contextlib
-import hashlib
 import logging
 import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 from armctl.errors import LogError
@@ -54,7 +54,7 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
             rewrite.keep()
             writer.finish()
             stream.flush()
-            if not log.complete or _digest(path.with_name(path.name + _UNFINISHED)) != _digest(path):
+            if not _same(path, path.with_name(path.name + _UNFINISHED)):
                 raise LogError(f"{path}: is damaged; it stays as it is. Mend it: armctl log recover {path}")
     return True
 
@@ -87,15 +87,12 @@ class Compaction:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
 
-def _digest(path: Path) -> tuple[object, ...]:
-    digest, count = hashlib.blake2b(), 0
-    with LogFile(path) as log:
-        for topic, time_ns, sequence, data in log.messages():
-            digest.update(f"{topic} {time_ns} {sequence} {len(data)} ".encode())
-            digest.update(data)
-            count += 1
-        attachments = {name: attachment.data for name, attachment in log.attachments.items()}
-        return count, digest.digest(), log.complete, attachments, log.facts
+def _same(one: Path, other: Path) -> bool:
+    """Whether two logs hold the same messages in the same order, and the same about themselves."""
+    with LogFile(one) as a, LogFile(other) as b:
+        messages = all(ours == theirs for ours, theirs in zip_longest(a.messages(), b.messages()))
+        about = [{name: one.data for name, one in log.attachments.items()} | log.facts for log in (a, b)]
+        return messages and a.complete and b.complete and about[0] == about[1]
 
 
 def main(folders: Sequence[str]) -> None:

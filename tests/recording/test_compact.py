@@ -17,6 +17,7 @@ from armctl.recording.index import Index
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.recover import recover
 from armctl.recording.replay import check
+from armctl.recording.rewrite import Rewrite
 from proving.damage import chunk_places
 from proving.log_rig import repeated
 from tests.recording.factory import make_records
@@ -79,8 +80,24 @@ def test_a_damaged_log_stays_as_it_is(log: Path) -> None:
 FULL = [(f"disk.Disk.{method}", failing(errno.ENOSPC), "No space left") for method in ("create", "sync", "replace")]
 
 
-# A copy that is found to hold something else than the log: its own name.
-@pytest.mark.parametrize(("part", "does", "why"), [*FULL, ("compact._digest", Path, "is damaged")])
+ADD = Rewrite._add
+
+
+def spoiling(copy: Rewrite, topic: str, data: bytes, at: LogMessage) -> None:
+    """A copy that is not the same in one bit of one message."""
+    ADD(copy, topic, data[:-1] + bytes([data[-1] ^ (copy.messages == 100)]), at)
+
+
+def losing(copy: Rewrite, topic: str, data: bytes, at: LogMessage) -> None:
+    """A copy that lacks the last messages."""
+    if at.sequence < RECORDS[-1].inputs.tick:
+        ADD(copy, topic, data, at)
+
+
+WRONG = [("rewrite.Rewrite._add", does, "is damaged") for does in (spoiling, losing)]
+
+
+@pytest.mark.parametrize(("part", "does", "why"), [*FULL, *WRONG])
 def test_a_failing_disk_or_a_copy_that_differs_leaves_the_log_as_it_is(
     log: Path, part: str, does: Callable[..., object], why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
