@@ -17,8 +17,10 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 from armctl.clock import NS_PER_S
 from armctl.config import LogConfig
@@ -35,16 +37,22 @@ _NAME = re.compile(rf"({LOG}|{FAULT})-(\d{{8}}T\d{{6}})Z(?:-[A-Z][A-Z0-9_]*)?(?:
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class StoredLog:
+class StoredLog(NamedTuple):
     """A finished log, or a snapshot."""
 
-    path: Path
+    folder: Path
+    name: str
     size_bytes: int
     # Epoch time in its name.
     begin_s: int
     # 0: it has none.
     number: int = 0
+
+    @property
+    def path(self) -> Path:
+        return (
+            self.folder / self.name
+        )  # made where it is asked for: of ten thousand logs these would take half the time
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,7 @@ def stock(folder: Path) -> Stock:
                 number = int(match[3]) if len(match[3] or "") >= DIGITS else 0
                 highest = max(highest, number)
                 if not part:
-                    found[match[1]].append(StoredLog(folder / entry.name, size, _epoch_s(match[2]), number))
+                    found[match[1]].append(StoredLog(folder, entry.name, size, _epoch_s(match[2]), number))
     logs, snapshots = (tuple(sorted(found[kind], key=_order)) for kind in (LOG, FAULT))
     return Stock(logs, snapshots, part_bytes, highest)
 
@@ -91,6 +99,7 @@ def stored_logs(folder: Path) -> tuple[StoredLog, ...]:
     return stock(folder).logs
 
 
+@lru_cache(2**14)
 def _epoch_s(stamp: str) -> int:
     try:
         parts = stamp[:4], stamp[4:6], stamp[6:8], stamp[9:11], stamp[11:13], stamp[13:]
@@ -100,7 +109,7 @@ def _epoch_s(stamp: str) -> int:
 
 
 def _order(log: StoredLog) -> tuple[int, int, int, str]:
-    return log.number, log.begin_s, len(log.path.name), log.path.name
+    return log.number, log.begin_s, len(log.name), log.name
 
 
 def ages_s(logs: Sequence[StoredLog], max_age_s: float) -> list[float]:

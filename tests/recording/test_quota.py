@@ -16,7 +16,7 @@ from armctl.recording.quota import KEPT, Retention, Stock, StoredLog, ages_s, st
 
 LOGS = st.lists(st.tuples(st.integers(0, 2**22), st.integers(0, 10**6)), max_size=12).map(
     lambda given: tuple(
-        StoredLog(Path(f"{index}.mcap"), size, begin, index) for index, (size, begin) in enumerate(given, 1)
+        StoredLog(Path(), f"{index}.mcap", size, begin, index) for index, (size, begin) in enumerate(given, 1)
     )
 )
 
@@ -44,12 +44,12 @@ def test_the_oldest_go_until_every_bound_holds_or_only_the_newest_are_left(
 
 @given(st.lists(st.integers(0, 2**32), min_size=1, max_size=12), st.floats(1.0, 10**6))
 def test_a_step_of_the_clock_makes_no_log_old(stamps: list[int], max_age_s: float) -> None:
-    logs = [StoredLog(Path("a"), 0, begin_s, number) for number, begin_s in enumerate(stamps, 1)]
+    logs = [StoredLog(Path(), "a", 0, begin_s, number) for number, begin_s in enumerate(stamps, 1)]
     ages = ages_s(logs, max_age_s)
     assert ages == sorted(ages, reverse=True)
     steps = [later - earlier for earlier, later in pairwise(stamps)]
     assert ages[0] == sum(step for step in steps if 0 < step <= max_age_s)
-    honest = [StoredLog(Path("a"), 0, 60 * number, number) for number in range(len(stamps))]
+    honest = [StoredLog(Path(), "a", 0, 60 * number, number) for number in range(len(stamps))]
     assert ages_s(honest, 60.0)[0] == 60.0 * (len(stamps) - 1)
 
 
