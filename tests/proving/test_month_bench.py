@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from proving import month_bench
+from proving import folder_bench, month_bench
 
 
 def test_month_bench_finds_what_it_planted() -> None:
@@ -16,6 +16,14 @@ def test_month_bench_finds_what_it_planted() -> None:
     assert found["find shut itself down level:error"] == 60
     assert 0 < found["find code:TRIPPED"] < 60
     assert len(result["checks"]) == 6
+
+
+def test_folder_bench_lists_every_log_and_starts_a_daemon_behind_a_crash() -> None:
+    result = folder_bench.bench(seed=1, files=30, ticks=150)
+    assert (result["violations"], result["examples"]) == (0, [])
+    assert [row["unit"] for row in result["rows"]] == ["ms a second", "s", "s", "s"]
+    assert all(row["value"] > 0.0 for row in result["rows"])
+    assert len(result["checks"]) == 4
 
 
 def test_a_month_is_sound_logs_one_after_another(tmp_path: Path) -> None:

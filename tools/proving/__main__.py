@@ -64,7 +64,7 @@ OPTIONS = {
 }
 BENCHES: dict[str, Work] = {
     name: _work(f"{name}_bench", "bench")
-    for name in ("log", "month", "web", "bus", "sim", "jitter", "ik", "ga", "line", "start")
+    for name in ("log", "month", "folder", "web", "bus", "sim", "jitter", "ik", "ga", "line", "start")
 }
 
 as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")

@@ -147,13 +147,19 @@ def _shifted(part: tuple[bytes, Any], later_ns: int, rng: random.Random) -> tupl
     return _RECORD.pack(CHUNK, _CHUNK.size + len(body)) + _CHUNK.pack(*head) + body, drawn.count(CODE)
 
 
-def _asked(folder: str, *words: str) -> tuple[dict[str, Any], float]:
-    """What a command answers, and its processor time."""
+def asked(folder: str, *words: str) -> tuple[str, float]:
+    """What a command of `armctl log` prints, and its processor time."""
     begun_s = _children_s()
-    command = [sys.executable, "-m", "armctl", "log", *words, "--log-dir", folder, "--json"]
+    command = [sys.executable, "-m", "armctl", "log", *words, "--log-dir", folder]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ)
-    answer: dict[str, Any] = loads(done.stdout)
-    return answer, _children_s() - begun_s
+    return done.stdout, _children_s() - begun_s
+
+
+def _asked(folder: str, *words: str) -> tuple[dict[str, Any], float]:
+    """What it answers as JSON."""
+    told, took_s = asked(folder, *words, "--json")
+    answer: dict[str, Any] = loads(told)
+    return answer, took_s
 
 
 def _children_s() -> float:
