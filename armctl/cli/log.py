@@ -53,8 +53,14 @@ def log_list(output: Output, log_dir: Path | None) -> None:
 
     with _index(output, log_dir) as index:
         logs = search.listing(index)
-    shown = (row | {"name": basename(row["path"]), "told": " ".join([*row["faults"], *row["notes"]])} for row in logs)
+    shown = (row | {"name": basename(row["path"]), "told": " ".join(_told(row))} for row in logs)
     output.answer({"logs": logs, "unread": index.unread}, lambda: show_rows(output.console, "logs", "", shown))
+
+
+def _told(row: Mapping[str, Any]) -> list[str]:
+    """What is to be known of a log in a list: what it suffered, what people noted, and what is wrong with the file."""
+    wrong = row["problem"].removeprefix(f"{row['path']}: ") or ("" if row["complete"] else "(not ended, or damaged)")
+    return [*row["faults"], *row["notes"], *([wrong] if wrong else [])]
 
 
 @command("find", CONFIG, group=log_command)
@@ -70,7 +76,7 @@ def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) 
 
     with _index(output, log_dir) as index:
         events = search.find(index, " ".join(expression))
-    shown = (row | {"name": basename(row["log"])} for row in events)
+    shown = (row | {"name": basename(row["log"]), "time": f"{row['time']:.19}"} for row in events)
     output.answer({"events": events, "unread": index.unread}, lambda: show_rows(output.console, "events", "", shown))
 
 

@@ -176,6 +176,7 @@ NEXT = {
     "RECORDS_LOST": "armctl recordings",
     "EXISTS": "another name, or armctl recordings",
     "NOT_CONFIRMED": "armctl teach --help",
+    "EMPTY": "armctl log info LOG, which tells how long it is",
 }
 
 

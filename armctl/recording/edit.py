@@ -10,6 +10,7 @@ Rules.
 """
 
 import logging
+import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -100,7 +101,8 @@ def trim(path: Path, out: Path, begin_s: float, end_s: float, progress: Progress
                 copy.add((message,))
                 taken += 1
         if taken == 0:
-            raise RequestRefused("EMPTY", f"{path}: holds nothing {begin_s:g} s to {end_s:g} s after its beginning")
+            until = f"to {end_s:g} s after" if end_s < math.inf else "after"
+            raise RequestRefused("EMPTY", f"{path}: holds nothing {begin_s:g} s {until} its beginning")
     return EditResult(out, copy.messages, copy.duration_s, log.damaged, has_state)
 
 
@@ -168,8 +170,10 @@ class _Merger:
 
     def __init__(self, copy: Rewrite) -> None:
         self._copy = copy
+        # The last tick, and the last one that is a file's own.
         self._tick: int | None = None
-        self._tick_ns = self._zero_ns = 0
+        self._own: int | None = None
+        self._own_ns = self._zero_ns = 0
         self._anchors: set[str | None] = set()
         self.gaps: list[dict[str, float]] = []
 
@@ -204,15 +208,18 @@ class _Merger:
             if cycle["inputs_only"] and not goes_on:
                 return False
             self._follows(log, before, message, goes_on)
-            if not goes_on:
+            # Those that are missing may be there for a replay alone.
+            if not cycle["inputs_only"] and self._own not in (None, number - 1):
                 self._mark(message)
             tick = [message for message in tick if message.topic != channels.STATE]
         self._copy.add(tick)
-        self._tick, self._tick_ns, self._zero_ns = number, time_ns, self._zero_ns or time_ns
+        self._tick, self._zero_ns = number, self._zero_ns or time_ns
+        if not cycle["inputs_only"]:
+            self._own, self._own_ns = number, time_ns
         return begun or not cycle["inputs_only"]
 
     def _follows(self, log: LogFile, before: Path, message: LogMessage, goes_on: bool) -> None:
-        overlap_s = (self._tick_ns - message.log_time_ns) / NS_PER_S
+        overlap_s = (self._own_ns - message.log_time_ns) / NS_PER_S
         if overlap_s >= 0.0:
             found = f"begins {overlap_s:.1f} s before {before} ends"
             raise LogError(f"{log.path}: {found}; files that overlap are not merged")
@@ -224,7 +231,7 @@ class _Merger:
 
     def _mark(self, message: LogMessage) -> None:
         """Say that ticks are missing before a message."""
-        from_s, to_s = ((time_ns - self._zero_ns) / NS_PER_S for time_ns in (self._tick_ns, message.log_time_ns))
+        from_s, to_s = ((time_ns - self._zero_ns) / NS_PER_S for time_ns in (self._own_ns, message.log_time_ns))
         self.gaps.append({"from_s": from_s, "to_s": to_s})
         event = Event("warning", "GAP", f"nothing was recorded for {to_s - from_s:.3f} s before this")
         self._copy.say(channels.ROSOUT, channels.log_line(event, message.log_time_ns, channels.RECORDING), message)

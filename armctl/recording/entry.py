@@ -79,8 +79,10 @@ def describe(path: Path) -> Entry:
                 for time_ns, data in found[topic]:
                     if topic == channels.ROSOUT or b'"event"' in data:
                         entry.events += _event(time_ns / NS_PER_S, topic, log.codec(topic).decode(data))
-    except (LogError, OSError) as error:
+    except LogError as error:
         entry.problem = str(error)
+    except OSError as error:
+        entry.problem = f"{path}: cannot be read: {error.strerror}"
     except (LookupError, TypeError, ValueError, ArithmeticError) as error:  # a file from elsewhere may hold anything
         entry.problem = f"{path}: is not as armctl writes it: {error!r}"
     return entry

@@ -78,35 +78,34 @@ def export(
         ArmctlError: a package is missing; the message names the extra that brings it.
     """
     names = tuple(topics) or ((TICKS, ANGLES) if kind == "xlsx" else (TICKS,))
-    if len(names) == 1 or kind == "xlsx":
-        files = {out: names}
-    else:
-        files = {out / f"{name.strip('/').replace('/', '-')}.{kind}": (name,) for name in names}
+    with LogFile(path) as log:
+        facts = {"source": path.name, **log.facts}
+    ticks, given = cache(partial(timeline.load, path)), 0
+    made = [_of_ticks(name, ticks()) if name in (TICKS, ANGLES) else _of_topic(name, path) for name in names]
+    total = sum(table.count for table in made)
+
+    def rows(table: _Table) -> Iterator[Sequence[Cell]]:
+        nonlocal given
+        for row in table.rows:
+            if progress is not None and given % PROGRESS_ROWS == 0:
+                progress(given / total)
+            given += 1
+            yield row
+
+    shown = [replace(table, rows=rows(table)) for table in made]
+    files = {out: shown}
+    if len(names) > 1 and kind != "xlsx":
+        files = {out / f"{one.name.strip('/').replace('/', '-')}.{kind}": [one] for one in shown}
         if out.exists():
             raise LogError(f"{out}: exists already; choose another name, nothing is overwritten")
         with writing(out):
             out.mkdir(parents=True)
-    with LogFile(path) as log:
-        facts = {"source": path.name, **log.facts}
-    ticks, made = cache(partial(timeline.load, path)), list[_Table]()
-
-    def rows(table: _Table) -> Iterator[Sequence[Cell]]:
-        for number, row in enumerate(table.rows):
-            if progress is not None and number % PROGRESS_ROWS == 0:
-                progress((len(made) - 1 + number / table.count) / len(names))
-            yield row
-
-    def tables(wanted: Sequence[str]) -> Iterator[_Table]:
-        for name in wanted:
-            made.append(_of_ticks(name, ticks()) if name in (TICKS, ANGLES) else _of_topic(name, path))
-            yield replace(made[-1], rows=rows(made[-1]))
-
-    writers: dict[str, Callable[[BinaryIO, Iterator[_Table]], None]] = {
+    writers: dict[str, Callable[[BinaryIO, Sequence[_Table]], None]] = {
         "csv": _write_csv, "xlsx": _write_excel, "parquet": partial(_write_parquet, facts),
     }  # fmt: skip
-    for file, wanted in files.items():
+    for file, tables in files.items():
         with new_file(file) as stream:
-            writers[kind](stream, tables(wanted))
+            writers[kind](stream, tables)
     return ExportResult(tuple(files), {one.name: one.count for one in made}, all(one.complete for one in made))
 
 
@@ -248,7 +247,7 @@ def _cell(value: Any) -> Any:
 # ------------------------------------------------------------------------------------------------------ files
 
 
-def _write_csv(stream: BinaryIO, tables: Iterator[_Table]) -> None:
+def _write_csv(stream: BinaryIO, tables: Sequence[_Table]) -> None:
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="", write_through=True)
     rows = csv.writer(text)
     for table in tables:
@@ -257,7 +256,7 @@ def _write_csv(stream: BinaryIO, tables: Iterator[_Table]) -> None:
     text.detach()
 
 
-def _write_excel(stream: BinaryIO, tables: Iterator[_Table]) -> None:
+def _write_excel(stream: BinaryIO, tables: Sequence[_Table]) -> None:
     book = extra("Excel files", "openpyxl").Workbook(write_only=True)
     sheet: Any = None
     try:
@@ -288,7 +287,7 @@ def _excel_cell(sheet: Any, cell: Cell) -> Any:
     return cell
 
 
-def _write_parquet(facts: dict[str, str], stream: BinaryIO, tables: Iterator[_Table]) -> None:
+def _write_parquet(facts: dict[str, str], stream: BinaryIO, tables: Sequence[_Table]) -> None:
     pyarrow, parquet = extra("Parquet files", "pyarrow"), import_module("pyarrow.parquet")
     types = {bool: pyarrow.bool_(), int: pyarrow.int64(), float: pyarrow.float64(), str: pyarrow.string()}
     for table in tables:

@@ -1,8 +1,9 @@
 """An index of a folder of logs: what each one is, what happened in it, and what its servos went through.
 
 Rules.
-1. It is a sqlite3 file beside the logs, or in the user's cache where the folder cannot be written. It holds nothing
-   that is not in the logs or in `NOTES`: one that is lost, damaged or of another armctl is made anew.
+1. It is a sqlite3 file beside the logs; in the user's cache where the folder cannot be written, or in memory where
+   there is no room either. It holds nothing that is not in the logs or in `NOTES`: one that is lost, damaged or of
+   another armctl is made anew.
 2. A log is read once, and again when its size or its time has changed. What is gone is forgotten.
 3. Of new logs the newest `FEW` are read before an answer. What else there is (all of it, where the index was lost) is
    read by a process of its own, one a folder, and `unread` says how many logs an answer lacks. The daemon starts one
@@ -51,17 +52,11 @@ class Index:
             raise LogError(f"{folder}: is no folder with logs; name one with --log-dir")
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "armctl"
         name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
-        self.path = folder if os.access(folder, os.W_OK) else cache
-        self.path /= INDEX if self.path == folder else f"index-{name}.sqlite3"
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            try:
+        beside = [folder / INDEX] if os.access(folder, os.W_OK) else []
+        for self.path in (*beside, cache / f"index-{name}.sqlite3", Path(":memory:")):
+            with suppress(sqlite3.Error, OSError):  # no room, or no right
                 self._db = _opened(self.path)
-            except sqlite3.DatabaseError:  # damaged
-                self.path.unlink()
-                self._db = _opened(self.path)
-        except (sqlite3.Error, OSError) as error:
-            raise LogError(f"{self.path}: the index cannot be kept there: {error}") from None
+                break
 
     def __enter__(self) -> Self:
         return self
@@ -156,6 +151,15 @@ def _files(folder: Path) -> Iterator[tuple[str, list[int]]]:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        return _connected(path)
+    except sqlite3.DatabaseError:  # damaged
+        path.unlink()
+        return _connected(path)
+
+
+def _connected(path: Path) -> sqlite3.Connection:
     db = sqlite3.connect(path, timeout=10.0)
     if db.execute("PRAGMA user_version").fetchone()[0] != VERSION:
         db.executescript(_TABLES.read_text() + f"PRAGMA user_version = {VERSION};")

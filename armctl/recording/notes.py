@@ -31,10 +31,12 @@ def add_note(log: Path, text: str) -> None:
     """Keep a note about a log, beside it.
 
     Raises:
-        LogError: there is no such log, or the note cannot be written.
+        LogError: there is no such log, no word in the note, or it cannot be written.
     """
     if not log.is_file():
         raise LogError(f"{log}: there is no such log")
+    if not text.strip():
+        raise LogError(f"{log}: a note without a word says nothing; write what to remember")
     line = json.dumps({"log": log.name, "text": text}) + "\n"
     try:
         with (log.parent / NOTES).open("a", encoding="utf-8") as file:

@@ -288,6 +288,15 @@ def test_a_folder_is_listed_searched_and_noted_as_the_contract_says(
     typed("log", "list", "--log-dir", logs_folder / "none", status=1)
 
 
+def test_a_list_says_what_is_wrong_with_a_file(logs_folder: Path, typed: Typed) -> None:
+    (logs_folder / "cut.mcap.part").write_bytes((logs_folder / "armctl-1.mcap").read_bytes()[:-5000])
+    (logs_folder / "empty.mcap").touch()
+    shown = {line.split()[0]: line for line in typed("log", "list").out.splitlines()[2:]}
+    assert shown["cut.mcap.part"].endswith("(not ended, or damaged)")
+    assert shown["empty.mcap"].endswith("cannot be read: it is empty")
+    assert shown["armctl-1.mcap"].endswith(CONTEXT.arm.arm_id)
+
+
 def test_joints_are_followed_and_two_logs_compared(logs_folder: Path, answer: Answer, typed: Typed) -> None:
     rows = answer("log", "stats", "--by", "month")["rows"]
     assert {row["joint"] for row in rows} == set(CONTEXT.arm.joint_names)

@@ -22,7 +22,7 @@ from armctl.recording.recover import recover
 from armctl.recording.writer import LogContext
 from tests.host.doubles import refused
 from tests.recording.altered import with_outputs
-from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records
+from tests.recording.factory import ANCHOR, ARM, CONTEXT, make_records, times_s
 from tests.recording.logs import add_string_channel, foreign, messages, replayed, spoilt, write
 from tests.recording.refusals import cannot
 
@@ -205,6 +205,18 @@ def test_ticks_that_went_missing_between_two_files_are_missing_in_the_merged_one
     assert len(result.gaps) == 1
     # up to the gap, and from the keyframe of tick 75 on
     assert replayed(tmp_path / "c.mcap") == (40 + 14, 0)
+
+
+def test_ticks_that_are_there_for_a_replay_alone_fill_no_gap(tmp_path: Path) -> None:
+    """As in two takes, of which the second one's inputs reach back into the first one."""
+    first = write(tmp_path / "a.mcap", RECORDS[:40])
+    second = write(tmp_path / "b.mcap", RECORDS[60:], keyframe=RECORDS[25].keyframe, inputs_only=RECORDS[26:60])
+    result = merge([second, first], tmp_path / "c.mcap")
+    from_s, to_s = times_s(RECORDS)[39], times_s(RECORDS)[60]
+    assert list(result.gaps) == [{"from_s": pytest.approx(from_s), "to_s": pytest.approx(to_s)}]
+    assert [is_gap(message) for message in reader.read(tmp_path / "c.mcap")].count(True) == 1
+    checked = replay.check(tmp_path / "c.mcap")
+    assert (checked.judged, checked.mismatches, checked.skipped) == (40 + 30, 0, 0)
 
 
 def test_files_around_a_crash_are_merged_and_the_gap_is_marked_and_told(tmp_path: Path) -> None:

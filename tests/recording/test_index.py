@@ -9,6 +9,7 @@ import subprocess
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -300,6 +301,7 @@ def test_notes_are_shown_and_found_and_outlive_the_index(folder: Path) -> None:
             assert asked(index, "code:NOTE gone") == []
         index.path.unlink()
     cannot(add_note, folder / "nothing.mcap", "x", why="there is no such log")
+    cannot(add_note, folder / "armctl-1.mcap", " ", why="a note without a word says nothing")
 
 
 def test_two_logs_are_compared_by_every_figure(folder: Path) -> None:
@@ -310,6 +312,7 @@ def test_two_logs_are_compared_by_every_figure(folder: Path) -> None:
     assert rows[f"{joint}.temperature_degC"]["difference"] == 0.0
     json.dumps(list(rows.values()), allow_nan=False)
     cannot(diff, folder / "armctl-1.mcap", folder / "none.mcap", why="is no MCAP file")
+    cannot(diff, folder / "armctl-1.mcap", folder / "no.mcap", why=r"no\.mcap: cannot be read: No such file")
 
 
 def test_a_folder_that_cannot_be_written_is_indexed_elsewhere(
@@ -322,7 +325,29 @@ def test_a_folder_that_cannot_be_written_is_indexed_elsewhere(
         assert index.path.parent == tmp_path / "cache" / "armctl"
         assert len(search.listing(index)) == 7
     assert not (folder / INDEX).exists()
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with updated(folder) as index:
+        assert len(search.listing(index)) == 7
     cannot(Index, tmp_path / "nowhere", why="is no folder with logs")
+
+
+def test_a_disk_without_room_for_an_index_is_looked_through_all_the_same(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    connect = sqlite3.connect
+
+    def full(path: Path, **options: Any) -> Any:
+        if path.parent == folder:
+            raise sqlite3.OperationalError("database or disk is full")
+        return connect(path, **options)
+
+    (folder / INDEX).touch()  # what another attempt left
+    monkeypatch.setattr(sqlite3, "connect", full)
+    with updated(folder) as index:
+        assert index.path.parent == tmp_path / "cache" / "armctl"
+        assert len(search.listing(index)) == 7
 
 
 def test_logs_damaged_anywhere_disturb_no_other(folder: Path) -> None:
