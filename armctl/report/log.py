@@ -35,7 +35,7 @@ Answer = Mapping[str, Any]
 ABOUT = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 COLOURS = ABOUT["colours"]
 # How a verdict's figure is made of what is known of a joint.
-_OF: dict[str, Any] = {"mean": np.mean, "max": np.max, "min": np.min, "p99": lambda values: np.percentile(values, 99)}
+_MADE: dict[str, Any] = {"mean": np.mean, "max": np.max, "min": np.min, "p99": lambda values: np.percentile(values, 99)}
 
 
 def write(path: Path, *logs: Timeline, checked: Answer | None = None, rows: Sequence[Answer] = ()) -> None:
@@ -50,6 +50,7 @@ def write(path: Path, *logs: Timeline, checked: Answer | None = None, rows: Sequ
     page = Page(f"Log {' and '.join(one.path.name for one in logs)}", light=True)
     for one in logs:
         _about(page, one)
+        page.heading(f"Verdicts{_of(one, logs)}")
         _verdicts(page, one)
     if len(logs) == 2 and all(one.motions for one in logs):
         logs = tuple(map(_from_its_plan, logs))
@@ -59,19 +60,26 @@ def write(path: Path, *logs: Timeline, checked: Answer | None = None, rows: Sequ
         page.text(f"Run through the control step again: {counts}.")
     if rows:
         page.heading("Figures")
-        cells = [[f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in row.values()] for row in rows]
+        told = {float: "{:.6g}", type(None): ""}
+        cells = [[told.get(type(cell), "{}").format(cell) for cell in row.values()] for row in rows]
         page.table(("quantity", "solid", "dashed", "difference"), cells)
     for one in logs:
+        page.heading(f"State and faults{_of(one, logs)}")
         _state_figure(page, one)
-        _before_faults(page, one)
+        _before_faults(page, one, _of(one, logs))
     _charts(page, ABOUT["charts"], *logs)
     _tool_figure(page, *logs)
     _line_figures(page, *logs)
     for one in logs:
-        page.heading(f"Events of {one.path.name}")
+        page.heading(f"Events{_of(one, logs)}")
         _event_table(page, one)
     with new_file(path) as stream:
         stream.write(page.html().encode())
+
+
+def _of(log: Timeline, logs: Sequence[Timeline]) -> str:
+    """Which log a heading is about, where there are two."""
+    return f" of {log.path.name}" if len(logs) > 1 else ""
 
 
 def _about(page: Page, log: Timeline) -> None:
@@ -116,13 +124,12 @@ def _verdicts(page: Page, log: Timeline) -> None:
         good, bad, values = about["good"], about["bad"], columns[about["column"]]
         sign, mark = (1, "<=") if good <= bad else (-1, ">=")
         known = [(one[np.isfinite(one)], name) for one, name in zip(np.atleast_2d(values.T), names, strict=False)]
-        found = [(sign * float(_OF[about["of"]](one)), name) for one, name in known if len(one)]
+        found = [(sign * float(_MADE[about["of"]](one)), name) for one, name in known if len(one)]
         worst, joint = max(found, default=(math.nan, ""))
         verdict = "good" if worst <= sign * good else "watch" if worst <= sign * bad else "bad" if found else "unknown"
         text = f"{sign * worst:.3g} {about['unit']}" + (f" ({joint})" if values.ndim == 2 and found else "")
         what = about["what"] + (f": {about['remedy']}" if verdict in ("watch", "bad") else "")
         rows.append((what, Marked(verdict, ABOUT["looks"][verdict]), text, f"{mark} {good:g} ({bad:g})"))
-    page.heading("Verdicts")
     counted = ", ".join(f"{sum(row[1] == verdict for row in rows)} {verdict}" for verdict in ABOUT["looks"])
     page.table(("", "verdict", "found", "good (bad beyond)"), rows, f"{counted}.", words=True)
 
@@ -166,7 +173,6 @@ def _charts(page: Page, charts: Sequence[Answer], *logs: Timeline, ticks: slice 
 
 
 def _state_figure(page: Page, log: Timeline) -> None:
-    page.heading("State and faults")
     drawn: dict[tuple[str, str], list[tuple[float, float]]] = {}
     told = []
     for row, changes in (("state", log.states), ("fault", log.faults)):
@@ -192,9 +198,9 @@ def _faults(log: Timeline) -> list[tuple[float, str]]:
     return [now for before, now in pairwise([(0.0, ""), *came]) if now[1] not in ("", before[1])]
 
 
-def _before_faults(page: Page, log: Timeline) -> None:
+def _before_faults(page: Page, log: Timeline, of: str) -> None:
     for at_s, code in _faults(log)[:FAULTS]:
-        page.heading(f"Before {code} at {at_s:.1f} s")
+        page.heading(f"Before {code} at {at_s:.1f} s{of}")
         _event_table(page, log, at_s - BEFORE_S, at_s + AFTER_S)
         around = slice(log.index(at_s - BEFORE_S), log.index(at_s + AFTER_S) + 1)
         _charts(page, [{**chart, "heading": ""} for chart in ABOUT["charts"] if "before" in chart], log, ticks=around)
