@@ -30,7 +30,7 @@ from armctl.kinematics.transform import FloatArray, quaternion_from_matrix
 from armctl.kinematics.urdf import BASE, fixed_frames, moving_frames, moving_links
 from armctl.messages import Command, Event, JointState, JointTrajectory, Reply, Run, ServoReading, TickRecord
 from armctl.recording.cdr import Codec, Value, codec
-from armctl.recording.notes import parse_note
+from armctl.recording.notes import LEVELS, parse_note
 from armctl.recording.schemas import full_name
 
 # A tick that begins later than this is an overrun.
@@ -265,7 +265,7 @@ def log_line(event: Event, epoch_ns: int, source: str) -> Value:
     where = "" if event.servo_id is None else f" (servo {event.servo_id})"
     return {
         "stamp": stamp(epoch_ns),
-        "level": {"info": 20, "warning": 30, "error": 40}[event.severity],
+        "level": LEVELS[event.severity],
         "name": source,
         "msg": f"{event.code}{where}: {event.text}",
         "file": "",

@@ -22,7 +22,6 @@ from armctl.dynamixel import ax12a
 from armctl.errors import LogError
 from armctl.recording import channels
 from armctl.recording.columns import Table
-from armctl.recording.index import FEW
 from armctl.recording.log_file import LogFile
 from armctl.recording.notes import FIGURES, LEVELS, NOTE_LEVEL, parse_note
 from armctl.recording.reader import info
@@ -126,8 +125,9 @@ def _minutes(table: Table) -> Iterator[tuple[Any, ...]]:
             yield time_s, servo_id, joint, *figures
 
 
-def entries(paths: list[Path]) -> Iterable[Entry]:
-    if len(paths) <= FEW:
+def entries(paths: list[Path], *, in_processes: bool) -> Iterable[Entry]:
+    """Read logs, in processes of their own where they are many: those take half a second to start."""
+    if not in_processes:
         yield from map(describe, paths)
         return
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:

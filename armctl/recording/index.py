@@ -93,7 +93,7 @@ class Index:
         if names:
             from armctl.recording.entry import entries
 
-            for entry in entries([self.folder / name for name in names]):
+            for entry in entries([self.folder / name for name in names], in_processes=len(names) > FEW):
                 self._add(entry)
         self._add_notes()
 

@@ -129,9 +129,9 @@ def _named(table: Table) -> tuple[tuple[str, ...], Table]:
     return names if table.numbers("position").shape[-1] == len(names) else (), table
 
 
-def drawn(count: int) -> Any:
-    """Indices of at most `MOST_POINTS` of `count` points, first and last among them."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int)) if count else np.arange(0)
+def drawn(count: int, most: int = MOST_POINTS) -> Any:
+    """Indices of at most so many of `count` points, evenly, first and last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.arange(0)
 
 
 def taught(recording: Recording) -> TaughtMotion:

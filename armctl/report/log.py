@@ -19,6 +19,8 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import new_file
+from armctl.recording.notes import LEVELS
+from armctl.recording.recordings import drawn
 from armctl.recording.timeline import CYCLE_KEYS, Motion, Timeline
 from armctl.report.line import distance_curve
 from armctl.report.page import Marked, Page, curve, in_space
@@ -30,7 +32,7 @@ EVENTS = 500
 # What is shown around a fault [s], and of how many faults.
 BEFORE_S, AFTER_S = 10.0, 1.0
 FAULTS = 5
-LEVELS = {20: "info", 30: "warning", 40: "error"}
+NAMES = {level: name for name, level in LEVELS.items()}
 Answer = Mapping[str, Any]
 ABOUT = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 COLOURS = ABOUT["colours"]
@@ -212,7 +214,7 @@ def _tool_figure(page: Page, *logs: Timeline) -> None:
         return
     page.heading("Tool in space")
     # Evenly in time: a path has no extremes of one axis that would stand for the others.
-    rows = [one[np.unique(np.linspace(0, len(one) - 1, min(POINTS, len(one))).astype(np.int64))] for one in known]
+    rows = [one[drawn(len(one), POINTS)] for one in known]
     paths = [(log.tool[some, :3] * 1000.0).astype(np.float32) for log, some in zip(logs, rows, strict=True)]
     by_time = {"color": logs[0].time_s[rows[0]].astype(np.float32), "colorbar": {"title": "time, s"}}
     with page.chart("Path of the tool in space", "Tool path by the encoders", "", "", height=560) as chart:
@@ -258,6 +260,6 @@ def _ends(timeline: Timeline, motion: Motion) -> tuple[FloatArray, FloatArray] |
 def _event_table(page: Page, log: Timeline, begin_s: float = -math.inf, end_s: float = math.inf) -> None:
     told = [((one.time_ns - log.start_ns) / NS_PER_S, one.level, one.text) for one in log.happenings]
     inside = [one for one in told if begin_s <= one[0] <= end_s]
-    rows = [(f"{at_s:.1f}", LEVELS.get(level, str(level)), text) for at_s, level, text in inside]
+    rows = [(f"{at_s:.1f}", NAMES.get(level, str(level)), text) for at_s, level, text in inside]
     note = f"The first {EVENTS}; {len(rows) - EVENTS} more stand in the log." if len(rows) > EVENTS else ""
     page.table(("time s", "level", "event"), rows[:EVENTS], note, words=True)
