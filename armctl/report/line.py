@@ -294,7 +294,7 @@ def add_generations(page: Page, costs_mm: dict[str, Sequence[float] | FloatArray
 
     As many generations are shown as it took to the best one, and half as many more; the rest stands to the right.
     """
-    description = "Cost of the genetic algorithm by generation"
+    description = f"{' and '.join(costs_mm).capitalize()} cost of the genetic algorithm by generation"
     with page.chart(description, "Genetic algorithm on the recordings", "generation", "mean distance, mm") as chart:
         for (name, cost_mm), colour in zip(costs_mm.items(), (GREEN, FAINT), strict=False):
             curve(chart, np.arange(len(cost_mm)), cost_mm, name, colour)
