@@ -142,7 +142,9 @@ MUTANTS: tuple[Mutant, ...] = (
         "if __topic not in (*__replay.not_compared, '/armctl/writes'):\n    ...")),
     _log("the mode is not logged", (
         "{'mode': __mode, 'wanted': __q, 'faults': __faults}", "{'mode': 'off', 'wanted': __q, 'faults': __faults}")),
-    _log("faults are logged without their servo", ("{'servo_id': __servo_id}", "{'servo_id': -1}")),
+    _log("faults are logged without their servo", (
+        "__fault['servo_id'] = -1 if __fault['servo_id'] is None else __fault['servo_id']",
+        "__fault['servo_id'] = -1")),
     _log("writes are logged as confirmed", ("{'confirmed': __done}", "{'confirmed': True}")),
     _log("confirmations are thrown away", (
         "[__bus.write(__write) for __write in __writes]", "[__bus.write(__write) or True for __write in __writes]"),
