@@ -247,9 +247,9 @@ def look_at_ramps(s: Tick) -> None:
     lazy = any(
         servo is not None
         and servo.goal == goal
+        and (behind := abs(ramp - servo.position)) > BEHIND_TICKS
         and abs(servo.load_ratio) < LIMIT_SHARE * servo.torque_limit / ax12a.LOAD_MAX
-        and abs(ramp - servo.position) - ax12a.distance_rad(servo, abs(servo.load_ratio)) / ax12a.TICK_RAD
-        > BEHIND_TICKS
+        and behind - ax12a.distance_rad(servo, abs(servo.load_ratio)) / ax12a.TICK_RAD > BEHIND_TICKS
         for servo, goal, ramp in zip(s.servos, state.goal, s.ramps(), strict=True)
     )
     state.lazy_ticks = state.lazy_ticks + 1 if lazy else 0
