@@ -6,6 +6,8 @@ window.Plotly = (() => {
   const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
   const DASHES = {dot: [1.5, 3], dash: [7, 4]};
   const LEFT = 64, RIGHT = 12, TOP = 8, BOTTOM = 36;
+  // Steps go by 1, 2, 5: what is cut into so many parts has at least two numbers beside it.
+  const LEAST = 5;
   const charts = [];
 
   const colour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -109,13 +111,13 @@ window.Plotly = (() => {
     pen.fillStyle = colour("--ink");
     pen.strokeStyle = colour("--rule");
     pen.textAlign = "center";
-    for (const [at, text] of ticks([left, right], Math.max(2, width / 110))) {
+    for (const [at, text] of ticks([left, right], Math.max(LEAST, width / 110))) {
       pen.beginPath(); pen.moveTo(X(at), TOP); pen.lineTo(X(at), height - BOTTOM); pen.stroke();
       pen.fillText(text, X(at), height - BOTTOM + 15);
     }
     pen.fillText(layout.xaxis?.title?.text || "", margin + (width - margin) / 2, height - 4);
     pen.textAlign = "right";
-    for (const [at, text] of rows ? rows.map((row, i) => [i, row]) : ticks([low, high], Math.max(2, height / 55))) {
+    for (const [at, text] of rows ? rows.map((row, i) => [i, row]) : ticks([low, high], Math.max(LEAST, height / 55))) {
       if (!rows) { pen.beginPath(); pen.moveTo(margin, Y(at)); pen.lineTo(width - RIGHT, Y(at)); pen.stroke(); }
       pen.fillText(text, margin - 6, Y(at) + 4);
     }

@@ -1,6 +1,7 @@
 """The page about one log: complete in itself, true to the log, readable in light and dark."""
 
 import json
+import random
 import re
 import shutil
 from collections.abc import Callable
@@ -238,3 +239,47 @@ def test_every_chart_is_drawn_and_a_stretch_of_time_is_chosen_in_all_of_them(log
         assert 0.0 < begin < end < log.duration_s
         assert errors == []
         browser.close()
+
+
+WRITTEN = """
+const write = CanvasRenderingContext2D.prototype.fillText;
+CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
+  (this.canvas.told ??= []).push([this.textAlign, text]);
+  write.call(this, text, ...at);
+};
+"""
+SCALED = """stretches => {
+  const found = [];
+  for (const {chart} of document.querySelectorAll(".later")) {
+    if (chart.layout.xaxis?.title?.text !== "time, s") continue;
+    for (const zoom of stretches) {
+      chart.canvas.told = [];
+      chart.zoom = zoom;
+      chart.draw(chart);
+      const told = align => new Set(chart.canvas.told.filter(one => one[0] === align).map(one => one[1]));
+      const numbers = align => [...told(align)].filter(one => isFinite(one)).length;
+      found.push([zoom, numbers("center"), chart.layout.yaxis?.categoryarray ? told("right").size : numbers("right")]);
+    }
+  }
+  return found;
+}"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: sudo apt install chromium")
+def test_both_axes_of_a_chart_have_a_scale_on_a_phone_whatever_stretch_is_chosen(log: Timeline, tmp_path: Path) -> None:
+    text(log, tmp_path)
+    rng = random.Random(1)
+    stretches = [sorted((rng.uniform(-9.0, 9.0), rng.uniform(-9.0, 9.0))) for _ in range(40)] + [[-9.1, 8.9], [-4, 4.1]]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=("--no-sandbox", "--disable-gpu"))
+        shown = browser.new_page(viewport={"width": 390, "height": 800})
+        shown.add_init_script(WRITTEN)
+        shown.goto((tmp_path / "log.html").as_uri())
+        charts = shown.locator(".later")
+        for number in range(charts.count()):
+            charts.nth(number).scroll_into_view_if_needed()
+            charts.nth(number).locator("canvas").wait_for()
+        scaled = shown.evaluate(SCALED, stretches)
+        browser.close()
+    assert len(scaled) >= 5 * len(stretches)
+    assert [one for one in scaled if min(one[1:]) < 2] == []
