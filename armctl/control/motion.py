@@ -44,7 +44,7 @@ RATE_RAD_S = math.radians(4.0)
 TRIM_RATE = 0.5
 # A joint that is wanted to go no faster stands.
 STANDING_RAD_S = math.radians(0.5)
-STANDING_S, STANDS_RAD = 0.65, 0.6 * TICK_RAD
+STANDING_S, STANDS_RAD = 1.0, 0.6 * TICK_RAD
 # What a joint's own rounding counts beside what it moves the tool: as if it had this lever.
 ROUNDING_M = 0.03
 
