@@ -53,6 +53,9 @@ TAIL_NS = 300_000_000
 # What the arm does is not told from a tick that is later than its period by more than this.
 STALE_NS = 300_000_000
 
+# What is stopped when its client leaves: also a jog, whose last heartbeat may be under way.
+MOVING = ("run", "path", "play", "move", "park", "reach", "grip", "transfer", "program", "jog", "jogging")
+
 logger = logging.getLogger(__name__)
 
 
@@ -142,15 +145,14 @@ class Host:
         if lease is None or lease.client is not client:
             return
         lease.lost = True
-        if lease.what in ("jog", "jogging"):
-            self.leases.current = None  # its heartbeats have ceased
-        elif lease.what in ("run", "path", "play", "move", "park", "reach", "grip", "transfer", "program"):
+        if lease.what in ("jogging", "jog", "teach"):
+            self.leases.current = None  # it would outlast its request
+        if lease.what == "teach":
+            self._in_background(self._abandon_teaching(client))
+        elif lease.what in MOVING:
             text = f"the client left during its {lease.what}: hold"
             self.note({"event": "LEASE_LOST", "who": client.name, "text": text})
             self._in_background(self.stop())
-        elif lease.what == "teach":
-            self.leases.current = None
-            self._in_background(self._abandon_teaching(client))
 
     async def _abandon_teaching(self, client: Client) -> None:
         take = await self.takes.end()

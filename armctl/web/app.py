@@ -46,7 +46,6 @@ COMMANDS: HandedOn = (
     ("/torque-on", Nothing, "Carefully energise the arm where it is."),
     ("/park", Nothing, "Slowly to the rest pose, then limp."),
     ("/move", MoveRequest, "Go to joint positions, a point or a pose, after the pre-flight; answers at rest."),
-    ("/jog", JogBeat, "Lead the joints or the tool until the next heartbeat, which is due with the answer."),
     ("/pause", Nothing, "Slow the motion down to a stop, on its path."),
     ("/resume", Nothing, "Go on with a paused motion."),
     ("/rate", Rate, "Go on with the motion under way at this share of its planned speed, 0.1 to 1."),
@@ -199,7 +198,25 @@ def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
             return await daemon.stop()
         return {"state": "off"}
 
+    @router.post("/jog")
+    async def jog(request: Request, body: JogBeat) -> dict[str, Any]:
+        """Lead the joints or the tool until the next heartbeat, which is due with the answer; who leaves stops them."""
+        beat = asyncio.create_task(daemon.call("jog", **body.model_dump()))
+        left = asyncio.create_task(_left(request))
+        try:
+            await asyncio.wait((beat, left), return_when=asyncio.FIRST_COMPLETED)
+            return await (beat if beat.done() else daemon.stop())
+        finally:
+            beat.cancel()
+            left.cancel()
+
     return router
+
+
+async def _left(request: Request) -> None:
+    """Wait until whoever asks is gone."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
 
 
 def _handed_on(daemon: Connections, commands: HandedOn) -> APIRouter:

@@ -281,6 +281,18 @@ async def test_a_client_that_leaves_during_its_jog_leaves_a_holding_arm(bench: B
     assert len(bench.arm.goals) == goals
 
 
+async def test_a_heartbeat_that_is_under_way_when_its_client_leaves_moves_nothing(bench: Bench) -> None:
+    await bench.beat(bench.anna, lead=UP, begin=True)
+    goals = len(bench.arm.goals)
+    under_way = asyncio.ensure_future(bench.host.jog(bench.anna, (), UP, False))
+    await asyncio.sleep(0)
+    bench.host.client_gone(bench.anna)
+    assert bench.host.status()["commander"] is None
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    await under_way
+    assert len(bench.arm.goals) == goals
+
+
 async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -> None:
     async def fold() -> None:
         for tick in range(100):

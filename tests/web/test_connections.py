@@ -8,12 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.types import Message
 
+from armctl.config import Config
 from armctl.errors import NoDaemon, RequestRefused
-from armctl.files import stop_path
+from armctl.files import load_arm, stop_path
 from armctl.host.jsonrpc import error_line, notification_line, result_line
 from armctl.web import connections as module
+from armctl.web.app import create_app
 from armctl.web.connections import MAX_WAITING, Connections
+from armctl.web.guard import TOKEN_HEADER
+from tests.web.asking import TOKEN
 
 Answer = Callable[[str], dict[str, Any]]
 
@@ -35,7 +40,7 @@ class Stub:
         while line := await reader.readline():
             request = json.loads(line)
             self._note(self.asked, (number, request["method"]))
-            if request["method"] == "run":
+            if request["method"] in ("run", "jog"):
                 continue  # lasts until its client leaves
             refused = error_line(request["id"], RequestRefused("BUSY", "no"))
             writer.write(refused if request["method"] == "park" else result_line(request["id"], {"state": "holding"}))
@@ -99,6 +104,30 @@ async def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_pat
             await daemon.call("park")
         assert stub.asked[1:] == [(1, "status"), (1, "run"), (0, "stop"), (1, "park")]
         running.cancel()
+
+
+async def test_a_page_that_leaves_while_it_leads_the_tool_stops_the_arm(tmp_path: Path) -> None:
+    said: list[Message] = [{"type": "http.request", "body": b'{"tool_m_s": [0.0, 0.0, 0.03], "begin": true}'}]
+    stub = Stub(tmp_path / "daemon.sock")
+
+    async def receive() -> Message:
+        if not said:
+            await stub.until(lambda: "jog" in [method for _, method in stub.asked])  # and nobody has answered it
+        return said.pop() if said else {"type": "http.disconnect"}
+
+    async def send(_: Message) -> None:
+        pass
+
+    headers = {"host": "127.0.0.1:8080", "content-type": "application/json", TOKEN_HEADER: TOKEN}
+    scope = {"type": "http", "method": "POST", "path": "/api/jog", "query_string": b"",
+             "headers": [(name.encode(), value.encode()) for name, value in headers.items()]}  # fmt: skip
+    arm, config = load_arm("ax12-line"), Config(data_dir=str(tmp_path))
+    app, guard = create_app(arm, config, socket=stub.path, token=TOKEN, port=8080)
+    server = await asyncio.start_unix_server(stub.serve, stub.path)
+    async with asyncio.timeout(10.0), server, app.router.lifespan_context(app):
+        await stub.until(lambda: stub.asked == [(0, "subscribe")])
+        await guard(scope, receive, send)
+    assert stub.asked[1:] == [(1, "jog"), (0, "stop")]
 
 
 async def test_stop_goes_its_own_way_where_there_is_one(tmp_path: Path) -> None:
