@@ -49,6 +49,7 @@ PROOFS: dict[str, Work] = {
     "load": _work("load", "prove", tells=True),
     "page": _work("page", "prove", tells=True),
     "client": _work("client", "prove", tells=True),
+    "programs": _work("programs", "prove", tells=True),
 }
 # What a proof takes beside the seed.
 OPTIONS = {
@@ -56,6 +57,7 @@ OPTIONS = {
     "mutants": {"workers"},
     "hang": {"runs", "hours"},
     "client": {"runs"},
+    "programs": {"runs", "workers"},
     "arms": {"arms", "workers"},
     "lines": {"arms", "classes", "workers"},
     "place": {"arms", "targets", "workers"},
@@ -90,12 +92,14 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.argument("name", type=click.Choice(tuple(PROOFS)))
 @seeded
 @click.option("--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine.")
-@click.option("--runs", type=click.IntRange(0), help="hang: of each process; client: ends.  [default: 200]")
+@click.option(
+    "--runs", type=click.IntRange(0), help="hang: of each process; client: ends; programs.  [default: 200; 100]"
+)
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
 @click.option(
     "--workers",
     type=click.IntRange(1),
-    help="soak, mutants, arms, lines, place, replay, setup: processes.  [default: 2]",
+    help="soak, mutants, arms, lines, place, replay, setup, programs: processes.  [default: 2]",
 )
 @click.option("--arms", type=click.IntRange(1), help="How many; lines, place: 20, setup: 30, arms: 10 unless told.")
 @click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")

@@ -70,24 +70,12 @@ class HostedArm:
         Args:
             tool_m: Where the tool truly is [m], (m, joints) -> (m, 3).
         """
-        arm = load_arm(str(file))
-        self.simulated, self._tool_m = SimulatedArm(arm, seed=seed), tool_m
+        self.arm = load_arm(str(file))
+        self.simulated, self._tool_m = SimulatedArm(self.arm, seed=seed), tool_m
         self.virtual = VirtualArm(self.simulated, PERIOD_S)
-        clock, robot = self.virtual.clock, self.virtual.robot
-        config = Config(arm=str(file), data_dir=str(folder), log=LogConfig(free_bytes=0))
-        self._recorder = Recorder(
-            LogContext(arm, robot, config, "loopback", PERIOD_S),
-            folder / "logs",
-            folder / "recordings",
-            queue_records=QUEUE_RECORDS,
-            compactor=lambda _: None,
-        )
-        learner = Learner(config, arm, robot, PERIOD_S)
-        self.arm, self._host = arm, Host(arm, robot, PERIOD_S, self._recorder, clock, learner.load, learner.learn)
-        self._methods = Methods(self._host, folder / "recordings", _optimised).table()
-        self._host.exchange.attach(os.getpid(), self._send)
+        self._config = Config(arm=str(file), data_dir=str(folder), log=LogConfig(free_bytes=0))
+        self.serve(folder)
         self._client = cast(Connection, _Client())
-        self._waiting: list[Command] = []
         # Modes the arm has been in, codes of faults, and true joint positions at each tick.
         self.modes: set[Mode] = set()
         self.faults: set[str] = set()
@@ -97,6 +85,22 @@ class HostedArm:
         asyncio.get_running_loop().set_default_executor(Inline())
         self.virtual.start()
         self.ticks(3)
+
+    def serve(self, folder: Path) -> None:
+        """A new host, which knows what is on the disk; nothing of one before is left."""
+        arm, robot, config = self.arm, self.virtual.robot, self._config
+        self._recorder = Recorder(
+            LogContext(arm, robot, config, "loopback", PERIOD_S),
+            folder / "logs",
+            folder / "recordings",
+            queue_records=QUEUE_RECORDS,
+            compactor=lambda _: None,
+        )
+        learner, clock = Learner(config, arm, robot, PERIOD_S), self.virtual.clock
+        self._host = Host(arm, robot, PERIOD_S, self._recorder, clock, learner.load, learner.learn)
+        self._methods = Methods(self._host, folder / "recordings", _optimised).table()
+        self._host.exchange.attach(os.getpid(), self._send)
+        self._waiting: list[Command] = []
 
     def close(self) -> None:
         self._recorder.close()
@@ -114,16 +118,26 @@ class HostedArm:
         Raises:
             ArmctlError: it is refused.
         """
-        found = self._methods[method]
-        work = asyncio.ensure_future(found.handle(self._client, found.params.model_validate(params)))
-        for _ in range(MOST_TICKS):
-            for _ in range(TURNS):
-                await asyncio.sleep(0)
-            if work.done():
-                return await work
-            self.ticks(1)
+        work = self.begin(method, **params)
+        await self.pass_by(MOST_TICKS, work)
+        if work.done():
+            return await work
         work.cancel()
         raise ArmctlError(f"{method}: no answer within {MOST_TICKS * PERIOD_S:g} s")
+
+    def begin(self, method: str, **params: Any) -> "asyncio.Task[dict[str, Any]]":
+        """The request, under way as soon as time passes."""
+        found = self._methods[method]
+        return asyncio.ensure_future(found.handle(self._client, found.params.model_validate(params)))
+
+    async def pass_by(self, count: int, work: "asyncio.Task[Any]") -> None:
+        """Let at most so many ticks pass, until some work is done."""
+        for left in reversed(range(count + 1)):
+            for _ in range(TURNS):
+                await asyncio.sleep(0)
+            if work.done() or not left:
+                return
+            self.ticks(1)
 
     @property
     def tool_m(self) -> FloatArray:

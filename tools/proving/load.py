@@ -81,6 +81,9 @@ SETTLE_S = 2.0
 DRAIN_S = 2.0
 TELL_EVERY_S = 5.0
 
+# Body of a process that stops the arm from one instant to another, while nobody moves it.
+StopBy = Callable[[Place, Lock, float, float], list[Stopped]]
+
 
 def prove(
     seed: int,
@@ -90,8 +93,14 @@ def prove(
     hogs: int = HOGS,
     crowd: Mapping[str, int] = CROWD,
     tell: Callable[[str], None] = lambda _: None,
+    more: Mapping[str, StopBy] | None = None,
 ) -> dict[str, Any]:
-    """Load a daemon on a simulated arm for so long; one object of figures."""
+    """Load a daemon on a simulated arm for so long; one object of figures.
+
+    Args:
+        more: Further ways of STOP by their names, each a function at the top of a module; they are told, not judged.
+    """
+    bodies = [stop_by_ways, stop_typed, *(more or {}).values()]
     with tempfile.TemporaryDirectory(prefix="armctl-") as name, contextlib.ExitStack() as cleanup:
         folder = Path(name)
         programs = contextlib.ExitStack()
@@ -106,8 +115,9 @@ def prove(
                 "web": running.web.pid,
             }
         context = multiprocessing.get_context("spawn")
-        there, still = context.Barrier(CLIENTS + 4), context.Lock()
-        pool = cleanup.enter_context(context.Pool(CLIENTS + 3, _arrive, (there, still)))
+        processes = CLIENTS + 1 + len(bodies)
+        there, still = context.Barrier(processes + 1), context.Lock()
+        pool = cleanup.enter_context(context.Pool(processes, _arrive, (there, still)))
         there.wait(START_S)  # every client process has started before anything is measured
         with (
             busy(hogs, SETTLE_S + seconds + DRAIN_S),
@@ -121,7 +131,7 @@ def prove(
                 for i in range(CLIENTS)
             ]
             stopping = pool.apply_async(_stop_often, (place.socket, counting_s, end_s))
-            by_way = [pool.apply_async(_stop_by, (typed, place, counting_s, end_s)) for typed in (False, True)]
+            by_way = [pool.apply_async(_stop_by, (body, place, counting_s, end_s)) for body in bodies]
             time.sleep(max(0.0, counting_s - time.monotonic()))
             other_work = OtherWork()
             before_s = {who: cpu_s(pid) for who, pid in pids.items()}
@@ -150,6 +160,7 @@ def prove(
         "status_ms_max": _share(status_ms, 100),
         **at_stops,
         "ways": [_way(way, ways) for way in WAYS],
+        "more": [_way(way, ways) for way in more or ()],
         "unanswered_stops": sum(stop.answered_s == math.inf for stop in ways),
         **late,
         "stalled": {"subscribers": stalled, "connections": connections, "cut": cuts},
@@ -237,8 +248,8 @@ def _arrive(there: Barrier, still: Lock) -> None:
 _ARRIVED: list[Lock] = []
 
 
-def _stop_by(typed: bool, place: Place, begin_s: float, end_s: float) -> list[Stopped]:
-    return (stop_typed if typed else stop_by_ways)(place, _ARRIVED[0], begin_s, end_s)
+def _stop_by(body: StopBy, place: Place, begin_s: float, end_s: float) -> list[Stopped]:
+    return body(place, _ARRIVED[0], begin_s, end_s)
 
 
 def _ask(path: str, begin_s: float, period_s: float, end_s: float) -> list[tuple[float, float]]:

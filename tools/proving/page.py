@@ -4,10 +4,14 @@
 |-|-|-|
 | journey | an arm that nobody has set up; all by the page, by mouse and finger | clicks; the true tool off its line |
 | cut off | the connection of a held button is lost: closed, or silent | the true tool stands |
+| clicked | STOP, again and again, beside all that `load.py` does | 99 of 100 clicks are served |
 
 A click, a touch and a field that is written count one each. The line is judged by where the simulator says that the
 tool truly was: by its mean distance from its own best line. That from the wanted one, which is as exact as a hand holds
 the arm for its zeros, and the largest distances are told.
+
+STOP counts from the click's own time stamp to the last byte of the answer, by the browser's one clock. The browser runs
+on the very processors that the load fills, so it has precedence over the load: what is looked at is the server's time.
 
 A connection is closed with a word of the page under way; silence begins once the word before was answered.
 """
@@ -24,6 +28,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from multiprocessing.synchronize import Lock
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +39,9 @@ from armctl.client import Client
 from armctl.errors import ArmctlError
 from armctl.lab.demo import program
 from armctl.sim.control import SimulatorClient, control_path
+from proving.crowd import STOP_EVERY_S, Place, Stopped
 from proving.dashboard import dashboard, pages
+from proving.load import prove as prove_load
 from proving.rig import hold
 
 MOST_CLICKS = 25
@@ -56,6 +63,23 @@ JOURNEYS = tuple(
     )
     for size in ("desk", "phone")
 )
+SERVED_MS = 100.0
+LEAST_STOPS = 200
+CLICKING_S = 120.0
+PRECEDENCE = "nice -n -15"
+# When STOP was clicked, and when the answer had come and how it was [ms].
+LISTEN = """() => {
+  Object.assign(window, { clicked: [], served: [] });
+  document.getElementById("stop").addEventListener("click", (event) => clicked.push(event.timeStamp), true);
+  new PerformanceObserver((list) => {
+    const stops = list.getEntries().filter(({ name }) => name.endsWith("/api/stop"));
+    served.push(...stops.map(({ responseEnd, responseStatus }) => [responseEnd, responseStatus]));
+  }).observe({ type: "resource" });
+}"""
+ANSWERED = """() => new Promise((done) => {
+  const look = () => clicked.length === served.length ? done() : setTimeout(look, 5);
+  look();
+})"""
 FLAGS = ("--no-sandbox", "--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE_MS = 120_000
@@ -86,9 +110,11 @@ class Finger:
 
 
 @contextlib.contextmanager
-def browsed(phone: bool) -> Iterator[Any]:
+def browsed(phone: bool, before: str = "") -> Iterator[Any]:
     """A page of Chromium.
 
+    Args:
+        before: Words of a shell that start it.
     Raises:
         ArmctlError: there is no browser, or nothing that drives it.
     """
@@ -99,8 +125,11 @@ def browsed(phone: bool) -> Iterator[Any]:
         path = None
     if path is None:
         raise ArmctlError("this proof needs Chromium and playwright: sudo apt install chromium, pip install playwright")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory(prefix="armctl-") as folder:
+        start = Path(folder) / "chromium"
+        start.write_text(f'#!/bin/sh\nexec {before} {path} "$@"\n', encoding="utf-8")
+        start.chmod(0o700)
+        browser = playwright.chromium.launch(executable_path=start, args=FLAGS)
         width, height = (390, 844) if phone else (1440, 900)
         size: Any = {"width": width, "height": height}
         page = browser.new_context(viewport=size, has_touch=phone, is_mobile=phone).new_page()
@@ -238,6 +267,28 @@ def stood(time_ns: np.ndarray, tool_m: np.ndarray, cut_ns: int) -> dict[str, flo
     return {"stopped_s": round(max(0.0, (last_ns - cut_ns) / 1e9), 3), "went_m": round(went_m, 4)}
 
 
+# ------------------------------------------------------------------------------------------- STOP under load
+
+
+def stop_clicked(place: Place, still: Lock, begin_s: float, end_s: float) -> list[Stopped]:
+    """Body of a process: click STOP again and again, while nobody moves the arm."""
+    stops = []
+    with browsed(phone=False, before=PRECEDENCE) as page:
+        page.goto(f"http://127.0.0.1:{place.port}/#token={place.token}")
+        page.wait_for_selector("#state[data-state=holding]")
+        page.evaluate(LISTEN)
+        time.sleep(max(0.0, begin_s - time.monotonic()))
+        while time.monotonic() < end_s:
+            with still:
+                page.click("#stop")
+                page.evaluate(ANSWERED)
+            time.sleep(STOP_EVERY_S)
+        for clicked_ms, [served_ms, status] in page.evaluate("() => clicked.map((at, i) => [at, served[i]])"):
+            answered_s = served_ms / 1e3 if status == 200 else math.inf
+            stops.append(Stopped("clicked", clicked_ms / 1e3, answered_s))
+    return stops
+
+
 # ------------------------------------------------------------------------------------------------------- all of it
 
 
@@ -248,16 +299,30 @@ def prove(seed: int, tell: Callable[[str], None]) -> dict[str, Any]:
         rows.append(journey(seed, *trial))
         tell(json.dumps(rows[-1]))
     lost = cut_off(seed, CUTS, tell)
+    load = prove_load(seed, CLICKING_S, tell=tell, more={"clicked": stop_clicked})
+    [clicked] = load["more"]
     figures = {
         f"stopped_s_max_{way}": max((row["stopped_s"] for row in lost if row["way"] == way), default=math.nan)
         for way in WAYS
     }
-    return {"rows": rows, **figures, "runs": len(rows) + len(lost), "violations": judged(rows, lost), "seed": seed}
+    return {
+        "rows": rows,
+        **figures,
+        "clicked": clicked,
+        "other_work_cores": load["other_work_cores"],
+        "runs": len(rows) + len(lost) + clicked["stops"],
+        "violations": judged(rows, lost, clicked),
+        "seed": seed,
+    }
 
 
-def judged(rows: list[dict[str, Any]], lost: list[dict[str, Any]]) -> list[str]:
+def judged(rows: list[dict[str, Any]], lost: list[dict[str, Any]], clicked: dict[str, Any]) -> list[str]:
     """What is beyond its bound."""
     found = []
+    if not clicked["stops"] >= LEAST_STOPS:
+        found.append(f"STOP was clicked {clicked['stops']} times, at least {LEAST_STOPS} are wanted")
+    if not clicked["ms_p99"] <= SERVED_MS:
+        found.append(f"STOP: 99 of 100 clicks were served within {clicked['ms_p99']:.1f} ms, bound {SERVED_MS:g}")
     for row in rows:
         who = f"{row['arm']}, {row['size']}"
         if row["clicks"] > MOST_CLICKS:
