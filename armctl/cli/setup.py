@@ -29,7 +29,6 @@ from armctl.files import calibration_dirs, find_arm_file, served_socket
 
 if TYPE_CHECKING:
     from armctl.commissioning.doctor import Check
-    from armctl.commissioning.finding import Person
     from armctl.commissioning.installation import Act
     from armctl.commissioning.scan import FoundServo
     from armctl.dynamixel.bus import ServoBus
@@ -77,20 +76,17 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     ARM_FILE is an arm of the same shape: a name of `armctl arms`, or your own file, which is renewed. It says how the
     links are. All else is found out, with you beside the arm: you turn the limp joints by hand, and say what you saw.
     What was found is kept after every step. Type q or Ctrl-C to break off, and the same command to go on there.
-    With --json another program asks: steps and questions on stdout, answers on stdin, one a line.
+    With --json another program asks: steps and questions on stdout, answers on stdin, one a line. With --answers every
+    question shows the answer from the file, and Enter takes it; at the end of the input nobody is waited for.
 
     Example: armctl setup ax12-line --port /dev/ttyUSB0
     """
     from armctl.commissioning.arm_file import active_path, arms_at_hand
-    from armctl.commissioning.finding import Prepared
     from armctl.commissioning.wizard import Wizard, progress, progress_path
     from armctl.files import load_arm
 
-    person: Person
-    if answers:
-        person = Prepared(answers)
-    else:
-        person = OverPipe(output) if output.json else AtTerminal(output, "armctl setup", "or give --answers FILE")
+    over_pipe = output.json and not answers
+    person = OverPipe(output) if over_pipe else AtTerminal(output, "armctl setup", "or give --answers FILE", answers)
     kind = arm_file or person.ask("kind", "which arm is yours like?", [arm["name"] for arm in arms_at_hand()])
     arm, path = load_arm(kind), active_path(kind)
     name = arm.arm_id
@@ -105,7 +101,7 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     steps = {}
     for step in Wizard(arm, path, found, partial(opened, output), person, output.config.period_s).run():
         steps[step["name"]] = step
-        if not answers:
+        if over_pipe:
             output.result({"step": step})
         output.say("{name}: {text}".format(**step))
     given = f"--arm {name if path.parent == calibration_dirs()[0] else path} --port {output.port}"
@@ -115,41 +111,50 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
 
 
 class AtTerminal:
-    """The person at this terminal; q and the end of the input break off."""
+    """The person at this terminal; q, and the end of the input where no answers are prepared, break off."""
 
-    def __init__(self, output: Output, asks: str, instead: str) -> None:
+    def __init__(self, output: Output, asks: str, instead: str, answers: Path | None = None) -> None:
         """
         Args:
             asks: The command that asks.
             instead: What to do where there is nobody.
+            answers: Those that are prepared.
         """
-        if output.json or not attended(sys.stdin):
+        from armctl.commissioning.finding import Prepared
+
+        if not answers and (output.json or not attended(sys.stdin)):
             raise ConfigError(asks, "", "needs a terminal and no --json", instead)
-        self._output = output
+        self._output, self._prepared = output, Prepared(answers) if answers else None
 
     def ask(self, key: str, text: str, choices: Sequence[str] = ()) -> str:
         while True:
             self._show(key, text, choices)
-            word = (sys.stdin.readline() or "q").strip()
+            line = sys.stdin.readline()
+            word = line.strip() if line or self._prepared else "q"
             if word == "q":
                 raise click.Abort
+            if self._prepared and not word and (key in self._prepared.answers or not (line and choices)):
+                return self._prepared.ask(key, text, choices)
             fitting = [choice for choice in choices if word in (choice, choice[0])] if choices else [word]
             if len(fitting) == 1:
                 return fitting[0]
 
     def again(self, refusal: RequestRefused) -> bool:
-        return self.ask("again", f"{refusal}\ntry again, or break off?", ("again", "q")) == "again"
+        return (
+            not self._prepared and self.ask("again", f"{refusal}\ntry again, or break off?", ("again", "q")) == "again"
+        )
 
     def _show(self, key: str, text: str, choices: Sequence[str]) -> None:
         wanted = f" ({', '.join(choices)})" if choices else "" if key == "name" else ", then press Enter"
-        self._output.say(f"\n{text}{wanted}")
+        prepared = f"\n{key} [{self._prepared.answers.get(key, '')}], Enter:" if self._prepared else ""
+        self._output.say(f"\n{text}{wanted}{prepared}")
 
 
 class OverPipe(AtTerminal):
     """Somebody asked by the program that started this one: questions on stdout, answers on stdin, a line each."""
 
     def __init__(self, output: Output) -> None:
-        self._output = output
+        self._output, self._prepared = output, None
 
     def _show(self, key: str, text: str, choices: Sequence[str]) -> None:
         self._output.result({"question": {"key": key, "text": text, "choices": [*choices]}})

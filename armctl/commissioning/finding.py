@@ -41,14 +41,14 @@ class Prepared:
         Raises:
             ConfigError: the file cannot be read.
         """
-        self._file, self._answers = str(file), parse_yaml(read_text(file, "answers"), str(file))
+        self._file, self.answers = str(file), parse_yaml(read_text(file, "answers"), str(file))
 
     def ask(self, key: str, text: str, choices: Sequence[str] = ()) -> str:
         """
         Raises:
             ConfigError: no choice stands in the file.
         """
-        found = str(self._answers.get(key, ""))
+        found = str(self.answers.get(key, ""))
         if choices and found not in choices:
             raise ConfigError(self._file, key, f"{found!r} does not answer {text!r}", f"one of: {', '.join(choices)}")
         return found

@@ -1,5 +1,6 @@
 """The whole set-up of simulated arms: broken off anywhere, typed, and what a person may do wrong."""
 
+import io
 import json
 import os
 import subprocess
@@ -8,10 +9,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
 from armctl.cli import setup
+from armctl.cli.output import Output
 from armctl.commissioning import finding
 from armctl.commissioning.finding import Person as Beside
 from armctl.commissioning.wizard import Wizard, progress, progress_path
@@ -155,13 +158,42 @@ def test_typed_with_prepared_answers_it_makes_the_file_that_the_name_loads(
 ) -> None:
     monkeypatch.setattr(setup, "make_port", lambda path, baud: arm.virtual.port)
     monkeypatch.setattr(finding, "Prepared", lambda file: Person(arm, file))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())  # nobody is waited for
     answers.write_text(json.dumps(prepared(arm) | {"name": "mine"}))
     told = answer("setup", KIND, "--answers", answers, "--port", "x")
     assert told["arm"].endswith("armctl/calibration/mine.yaml")
     assert [step["ok"] for step in told["steps"]] == [True] * 8
     assert wrong(arm, load_arm("mine")) == []
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 100))
     said = typed("setup", "mine", "--answers", answers, "--port", "x").out
+    assert "lay the arm down" in said
+    assert "\nmotion [yes], Enter:\n" in said
     assert "armctl calibrate --points sheet.csv --arm mine --port x" in said
+
+
+@pytest.mark.parametrize(("typed_in", "word"), [("", "yes"), ("\n", "yes"), ("no\n", "no"), ("maybe\ny\n", "yes")])
+def test_enter_takes_an_answer_that_is_prepared_and_another_one_may_be_typed(
+    typed_in: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "answers.yaml"
+    file.write_text("motion: yes")
+    monkeypatch.setattr(sys, "stdin", io.StringIO(typed_in))
+    assert setup.AtTerminal(Output(), "armctl setup", "", file).ask("motion", "free?", ("yes", "no")) == word
+
+
+def test_a_choice_that_is_not_prepared_is_asked_for_until_it_is_typed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "answers.yaml"
+    file.write_text("name: mine")
+    person = setup.AtTerminal(Output(), "armctl setup", "", file)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\nno\n"))
+    assert person.ask("motion", "free?", ("yes", "no")) == "no"
+    with pytest.raises(ConfigError, match="motion: '' does not answer"):
+        person.ask("motion", "free?", ("yes", "no"))  # nobody is left to be asked
+    monkeypatch.setattr(sys, "stdin", io.StringIO("q\n"))
+    with pytest.raises(click.Abort):
+        person.ask("name", "what is it called?")
 
 
 # ------------------------------------------------------------------------------------------ at a real terminal

@@ -25,6 +25,13 @@ def test_an_arm_is_set_up_right_or_its_defect_is_named(kind: str, defects: tuple
     assert result["outcome"].startswith(ends)
 
 
+@pytest.mark.pty
+def test_a_command_that_is_typed_names_what_is_missing() -> None:
+    result = run(Trial(3, ("missing",), "crane-plus-v2"), typed=True)
+    assert result["broken"] == []
+    assert "4 of 5 servos answer" in result["outcome"]
+
+
 def test_every_defect_and_every_number_of_them_is_drawn() -> None:
     trials = [drawn(1, number) for number in range(setting_up.ARMS)]
     assert {len(trial.defects) for trial in trials} == {0, 1, 2, 3}
@@ -82,7 +89,7 @@ def test_an_answer_that_is_not_what_the_tool_did_is_told(tmp_path: Path) -> None
 def test_a_set_up_that_ends_without_naming_what_was_planted_and_one_that_misses_a_servo_are_violations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(setting_up, "attempted", lambda *_: "something is wrong")
+    monkeypatch.setattr(setting_up, "commanded", lambda *_: "something is wrong")
     [told] = prove(1, lambda _: None, arms=1, workers=1)["violations"]
     assert told == "arm 1000 (ax12-line, no defect): ended by 'something is wrong'"
     monkeypatch.setattr(setting_up, "attempted", lambda *_: "set up")

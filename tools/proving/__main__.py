@@ -99,7 +99,7 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option(
     "--workers",
     type=click.IntRange(1),
-    help="soak, mutants, arms, lines, place, replay, setup, programs: processes.  [default: 2]",
+    help="soak, mutants, arms, lines, place, replay, programs, setup: processes.  [default: 2; setup 1]",
 )
 @click.option("--arms", type=click.IntRange(1), help="How many; lines, place: 20, setup: 30, arms: 10 unless told.")
 @click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")

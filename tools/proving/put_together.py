@@ -2,13 +2,14 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from armctl.clock import VirtualClock
 from armctl.commissioning.finding import Opened, Prepared
 from armctl.config import ArmConfig
 from armctl.dynamixel.bus import ServoBus
@@ -119,8 +120,12 @@ class Arm:
     virtual: VirtualArm
 
 
-def assembled(seed: int, defects: Sequence[str], kind: str) -> Arm:
-    """An arm of a kind with these defects, at joints that the seed draws, and the factory's angle limits."""
+def assembled(seed: int, defects: Sequence[str], kind: str, clock: VirtualClock | None = None) -> Arm:
+    """An arm of a kind with these defects, at joints that the seed draws, and the factory's angle limits.
+
+    Args:
+        clock: That of its begin; None: one of its own.
+    """
     rng, made = np.random.default_rng((seed, 31)), load_arm(kind)
     n = len(made.joints)
     joints = list(made.joints)
@@ -151,7 +156,7 @@ def assembled(seed: int, defects: Sequence[str], kind: str) -> Arm:
     if "baud" in defects:
         servos[c].table[BAUD_AT] = BAUDS[seed % len(BAUDS)]
     wire = WatchedBus(simulated)
-    virtual = VirtualArm(simulated, PERIOD_S, wire=wire)
+    virtual = VirtualArm(simulated, PERIOD_S, clock=clock, wire=wire)
     simulated.advance(virtual.clock.now_ns())
     if "missing" in defects:
         simulated.faults.begin(Fault(kind="mute", servo_id=true.servo_ids[b]), simulated.time_s)
@@ -162,9 +167,14 @@ def assembled(seed: int, defects: Sequence[str], kind: str) -> Arm:
 class Person(Prepared):
     """Who stands beside a simulated arm: does what a question asks for; the answers are those of a file."""
 
-    def __init__(self, arm: Arm, file: Path) -> None:
+    def __init__(self, arm: Arm, file: Path, wait: Callable[[float], None] | None = None) -> None:
+        """
+        Args:
+            wait: Lets so many seconds pass; None: they pass in virtual time.
+        """
         super().__init__(file)
         self.arm = arm
+        self._wait = wait or self._pass_by
         self._muted: list[int] = []
 
     def ask(self, key: str, text: str, choices: Sequence[str] = ()) -> str:
@@ -231,7 +241,7 @@ class Person(Prepared):
             self._wait(SteadyHand.CARRY_S + 0.6)
             aim = aim + (posture - self.arm.simulated.true_positions())
 
-    def _wait(self, seconds: float) -> None:
+    def _pass_by(self, seconds: float) -> None:
         self.arm.virtual.clock.advance_ns(round(seconds * 1e9))
         self.arm.simulated.advance(self.arm.virtual.clock.now_ns())
 
