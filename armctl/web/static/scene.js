@@ -11,9 +11,9 @@ const CLOSE = 1e-3;
 const [GRASP_PX, CLICK_PX] = [16, 5];
 // A new posture is reached by the time the next one is expected.
 const GLIDE_MS = 100;
-// A browser that draws slower than this is not asked to glide for a while: a click comes first.
-const SLOW_MS = 50;
-const REST_MS = 5000;
+// A browser that draws slower than this is not asked to glide for a while: a click comes first. The mean time between two
+// pictures follows each new one by a share: one that comes late, as the first ones do, is not slowness yet.
+const [SLOW_MS, REST_MS, SHARE] = [50, 3000, 0.1];
 // The arm that the bodies above are the right size for, stretched.
 const USUAL_REACH = 0.45;
 
@@ -336,7 +336,7 @@ export class ArmView {
   // Go on with a glide, if the browser can.
   pace(gliding) {
     const now = performance.now();
-    if (this.drawn) this.gap_ms += 0.3 * (now - this.drawn - this.gap_ms);
+    if (this.drawn) this.gap_ms += SHARE * (now - this.drawn - this.gap_ms);
     this.drawn = gliding ? now : 0;
     if (this.gap_ms > SLOW_MS) [this.rested, this.gap_ms] = [now + REST_MS, 0];
     if (gliding) this.redraw();
