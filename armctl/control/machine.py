@@ -169,7 +169,8 @@ LATCHED = frozenset(_SHOWN[Mode.FAULTED])
 # On the way to rest.
 TO_REST = frozenset(phase for phase, row in TRANSITIONS.items() if T.GIVE_UP in row)
 
-_ADVICE: dict[Mode, str] = {
+# Why something cannot be done now, and what to do first; `fault`: the code that is latched.
+ADVICE: dict[Mode, str] = {
     Mode.STARTING: "not every servo has answered yet; see `armctl status`",
     Mode.OFF: "the arm is limp; `armctl torque on` first",
     Mode.ENERGISING: "torque is coming on; wait until it holds",
@@ -385,7 +386,7 @@ class State:
         """
         found = TRANSITIONS[self.phase].get(trigger)
         if found is None:
-            why = _ADVICE[self.mode].format(fault=self.fault and self.fault.code)
+            why = ADVICE[self.mode].format(fault=self.fault and self.fault.code)
             raise IllegalTransition(f"{trigger.value.replace('_', ' ')} is not possible now: {why}")
         return found
 

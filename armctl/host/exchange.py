@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Callable
 
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.messages import Clear, Command, Hold, Mode, Park, Release, Reply, TorqueOn
+from armctl.messages import Clear, Command, Hold, Park, Release, Reply, TorqueOn
 
 # Longest wait for the control process's answer to anything but the end of a motion.
 ANSWER_S = 10.0
@@ -108,21 +108,3 @@ def restarting() -> RequestRefused:
     """Why nothing can be asked of the arm for a moment."""
     why = "the control process died and is being started again; the arm keeps its last goal; try again"
     return RequestRefused("RESTARTED", why)
-
-
-_TO_HOLD = {
-    Mode.STARTING: "wait until every servo has answered",
-    Mode.OFF: "`armctl torque on` first",
-    Mode.ENERGISING: "wait until torque is on",
-    Mode.MOVING: "wait, or `armctl stop`",
-    Mode.JOGGING: "end the jog, or `armctl stop`",
-    Mode.PARKING: "wait, or `armctl stop`",
-    Mode.TEACHING: "end the teaching first",
-    Mode.RELEASING: "wait until torque is off, then `armctl torque on`",
-    Mode.FAULTED: "see `armctl status`, then `armctl clear`",
-}
-
-
-def not_holding(what: str, mode: Mode) -> IllegalTransition:
-    """Why the arm cannot set off now."""
-    return IllegalTransition(f"{what}: the arm is {mode.value}, not holding; {_TO_HOLD[mode]}")

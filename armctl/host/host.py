@@ -20,8 +20,9 @@ from typing import Any
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
 from armctl.control.jog import joint_velocities
+from armctl.control.machine import ADVICE
 from armctl.errors import ConfigError, IllegalTransition, RequestRefused
-from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, not_holding, restarting
+from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Lease, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots
 from armctl.host.takes import TakeRecorder, Takes
@@ -350,9 +351,10 @@ class Host:
         latest = self.latest
         if self.exchange.pid is None or latest is None:
             raise restarting()
-        if (mode := latest.outputs.mode) is not Mode.HOLDING:
-            raise not_holding(what, mode)
-        return latest.outputs.wanted_rad
+        now = latest.outputs
+        if now.mode is not Mode.HOLDING:
+            raise IllegalTransition(f"{what}: {ADVICE[now.mode].format(fault=now.fault and now.fault.code)}")
+        return now.wanted_rad
 
     # --------------------------------------------------------------------------------------------- status
 
