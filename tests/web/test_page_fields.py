@@ -1,26 +1,19 @@
-"""Every field of every view says beside it, in words, what is wrong with it; axe-core judges every view."""
+"""Every field of every view says beside it, in words, what is wrong with it."""
 
 import math
-import os
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Page, expect, sync_playwright
 
 from armctl.lab.demo import program
 from proving.dashboard import pages
-from tests.web.test_dashboard import CHROMIUM, PATIENCE_MS, Stand, pytestmark
-from tests.web.test_dashboard import browser as browser
-from tests.web.test_dashboard import stand as stand
+from tests.web.test_dashboard import CHROMIUM, PATIENCE_MS, pytestmark
 
 __all__ = ["pytestmark"]
 
 VIEWS = ("arm", "live", "guide", "compare", "logs", "setup")
-# `npm install axe-core` somewhere, and its axe.min.js here.
-AXE = Path(os.environ.get("ARMCTL_AXE", "no axe"))
 NONSENSE = [
     "", " ", "x", "1, 2", "1, 2, 3, 4", "1,,2", "1e999", "-7", "2.5", "99999", "<b>", "nan, 0, 0", "..", "a b", "a/b",
     "0.1, 0.1, 99999", "0x10, 0, 0.1, ", "ü", "-", "5 s",
@@ -126,26 +119,3 @@ def test_words_that_find_nothing_for_they_mean_nothing_are_refused_beside_them(u
     page.press("#log-words", "Enter")
     expect(page.locator("#log-words-problem")).to_contain_text("cannot be understood")
     expect(page.locator("#message")).to_be_hidden()
-
-
-@pytest.mark.skipif(not AXE.is_file(), reason="ARMCTL_AXE names no axe.min.js: npm install axe-core")
-@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (1280, "dark"), (390, "light"), (390, "dark")])
-def test_axe_finds_nothing_in_any_view(browser: Browser, stand: Stand, scheme: Any, width: int) -> None:
-    context = browser.new_context(viewport={"width": width, "height": 844}, color_scheme=scheme)
-    page = context.new_page()
-    page.goto(stand.address)
-    expect(page.locator("#tick")).not_to_have_text("–", timeout=PATIENCE_MS)
-    found = []
-    for view in VIEWS:
-        page.click(f"nav [data-view={view}]")
-        if view == "setup":
-            page.click("#setup-go")
-            expect(page.locator("#setup-choices button").first).to_be_visible(timeout=PATIENCE_MS)
-        page.evaluate(AXE.read_text(encoding="utf-8"))
-        told = page.evaluate("axe.run()")["violations"]
-        found += [f"{view}: {one['id']}: {one['nodes'][0]['html'][:120]}" for one in told]
-        if view == "setup":
-            page.click("#setup-leave")
-            expect(page.locator("#setup-go")).to_be_visible(timeout=PATIENCE_MS)
-    context.close()
-    assert found == []
