@@ -51,9 +51,9 @@ SWING_S = 2.5
 # On average.
 RETURN_RAD_S = math.radians(25.0)
 JOG_RAD_S = math.radians(18.0)
-# The client ends so long after the base was seen to turn.
-ENDS_AFTER_S = (0.0, 1.0)
-SEEN_RAD = math.radians(3.0)
+# The client ends so long after the base was seen to turn, and no longer slowly: on its way to where it begins.
+ENDS_AFTER_S = (0.0, 0.8)
+SEEN_RAD_S = math.radians(15.0)
 # Over the last tick before the end, of the fastest joint.
 SLOWEST_DEG_S = 3.0
 # Of the runs.
@@ -185,15 +185,13 @@ def _end_once(running: Rig, run: Run, taught: list[str], rng: np.random.Generato
         client = both.enter_context(_client(through, run.way))
         _to_centre(running)
         number = int(rng.integers(2))
-        base_rad = running.simulator.state()["joints_rad"][0]
         child = _begun(client, *_asked(running, run.motion, 1 - 2 * number, taught[number]))
         if child > 0:
             both.callback(_kill, child)
         deadline_s = time.monotonic() + PATIENCE_S
-        while abs(running.simulator.state()["joints_rad"][0] - base_rad) < SEEN_RAD:
+        while _base_rad_s(running) < SEEN_RAD_S:
             assert time.monotonic() < deadline_s, "the arm never moved"
             assert client.poll() is None, "the client ended by itself"
-            time.sleep(0.01)
         time.sleep(rng.uniform(*ENDS_AFTER_S))
         end_ns = time.monotonic_ns()
         end(run.way, client, cut)
@@ -209,6 +207,16 @@ def _end_once(running: Rig, run: Run, taught: list[str], rng: np.random.Generato
             client.wait(PATIENCE_S)  # an interpreter takes its time to end, on a busy machine
         elif client.poll() is not None:
             run.violations.append(f"the notebook has ended: {client.returncode}")
+
+
+def _base_rad_s(running: Rig) -> float:
+    """How fast the base turns."""
+    seen = []
+    for _ in range(2):
+        seen.append((time.monotonic(), running.simulator.state()["joints_rad"][0]))
+        time.sleep(0.03)
+    (begin_s, begin_rad), (end_s, end_rad) = seen
+    return abs(float(end_rad - begin_rad)) / (end_s - begin_s)
 
 
 def end(way: Way, client: "subprocess.Popen[str]", cut: Callable[[], None]) -> None:
