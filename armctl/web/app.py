@@ -7,8 +7,8 @@ elsewhere is ever parsed in the daemon.
 
 import asyncio
 import contextlib
-import re
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
+from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
 from armctl.host.methods import Confirmed, JogBeat, Named, Nothing, Rate
 from armctl.trajectory.target import MoveRequest
 from armctl.web.connections import Connections
-from armctl.web.files import Files
+from armctl.web.files import Files, NamePath
 from armctl.web.guard import PERSON, Guard
 from armctl.web.pages import pages
 from armctl.web.set_up import SetUp
@@ -40,28 +40,28 @@ REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(
 # HTTP status of an error of armctl; of every other kind 409.
 STATUSES: dict[type[ArmctlError], int] = {NoDaemon: 503, LogError: 404, ConfigError: 422}
 
-# What is handed to the daemon as it is: path, parameters, and what it does. The socket's method has the path's words.
-HandedOn = tuple[tuple[str, type[Frozen], str], ...]
-COMMANDS: HandedOn = (
-    ("/torque-on", Nothing, "Carefully energise the arm where it is."),
-    ("/park", Nothing, "Slowly to the rest pose, then limp."),
-    ("/move", MoveRequest, "Go to joint positions, a point or a pose, after the pre-flight; answers at rest."),
-    ("/pause", Nothing, "Slow the motion down to a stop, on its path."),
-    ("/resume", Nothing, "Go on with a paused motion."),
-    ("/rate", Rate, "Go on with the motion under way at this share of its planned speed, 0.1 to 1."),
-    ("/clear", Nothing, "Acknowledge the latched fault, or a notice; refused while a fault's cause persists."),
-    ("/release", Confirmed, "Switch torque off: the arm drops unless it is supported, which `confirm` says."),
-)
-TEACHING: HandedOn = (
-    (
-        "/teach/begin",
-        Confirmed,
-        "Make the arm limp for guiding by hand. It drops unless it is supported, see `confirm`.",
-    ),
-    ("/teach/end", Nothing, "Leave teaching; the arm stays limp."),
-    ("/take/begin", Named, "Record a candidate."),
-    ("/take/end", Nothing, "The candidate is complete."),
-)
+# What is handed to the daemon as it is: by the route its method on the socket, what the body is, and what it does.
+COMMANDS: dict[str, tuple[str, type[Frozen] | None, str]] = {
+    "GET /status": ("status", None, "One snapshot, as `armctl status --json`."),
+    "POST /torque-on": ("torque_on", Nothing, "Carefully energise the arm where it is."),
+    "POST /park": ("park", Nothing, "Slowly to the rest pose, then limp."),
+    "POST /move": ("move", MoveRequest, "Go to joint positions, a point or a pose; answers at rest."),
+    "POST /pause": ("pause", Nothing, "Slow the motion down to a stop, on its path."),
+    "POST /resume": ("resume", Nothing, "Go on with a paused motion."),
+    "POST /rate": ("rate", Rate, "Go on with the motion at this share of its planned speed, 0.1 to 1."),
+    "POST /clear": ("clear", Nothing, "Acknowledge faults, or a notice; refused while a cause persists."),
+    "POST /release": ("release", Confirmed, "Switch torque off: the arm drops unless it is supported (`confirm`)."),
+    "POST /teach/begin": ("teach_begin", Confirmed, "Make the arm limp: it drops unless it is supported (`confirm`)."),
+    "POST /teach/end": ("teach_end", Nothing, "Leave teaching; the arm stays limp."),
+    "POST /take/begin": ("take_begin", Named, "Record a candidate."),
+    "POST /take/end": ("take_end", Nothing, "The candidate is complete."),
+    "GET /recordings": ("recordings_list", None, "The candidates, and every run that was recorded."),
+    "GET /recordings/{name}": ("recordings_track", None, "One recording with its tool path."),
+    "DELETE /recordings/{name}": ("recordings_delete", None, "Delete a recording."),
+    "GET /plans": ("plans_list", None, "Plans that the daemon keeps, the newest first."),
+    "GET /plans/{name}": ("plans_show", None, "One plan with its predicted tool path."),
+    "DELETE /plans/{name}": ("plans_delete", None, "Delete a plan."),
+}
 
 
 def create_app(
@@ -105,13 +105,8 @@ def create_app(
     app.add_exception_handler(HTTPException, _not_served)
     guard = Guard(app, tokens=Tokens(tokens_path(config_file), token), port=port, names=names)
     app.include_router(_live(daemon, guard))
-    for tag, routes in (
-        ("commands", _commands(daemon, set_up)),
-        ("set-up", set_up.routes()),
-        ("teaching", _handed_on(daemon, TEACHING)),
-        ("files", files.routes()),
-    ):
-        app.include_router(routes, prefix="/api", tags=[tag], responses=REFUSALS)
+    for routes in (_commands(daemon, set_up), set_up.routes(), files.routes()):
+        app.include_router(routes, prefix="/api", responses=REFUSALS)
     app.include_router(pages())
     return app, guard
 
@@ -184,12 +179,11 @@ async def _until_left(socket: WebSocket) -> None:
 
 
 def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
-    router = _handed_on(daemon, COMMANDS)
-
-    @router.get("/status")
-    async def status() -> dict[str, Any]:
-        """One snapshot, as `armctl status --json`."""
-        return await daemon.call("status")
+    router = APIRouter()
+    for route, (method, body, text) in COMMANDS.items():
+        verb, path = route.split()
+        given: dict[str, Any] = {"name": NamePath} if "{name}" in path else {"body": body} if body else {}
+        router.add_api_route(path, _handed_on(daemon, method, given, text), methods=[verb], name=method)
 
     @router.post("/stop")
     async def stop(_: Nothing) -> dict[str, Any]:
@@ -219,17 +213,18 @@ async def _left(request: Request) -> None:
         pass
 
 
-def _handed_on(daemon: Connections, commands: HandedOn) -> APIRouter:
-    def handler(method: str, parameters: type[Frozen], text: str) -> Callable[[Frozen], Awaitable[dict[str, Any]]]:
-        async def carry_out(body: Frozen) -> dict[str, Any]:
-            return await daemon.call(method, **body.model_dump())
+def _handed_on(daemon: Connections, method: str, given: dict[str, Any], text: str) -> Callable[..., Any]:
+    """What asks the daemon for a method.
 
-        # FastAPI reads from these what a body must be, and what the description says.
-        carry_out.__annotations__["body"], carry_out.__doc__ = parameters, text
-        return carry_out
+    Args:
+        given: What a request has, by its name: the type of each.
+    """
 
-    router = APIRouter()
-    for path, parameters, text in commands:
-        method = "_".join(re.findall(r"\w+", path))
-        router.add_api_route(path, handler(method, parameters, text), methods=["POST"], name=method)
-    return router
+    async def carry_out(*, body: Frozen | None = None, **name: str) -> dict[str, Any]:
+        return await daemon.call(method, **name, **(body.model_dump() if body else {}))
+
+    # FastAPI reads from these what a request must be, and what the description says.
+    carry_out.__doc__ = text
+    parameters = [Parameter(name, Parameter.KEYWORD_ONLY, annotation=kind) for name, kind in given.items()]
+    carry_out.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    return carry_out

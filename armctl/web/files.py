@@ -83,13 +83,7 @@ class Files:
         router = APIRouter()
         for method, path, handler in (
             ("GET", "/arm", self.arm_),
-            ("GET", "/recordings", self.list_recordings),
-            ("GET", "/recordings/{name}", self.recording),
-            ("DELETE", "/recordings/{name}", self.delete_recording),
             ("POST", "/optimize", self.optimize),
-            ("GET", "/plans", self.list_plans),
-            ("GET", "/plans/{name}", self.plan),
-            ("DELETE", "/plans/{name}", self.delete_plan),
             ("POST", "/plans/{name}/run", self.run),
             ("POST", "/plans/{name}/bend", self.bend),
             ("GET", "/hand", self.seen),
@@ -127,27 +121,12 @@ class Files:
             "version": __version__,
         }
 
-    # ------------------------------------------------------------------------------------------------- recordings
-
-    async def list_recordings(self) -> dict[str, Any]:
-        """The candidates, and every run that was recorded."""
-        return await self._daemon.call("recordings_list")
-
-    async def recording(self, name: NamePath) -> dict[str, Any]:
-        """One recording with its tool path."""
-        return await self._daemon.call("recordings_track", name=name)
-
-    async def delete_recording(self, name: NamePath) -> dict[str, Any]:
-        """Delete a recording."""
-        return await self._daemon.call("recordings_delete", name=name)
-
     # ------------------------------------------------------------------------------------------------------ plans
 
     async def optimize(self, body: OptimizeBody) -> dict[str, Any]:
         """Straighten recordings; answers when it is done, progress comes over the stream."""
         names = [f"{body.name}-via{via}" for via in body.via]
-        kept = {plan["name"] for plan in (await self.list_plans())["plans"]}
-        if taken := kept.intersection(names):
+        if taken := (await self._kept()).intersection(names):
             raise RequestRefused("EXISTS", f"a plan {min(taken)} exists; choose another name, or delete it")
         result = await self._daemon.call("optimize", **body.model_dump(mode="json", exclude={"name"}))
         for plan in result["plans"]:
@@ -155,31 +134,25 @@ class Files:
             await self._daemon.call("plans_save", name=plan["name"], plan=json.loads(plan.pop("text")))
         return result
 
-    async def list_plans(self) -> dict[str, Any]:
-        """Plans that the daemon keeps, the newest first."""
-        return await self._daemon.call("plans_list")
-
-    async def plan(self, name: NamePath) -> dict[str, Any]:
-        """One plan with its predicted tool path."""
-        return await self._daemon.call("plans_show", name=name)
-
-    async def delete_plan(self, name: NamePath) -> dict[str, Any]:
-        """Delete a plan."""
-        return await self._daemon.call("plans_delete", name=name)
-
     async def run(self, name: NamePath, body: HowToRun) -> dict[str, Any]:
         """Pre-flight, approach, run and record a plan, and correct it by further runs; answers when that has ended."""
-        return await self._daemon.call("run", plan=(await self.plan(name))["plan"], **body.model_dump())
+        return await self._daemon.call("run", plan=(await self._plan(name))["plan"], **body.model_dump())
 
     async def bend(self, name: NamePath, body: BendBody) -> dict[str, Any]:
         """A plan with one intermediate point elsewhere, in the posture nearest to its own; kept as NAME-bentN."""
-        plan = Plan.model_validate((await self.plan(name))["plan"])
+        plan = Plan.model_validate((await self._plan(name))["plan"])
         changed = await asyncio.to_thread(bent, self, plan, body.point, body.to_m)
-        kept = {one["name"] for one in (await self.list_plans())["plans"]}
+        kept = await self._kept()
         stem = name.rpartition("-bent")[0] or name
         free = next(some for i in itertools.count(1) if (some := f"{stem}-bent{i}") not in kept)
         await self._daemon.call("plans_save", name=free, plan=changed.model_dump(mode="json"))
-        return await self.plan(free)
+        return await self._plan(free)
+
+    async def _plan(self, name: str) -> dict[str, Any]:
+        return await self._daemon.call("plans_show", name=name)
+
+    async def _kept(self) -> set[str]:
+        return {plan["name"] for plan in (await self._daemon.call("plans_list"))["plans"]}
 
     # ----------------------------------------------------------------------------------------- the simulator's hand
 
