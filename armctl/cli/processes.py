@@ -55,7 +55,8 @@ def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
     from armctl.files import socket_path
     from armctl.host.service_manager import wait_for_port
 
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    when = "" if "JOURNAL_STREAM" in os.environ else "%(asctime)s "  # the journal has a time of its own
+    logging.basicConfig(level=logging.INFO, format=f"{when}%(levelname)s %(name)s: %(message)s")
     port = output.port or output.config.port
     if not port:
         raise ConfigError("armctl daemon", "--port", "no serial port named", "give --port PATH, or start `armctl sim`")
@@ -233,38 +234,22 @@ def web_command(ctx: click.Context, port: int | None, lan: bool) -> None:
     Example: armctl web
     """
     if ctx.invoked_subcommand is None:
-        _serve_pages(ctx.ensure_object(Output), port or (8443 if lan else 8080), lan)
+        from armctl.files import socket_path
+        from armctl.web.server import serve
+
+        output = ctx.ensure_object(Output)
+        serve(
+            output.arm,
+            output.config,
+            socket=socket_path(output.socket),
+            port=port or (8443 if lan else 8080),
+            ready=partial(output.ready, "address"),
+            config_file=output.config_file,
+            lan=lan,
+        )
 
 
 web_command.params += [*parameters("processes", "web"), SOCKET, CONFIG, JSON]
-
-
-def _serve_pages(output: Output, port: int, lan: bool) -> None:
-    from armctl.clock import ask_for_precedence
-    from armctl.files import data_dir, socket_path
-    from armctl.host.service_manager import notify
-    from armctl.web.server import serve
-
-    runtime, state = os.environ.get("RUNTIME_DIRECTORY"), os.environ.get("STATE_DIRECTORY")
-    socket, token_file = socket_path(output.socket), Path(runtime) / "address" if runtime else None
-    keys = Path(state) if state else data_dir(output.config) / "web"
-
-    def ready(address: str) -> None:
-        ask_for_precedence()  # STOP over the page does not wait for whatever else is computed
-        notify("READY=1")
-        # What a service prints stands in the journal; its token is in the file alone.
-        output.ready("address", address if token_file is None else address.partition("#")[0])
-
-    serve(
-        output.arm,
-        output.config,
-        socket=socket,
-        port=port,
-        token_file=token_file,
-        ready=ready,
-        config_file=output.config_file,
-        keys=keys if lan else None,
-    )
 
 
 @web_command.group("token")

@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import os
 import re
 import secrets
 import signal
@@ -11,9 +12,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from armctl.clock import ask_for_precedence
 from armctl.config import ArmConfig, Config
 from armctl.errors import ArmctlError, ConfigError
-from armctl.host.service_manager import endings
+from armctl.files import data_dir
+from armctl.host.service_manager import endings, notify
 from armctl.web.tokens import TOKEN_BYTES, private
 
 if TYPE_CHECKING:
@@ -26,22 +29,21 @@ def serve(
     *,
     socket: Path,
     port: int,
-    token_file: Path | None,
     ready: Callable[[str], None],
     config_file: str | None = None,
-    keys: Path | None = None,
+    lan: bool = False,
 ) -> None:
     """Serve until SIGINT, SIGTERM or SIGHUP.
+
+    Of a service the address with its token is kept in its `RUNTIME_DIRECTORY`, for whoever may read it, and the next
+    start takes its token; this server's own key and certificate lie in its `STATE_DIRECTORY`.
 
     Args:
         socket: The daemon's socket.
         port: TCP port.
-        token_file: Where the address with its token is kept, for whoever may read it; the next start takes its token.
-            None: nowhere, and the token is a new one.
-        ready: Called with that address once pages are served.
+        ready: Called once pages are served, with their address; that of a service without its token.
         config_file: Of this program, as it was named; people's tokens lie beside it.
-        keys: Folder of this server's own key and certificate: served is the local network, over TLS. None: this
-            computer alone.
+        lan: Whether the local network is served, over TLS, and not this computer alone.
     Raises:
         ArmctlError: the extra is not installed, the port is taken, or no key can be made.
     """
@@ -53,12 +55,15 @@ def serve(
     except ImportError as error:
         raise ArmctlError(f"the dashboard needs {error.name}; install it with: pip install 'armctl[web]'") from None
 
+    runtime, state = os.environ.get("RUNTIME_DIRECTORY"), os.environ.get("STATE_DIRECTORY")
+    token_file = Path(runtime) / "address" if runtime else None
     token = (token_file and _kept_token(token_file)) or secrets.token_urlsafe(TOKEN_BYTES)
     host, scheme, name = "127.0.0.1", "http", "127.0.0.1"
     names: tuple[str, ...] | None = None
     key = certificate = None
-    if keys is not None:
+    if lan:
         host, scheme, name = "0.0.0.0", "https", socket_module.gethostname()
+        keys = Path(state) if state else data_dir(config) / "web"
         names, (key, certificate) = (name, f"{name}.local"), _tls(keys, name)
     _, guard = create_app(arm, config, socket=socket, token=token, port=port, names=names, config_file=config_file)
     settings = uvicorn.Config(
@@ -91,7 +96,10 @@ def serve(
         if token_file is not None:
             token_file.parent.mkdir(parents=True, exist_ok=True)
             private(token_file, address + "\n")
-        ready(address)
+        ask_for_precedence()  # STOP over the page does not wait for whatever else is computed
+        notify("READY=1")
+        # What a service prints stands in the journal; its token is in the file alone.
+        ready(address if token_file is None else address.partition("#")[0])
 
     try:
         asyncio.run(_serving(server, listening, started))
