@@ -1,6 +1,7 @@
 """What clients can ask for: names, parameters, and which part of the daemon answers."""
 
 import asyncio
+import contextlib
 import itertools
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ from pydantic import Field, model_validator
 
 from armctl.config import Frozen, Name
 from armctl.errors import ArmctlError, RequestRefused
+from armctl.genetic.alignment import align
 from armctl.host import plans, programs, teaching
 from armctl.host.exchange import COMMANDS
 from armctl.host.host import Host
@@ -30,6 +32,8 @@ from armctl.trajectory.grasp import GripRequest, ReachRequest
 from armctl.trajectory.plan import Plan, plan_positions, plan_to_text
 from armctl.trajectory.playback import PlayRequest
 from armctl.trajectory.program import Program, ProgramRequest
+from armctl.trajectory.reference import error_mm
+from armctl.trajectory.straightness import distance_to_line
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.tool_path import PathRequest
 from armctl.trajectory.transfer import TransferRequest
@@ -106,6 +110,9 @@ class JogBeat(Frozen):
     begin: bool = False
 
 
+# Places of equal progress at which a take is held against a line, so that dwelling costs nothing: those of `optimize`
+# for a motion of 5 s.
+STATIONS = 51
 # Heartbeats of a jog are logged as commands of the control step; an optimisation moves nothing.
 UNNOTED = ("jog", "optimize")
 # What is learnt from.
@@ -271,8 +278,15 @@ class Methods:
         return recordings.find(self._recordings_dir, name)
 
     def _recordings_show(self, p: Show) -> dict[str, Any]:
-        line = None if p.from_m is None or p.to_m is None else (p.from_m, p.to_m)
-        return describe(recordings.load(self._path(p.name)), self._host.robot, line, with_marks=True)
+        found, host = recordings.load(self._path(p.name)), self._host
+        if p.from_m is None or p.to_m is None:
+            return describe(found, host.robot, with_marks=True)
+        shown = describe(found, host.robot, (p.from_m, p.to_m), with_marks=True)
+        A, B = np.array([p.from_m, p.to_m])
+        with contextlib.suppress(RequestRefused):  # it does not lead from one to the other
+            along = align([found.positions_rad], host.arm, host.robot.chain, A, B, STATIONS)
+            shown |= error_mm(distance_to_line(along.tool_m[0], A, B))
+        return shown
 
     def _recordings_rename(self, p: Rename) -> dict[str, Any]:
         return {"name": p.to, "path": str(recordings.rename(self._recordings_dir, p.name, p.to))}

@@ -11,8 +11,8 @@ import yaml
 
 from armctl.config import validate
 from armctl.errors import ConfigError, LogError
-from armctl.genetic.algorithm import DEFAULT
-from armctl.host.jobs import OptimizeJob, Progress
+from armctl.genetic.algorithm import DEFAULT, PROFILES
+from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest, optimize_task
 from armctl.host.server import PERSON, Connection
 from armctl.recording.recordings import Recording, describe, load
 from tests.genetic import hand
@@ -149,6 +149,20 @@ async def test_recordings_are_listed_shown_renamed_and_deleted(bench: Bench) -> 
     assert renamed == {"name": "z", "path": str(bench.folder / "z.mcap")}
     await bench.ask(bench.anna, "recordings_delete", name="b")
     assert [path.name for path in bench.folder.glob("*.mcap")] == ["z.mcap"]
+
+
+async def test_a_take_is_as_far_off_a_line_wherever_that_is_told(bench: Bench) -> None:
+    """However long the hand dwells at its ends: `optimize` throws the time away, and so does who shows one take."""
+    ends = {"from_m": tuple(LINE["from_m"]), "to_m": tuple(LINE["to_m"])}
+    shown = await bench.ask(bench.anna, "recordings_show", name="a", **ends)
+    asked = {"recordings": ("a",), "via": (0,), "settings": PROFILES["paper"], "duration_s": 5.0, **ends}
+    request = validate(RecordedRequest, asked, "optimize")
+    job = OptimizeJob(hand.arm(), (bench.folder / "a.mcap",), request)
+    [baseline] = optimize_task(job, lambda *_: None)["baseline"]
+    for key in ("mean_error_mm", "max_error_mm"):
+        assert shown[key] == pytest.approx(baseline[key], rel=0.01)
+    elsewhere = {"from_m": (0.18, -0.125, 0.2), "to_m": (0.18, 0.125, 0.2)}  # it does not lead along that
+    assert (await bench.ask(bench.anna, "recordings_show", name="a", **elsewhere))["mean_error_mm"] > 50.0
 
 
 async def test_a_recording_s_path_is_told_for_drawing(bench: Bench) -> None:

@@ -108,6 +108,9 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     expect(page.locator("#takes li")).to_have_count(1)
     page.click("#take-by-hand")
     expect(page.locator("#takes li")).to_have_count(2)
+    with Client(stand.socket) as client:  # which says the same of it
+        told = client.call("recordings_show", name="line-1", from_m=FROM_M, to_m=TO_M)
+    expect(page.locator("#takes li").last).to_contain_text(f"{told['mean_error_mm']:.1f} mm off the wanted line")
     page.click("#teach-end")
     state(page, "off")
     page.fill("#optimise-form [name=via]", "1")
@@ -118,7 +121,7 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     acknowledge(stand)  # the optimisation, too, keeps a small machine busy
     page.click("#run")
     state(page, "moving")
-    expect(page.locator("#run-figures")).to_contain_text("off the line on average")
+    expect(page.locator("#run-figures")).to_contain_text("off the wanted line on average")
     expect(page.locator("#run-plot .names li")).to_have_count(2)
     state(page, "holding")
 
@@ -192,7 +195,7 @@ def test_a_plan_is_refined_told_run_by_run_stopped_between_two_and_nothing_is_lo
     expect(page.locator("#run-figures")).to_contain_text(re.compile("after [1-3] of at most 4 runs"))
     page.keyboard.press("Escape")
     expect(page.locator("#run-figures")).to_contain_text("ended before its time: STOPPED")
-    expect(page.locator("#run-figures")).to_contain_text("off the line on average")
+    expect(page.locator("#run-figures")).to_contain_text("off the wanted line on average")
     state(page, "holding")
     page.select_option("#plan-choice", "line-via1")
 
@@ -213,7 +216,8 @@ def test_stop_is_served_under_load_while_the_arm_moves(page: Page, stand: Stand)
         page.keyboard.press("Escape")
         state(page, "holding")
         held_ns = time.monotonic_ns()
-        expect(page.locator("#message")).to_contain_text("STOPPED")
+        expect(page.locator("#run-figures")).to_contain_text("stopped, as somebody asked")
+        expect(page.locator("#message")).to_be_hidden()  # that is no failure
     finally:
         ending.set()
         flood.join()

@@ -121,7 +121,7 @@ export class Drive {
       await this.post("/move", where);
       this.reset();
     } catch (error) {
-      this.tell(error.message, place);
+      this.tell(error.code === "STOPPED" ? "stopped, as somebody asked" : error.message, place);
     }
   }
 

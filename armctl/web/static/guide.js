@@ -26,7 +26,7 @@ export function showTakes() {
       act(null, drawGuide);
     });
     const line = wantedLine(), off = tracks.has(take.name) && line ? offLine(tracks.get(take.name), line) : null;
-    const figures = `: ${take.duration.toFixed(1)} s` + (off ? `, ${millimetres(off[0])} off the line on average, ${millimetres(off[1])} at most` : "");
+    const figures = `: ${take.duration.toFixed(1)} s` + (off ? `, ${millimetres(off[0])} off the wanted line on average, ${millimetres(off[1])} at most` : "");
     label.append(box, take.name + figures + (take.why && !take.chosen ? `; left out: ${take.why}` : ""));
     item.append(label);
     return item;
@@ -165,7 +165,7 @@ export function progressed(message) {
   else converge(message);
 }
 
-const roundText = (round) => `round ${round.round}: ${millimetres(round.mean_error_mm)} off the line on average, ` +
+const roundText = (round) => `round ${round.round}: ${millimetres(round.mean_error_mm)} off the wanted line on average, ` +
   `${millimetres(round.max_error_mm)} at most, ${round.kept ? "kept" : "not kept"}`;
 
 function converge({ generation, best, mean }) {
@@ -234,10 +234,12 @@ async function runPlan(refine) {
     $("run-figures").textContent = `${spoken(name)} is running`;
     result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine, corrected: $("corrected").checked });
   } catch (error) {
-    $("run-figures").textContent = "the run failed";
+    const stopped = error.code === "STOPPED";  // somebody wanted that
+    $("run-figures").textContent = stopped ? "stopped, as somebody asked: the arm holds where it came to" : "the run failed";
+    if (stopped) return;
     throw error;
   }
-  $("run-figures").textContent = `${spoken(result.recording)}: ${millimetres(result.mean_error_mm)} off the line on average, ` +
+  $("run-figures").textContent = `${spoken(result.recording)}: ${millimetres(result.mean_error_mm)} off the wanted line on average, ` +
     `${millimetres(result.max_error_mm)} at most, in ${result.duration_s.toFixed(1)} s (by the encoders; predicted on perfect ` +
     `servos ${millimetres(result.predicted_mean_error_mm)} and ${millimetres(result.predicted_max_error_mm)})`;
   const recorded = async (one) => proper(await request(`/recordings/${encodeURIComponent(one)}`));
@@ -261,7 +263,7 @@ export function showTeaching(place, speed_m_s, [A, B]) {
   const share = Math.min(1, Math.max(0, progressAlong(place, A, B)));
   covered = [Math.min(covered[0], share), Math.max(covered[1], share)];
   const speed = speed_m_s === null ? "" : `, ${Math.round(1000 * speed_m_s)} mm/s`;
-  $("teach-figures").textContent = `recording ${guide.taking}: ${millimetres(distance(place, A, B))} off the line, ` +
+  $("teach-figures").textContent = `recording ${guide.taking}: ${millimetres(distance(place, A, B))} off the wanted line, ` +
     `${millimetres(1000 * Math.hypot(...minus(place, A)))} from its start${speed}, ${Math.round(100 * (covered[1] - covered[0]))} % of it covered`;
 }
 

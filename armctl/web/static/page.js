@@ -37,9 +37,9 @@ export function logIn() {
 
 // What was not done, and why; it stands beside the field, where there is one.
 export class Refused extends Error {
-  constructor(message, field = null) {
+  constructor(message, field = null, code = "") {
     super(message);
-    this.field = field;
+    [this.field, this.code] = [field, code];
   }
 }
 
@@ -104,7 +104,7 @@ export async function request(path, { method = "GET", body } = {}) {
   const answer = await response.json().catch(() => null);
   if (response.ok) return answer;
   const error = answer && answer.error;
-  throw new Refused(error ? `${error.code}: ${error.reasons.join("; ")}` : `the server answered ${response.status}`);
+  throw new Refused(error ? `${error.code}: ${error.reasons.join("; ")}` : `the server answered ${response.status}`, null, error?.code);
 }
 
 export const post = (path, body = {}) => request(path, { method: "POST", body });
