@@ -50,9 +50,9 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "s
 def cli() -> None:
     """A daemon that can be trusted with a Dynamixel AX-12A arm.
 
-    Start with `armctl demo`. On an arm: `armctl daemon --port /dev/ttyUSB0` in one terminal, then `armctl status`,
-    `armctl teach`, `armctl optimize` and `armctl run` in another. `armctl stop` always works, and Ctrl-C stops what it
-    interrupts.
+    Start with `armctl try`, which needs no arm. On an arm: `armctl setup` once, then `armctl daemon --port
+    /dev/ttyUSB0` in one terminal, and in another what is listed first. `armctl stop` always works, and Ctrl-C stops
+    what it interrupts.
 
     `armctl COMMAND --help` explains a command with an example, `armctl help` lists pages to read, and
     `armctl completion bash` lets the Tab key finish names.

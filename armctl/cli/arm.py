@@ -73,8 +73,6 @@ def watch_command(output: Output) -> None:
 WIDEST_NAME = 14
 # Characters that show where a joint is between its limits.
 BAR = 12
-# Of the range between its limits, from where on a joint's place is shown in red.
-NEAR_LIMIT = 0.03
 
 
 def picture(snapshot: dict[str, Any]) -> RenderableType:
@@ -135,7 +133,7 @@ def _place(joint: dict[str, Any]) -> Text:
     share = (joint["position_rad"] - low) / (high - low)
     at = max(0, min(BAR - 1, math.floor(share * BAR)))
     text = Text("╌" * at + "●" + "╌" * (BAR - 1 - at))
-    if not NEAR_LIMIT <= share <= 1.0 - NEAR_LIMIT:
+    if not 0.0 <= share <= 1.0:  # at a limit it may well rest
         text.stylize("red", at, at + 1)
     return text
 
@@ -174,8 +172,7 @@ def request(output: Output, method: str, **params: Any) -> None:
     """Ask the daemon for something that it answers with the arm's new state."""
     with output.client() as client:
         state = client.call(method, **params)
-    following = "; go on with `armctl torque on`" if (method, state["state"]) == ("clear", "off") else ""
-    output.answer(state, str(state["state"]) + following)
+    output.answer(state, str(state["state"]))
 
 
 def state_command(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from armctl.cli.output import CONFIG, JSON, SOCKET, Output, command
+from armctl.cli.output import CONFIG, JSON, RECORDED, SOCKET, Output, command, off
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError, LogError, NoDaemon
 
@@ -21,14 +21,15 @@ if TYPE_CHECKING:
 MOST_NUMBERS = 6000
 
 
-def in_words(recording: dict[str, Any]) -> str:
-    """A recording in one line."""
-    text = f"{recording['name']}: {recording['duration_s']:.1f} s, {recording['samples']} samples"
-    if recording["mean_error_mm"] is None:
-        return f"{text}, the tool never left its place"
-    return (
-        f"{text}, {recording['mean_error_mm']:.1f} mm mean and {recording['max_error_mm']:.1f} mm at most off the line"
-    )
+OWN_LINE = "the straight line between its own ends"
+WANTED = "the wanted line"
+
+
+def in_words(recording: dict[str, Any], line: str = OWN_LINE) -> str:
+    """A recording in one line, which says off which line the tool was."""
+    still = recording["mean_error_mm"] is None
+    error = "the tool never left its place" if still else off(recording, line)
+    return f"{recording['name']}: {recording['duration_s']:.1f} s, {recording['samples']} samples, {error}"
 
 
 @click.group("recordings", invoke_without_command=True)
@@ -59,7 +60,7 @@ def recordings_list(output: Output) -> None:
 def show_list(output: Output, found: dict[str, Any]) -> None:
     unreadable = found.get("unreadable", ())
     if found["recordings"]:
-        title = "Recordings; how far off the line the tool was, mm"
+        title = f"Recordings; how far the tool was off {OWN_LINE}, mm"
         show_rows(output.console, "recordings", title, found["recordings"])
     elif not unreadable:
         output.say("no recordings; make some with `armctl teach NAME`")
@@ -164,8 +165,8 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
     mean, worst = (f"{plan[f'expected_{kind}_error_mm']:.2f}" for kind in ("mean", "max"))
     whose = "this arm's" if plan["sag_model"] else "a new arm's"
     rows.append((f"to be expected, by {whose} model of the sag", mean, worst))
-    show_table(output.console, "Distance from the line, mm", ("path", "mean", "maximum"), rows, words=("path",))
-    output.say(f"run it with: armctl run {plan['path']}")
+    title = f"Distance from {WANTED}, at places of equal progress, mm"
+    show_table(output.console, title, ("path", "mean", "maximum"), rows, words=("path",))
 
 
 def _optimize_here(
@@ -194,9 +195,10 @@ def run_command(output: Output, plan: Path, refine: int) -> int:
     from armctl.files import read_text
     from armctl.trajectory.plan import plan_from_text
 
-    parsed = plan_from_text(read_text(plan, "plan"), str(plan))
-    with output.motion("running", kept=", and what was recorded is kept") as client:
-        result = client.call("run", on_progress=partial(_tell_run, output), plan=parsed.model_dump(), refine=refine)
+    wanted = plan_from_text(read_text(plan, "plan"), str(plan)).model_dump()
+    result = output.carry_out(
+        "running", "run", {"plan": wanted, "refine": refine}, kept=RECORDED, told=partial(_tell_run, output)
+    )
     output.answer(result, partial(_show_run, output, result))
     return 1 if result.get("ended") else 0
 
@@ -211,23 +213,22 @@ def _tell_run(output: Output, told: dict[str, Any]) -> None:
 
 def _in_words(row: dict[str, Any]) -> str:
     """A round of a refinement, as whoever has never seen one understands it."""
-    off = f"{row['mean_error_mm']:.2f} mm mean and {row['max_error_mm']:.2f} mm at most off the line"
+    error = off(row, WANTED, 2)
     if row["round"] == 0:
-        return f"the plan as it was: {off}"
-    return f"correction {row['round']}: {off}, {'kept' if row['kept'] else 'not better by more than noise: not kept'}"
+        return f"the plan as it was: {error}"
+    return f"correction {row['round']}: {error}, {'kept' if row['kept'] else 'not better by more than noise: not kept'}"
 
 
 def _show_run(output: Output, result: dict[str, Any]) -> None:
-    if "rounds" in result:
-        for row in result["rounds"]:
-            output.say(_in_words(row))
-        if result["ended"]:
-            output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
-        output.say(f"the best plan; run it with: armctl run {result['plan']}")
+    for row in result.get("rounds", ()):
+        output.say(_in_words(row))
+    if result.get("ended"):
+        output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
+    if "plan" in result:
+        output.say(f"the best plan: armctl run {result['plan']}")
     output.say(
-        f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "
-        f"off the line in {result['duration_s']:.1f} s (by the encoders; predicted on perfect servos: "
-        f"{result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})"
+        f"{result['recording']}: {off(result, WANTED)} in {result['duration_s']:.1f} s (by the encoders; predicted on "
+        f"perfect servos: {result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})"
     )
 
 
@@ -247,13 +248,12 @@ def play_command(output: Output, name: str, **how: Any) -> None:
     file = Path(name)
     of_file = "/" in name or file.suffix in (".csv", ".mcap")
     request = validate(PlayRequest, {"motion": _motion_in(file), **how} if of_file else {"name": name, **how}, "play")
-    with output.motion("playing", kept=", and what was recorded is kept") as client:
-        result = client.call("play", **request.model_dump(exclude_none=True))
+    result = output.carry_out("playing", "play", request, kept=RECORDED)
     output.answer(
         result,
-        f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most "
-        f"from where the tool was taught to be at the same progress, in {result['duration_s']:.1f} s (by the encoders; "
-        f"{result['path_mean_error_mm']:.1f} and {result['path_max_error_mm']:.1f} mm off the taught path)",
+        f"{result['recording']}: {off(result, 'where the tool was taught to be at the same progress')}, in "
+        f"{result['duration_s']:.1f} s (by the encoders; {result['path_mean_error_mm']:.1f} and "
+        f"{result['path_max_error_mm']:.1f} mm off the taught path)",
     )
 
 

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
-_ESCAPES = {b"\x1b[D": "left", b"\x1b[C": "right", b"\x1bOD": "left", b"\x1bOC": "right"}
+_ARROWS = {b"D": "left", b"C": "right", b"A": "up", b"B": "down"}
+_ESCAPES = {begin + letter: name for letter, name in _ARROWS.items() for begin in (b"\x1b[", b"\x1bO")}
 
 
 def attended(stream: TextIO) -> bool:
@@ -42,7 +43,7 @@ class TerminalKeys:
         self._before: list[Any] | None = None
 
     def wait(self, timeout_s: float) -> str:
-        """The next key, `left` and `right` by name; nothing once the time is over, and nothing in the background."""
+        """The next key, arrows by their names; nothing once the time is over, and nothing in the background."""
         if self._fd is None or not _in_foreground(self._fd):
             time.sleep(timeout_s)
             return ""

@@ -1,11 +1,14 @@
 """What moves the arm somewhere: `armctl move`, `jog`, `path`, `reach` and `transfer`."""
 
 import math
-from collections.abc import Sequence
+import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
+from armctl.cli.keys import attended, keys
+from armctl.cli.output import HOLDS, RECORDED, SOCKET, Output, command, millimetres, off
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 
@@ -26,9 +29,7 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
     for name, metres in (("joints_rad", 0), ("pose", 3)):
         if deg and asked[name] is not None:
             asked[name] = (*asked[name][:metres], *map(math.radians, asked[name][metres:]))
-    request = validate(MoveRequest, asked, "move")
-    with output.motion("moving") as client:
-        result = client.call("move", **request.model_dump(exclude_none=True))
+    result = output.carry_out("moving", "move", validate(MoveRequest, asked, "move"))
     output.answer(
         result,
         f"{result['recording']}: at {millimetres(result['position_m'])} after {result['duration_s']:.1f} s, "
@@ -36,37 +37,73 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
     )
 
 
+# Key -> where it leads the tool; how long after it was pressed last, as terminals repeat a key that is held down.
+LEADS = {"up": "x+", "down": "x-", "left": "y+", "right": "y-", "u": "z+", "d": "z-"}
+HELD_S = 0.6
+KEYS_HELP = "arrows: forward, back, left, right; u, d: up, down; +, -: faster, slower; any other key: stop; q: leave"
+
+
 @command("jog", SOCKET)
 def jog_command(output: Output, joint: str | None, axis: str | None, speed: float, deg: bool, seconds: float) -> None:
-    """Turn one joint, or move the tool along an axis, for as long as this command runs.
+    """Turn one joint, or move the tool along an axis, for as long as this command runs; with neither, by keys.
 
     The arm stops by itself when this command ends: by Ctrl-C, a lost connection, a closed terminal. It slows down
-    before limits and floor, and is never faster than 20 deg/s a joint.
+    before limits and floor, and is never faster than 20 deg/s a joint. By keys it moves while one is held down.
 
     Example: armctl jog --axis z --speed 0.02 --seconds 2
     """
-    if (joint is None) == (axis is None):
+    if (joint is not None and axis is not None) or (joint is axis is None and not attended(sys.stdin)):
         raise ConfigError("armctl jog", "--joint/--axis", "one thing to jog is wanted", "give one of them")
     if not math.isfinite(speed) or abs(speed) > 1000.0:
         raise ConfigError("armctl jog", "--speed", f"{speed} is no speed", "20 deg/s is the fastest a joint goes")
     from armctl.client.protocol import heartbeats
 
+    output.after_interrupt = HOLDS
     with output.client() as client:
-        names = [known["name"] for known in client.call("status")["joints"]]
+        status = client.call("status")
+        names = [known["name"] for known in status["joints"]]
         if joint is not None and joint not in names:
             raise ConfigError("armctl jog", "--joint", f"no joint {joint!r}", f"known: {', '.join(names)}")
-        wanted: dict[str, Any] = {}
         if axis is not None:
-            wanted["tool_m_s"] = [speed * (axis == one) for one in "xyz"]
-        else:
+            requests = heartbeats(seconds, tool_m_s=_lead(f"{axis}+", speed))
+        elif joint is not None:
             turn = max(-10.0, min(10.0, math.radians(speed) if deg else speed))
-            wanted["joints_rad_s"] = [turn * (name == joint) for name in names]
-        output.after_interrupt = HOLDS
-        for method, params in heartbeats(seconds, **wanted):
-            state = client.call(method, **params)
-        tool = client.call("status")["tool"]
-    position_m = tool["position_m"]
-    output.answer({**state, "position_m": position_m}, f"{state['state']}, tool at {millimetres(position_m)}")
+            requests = heartbeats(seconds, joints_rad_s=[turn * (name == joint) for name in names])
+        else:
+            requests = _by_keys(output, abs(speed))
+        for method, params in requests:
+            client.call(method, **params)
+        status = client.call("status")
+    position_m = status["tool"]["position_m"]
+    output.answer(
+        {"state": status["state"], "position_m": position_m},
+        f"{status['state']}, tool at {millimetres(position_m)}",
+    )
+
+
+def _lead(way: str, speed_m_s: float) -> list[float]:
+    """A velocity of the tool [m/s] along an axis, such as `z-`."""
+    return [(speed_m_s if way[1] == "+" else -speed_m_s) * (axis == way[0]) for axis in "xyz"]
+
+
+def _by_keys(output: Output, speed_m_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
+    """What leads the tool as long as keys say so, each request asked when the one before is answered."""
+    way, until_s, moves = "", 0.0, False
+    with keys(sys.stdin) as pressed:
+        output.say(KEYS_HELP)
+        while (key := pressed.wait(0.0 if moves else 0.05)) != "q":
+            speed_m_s = min(max(speed_m_s * {"+": 1.25, "-": 0.8}.get(key, 1.0), 0.002), 0.25)
+            if key and key not in "+-":
+                way, until_s = LEADS.get(key, ""), time.monotonic() + HELD_S
+            leads = bool(way) and time.monotonic() < until_s
+            output.live(f"{1000.0 * speed_m_s:.0f} mm/s" + f" along {way}" * leads)
+            if leads:
+                yield "jog", {"tool_m_s": _lead(way, speed_m_s), "begin": not moves}
+            elif moves:
+                yield "stop", {}
+            moves = leads
+        if moves:
+            yield "stop", {}
 
 
 @command("path", SOCKET)
@@ -83,13 +120,11 @@ def path_command(output: Output, file: Path, **how: Any) -> None:
     from armctl.trajectory.tool_path import path_from_text
 
     request = path_from_text(read_text(file, "path"), str(file), **how)
-    with output.motion("following the path", kept=", and what was recorded is kept") as client:
-        result = client.call("path", **request.model_dump(exclude_none=True))
+    result = output.carry_out("following the path", "path", request, kept=RECORDED)
     output.answer(
         result,
-        f"{result['recording']}: {result['mean_error_mm']:.1f} mm mean and {result['max_error_mm']:.1f} mm at most off "
-        f"the path in {result['duration_s']:.1f} s (by the encoders; rounding its corners leads "
-        f"{result['predicted_max_error_mm']:.1f} mm off)",
+        f"{result['recording']}: {off(result, 'the path as the file has it')} in {result['duration_s']:.1f} s (by the "
+        f"encoders; rounding its corners leads {result['predicted_max_error_mm']:.1f} mm off)",
     )
 
 
@@ -108,9 +143,7 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     if grip and let_go:
         raise ConfigError("armctl reach", "--grip/--let-go", "both are wanted", "give one of them")
     gripper = "grip" if grip else "let_go" if let_go else "stay"
-    request = validate(ReachRequest, {**way, "gripper": gripper}, "reach")
-    with output.motion("reaching") as client:
-        result = client.call("reach", **request.model_dump(exclude_none=True))
+    result = output.carry_out("reaching", "reach", validate(ReachRequest, {**way, "gripper": gripper}, "reach"))
     words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
     output.answer(
         result,
@@ -148,8 +181,8 @@ def transfer_command(
     else:
         if log_path is not None:
             raise ConfigError("armctl transfer", "--log", "the daemon keeps its own recordings", "leave it out")
-        with output.motion("transferring") as client:
-            answer = client.call("transfer", **request.model_dump())
+        answer = output.carry_out("transferring", "transfer", request)
+        with output.client() as client:
             log_path = Path(client.call("recordings_show", name=answer["recording"])["path"])
     done = report.load(log_path)
     if out is not None:
@@ -164,9 +197,5 @@ def transfer_command(
         **answer,
     }
     if not output.result(result):
-        show_curves(output, rows)
+        show_rows(output.console, "transfer", "Peaks of the paw's midpoint", rows)
         output.say(f"recorded: {log_path}" + ("" if out is None else f"; drawn: {out}"))
-
-
-def show_curves(output: Output, rows: Sequence[dict[str, Any]]) -> None:
-    show_rows(output.console, "transfer", "Peaks of the paw's midpoint", rows)

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from armctl.cli.parameters import parameters
+from armctl.cli.completion import complete
+from armctl.cli.keys import attended
+from armctl.cli.parameters import parameters, tables
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import served_socket
 
@@ -29,6 +33,7 @@ if TYPE_CHECKING:
 Point = tuple[float, float, float]
 # What a Ctrl-C leaves behind during a motion: its client is gone, and the daemon stops the arm.
 HOLDS = "the arm slows down on its path and holds there; `armctl status` shows it"
+RECORDED = ", and what was recorded is kept"
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -40,6 +45,8 @@ class Output:
         self.json = False
         # What a Ctrl-C leaves behind, said when it comes.
         self.after_interrupt = ""
+        # What stands at the terminal's end, see `live`.
+        self._lived = ""
         # The daemon that was named; None: the usual one.
         self.socket: str | None = None
         self.config_file: str | None = None
@@ -68,13 +75,41 @@ class Output:
 
         return Client(socket or self.socket, **options)
 
+    def carry_out(
+        self, doing: str, method: str, request: Any, *, kept: str = "", told: Callable[[Any], None] | None = None
+    ) -> dict[str, Any]:
+        """What became of a motion; Ctrl-C stops it, and a terminal shows how far it is.
+
+        Args:
+            request: The checked parameters.
+            kept: What else a Ctrl-C leaves behind.
+            told: Takes what the daemon tells meanwhile; None: it is a warning, or a step of a program.
+        """
+        params = request if isinstance(request, dict) else request.model_dump(exclude_none=True)
+        self.after_interrupt = HOLDS + kept
+        with self.client() as client, self._following(f"{doing}; Ctrl-C stops the arm"):
+            return client.call(method, on_progress=told or self.warned, **params)
+
     @contextmanager
-    def motion(self, doing: str, *, kept: str = "") -> Iterator[Client]:
-        """A connection whose requests move the arm; Ctrl-C stops it, and what was recorded may be kept."""
-        with self.client() as client:
-            self.after_interrupt, client.on_progress = HOLDS + kept, self.warned
-            self.say(f"{doing}; Ctrl-C stops the arm")
-            yield client
+    def _following(self, label: str) -> Iterator[None]:
+        """Show how far the motion under way is, and how long it will still take."""
+        over = Event()
+
+        def follow() -> None:
+            with suppress(ArmctlError), self.client() as watcher:
+                for snapshot in watcher.subscribe():
+                    if over.is_set():
+                        break
+                    show(snapshot["progress"] or 0.0, snapshot["state"])
+
+        with self.progress(label, 1.0) as show:
+            following = Thread(target=follow, daemon=True)
+            if self.messages.is_terminal:
+                following.start()
+            try:
+                yield
+            finally:
+                over.set()
 
     @cached_property
     def config(self) -> Config:
@@ -97,21 +132,33 @@ class Output:
         return self.json
 
     def answer(self, data: dict[str, Any], shown: str | Callable[[], object]) -> None:
-        """Print `data` if JSON was asked for, else say a text, or call what shows the answer."""
+        """Print `data` if JSON was asked for, else say a text, or call what shows it; and what may come next."""
         if self.result(data):
             return
         if callable(shown):
             shown()
         elif shown:
             self.say(shown)
+        context = click.get_current_context(silent=True)
+        asked = context.command_path.removeprefix("armctl ") if context else ""
+        if following := tables("next")["next"].get(asked):
+            self.say(f"next: {following.format_map(data)}")
 
     def ready(self, key: str, value: object) -> None:
         """Tell programs that wait for it that a server has begun."""
         if not self.result({key: value}):
             click.echo(f"ready {value}")
 
+    def live(self, text: str) -> None:
+        """A line that stands at the end of the terminal until anything else is said, where a person looks at it."""
+        if text != self._lived and self.messages.is_terminal and attended(sys.stdin):
+            self._lived = text
+            self.messages.file.write(f"\r\x1b[K{text}"[: self.messages.width + 4])
+            self.messages.file.flush()
+
     def say(self, text: str) -> None:
         """A message for a person; never on stdout when JSON was asked for."""
+        self.live("")
         (self.messages if self.json else self.console).print(text, markup=False, highlight=False, soft_wrap=True)
 
     def warn(self, text: str) -> None:
@@ -125,14 +172,15 @@ class Output:
     def failure(self, error: ArmctlError) -> None:
         """Tell an expected failure."""
         code = getattr(error, "code", type(error).__name__)
-        if isinstance(error, RequestRefused) and len(error.reasons) > 1:
-            text = f"{code}:\n" + "\n".join(f"  - {reason}" for reason in error.reasons)
-        else:
-            text = str(error)
+        text = f"armctl: {error}".removeprefix("armctl: " if str(error).startswith("armctl ") else "")
+        if code == "STOPPED":  # somebody wanted that
+            text = "stopped, as somebody asked: the arm holds where it came to"
+        elif isinstance(error, RequestRefused) and len(error.reasons) > 1:
+            text = f"armctl: {code}:\n" + "\n".join(f"  - {reason}" for reason in error.reasons)
         following = next_command(error, self.socket)
         if "`armctl " not in text and following not in text:
             text += f"\n  next: {following}"
-        self.warn(text if text.startswith("armctl ") else f"armctl: {text}")  # some begin with the command
+        self.warn(text)
         reasons = list(getattr(error, "reasons", [str(error)]))
         self.result({"error": {"code": code, "message": str(error), "reasons": reasons, "next": following}})
 
@@ -168,6 +216,12 @@ def millimetres(point_m: Iterable[float]) -> str:
     return ", ".join(f"{value * 1000.0:.1f}" for value in point_m) + " mm"
 
 
+def off(errors: Mapping[str, Any], what: str, digits: int = 1) -> str:
+    """How far the tool was off a line or a path; every command says it so, and off which one."""
+    mean, most = (f"{errors[f'{kind}_error_mm']:.{digits}f}" for kind in ("mean", "max"))
+    return f"{mean} mm mean and {most} mm at most off {what}"
+
+
 # Code of a refusal -> what to type next; where none stands here, `armctl status`.
 NEXT = {
     "LIMIT": "armctl status, which shows every joint within its limits",
@@ -177,6 +231,7 @@ NEXT = {
     "EXISTS": "another name, or armctl recordings",
     "NOT_CONFIRMED": "armctl teach --help",
     "EMPTY": "armctl log info LOG, which tells how long it is",
+    "STOPPED": "the same command again, or armctl park",
 }
 
 
@@ -274,10 +329,17 @@ SERVED = click.Option(
     metavar="NAME",
     expose_value=False,
     callback=_choose,
+    shell_complete=complete("services"),
     help="Of several arms that are services, this one (armctl@NAME).",
 )
 CONFIG = kept_option("config_file", "--config", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")
-ARM = kept_option("arm_name", "--arm", metavar="NAME|FILE", help="Which calibration file describes the arm.")
+ARM = kept_option(
+    "arm_name",
+    "--arm",
+    metavar="NAME|FILE",
+    shell_complete=complete("arms"),
+    help="Which calibration file describes the arm.",
+)
 LINK = kept_option("link", "--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")
 BAUD = kept_option("baud", "--baud", type=int, help="Rate of the bus, bit/s.  [default: the configuration's]")
 PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")

@@ -3,9 +3,9 @@
 Rules.
 1. A table is named after its command, with the group before it where there is one. A key is what is typed, and behind
    a blank the name that it has in the function, where that is another.
-2. A value is what click takes: `help`, `default`, `required` and so on. Its `type` is one of `KINDS`, a list of
-   choices, a range such as `1..20`, `0..` or `0.1..60.0` (`0.5..longest`: see `Seconds`), `list of` one of these, or
-   some with blanks between.
+2. A value is what click takes: `help`, `default`, `required` and so on; and `names`, which the Tab key finishes
+   (`completion.py`). Its `type` is one of `KINDS`, a list of choices, a range such as `1..20`, `0..` or `0.1..60.0`
+   (`0.5..longest`: see `Seconds`), `list of` one of these, or some with blanks between.
 3. The value `"shared"` stands for that of the same key in the table `shared`, of the same file or of `shared.toml`.
 
 It is TOML because Python reads it by itself: no command waits for the package that reads YAML.
@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import click
+
+from armctl.cli.completion import complete
 
 if TYPE_CHECKING:
     from armctl.lab.course import Via
@@ -35,9 +37,11 @@ def parameters(module: str, command: str) -> list[click.Parameter]:
     for words, about in own.get(command, {}).items():
         if about == "shared":
             about = own.get("shared", {}).get(words) or tables("shared")["shared"][words]
-        more = {"type": _kind(about["type"])} if "type" in about else {}
+        more: dict[str, Any] = {"type": _kind(about["type"])} if "type" in about else {}
+        if names := about.get("names"):
+            more["shell_complete"] = complete(names)
         made = click.Option if words.startswith("-") else click.Argument
-        found.append(made(words.split(), **about | more))
+        found.append(made(words.split(), **{key: about[key] for key in about if key != "names"} | more))
     return found
 
 

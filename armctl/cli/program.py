@@ -97,9 +97,8 @@ def program_run(output: Output, file: Path, from_step: str | None) -> int:
     Example: armctl program run wave.yaml --from 1
     """
     again = f"`armctl program run {file}` goes on with that step"
-    program = _read(file)
-    with output.motion("running", kept=f"; {again}") as client:
-        result = client.call("program_run", from_step=from_step, **program)
+    request = {"from_step": from_step, **_read(file)}
+    result = output.carry_out("running", "program_run", request, kept=f"; {again}")
     words, ended = f"{result['recording']}: {len(result['steps'])} steps done", result["ended"]
     if ended:
         words = f"ended at step {result['stands_at']}: {ended['code']}: {ended['text']}; {again}"
@@ -129,7 +128,7 @@ def program_record(output: Output, file: Path, places: int | None) -> None:
             if key := pressed.wait(1.0) if attended(sys.stdin) else settled(output):
                 recorder.press(key)
         found = client.call("program_check", **_read(file)) if recorder.steps else {"steps": [], "resumed_at": None}
-    output.answer({"path": str(file), **found}, f"{_in_words(found)}\nrun it with: armctl program run {file}")
+    output.answer({"path": str(file), **found}, _in_words(found))
 
 
 def settled(output: Output) -> str:

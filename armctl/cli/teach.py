@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from armctl.cli.arm import warn_of_limpness
-from armctl.cli.jobs import in_words
+from armctl.cli.jobs import OWN_LINE, WANTED, in_words
 from armctl.cli.keys import attended, keys
 from armctl.cli.output import SOCKET, Output, Point, command
 from armctl.errors import ConfigError, LogError, RequestRefused
@@ -45,8 +45,8 @@ def teach_command(
 
     Example: armctl teach line --takes 5 --from 0.18,-0.125,0.10 --to 0.18,0.125,0.10
     """
-    if (from_m is None) != (to_m is None):
-        raise ConfigError("armctl teach", "--from/--to", "one end of the line is missing", "give both or neither")
+    if (from_m is None) != (to_m is None) or (from_m and from_m == to_m):
+        raise ConfigError("armctl teach", "--from/--to", "a line has two ends", "give both, not the same, or neither")
     if not yes and not attended(sys.stdin):
         why = "teach makes the arm limp, and nobody can be asked: there is no terminal, or it runs in the background"
         raise RequestRefused("NOT_CONFIRMED", f"{why}; support the arm, then type `armctl teach {name} --yes`")
@@ -65,7 +65,7 @@ def teach_command(
         start = from_m
         try:
             with keys(sys.stdin) as pressed:
-                tool = Tool(output, watcher, partial(pressed.wait, 0.0))
+                tool = Tool(output, watcher, partial(pressed.wait, 0.0), (from_m, to_m) if from_m and to_m else None)
                 for take in names:
                     place = "start" if start is None else "start at " + ", ".join(f"{x:.3f}" for x in start)
                     output.say(f"{take}: carry the tool to the {place} and rest it there (or press Enter)")
@@ -73,7 +73,7 @@ def teach_command(
                     made.append(record_take(output, commander, tool, take, start, line))
         finally:
             commander.call("teach_end")
-    output.result({"recordings": made})
+    output.answer({"recordings": made}, "")
 
 
 def record_take(
@@ -81,6 +81,7 @@ def record_take(
 ) -> dict[str, Any]:
     """Record one take from its start on; what the daemon says of it, with its via points."""
     commander.call("take_begin", name=take)
+    tool.recorded(take)
     output.say(f"{take}: recording; guide it along the line and rest it at the end (or press Enter)")
     marks: list[dict[str, Any]] = []
     end = tool.guided(start, lambda: marks.append(commander.call("take_mark")))
@@ -88,7 +89,7 @@ def record_take(
     shown = commander.call("recordings_show", name=take, **line)
     # The tool rests at the end of a take, so a mark there is no via point.
     shown["marks"] = [mark for mark in marks if math.dist(mark["position_m"], end) > AT_START_M]
-    output.say(in_words(shown))
+    output.say(in_words(shown, WANTED if line else OWN_LINE))
     return shown
 
 
@@ -102,14 +103,25 @@ class Tool:
     # In which it is followed; None: in all.
     states: Collection[str] | None = ("teaching", "stalled")
 
-    def __init__(self, output: Output, watcher: Client, key: Callable[[], str]) -> None:
-        self._output, self._key = output, key
+    def __init__(
+        self, output: Output, watcher: Client, key: Callable[[], str], line: tuple[Point, Point] | None = None
+    ) -> None:
+        self._output, self._key, self._line = output, key, line
+        # Where the take begins; between which shares of the line the tool has been in it, None: it has not begun.
+        self._start: Point | None = None
+        self._covered: tuple[float, float] | None = None
         self._snapshots = watcher.subscribe()
         self._recent: deque[Point] = deque(maxlen=100)
         self._warned = False
 
+    def recorded(self, take: str) -> None:
+        """Wait until the take is seen to be recorded: a tick that came before is not in it."""
+        while next(self._snapshots)["recording"] != take:
+            pass
+
     def settle(self, start: Point | None) -> Point:
         """Wait until the tool rests near `start` (anywhere if None), or for Enter; returns where it is."""
+        self._start, self._covered = start, None
         moved = start is not None
         self._recent.clear()
         while True:
@@ -126,7 +138,7 @@ class Tool:
             mark: Called where the tool dwells on its way, or a key other than Enter is pressed.
         """
         moved = False
-        last = start
+        self._start, self._covered, last = start, (1.0, 0.0), start
         self._recent.clear()
         while True:
             place, period_s, key = self._next()
@@ -158,4 +170,21 @@ class Tool:
             speed, limit = (f"{1000.0 * value:.0f}" for value in (speed_m_s, limit_m_s))
             self._output.say(f"the tool moves at {speed} mm/s; slower than {limit} is safer and smoother")
         self._recent.append((x, y, z))
+        place = ", ".join(f"{1000.0 * value:.0f}" for value in (x, y, z))
+        self._output.live(f"tool {place} mm  {1000.0 * speed_m_s:.0f} mm/s{self._way((x, y, z))}")
         return (x, y, z), float(snapshot["period_s"]), self._key()
+
+    def _way(self, place: Point) -> str:
+        """How far the tool is from the start of the take, and how it follows the line that is wanted."""
+        import numpy as np
+
+        from armctl.trajectory.straightness import distance_to_line, progress_along_line
+
+        told = f"  from the start {1000.0 * math.dist(place, self._start):.0f} mm" if self._start else ""
+        if self._line and self._covered:
+            P, A, B = np.array([place, *self._line])
+            share = min(max(float(progress_along_line(P, A, B)), 0.0), 1.0)
+            low, high = self._covered = min(self._covered[0], share), max(self._covered[1], share)
+            off_mm = 1000.0 * float(distance_to_line(P, A, B))
+            told += f"  off the line {off_mm:.0f} mm  covered {high - low:.0%}"
+        return told

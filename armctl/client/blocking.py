@@ -34,8 +34,6 @@ class Client(Protocol):
         """
         super().__init__(socket)
         self._timeout_s = timeout_s
-        # Takes the `progress` notifications of calls that have no function of their own for them.
-        self.on_progress: Callable[[Message], None] | None = None
         self._received = bytearray()
         self._notifications: deque[Notification] = deque(maxlen=MAX_WAITING_NOTIFICATIONS)
         self._connect()
@@ -61,7 +59,7 @@ class Client(Protocol):
         if not self._last_id and select.select([self._socket], [], [], 0.0)[0]:
             self.close()  # the daemon keeps no connection that asks nothing for long
             self._connect()
-        line, on_progress = self.request(method, params), on_progress or self.on_progress
+        line = self.request(method, params)
         try:
             self._socket.sendall(line)
         except OSError as error:

@@ -54,6 +54,8 @@ TAIL_NS = 300_000_000
 # What the arm does is not told from a tick that is later than its period by more than this.
 STALE_NS = 300_000_000
 
+# What of a note stands in the daemon's own log as well; the recorded log has all of it.
+TOLD = ("event", "request", "program", "name", "step", "text", "outcome", "reasons", "who", "person", "path")
 # What is stopped when its client leaves: also a jog, whose last heartbeat may be under way.
 MOVING = ("run", "path", "play", "move", "park", "reach", "grip", "transfer", "program", "jog", "jogging")
 
@@ -180,7 +182,8 @@ class Host:
 
     def note(self, message: dict[str, Any]) -> None:
         """Put something no tick record tells into the log."""
-        logger.info("%s", message)
+        words = (message[key] for key in TOLD if message.get(key))
+        logger.info("%s", ", ".join("; ".join(word) if isinstance(word, list) else str(word) for word in words))
         self.recorder.note(COMMAND, json.dumps(message), self._clock.now_ns())
 
     # ------------------------------------------------------------------------------------------- requests

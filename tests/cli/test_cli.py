@@ -146,14 +146,15 @@ def test_what_goes_wrong_on_the_way_is_said_while_the_motion_lasts(
     words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], typed: Typed
 ) -> None:
     class Slow(StandIn):
-        def call(self, method: str, **_: Any) -> dict[str, Any]:
-            assert self.on_progress is not None
-            self.on_progress({"warning": "SLOWED", "text": "replies were lost"})
+        def call(self, method: str, *, on_progress: Any = None, **_: Any) -> dict[str, Any]:
+            on_progress({"warning": "SLOWED", "text": "replies were lost"})
             assert "SLOWED: replies were lost" in capsys.readouterr().err
             raise RequestRefused("STOPPED", "it was stopped")
 
     monkeypatch.setattr("armctl.client.Client", Slow)
-    assert "it was stopped" in typed(*words.split(), status=1).err
+    said = typed(*words.split(), status=1).err
+    assert "stopped, as somebody asked: the arm holds where it came to" in said  # that is no failure of armctl's
+    assert "armctl: " not in said
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -169,6 +170,55 @@ def test_the_shell_is_told_how_a_word_ends(monkeypatch: pytest.MonkeyPatch, caps
     with pytest.raises(SystemExit):
         main([])
     assert capsys.readouterr().out == "plain,recordings\n"
+
+
+@pytest.fixture
+def kept(own_folders: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of somebody who has worked with armctl."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("recordings/line-1.mcap", "recordings/swing.mcap", "logs/armctl-1.mcap", "plans/line.json"):
+        file = tmp_path / "xdg_data_home" / "armctl" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    (tmp_path / "here.json").touch()
+
+
+class Daemon(StandIn):
+    def call(self, *_: object, **__: object) -> dict[str, Any]:
+        return {"joints": [{"name": "base"}, {"name": "elbow"}]}
+
+
+DATA = "xdg_data_home/armctl"
+
+
+@pytest.mark.usefixtures("kept")
+@pytest.mark.parametrize(("line", "finished"), [
+    ("play l", ["plain,line-1"]),
+    ("recordings delete s", ["plain,swing"]),
+    ("optimize line-1 s", ["plain,swing"]),
+    ("play ./s", ["file,./s"]),
+    ("daemon --arm c", ["plain,crane-plus-v2"]),
+    ("ik --robot pu", ["plain,puma560"]),
+    ("run h", ["plain,here.json"]),
+    ("run {}/plans/l", ["plain,{}/plans/line.json"]),
+    ("replay {}/l", ["plain,{}/logs/armctl-1.mcap"]),
+    ("jog --joint e", ["plain,elbow"]),
+    ("fault begin unp", ["plain,unplug"]),
+    ("log find TRI", ["plain,TRIPPED"]),
+    ("help pro", ["plain,programs"]),
+    ("status --arm x", [""]),
+])  # fmt: skip
+def test_the_tab_key_finishes_names(
+    line: str, finished: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("armctl.client.Client", Daemon)
+    words = "armctl " + line.format(tmp_path / DATA)
+    count = str(len(words.split()) - 1)
+    for name, value in {"_ARMCTL_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": count}.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit):
+        main([])
+    assert capsys.readouterr().out.splitlines() == [one.format(tmp_path / DATA) for one in finished]
 
 
 @pytest.mark.parametrize(("path", "command"), [pytest.param(*one, id=" ".join(one[0])) for one in _every([], cli)])

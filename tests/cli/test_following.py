@@ -26,7 +26,7 @@ class Daemon:
 
     asked: tuple[str, str] = "", ""
 
-    def call(self, method: str, **params: Any) -> dict[str, Any]:
+    def call(self, method: str, *, on_progress: object, **params: Any) -> dict[str, Any]:
         Daemon.asked = method, json.dumps(params)
         return ANSWER | MORE
 
@@ -53,7 +53,8 @@ def test_a_path_is_sent_as_its_file_says(tmp_path: Path, answer: Answer, typed: 
     points = ((0.18, 0.0, 0.1), (0.2, 0.0, 0.1), (0.2, 0.02, 0.1))
     wanted = PathRequest(points_m=points, kinds=("line",) * 3, duration_s=9.0)
     assert PathRequest.model_validate(asked("path")) == wanted
-    assert "1.0 mm mean and 2.0 mm at most off the path" in typed("path", file).out.replace("\n", " ")
+    said = typed("path", file).out.replace("\n", " ")
+    assert "1.0 mm mean and 2.0 mm at most off the path as the file has it" in said
 
 
 def test_a_recording_is_played_by_its_name(answer: Answer, typed: Typed) -> None:

@@ -56,15 +56,17 @@ def test_the_picture_of_a_snapshot_shows_the_fault_card() -> None:
     assert not missing(text, "28.6", "never", *faults, "recording line-1", "unknown")
 
 
-def test_a_joint_is_shown_between_its_limits_and_red_near_them() -> None:
+def test_a_joint_is_shown_between_its_limits_and_red_beyond_them_alone() -> None:
+    """A parked arm rests near them."""
+
     def place(position_rad: float) -> tuple[int, bool]:
         shown = _place({"position_rad": position_rad, "limits_rad": (-1.0, 1.0)})
         assert len(shown.plain) == BAR
         return shown.plain.index("●"), bool(shown.spans)
 
-    assert place(-1.2) == place(-1.0) == (0, True)
+    assert (place(-1.2), place(-1.0)) == ((0, True), (0, False))
     assert place(0.0) == (BAR // 2, False)
-    assert place(1.0) == place(1.2) == (BAR - 1, True)
+    assert (place(1.0), place(1.2)) == ((BAR - 1, False), (BAR - 1, True))
 
 
 def test_the_longest_picture_fits_80_columns() -> None:

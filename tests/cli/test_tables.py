@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from armctl.cli import calibrate, demo, experiment, jobs, log, logs, motion, reproduce, servo, setup, study
+from armctl.cli import calibrate, demo, experiment, jobs, log, logs, reproduce, servo, setup, study
 from armctl.cli.output import Output
 from armctl.cli.tables import show_rows, show_table
 from armctl.commissioning.calibration import Fit, Parameter
@@ -89,7 +89,7 @@ TABLES: dict[str, Callable[[Output], object]] = {
     "recordings": lambda out: jobs.show_list(out, WIDEST["recordings"]),
     "optimize": lambda out: jobs.show_optimum(out, WIDEST["optimum"], WIDEST["plan"]),
     "arms": lambda out: show_rows(out.console, "arms", "", WIDEST["arms"]),
-    "transfer": lambda out: motion.show_curves(out, WIDEST["transfer"]),
+    "transfer": lambda out: show_rows(out.console, "transfer", "Peaks", WIDEST["transfer"]),
     "scan": lambda out: setup.show_servos(out, SERVOS),
     "doctor": lambda out: setup.show_checks(out, CHECKS),
     "servo eeprom": lambda out: servo.show_differences(out, DIFFERENCES, "file", "servo"),

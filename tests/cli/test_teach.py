@@ -101,3 +101,17 @@ def test_a_dwell_on_the_way_marks_one_via_point_and_does_not_end_the_take() -> N
 def test_a_key_marks_a_via_point_where_the_tool_is_and_enter_ends_the_take() -> None:
     places = rest(START, 5) + way(START, END, 40)
     assert marked(places, "." * 20 + "v" + "." * 9 + "\n") == ([24], places[30])
+
+
+def test_what_a_hand_does_is_told_as_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(Output, "live", lambda _, text: said.append(text))
+    places = rest(END, 2) + way(END, START, 10) + rest(START, 6) + way(START, END, 20) + rest(END, 11)
+    tool, _ = follow(places)
+    tool._line = START, END
+    tool.guided(tool.settle(START), lambda: None)
+    told = [text for text in said if text]
+    assert told[0] == "tool 180, 120, 100 mm  0 mm/s  from the start 240 mm"
+    assert told[15] == "tool 180, -120, 100 mm  0 mm/s  from the start 0 mm"
+    assert told[27].endswith("from the start 120 mm  off the line 0 mm  covered 50%")
+    assert told[-1].endswith("from the start 240 mm  off the line 0 mm  covered 100%")

@@ -9,11 +9,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from armctl.client import Client
 from armctl.lab.demo import program
+from proving.hang import CENTRE_DEG
 from proving.rig import hold
 from tests.terminal import CTRL_C, CTRL_Z, PATIENCE_S, Shell, Terminal, shell, terminal
 
@@ -100,6 +102,26 @@ def test_ctrl_c_during_a_move_stops_the_arm_and_says_so(daemon: Path) -> None:
         held = next(one for one in snapshots if one["state"] == "holding")
         assert held["fault"] is None
         assert abs(held["joints"][0]["position_rad"] - start[0]) < 0.5
+
+
+def test_keys_lead_the_tool_while_they_are_held_down(daemon: Path) -> None:
+    with Client(daemon) as client:
+        hold(client, PATIENCE_S)
+        client.call("move", joints_rad=np.radians(CENTRE_DEG).tolist())
+        before = client.call("status")["tool"]["position_m"]
+        with armctl("jog", "--speed", "0.05") as jogging:
+            jogging.until("q: leave")
+            snapshots = client.subscribe()
+            jogging.press(b"-\x1b[D")
+            jogging.until("40 mm/s along y+")
+            next(one for one in snapshots if one["state"] == "jogging")
+            after = next(one for one in snapshots if one["state"] == "holding")  # nobody holds the key down
+            jogging.press(b"q")
+            assert jogging.status() == 0
+            assert "holding, tool at" in jogging.said
+            assert after["tool"]["position_m"][1] - before[1] > 0.005
+            assert jogging.line_by_line
+        client.call("park")  # a limp arm would fall from here
 
 
 def test_teaching_asks_before_an_arm_goes_limp_and_ctrl_c_leaves_it_so(daemon: Path) -> None:
