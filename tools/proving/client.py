@@ -59,6 +59,8 @@ SLOWEST_DEG_S = 3.0
 # Of the runs.
 MOST_STILL = 0.05
 PATIENCE_S = 20.0
+# Why the arm may not come back to its begin at once: Linux hands on the bytes of a pseudo terminal late, say.
+TOO_BUSY = ("BUSY", "HOST_SILENT", "SERVO_SILENT", "BUS_DEAD")
 
 Way = Literal["interrupted", "notebook", "killed", "forked", "cut off"]
 Motion = Literal["move", "path", "play", "program", "jog"]
@@ -237,7 +239,7 @@ def _to_centre(running: Rig) -> None:
             running.client.call("move", joints_rad=centre.tolist(), duration_s=duration_s)
             return
         except RequestRefused as refusal:  # what the client began ends just now, or the machine is too busy
-            if refusal.code not in ("BUSY", "HOST_SILENT") or time.monotonic() > deadline_s:
+            if refusal.code not in TOO_BUSY or time.monotonic() > deadline_s:
                 raise
         time.sleep(0.05)
 
