@@ -110,7 +110,7 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     expect(page.locator("#takes li")).to_have_count(2)
     with Client(stand.socket) as client:  # which says the same of it
         told = client.call("recordings_show", name="line-1", from_m=FROM_M, to_m=TO_M)
-    expect(page.locator("#takes li").last).to_contain_text(f"{told['mean_error_mm']:.1f} mm off the wanted line")
+    expect(page.locator("#takes li").first).to_contain_text(f"{told['mean_error_mm']:.1f} mm off the wanted line")
     page.click("#teach-end")
     state(page, "off")
     page.fill("#optimise-form [name=via]", "1")
